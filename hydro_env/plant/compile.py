@@ -1,0 +1,588 @@
+"""Turns the one right-hand side and a set of effects into a vectorised, compiled step.
+
+Method: ROS34PW2 of Rang and Angermann (BIT 45, 2005): four stages, order 3, L-stable, stiffly accurate, and a
+W-method, that is, of full order with *any* matrix W in place of the Jacobian. W here holds the stiff loops of a channel
+(coil, spool, bristle; pressure, speed) and every effect's own decay; its arrow structure solves in some thirty
+operations.
+
+Layout: a block is `half` rigs side by side; lanes 0..half-1 are their first channels, lanes half..2*half-1 their second
+ones. All rows of a block (states, parameters, stages) lie in one flat array with constant offsets, the loop over
+substeps is outside and the loop over lanes inside, so that the compiler emits vector instructions. Fused multiply-add is
+not allowed to it, so every lane gets the same bits whatever its neighbours, its place or the width of the block.
+
+Source text: `rates` (rhs.py), the laws of the effects and the functions of lanemath are pasted into one generated
+module, which is kept in the user's cache under a hash of its own text: compiled once for a set of effects, and never
+stale.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import inspect
+import os
+import re
+import sys
+import tempfile
+import textwrap
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from . import lanemath
+from .effects import CATALOGUE, Effect
+from .parameters import PARAMETERS
+from .rhs import rates
+
+__all__ = ["STATES", "Kernel", "compile_kernel", "rosenbrock_coefficients"]
+
+#: States of a channel, in the order of `rates`.
+STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
+#: Beyond these magnitudes (SI) a state counts as diverged.
+STATE_CAPS = (1e2, 1e-2, 1e3, 1e-2, 1e10, 1e5, 1e12)
+#: Slots of the delay line of `command_delay`; one slot is one substep.
+DELAY_SLOTS = 512
+
+_OUTPUTS = ("time", "flow", "measured_speed", "diverged", "command", "load")
+
+
+def rosenbrock_coefficients() -> dict[str, Any]:
+    """ROS34PW2 (Rang, Angermann 2005), in the variables that need no product with the matrix.
+
+    Keys: `gamma`; `alpha` (4, 4), `Gamma` (4, 4), `b` (4,) as published; `a`, `c`, `m` transformed
+    (Hairer, Wanner, Solving Ordinary Differential Equations II, IV.7).
+    """
+    gamma = 4.3586652150845900e-01
+    alpha = np.array([
+        [0.0, 0.0, 0.0, 0.0],
+        [8.7173304301691801e-01, 0.0, 0.0, 0.0],
+        [8.4457060015369423e-01, -1.1299064236484185e-01, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0],
+    ])  # fmt: skip
+    full = np.array([
+        [gamma, 0.0, 0.0, 0.0],
+        [-8.7173304301691801e-01, gamma, 0.0, 0.0],
+        [-9.0338057013044082e-01, 5.4180672388095326e-02, gamma, 0.0],
+        [2.4212380706095346e-01, -1.2232505839045147e00, 5.4526025533510214e-01, gamma],
+    ])  # fmt: skip
+    b = np.array([2.4212380706095346e-01, -1.2232505839045147e00, 1.5452602553351020e00, 4.3586652150845900e-01])
+    inverse = np.linalg.inv(full)
+    return {
+        "gamma": gamma, "alpha": alpha, "Gamma": full, "b": b,
+        "a": alpha @ inverse, "c": np.eye(4) / gamma - inverse, "m": b @ inverse,
+    }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A compiled step for a set of effects.
+
+    `advance(memory, ring, head, commands, loads, substeps, h, record, every, out)` runs every block through all rows of
+    `commands`; see the generated text. `rows` maps names of states, parameters and outputs to rows of the memory.
+    """
+
+    effects: tuple[str, ...]
+    half: int
+    rows: dict[str, int]
+    num_rows: int
+    advance: Callable[..., None]
+    observe: Callable[..., None]
+    source: str
+
+    @property
+    def has_delay(self) -> bool:
+        return "command_delay" in self.effects
+
+
+# --- from laws to statements ------------------------------------------------------------------------------------------
+def _arguments(law: Callable[..., float]) -> list[str]:
+    return list(inspect.signature(law).parameters)
+
+
+class _Names:
+    """What an argument of a law is called in the generated text."""
+
+    def __init__(self, effect: Effect) -> None:
+        self.own = {p.name: f"{effect.name}__{p.name}" for p in effect.parameters}
+        self.own |= {s.name: f"{effect.name}__{s.name}" for s in effect.states}
+
+    def __call__(self, argument: str, changed: dict[str, str]) -> str:
+        name = self.own.get(argument, argument)
+        return changed.get(name, name)
+
+
+def _law_name(effect: Effect, part: str) -> str:
+    return f"{effect.name}__{part}__law"
+
+
+def _chain(quantity: str, effects: Iterable[Effect], changed: dict[str, str] | None = None) -> list[str]:
+    """Statements that pass `quantity` through the laws of the effects; `changed` renames arguments."""
+    changed = changed or {}
+    target = changed.get(quantity, quantity)
+    lines = []
+    for effect in effects:
+        law = effect.laws.get(quantity)
+        if law is not None:
+            names = _Names(effect)
+            arguments = [target] + [names(a, changed) for a in _arguments(law)[1:]]
+            lines.append(f"{target} = {_law_name(effect, quantity)}({', '.join(arguments)})")
+    return lines
+
+
+def _depends(quantity: str, effects: Iterable[Effect], argument: str) -> bool:
+    return any(argument in _arguments(e.laws[quantity])[1:] for e in effects if quantity in e.laws)
+
+
+def _rates_body(effects: tuple[Effect, ...]) -> list[str]:
+    """The lines of `rates` with the laws of the effects in their places."""
+    source = textwrap.dedent(inspect.getsource(rates))
+    docstring = ast.parse(source).body[0].body[0]  # type: ignore[attr-defined]
+    lines = source.splitlines()[docstring.end_lineno :]
+    body = []
+    for line in textwrap.dedent("\n".join(lines)).splitlines():
+        marker = re.fullmatch(r"# effects on (\w+)", line.strip())
+        if marker:
+            body += _chain(marker[1], effects)
+        elif line.strip() and not line.startswith(("#", "return")):
+            body.append(line)
+    return body
+
+
+def _slopes(effects: tuple[Effect, ...]) -> list[str]:
+    """Statements for the entries of W that close a loop; by differences where an effect changes them."""
+    lines = [
+        # LuGre
+        "bristle_decay = s0 * abs(spool_speed) / breakaway",
+        "breakaway_slope = -2.0 * (Fs - Fc) * exp(-slip * slip) * spool_speed / (vs * vs)",
+        "decay_slope = (sign(spool_speed) * s0 - bristle_decay * breakaway_slope) / breakaway",
+        "bristle_slope = 1.0 - decay_slope * bristle",
+        "friction_bristle = s0 - s1 * bristle_decay",
+        "friction_slope = s1 * bristle_slope + s2 + C + (c_stop if contact != 0.0 else 0.0)",
+        "stiffness = k + (k_stop if contact != 0.0 else 0.0)",
+    ]
+    if _depends("force", effects, "spool"):
+        lines += ["spool__d = spool + 1e-7", "force__d = alpha * current"]
+        lines += _chain("force", effects, {"force": "force__d", "spool": "spool__d"})
+        lines += ["stiffness = stiffness + positive((force - force__d) * 1e7)"]
+    lines += ["pressure__d = pressure + 1e3", "leakage_slope = leakage_coefficient"]
+    if _depends("leakage", effects, "pressure"):
+        lines += ["leakage__d = leakage_coefficient * pressure__d"]
+        lines += _chain("leakage", effects, {"leakage": "leakage__d", "pressure": "pressure__d"})
+        # Only what the effects add, so that a neutral one changes no bit.
+        lines += [
+            "leakage_slope = leakage_slope + positive(((leakage__d - leakage_coefficient * pressure__d)"
+            " - (leakage - leakage_coefficient * pressure)) * 1e-3)"
+        ]
+    if _depends("drive", effects, "pressure"):
+        lines += ["drive__d = 1.0"]
+        lines += _chain("drive", effects, {"drive": "drive__d", "pressure": "pressure__d"})
+        lines += ["flow__d = Kq * opening * sqrt(drive__d if drive__d > 0.0 else 0.0)"]
+        lines += ["leakage_slope = leakage_slope + positive((flow - flow__d) * 1e-3)"]
+    lines += ["shaft_slope = viscous_friction"]
+    if _depends("torque", effects, "speed") or _depends("motor_pressure", effects, "speed"):
+        changed = {"torque": "torque__d", "motor_pressure": "motor_pressure__d", "speed": "speed__d"}
+        lines += ["speed__d = speed + 1e-3", "torque__d = -load", "motor_pressure__d = pressure"]
+        lines += _chain("motor_pressure", effects, changed) + _chain("torque", effects, changed)
+        lines += [
+            "shaft_slope = shaft_slope + positive("
+            "(displacement * (motor_pressure - motor_pressure__d) + torque - torque__d) * 1e3)"
+        ]
+    return lines
+
+
+# --- the generated module ---------------------------------------------------------------------------------------------
+class _Rows:
+    """Row numbers of a block, handed out in order."""
+
+    def __init__(self) -> None:
+        self.number: dict[str, int] = {}
+
+    def add(self, *names: str) -> None:
+        for name in names:
+            self.number[name] = len(self.number)
+
+
+def _indent(lines: Iterable[str], depth: int) -> str:
+    return "\n".join("    " * depth + line for line in lines)
+
+
+def _uses(name: str, text: str) -> bool:
+    return re.search(rf"\b{name}\b", text) is not None
+
+
+def _paste(function: Callable[..., Any], name: str) -> str:
+    """Source of a plain function under another name, as an inlined compiled one."""
+    try:
+        source = textwrap.dedent(inspect.getsource(function))
+    except OSError:
+        raise ValueError(f"the source of law {function.__name__!r} cannot be read; define it in a file") from None
+    if not source.startswith("def "):
+        raise ValueError(f"law {function.__name__!r} must be a plain function (def), not a lambda or decorated")
+    return "@lane\n" + re.sub(r"^def \w+\(", f"def {name}(", source)
+
+
+def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str, int], int]:
+    parameters = list(PARAMETERS) + [f"{e.name}__{p.name}" for e in effects for p in e.parameters]
+    extra = [(e, s) for e in effects for s in e.states]
+    states = list(STATES) + [f"{e.name}__{s.name}" for e, s in extra]
+
+    rows = _Rows()
+    rows.add(*states, *_OUTPUTS)
+    moving = len(rows.number)
+    rows.add(*parameters)
+    kept = len(rows.number)
+    factors = ("e_current", "e_bristle", "e_spool_speed", "w_spool", "w_bristle", "w_current", "w_back", "w_slope",
+               "e_speed", "e_pressure", "w_flow", "w_pump", "w_drive")  # fmt: skip
+    rows.add(*(f"f__{name}" for name in factors), *(f"f__{name}" for name in states[len(STATES) :]))
+    rows.add(*(f"u{stage}__{name}" for stage in range(3) for name in states), "applied", "next_flow")
+    at = rows.number
+
+    def row(name: str) -> str:
+        return f"lanes[index({at[name]} * LANES) + l]"
+
+    def load(names: Iterable[str], text: str) -> list[str]:
+        return [f"{name} = {row(name)}" for name in names if _uses(name, text)]
+
+    body = _rates_body(effects)
+    # `rates` takes the command as the delay line hands it over.
+    effect_rates = []
+    for effect, state in extra:
+        names = _Names(effect)
+        call = ", ".join(names(a, {}) for a in _arguments(state.rate))
+        effect_rates.append(f"{effect.name}__{state.name}_rate = {_law_name(effect, state.name + '_rate')}({call})")
+    own_flow = ["own_flow = " + row("flow"), f"other_flow = others[index({at['flow']} * LANES) + l]"]
+    body_text = "\n".join(body + effect_rates)
+    flows = own_flow if _uses("other_flow", body_text) or _uses("own_flow", body_text) else []
+    inputs = ["command = " + row("applied"), *load(["load", "time"], body_text), *flows]
+    slopes = _slopes(effects)
+
+    # First stage: rates, matrix, its factors, and the solution u0, all in one sweep.
+    first = load(states, body_text + " ".join(states)) + inputs
+    first += load(parameters, body_text + "\n".join(slopes)) + body + effect_rates + slopes
+    first += [
+        "inertia = 1.0 / m",
+        "e_current = 1.0 / (ig + resistance / L)",
+        "e_bristle = 1.0 / (ig + bristle_decay)",
+        "w_spool = stiffness * inertia / ig",
+        "w_bristle = friction_bristle * inertia * e_bristle",
+        "w_current = alpha * inertia * e_current",
+        "w_back = alpha / L",
+        "w_slope = bristle_slope",
+        "e_spool_speed = 1.0 / (ig + friction_slope * inertia + w_spool / ig + w_bristle * w_slope + w_current * w_back)",
+        "softness = bulk_modulus / V",
+        "w_flow = softness * Kq",
+        "w_pump = softness * displacement",
+        "w_drive = displacement / J",
+        "e_pressure = 1.0 / (ig + softness * leakage_slope)",
+        "e_speed = 1.0 / (ig + shaft_slope / J + w_drive * w_pump * e_pressure)",
+    ]
+    first += [f"{row('f__' + name)} = {name}" for name in factors]
+    for effect, state in extra:
+        name = f"{effect.name}__{state.name}"
+        if state.decay is None:
+            first.append(f"f__{name} = 1.0 / ig")
+        else:
+            names = _Names(effect)
+            call = ", ".join(names(a, {}) for a in _arguments(state.decay))
+            first.append(f"f__{name} = 1.0 / (ig + {_law_name(effect, state.name + '_decay')}({call}))")
+        first.append(f"{row('f__' + name)} = f__{name}")
+
+    def solve(sums: Callable[[str], str]) -> list[str]:
+        """(ig - W) u = r, where r is the rate plus a combination of earlier stages."""
+        lines = [f"r__{name} = {name}_rate{sums(name)}" for name in states]
+        lines += [
+            "u__spool_speed = (r__spool_speed - w_spool * r__spool - w_bristle * r__bristle + w_current * r__current)"
+            " * e_spool_speed",
+            "u__current = (r__current - w_back * u__spool_speed) * e_current",
+            "u__spool = (r__spool + u__spool_speed) * gh",
+            "u__bristle = (r__bristle + w_slope * u__spool_speed) * e_bristle",
+            "q__pressure = r__pressure + w_flow * u__spool",
+            "u__speed = (r__speed + w_drive * e_pressure * q__pressure) * e_speed",
+            "u__pressure = (q__pressure - w_pump * u__speed) * e_pressure",
+            "u__angle = (r__angle + u__speed) * gh",
+        ]
+        return lines + [f"u__{name} = r__{name} * f__{name}" for name in states[len(STATES) :]]
+
+    first += [f"{row('next_flow')} = flow"] if flows else []
+    first += solve(lambda name: "") + [f"{row('u0__' + name)} = u__{name}" for name in states]
+
+    def stage(number: int) -> list[str]:
+        lines = []
+        for name in states:
+            for j in range(number):
+                lines.append(f"u{j}__{name} = {row(f'u{j}__{name}')}")
+            terms = "".join(f" + a{number}{j} * u{j}__{name}" for j in range(number) if A[number, j] != 0.0)
+            lines.append(f"{name} = {row(name)}{terms}")
+        lines += inputs + load(parameters, body_text)
+        lines += body + effect_rates
+        lines += [f"{name} = {row('f__' + name)}" for name in factors]
+        lines += [f"f__{name} = {row('f__' + name)}" for name in states[len(STATES) :]]
+        lines += solve(lambda name: "".join(f" + c{number}{j} * u{j}__{name}" for j in range(number)))
+        if number < 3:
+            lines += [f"{row(f'u{number}__{name}')} = u__{name}" for name in states]
+        else:
+            for name in states:
+                terms = "".join(f" + m{j} * u{j}__{name}" for j in range(3))
+                lines.append(f"{row(name)} = {row(name)}{terms} + m3 * u__{name}")
+        return lines
+
+    method = rosenbrock_coefficients()
+    A, coefficients = method["a"], []
+    for i in range(1, 4):
+        for j in range(i):
+            coefficients.append(f"a{i}{j} = {float(method['a'][i, j])!r}")
+            coefficients.append(f"c{i}{j} = {float(method['c'][i, j])!r} / h")
+    coefficients += [f"m{j} = {float(method['m'][j])!r}" for j in range(4)]
+
+    watch = body + ["measured_speed = speed", *_chain("measured_speed", effects)]
+    watch = load(states, " ".join(states)) + inputs + load(parameters, "\n".join(watch)) + watch
+    watch += [f"{row('flow')} = flow", f"{row('measured_speed')} = measured_speed"]
+
+    guard = [f"ok = abs({row(STATES[0])}) < {STATE_CAPS[0]!r}"]
+    guard += [f"ok = ok & (abs({row(name)}) < {cap!r})" for name, cap in zip(STATES, STATE_CAPS, strict=True)]
+    guard += [f"ok = ok & (abs({row(name)}) < 1e12)" for name in states[len(STATES) :]]
+    guard += [f"{row('diverged')} = {row('diverged')} if ok else 1.0"]
+    guard += [f"{row(name)} = {row(name)} if ok else 0.0" for name in states]
+
+    additions = [
+        (at[base], at[f"{e.name}__{own}"]) for e in effects for base, own in e.adds_to.items()
+    ]  # fmt: skip
+    base_rows = {
+        "additions": "\n".join(
+            f"        for l in range(LANES):\n            cells[{b} * LANES + l] = cells[{b} * LANES + l] + cells[{p} * LANES + l]"
+            for b, p in additions
+        )
+    }
+
+    helpers = [getattr(lanemath, name) for name in ("clip", "sign", "exp", "tanh", "cos", "sin")]
+    pasted = [_paste(f, f.__name__) for f in helpers]
+    for effect in effects:
+        pasted += [_paste(law, _law_name(effect, quantity)) for quantity, law in effect.laws.items()]
+        for state in effect.states:
+            pasted.append(_paste(state.rate, _law_name(effect, state.name + "_rate")))
+            if state.decay is not None:
+                pasted.append(_paste(state.decay, _law_name(effect, state.name + "_decay")))
+
+    keep_flow = f"{row('flow')} = {row('next_flow')}".replace("lanes", "cells") if flows else "pass"
+    delay = at.get("command_delay__delay")
+    if delay is None:
+        apply = "cells[APPLIED * LANES + l] = cells[COMMAND * LANES + l]"
+        ring = "                pass"
+    else:
+        apply = "pass"
+        ring = _DELAY.format(delay=delay, slots=DELAY_SLOTS)
+    text = _MODULE.format(
+        functions="\n\n".join(pasted), half=half, moving=moving, kept=kept, total=len(at),
+        command=at["command"], load=at["load"], applied=at["applied"], time=at["time"], rated=at["u_rated"],
+        gamma=repr(method["gamma"]), coefficients=_indent(coefficients, 1),
+        first=_indent(first, 6), second=_indent(stage(1), 6), third=_indent(stage(2), 6), fourth=_indent(stage(3), 6),
+        watch=_indent(watch, 3), guard=_indent(guard, 2), apply=apply, ring=ring, keep_flow=keep_flow, **base_rows,
+    )  # fmt: skip
+    visible = {name.replace("__", ".", 1) if name in parameters and "__" in name else name: n
+               for name, n in at.items() if n < kept}  # fmt: skip
+    return text, visible, kept
+
+
+_DELAY = """\
+                slot = (head + t * substeps + n) % {slots}
+                for l in range(LANES):
+                    ring[b, slot, l] = cells[COMMAND * LANES + l]
+                    late = cells[{delay} * LANES + l] / h
+                    late = late if late < {slots} - 2.0 else {slots} - 2.0
+                    whole = int(late)
+                    share = late - whole
+                    cells[APPLIED * LANES + l] = (
+                        (1.0 - share) * ring[b, (slot - whole) % {slots}, l] + share * ring[b, (slot - whole - 1) % {slots}, l]
+                    )
+"""
+
+_MODULE = '''\
+"""Generated by hydro_env.plant.compile; the name of this file is the hash of its text."""
+
+from math import floor, sqrt
+
+import numpy as np
+from numba import njit
+
+index = np.uint64
+lane = njit(inline="never", error_model="numpy")
+block = njit(error_model="numpy", cache=True)
+
+HALF = {half}
+LANES = 2 * HALF
+MOVING = {moving}
+KEPT = {kept}
+TOTAL = {total}
+COMMAND, LOAD, APPLIED, TIME, RATED = {command}, {load}, {applied}, {time}, {rated}
+
+
+@lane
+def positive(value):
+    return value if value > 0.0 else 0.0
+
+
+{functions}
+
+@block
+def look(cells):
+    """Outputs (flow, measured speed) of a block from its states."""
+    for l in range(LANES):
+        cells[APPLIED * LANES + l] = cells[COMMAND * LANES + l]
+    for side in range(2):
+        lanes = cells[side * HALF :]
+        others = cells[HALF - side * HALF :]
+        for l in range(index(HALF)):
+{watch}
+
+
+@block
+def protect(lanes):
+    """Puts lanes that left the bounds of sense to rest and marks them."""
+    for l in range(index(LANES)):
+{guard}
+
+
+@block
+def advance(memory, ring, head, commands, loads, substeps, h, record, every, out):
+    """Runs every block through all rows of `commands`, `substeps` steps of `h` seconds to a row.
+
+    memory (blocks, KEPT, LANES); ring (blocks, slots, LANES) and head: the delay line; commands, loads
+    (T, rigs or 1, 2): one row for all rigs where the middle is 1; record: rows of the memory that go to
+    out (len(record), T // every, rigs, 2) at the instant of each row, before its command acts.
+    """
+    cells = np.zeros(TOTAL * LANES)
+    ig = 1.0 / ({gamma} * h)
+    gh = {gamma} * h
+{coefficients}
+    rigs = out.shape[2]
+    for b in range(memory.shape[0]):
+        for r in range(KEPT):
+            for l in range(LANES):
+                cells[r * LANES + l] = memory[b, r, l]
+{additions}
+        for t in range(commands.shape[0]):
+            if record.size > 0 and t % every == 0:
+                look(cells)
+                for r in range(record.size):
+                    for l in range(HALF):
+                        rig = b * HALF + l
+                        if rig < rigs:
+                            out[r, t // every, rig, 0] = cells[record[r] * LANES + l]
+                            out[r, t // every, rig, 1] = cells[record[r] * LANES + HALF + l]
+            for l in range(HALF):
+                rig = b * HALF + l
+                rig = rig if rig < rigs else 0
+                c = rig if commands.shape[1] > 1 else 0
+                d = rig if loads.shape[1] > 1 else 0
+                tl = t if loads.shape[0] > 1 else 0
+                cells[COMMAND * LANES + l] = commands[t, c, 0]
+                cells[COMMAND * LANES + HALF + l] = commands[t, c, 1]
+                cells[LOAD * LANES + l] = loads[tl, d, 0]
+                cells[LOAD * LANES + HALF + l] = loads[tl, d, 1]
+            for l in range(LANES):
+                limit = cells[RATED * LANES + l]
+                u = cells[COMMAND * LANES + l]
+                u = u if u < limit else limit
+                cells[COMMAND * LANES + l] = u if u > -limit else -limit
+                {apply}
+            for n in range(substeps):
+{ring}
+                for side in range(2):
+                    lanes = cells[side * HALF :]
+                    others = cells[HALF - side * HALF :]
+                    for l in range(index(HALF)):
+{first}
+                for side in range(2):
+                    lanes = cells[side * HALF :]
+                    others = cells[HALF - side * HALF :]
+                    for l in range(index(HALF)):
+{second}
+                for side in range(2):
+                    lanes = cells[side * HALF :]
+                    others = cells[HALF - side * HALF :]
+                    for l in range(index(HALF)):
+{third}
+                for side in range(2):
+                    lanes = cells[side * HALF :]
+                    others = cells[HALF - side * HALF :]
+                    for l in range(index(HALF)):
+{fourth}
+                for l in range(index(LANES)):
+                    cells[index(TIME * LANES) + l] = cells[index(TIME * LANES) + l] + h
+                    {keep_flow}
+            protect(cells)
+        look(cells)
+        for r in range(MOVING):
+            for l in range(LANES):
+                memory[b, r, l] = cells[r * LANES + l]
+
+
+@block
+def observe(memory):
+    """Outputs of every block from its states as they are."""
+    cells = np.zeros(TOTAL * LANES)
+    for b in range(memory.shape[0]):
+        for r in range(KEPT):
+            for l in range(LANES):
+                cells[r * LANES + l] = memory[b, r, l]
+{additions}
+        look(cells)
+        for r in range(MOVING):
+            for l in range(LANES):
+                memory[b, r, l] = cells[r * LANES + l]
+'''
+
+
+def _cache_folder() -> Path:
+    """Where generated kernels are kept: $HYDRO_ENV_CACHE, else the user's cache, else a temporary folder."""
+    named = os.environ.get("HYDRO_ENV_CACHE")
+    base = Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hydro_env"
+    try:
+        base.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=base):
+            pass
+    except OSError:
+        base = Path(tempfile.gettempdir()) / f"hydro_env_{os.getuid() if hasattr(os, 'getuid') else 'cache'}"
+        base.mkdir(parents=True, exist_ok=True)
+    return base
+
+
+def _import_text(text: str) -> ModuleType:
+    name = "kernel_" + hashlib.sha256(text.encode()).hexdigest()[:16]
+    path = _cache_folder() / f"{name}.py"
+    if not path.exists() or path.read_text() != text:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+        with os.fdopen(handle, "w") as file:
+            file.write(text)
+        os.replace(temporary, path)
+    specification = importlib.util.spec_from_file_location(name, path)
+    assert specification is not None and specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[name] = module  # the compiler's cache looks its functions up there
+    specification.loader.exec_module(module)
+    return module
+
+
+@lru_cache(maxsize=64)
+def _compiled(effects: tuple[Effect, ...], half: int) -> Kernel:
+    text, rows, kept = _module_text(effects, half)
+    module = _import_text(text)
+    names = tuple(e.name for e in effects)
+    return Kernel(names, half, rows, kept, module.advance, module.observe, text)
+
+
+def compile_kernel(effects: Iterable[str] = (), half: int = 8) -> Kernel:
+    """The kernel for these effects, compiled on its first call. KeyError for an effect the catalogue lacks.
+
+    The effects act in the order of the catalogue, whatever order they are named in.
+    """
+    wanted = set(effects)
+    for name in wanted:
+        CATALOGUE[name]
+    return _compiled(tuple(e for e in CATALOGUE.values() if e.name in wanted), half)

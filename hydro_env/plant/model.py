@@ -1,0 +1,287 @@
+"""A model of the rig: which values its parameters have and which effects act, as data.
+
+Models are YAML files or presets of the package:
+
+    schema: hydro_env/model/1
+    name: my rig
+    base: paper                       # optional: start from a preset
+    both: {J: 0.0031}                 # base parameters of both channels
+    channel_1: {Kq: 0.476}            # of one channel
+    effects:
+      dead_zone:
+        channel_1: {overlap_positive: 7.0e-5, overlap_negative: 7.0e-5}
+      supply_droop:
+        rig: {relative_drop: 0.3}     # `rig` (or `both`) stands for both channels
+
+Values are SI. Anything unknown is refused with a line that names the file and the key.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ..errors import InputError
+from ..files import write_text
+from .effects import CATALOGUE
+from .parameters import PARAMETERS, Parameter
+
+__all__ = ["PlantModel", "load_model", "parameter_of", "preset_names"]
+
+SCHEMA = "hydro_env/model/1"
+_SIDES = {"channel_1": (0,), "channel_2": (1,), "both": (0, 1), "rig": (0, 1)}
+
+
+def _nearest(word: object, known: Iterable[str]) -> str:
+    names = sorted(known)
+    close = difflib.get_close_matches(str(word), names, n=1)
+    return f"did you mean {close[0]!r}?" if close else f"known are {', '.join(names)}"
+
+
+def parameter_of(name: str) -> Parameter:
+    """The description of "Kq" or "dead_zone.overlap_positive". InputError for an unknown name."""
+    if "." in name:
+        effect, own = name.split(".", 1)
+        if effect not in CATALOGUE:
+            raise InputError(f"unknown effect {effect!r}: {_nearest(effect, CATALOGUE)}")
+        known = {p.name: p for p in CATALOGUE[effect].parameters}
+        if own not in known:
+            raise InputError(f"effect {effect!r} has no parameter {own!r}: {_nearest(own, known)}")
+        return known[own]
+    if name not in PARAMETERS:
+        raise InputError(f"unknown parameter {name!r}: {_nearest(name, PARAMETERS)}")
+    return PARAMETERS[name]
+
+
+@dataclass(frozen=True)
+class PlantModel:
+    """Values of a rig. `values` maps "Kq" or "dead_zone.overlap_positive" to a pair (channel 1, channel 2), SI.
+
+    Only what differs from the nominal or neutral value need be there. An effect acts if it is in `effects`; it may be
+    there with neutral values (then it may be varied later). InputError for unknown names or values that are no numbers.
+    """
+
+    name: str = "nominal"
+    values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    declared: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        clean: dict[str, tuple[float, float]] = {}
+        for name, pair in self.values.items():
+            parameter_of(name)
+            first, second = float(pair[0]), float(pair[1])
+            if math.isnan(first) or math.isnan(second):
+                raise InputError(f"model {self.name!r}: {name} is not a number")
+            if name in PARAMETERS:
+                _check_base(name, (first, second), f"model {self.name!r}")
+            clean[name] = (first, second)
+        for name in self.declared:
+            if name not in CATALOGUE:
+                raise InputError(f"model {self.name!r}: unknown effect {name!r}: {_nearest(name, CATALOGUE)}")
+        named = {n.split(".", 1)[0] for n in clean if "." in n} | set(self.declared)
+        object.__setattr__(self, "values", clean)
+        object.__setattr__(self, "declared", tuple(n for n in CATALOGUE if n in named))
+
+    @property
+    def channels(self) -> tuple[dict[str, float], dict[str, float]]:
+        """All base parameters of channel 1 and of channel 2, by symbol."""
+        return tuple({n: self.value(n, c) for n in PARAMETERS} for c in (0, 1))  # type: ignore[return-value]
+
+    @property
+    def effects(self) -> dict[str, tuple[dict[str, float], dict[str, float]]]:
+        """The effects that act, each with the parameters of channel 1 and of channel 2."""
+        return {
+            name: tuple({p.name: self.value(f"{name}.{p.name}", c) for p in CATALOGUE[name].parameters} for c in (0, 1))
+            for name in self.declared
+        }  # type: ignore[return-value]
+
+    def value(self, name: str, channel: int) -> float:
+        """The value of "Kq" or "dead_zone.overlap_positive" on channel 0 or 1, SI."""
+        pair = self.values.get(name)
+        return parameter_of(name).nominal if pair is None else pair[channel]
+
+    def pair(self, name: str) -> tuple[float, float]:
+        """The values of both channels."""
+        return self.value(name, 0), self.value(name, 1)
+
+    def with_values(self, values: Mapping[str, Any], name: str | None = None) -> PlantModel:
+        """A new model with some values changed; a single number stands for both channels."""
+        changed = dict(self.values)
+        for key, value in values.items():
+            pair = tuple(value) if hasattr(value, "__len__") else (value, value)
+            if len(pair) != 2:
+                raise InputError(f"{key}: one number, or one for each of the two channels, not {len(pair)}")
+            changed[key] = (float(pair[0]), float(pair[1]))
+        return replace(self, values=changed, name=self.name if name is None else name)
+
+    def without(self, effect: str) -> PlantModel:
+        """A new model in which this effect does not act."""
+        kept = {n: v for n, v in self.values.items() if n.split(".", 1)[0] != effect or "." not in n}
+        return replace(self, values=kept, declared=tuple(n for n in self.declared if n != effect))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of the model file; `load_model` of it gives an equal model."""
+        data: dict[str, Any] = {"schema": SCHEMA, "name": self.name}
+        effects: dict[str, Any] = {name: {} for name in self.declared}
+        for name, pair in self.values.items():
+            same = pair[0] == pair[1]
+            if "." not in name:
+                for side, channels in (("both", (0,)),) if same else (("channel_1", (0,)), ("channel_2", (1,))):
+                    data.setdefault(side, {})[name] = pair[channels[0]]
+                continue
+            effect, own = name.split(".", 1)
+            whole = "rig" if CATALOGUE[effect].scope == "rig" else "both"
+            for side, channels in ((whole, (0,)),) if same else (("channel_1", (0,)), ("channel_2", (1,))):
+                effects[effect].setdefault(side, {})[own] = pair[channels[0]]
+        if effects:
+            data["effects"] = effects
+        return data
+
+    def to_yaml(self, path: str | Path) -> None:
+        """Writes the model file (atomically)."""
+        write_text(Path(path), yaml.safe_dump(_exact(self.to_dict()), sort_keys=False))
+
+
+class _Float(float):
+    """A float that YAML reads back as one: `1e-05` would come back as text."""
+
+
+def _represent(dumper: yaml.SafeDumper, value: _Float) -> yaml.Node:
+    if math.isinf(value):
+        text = ".inf" if value > 0 else "-.inf"
+    else:
+        text = repr(float(value))
+        if "e" in text and "." not in text:
+            text = text.replace("e", ".0e")
+    return dumper.represent_scalar("tag:yaml.org,2002:float", text)
+
+
+yaml.SafeDumper.add_representer(_Float, _represent)
+
+
+def _exact(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {key: _exact(value) for key, value in data.items()}
+    return _Float(data) if isinstance(data, float) else data
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+_ZERO_ALLOWED = {"B", "C", "s2", "Km", "Fc"}
+
+
+def _check_base(name: str, pair: tuple[float, float], where: str) -> None:
+    for value in pair:
+        if value < 0.0 or (value == 0.0 and name not in _ZERO_ALLOWED):
+            raise InputError(f"{where}: {name} is {value:g}; {PARAMETERS[name].note or name} must be positive")
+
+
+def _number(value: object, where: str) -> float:
+    if isinstance(value, str):
+        try:
+            value = float(value)
+        except ValueError:
+            raise InputError(f"{where}: {value!r} is no number") from None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or math.isnan(value):
+        raise InputError(f"{where}: {value!r} is no number")
+    return float(value)
+
+
+def _mapping(value: object, where: str) -> dict[Any, Any]:
+    if not isinstance(value, dict):
+        raise InputError(f"{where}: expected `name: value` lines, found {value!r}")
+    return value
+
+
+def _from_dict(data: object, where: str) -> PlantModel:
+    data = _mapping(data, where)
+    known = {"schema", "name", "base", "both", "channel_1", "channel_2", "effects"}
+    for key in data:
+        if key not in known:
+            raise InputError(f"{where}: unknown key {key!r}: {_nearest(key, known)}")
+    if data.get("schema") != SCHEMA:
+        raise InputError(f"{where}: schema is {data.get('schema')!r}, expected {SCHEMA!r}")
+    base = load_model(data["base"]) if "base" in data else PlantModel()
+    values = {name: list(pair) for name, pair in base.values.items()}
+    declared = list(base.declared)
+    for side in ("both", "channel_1", "channel_2"):
+        for name, value in _mapping(data.get(side, {}), f"{where}: {side}").items():
+            if name not in PARAMETERS:
+                raise InputError(f"{where}: {side}: unknown parameter {name!r}: {_nearest(name, PARAMETERS)}")
+            for channel in _SIDES[side]:
+                pair = values.setdefault(name, [PARAMETERS[name].nominal] * 2)
+                pair[channel] = _number(value, f"{where}: {side}.{name}")
+    for name, sides in _mapping(data.get("effects", {}), f"{where}: effects").items():
+        if name not in CATALOGUE:
+            raise InputError(f"{where}: effects: unknown effect {name!r}: {_nearest(name, CATALOGUE)}")
+        declared.append(name)
+        for side, parameters in _mapping(sides, f"{where}: effects.{name}").items():
+            if side not in _SIDES:
+                raise InputError(f"{where}: effects.{name}: unknown key {side!r}: {_nearest(side, _SIDES)}")
+            known_parameters = {p.name: p for p in CATALOGUE[name].parameters}
+            for own, value in _mapping(parameters, f"{where}: effects.{name}.{side}").items():
+                at = f"{where}: effects.{name}.{side}"
+                if own not in known_parameters:
+                    raise InputError(f"{at}: unknown parameter {own!r}: {_nearest(own, known_parameters)}")
+                for channel in _SIDES[side]:
+                    pair = values.setdefault(f"{name}.{own}", [known_parameters[own].nominal] * 2)
+                    pair[channel] = _number(value, f"{at}.{own}")
+    try:
+        return PlantModel(
+            name=str(data.get("name", base.name)),
+            values={name: (pair[0], pair[1]) for name, pair in values.items()},
+            declared=tuple(declared),
+        )
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _read(text: str, where: str) -> PlantModel:
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f" line {mark.line + 1}" if mark is not None else ""
+        raise InputError(f"{where}{line}: not YAML: {getattr(error, 'problem', None) or error}") from None
+    return _from_dict(data, where)
+
+
+def preset_names() -> list[str]:
+    """Names of the presets that ship with the package."""
+    folder = resources.files(__package__) / "presets"
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+
+
+@cache
+def _preset(name: str) -> PlantModel:
+    return _read((resources.files(__package__) / "presets" / f"{name}.yaml").read_text(), f"preset {name}")
+
+
+def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantModel:
+    """A model from a preset's name, a YAML file, the content of one, or a model (returned as it is).
+
+    InputError, in one line that names file and key, for anything that is not right.
+    """
+    if isinstance(source, PlantModel):
+        return source
+    if isinstance(source, Mapping):
+        return _from_dict(dict(source), "model")
+    text = str(source)
+    if text in preset_names():
+        return _preset(text)
+    path = Path(source)
+    if path.suffix in (".yaml", ".yml") or path.exists():
+        try:
+            return _read(path.read_text(), str(path))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        except UnicodeDecodeError:
+            raise InputError(f"{path}: not a text file; a model is YAML") from None
+    raise InputError(f"unknown plant {text!r}: no such file, and {_nearest(text, preset_names())}")

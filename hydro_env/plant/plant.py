@@ -1,0 +1,296 @@
+"""The plant as an object: many rigs side by side, stepped together by the compiled kernel.
+
+Arrays have the shape (num_rigs, 2), column 0 is channel 1, column 1 channel 2; everything is SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .compile import DELAY_SLOTS, STATES, Kernel, compile_kernel
+from .effects import CATALOGUE
+from .model import PlantModel, load_model, parameter_of
+from .parameters import PARAMETERS
+
+__all__ = ["SIGNALS", "SUBSTEP", "Plant", "simulate"]
+
+#: Longest substep of the integrator, s.
+SUBSTEP = 100e-6
+#: Signals that can be read and recorded.
+SIGNALS = (*STATES, "flow", "measured_speed")
+
+Array = NDArray[np.float64]
+_NO_RECORD = np.zeros(0, np.int64)
+HALF = 8
+
+
+class Plant:
+    """`num_rigs` rigs of two channels each.
+
+    Row i behaves bit for bit like the same row alone. `effects` names further effects whose parameters may be set by
+    row; those of the model are always there. `substep` is the longest step of the integrator in s: a period is divided
+    into the fewest equal substeps that are not longer.
+
+    InputError for an unknown model, ValueError for a number of rigs below one.
+    """
+
+    def __init__(
+        self,
+        model: str | Path | PlantModel = "paper",
+        num_rigs: int = 1,
+        *,
+        effects: Iterable[str] = (),
+        substep: float = SUBSTEP,
+    ) -> None:
+        if num_rigs < 1:
+            raise ValueError(f"num_rigs is {num_rigs}, expected at least 1")
+        self.model = load_model(model)
+        self.num_rigs = int(num_rigs)
+        self.substep = float(substep)
+        for name in effects:
+            if name not in CATALOGUE:
+                parameter_of(f"{name}.")  # raises the line that names the nearest effect
+        self._kernel = compile_kernel((*self.model.declared, *effects), HALF)
+        kernel = self._kernel
+        blocks = -(-self.num_rigs // kernel.half)
+        self._memory = np.zeros((blocks, kernel.num_rows, 2 * kernel.half))
+        self._ring = np.zeros((blocks, DELAY_SLOTS if kernel.has_delay else 1, 2 * kernel.half))
+        self._head = 0
+        self._empty = np.zeros((0, 1, self.num_rigs, 2))
+        for name in PARAMETERS:
+            self._fill(name, self.model.pair(name))
+        for effect in kernel.effects:
+            for parameter in CATALOGUE[effect].parameters:
+                self._fill(f"{effect}.{parameter.name}", self.model.pair(f"{effect}.{parameter.name}"))
+        kernel.observe(self._memory)
+
+    # --- rows of the memory ---------------------------------------------------------------------------------------
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effects whose terms are compiled in."""
+        return self._kernel.effects
+
+    def _row(self, name: str) -> int:
+        try:
+            return self._kernel.rows[name]
+        except KeyError:
+            parameter_of(name)  # InputError for a name that nobody knows
+            raise KeyError(f"{name}: the effect is not among this plant's ({', '.join(self.effects) or 'none'})") from None
+
+    def _fill(self, name: str, pair: tuple[float, float]) -> None:
+        row = self._memory[:, self._row(name), :]
+        row[:, : self._kernel.half] = pair[0]
+        row[:, self._kernel.half :] = pair[1]
+
+    def _read(self, row: int) -> Array:
+        half = self._kernel.half
+        cells = self._memory[:, row, :]
+        out = np.empty((self.num_rigs, 2))
+        out[:, 0] = cells[:, :half].reshape(-1)[: self.num_rigs]
+        out[:, 1] = cells[:, half:].reshape(-1)[: self.num_rigs]
+        return out
+
+    def get(self, name: str) -> Array:
+        """A parameter or signal of every rig, (num_rigs, 2), as a copy. KeyError for a name the plant lacks."""
+        return self._read(self._row(name))
+
+    def set(self, name: str, values: ArrayLike, rows: ArrayLike | None = None) -> None:
+        """Sets a parameter ("Kq", "dead_zone.overlap_positive") of all rigs or of `rows` (indices or mask).
+
+        `values` broadcasts to (number of rows, 2). KeyError for a name the plant lacks.
+        """
+        if name not in PARAMETERS and "." not in name:
+            parameter_of(name)
+        row, half = self._row(name), self._kernel.half
+        index = np.arange(self.num_rigs)
+        if rows is not None:
+            index = index[np.asarray(rows)].reshape(-1)
+        pair = np.broadcast_to(np.asarray(values, dtype=np.float64), (index.size, 2))
+        self._memory[index // half, row, index % half] = pair[:, 0]
+        self._memory[index // half, row, index % half + half] = pair[:, 1]
+
+    def set_values(self, values: Mapping[str, ArrayLike], rows: ArrayLike | None = None) -> None:
+        """Sets several parameters; see `set`."""
+        for name, value in values.items():
+            self.set(name, value, rows)
+
+    # --- time -----------------------------------------------------------------------------------------------------
+    def reset(self, rows: ArrayLike | None = None) -> None:
+        """Puts all rigs, or `rows` (indices or mask), to rest at time zero."""
+        moving = self._kernel.rows["load"] + 1  # states and outputs come first, in this order
+        if rows is None:
+            self._memory[:, :moving, :] = 0.0
+            self._ring[:] = 0.0
+        else:
+            index = np.arange(self.num_rigs)[np.asarray(rows)].reshape(-1)
+            half = self._kernel.half
+            for lane in (index % half, index % half + half):
+                self._memory[index // half, :moving, lane] = 0.0
+                self._ring[index // half, :, lane] = 0.0
+        self._kernel.observe(self._memory)
+
+    def substeps(self, period: float) -> int:
+        """How many substeps a period takes. ValueError if it is not positive."""
+        if not period > 0.0:
+            raise ValueError(f"period is {period}, expected more than 0 s")
+        return max(1, int(np.ceil(period / self.substep - 1e-9)))
+
+    def step(self, command_V: ArrayLike, load_Nm: ArrayLike, period: float) -> None:
+        """Holds commands (V) and loads (N m), each broadcast to (num_rigs, 2), over `period` s.
+
+        Commands beyond the rated one are clipped. A rig that leaves the bounds of sense is put to rest and marked in
+        `diverged`, so no signal is ever NaN. ValueError if a command or load is not finite.
+        """
+        shape = (1, self.num_rigs, 2)
+        command = np.empty(shape)
+        command[0] = command_V
+        load = np.empty(shape)
+        load[0] = load_Nm
+        if not (np.isfinite(command).all() and np.isfinite(load).all()):
+            raise ValueError("a command or load is not finite")
+        n = self.substeps(period)
+        self._kernel.advance(
+            self._memory, self._ring, self._head, command, load, n, period / n, _NO_RECORD, 1, self._empty
+        )
+        self._head = (self._head + n) % DELAY_SLOTS
+
+    def run(
+        self,
+        command_V: Array,
+        load_Nm: Array | None,
+        period: float,
+        record: Sequence[str] = ("speed",),
+        every: int = 1,
+    ) -> dict[str, Array]:
+        """Runs through all rows of a command sequence in one call.
+
+        `command_V`: (T, 2) for all rigs or (T, num_rigs, 2); `load_Nm` likewise, (1, 2), or None for no load. Returns
+        signals (ceil(T / every), num_rigs, 2) at the instant of each row, *before* its command acts: row 0 is the state
+        as it is now. ValueError for wrong shapes or values that are not finite.
+        """
+        command = _sequence(command_V, self.num_rigs, "command_V")
+        load = np.zeros((1, 1, 2)) if load_Nm is None else _sequence(load_Nm, self.num_rigs, "load_Nm")
+        if load.shape[0] not in (1, command.shape[0]):
+            raise ValueError(f"load_Nm has {load.shape[0]} rows, command_V has {command.shape[0]}")
+        rows = np.array([self._row(name) for name in record], dtype=np.int64)
+        out = np.empty((len(record), -(-command.shape[0] // every), self.num_rigs, 2))
+        n = self.substeps(period)
+        self._kernel.advance(self._memory, self._ring, self._head, command, load, n, period / n, rows, every, out)
+        self._head = (self._head + n * command.shape[0]) % DELAY_SLOTS
+        return dict(zip(record, out, strict=True))
+
+    # --- signals --------------------------------------------------------------------------------------------------
+    @property
+    def current(self) -> Array:
+        """Coil currents, A."""
+        return self.get("current")
+
+    @property
+    def spool(self) -> Array:
+        """Spool positions, m."""
+        return self.get("spool")
+
+    @property
+    def spool_speed(self) -> Array:
+        """Spool speeds, m/s."""
+        return self.get("spool_speed")
+
+    @property
+    def pressure(self) -> Array:
+        """Pressure differences over the motors, Pa."""
+        return self.get("pressure")
+
+    @property
+    def speed(self) -> Array:
+        """Shaft speeds, rad/s."""
+        return self.get("speed")
+
+    @property
+    def measured_speed(self) -> Array:
+        """Shaft speeds as the sensors show them (lag, gain, offset; no noise), rad/s."""
+        return self.get("measured_speed")
+
+    @property
+    def angle(self) -> Array:
+        """Shaft angles since the reset, rad."""
+        return self.get("angle")
+
+    @property
+    def flow(self) -> Array:
+        """Flows through the valves, m3/s."""
+        return self.get("flow")
+
+    @property
+    def time(self) -> Array:
+        """Time since the reset, s, (num_rigs,)."""
+        return self.get("time")[:, 0]
+
+    @property
+    def diverged(self) -> NDArray[np.bool_]:
+        """Rigs that left the bounds of sense since their reset, (num_rigs,)."""
+        return (self.get("diverged") > 0.0).any(axis=1)
+
+    # --- copies ---------------------------------------------------------------------------------------------------
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__.copy()
+        del state["_kernel"]
+        state["_effects"] = self.effects
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        effects = state.pop("_effects")
+        self.__dict__.update(state)
+        self._kernel: Kernel = compile_kernel(effects, HALF)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Plant:
+        twin = object.__new__(type(self))
+        state = self.__getstate__()
+        for name in ("_memory", "_ring", "_empty"):
+            state[name] = state[name].copy()
+        twin.__setstate__(state)
+        return twin
+
+
+def _sequence(values: Array, num_rigs: int, name: str) -> Array:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.ndim == 2:
+        array = array[:, None, :]
+    if array.ndim != 3 or array.shape[1] not in (1, num_rigs) or array.shape[2] != 2:
+        raise ValueError(f"{name} has the shape {np.shape(values)}, expected (T, 2) or (T, {num_rigs}, 2)")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} has values that are not finite")
+    return array
+
+
+def simulate(
+    model: str | Path | PlantModel,
+    command_V: Array,
+    load_Nm: Array | None,
+    period: float,
+    *,
+    values: Mapping[str, ArrayLike] | None = None,
+    num_rigs: int = 1,
+    effects: Iterable[str] = (),
+    record: Sequence[str] = ("speed",),
+    every: int = 1,
+    substep: float = SUBSTEP,
+) -> dict[str, Array]:
+    """Simulates a command sequence from rest for `num_rigs` variants of a model.
+
+    `values` maps parameters to arrays that broadcast to (num_rigs, 2); one of shape (num_rigs,) is taken for both
+    channels of each rig. Effects named in `values` are compiled in. The rest as in `Plant.run`: row n of the result is
+    the state at the instant at which command n begins to act.
+    """
+    values = dict(values or {})
+    named = {name.split(".", 1)[0] for name in values if "." in name}
+    plant = Plant(model, num_rigs, effects=(*effects, *named), substep=substep)
+    for name, value in values.items():
+        array = np.asarray(value, dtype=np.float64)
+        plant.set(name, array[:, None] if array.ndim == 1 and array.shape[0] == num_rigs else array)
+    plant.reset()
+    return plant.run(command_V, load_Nm, period, record, every)

@@ -1,0 +1,74 @@
+"""The one right-hand side: two lines of physics for every state of a channel.
+
+`rates` is ordinary Python and can be called as it stands. The compiler (`compile.py`) reads its source, inserts
+the laws of the chosen effects at the lines that begin with `# effects on`, and turns the result into the vectorised
+kernel that the environments, the benchmark and the diagnosis run. Equation numbers are the paper's.
+"""
+
+from __future__ import annotations
+
+from .lanemath import exp, sqrt
+
+__all__ = ["rates"]
+
+
+def rates(
+    current, spool, spool_speed, bristle, pressure, speed, angle, command, load, time,
+    D, J, B, Km, beta, V, m, R, L, alpha, k, C, Kq, Fc, Fs, vs, s0, s1, s2, x_max, k_stop, c_stop, u_rated,
+):  # fmt: skip
+    """Time derivatives of (current, spool, spool_speed, bristle, pressure, speed, angle) of one channel, SI.
+
+    `command` is the voltage of the driver (V), `load` the torque on the shaft (N m), `time` the time since the reset.
+    """
+    # Driver and coil, (6); the paper prints "R_i" for R i.
+    voltage = command
+    # effects on voltage
+    resistance = R
+    # effects on resistance
+    current_rate = (voltage - resistance * current - alpha * spool_speed) / L
+
+    # Friction of the spool: LuGre, (9)-(11); (10) is printed without the factor z.
+    slip = abs(spool_speed) / vs
+    breakaway = Fc + (Fs - Fc) * exp(-slip * slip)
+    bristle_rate = spool_speed - s0 * abs(spool_speed) / breakaway * bristle
+    friction = s0 * bristle + s1 * bristle_rate + s2 * spool_speed
+
+    # End stops: spring and damper, which push and never pull.
+    beyond = spool - x_max if spool > x_max else (spool + x_max if spool < -x_max else 0.0)
+    contact = k_stop * beyond + (c_stop * spool_speed if beyond != 0.0 else 0.0)
+    contact = contact if contact * beyond > 0.0 else 0.0
+
+    # Spool, (5).
+    force = alpha * current
+    # effects on force
+    spool_speed_rate = (force - k * spool - C * spool_speed - friction - contact) / m
+    spool_rate = spool_speed
+
+    # Flow through the valve, (8); `drive` is the share of the supply pressure that drives it.
+    opening = spool
+    # effects on opening
+    drive = 1.0
+    # effects on drive
+    flow = Kq * opening * sqrt(drive if drive > 0.0 else 0.0)
+
+    # Line and motor, (1) and (3).
+    bulk_modulus = beta
+    # effects on bulk_modulus
+    displacement = D
+    # effects on displacement
+    leakage_coefficient = Km
+    # effects on leakage_coefficient
+    leakage = leakage_coefficient * pressure
+    # effects on leakage
+    pressure_rate = bulk_modulus / V * (flow - displacement * speed - leakage)
+
+    # Shaft, (2).
+    viscous_friction = B
+    # effects on viscous_friction
+    motor_pressure = pressure
+    # effects on motor_pressure
+    torque = -load
+    # effects on torque
+    speed_rate = (displacement * motor_pressure - viscous_friction * speed + torque) / J
+    angle_rate = speed
+    return current_rate, spool_rate, spool_speed_rate, bristle_rate, pressure_rate, speed_rate, angle_rate
