@@ -1,0 +1,137 @@
+"""Units at the border: everything inside is SI, and a unit changes only where a value enters or leaves.
+
+`BAR`, `RPM` ... are the size of one such unit in SI, so ``speed_rpm * RPM`` is rad/s and ``pressure / BAR`` is bar.
+`unit("l/min")` looks a unit up by the name a file uses; `to_si` and `from_si` convert values, affine units
+(degC, degF) included.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from hydro_env.errors import InputError
+
+RPM = 2.0 * math.pi / 60.0  # rad/s
+DEGREE = math.pi / 180.0  # rad
+BAR = 1.0e5  # Pa
+KILOPASCAL = 1.0e3  # Pa
+MEGAPASCAL = 1.0e6  # Pa
+PSI = 6894.757293168361  # Pa
+LPM = 1.0e-3 / 60.0  # m3/s
+GPM = 3.785411784e-3 / 60.0  # m3/s, the US gallon of valve data sheets
+MILLIMETRE = 1.0e-3  # m
+MICROMETRE = 1.0e-6  # m
+MILLISECOND = 1.0e-3  # s
+MILLIAMPERE = 1.0e-3  # A
+PERCENT = 1.0e-2
+ZERO_CELSIUS = 273.15  # K
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of `quantity`: SI value = value * `scale` + `offset`."""
+
+    name: str
+    quantity: str
+    scale: float
+    offset: float = 0.0
+
+
+def _table(*rows: tuple[str, str, float] | tuple[str, str, float, float]) -> dict[str, Unit]:
+    return {row[0]: Unit(*row) for row in rows}
+
+
+UNITS: dict[str, Unit] = _table(
+    ("s", "time", 1.0),
+    ("ms", "time", MILLISECOND),
+    ("us", "time", 1.0e-6),
+    ("min", "time", 60.0),
+    ("h", "time", 3600.0),
+    ("rad/s", "angular speed", 1.0),
+    ("rpm", "angular speed", RPM),
+    ("deg/s", "angular speed", DEGREE),
+    ("Hz", "angular speed", 2.0 * math.pi),
+    ("rad", "angle", 1.0),
+    ("deg", "angle", DEGREE),
+    ("m/s", "linear speed", 1.0),
+    ("mm/s", "linear speed", MILLIMETRE),
+    ("m/min", "linear speed", 1.0 / 60.0),
+    ("m", "length", 1.0),
+    ("mm", "length", MILLIMETRE),
+    ("um", "length", MICROMETRE),
+    ("in", "length", 0.0254),
+    ("V", "voltage", 1.0),
+    ("mV", "voltage", 1.0e-3),
+    ("A", "current", 1.0),
+    ("mA", "current", MILLIAMPERE),
+    ("Pa", "pressure", 1.0),
+    ("kPa", "pressure", KILOPASCAL),
+    ("MPa", "pressure", MEGAPASCAL),
+    ("bar", "pressure", BAR),
+    ("mbar", "pressure", 100.0),
+    ("psi", "pressure", PSI),
+    ("m3/s", "flow", 1.0),
+    ("l/min", "flow", LPM),
+    ("l/s", "flow", 1.0e-3),
+    ("m3/h", "flow", 1.0 / 3600.0),
+    ("GPM", "flow", GPM),
+    ("N m", "torque", 1.0),
+    ("kN m", "torque", 1.0e3),
+    ("N", "force", 1.0),
+    ("kN", "force", 1.0e3),
+    ("K", "temperature", 1.0),
+    ("degC", "temperature", 1.0, ZERO_CELSIUS),
+    ("degF", "temperature", 5.0 / 9.0, ZERO_CELSIUS - 32.0 * 5.0 / 9.0),
+    ("m2", "area", 1.0),
+    ("mm2", "area", 1.0e-6),
+    ("cm2", "area", 1.0e-4),
+    ("m3/rad", "displacement", 1.0),
+    ("cm3/rev", "displacement", 1.0e-6 / (2.0 * math.pi)),
+    ("fraction", "fraction", 1.0),
+    ("percent", "fraction", PERCENT),
+)
+
+# Other spellings found in headers, folded to lower case without blanks, dots and middle dots.
+_SPELLINGS = {
+    "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "µs": "us", "μs": "us", "usec": "us",
+    "r/min": "rpm", "1/min": "rpm", "min-1": "rpm", "rev/min": "rpm", "u/min": "rpm", "°/s": "deg/s", "°": "deg",
+    "µm": "um", "μm": "um", "micron": "um",
+    "lpm": "l/min", "lmin": "l/min", "gpm": "GPM", "usgpm": "GPM", "gal/min": "GPM", "m^3/s": "m3/s", "m³/s": "m3/s", "m^3/h": "m3/h",
+    "nm": "N m", "n*m": "N m", "knm": "kN m", "°c": "degC", "celsius": "degC", "°f": "degF", "kelvin": "K",
+    "m^2": "m2", "m²": "m2", "mm^2": "mm2", "mm²": "mm2", "cm^2": "cm2", "cm²": "cm2",
+    "m^3/rad": "m3/rad", "cc/rev": "cm3/rev", "ml/rev": "cm3/rev",
+    "%": "percent", "1": "fraction", "-": "fraction", "": "fraction", "volt": "V", "amp": "A", "ampere": "A",
+}  # fmt: skip
+
+
+def unit(name: str) -> Unit:
+    """The unit called `name`, in any of the usual spellings; `InputError` for an unknown one.
+
+    Case is significant only where it separates two units (mPa is not understood as MPa).
+    """
+    if name in UNITS:
+        return UNITS[name]
+    folded = name.strip().lower().replace(" ", "").replace("·", "").replace(".", "")
+    if folded in _SPELLINGS:
+        return UNITS[_SPELLINGS[folded]]
+    same = [known for known in UNITS if known.lower().replace(" ", "") == folded]
+    if len(same) == 1 and name[:2] != "mP":
+        return UNITS[same[0]]
+    near = difflib.get_close_matches(name, list(UNITS), n=1, cutoff=0.5)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise InputError(f"unknown unit {name!r}{hint} Known units: {', '.join(UNITS)}")
+
+
+def to_si(value: Any, name: str) -> Any:
+    """`value` (a number or an array) given in unit `name`, in SI."""
+    known = unit(name)
+    return value * known.scale + known.offset if known.offset else value * known.scale
+
+
+def from_si(value: Any, name: str) -> Any:
+    """`value` (a number or an array) given in SI, in unit `name`."""
+    known = unit(name)
+    return (value - known.offset) / known.scale if known.offset else value / known.scale
