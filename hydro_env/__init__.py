@@ -1,1 +1,12 @@
-"""hydro_env."""
+"""Two hydraulic motors behind two unequal proportional valves.
+
+hydro_env.plant         the rig: equations, effects, fast batched simulation
+hydro_env.envs          the Gymnasium environment `HydraulicSync-v0`, single and batched
+hydro_env.controllers   classical and learned controllers
+hydro_env.benchmark     their scores on a fixed suite
+hydro_env.diagnosis     what a model lacks, found from logs
+hydro_env.experiments   the paper's experiments, speed, the demo
+"""
+
+__version__ = "0.1.0"
+__all__ = ["__version__"]

@@ -1,0 +1,5 @@
+"""`python -m hydro_env` is `hydro-env`."""
+
+from hydro_env.cli import main
+
+main()

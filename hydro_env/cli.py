@@ -1,0 +1,122 @@
+"""The command `hydro-env`: reads options, calls the function that does the work, reports errors in one line.
+
+Exit status: 0 done; 2 bad input or a folder that cannot be written, with one line on stderr; 130 interrupted.
+Every command writes to a hidden folder first, which becomes `--out` when the work is done, so that nothing
+half-written is left behind.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+from hydro_env import __version__
+from hydro_env.errors import InputError
+from hydro_env.files import output_folder
+
+__all__ = ["app", "main"]
+
+EXTRAS = {
+    "plotly": "report",
+    "jinja2": "report",
+    "matplotlib": "report",
+    "pandas": "measured",
+    "pyarrow": "measured",
+    "asammdf": "measured",
+    "nptdms": "measured",
+    "pygame": "render",
+    "torch": "agents",
+    "stable_baselines3": "agents",
+    "sb3_contrib": "agents",
+    "onnx": "agents",
+    "onnxruntime": "agents",
+}
+"""Which extra of the package holds an optional library."""
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Two hydraulic motors behind two unequal proportional valves.",
+)
+
+Out = Annotated[Path, typer.Option("--out", help="Folder to write to; made if need be.")]
+Seed = Annotated[int, typer.Option("--seed", help="Same seed, same result.")]
+Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Processes to work with.")]
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Runs one command and ends the process with its exit status."""
+    sys.exit(_run(arguments))
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    try:
+        status = app(args=arguments, standalone_mode=False)
+    except InputError as problem:
+        return _fail(problem)
+    except KeyboardInterrupt:
+        return _fail("interrupted; nothing was written", status=130)
+    except typer.Abort:
+        return _fail("interrupted; nothing was written", status=130)
+    except BrokenPipeError:  # `hydro-env ... | head`
+        sys.stderr.close()
+        return 1
+    except ModuleNotFoundError as problem:
+        extra = EXTRAS.get((problem.name or "").partition(".")[0])
+        if extra is None:
+            raise
+        return _fail(f"this needs {problem.name}: pip install 'hydro_env[{extra}]'")
+    except OSError as problem:
+        where = f"{problem.filename}: " if problem.filename else ""
+        return _fail(f"{where}{problem.strerror or problem}")
+    except Exception as problem:
+        usage = getattr(
+            problem, "format_message", None
+        )  # typer's own errors: an option that does not exist, ...
+        if usage is None:
+            raise
+        return _fail(f"{usage()} Try `{_path(problem)} --help`.")
+    return status if isinstance(status, int) else 0
+
+
+def _fail(problem: object, status: int = 2) -> int:
+    print(f"error: {' '.join(str(problem).split())}", file=sys.stderr)
+    return status
+
+
+def _path(problem: Exception) -> str:
+    context = getattr(problem, "ctx", None)
+    return context.command_path if context else "hydro-env"
+
+
+@contextmanager
+def _writing(out: Path) -> Iterator[Path]:
+    """The folder to work in; names what was written and how long it took once it is in its place."""
+    start = time.perf_counter()
+    with output_folder(out) as folder:
+        yield folder
+        written = sorted(path.name + "/" * path.is_dir() for path in folder.iterdir())
+    print(f"{time.perf_counter() - start:.1f} s. Written to {out}: {', '.join(written)}")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"hydro_env {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and leave.")
+    ] = False,
+) -> None:
+    pass
