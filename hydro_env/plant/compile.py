@@ -163,8 +163,8 @@ def _slopes(effects: tuple[Effect, ...]) -> list[str]:
         "decay_slope = (sign(spool_speed) * s0 - bristle_decay * breakaway_slope) / breakaway",
         "bristle_slope = 1.0 - decay_slope * bristle",
         "friction_bristle = s0 - s1 * bristle_decay",
-        "friction_slope = s1 * bristle_slope + s2 + C + (c_stop if contact != 0.0 else 0.0)",
-        "stiffness = k + (k_stop if contact != 0.0 else 0.0)",
+        "friction_slope = s1 * bristle_slope + s2 + C + (k_stop * past / v_stop if contact > 0.0 else 0.0)",
+        "stiffness = k + (k_stop * grip if contact > 0.0 else 0.0)",
     ]
     if _depends("force", effects, "spool"):
         lines += ["spool__d = spool + 1e-7", "force__d = alpha * current"]

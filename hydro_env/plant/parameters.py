@@ -92,12 +92,12 @@ _ROWS = (
         "half stroke between the end stops; without stops full-range random commands reach 0.4-0.7 m/s",
     ),
     Parameter(
-        "k_stop", "N/m", 2e6, 1e6, 1e7, "assumed", "stiffness of the end stops: 15 N, the coil's full force, "
-        "compresses them by 7 um", log=True,
+        "k_stop", "N/m", 5e5, 1e5, 5e6, "assumed",
+        "stiffness of the end stops: the coil's full force compresses them by 30 um", log=True,
     ),
     Parameter(
-        "c_stop", "N s/m", 1500.0, 500.0, 5000.0, "assumed",
-        "damping of the end stops: 0.84 of critical, a blow that hardly rebounds", log=True,
+        "v_stop", "m/s", 0.05, 0.01, 0.2, "assumed: squeeze film, hardly any rebound",
+        "greatest rebound speed of the end stops", log=True,
     ),
     Parameter(
         "u_rated", "V", 73.0, 1.0, inf, "paper, Fig. 2: 730 mA over R = 100 Ohm", "limit of the command, both ways",

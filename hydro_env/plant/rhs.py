@@ -14,7 +14,7 @@ __all__ = ["rates"]
 
 def rates(
     current, spool, spool_speed, bristle, pressure, speed, angle, command, load, time,
-    D, J, B, Km, beta, V, m, R, L, alpha, k, C, Kq, Fc, Fs, vs, s0, s1, s2, x_max, k_stop, c_stop, u_rated,
+    D, J, B, Km, beta, V, m, R, L, alpha, k, C, Kq, Fc, Fs, vs, s0, s1, s2, x_max, k_stop, v_stop, u_rated,
 ):  # fmt: skip
     """Time derivatives of (current, spool, spool_speed, bristle, pressure, speed, angle) of one channel, SI.
 
@@ -33,15 +33,17 @@ def rates(
     bristle_rate = spool_speed - s0 * abs(spool_speed) / breakaway * bristle
     friction = s0 * bristle + s1 * bristle_rate + s2 * spool_speed
 
-    # End stops: spring and damper, which push and never pull.
-    beyond = spool - x_max if spool > x_max else (spool + x_max if spool < -x_max else 0.0)
-    contact = k_stop * beyond + (c_stop * spool_speed if beyond != 0.0 else 0.0)
-    contact = contact if contact * beyond > 0.0 else 0.0
+    # End stops: a stiff spring that damps on the way in and never pulls (Hunt and Crossley 1975), so that a blow is
+    # nearly plastic: the spool leaves no faster than v_stop.
+    side = 1.0 if spool > 0.0 else -1.0
+    past = side * spool - x_max
+    grip = 1.0 + side * spool_speed / v_stop
+    contact = k_stop * past * grip if past > 0.0 and grip > 0.0 else 0.0
 
     # Spool, (5).
     force = alpha * current
     # effects on force
-    spool_speed_rate = (force - k * spool - C * spool_speed - friction - contact) / m
+    spool_speed_rate = (force - k * spool - C * spool_speed - friction - side * contact) / m
     spool_rate = spool_speed
 
     # Flow through the valve, (8); `drive` is the share of the supply pressure that drives it.
