@@ -60,10 +60,6 @@ REFERENCE_SIGNALS = (
 
 _STATES = REFERENCE_SIGNALS[:7]
 _STATE_SCALES = (0.1, 1e-4, 1e-2, 1e-6, 1e5, 1.0, 1.0)  # for absolute tolerances
-# End stops: rigid and plastic, here as so stiff and overdamped a contact, which pushes and never pulls, that the coil's
-# full force compresses it by 15 nm and a blow does not rebound.
-_STOP_STIFFNESS = 1e9  # N/m
-_STOP_DAMPING = 8e4  # N s/m
 _STOPS = np.array([0.48, 1.14, 1.97, 3.62])  # thresholds of the stop operators, in half widths
 _SHIFTS = ("heat", "loop", "second_bristle", "shaft_bristle", "twist", "lag", "droop")
 
@@ -224,7 +220,7 @@ def _spool_rates(p, y, dy, pressure):
     beyond = abs(x) - p.x_max
     if beyond > 0.0:
         side = 1.0 if x > 0.0 else -1.0
-        stop = -side * max(_STOP_STIFFNESS * beyond + _STOP_DAMPING * v * side, 0.0)
+        stop = -side * max(p.k_stop * beyond * (1.0 + v * side / p.v_stop), 0.0)  # Hunt and Crossley: pushes, never pulls
     friction = _spool_friction(p, y, dy)
     dy[at + 2] = (force + stop - p.k * x - p.C * v - friction) / p.m
 
