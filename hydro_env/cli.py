@@ -2,7 +2,8 @@
 
 Exit status: 0 done; 2 bad input or a folder that cannot be written, with one line on stderr; 130 interrupted.
 Every command writes to a hidden folder first, which becomes `--out` when the work is done, so that nothing
-half-written is left behind.
+half-written is left behind. What a command needs is imported when it runs, after a look at `--out`: `--help` and
+a wrong folder are answered at once.
 """
 
 from __future__ import annotations
@@ -41,13 +42,15 @@ EXTRAS = {
 
 app = typer.Typer(
     add_completion=False,
-    no_args_is_help=True,
+    invoke_without_command=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="Two hydraulic motors behind two unequal proportional valves.",
 )
 
 Out = Annotated[Path, typer.Option("--out", help="Folder to write to; made if need be.")]
+Plant = Annotated[str, typer.Option("--plant", help="Preset or YAML file of the rig.")]
+ControlPeriod = Annotated[float, typer.Option("--control-period", help="Time between two commands, s.")]
 Seed = Annotated[int, typer.Option("--seed", help="Same seed, same result.")]
 Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Processes to work with.")]
 
@@ -115,8 +118,87 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and leave.")
     ] = False,
 ) -> None:
-    pass
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+@app.command()
+def tune(
+    out: Out,
+    controller: Annotated[str, typer.Option(help="Control law whose gains are searched.")] = "pid",
+    plant: Plant = "paper_dead_zone",
+    mismatch: Annotated[
+        str, typer.Option(help="Split the pairs of valves come from, or `none`: the plant's own pair.")
+    ] = "train",
+    scenario: Annotated[str, typer.Option(help="What is driven.")] = "setpoint_steps",
+    cases: Annotated[int, typer.Option(min=1, help="Pairs of valves each candidate drives.")] = 16,
+    episodes: Annotated[int, typer.Option(min=1, help="Budget: how many episodes may be simulated.")] = 8192,
+    weight: Annotated[
+        float, typer.Option(help="Rpm of tracking error that one rpm of speed difference is worth.")
+    ] = 1.0,
+    control_period: ControlPeriod = 0.01,
+    seed: Seed = 0,
+    name: Annotated[str | None, typer.Option(help="The controller's name in score boards.")] = None,
+) -> None:
+    """Search the gains of a controller for a plant; writes gains.json, which `benchmark` takes."""
+    with _writing(out) as folder:
+        from hydro_env.controllers import tune as work
+
+        work.run(
+            folder,
+            controller=controller,
+            plant=plant,
+            mismatch=None if mismatch == "none" else mismatch,
+            scenario=scenario,
+            cases=cases,
+            episodes=episodes,
+            weight=weight,
+            control_period=control_period,
+            seed=seed,
+            name=name,
+        )
+
+
+@app.command()
+def benchmark(
+    out: Out,
+    controllers: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[CONTROLLER]...",
+            help="Names, gains files (.json), policies (.npz), module:Class or file.py:Class. Default: all that ship.",
+        ),
+    ] = None,
+    suite: Annotated[str, typer.Option(help="quick, full or a YAML file.")] = "full",
+    split: Annotated[list[str] | None, typer.Option(help="Only this split; may be repeated.")] = None,
+    scenario: Annotated[list[str] | None, typer.Option(help="Only this scenario; may be repeated.")] = None,
+    cases: Annotated[
+        int | None, typer.Option(min=1, help="Pairs of valves per split, other than the suite's.")
+    ] = None,
+    plant: Plant = "paper_dead_zone",
+    control_period: ControlPeriod = 0.01,
+    seed: Seed = 0,
+    jobs: Jobs = 1,
+) -> None:
+    """Score controllers on the fixed suite; writes scores.json and scores.html."""
+    with _writing(out) as folder:
+        from hydro_env.benchmark import command
+
+        scores = command.run(
+            folder,
+            controllers=controllers,
+            suite=suite,
+            splits=split,
+            scenarios=scenario,
+            cases=cases,
+            plant=plant,
+            control_period=control_period,
+            seed=seed,
+            jobs=jobs,
+        )
+        print(command.report(scores))
