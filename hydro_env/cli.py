@@ -50,6 +50,7 @@ app = typer.Typer(
 
 Out = Annotated[Path, typer.Option("--out", help="Folder to write to; made if need be.")]
 Plant = Annotated[str, typer.Option("--plant", help="Preset or YAML file of the rig.")]
+Model = Annotated[str, typer.Option("--model", help="Preset or YAML file of the model.")]
 ControlPeriod = Annotated[float, typer.Option("--control-period", help="Time between two commands, s.")]
 Seed = Annotated[int, typer.Option("--seed", help="Same seed, same result.")]
 Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Processes to work with.")]
@@ -202,3 +203,48 @@ def benchmark(
             jobs=jobs,
         )
         print(command.report(scores))
+
+
+@app.command()
+def hide(
+    out: Out,
+    effects: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[EFFECT[:CHANNEL]]...", help="What to hide; channel 1, 2 or both (default)."),
+    ] = None,
+    none: Annotated[bool, typer.Option("--none", help="Hide nothing: logs that the model explains.")] = False,
+    model: Model = "paper",
+    severity: Annotated[str, typer.Option(help="small, medium or large.")] = "medium",
+    value: Annotated[
+        list[str] | None,
+        typer.Option(metavar="EFFECT.PARAMETER=NUMBER", help="An exact value (SI); may be repeated."),
+    ] = None,
+    noise: Annotated[float, typer.Option(help="Factor on the sensor noise; 0: none.")] = 1.0,
+    base_error: Annotated[
+        float, typer.Option(help="How wrong the model's base parameters are, up to, %.")
+    ] = 0.0,
+    record: Annotated[
+        str, typer.Option(help="Columns besides time, command and speed: also spool, flow.")
+    ] = "setpoint,current,pressure,load",
+    rate: Annotated[float, typer.Option(help="Rows per second.")] = 1000.0,
+    duration: Annotated[float, typer.Option(help="Length of each log, s.")] = 12.0,
+    seed: Seed = 0,
+) -> None:
+    """Make practice logs with effects hidden in them; writes logs, model.yaml and truth.json."""
+    with _writing(out) as folder:
+        from hydro_env.diagnosis import hide as work
+
+        work.run(
+            effects or [],
+            folder,
+            none=none,
+            model=model,
+            severity=severity,
+            values=value or [],
+            noise=noise,
+            base_error_percent=base_error,
+            record=[name.strip() for name in record.split(",") if name.strip()],
+            rate=rate,
+            duration=duration,
+            seed=seed,
+        )

@@ -1,0 +1,112 @@
+"""The look that the HTML pages share: one quiet style sheet, one frame, pictures that follow light and dark.
+
+    html = render(files("hydro_env.experiments").joinpath("demo.html"), title="...", ...)
+
+A template starts with `{% extends "page.html" %}` and fills the block `body`. Pages load nothing from a network.
+Needs the extra `report`.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["COLOURS", "figure", "png", "render", "svg"]
+
+COLOURS = ("#2b83ba", "#e07b39", "#3f9b5f", "#a35aa8", "#8a8f98", "#c5a100")
+"""Line colours that can be told apart on white and on dark, also by most colour-blind eyes."""
+
+INK = "#123456"
+"""Stands for the page's own text colour in an SVG until `svg` puts that in its place."""
+
+RC = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "hydro_env",
+    "font.size": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+}
+
+
+def render(template: Path | Traversable, **values: Any) -> str:
+    """Fills a Jinja template that extends `page.html`; values are escaped unless they are `Markup`."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("hydro_env.pages", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals["style"] = files(__package__).joinpath("style.css").read_text(encoding="utf-8")
+    return environment.from_string(template.read_text(encoding="utf-8")).render(**values)
+
+
+def figure(rows: int = 1, *, height: float = 2.2, share_x: bool = True) -> tuple[Figure, list[Any]]:
+    """A Matplotlib figure of page width with `rows` axes of `height` inches below each other."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context({**RC, **{f"{name}color": INK for name in _INKED}}):
+        made = Figure(figsize=(8.6, height * rows), layout="constrained")
+        axes = made.subplots(rows, sharex=share_x, squeeze=False)[:, 0]
+    return made, list(axes)
+
+
+_INKED = (
+    "text.",
+    "axes.label",
+    "axes.edge",
+    "xtick.",
+    "ytick.",
+    "xtick.label",
+    "ytick.label",
+    "axes.title",
+    "grid.",
+)
+
+
+def svg(drawing: Figure, alt: str) -> Any:
+    """The figure as inline SVG (`Markup`) that takes its text colour and font from the page."""
+    import matplotlib
+    from markupsafe import Markup, escape
+
+    buffer = io.StringIO()
+    with matplotlib.rc_context(RC):
+        drawing.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :].replace(INK, "currentColor")
+    text = re.sub(
+        r'<svg [^>]*viewBox="([^"]*)"[^>]*>',
+        rf'<svg viewBox="\1" role="img" aria-label="{escape(alt)}">',
+        text,
+        count=1,
+    )
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
+    text = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)
+    return Markup(text)
+
+
+def png(drawing: Figure, path: Path) -> None:
+    """The figure as a PNG on white, for places that show no SVG."""
+    import matplotlib
+    from matplotlib.text import Text
+
+    with matplotlib.rc_context(RC):
+        for text in drawing.findobj(Text):
+            text.set_color("#1c2430")
+        drawing.savefig(path, dpi=150, facecolor="white")
