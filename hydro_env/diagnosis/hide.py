@@ -274,11 +274,11 @@ class _Plan:
         )
 
 
-def _bench(rng: np.random.Generator, side: int, dt: float) -> _Plan:
+def _bench(_: np.random.Generator, own: np.random.Generator, side: int, dt: float) -> _Plan:
     """Open loop. Channel 2 does the same kind of things in another order, so that the supply sees many pairs."""
-    s = rng.uniform(0.88, 1.1, 16)
+    s = own.uniform(0.88, 1.1, 16)
     sign = 1.0 if side == 0 else -1.0
-    lift = rng.uniform(0.4, 0.8)
+    lift = own.uniform(0.4, 0.8)
     slow = ("open", _triangle(0.0, sign * 0.62 * s[0], 3.2, 1.0, dt), 0.0)
     ladder = [0.12, -0.12, 0.25, 0.0, -0.25, 0.0, 0.5, -0.5, 0.75, 0.0, -0.75, 0.0]
     steps = ("open", _hold([sign * s[1 + n % 8] * v for n, v in enumerate(ladder)], 0.24, dt), 0.0)
@@ -295,56 +295,62 @@ def _bench(rng: np.random.Generator, side: int, dt: float) -> _Plan:
     return _Plan.of(rest, steps, slow, fast, sweep, under_load, loops, full)
 
 
-def _operation(rng: np.random.Generator, side: int, dt: float) -> _Plan:
-    """Closed loop: set-points as in the paper's experiments, slow reversals, load steps both ways."""
-    s = rng.uniform(0.85, 1.15, 12)
-    high, low = (600.0, -200.0) if side == 0 else (500.0, -350.0)
-    lift = rng.uniform(0.4, 0.7)
-    jumps = ("closed", _hold([high * s[0], low * s[1], high * s[2]], 1.0, dt), 0.0)
-    pushes = _hold([0.0, lift * s[3], 0.2, -0.5 * lift, 0.0], 0.4, dt)
+def _operation(common: np.random.Generator, own: np.random.Generator, side: int, dt: float) -> _Plan:
+    """Closed loop: set-points as in the paper's experiments, slow reversals, load steps both ways.
+
+    Both channels follow the same set-point, as on the rig; their loads differ.
+    """
+    s = common.uniform(0.85, 1.15, 12)
+    lift = own.uniform(0.4, 0.7)
+    jumps = ("closed", _hold([600.0 * s[0], -250.0 * s[1], 500.0 * s[2]], 1.0, dt), 0.0)
+    pushes = _hold([0.0, lift, 0.2, -0.5 * lift, 0.0] if side == 0 else [0.5 * lift, 0.0, -0.2, lift, 0.0], 0.4, dt)
     held = ("closed", np.full(pushes.size, 450.0 * s[4]), pushes)
     back = ("closed", np.full(pushes.size, -400.0 * s[5]), -pushes)
     stairs = ("closed", _hold([60.0 * s[6], 150.0 * s[7], 300.0 * s[8], -60.0 * s[6], -150.0 * s[7], 0.0], 0.4, dt), 0.0)
     wave = ("closed", _sweep(0.0, 250.0 * s[9], 0.5, 1.5, 2.6, dt), 0.0)
     rest = ("closed", _hold([0.0], 0.2, dt), 0.0)
-    if side == 0:
-        return _Plan.of(rest, jumps, held, wave, stairs, back)
-    return _Plan.of(rest, stairs, jumps, back, held, wave)
+    return _Plan.of(rest, jumps, held, wave, stairs, back)
 
 
-def _proof(rng: np.random.Generator, side: int, dt: float) -> _Plan:
+def _proof(common: np.random.Generator, own: np.random.Generator, side: int, dt: float) -> _Plan:
     """Other values and another mixture of both, with levels at random."""
-    levels = rng.uniform(-0.8, 0.8, 10)
-    lift = rng.uniform(0.3, 0.7)
-    targets = rng.uniform(120.0, 650.0, 5) * np.array([1.0, -1.0, 1.0, 1.0, -1.0]) * (1.0 if side == 0 else -1.0)
-    jumps = _hold(targets, 0.9, dt)
-    push = np.where(np.arange(jumps.size) * dt % 0.9 > 0.55, lift, 0.0) * np.sign(jumps)
-    closed = ("closed", jumps, push)
-    random = ("open", _hold(levels, 0.27, dt), 0.0)
-    ramp = ("open", _triangle(0.05, 0.5 * rng.uniform(0.9, 1.1), 2.1, 1.0, dt), 0.0)
-    loaded = ("open", _hold(rng.uniform(0.25, 0.6, 4), 0.3, dt), lift)
+    signs = [1.0, -1.0, 1.0, 1.0, -1.0]
+    jumps = _hold(common.uniform(120.0, 650.0, 5) * np.array(signs), 0.9, dt)
+    lift = own.uniform(0.3, 0.7)
+    late = np.arange(jumps.size) * dt % 0.9 > (0.55 if side == 0 else 0.35)
+    closed = ("closed", jumps, np.where(late, lift, 0.0) * np.sign(jumps))
+    random = ("open", _hold(own.uniform(-0.8, 0.8, 10), 0.27, dt), 0.0)
+    ramp = ("open", _triangle(0.05, 0.5 * own.uniform(0.9, 1.1), 2.1, 1.0, dt), 0.0)
+    loaded = ("open", _hold(own.uniform(0.25, 0.6, 4), 0.3, dt), lift)
     wave = ("open", _sweep(-0.3, 0.2, 0.8, 6.0, 1.6, dt), 0.0)
     rest = ("open", _hold([0.0], 0.2, dt), 0.0)
     if side == 0:
         return _Plan.of(rest, random, closed, ramp, wave, loaded)
-    return _Plan.of(rest, closed, wave, loaded, random, ramp)
+    return _Plan.of(rest, random, closed, loaded, ramp, wave)
 
 
-_RUNS: dict[str, Callable[[np.random.Generator, int, float], _Plan]] = {
+#: Makes the plan of a channel from draws that both channels share and draws of its own.
+_Maker = Callable[[np.random.Generator, np.random.Generator, int, float], _Plan]
+_RUNS: dict[str, _Maker] = {
     "fit_1": _bench,
     "fit_2": _operation,
     "sealed": _proof,
 }
 
 
-def _long_enough(make: Callable[[np.random.Generator, int, float], _Plan], rng: np.random.Generator, side: int, dt: float,
-                 steps: int) -> _Plan:  # fmt: skip
-    """Rounds of the manoeuvre, each with other values, cut to the log's length."""
-    plan = make(rng, side, dt)
-    while plan.value.size < steps:
-        more = make(rng, side, dt)
-        plan = _Plan(*(np.concatenate([getattr(plan, n), getattr(more, n)]) for n in ("value", "closed", "load")))
-    return _Plan(plan.value[:steps], plan.closed[:steps], plan.load[:steps])
+def _plans(make: _Maker, seeds: np.random.SeedSequence, dt: float, steps: int) -> list[_Plan]:
+    """Rounds of the manoeuvre, each with other values, cut to the log's length; one plan for each channel."""
+    shared, *own = seeds.spawn(3)
+    plans = []
+    for side in (0, 1):
+        # The shared stream starts afresh for each channel: both draw the same from it.
+        common, alone = np.random.default_rng(shared), np.random.default_rng(own[side])
+        plan = make(common, alone, side, dt)
+        while plan.value.size < steps:
+            more = make(common, alone, side, dt)
+            plan = _Plan(*(np.concatenate([getattr(plan, n), getattr(more, n)]) for n in ("value", "closed", "load")))
+        plans.append(_Plan(plan.value[:steps], plan.closed[:steps], plan.load[:steps]))
+    return plans
 
 
 class _SpeedLoop:
@@ -374,8 +380,7 @@ def _record(
     samples = round(period * rate)
     steps = max(1, round(duration / period))
     rows = steps * samples
-    plan_rng = [np.random.default_rng(s) for s in plan_seed.spawn(2)]
-    plans = [_long_enough(_RUNS[name], plan_rng[side], side, period, steps) for side in (0, 1)]
+    plans = _plans(_RUNS[name], plan_seed, period, steps)
     if "load" not in record:
         for plan in plans:  # a load that nobody logs would be a second hidden effect
             plan.load = np.zeros(steps)
@@ -409,7 +414,6 @@ def _record(
 
     columns: dict[str, Array] = {"time_s": np.arange(rows) / rate}
     if "setpoint" in record:
-        # One column for both: the paper's rig has one set-point, this one shows that of channel 1.
         columns["setpoint_rpm"] = np.round(setpoint[:, 0], 1)
     for c in (0, 1):
         for column in _COLUMN_ORDER:
@@ -550,8 +554,8 @@ def run(
         raise InputError(f"name an effect to hide, or --none; effects are {', '.join(CATALOGUE)}")
     with tqdm(total=len(_RUNS), unit="log", leave=False) as bar:
         def begin(name: str) -> None:
+            bar.update(1 if bar.desc else 0)  # the one before is done
             bar.set_description(name)
-            bar.update(1)
 
         practice = make_practice(
             effects, model=model, severity=severity, values=parse_values(values), noise=noise,
