@@ -99,6 +99,18 @@ class Plant:
         """A parameter or signal of every rig, (num_rigs, 2), as a copy. KeyError for a name the plant lacks."""
         return self._read(self._row(name))
 
+    @property
+    def memory(self) -> Array:
+        """The memory itself, (blocks, rows, 2 * half), for compiled readers: no copy, and nothing to write to.
+
+        Rig i is lane i % half of block i // half, its channel 2 lies `half` lanes further; `row_of` numbers the rows.
+        """
+        return self._memory
+
+    def row_of(self, name: str) -> int:
+        """Number of the row of `memory` that holds a parameter or signal. KeyError for a name the plant lacks."""
+        return self._row(name)
+
     def set(self, name: str, values: ArrayLike, rows: ArrayLike | None = None) -> None:
         """Sets a parameter ("Kq", "dead_zone.overlap_positive") of all rigs or of `rows` (indices or mask).
 
