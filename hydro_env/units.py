@@ -121,8 +121,8 @@ def unit(name: str) -> Unit:
     if len(same) == 1 and name[:2] != "mP":
         return UNITS[same[0]]
     near = difflib.get_close_matches(name, list(UNITS), n=1, cutoff=0.5)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise InputError(f"unknown unit {name!r}{hint} Known units: {', '.join(UNITS)}")
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    raise InputError(f"unknown unit {name!r}; {hint}known units: {', '.join(UNITS)}")
 
 
 def to_si(value: Any, name: str) -> Any:

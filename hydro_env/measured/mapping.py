@@ -1,0 +1,362 @@
+"""Mapping files: how the columns of somebody else's log become the signals of a rig log (`hydro_env/mapping/1`).
+
+A mapping says for each signal which column holds it, in which unit, and with which sign, scale and offset:
+
+    SI value = to_si(sign * (scale * cell + offset), unit)            and, for `minus`, less the second column's value
+
+    schema: hydro_env/mapping/1
+    name: crane_main
+    table: {delimiter: ";", decimal: ",", encoding: utf-8, skip_rows: 0, si_suffixes: false}     # all optional
+    time: {column: t, unit: ms}               # or, without a usable column:  {sample_rate: 100}  (rows per second)
+    supply: {column: Ps, unit: bar}           # of the whole rig: setpoint, supply, temperature
+    channel_1:
+      actuator: cylinder                      # or motor (the default)
+      displacement: {value: 12.06, unit: cm2} # optional: piston area; of a motor, volume per angle (cm3/rev)
+      command: {column: U, unit: fraction, full_scale: 10}   # 10 V at full scale: the log then holds volts
+      pressure: {column: pA, unit: bar, minus: {column: pB, unit: bar, scale: 0.61}}      # load pressure
+      speed: {column: v, unit: mm/s, sign: -1}
+
+A cylinder is treated as a motor whose displacement is its piston area: its speed is in m/s, its load a force in N,
+its displacement in m2; everything else is the same. A channel that is not named is absent.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from hydro_env.errors import InputError
+from hydro_env.units import to_si, unit
+
+__all__ = [
+    "CHANNEL_SIGNALS",
+    "RIG_SIGNALS",
+    "ChannelMapping",
+    "Mapping",
+    "Source",
+    "contract_mapping",
+    "load_mapping",
+]
+
+SCHEMA = "hydro_env/mapping/1"
+CHANNEL_SIGNALS = ("command", "current", "pressure", "speed", "load", "spool", "flow")
+RIG_SIGNALS = ("setpoint", "supply", "temperature")
+
+_QUANTITY = {
+    "motor": {
+        "speed": "angular speed",
+        "setpoint": "angular speed",
+        "load": "torque",
+        "displacement": "displacement",
+    },
+    "cylinder": {
+        "speed": "linear speed",
+        "setpoint": "linear speed",
+        "load": "force",
+        "displacement": "area",
+    },
+}
+_COMMON = {
+    "command": "voltage", "current": "current", "pressure": "pressure", "spool": "length", "flow": "flow",
+    "supply": "pressure", "temperature": "temperature",
+}  # fmt: skip
+_EXAMPLE = {
+    "voltage": "V", "current": "A", "pressure": "bar", "length": "mm", "flow": "l/min", "temperature": "degC", "time": "s",
+    "angular speed": "rpm", "linear speed": "m/s", "torque": "N m", "force": "N", "displacement": "cm3/rev", "area": "m2",
+}  # fmt: skip
+
+# The columns of the rig log itself: signal -> (ending of the column name, unit).
+CONTRACT = {
+    "command": ("V", "V"), "current": ("A", "A"), "pressure": ("bar", "bar"), "speed": ("rpm", "rpm"),
+    "load": ("Nm", "N m"), "spool": ("mm", "mm"), "flow": ("lpm", "l/min"),
+}  # fmt: skip
+CONTRACT_RIG = {
+    "setpoint": ("setpoint_rpm", "rpm"),
+    "supply": ("supply_bar", "bar"),
+    "temperature": ("temperature_C", "degC"),
+}
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Part(_Strict):
+    """One column in one unit; `full_scale` (SI) is the value at fraction 1 where the unit is fraction or percent."""
+
+    column: str
+    unit: str
+    sign: Literal[1, -1] = 1
+    scale: float = 1.0
+    offset: float = 0.0
+    full_scale: float | None = None
+
+    @model_validator(mode="after")
+    def _sensible(self) -> Part:
+        try:
+            quantity = unit(self.unit).quantity
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        if self.scale == 0.0:
+            raise ValueError("scale is 0, so the signal would vanish; use sign: -1 to reverse it")
+        if quantity == "fraction" and self.full_scale is None:
+            raise ValueError("a fraction needs `full_scale`: the value (V, A or m) at fraction 1")
+        if quantity != "fraction" and self.full_scale is not None:
+            raise ValueError(f"`full_scale` goes with the units fraction and percent, not with {self.unit}")
+        return self
+
+    def si(self, cells: Any) -> Any:
+        """The column's cells (T,) in SI."""
+        value = to_si(self.sign * (self.scale * cells + self.offset), self.unit)
+        return value if self.full_scale is None else value * self.full_scale
+
+
+class Source(Part):
+    """Where a signal comes from: one column, less another one where `minus` is given (a pressure difference)."""
+
+    minus: Part | None = None
+
+    def columns(self) -> tuple[str, ...]:
+        """The file's columns that are needed."""
+        return (self.column,) if self.minus is None else (self.column, self.minus.column)
+
+
+class Quantity(_Strict):
+    """A number with its unit."""
+
+    value: float
+    unit: str
+
+    @property
+    def si(self) -> float:
+        return float(to_si(self.value, self.unit))
+
+
+class Time(_Strict):
+    """The clock: a column of numbers, or rows at a fixed rate (rows per second)."""
+
+    column: str | None = None
+    unit: str = "s"
+    sample_rate: Annotated[float, Field(gt=0)] | None = None
+
+    @model_validator(mode="after")
+    def _one_clock(self) -> Time:
+        if (self.column is None) == (self.sample_rate is None):
+            raise ValueError(
+                "give either `column` (with its unit) or `sample_rate` (rows per second), not both or none"
+            )
+        try:
+            quantity = unit(self.unit).quantity
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        if quantity != "time":
+            raise ValueError(f"{self.unit} is a unit of {quantity}; time is in s, ms or us")
+        return self
+
+
+class TableStyle(_Strict):
+    """How the file is written where that is not recognised by itself."""
+
+    delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None
+    decimal: Literal[".", ","] | None = None
+    encoding: str | None = None
+    skip_rows: Annotated[int, Field(ge=0)] = 0
+    si_suffixes: bool = False
+
+
+class ChannelMapping(_Strict):
+    """One valve and its actuator; signals that are not recorded are left out."""
+
+    actuator: Literal["motor", "cylinder"] = "motor"
+    displacement: Quantity | None = None
+    command: Source
+    speed: Source
+    current: Source | None = None
+    pressure: Source | None = None
+    load: Source | None = None
+    spool: Source | None = None
+    flow: Source | None = None
+
+    @model_validator(mode="after")
+    def _units_fit(self) -> ChannelMapping:
+        for signal in CHANNEL_SIGNALS:
+            source = getattr(self, signal)
+            if source is not None:
+                _check_unit(signal, source, self.actuator)
+        if self.displacement is not None:
+            wanted = _QUANTITY[self.actuator]["displacement"]
+            try:
+                quantity = unit(self.displacement.unit).quantity
+            except InputError as error:
+                raise ValueError(f"displacement: {error}") from None
+            if quantity != wanted:
+                raise ValueError(
+                    f"displacement of a {self.actuator}: {self.displacement.unit} is a unit of {quantity}; use {_EXAMPLE[wanted]}"
+                )
+        return self
+
+
+def _check_unit(signal: str, source: Source, actuator: str) -> None:
+    wanted = _QUANTITY[actuator].get(signal) or _COMMON[signal]
+    for part in (source, source.minus):
+        if part is None:
+            continue
+        quantity = unit(part.unit).quantity
+        if quantity == "fraction" and signal in ("command", "current", "spool"):
+            continue
+        if quantity != wanted:
+            other = "cylinder" if actuator == "motor" else "motor"
+            fits_other = quantity == _QUANTITY[other].get(signal)
+            hint = f", or say `actuator: {other}`" if fits_other else ""
+            raise ValueError(
+                f"{signal} of a {actuator}: {part.unit} is a unit of {quantity}; use {_EXAMPLE[wanted]}{hint}"
+            )
+
+
+class Mapping(_Strict):
+    """A whole mapping file; `schema_` is written `schema` in the file."""
+
+    schema_: Literal["hydro_env/mapping/1"] = Field(alias="schema")
+    name: str = ""
+    description: str = ""
+    table: TableStyle = TableStyle()
+    time: Time
+    setpoint: Source | None = None
+    supply: Source | None = None
+    temperature: Source | None = None
+    channel_1: ChannelMapping | None = None
+    channel_2: ChannelMapping | None = None
+
+    @model_validator(mode="after")
+    def _some_channel(self) -> Mapping:
+        present = [channel for channel in self.channels if channel is not None]
+        if not present:
+            raise ValueError("no channel: give channel_1, channel_2 or both, each with command and speed")
+        for signal in RIG_SIGNALS:
+            source = getattr(self, signal)
+            if source is not None:
+                _check_unit(signal, source, present[0].actuator)
+        return self
+
+    @property
+    def channels(self) -> tuple[ChannelMapping | None, ChannelMapping | None]:
+        """Channel 1 and channel 2, None where absent."""
+        return self.channel_1, self.channel_2
+
+    def columns(self) -> tuple[str, ...]:
+        """Every column of the file that the mapping uses."""
+        sources = [getattr(self, signal) for signal in RIG_SIGNALS]
+        sources += [
+            getattr(channel, signal) for channel in self.channels if channel for signal in CHANNEL_SIGNALS
+        ]
+        names = [self.time.column] if self.time.column else []
+        return tuple(
+            dict.fromkeys(names + [name for source in sources if source for name in source.columns()])
+        )
+
+
+def load_mapping(path: str | Path) -> Mapping:
+    """Reads a mapping file; `InputError` with one line naming file and key for anything that is wrong."""
+    path = Path(path)
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror}); give the path of a mapping YAML"
+        ) from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a UTF-8 text file; a mapping is YAML") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f"line {mark.line + 1}, " if mark else ""
+        raise InputError(
+            f"{path}: {place}not valid YAML ({getattr(error, 'problem', None) or 'cannot be parsed'})"
+        ) from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: a mapping is a YAML table that starts with `schema: {SCHEMA}`")
+    if data.get("schema") != SCHEMA:
+        raise InputError(f"{path}: schema is {data.get('schema')!r}; a mapping file says `schema: {SCHEMA}`")
+    try:
+        return Mapping.model_validate(data)
+    except ValidationError as error:
+        raise InputError(f"{path}: {_explain(error)}") from None
+
+
+def _explain(error: ValidationError) -> str:
+    """The first complaint as one line: key, what is wrong, what would be right."""
+    # An unknown key often makes a required one missing, and is then the better explanation.
+    first = min(error.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
+    where = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        known = _keys(first["loc"][:-1])
+        near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}?" if near else f"known here: {', '.join(known)}"
+        return f"unknown key {where!r}; {hint}"
+    if first["type"] == "missing":
+        return f"key {where!r} is missing; it is required here"
+    message = first["msg"].removeprefix("Value error, ")
+    shown = "" if first["type"] == "value_error" else f", got {first['input']!r}"
+    return f"key {where!r}: {message}{shown}" if where else f"{message}{shown}"
+
+
+def _keys(place: tuple[Any, ...]) -> list[str]:
+    """The keys that are known at a place of the mapping file."""
+    models: dict[str, type[BaseModel]] = {
+        "table": TableStyle, "time": Time, "channel_1": ChannelMapping, "channel_2": ChannelMapping,
+        "displacement": Quantity, "minus": Part,
+    }  # fmt: skip
+    model = models.get(str(place[-1]), Source) if place else Mapping
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+_CHANNEL_COLUMN = re.compile(r"(command|current|pressure|speed|load|spool|flow)_([12])_(\w+)")
+
+
+def contract_columns() -> tuple[str, ...]:
+    """Every column that a rig log may have, in the order they are written."""
+    main = ("command", "current", "pressure", "speed", "load")
+    columns = ["time_s", "setpoint_rpm"]
+    columns += [f"{signal}_{channel}_{CONTRACT[signal][0]}" for channel in (1, 2) for signal in main]
+    columns += [
+        f"{signal}_{channel}_{CONTRACT[signal][0]}" for channel in (1, 2) for signal in ("spool", "flow")
+    ]
+    return (*columns, "supply_bar", "temperature_C")
+
+
+def contract_mapping(names: tuple[str, ...], path: Path) -> Mapping:
+    """The mapping of a log with the rig log's own header `names`; `InputError` where a required column is missing."""
+    channels: dict[str, dict[str, Any]] = {}
+    for name in names:
+        match = _CHANNEL_COLUMN.fullmatch(name)
+        if match and match[3] == CONTRACT[match[1]][0]:
+            source = {"column": name, "unit": CONTRACT[match[1]][1]}
+            channels.setdefault(f"channel_{match[2]}", {})[match[1]] = source
+    if "time_s" not in names:
+        raise _missing(path, "time_s", names)
+    if not channels:
+        raise _missing(path, "command_1_V", names)
+    for channel, signals in channels.items():
+        for signal in ("command", "speed"):
+            if signal not in signals:
+                raise _missing(path, f"{signal}_{channel[-1]}_{CONTRACT[signal][0]}", names)
+    rig = {
+        signal: {"column": column, "unit": symbol}
+        for signal, (column, symbol) in CONTRACT_RIG.items()
+        if column in names
+    }
+    return Mapping.model_validate({"schema": SCHEMA, "time": {"column": "time_s"}, **rig, **channels})
+
+
+def _missing(path: Path, column: str, names: tuple[str, ...]) -> InputError:
+    known = set(contract_columns())
+    near = difflib.get_close_matches(column, [name for name in names if name not in known], n=1, cutoff=0.6)
+    hint = f"rename {near[0]!r}, or " if near else ""
+    shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+    return InputError(
+        f"{path}: row 1: required column {column!r} is missing (found: {shown}); {hint}describe this log in a mapping file"
+    )

@@ -1,0 +1,286 @@
+"""A recorded table as it lies in a file: named columns of numbers, read without guessing what they mean.
+
+CSV (also gzipped) is read here in one streaming pass that parses only the columns asked for; text encodings,
+delimiters and decimal commas are recognised. The binary formats are in `hydro_env.measured.formats`.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import gzip
+import hashlib
+import itertools
+import math
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from hydro_env.errors import InputError
+from hydro_env.measured.finding import Finding
+
+__all__ = ["CsvStyle", "Table", "digest", "nearest", "read_csv"]
+
+_CHUNK = 50_000  # rows parsed at a time; bounds the memory taken by text
+_SI_SUFFIX = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+_MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "#n/a"}
+
+
+@dataclass(frozen=True)
+class CsvStyle:
+    """How a CSV file is written; None is recognised from the file."""
+
+    delimiter: str | None = None
+    decimal: str | None = None
+    encoding: str | None = None
+    skip_rows: int = 0
+    si_suffixes: bool = False
+
+
+@dataclass
+class Table:
+    """Columns (T,) of float64 by name, NaN where a cell is empty; `lines` are the file's line numbers (T,)."""
+
+    path: Path
+    names: tuple[str, ...]
+    columns: dict[str, np.ndarray]
+    lines: np.ndarray
+    findings: list[Finding] = field(default_factory=list)
+
+    def row(self, index: int) -> int:
+        """The line of the file that holds sample `index` (the header is line 1)."""
+        return int(self.lines[index])
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of the file's bytes, in hexadecimal."""
+    total = hashlib.sha256()
+    with open(path, "rb") as file:
+        while block := file.read(1 << 20):
+            total.update(block)
+    return total.hexdigest()
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """`"; did you mean 'x'?"` for the known name most like `name`, or nothing."""
+    folded = {candidate.lower(): candidate for candidate in known}
+    near = difflib.get_close_matches(name.lower(), list(folded), n=1, cutoff=0.5)
+    return f"; did you mean {folded[near[0]]!r}?" if near else ""
+
+
+def read_csv(
+    path: Path, choose: Callable[[tuple[str, ...]], Sequence[str]], style: CsvStyle | None = None
+) -> Table:
+    """Reads the columns that `choose(header)` asks for; `InputError` names file, row and column of what is wrong."""
+    style = style or CsvStyle()
+    encoding, findings = _encoding(path, style.encoding)
+    try:
+        with _open(path, encoding) as file:
+            return _read(path, file, choose, style, findings)
+    except UnicodeError:
+        pass
+    except (gzip.BadGzipFile, EOFError) as error:
+        raise InputError(
+            f"{path}: not a complete gzip file ({error}); compress it again or give the CSV itself"
+        ) from None
+    except csv.Error as error:
+        raise InputError(f"{path}: not readable as CSV ({error})") from None
+    if style.encoding:
+        raise InputError(f"{path}: not encoded in {style.encoding} as its mapping says")
+    findings.append(Finding("encoding", "not UTF-8; read as Windows-1252", "save the log as UTF-8"))
+    with _open(path, "cp1252", "replace") as file:
+        return _read(path, file, choose, style, findings)
+
+
+def _open(path: Path, encoding: str, errors: str = "strict") -> IO[str]:
+    if _head(path)[:2] == b"\x1f\x8b" and path.suffix != ".gz":
+        raise InputError(f"{path}: a gzip file without the ending .gz; rename it to {path.name}.gz")
+    if path.suffix == ".gz":
+        return gzip.open(path, "rt", encoding=encoding, errors=errors, newline="")
+    return open(path, encoding=encoding, errors=errors, newline="")
+
+
+def _head(path: Path) -> bytes:
+    with open(path, "rb") as file:
+        return file.read(4)
+
+
+def _encoding(path: Path, given: str | None) -> tuple[str, list[Finding]]:
+    try:
+        with gzip.open(path, "rb") if path.suffix == ".gz" else open(path, "rb") as file:  # type: ignore[attr-defined]
+            head = file.read(4096)
+    except (gzip.BadGzipFile, EOFError) as error:
+        raise InputError(
+            f"{path}: not a complete gzip file ({error}); compress it again or give the CSV itself"
+        ) from None
+    if not head.strip():
+        raise InputError(f"{path}: the file is empty; a log needs a header line and rows")
+    if given:
+        try:
+            "".encode(given)
+        except LookupError:
+            raise InputError(
+                f"{path}: unknown encoding {given!r} in its mapping; utf-8, utf-16 or cp1252 are usual"
+            ) from None
+        return given, []
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16", [Finding("encoding", "encoded in UTF-16", "save the log as UTF-8")]
+    if b"\0" in head:
+        raise InputError(
+            f"{path}: not a text file; binary logs need the ending .parquet, .mat, .mf4 or .tdms"
+        )
+    return "utf-8-sig", []
+
+
+def _read(
+    path: Path,
+    file: IO[str],
+    choose: Callable[[tuple[str, ...]], Sequence[str]],
+    style: CsvStyle,
+    findings: list[Finding],
+) -> Table:
+    for _ in range(style.skip_rows):
+        file.readline()
+    first = file.readline()
+    while first and not first.strip():
+        first = file.readline()
+        style = CsvStyle(
+            style.delimiter, style.decimal, style.encoding, style.skip_rows + 1, style.si_suffixes
+        )
+    first = first.lstrip("\ufeff")
+    start = style.skip_rows + 1
+    if first.lower().startswith("sep=") and style.delimiter is None:
+        style = CsvStyle(
+            first.strip()[4:] or ",", style.decimal, style.encoding, style.skip_rows, style.si_suffixes
+        )
+        first = file.readline()
+        start += 1
+    delimiter = style.delimiter or _delimiter(first)
+    if style.delimiter is None and delimiter != ",":
+        shown = {"\t": "tab"}.get(delimiter, delimiter)
+        findings.append(Finding("delimiter", f"columns are separated by {shown!r}, read so", "write commas"))
+    names = tuple(name.strip() for name in next(csv.reader([first], delimiter=delimiter)))
+    while names and not names[-1]:
+        names = names[:-1]
+    if names and all(_is_number(name) for name in names):
+        raise InputError(
+            f"{path}: row {start} holds numbers where the header should be; add the line of column names"
+        )
+    wanted = list(dict.fromkeys(choose(names)))
+    for name in wanted:
+        if names.count(name) > 1:
+            places = [str(i + 1) for i, other in enumerate(names) if other == name]
+            raise InputError(
+                f"{path}: column {name!r} appears {len(places)} times (columns {', '.join(places)}); keep one of them"
+            )
+    parse = _Cells(path, names, style, delimiter, findings)
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in wanted}
+    lines = array("q")
+    position = {name: names.index(name) for name in wanted}
+    rows = csv.reader(file, delimiter=delimiter)
+    for chunk, numbers in _chunks(rows, start, len(names), path, delimiter):
+        for name in wanted:
+            parts[name].append(parse.column(name, position[name], chunk, numbers))
+        lines.extend(numbers)
+    if not lines:
+        raise InputError(f"{path}: only a header, no rows; a log needs at least two samples")
+    columns = {name: np.concatenate(pieces) for name, pieces in parts.items()}
+    return Table(path, names, columns, np.frombuffer(lines, dtype=np.int64).copy(), findings)
+
+
+def _delimiter(header: str) -> str:
+    counts = {mark: header.count(mark) for mark in ("\t", ";", ",", "|")}
+    best = max(counts, key=lambda mark: counts[mark])
+    return best if counts[best] else ","
+
+
+def _chunks(
+    rows: Any, start: int, width: int, path: Path, delimiter: str
+) -> Iterator[tuple[list[list[str]], list[int]]]:
+    while True:
+        chunk: list[list[str]] = []
+        numbers: list[int] = []
+        for row in itertools.islice(rows, _CHUNK):
+            if not row or (len(row) == 1 and not row[0].strip()):
+                continue
+            if len(row) != width and not (len(row) > width and not any(row[width:])):
+                line = rows.line_num + start
+                hint = "a cell is missing, or the recording was cut off here"
+                if len(row) > width and delimiter == ",":
+                    hint = "decimal commas need another delimiter: write 0.5, or separate the columns by ';'"
+                raise InputError(f"{path}: row {line} has {len(row)} cells, the header has {width}; {hint}")
+            chunk.append(row)
+            numbers.append(rows.line_num + start)
+        if not chunk:
+            if next(rows, None) is None:
+                return
+            continue
+        yield chunk, numbers
+
+
+class _Cells:
+    """Turns text cells into numbers; the fast way first, cell by cell only where that fails."""
+
+    def __init__(
+        self, path: Path, names: tuple[str, ...], style: CsvStyle, delimiter: str, findings: list[Finding]
+    ) -> None:
+        self.path, self.names, self.style, self.delimiter, self.findings = (
+            path,
+            names,
+            style,
+            delimiter,
+            findings,
+        )
+        self.decimal_comma = style.decimal == ","
+
+    def column(self, name: str, place: int, chunk: list[list[str]], lines: list[int]) -> np.ndarray:
+        if not self.decimal_comma and not self.style.si_suffixes:
+            try:
+                return np.fromiter((float(row[place]) for row in chunk), dtype=float, count=len(chunk))
+            except ValueError:
+                pass
+        cells = (self.cell(row[place], name, line) for row, line in zip(chunk, lines, strict=True))
+        return np.fromiter(cells, dtype=float, count=len(chunk))
+
+    def cell(self, text: str, name: str, line: int) -> float:
+        text = text.strip()
+        if text.lower() in _MISSING:
+            return math.nan
+        if self.decimal_comma and text.count(",") == 1 and "." not in text:
+            text = text.replace(",", ".")
+        elif (
+            self.style.decimal is None and self.delimiter != "," and text.count(",") == 1 and "." not in text
+        ):
+            # With another delimiter a comma inside a number can only be the decimal mark (or, far rarer, thousands).
+            if not any(finding.code == "decimal_comma" for finding in self.findings):
+                message = f"numbers are written with a decimal comma ({text!r} in row {line}), read so"
+                self.findings.append(
+                    Finding("decimal_comma", message, "write decimal points", column=name, row=line)
+                )
+            text = text.replace(",", ".")
+        try:
+            return float(text)
+        except ValueError:
+            pass
+        if self.style.si_suffixes and text[-1:] in _SI_SUFFIX and _is_number(text[:-1]):
+            return float(text[:-1]) * _SI_SUFFIX[text[-1]]
+        hint = "write a number, or leave the cell empty where nothing was measured"
+        if "," in text and "." in text:
+            hint = "write it without thousands separators, with a decimal point"
+        elif text[-1:] in _SI_SUFFIX and _is_number(text[:-1]):
+            hint = "for suffixes such as m and k say `si_suffixes: true` under `table` in the mapping"
+        elif text.count(":") >= 1:
+            hint = "time stamps must be seconds as a plain number"
+        raise InputError(f"{self.path}: row {line}, column {name!r}: {text!r} is not a number; {hint}")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.strip())
+    except ValueError:
+        return False
+    return True
