@@ -26,7 +26,7 @@ COLOURS = ("#2b83ba", "#e07b39", "#3f9b5f", "#a35aa8", "#8a8f98", "#c5a100")
 INK = "#123456"
 """Stands for the page's own text colour in an SVG until `svg` puts that in its place."""
 
-RC = {
+RC: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "hydro_env",
     "font.size": 9.0,

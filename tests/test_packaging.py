@@ -1,0 +1,97 @@
+"""What is installed: the wheel holds hydro_env and its data only, and the core needs none of the extras."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+OPTIONAL = (
+    "torch", "stable_baselines3", "sb3_contrib", "onnx", "onnxruntime", "tensorboard", "plotly", "jinja2", "matplotlib",
+    "pandas", "pyarrow", "asammdf", "nptdms", "h5py", "pygame", "agents",
+)  # fmt: skip
+"""No module of the core may import these when it is imported."""
+
+NEEDS_EXTRA = ("hydro_env.sb3", "hydro_env.__main__")
+"""Modules that exist to be imported with an extra, or that run when imported."""
+
+
+def run(code: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (path,) = folder.glob("*.whl")
+    assert path.name == "hydro_env-0.1.0-py3-none-any.whl"
+    with zipfile.ZipFile(path) as archive:
+        return archive.namelist()
+
+
+def test_wheel_holds_hydro_env_only(wheel: list[str]) -> None:
+    others = [name for name in wheel if not name.startswith(("hydro_env/", "hydro_env-0.1.0.dist-info/"))]
+    assert not others
+    assert not [name for name in wheel if "__pycache__" in name or name.endswith((".nbi", ".nbc", ".pyc"))]
+
+
+def test_wheel_holds_every_data_file(wheel: list[str]) -> None:
+    source = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "hydro_env").rglob("*")
+        if path.is_file() and path.suffix in {".py", ".typed", ".yaml", ".json", ".npz", ".html", ".css"}
+    }
+    assert "hydro_env/py.typed" in source and "hydro_env/plant/presets/paper.yaml" in source
+    assert source <= set(wheel)
+    assert any(name.endswith("licenses/LICENSE") for name in wheel)
+
+
+def test_core_imports_without_the_extras(tmp_path: Path) -> None:
+    code = f"""
+import importlib, importlib.abc, pkgutil, sys
+
+class Block(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {OPTIONAL!r}:
+            raise ModuleNotFoundError(f"{{name}} is blocked", name=name)
+
+sys.meta_path.insert(0, Block())
+import hydro_env
+for module in pkgutil.walk_packages(hydro_env.__path__, "hydro_env."):
+    if module.name not in {NEEDS_EXTRA!r}:
+        importlib.import_module(module.name)
+import gymnasium
+env = gymnasium.make("hydro_env:HydraulicSync-v0")
+env.reset(seed=0)
+env.step(env.action_space.sample())
+"""
+    done = run(code, tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_import_is_light(tmp_path: Path) -> None:
+    code = "import sys, hydro_env; print([name for name in ('numba', 'scipy', 'pydantic') if name in sys.modules])"
+    done = run(code, tmp_path)
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
+def test_command_line_answers_without_loading_the_simulator(tmp_path: Path) -> None:
+    code = "import sys, hydro_env.cli; print([name for name in ('numba', 'scipy', 'pydantic') if name in sys.modules])"
+    done = run(code, tmp_path)
+    assert done.stdout.strip() == "[]", done.stdout + done.stderr
+
+
+def test_every_constraint_is_a_plain_pin() -> None:
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    assert "torch==2.13.0" in lines
+    for line in lines:
+        name, equals, version = line.partition("==")
+        assert equals and name.replace("-", "").isalnum() and version.replace(".", "").isalnum(), line
