@@ -8,5 +8,13 @@ hydro_env.diagnosis     what a model lacks, found from logs
 hydro_env.experiments   the paper's experiments, speed, the demo
 """
 
+from gymnasium.envs.registration import register as _register
+
 __version__ = "0.1.0"
 __all__ = ["__version__"]
+
+_register(
+    id="HydraulicSync-v0",
+    entry_point="hydro_env.envs.hydraulic_sync:HydraulicSyncEnv",
+    vector_entry_point="hydro_env.envs.batch:HydraulicSyncVectorEnv",
+)

@@ -1,0 +1,14 @@
+"""The environment `HydraulicSync-v0`.
+
+hydraulic_sync  the single environment; its docstring is the manual
+batch           many of them at once, and all that the task does
+observation     what a controller sees: names, scales, decoding
+reward          what a step costs
+"""
+
+from .batch import HydraulicSyncVectorEnv
+from .hydraulic_sync import HydraulicSyncEnv
+from .observation import OBSERVATION, Measurements, decode
+from .reward import Reward
+
+__all__ = ["OBSERVATION", "HydraulicSyncEnv", "HydraulicSyncVectorEnv", "Measurements", "Reward", "decode"]

@@ -1,0 +1,414 @@
+"""Many environments as one: the task of keeping two motors in step, for all rows of a batch at once.
+
+Everything the task does is written here, once; the single environment is a batch of one. Arrays have one row per rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+from ..plant import Plant, PlantModel, load_model
+from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, load_mismatch
+from ..tasks.scenarios import Reference, Scenario, load_scenario
+from .glue import COLUMNS, SIGNALS, TRUE, apply, look
+from .observation import FRAME, LIMIT, SCALES, noise_levels
+from .picture import Recorder
+from .reward import Reward, load_reward
+
+__all__ = ["HydraulicSyncVectorEnv", "Result"]
+
+Floats = NDArray[np.float64]
+#: observation (N, n) float32, true signals (N, TRUE), reward (N,), terminated (N,), truncated (N,)
+Result = tuple[NDArray[np.float32], Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]
+
+#: Components of an episode that have a random stream of their own, beside the mismatch's (number 0).
+NOISE_STREAM, SCENARIO_STREAM = 1, 2
+#: Keys of the `options` of `reset`.
+OPTIONS = ("mismatch", "scenario", "case", "reset_mask")
+#: Why an episode may be terminated.
+DIVERGED = "diverged: a state of the plant left the bounds of sense"
+
+_NEVER = np.iinfo(np.int64).max
+_AT_RESET = [key for key in COLUMNS if not key.startswith("reward")]
+
+
+class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+    """The native batch of `HydraulicSync-v0`; `HydraulicSyncEnv` describes task, spaces and arguments.
+
+    `gymnasium.make_vec("hydro_env:HydraulicSync-v0", num_envs=N, ...)` makes it. Beyond the single environment:
+
+    * `reset(seed=s)` seeds row i with s + i, `reset(seed=[...])` each row with its own. Row i then is bit for bit the
+      single environment of that seed, in this and all following episodes.
+    * `autoreset_mode`: "NextStep" (default: the step after an end resets the row, ignores its action and has reward 0),
+      "SameStep" (the end's observation is in `info["final_obs"]`) or "Disabled" (reset with
+      `options={"reset_mask": mask}`).
+    * `options` of `reset` hold for all rows that it resets; `case=k` means case k + i for row i, a list one for each.
+    * `info` holds arrays with one row per rig, with masks `_key` as Gymnasium has them. `pairs` holds the valves' values.
+    * `max_episode_steps` ends episodes early (truncation).
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012 (Gymnasium's way)
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        plant: str | Path | Mapping[str, Any] | PlantModel | Plant = "paper_dead_zone",
+        scenario: str | Mapping[str, Any] | Scenario = "random_steps",
+        mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "train",
+        control_period: float = 0.01,
+        render_mode: str | None = None,
+        *,
+        history: int = 1,
+        noise: float | Mapping[str, float] = 1.0,
+        reward: Mapping[str, float] | Reward | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+    ) -> None:
+        super().__init__()
+        if num_envs < 1:
+            raise InputError(f"num_envs is {num_envs}, expected at least 1")
+        if not 1e-4 <= control_period <= 1.0:
+            raise InputError(f"control_period is {control_period!r} s, expected 0.0001 to 1")
+        if not (isinstance(history, int) and history >= 1):
+            raise InputError(f"history is {history!r}, expected a whole number of frames of at least 1")
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise InputError(f"max_episode_steps is {max_episode_steps}, expected at least 1")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise InputError(f"render_mode is {render_mode!r}, expected None or 'rgb_array'")
+        self.num_envs = int(num_envs)
+        self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
+        self.scenario = load_scenario(scenario)
+        self.mismatch = load_mismatch(mismatch)
+        self.control_period = float(control_period)
+        self.render_mode = render_mode
+        self.history = history
+        self.reward = load_reward(reward)
+        self.max_episode_steps = max_episode_steps
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {
+            **type(self).metadata,
+            "render_fps": max(1, round(1.0 / self.control_period)),
+            "autoreset_mode": self.autoreset_mode,
+        }
+
+        width = FRAME * history
+        self.single_observation_space = spaces.Box(-LIMIT, LIMIT, (width,), np.float32)
+        self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+        n = self.num_envs
+        self._levels = noise_levels(noise)
+        self._weights = self.reward.weights()
+        self._seeds: list[int] = []
+        self._episode = np.zeros(n, np.int64)
+        self._case = np.full(n, -1, np.int64)
+        self._fault = np.full(n, "", object)
+        self._ended = np.zeros(n, np.bool_)
+        # The episode of each row: where it stands, what is driven, what the sensors do.
+        self._step, self._last = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        self._setpoint, self._load = np.zeros((n, 0)), np.zeros((n, 0, 2))
+        self._noise = np.zeros((n, 0, 6), np.float32)
+        self._sensor = {name: np.full((n, 2), p.nominal) for name, p in SENSOR_PARAMETERS.items()}
+        self._stuck, self._held = np.full((n, 2), _NEVER, np.int64), np.zeros((n, 2))
+        self._fraction, self._moved = np.zeros((n, 2)), np.zeros(n)
+        self._command, self._torque = np.zeros((n, 2)), np.zeros((n, 2))
+        self._frames = np.zeros((n, width), np.float32)
+        self._all = np.arange(n)
+        self._course: tuple[Scenario, Reference] | None = None
+        self._recorder = Recorder(n) if render_mode is not None else None
+        self._settable: dict[str, tuple[float, float]] = {}
+        self._build(self.mismatch)
+
+    # --- the interface of Gymnasium -------------------------------------------------------------------------------
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begins a new episode in every row (or those of `options["reset_mask"]`).
+
+        Without a seed each row goes on to the next episode of its seed. InputError for unknown options.
+        """
+        options = dict(options or {})
+        for key in options:
+            if key not in OPTIONS:
+                raise InputError(f"reset: unknown option {key!r}: known are {', '.join(OPTIONS)}")
+        rows = self._all
+        mask = options.pop("reset_mask", None)
+        if mask is not None:
+            mask = np.asarray(mask)
+            if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
+                raise InputError(f"reset: reset_mask must be a mask of {self.num_envs} rows with one at least chosen")
+            rows = np.flatnonzero(mask)
+        self._seed(rows, seed)
+        self._begin(rows, **options)
+        result = self._outputs()
+        self._look(self._all if mask is None else rows, result)
+        if mask is not None:  # rows that are not reset show what they showed last
+            result[0][~mask] = self._frames[~mask]
+        return result[0], self._reset_info({}, rows, result[1])
+
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[NDArray[np.float32], Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """One control period with the actions (N, 2). ValueError if one is not finite or the shape is wrong."""
+        again = self._ended
+        waiting = self.autoreset_mode is AutoresetMode.NEXT_STEP and again.any()
+        if self.autoreset_mode is AutoresetMode.DISABLED and again.any():
+            raise gymnasium.error.ResetNeeded("an episode has ended; reset its row with options={'reset_mask': mask}")
+        if waiting and again.all():
+            result = self._outputs()
+        else:
+            result = self.advance(actions)
+        observation, true, reward, terminated, truncated = result
+        if not waiting:
+            info = self._step_info(true, terminated)
+            self._ended = terminated | truncated
+            if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
+                rows = np.flatnonzero(self._ended)
+                final = np.full(self.num_envs, None, object)
+                for row in rows:
+                    final[row] = observation[row].copy()
+                last_true = true.copy()
+                info = {
+                    "final_obs": final,
+                    "_final_obs": self._ended.copy(),
+                    "final_info": _masked(self._step_info(last_true, terminated), self._ended),
+                    "_final_info": self._ended.copy(),
+                }
+                self._begin(rows)
+                fresh = self._outputs()
+                self._look(rows, fresh)
+                observation[rows], true[rows] = fresh[0][rows], fresh[1][rows]
+                info = {**_masked(self._step_info(true, np.zeros_like(terminated)), ~self._ended, "reward"), **info}
+                self._reset_info(info, rows, true)
+                self._ended = np.zeros_like(self._ended)
+            return observation, reward, terminated, truncated, info
+
+        rows = np.flatnonzero(again)
+        self._begin(rows)
+        fresh = self._outputs()
+        self._look(rows, fresh)
+        observation[rows], true[rows] = fresh[0][rows], fresh[1][rows]
+        reward[rows], terminated[rows], truncated[rows] = 0.0, False, False
+        info = _masked(self._step_info(true, terminated), ~again, "reward")
+        self._reset_info(info, rows, true)
+        self._ended = terminated | truncated
+        return observation, reward, terminated, truncated, info
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture (height, width, 3) of each row's recent past, if `render_mode` is "rgb_array"."""
+        if self._recorder is None:
+            return None
+        return tuple(self._recorder.picture(row, self.control_period) for row in range(self.num_envs))
+
+    # --- what the single environment and Stable-Baselines3 build on -----------------------------------------------
+    @property
+    def pairs(self) -> dict[str, Floats]:
+        """Values (N, 2) of the parameters in which the valves of this environment may differ, as they now are."""
+        names = self._settable or {name: pair for name, pair in self.model.values.items() if name != "name"}
+        return {name: self._sensor[name].copy() if name in self._sensor else self.plant.get(name) for name in names}
+
+    def advance(self, actions: ArrayLike) -> Result:
+        """One control period for all rows, without autoreset and info. ValueError as for `step`."""
+        if not self._seeds:
+            raise gymnasium.error.ResetNeeded("reset the environment before the first step")
+        wanted = np.ascontiguousarray(actions, dtype=np.float64)
+        if wanted.shape != self._command.shape:
+            raise ValueError(f"actions have the shape {wanted.shape}, expected {self._command.shape}")
+        if not apply(
+            wanted, self._rated, self._step, self._last, self._load, self._fraction, self._moved, self._command, self._torque
+        ):
+            raise ValueError("an action is not finite")
+        self.plant.step(self._command, self._torque, self.control_period)
+        self._step += 1
+        result = self._outputs()
+        self._look(self._all, result)
+        return result
+
+    # --- episodes -------------------------------------------------------------------------------------------------
+    def _build(self, mismatch: Mismatch | None) -> None:
+        """Makes the plant anew with the effects that a mismatch needs (and those it had)."""
+        wanted = () if mismatch is None else mismatch.effects
+        before = self.plant.effects if hasattr(self, "plant") else ()
+        self.plant = Plant(self.model, self.num_envs, effects=(*before, *wanted))
+        self._where = np.array([self.plant.row_of(name) for name in SIGNALS], np.int64)
+        self._half = self.plant.memory.shape[2] // 2
+        self._rated = self.plant.get("u_rated")
+
+    def _seed(self, rows: NDArray[np.int64], seed: int | Sequence[int | None] | None) -> None:
+        n = self.num_envs
+        if seed is None:
+            seeds: Sequence[int | None] = [None] * n
+        elif isinstance(seed, (int, np.integer)):
+            super().reset(seed=int(seed))
+            seeds = [int(seed) + i for i in range(n)]
+        else:
+            seeds = list(seed)
+        if len(seeds) != n:
+            raise InputError(f"reset: {len(seeds)} seeds for {n} environments")
+        if any(each is not None and each < 0 for each in seeds):
+            raise InputError("reset: a seed is negative, expected whole numbers of at least 0")
+        fresh = not self._seeds
+        if fresh:
+            base = int(np.random.SeedSequence().generate_state(1, np.uint64)[0]) >> 1
+            self._seeds = [base + i for i in range(n)]
+            self._episode[:] = -1
+        for i in rows:
+            each = seeds[i]
+            if each is not None:
+                self._seeds[i], self._episode[i] = int(each), -1
+
+    def _begin(self, rows: NDArray[np.int64], **options: Any) -> None:
+        """Draws and starts the next episode of some rows."""
+        scenario = load_scenario(options["scenario"]) if "scenario" in options else self.scenario
+        mismatch = load_mismatch(options["mismatch"]) if "mismatch" in options else self.mismatch
+        self._episode[rows] += 1
+        seeds = [self._seeds[i] for i in rows]
+        episodes = [int(self._episode[i]) for i in rows]
+        self._draw_valves(rows, mismatch, seeds, episodes, options.get("case"))
+        self._drive(rows, scenario, seeds, episodes)
+        self.plant.reset(None if rows.size == self.num_envs else rows)
+        self._step[rows] = 0
+        self._fraction[rows] = 0.0
+        self._moved[rows] = 0.0
+        self._held[rows] = 0.0
+        self._ended[rows] = False
+        if self._recorder is not None:
+            self._recorder.clear(rows)
+
+    def _draw_valves(
+        self, rows: NDArray[np.int64], mismatch: Mismatch | None, seeds: list[int], episodes: list[int], case: Any
+    ) -> None:
+        cases = [-1] * len(seeds) if mismatch is None else list(map(mismatch.case, seeds, episodes))
+        if case is not None:
+            listed = mismatch.cases if mismatch is not None else None
+            if listed is None:
+                raise InputError("reset: option case needs a mismatch with a fixed list of cases (val, test_interp, ...)")
+            cases = [int(case) + int(i) for i in rows] if np.ndim(case) == 0 else [int(case[i]) for i in rows]
+            if not all(0 <= each < listed for each in cases):
+                raise InputError(f"reset: option case: cases of this mismatch are 0 ... {listed - 1}")
+        self._case[rows] = cases
+        self._fault[rows] = ""
+        values: dict[str, Floats] = {}
+        if mismatch is not None:
+            if set(mismatch.effects) - set(self.plant.effects):
+                if rows.size < self.num_envs:
+                    raise InputError("reset: this mismatch has effects the plant lacks so far: reset all rows with it")
+                self._build(mismatch)
+            drawn = mismatch.draw(seeds, episodes, cases, self.model)
+            values = drawn.values
+            self._fault[rows] = drawn.fault
+            for name in values:
+                if name not in self._settable:
+                    nominal = SENSOR_PARAMETERS[name].nominal if name in SENSOR_PARAMETERS else None
+                    self._settable[name] = self.model.pair(name) if nominal is None else (nominal, nominal)
+        for name, own in self._settable.items():
+            pairs = values.get(name, own)
+            if name in self._sensor:
+                self._sensor[name][rows] = pairs
+            else:
+                self.plant.set(name, pairs, rows)
+        self._rated[rows] = self.plant.get("u_rated")[rows]
+        stuck = self._sensor["speed_sensor.stuck_from"][rows]
+        finite = stuck < inf
+        self._stuck[rows] = _NEVER
+        # At the earliest from the first reading on, which it then holds.
+        first = np.maximum(1, np.ceil(np.where(finite, stuck, 0.0) / self.control_period - 1e-9))
+        self._stuck[rows] = np.where(finite, first.astype(np.int64), _NEVER)
+
+    def _drive(self, rows: NDArray[np.int64], scenario: Scenario, seeds: list[int], episodes: list[int]) -> None:
+        steps = scenario.steps(self.control_period)
+        self._make_room(steps + 1)
+        self._last[rows] = steps if self.max_episode_steps is None else min(steps, self.max_episode_steps)
+        noisy = bool(self._levels.any())
+        if not scenario.random:
+            if self._course is None or self._course[0] is not scenario:
+                self._course = (scenario, scenario.reference(self.control_period))
+            self._setpoint[rows, : steps + 1] = self._course[1].setpoint
+            self._load[rows, : steps + 1] = self._course[1].load
+        for row, seed, episode in zip(rows, seeds, episodes, strict=True):
+            if scenario.random:
+                drawn = scenario.reference(self.control_period, _stream(seed, episode, SCENARIO_STREAM))
+                self._setpoint[row, : steps + 1], self._load[row, : steps + 1] = drawn.setpoint, drawn.load
+            if noisy:
+                stream = _stream(seed, episode, NOISE_STREAM)
+                stream.standard_normal(out=self._noise[row, : steps + 1], dtype=np.float32)
+
+    def _make_room(self, length: int) -> None:
+        have = self._setpoint.shape[1]
+        if length > have:
+            self._setpoint = np.pad(self._setpoint, ((0, 0), (0, length - have)))
+            self._load = np.pad(self._load, ((0, 0), (0, length - have), (0, 0)))
+            self._noise = np.pad(self._noise, ((0, 0), (0, length - have), (0, 0)))
+
+    # --- outputs --------------------------------------------------------------------------------------------------
+    def _outputs(self) -> Result:
+        n = self.num_envs
+        return (
+            np.empty(self._frames.shape, np.float32),
+            np.zeros((n, TRUE)),
+            np.zeros(n),
+            np.zeros(n, np.bool_),
+            np.zeros(n, np.bool_),
+        )
+
+    def _look(self, rows: NDArray[np.int64], result: Result) -> None:
+        look(
+            rows, self.plant.memory, self._half, self._where, self._step, self._last, self._setpoint, self._noise,
+            self._levels, SCALES, LIMIT, self._sensor["speed_sensor.noise_factor"], self._stuck, self._held,
+            self._fraction, self._moved, self._rated, self._weights, self._frames, *result,
+        )  # fmt: skip
+        if self._recorder is not None:
+            self._recorder.add(rows, result[1], self._fraction, self.plant.spool)
+
+    def _step_info(self, true: Floats, terminated: NDArray[np.bool_]) -> dict[str, Any]:
+        given = np.ones(self.num_envs, np.bool_)
+        info: dict[str, Any] = {}
+        for key, column in COLUMNS.items():
+            info[key] = true[:, column]
+            info["_" + key] = given
+        if terminated.any():
+            info["termination"] = np.where(terminated, DIVERGED, None)
+            info["_termination"] = terminated.copy()
+        return info
+
+    def _reset_info(self, info: dict[str, Any], rows: NDArray[np.int64], true: Floats) -> dict[str, Any]:
+        """Adds what belongs to the first observation of some rows."""
+        mask = np.zeros(self.num_envs, np.bool_)
+        mask[rows] = True
+        for key in _AT_RESET:
+            if key not in info:
+                info[key], info["_" + key] = true[:, COLUMNS[key]], mask
+        pairs: dict[str, Any] = {}
+        for name, values in self.pairs.items():
+            pairs[name], pairs["_" + name] = values, mask
+        for key, value in (("mismatch", pairs), ("fault", self._fault.copy()), ("case", self._case.copy())):
+            info[key], info["_" + key] = value, mask
+        return info
+
+
+def _stream(seed: int, episode: int, component: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(episode, component))))
+
+
+def _masked(info: dict[str, Any], mask: NDArray[np.bool_], start: str = "") -> dict[str, Any]:
+    """Info whose keys with that start hold for the rows of the mask only."""
+    narrowed = dict(info)
+    for key in info:
+        if key.startswith("_" + start):
+            narrowed[key] = info[key] & mask
+    return narrowed

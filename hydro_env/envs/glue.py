@@ -1,0 +1,118 @@
+"""The compiled part of a step around the plant: commands in; sensors, reward and true signals out.
+
+Both functions work row by row on arrays of any number of rigs, with the same arithmetic in the same order for each,
+so that a row of a batch is bit for bit the same as that row alone.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, pi
+
+import numpy as np
+from numba import njit
+
+__all__ = ["COLUMNS", "SIGNALS", "apply", "look"]
+
+#: Signals of the plant's memory that `look` reads, in the order of its argument `where`.
+SIGNALS = ("speed", "angle", "measured_speed", "current", "pressure", "diverged")
+
+#: Columns of the table of true signals that `look` fills.
+COLUMNS = {
+    "speed_rpm": slice(0, 2),
+    "setpoint_rpm": 2,
+    "speed_difference_rpm": 3,
+    "command_V": slice(4, 6),
+    "angle_difference_deg": 6,
+    "reward_tracking": 7,
+    "reward_difference": 8,
+    "reward_variation": 9,
+}
+TRUE = 10
+
+_TO_RPM = 60.0 / (2.0 * pi)
+_TO_DEG = 180.0 / pi
+
+
+@njit(cache=True, error_model="numpy")
+def apply(actions, rated, step, last, loads, fraction, moved, command, load):
+    """Turns actions (N, 2) into commands and loads (N, 2) of the period that begins; False if one is not finite.
+
+    rated (N, 2) in V; step, last (N,): row of the episode, its last row; loads (N, rows, 2) in N m; fraction (N, 2): the
+    command in force, replaced; moved (N,): its mean absolute change.
+    """
+    for i in range(actions.shape[0]):
+        if not (isfinite(actions[i, 0]) and isfinite(actions[i, 1])):
+            return False
+    for i in range(actions.shape[0]):
+        row = min(step[i], last[i])
+        moved[i] = 0.0
+        for c in range(2):
+            action = min(max(actions[i, c], -1.0), 1.0)
+            moved[i] += 0.5 * abs(action - fraction[i, c])
+            fraction[i, c] = action
+            command[i, c] = action * rated[i, c]
+            load[i, c] = loads[i, row, c]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def look(
+    rows, memory, half, where, step, last, setpoint, noise, levels, scales, limit, factor, stuck, held, fraction, moved,
+    rated, weights, frames, observation, true, reward, terminated, truncated,
+):  # fmt: skip
+    """Sensors, reward and true signals of some rows at the instant `step` (N,) of their episodes.
+
+    rows: numbers of the rows. memory, half, where: the plant's memory and the rows of `SIGNALS` in it. setpoint
+    (N, rows) in rad/s; noise (N, rows, 6), standard normal; levels (6,) and scales (9,) of the observation. factor, stuck,
+    held (N, 2): noise factor of the speed sensors, row from which on one is stuck, and what it last showed. frames (N, n):
+    the frames seen last, updated. The last five are filled: observation (N, n), true (N, TRUE), reward, terminated,
+    truncated (N,).
+    """
+    frame = scales.shape[0]
+    width = frames.shape[1]
+    now = np.empty(frame)
+    for i in rows:
+        block = i // half
+        lane = i - block * half
+        cells = memory[block]
+        t = min(step[i], last[i])
+        target = setpoint[i, t]
+        now[0] = target / scales[0]
+        for c in range(2):
+            at = lane + c * half
+            speed = cells[where[2], at] / scales[1 + c] + noise[i, t, c] * levels[c] * factor[i, c]
+            if step[i] >= stuck[i, c]:
+                speed = held[i, c]
+            held[i, c] = speed
+            now[1 + c] = speed
+            now[3 + c] = cells[where[3], at] / scales[3 + c] + noise[i, t, 2 + c] * levels[2 + c]
+            now[5 + c] = cells[where[4], at] / scales[5 + c] + noise[i, t, 4 + c] * levels[4 + c]
+            now[7 + c] = fraction[i, c]
+        first = step[i] == 0
+        for j in range(width - frame):
+            frames[i, j] = frames[i, j + frame]
+        for j in range(frame):
+            now[j] = min(max(now[j], -limit), limit)
+            frames[i, width - frame + j] = now[j]
+        if first:
+            for j in range(width):
+                frames[i, j] = now[j % frame]
+        for j in range(width):
+            observation[i, j] = frames[i, j]
+
+        one = cells[where[0], lane] * _TO_RPM
+        two = cells[where[0], lane + half] * _TO_RPM
+        aim = setpoint[i, max(t - 1, 0)] * _TO_RPM  # the set-point that was in force
+        true[i, 0] = one
+        true[i, 1] = two
+        true[i, 2] = target * _TO_RPM
+        true[i, 3] = one - two
+        true[i, 4] = fraction[i, 0] * rated[i, 0]
+        true[i, 5] = fraction[i, 1] * rated[i, 1]
+        true[i, 6] = (cells[where[1], lane] - cells[where[1], lane + half]) * _TO_DEG
+        true[i, 7] = -weights[0] * 0.5 * (abs(one - aim) + abs(two - aim))
+        true[i, 8] = -weights[1] * abs(one - two)
+        true[i, 9] = -weights[2] * moved[i]
+        terminated[i] = cells[where[5], lane] > 0.0 or cells[where[5], lane + half] > 0.0
+        truncated[i] = step[i] >= last[i]
+        reward[i] = true[i, 7] + true[i, 8] + true[i, 9] - (weights[3] if terminated[i] else 0.0)

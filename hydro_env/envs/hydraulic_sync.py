@@ -1,0 +1,182 @@
+"""The environment: keep two hydraulic motors in step although their valves differ."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from ..plant import Plant, PlantModel
+from ..tasks.mismatch import Mismatch
+from ..tasks.scenarios import Scenario
+from .batch import DIVERGED, HydraulicSyncVectorEnv
+from .reward import Reward
+
+__all__ = ["HydraulicSyncEnv"]
+
+
+class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """
+    ## Description
+
+    Two hydraulic motors, each behind its own proportional valve, are to turn at the same speed, the set-point's. The
+    valves are of one type and yet differ: dead zone, gain, friction, offset. Who commands them sees what sensors on such
+    a rig show, and knows nothing of the valves he was given.
+
+    The plant is that of the paper "Impact of proportional valves' differences to ensure uniform motion of hydraulic
+    motors", extended by what its equations leave out; see `hydro_env.plant`.
+
+    ## Action space
+
+    `Box(-1, 1, (2,), float32)`: the commands of valve 1 and valve 2 as fractions of the rated command (73 V), held over
+    the control period. Values beyond are clipped; values that are not finite raise a ValueError.
+
+    ## Observation space
+
+    `Box(-10, 10, (9 * history,), float32)`: what can be measured, divided by fixed scales. With `history` above 1 the
+    last frames, oldest first; at the start of an episode the first frame stands for those before it.
+
+    | Num | Signal | 1.0 stands for | Noise (standard deviation) |
+    |-----|--------|----------------|----------------------------|
+    | 0 | set-point in force from now on | 600 rpm | none |
+    | 1, 2 | speeds of motors 1 and 2 | 600 rpm | 1 rpm |
+    | 3, 4 | coil currents of valves 1 and 2 | 0.73 A | 2 mA |
+    | 5, 6 | pressure differences over motors 1 and 2 | 10 bar | 0.05 bar |
+    | 7, 8 | the last action, clipped | rated command | none |
+
+    `hydro_env.envs.observation.decode` gives them back in SI.
+
+    ## Reward
+
+    Minus the cost of the period: 0.5 |speed - set-point| / 100 rpm (mean of both motors) + 1.5 |speed 1 - speed 2| /
+    100 rpm + 0.1 |change of action| (mean of both valves). Speeds are the true ones at the end of the period, the set-point
+    the one that was in force. The terms are in `info`; `hydro_env.envs.reward.Reward` describes the weights.
+
+    ## Start
+
+    Both motors at rest, both spools centred, a pair of valves drawn from `mismatch`, a random scenario drawn anew.
+
+    ## End
+
+    *Truncation* at the end of the scenario. *Termination* only if the simulation leaves the bounds of sense, which costs 10
+    once; `info["termination"]` then says so.
+
+    ## Info
+
+    True values, without noise and lag: `speed_rpm` (2,), `setpoint_rpm`, `speed_difference_rpm` (1 less 2), `command_V` (2,),
+    `angle_difference_deg`; after a step `reward_tracking`, `reward_difference`, `reward_variation`; after a reset `mismatch`
+    (parameter: (2,) values, SI), `fault` (its name, or "") and `case` (number in the split's list, -1 if it has none).
+
+    ## Arguments
+
+    `gymnasium.make("hydro_env:HydraulicSync-v0", plant="paper", scenario="setpoint_steps", mismatch="test_interp")`
+
+    * `plant`: preset, YAML file, mapping or `PlantModel`. Default `paper_dead_zone`.
+    * `scenario`: a name of `hydro_env.tasks.SCENARIOS`, step tables (see there) or a `Scenario`. Default `random_steps`.
+    * `mismatch`: a split (`train`, `val`, `test_interp`, `test_extrap`, `faulted`), a named pair (`paper_pair`), a YAML file
+      or mapping of parameters to ranges or values, or None for the plant's own pair. Default `train`.
+    * `control_period`: s, default 0.01.
+    * `render_mode`: None or "rgb_array" (Gymnasium shows it in a window for "human", given pygame).
+    * `history`: frames in an observation, default 1.
+    * `noise`: factor on the sensors' noise, 0 for none, or levels such as {"speed_rpm": 2.0}.
+    * `reward`: weights to be changed, such as {"variation": 0.5}.
+
+    `reset(options=...)` takes, for that episode, `mismatch`, `scenario` and `case` (number of the case of a split with a
+    fixed list). Anything unknown raises `hydro_env.errors.InputError`.
+
+    ## Seeds
+
+    `reset(seed=s)` begins the first episode of seed s, each `reset()` after it the next one. Mismatch, noise and scenario
+    have a random stream of their own for each seed and episode. In a split with a fixed list of n cases the first
+    episode of seed s meets case s modulo n, whatever else is chosen.
+
+    ## Version history
+
+    * v0: first version.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012 (Gymnasium's way)
+
+    def __init__(
+        self,
+        plant: str | Path | Mapping[str, Any] | PlantModel | Plant = "paper_dead_zone",
+        scenario: str | Mapping[str, Any] | Scenario = "random_steps",
+        mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "train",
+        control_period: float = 0.01,
+        render_mode: str | None = None,
+        *,
+        history: int = 1,
+        noise: float | Mapping[str, float] = 1.0,
+        reward: Mapping[str, float] | Reward | None = None,
+    ) -> None:
+        self.batch = HydraulicSyncVectorEnv(
+            1,
+            plant,
+            scenario,
+            mismatch,
+            control_period,
+            render_mode,
+            history=history,
+            noise=noise,
+            reward=reward,
+            autoreset_mode=AutoresetMode.DISABLED,
+        )
+        self.render_mode = render_mode
+        self.metadata = {**type(self).metadata, "render_fps": self.batch.metadata["render_fps"]}
+        self.observation_space = self.batch.single_observation_space
+        self.action_space = self.batch.single_action_space
+        self._seeded = False
+
+    @property
+    def plant(self) -> Plant:
+        """The plant, a batch of one."""
+        return self.batch.plant
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begins an episode; see the class. InputError for unknown options."""
+        super().reset(seed=seed)
+        if seed is None and not self._seeded:
+            seed = self.np_random_seed
+        self._seeded = True
+        observation, told = self.batch.reset(seed=None if seed is None else [seed], options=options)
+        info: dict[str, Any] = {}
+        for key, value in told.items():
+            if key == "mismatch":
+                info[key] = {name: pair[0] for name, pair in value.items() if not name.startswith("_")}
+            elif not key.startswith("_"):
+                info[key] = value[0] if value.ndim > 1 or value.dtype == object else value[0].item()
+        return observation[0], info
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """One control period; see the class. ValueError for an action that is not finite or not of the shape (2,)."""
+        observation, true, reward, terminated, truncated = self.batch.advance((action,))
+        row = true[0]
+        values = row.tolist()
+        info: dict[str, Any] = {
+            "speed_rpm": row[0:2],
+            "setpoint_rpm": values[2],
+            "speed_difference_rpm": values[3],
+            "command_V": row[4:6],
+            "angle_difference_deg": values[6],
+            "reward_tracking": values[7],
+            "reward_difference": values[8],
+            "reward_variation": values[9],
+        }
+        ended = bool(terminated[0])
+        if ended:
+            info["termination"] = DIVERGED
+        return observation[0], float(reward[0]), ended, bool(truncated[0]), info
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """A picture (height, width, 3) of the recent past, if `render_mode` is "rgb_array"."""
+        frames = self.batch.render()
+        return None if frames is None else frames[0]

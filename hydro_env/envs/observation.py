@@ -1,0 +1,85 @@
+"""What a controller sees: names, scales, sensors.
+
+An observation is a frame of `OBSERVATION` signals, or with `history=k` the last k frames, newest last. Every signal is
+divided by its fixed physical scale (`SCALES`) inside the environment and clipped to +-`LIMIT`, so that nothing has to be
+normalised, and no statistics saved, outside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+
+__all__ = ["LIMIT", "NOISE", "OBSERVATION", "SCALES", "Measurements", "decode", "noise_levels"]
+
+Floats = NDArray[np.float64]
+
+_RPM = 2.0 * pi / 60.0
+_BAR = 1e5
+
+#: Signals of a frame, in order.
+OBSERVATION = (
+    "setpoint", "speed_1", "speed_2", "current_1", "current_2", "pressure_1", "pressure_2", "command_1", "command_2",
+)  # fmt: skip
+FRAME = len(OBSERVATION)
+
+#: What 1.0 stands for: 600 rpm, in rad/s; the rated current, A; 10 bar, in Pa; the rated command.
+SCALES: Floats = np.array([600 * _RPM] * 3 + [0.73] * 2 + [10 * _BAR] * 2 + [1.0] * 2)
+SCALES.setflags(write=False)
+
+#: Scaled signals are clipped to +-LIMIT: 6000 rpm, 7.3 A, 100 bar, far beyond what the rig does.
+LIMIT = 10.0
+
+#: Standard deviations of the sensors' noise, by key of the `noise` argument, in the units these keys name.
+NOISE: dict[str, float] = {"speed_rpm": 1.0, "current_A": 0.002, "pressure_bar": 0.05}
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """What the sensors show, SI: setpoint (N,) and speed (N, 2) in rad/s, current (N, 2) in A, pressure difference (N, 2)
+    in Pa, and the command given last, (N, 2), as a fraction of the rated one."""
+
+    setpoint: Floats
+    speed: Floats
+    current: Floats
+    pressure: Floats
+    command: Floats
+
+
+def decode(observation: NDArray[np.floating]) -> Measurements:
+    """The newest frame of observations (N, n) in SI. ValueError if n is no multiple of the length of a frame."""
+    array = np.asarray(observation)
+    if array.ndim != 2 or array.shape[1] == 0 or array.shape[1] % FRAME:
+        raise ValueError(f"observations have the shape {array.shape}, expected (N, {FRAME}) or (N, k * {FRAME})")
+    frame = array[:, -FRAME:] * SCALES
+    return Measurements(frame[:, 0], frame[:, 1:3], frame[:, 3:5], frame[:, 5:7], frame[:, 7:9])
+
+
+def noise_levels(noise: float | Mapping[str, float]) -> Floats:
+    """Standard deviations (6,) of speeds, currents and pressures, scaled like the observation.
+
+    `noise` is a factor on `NOISE` (0 for none) or gives single levels in its units. InputError for anything else.
+    """
+    levels = dict(NOISE)
+    if isinstance(noise, Mapping):
+        for key, value in noise.items():
+            if key not in levels:
+                raise InputError(f"noise: unknown key {key!r}: known are {', '.join(levels)}")
+            levels[key] = _level(key, value)
+    else:
+        factor = _level("factor", noise)
+        levels = {key: factor * value for key, value in levels.items()}
+    speed, current, pressure = levels["speed_rpm"] * _RPM, levels["current_A"], levels["pressure_bar"] * _BAR
+    return np.array([speed, speed, current, current, pressure, pressure]) / SCALES[1:7]
+
+
+def _level(key: str, value: object) -> float:
+    if isinstance(value, (int, float)) and 0.0 <= value < np.inf:
+        return float(value)
+    raise InputError(f"noise: {key} is {value!r}, expected a number of at least 0")

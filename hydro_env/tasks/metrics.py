@@ -1,0 +1,130 @@
+"""How well the two motors kept together and followed the set-point: scores of recorded episodes.
+
+Every metric is computed from true signals (no sensor noise), for all rigs of a batch at once. Rows n = 0 ... T - 1 of a
+trace lie at n * period; row 0 is the rest state in which the episode starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+
+__all__ = ["METRICS", "SETTLED_RPM", "Metric", "Trace", "compute"]
+
+Floats = NDArray[np.float64]
+
+#: The motors count as in step while their speeds differ by no more than this, rpm.
+SETTLED_RPM = 10.0
+#: Changes between two rows from which on a change of set-point (rpm) or load (N m) starts a new settling.
+EVENT_RPM, EVENT_NM = 50.0, 0.1
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Episodes of N rigs with T rows, SI at no place: what a reader of scores expects.
+
+    period: control period in s
+    setpoint_rpm: (T, N)
+    speed_rpm: (T, N, 2)
+    angle_difference_deg: (T, N), shaft 1 ahead of shaft 2 is positive
+    command: (T, N, 2), fraction of the rated command, row n in force from row n on (a last row without effect may be
+        missing: (T - 1, N, 2))
+    load_Nm: (T, N, 2), or None for no load
+    """
+
+    period: float
+    setpoint_rpm: Floats
+    speed_rpm: Floats
+    angle_difference_deg: Floats
+    command: Floats
+    load_Nm: Floats | None = None
+
+    @property
+    def difference_rpm(self) -> Floats:
+        """Speed of motor 1 less that of motor 2, (T, N)."""
+        return self.speed_rpm[..., 0] - self.speed_rpm[..., 1]
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One score; lower is better for all of them. `of(trace)` -> (N,)."""
+
+    name: str
+    unit: str
+    definition: str
+    of: Callable[[Trace], Floats]
+
+
+def _largest_difference(trace: Trace) -> Floats:
+    return np.abs(trace.difference_rpm).max(axis=0)
+
+
+def _rms_difference(trace: Trace) -> Floats:
+    return np.sqrt(np.mean(trace.difference_rpm**2, axis=0))
+
+
+def _settling_time(trace: Trace) -> Floats:
+    apart = np.abs(trace.difference_rpm) > SETTLED_RPM
+    rows = np.arange(apart.shape[0])[:, None]
+    event = np.zeros(apart.shape, dtype=bool)
+    event[0] = True
+    event[1:] |= np.abs(np.diff(trace.setpoint_rpm, axis=0)) > EVENT_RPM
+    if trace.load_Nm is not None:
+        event[1:] |= (np.abs(np.diff(trace.load_Nm, axis=0)) > EVENT_NM).any(axis=2)
+    # For every row, the event it follows; the longest way from an event to the last row before the next one with the
+    # motors apart, plus the row after it, in which they are together.
+    since = rows - np.maximum.accumulate(np.where(event, rows, 0), axis=0)
+    return np.where(apart, since + 1, 0).max(axis=0) * trace.period
+
+
+def _angle_difference(trace: Trace) -> Floats:
+    return np.abs(trace.angle_difference_deg).max(axis=0)
+
+
+def _tracking(trace: Trace) -> Floats:
+    return np.mean(np.abs(trace.speed_rpm - trace.setpoint_rpm[..., None]), axis=(0, 2))
+
+
+def _variation(trace: Trace) -> Floats:
+    moves = np.abs(np.diff(trace.command, axis=0, prepend=np.zeros_like(trace.command[:1])))
+    return moves.mean(axis=(0, 2)) / trace.period
+
+
+_ALL = (
+    Metric(
+        "max_speed_difference_rpm", "rpm", "largest absolute difference of the two speeds in the episode", _largest_difference
+    ),
+    Metric("rms_speed_difference_rpm", "rpm", "root of the mean squared difference of the two speeds", _rms_difference),
+    Metric(
+        "sync_settling_time_s", "s",
+        f"longest time that passes after a step (the start, a change of set-point of more than {EVENT_RPM:g} rpm or of load of "
+        f"more than {EVENT_NM:g} N m between two rows) until the speeds differ by no more than {SETTLED_RPM:g} rpm and stay so up "
+        "to the next step; if they never do, the time up to the next step",
+        _settling_time,
+    ),
+    Metric(
+        "shaft_angle_difference_deg", "deg", "largest absolute difference of the angles turned since the start", _angle_difference
+    ),
+    Metric("tracking_mae_rpm", "rpm", "mean absolute difference between speed and set-point, over both motors", _tracking),
+    Metric(
+        "command_variation", "1/s", "sum of the absolute changes of the command (fraction of the rated one; from zero at the "
+        "start) per second, mean of both valves", _variation,
+    ),
+)  # fmt: skip
+
+#: The metrics by name.
+METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
+
+
+def compute(trace: Trace, names: Iterable[str] | None = None) -> dict[str, Floats]:
+    """Metrics of a trace, each (N,); all, or those named. InputError for an unknown name."""
+    chosen = list(METRICS if names is None else names)
+    for name in chosen:
+        if name not in METRICS:
+            raise InputError(f"unknown metric {name!r}: known are {', '.join(METRICS)}")
+    return {name: METRICS[name].of(trace) for name in chosen}

@@ -1,0 +1,360 @@
+"""How the two valves of a rig differ: splits, distributions and named pairs, and the drawing of pairs from them.
+
+A mismatch is a named split or pair of `splits.yaml`, a YAML file, or a mapping from parameters to what they are:
+
+    {"Kq": {"loguniform": [0.31, 0.476]}, "dead_zone.overlap_positive": [70e-6, 0.0], "R": 100.0}
+
+Parameters are those of the plant ("Kq", "dead_zone.overlap_positive", ...) and of the speed sensors, see
+`SENSOR_PARAMETERS`; values are SI.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..plant import CATALOGUE, PARAMETERS, Parameter, PlantModel, parameter_of
+
+__all__ = ["NAMED_PAIRS", "SENSOR_PARAMETERS", "SPLITS", "Mismatch", "Pairs", "Range", "draw_pairs", "load_mismatch"]
+
+Floats = NDArray[np.float64]
+
+#: Faults of the speed sensors, which act on the measurement alone and so are no part of the plant.
+SENSOR_PARAMETERS: dict[str, Parameter] = {
+    "speed_sensor.stuck_from": Parameter(
+        "stuck_from", "s", inf, 0.0, inf, "assumed", "time of the episode from which on the reading stays what it was", 1.0
+    ),
+    "speed_sensor.noise_factor": Parameter(
+        "noise_factor", "1", 1.0, 0.0, 100.0, "assumed", "noise over the usual noise", 20.0, log=True
+    ),
+}
+
+#: Component of the streams of an episode from which pairs are drawn.
+MISMATCH_STREAM = 0
+#: Cases of successive episodes of one seed lie this far apart, so that the rows of a batch meet different ones.
+CASE_STRIDE = 389
+
+
+@dataclass(frozen=True)
+class Range:
+    """What one parameter may be: per channel from `low` to `high`, evenly or (`log`) evenly in its logarithm.
+
+    `at_most` names a parameter drawn before that lowers the upper end; `shared` gives both channels the same value.
+    """
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+    log: bool = False
+    at_most: str | None = None
+    shared: bool = False
+
+    def value(self, share: Floats, drawn: Mapping[str, Floats]) -> Floats:
+        """Values (n, 2) for shares (n, 2) in [0, 1) of the range, given the parameters `drawn` before."""
+        low, high = np.array(self.low), np.array(self.high)
+        if (low == high).all():
+            return np.broadcast_to(low, share.shape).copy()
+        if self.shared:
+            share = share[:, :1]
+        if self.at_most is not None:
+            high = np.minimum(high, drawn[self.at_most])
+        if self.log:
+            return low * np.exp(share * np.log(high / low))
+        return low + share * (high - low)
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Drawn pairs: `values` maps parameters to (n, 2), `fault` names the fault of each pair ("" for none)."""
+
+    values: dict[str, Floats]
+    fault: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """A distribution of pairs.
+
+    `cases` is the length of a fixed list (None: endless). `outside` are ranges of which at least one value of each pair
+    lies outside. `faults` maps the name of a fault to what its parameters become on one channel.
+    """
+
+    name: str
+    ranges: Mapping[str, Range]
+    entropy: int = 0
+    cases: int | None = None
+    outside: Mapping[str, Range] = field(default_factory=dict)
+    faults: Mapping[str, Mapping[str, Range]] = field(default_factory=dict)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all parameters that a pair of this mismatch may set."""
+        return tuple(dict.fromkeys((*self.ranges, *(name for fault in self.faults.values() for name in fault))))
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effects of the plant that these parameters need."""
+        return tuple(n for n in CATALOGUE if any(p.startswith(f"{n}.") for p in self.parameters))
+
+    @property
+    def random(self) -> bool:
+        """Whether pairs are drawn at all, or are always the same."""
+        return bool(self.faults) or any(r.low != r.high for r in self.ranges.values())
+
+    def case(self, seed: int, episode: int) -> int:
+        """Number of the case that an episode of a seed meets: `seed` modulo the list in its first one. -1 if endless."""
+        return -1 if self.cases is None else (seed + CASE_STRIDE * episode) % self.cases
+
+    def draw(self, seeds: Sequence[int], episodes: Sequence[int], cases: Sequence[int], model: PlantModel) -> Pairs:
+        """One pair for each seed and episode, or for each case where that is not negative.
+
+        `model` supplies the healthy values of parameters that only a fault changes. A pair depends on nothing but its
+        own seed and episode, or its case.
+        """
+        count = len(seeds)
+        if not self.random:
+            still = np.zeros((count, 2))
+            return Pairs({name: r.value(still, {}) for name, r in self.ranges.items()}, ("",) * count)
+        streams = [
+            np.random.Generator(np.random.PCG64(self._seed(*which))) for which in zip(seeds, episodes, cases, strict=True)
+        ]
+        values = self._draw(streams)
+        again = self._inside(values)
+        while again.any():
+            rows = np.flatnonzero(again)
+            for name, redrawn in self._draw([streams[i] for i in rows]).items():
+                values[name][rows] = redrawn
+            again[rows] = self._inside({name: value[rows] for name, value in values.items()})
+        if not self.faults:
+            return Pairs(values, ("",) * count)
+        return self._with_faults(values, streams, cases, model)
+
+    def _seed(self, seed: int, episode: int, case: int) -> np.random.SeedSequence:
+        if case >= 0:
+            return np.random.SeedSequence(self.entropy, spawn_key=(case,))
+        return np.random.SeedSequence([self.entropy, seed], spawn_key=(episode, MISMATCH_STREAM))
+
+    def _draw(self, streams: Sequence[np.random.Generator]) -> dict[str, Floats]:
+        shares = np.array([stream.random((len(self.ranges), 2)) for stream in streams])
+        values: dict[str, Floats] = {}
+        for column, (name, each) in enumerate(self.ranges.items()):
+            values[name] = each.value(shares[:, column], values)
+        return values
+
+    def _inside(self, values: Mapping[str, Floats]) -> NDArray[np.bool_]:
+        inside = np.full(len(next(iter(values.values()))), bool(self.outside))
+        for name, bounds in self.outside.items():
+            inside &= ((values[name] >= bounds.low) & (values[name] <= bounds.high)).all(axis=1)
+        return inside
+
+    def _with_faults(
+        self, values: dict[str, Floats], streams: Sequence[np.random.Generator], cases: Sequence[int], model: PlantModel
+    ) -> Pairs:
+        names = list(self.faults)
+        for name in self.parameters:
+            if name not in values:
+                values[name] = np.tile(_own(name, model), (len(streams), 1))
+        told = []
+        for row, (stream, case) in enumerate(zip(streams, cases, strict=True)):
+            number = case if case >= 0 else int(stream.integers(2 * len(names)))
+            fault, channel = names[number % len(names)], number // len(names) % 2
+            sick: dict[str, Floats] = {}
+            for name, each in self.faults[fault].items():
+                sick[name] = each.value(stream.random((1, 2)), sick)
+                values[name][row, channel] = sick[name][0, channel]
+            told.append(fault)
+        return Pairs(values, tuple(told))
+
+
+def _own(name: str, model: PlantModel) -> tuple[float, float]:
+    if name in SENSOR_PARAMETERS:
+        return (SENSOR_PARAMETERS[name].nominal,) * 2
+    return model.pair(name)
+
+
+def draw_pairs(
+    mismatch: str | Mapping[str, Any] | Mismatch,
+    cases: int | Iterable[int],
+    *,
+    seed: int = 0,
+    model: PlantModel | None = None,
+) -> Pairs:
+    """The first `cases` pairs, or those with these numbers.
+
+    Of a split with a fixed list these are its cases, whatever the seed; of an endless one those which an environment
+    seeded with `seed` meets in its episodes of these numbers. InputError for a number beyond the list.
+    """
+    source = load_mismatch(mismatch)
+    assert source is not None
+    numbers = list(range(cases)) if isinstance(cases, int) else [int(number) for number in cases]
+    if source.cases is not None and any(not 0 <= number < source.cases for number in numbers):
+        raise InputError(f"split {source.name!r}: a case beyond 0 ... {source.cases - 1} is asked for")
+    listed = [-1] * len(numbers) if source.cases is None else numbers
+    return source.draw([seed] * len(numbers), numbers, listed, model or PlantModel())
+
+
+# --- reading ----------------------------------------------------------------------------------------------------------
+def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> Mismatch | None:
+    """A mismatch from its name, a YAML file, a mapping, or a mismatch (returned as it is); None stays None.
+
+    InputError, in one line that names file and key, for anything that is not right.
+    """
+    if source is None or isinstance(source, Mismatch):
+        return source
+    if isinstance(source, Mapping):
+        return _read_split("mismatch", {"parameters": dict(source)}, "mismatch", {})
+    text = str(source)
+    named = {**SPLITS, **NAMED_PAIRS}
+    if text in named:
+        return named[text]
+    path = Path(source)
+    if path.suffix in (".yaml", ".yml"):
+        try:
+            data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as problem:
+            raise InputError(f"{path}: cannot be read as YAML ({' '.join(str(problem).split())})") from None
+        if not isinstance(data, dict):
+            raise InputError(f"{path}: expected `parameter: value` lines")
+        plain = data if "parameters" in data else {"parameters": data}
+        return _read_split(path.stem, plain, str(path), SPLITS)
+    raise InputError(f"unknown mismatch {text!r}: {_nearest(text, named)}, or the path of a YAML file")
+
+
+def _nearest(word: object, known: Iterable[str]) -> str:
+    names = list(known)
+    close = difflib.get_close_matches(str(word), names, n=1)
+    return f"did you mean {close[0]!r}?" if close else f"known are {', '.join(names)}"
+
+
+def _check_keys(data: Mapping[Any, Any], known: Sequence[str], where: str) -> None:
+    for key in data:
+        if key not in known:
+            raise InputError(f"{where}: unknown key {key!r}: {_nearest(key, known)}")
+
+
+def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[str, Mismatch]) -> Mismatch:
+    _check_keys(data, ("entropy", "cases", "outside", "parameters", "faults"), where)
+    ranges = _read_ranges(data.get("parameters"), where)
+    outside: dict[str, Range] = {}
+    if "outside" in data:
+        if data["outside"] not in others:
+            raise InputError(f"{where}: outside: unknown split {data['outside']!r}: {_nearest(data['outside'], others)}")
+        bounds = others[data["outside"]].ranges
+        outside = {key: bounds[key] for key in bounds if key in ranges}
+        if all(
+            r.low[c] <= ranges[key].low[c] and ranges[key].high[c] <= r.high[c] for key, r in outside.items() for c in (0, 1)
+        ):
+            raise InputError(f"{where}: outside: no range reaches beyond those of {data['outside']!r}")
+    faults = data.get("faults", {})
+    if not isinstance(faults, Mapping):
+        raise InputError(f"{where}: faults: expected `name: {{parameter: range}}` lines")
+    for key, lowest in (("entropy", 0), ("cases", 1)):
+        if key in data and (not isinstance(data[key], int) or data[key] < lowest):
+            raise InputError(f"{where}: {key} is {data[key]!r}, expected a whole number of at least {lowest}")
+    return Mismatch(
+        name=name,
+        ranges=ranges,
+        entropy=data.get("entropy", 0),
+        cases=data.get("cases"),
+        outside=outside,
+        faults={fault: _read_ranges(what, f"{where}: faults.{fault}") for fault, what in faults.items()},
+    )
+
+
+def _read_ranges(data: Any, where: str) -> dict[str, Range]:
+    if not isinstance(data, Mapping):
+        raise InputError(f"{where}: expected `parameter: value` lines, found {data!r}")
+    ranges: dict[str, Range] = {}
+    for name, what in data.items():
+        ranges[str(name)] = _read_range(str(name), what, where, ranges)
+    return ranges
+
+
+def _read_range(name: str, what: Any, where: str, before: Mapping[str, Range]) -> Range:
+    at = f"{where}: {name}"
+    if name not in SENSOR_PARAMETERS:
+        if name.startswith("speed_sensor."):
+            raise InputError(f"{at}: the speed sensor has no such parameter: {_nearest(name, SENSOR_PARAMETERS)}")
+        try:
+            parameter_of(name)
+        except InputError as problem:
+            raise InputError(f"{where}: {problem}") from None
+    shared = "." in name and name in _rig_parameters()
+    if not isinstance(what, Mapping):
+        fixed = _pair(what, at)
+        if shared and fixed[0] != fixed[1]:
+            raise InputError(f"{at}: both channels share this value; one number expected")
+        _check_bounds(name, fixed, at)
+        return Range(fixed, fixed)
+    rest = {key: value for key, value in what.items() if key != "at_most"}
+    if len(rest) != 1 or next(iter(rest)) not in ("uniform", "loguniform"):
+        raise InputError(f"{at}: expected a number, [channel 1, channel 2], or uniform or loguniform: [low, high], found {what!r}")
+    kind, bounds = next(iter(rest.items()))
+    if not isinstance(bounds, Sequence) or isinstance(bounds, str) or len(bounds) != 2:
+        raise InputError(f"{at}: {kind}: expected [low, high], found {bounds!r}")
+    low, high = _pair(bounds, at)
+    if not (np.isfinite([low, high]).all() and low <= high):
+        raise InputError(f"{at}: {kind}: [{low:g}, {high:g}] is no range from low to high")
+    if kind == "loguniform" and low <= 0.0:
+        raise InputError(f"{at}: loguniform needs a low end above zero, found {low:g}")
+    at_most = what.get("at_most")
+    if at_most is not None:
+        if at_most not in before:
+            raise InputError(f"{at}: at_most: {at_most!r} is not among the parameters above it")
+        if min(before[at_most].low) < low:
+            raise InputError(f"{at}: at_most: {at_most} may be lower than the low end {low:g}")
+    _check_bounds(name, (low, high), at)
+    return Range((low, low), (high, high), log=kind == "loguniform", at_most=at_most, shared=shared)
+
+
+def _pair(what: Any, at: str) -> tuple[float, float]:
+    values = list(what) if isinstance(what, (Sequence, np.ndarray)) and not isinstance(what, str) else [what, what]
+    try:
+        if len(values) != 2 or any(isinstance(value, bool) for value in values):
+            raise ValueError
+        pair = (float(values[0]), float(values[1]))
+        if np.isnan(pair).any():
+            raise ValueError
+    except (TypeError, ValueError):
+        raise InputError(f"{at}: {what!r} is neither a number nor one for each of the two channels") from None
+    return pair
+
+
+def _check_bounds(name: str, pair: tuple[float, float], at: str) -> None:
+    if name in PARAMETERS:
+        try:
+            PlantModel(values={name: pair})
+        except InputError as problem:
+            raise InputError(f"{at}: {problem}") from None
+    elif name in SENSOR_PARAMETERS and min(pair) < 0.0:
+        raise InputError(f"{at}: {min(pair):g} is below zero")
+
+
+@cache
+def _rig_parameters() -> frozenset[str]:
+    return frozenset(f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.scope == "rig" for p in e.parameters)
+
+
+def _read_package() -> tuple[dict[str, Mismatch], dict[str, Mismatch]]:
+    data = yaml.safe_load((resources.files(__package__) / "splits.yaml").read_text(encoding="utf-8"))
+    splits: dict[str, Mismatch] = {}
+    for name, what in data["splits"].items():
+        splits[name] = _read_split(name, what, f"splits.yaml: {name}", splits)
+    pairs = {
+        name: _read_split(name, {"parameters": what}, f"splits.yaml: {name}", {}) for name, what in data["pairs"].items()
+    }
+    return splits, pairs
+
+
+#: The named splits and the named pairs of `splits.yaml`.
+SPLITS, NAMED_PAIRS = _read_package()

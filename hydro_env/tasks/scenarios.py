@@ -1,0 +1,196 @@
+"""What is driven: set-point and loads as functions of time, on the control grid.
+
+A scenario is one of `SCENARIOS`, a mapping of step tables, or a `Scenario`:
+
+    {"duration": 3.0, "setpoint_rpm": [[0.2, 400], [1.5, -100]], "load_Nm": [[1.0, 0.5, 0.0]]}
+
+Each row of a table is a time in s and what is in force from then on (zero before the first row); loads have one
+column per channel. A load acts against positive speed. Loads of the scenarios here are shares of `NOMINAL_TORQUE`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import pi
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+
+__all__ = ["NOMINAL_TORQUE", "SCENARIOS", "Reference", "Scenario", "load_scenario"]
+
+Floats = NDArray[np.float64]
+
+#: Nominal load torque, N m. The paper gives none. At its rated command of 73 V the paper's weaker valve V2 without dead
+#: zone just holds 600 rpm against 1.3 N m: Kq x = D w + Km dp with x = 0.86 mm and dp = (tau + B w) / D.
+NOMINAL_TORQUE = 1.3
+
+_RPM = 2.0 * pi / 60.0
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A scenario on the control grid: `setpoint` (T + 1,) in rad/s, `load` (T + 1, 2) in N m, rows at n * period."""
+
+    setpoint: Floats
+    load: Floats
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """`duration` in s and `course(time, stream)` -> set-point (len(time),) in rpm, loads (len(time), 2) in N m.
+
+    A `random` scenario draws its course anew in each episode from `stream`; the others must not use it.
+    """
+
+    name: str
+    summary: str
+    duration: float
+    course: Callable[[Floats, np.random.Generator | None], tuple[Floats, Floats]]
+    random: bool = False
+
+    def steps(self, period: float) -> int:
+        """Number of control periods in an episode. InputError if not even one fits."""
+        steps = round(self.duration / period)
+        if steps < 1:
+            raise InputError(f"scenario {self.name!r}: {self.duration:g} s are shorter than the control period {period:g} s")
+        return steps
+
+    def reference(self, period: float, stream: np.random.Generator | None = None) -> Reference:
+        """The course on the grid of a control period in s."""
+        # Instants are rounded so that a step at 2 s falls into the row 2 s on every grid.
+        time = np.round(np.arange(self.steps(period) + 1) * period, 9)
+        setpoint, load = self.course(time, stream)
+        return Reference(np.asarray(setpoint, dtype=float) * _RPM, np.asarray(load, dtype=float))
+
+
+def _held(time: Floats, table: ArrayLike, columns: int) -> Floats:
+    """Rows [t, value, ...] held until the next one, zero before the first: (len(time), columns)."""
+    rows = np.asarray(table, dtype=float).reshape(-1, 1 + columns)
+    values = np.vstack([np.zeros(columns), rows[:, 1:]])
+    return values[np.searchsorted(rows[:, 0], time, side="right")]
+
+
+def _tables(name: str, summary: str, duration: float, setpoint: ArrayLike, load: ArrayLike = ()) -> Scenario:
+    """A scenario from step tables; loads in N m."""
+
+    return Scenario(name, summary, duration, _TableCourse(np.asarray(setpoint, float), np.asarray(load, float)))
+
+
+@dataclass(frozen=True, eq=False)
+class _TableCourse:
+    setpoint: Floats
+    load: Floats
+
+    def __call__(self, time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
+        return _held(time, self.setpoint, 1)[:, 0], _held(time, self.load, 2)
+
+
+def _share(rows: Sequence[tuple[float, float, float]]) -> Floats:
+    """Loads given as shares of the nominal torque."""
+    return np.asarray(rows) * np.array([1.0, NOMINAL_TORQUE, NOMINAL_TORQUE])
+
+
+def _sine(time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
+    return 400.0 * np.sin(2.0 * pi * 0.5 * time), np.zeros((time.size, 2))
+
+
+def _disturbance(time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
+    wave = 0.3 + 0.2 * np.sin(2.0 * pi * 1.5 * time)
+    load = NOMINAL_TORQUE * np.stack([wave, 0.6 - wave], axis=1)
+    load[time < 1.5] = 0.0
+    return _held(time, [[0.2, 400.0]], 1)[:, 0], load
+
+
+def _random_steps(time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
+    assert stream is not None
+    # A set-point of up to 600 rpm either way every 0.3-2 s, standstill now and then; in two of three episodes each motor
+    # has a load of its own that changes every 0.5-2 s.
+    most = int(time[-1] / 0.3) + 2
+    draw = stream.random((most, 4))
+    changes = np.concatenate([[0.2 * draw[0, 0]], 0.2 * draw[0, 0] + np.cumsum(0.3 + 1.7 * draw[:-1, 1])])
+    levels = np.where(draw[:, 2] < 0.1, 0.0, 600.0 * (2.0 * draw[:, 3] - 1.0))
+    setpoint = _held(time, np.column_stack([changes, levels]), 1)[:, 0]
+    load = np.zeros((time.size, 2))
+    if stream.random() < 2.0 / 3.0:
+        for channel in (0, 1):
+            draw = stream.random((most, 2))
+            # Never the full nominal torque: the weakest pairs could not follow at all.
+            torque = NOMINAL_TORQUE * 0.6 * (2.0 * draw[:, 1] - 1.0)
+            load[:, channel] = _held(time, np.column_stack([np.cumsum(0.5 + 1.5 * draw[:, 0]), torque]), 1)[:, 0]
+    return setpoint, load
+
+
+_ALL = (
+    _tables(
+        "setpoint_steps", "the paper's section 4.1: 0 -> 600 -> -200 -> 600 rpm without load", 6.0,
+        [[0.2, 600.0], [2.0, -200.0], [4.0, 600.0]],
+    ),
+    _tables(
+        "load_step", "the paper's section 4.2: 600 rpm with 10 % of the nominal torque, 100 % from 2 s to 4 s", 6.0,
+        [[0.2, 600.0]], _share([(0.2, 0.1, 0.1), (2.0, 1.0, 1.0), (4.0, 0.1, 0.1)]),
+    ),
+    _tables(
+        "staircase", "up and down through standstill in small steps, one a second", 8.0,
+        [[0.2, 150], [1, 300], [2, 450], [3, 300], [4, 150], [5, 0], [6, -150], [7, -300]],
+    ),
+    Scenario("sine", "400 rpm at 0.5 Hz through standstill, no load", 6.0, _sine),
+    _tables(
+        "unequal_load", "400 rpm; half the nominal torque on one motor only, then on the other", 6.0,
+        [[0.2, 400.0]], _share([(1.5, 0.5, 0.0), (3.5, 0.0, 0.5), (5.0, 0.0, 0.0)]),
+    ),
+    Scenario("disturbance", "400 rpm; from 1.5 s loads that swing against each other at 1.5 Hz", 5.0, _disturbance),
+    Scenario("random_steps", "for training: random set-points, random loads on each motor", 6.0, _random_steps, random=True),
+)  # fmt: skip
+
+#: The scenarios by name.
+SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in _ALL}
+
+
+def load_scenario(source: str | Mapping[str, Any] | Scenario) -> Scenario:
+    """A scenario from its name, from step tables, or a scenario (returned as it is).
+
+    InputError, in one line that names the key, for anything that is not right.
+    """
+    if isinstance(source, Scenario):
+        return source
+    if isinstance(source, str):
+        if source not in SCENARIOS:
+            close = difflib.get_close_matches(source, SCENARIOS, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(SCENARIOS)}"
+            raise InputError(f"unknown scenario {source!r}: {hint}")
+        return SCENARIOS[source]
+    if not isinstance(source, Mapping):
+        raise InputError(f"scenario: expected a name or a mapping of step tables, found {type(source).__name__}")
+    known = ("name", "duration", "setpoint_rpm", "load_Nm")
+    for key in source:
+        if key not in known:
+            raise InputError(f"scenario: unknown key {key!r}: known are {', '.join(known)}")
+    try:
+        duration = float(source["duration"])
+    except (KeyError, TypeError, ValueError):
+        raise InputError("scenario: duration: a number of seconds is needed") from None
+    if not 0.0 < duration < 1e5:
+        raise InputError(f"scenario: duration is {duration:g} s, expected more than 0 and less than 1e5")
+    return _tables(
+        str(source.get("name", "custom")), "step tables", duration,
+        _read_table(source.get("setpoint_rpm", ()), 2, "setpoint_rpm"), _read_table(source.get("load_Nm", ()), 3, "load_Nm"),
+    )  # fmt: skip
+
+
+def _read_table(rows: Any, width: int, key: str) -> Floats:
+    try:
+        table = np.asarray(rows, dtype=float).reshape(-1, width)
+        fits = len(table) == len(rows)
+    except (TypeError, ValueError):
+        fits = False
+    if not fits:
+        columns = "[time, value]" if width == 2 else "[time, channel 1, channel 2]"
+        raise InputError(f"scenario: {key}: expected rows {columns}")
+    if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0.0).any():
+        raise InputError(f"scenario: {key}: times must rise and all values be finite")
+    return table

@@ -1,0 +1,72 @@
+"""Metrics on traces whose scores can be worked out by hand."""
+
+import numpy as np
+import pytest
+
+from hydro_env.errors import InputError
+from hydro_env.tasks.metrics import METRICS, Trace, compute
+
+
+def trace(speeds, *, setpoint=100.0, period=0.5, angle=None, command=None, load=None):
+    """One rig; speeds is a list of (motor 1, motor 2)."""
+    speed = np.array(speeds, dtype=float)[:, None, :]
+    rows = speed.shape[0]
+    return Trace(
+        period=period,
+        setpoint_rpm=np.broadcast_to(np.asarray(setpoint, dtype=float), (rows,))[:, None].copy(),
+        speed_rpm=speed,
+        angle_difference_deg=np.zeros((rows, 1)) if angle is None else np.array(angle, dtype=float)[:, None],
+        command=np.zeros((rows, 1, 2)) if command is None else np.array(command, dtype=float)[:, None, :],
+        load_Nm=None if load is None else np.array(load, dtype=float)[:, None, :],
+    )
+
+
+def test_differences_and_tracking():
+    scores = compute(trace([(100, 100), (103, 99), (90, 102), (100, 100)], angle=[0, 5, -8, 2]))
+    assert scores["max_speed_difference_rpm"] == pytest.approx(12)
+    assert scores["rms_speed_difference_rpm"] == pytest.approx(np.sqrt((16 + 144) / 4))
+    assert scores["shaft_angle_difference_deg"] == pytest.approx(8)
+    assert scores["tracking_mae_rpm"] == pytest.approx((3 + 1 + 10 + 2) / 8)
+
+
+def test_command_variation_counts_the_first_move():
+    # valve 1: 0.5 + 0.5, valve 2: 0.2 + 0 over two periods of 0.5 s: mean of 1.0 and 0.2 in one second
+    scores = compute(trace([(0, 0)] * 2, command=[(0.5, 0.2), (0.0, 0.2)]))
+    assert scores["command_variation"] == pytest.approx(0.6)
+
+
+def test_settling_time():
+    apart, together = (100, 80), (100, 95)
+    value = lambda *rows, **more: compute(trace(rows, **more))["sync_settling_time_s"]  # noqa: E731
+    assert value(together, together) == 0.0
+    # apart in rows 1 and 2: in step again from row 3 on
+    assert value(together, apart, apart, together, together) == pytest.approx(1.5)
+    # out of step once more: only the last time counts
+    assert value(apart, together, apart, together) == pytest.approx(1.5)
+    # never in step: the time up to the end
+    assert value(apart, apart, apart) == pytest.approx(1.5)
+    # a new step at row 3 starts the clock again: 1 row before it, 2 after
+    assert value(apart, together, together, apart, apart, together, setpoint=[0, 0, 0, 400, 400, 400]) == pytest.approx(1.0)
+    # so does a step of load, and one of either motor
+    loads = [(0, 0)] * 3 + [(0, 1)] * 3
+    assert value(apart, together, together, apart, apart, together, load=loads) == pytest.approx(1.0)
+    # a slow ramp is no step
+    assert value(apart, together, together, apart, apart, together, setpoint=[0, 40, 80, 120, 160, 200]) == pytest.approx(2.5)
+
+
+def test_rigs_are_scored_apart():
+    one, two = trace([(100, 100), (110, 90)]), trace([(100, 70), (100, 100)])
+    both = Trace(
+        0.5,
+        *(
+            np.concatenate([getattr(one, key), getattr(two, key)], axis=1)
+            for key in ("setpoint_rpm", "speed_rpm", "angle_difference_deg", "command")
+        ),
+    )
+    for name, metric in METRICS.items():
+        np.testing.assert_array_equal(compute(both)[name], [metric.of(one)[0], metric.of(two)[0]])
+
+
+def test_unknown_metric():
+    with pytest.raises(InputError, match="speed_error"):
+        compute(trace([(0, 0)]), ["speed_error"])
