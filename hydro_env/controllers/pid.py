@@ -1,0 +1,86 @@
+"""The PID law of the paper's eq. (12) and the controller that runs one on each motor.
+
+Sampled as usual in practice: the integral by backward differences, the derivative through a first-order
+filter (`filter_rate` N, 100 1/s assumed since the paper gives none), and no further integration into a
+limit (conditional integration, which needs no parameter of its own).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hydro_env.controllers.base import FRACTION_PER_V, RPM, Controller, Floats, Gain, Measurements
+
+__all__ = ["KP", "TABLE_III", "TI", "Pid", "PidController", "per_rpm"]
+
+TABLE_III = {"Kp": (0.016, 0.023), "Ti": (0.156, 0.150), "Td": (0.005, 0.0)}
+"""The paper's gains of valves V1 and V2: V/rpm, s, s."""
+
+KP = Gain("Kp", "V/rpm", 1e-3, 0.5, summary="proportional gain")
+TI = Gain("Ti", "s", 0.02, 3.0, summary="integral time")
+TD = Gain("Td", "s", 1e-4, 0.05, summary="derivative time")
+
+
+def per_rpm(gain: ArrayLike) -> Floats:
+    """A gain in V/rpm as a fraction of the rated command per rad/s."""
+    return np.asarray(gain, dtype=float) * FRACTION_PER_V / RPM
+
+
+class Pid:
+    """u = kp (e + 1/ti int e dt + td de/dt) + feedforward, limited to [low, high]; vectorised by
+    broadcasting.
+    """
+
+    def __init__(
+        self,
+        kp: ArrayLike,
+        ti: ArrayLike,
+        td: ArrayLike = 0.0,
+        *,
+        filter_rate: float = 100.0,
+        low: float = -1.0,
+        high: float = 1.0,
+    ) -> None:
+        self.kp, self.ti, self.td = (np.asarray(value, dtype=float) for value in (kp, ti, td))
+        self.filter_rate, self.low, self.high = filter_rate, low, high
+        self.period = 0.0
+        self.integral: Floats = np.zeros(())
+        self.derivative: Floats = np.zeros(())
+        self._last_error: Floats | None = None
+
+    def start(self, period: float, output: ArrayLike) -> None:
+        """Starts with the output that is in force, at a sample time of `period` s, without a derivative
+        kick.
+        """
+        self.period = period
+        self.integral = np.array(output, dtype=float)
+        self.derivative = np.zeros_like(self.integral)
+        self._last_error = None
+
+    def step(self, error: Floats, feedforward: Floats | float = 0.0) -> Floats:
+        """The output for this sample's error; both have the shape of the output at the start."""
+        change = error - (error if self._last_error is None else self._last_error)
+        self._last_error = error
+        rate = self.filter_rate * self.period
+        self.derivative = (self.derivative + self.kp * self.td * self.filter_rate * change) / (1.0 + rate)
+        grown = self.integral + self.kp * (self.period / self.ti) * error
+        rest = self.kp * error + self.derivative + feedforward
+        output = rest + grown
+        into_high = (output > self.high) & (grown > self.integral)
+        into_low = (output < self.low) & (grown < self.integral)
+        self.integral = np.where(into_high | into_low, self.integral, grown)
+        return np.clip(rest + self.integral, self.low, self.high)
+
+
+class PidController(Controller):
+    """A PID on each motor's speed, which knows nothing of the other motor: the paper's own control concept."""
+
+    GAINS = (KP, TI, TD)
+
+    def start(self, measured: Measurements) -> None:
+        self._pid = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"], self.gains["Td"])
+        self._pid.start(self.period, measured.command)
+
+    def command(self, measured: Measurements) -> Floats:
+        return self._pid.step(measured.setpoint[:, None] - measured.speed)

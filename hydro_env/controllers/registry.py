@@ -1,0 +1,189 @@
+"""Which controllers there are, and how a name, a file or a Python path becomes one."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from hydro_env.controllers.adaptive import AdaptiveFlow, Oracle
+from hydro_env.controllers.base import Controller
+from hydro_env.controllers.compensated import Compensated
+from hydro_env.controllers.coupled import CrossCoupled, MasterSlave, VirtualLeader
+from hydro_env.controllers.gains import read_gains
+from hydro_env.controllers.pid import TABLE_III, PidController
+from hydro_env.errors import InputError
+
+__all__ = ["CONTROLLERS", "LAWS", "Entry", "make_controller"]
+
+HERE = Path(__file__).parent
+
+LAWS: dict[str, type[Controller]] = {
+    "pid": PidController,
+    "cross_coupled": CrossCoupled,
+    "virtual_leader": VirtualLeader,
+    "master_slave": MasterSlave,
+    "compensated": Compensated,
+    "adaptive_flow": AdaptiveFlow,
+    "oracle": Oracle,
+}
+"""Control laws by the name that gains files and `hydro-env tune` use."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A controller that ships with the package."""
+
+    name: str
+    summary: str
+    build: Callable[[], Any]
+    file: Path | None = None
+
+    @property
+    def available(self) -> bool:
+        """Whether the file it is made of is there."""
+        return self.file is None or self.file.is_file()
+
+
+def _tuned(name: str, summary: str, plant: str | None = None) -> Entry:
+    path = HERE / "data" / f"{name}.json"
+
+    def build() -> Controller:
+        controller = _from_gains(path, name)
+        controller.plant = plant
+        return controller
+
+    return Entry(name, summary, build, path)
+
+
+def _policy(name: str, summary: str) -> Entry:
+    path = HERE / "policies" / f"{name}.npz"
+    return Entry(name, summary, lambda: _from_policy(path, name), path)
+
+
+CONTROLLERS: dict[str, Entry] = {
+    entry.name: entry
+    for entry in (
+        Entry("pid_paper", "the paper's PIDs, Table III", lambda: PidController("pid_paper", **TABLE_III)),
+        _tuned("pid_tuned", "the same law, gains found by search"),
+        _tuned("master_slave", "motor 2 follows motor 1"),
+        _tuned("cross_coupled", "PI with a PI on the speed difference"),
+        _tuned("virtual_leader", "cross coupling behind a leader that waits for the slower motor"),
+        _tuned("compensated", "dead-zone inverse from a valve bench, with cross coupling"),
+        _tuned("adaptive_flow", "learns the valves while it drives them"),
+        _tuned("servo_pid", "PID on the same motors behind servo valves", plant="servo"),
+        _tuned("oracle", "told the true parameters of every valve"),
+        _policy("ppo", "neural policy trained with PPO"),
+        _policy("sac", "neural policy trained with SAC"),
+    )
+}
+"""The controllers that ship with the package, in the order of the score board."""
+
+
+def make_controller(spec: Any, **overrides: Any) -> Any:
+    """A controller from a name of `CONTROLLERS`, a gains file (.json), a policy file (.npz), `module:Class`,
+    `path/to/file.py:Class`, a class or a ready object.
+
+    `overrides` replace single gains of a controller with gains, or are passed to a class. InputError says
+    which names there are, and which one was probably meant.
+    """
+    if not isinstance(spec, str | Path):
+        return _checked(spec(**overrides) if isinstance(spec, type) else spec, repr(spec))
+    text = str(spec)
+    if text in CONTROLLERS:
+        entry = CONTROLLERS[text]
+        if not entry.available:
+            raise InputError(f"controller {text!r}: its file {entry.file} is not there")
+        controller = entry.build()
+    elif text.endswith(".json"):
+        controller = _from_gains(Path(text), Path(text).stem)
+    elif text.endswith(".npz"):
+        controller = _from_policy(Path(text), Path(text).stem)
+    elif ":" in text:
+        return _from_python(text, overrides)
+    else:
+        near = get_close_matches(text, CONTROLLERS, n=1, cutoff=0.4)
+        meant = f"; did you mean {near[0]!r}?" if near else ""
+        others = "or a .json gains file, a .npz policy, module:Class or file.py:Class"
+        raise InputError(f"unknown controller {text!r}{meant} There are {', '.join(CONTROLLERS)}, {others}")
+    if overrides:
+        again = type(controller)(controller.name, **{**controller.gains, **overrides})
+        again.plant = controller.plant
+        return again
+    return controller
+
+
+def _from_gains(path: Path, name: str) -> Controller:
+    found = read_gains(path)
+    if found.controller not in LAWS:
+        near = get_close_matches(found.controller, LAWS, n=1)
+        meant = f"; did you mean {near[0]!r}?" if near else ""
+        raise InputError(
+            f"{path}: unknown control law {found.controller!r}{meant} There are {', '.join(LAWS)}"
+        )
+    try:
+        return LAWS[found.controller](found.name or name, **found.gains)
+    except InputError as problem:
+        raise InputError(f"{path}: {problem}") from None
+
+
+def _from_policy(path: Path, name: str) -> Any:
+    if not path.is_file():
+        raise InputError(f"{path}: no such policy file")
+    from hydro_env.controllers.policy import NumpyPolicy
+
+    return NumpyPolicy(path, name)
+
+
+def _from_python(text: str, overrides: dict[str, Any]) -> Any:
+    where, _, attribute = text.rpartition(":")
+    module = _load_file(Path(where)) if where.endswith(".py") else _import(where)
+    made = getattr(module, attribute, None)
+    if made is None:
+        names = [name for name, value in vars(module).items() if isinstance(value, type)]
+        near = get_close_matches(attribute, names, n=1)
+        meant = f"; did you mean {near[0]!r}?" if near else ""
+        raise InputError(f"{where}: has no {attribute!r}{meant}")
+    try:
+        controller = made(**overrides) if callable(made) else made
+    except InputError:
+        raise
+    except Exception as problem:
+        raise InputError(f"{text}: could not be made: {type(problem).__name__}: {problem}") from problem
+    if not isinstance(getattr(controller, "name", None), str):
+        controller.name = attribute
+    return _checked(controller, text)
+
+
+def _import(where: str) -> ModuleType:
+    try:
+        return importlib.import_module(where)
+    except ImportError as problem:
+        raise InputError(f"{where}: cannot be imported ({problem})") from None
+
+
+def _load_file(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    spec = importlib.util.spec_from_file_location(f"hydro_env_user_{path.stem}", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # so that what it defines can be pickled to worker processes
+    try:
+        spec.loader.exec_module(module)
+    except Exception as problem:
+        raise InputError(f"{path}: {type(problem).__name__}: {problem}") from problem
+    return module
+
+
+def _checked(controller: Any, text: str) -> Any:
+    for method in ("reset", "act"):
+        if not callable(getattr(controller, method, None)):
+            raise InputError(f"{text}: is no controller, it has no method {method!r}")
+    return controller
