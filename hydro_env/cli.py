@@ -138,7 +138,7 @@ def tune(
     ] = "train",
     scenario: Annotated[str, typer.Option(help="What is driven.")] = "setpoint_steps",
     cases: Annotated[int, typer.Option(min=1, help="Pairs of valves each candidate drives.")] = 16,
-    episodes: Annotated[int, typer.Option(min=1, help="Budget: how many episodes may be simulated.")] = 8192,
+    episodes: Annotated[int, typer.Option(min=1, help="Budget: how many episodes may be simulated.")] = 6144,
     weight: Annotated[
         float, typer.Option(help="Rpm of tracking error that one rpm of speed difference is worth.")
     ] = 1.0,
