@@ -1,0 +1,264 @@
+"""`hydro-env benchmark`: scores controllers on the fixed suite and writes scores.json and scores.html.
+
+Case i of a split is what a reset with seed `seed + i` draws: pair of valves, noise and all. Every
+controller meets the same cases, so that scores may be compared case by case. A controller that raises,
+returns something that is not a command, or lets the plant diverge is named and counted as failed where it
+did so; the rest go on.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from hydro_env.benchmark.report import scores_page, scores_table
+from hydro_env.benchmark.statistics import probability_of_improvement, summarise
+from hydro_env.benchmark.suite import Suite, check_suite, load_suite
+from hydro_env.controllers.base import Floats
+from hydro_env.controllers.registry import CONTROLLERS, make_controller
+from hydro_env.controllers.rollout import roll_out
+from hydro_env.errors import InputError
+from hydro_env.files import output_folder, write_json, write_text
+from hydro_env.tasks import METRICS, SCENARIOS, SPLITS, Trace
+
+__all__ = ["SCHEMA", "run"]
+
+SCHEMA = "hydro_env/scores/1"
+BASELINE = "pid_tuned"
+"""Against whom the probability of improvement is given (the first controller where it does not take part)."""
+
+TRACE_EVERY = 2
+"""The page keeps every so many samples of a trace."""
+
+
+@dataclass
+class Cell:
+    """One controller on one split and scenario: what is to be run, then what came of it."""
+
+    controller: Any
+    name: str
+    split: str
+    scenario: str
+    cases: int
+    metrics: dict[str, Floats] = field(default_factory=dict)
+    strata: tuple[str, ...] | None = None
+    trace: dict[str, list[Any]] = field(default_factory=dict)
+    failure: str | None = None
+
+
+def run(
+    out: str | Path | None,
+    *,
+    controllers: Sequence[Any] | None = None,
+    suite: str | Path = "full",
+    splits: Sequence[str] | None = None,
+    scenarios: Sequence[str] | None = None,
+    cases: int | None = None,
+    seed: int = 0,
+    plant: Any = "paper_dead_zone",
+    control_period: float = 0.01,
+    jobs: int = 1,
+    progress: bool = True,
+) -> dict[str, Any]:
+    """Scores controllers and writes `out/scores.json` and `out/scores.html`.
+
+    Args:
+        out: folder to write to, made if need be; None writes nothing.
+        controllers: names of `CONTROLLERS`, gains or policy files, `module:Class`, `file.py:Class` or
+            objects with `reset` and `act`. By default all that ship and whose files are there.
+        suite: "quick", "full" or a YAML file (see suite.yaml).
+        splits, scenarios, cases: narrow or widen the suite.
+        seed: case i has the seed `seed + i`.
+        plant: preset or model file under test.
+        control_period: s.
+        jobs: processes.
+        progress: whether to show a progress bar.
+
+    Returns what scores.json holds. InputError for a name that does not exist.
+    """
+    chosen = _suite(suite, splits, scenarios, cases)
+    if jobs < 1:
+        raise InputError(f"jobs must be at least 1, not {jobs}")
+    specs = list(controllers) if controllers else [n for n, entry in CONTROLLERS.items() if entry.available]
+    cells = list(_cells(specs, chosen))
+    with nullcontext() if out is None else output_folder(out) as folder:
+        done = _run_all(
+            cells, seed=seed, plant=plant, control_period=control_period, jobs=jobs, progress=progress
+        )
+        scores = _scores(done, chosen, seed=seed, plant=plant, control_period=control_period)
+        if folder is not None:
+            write_json(folder / "scores.json", scores)
+            write_text(folder / "scores.html", scores_page(scores, _traces(done, chosen)))
+    return scores
+
+
+def _run_all(cells: list[Cell], *, jobs: int, progress: bool, **where: Any) -> list[Cell]:
+    """Runs the cells, in whatever order they get done, and returns them in the order they were given."""
+    place = {(cell.name, cell.split, cell.scenario): i for i, cell in enumerate(cells)}
+    done = []
+    with tqdm(total=sum(cell.cases for cell in cells), unit="episode", disable=not progress) as bar:
+        for cell in _as_done(partial(_run_cell, **where), cells, jobs):
+            bar.update(cell.cases)
+            done.append(cell)
+    return sorted(done, key=lambda cell: place[cell.name, cell.split, cell.scenario])
+
+
+def _suite(suite: str | Path, splits: Any, scenarios: Any, cases: int | None) -> Suite:
+    known: dict[str, Iterable[str]] = {"splits": SPLITS, "scenarios": SCENARIOS, "metrics": METRICS}
+    return check_suite(load_suite(suite, **known).narrowed(splits, scenarios, cases), known, "benchmark")
+
+
+def _cells(specs: Sequence[Any], suite: Suite) -> Iterator[Cell]:
+    """Every controller on every split and scenario; a controller given twice or under a taken name is
+    numbered.
+    """
+    taken: set[str] = set()
+    for spec in specs:
+        made = make_controller(spec)
+        first = name = str(getattr(made, "name", type(made).__name__))
+        while name in taken:
+            name = f"{first}_{len(taken)}"
+        taken.add(name)
+        portable = str(spec) if isinstance(spec, str | Path) else made
+        for split, cases in suite.splits.items():
+            for scenario in suite.scenarios:
+                yield Cell(portable, name, split, scenario, cases)
+
+
+def _as_done(work: Any, cells: list[Cell], jobs: int) -> Iterator[Cell]:
+    """The cells as they were asked for, run here or in `jobs` processes; which makes no difference to the
+    scores.
+    """
+    if jobs == 1:
+        yield from map(work, cells)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        futures = {pool.submit(work, cell): index for index, cell in enumerate(cells)}
+        for future in as_completed(futures):
+            index = futures[future]
+            try:
+                cells[index] = future.result()
+            except Exception as problem:  # a worker that died or a controller that cannot be sent to one
+                cells[index].failure = _line(problem)
+            yield cells[index]
+
+
+def _run_cell(cell: Cell, *, seed: int, plant: Any, control_period: float) -> Cell:
+    try:
+        controller = make_controller(cell.controller)
+        own = getattr(controller, "plant", None)
+        done = roll_out(
+            controller,
+            [seed + i for i in range(cell.cases)],
+            plant=own or plant,
+            mismatch=None if own else cell.split,
+            scenario=cell.scenario,
+            control_period=control_period,
+        )
+        cell.metrics = done.metrics(METRICS)
+        for name, values in cell.metrics.items():
+            if not np.all(np.isfinite(values)):
+                raise ValueError(f"{name} of case {int(np.argmin(np.isfinite(values)))} is not finite")
+        cell.strata = done.faults
+        cell.trace = _thinned(done.trace)
+    except Exception as problem:  # whatever a controller does must not end the run of the others
+        cell.failure = _line(problem)
+        cell.metrics, cell.trace = {}, {}
+    return cell
+
+
+def _thinned(trace: Trace) -> dict[str, list[Any]]:
+    """The first case of a trace, with the samples and digits that a picture needs."""
+    rows = slice(None, None, TRACE_EVERY)
+    time = np.arange(len(trace.setpoint_rpm)) * trace.period
+    return {
+        "time_s": np.round(time[rows], 4).tolist(),
+        "setpoint_rpm": np.round(trace.setpoint_rpm[rows, 0], 1).tolist(),
+        "speeds_rpm": np.round(trace.speed_rpm[rows, 0].T, 1).tolist(),
+    }
+
+
+def _line(problem: BaseException) -> str:
+    return f"{type(problem).__name__}: {' '.join(str(problem).split())}"[:300]
+
+
+def _scores(
+    cells: list[Cell], suite: Suite, *, seed: int, plant: Any, control_period: float
+) -> dict[str, Any]:
+    names = list(dict.fromkeys(cell.name for cell in cells))
+    baseline = BASELINE if BASELINE in names else names[0]
+    theirs = {(cell.split, cell.scenario): cell for cell in cells if cell.name == baseline}
+    rows, better = [], []
+    for cell in cells:
+        for metric in suite.metrics if cell.metrics else ():
+            summary = summarise(cell.metrics[metric], strata=cell.strata, seed=seed)
+            where = {
+                "controller": cell.name,
+                "split": cell.split,
+                "scenario": cell.scenario,
+                "metric": metric,
+            }
+            rows.append(
+                {
+                    **where,
+                    "iqm": summary.iqm,
+                    "ci95": list(summary.ci95),
+                    "cvar95": summary.cvar95,
+                    "n": summary.n,
+                }
+            )
+            other = theirs[cell.split, cell.scenario]
+            if cell.name != baseline and other.metrics:
+                chance = probability_of_improvement(cell.metrics[metric], other.metrics[metric])
+                better.append({**where, "over": baseline, "probability": chance})
+    failed = [
+        {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, "reason": cell.failure}
+        for cell in cells
+        if cell.failure is not None
+    ]
+    label = plant if isinstance(plant, str) else str(getattr(plant, "name", plant))
+    return {
+        "schema": SCHEMA,
+        "suite": suite.name,
+        "about": f"Suite {suite.name} on the plant {label}, control period {control_period * 1000:g} ms, seed {seed}.",
+        "plant": label,
+        "seed": seed,
+        "control_period_s": control_period,
+        "splits": suite.splits,
+        "controllers": names,
+        "rows": rows,
+        "failed": failed,
+        "improvement": better,
+    }
+
+
+def _traces(cells: list[Cell], suite: Suite) -> dict[str, Any] | None:
+    """Case 0 of the suite's first split, for the page."""
+    split = next(iter(suite.splits))
+    scenarios: dict[str, Any] = {}
+    for cell in cells:
+        if cell.split == split and cell.trace:
+            entry = scenarios.setdefault(
+                cell.scenario,
+                {
+                    "time_s": cell.trace["time_s"],
+                    "setpoint_rpm": cell.trace["setpoint_rpm"],
+                    "speeds_rpm": {},
+                },
+            )
+            entry["speeds_rpm"][cell.name] = cell.trace["speeds_rpm"]
+    return {"split": split, "scenarios": scenarios} if scenarios else None
+
+
+def report(scores: dict[str, Any]) -> str:
+    """What the command prints."""
+    return scores_table(scores)

@@ -1,0 +1,66 @@
+"""The score board as a table for the terminal and as one page of HTML that needs no network.
+
+The page carries its data as JSON and draws with a few lines of JavaScript into SVG: a table that sorts, the
+front (speed difference over tracking error) and, for one pair of valves, how every controller drove it.
+"""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from typing import Any
+
+__all__ = ["scores_page", "scores_table"]
+
+
+def scores_table(scores: dict[str, Any]) -> str:
+    """One block per split and scenario, one line per controller, one column per metric: interquartile
+    means.
+    """
+    columns = list(dict.fromkeys(row["metric"] for row in scores["rows"]))
+    cells = {(r["split"], r["scenario"], r["controller"], r["metric"]): r for r in scores["rows"]}
+    failed = {(f["split"], f["scenario"], f["controller"]): f["reason"] for f in scores["failed"]}
+    done = [(r["split"], r["scenario"]) for r in scores["rows"]]
+    blocks = list(dict.fromkeys(done + [(f["split"], f["scenario"]) for f in scores["failed"]]))
+    width = max([len(name) for name in scores["controllers"]] + [len("controller")])
+    lines = []
+    for split, scenario in blocks:
+        n = max(
+            [r["n"] for r in scores["rows"] if (r["split"], r["scenario"]) == (split, scenario)], default=0
+        )
+        lines.append(f"\n{split} / {scenario}, {n} cases: interquartile mean and its 95 % interval")
+        lines.append("  " + "controller".ljust(width) + "".join(f"{_short(m):>22}" for m in columns))
+        for name in scores["controllers"]:
+            reason = failed.get((split, scenario, name))
+            if reason is not None:
+                lines.append("  " + name.ljust(width) + f"  failed: {reason}")
+                continue
+            texts = [_cell(cells.get((split, scenario, name, metric))) for metric in columns]
+            lines.append("  " + name.ljust(width) + "".join(f"{text:>22}" for text in texts))
+    return "\n".join(lines).lstrip("\n")
+
+
+def _short(metric: str) -> str:
+    """`max_speed_difference_rpm` as `max diff, rpm`, so that a line fits a terminal."""
+    for long, short in (("_speed_difference_", " diff_"), ("shaft_angle_difference_", "shaft angle_")):
+        metric = metric.replace(long, short)
+    head, _, unit = metric.rpartition("_")
+    return f"{head.replace('_', ' ')}, {unit}" if unit in ("rpm", "s", "deg") else metric.replace("_", " ")
+
+
+def _cell(row: dict[str, Any] | None) -> str:
+    if row is None:
+        return "-"
+    return f"{row['iqm']:.3g} [{row['ci95'][0]:.3g}, {row['ci95'][1]:.3g}]"
+
+
+def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
+    """The HTML page. `traces`: {"split", "time_s", "scenarios": {name: {"setpoint_rpm": [...], "speeds_rpm":
+    {controller: [[...], [...]]}}}}, one pair of valves."""
+    template = files("hydro_env.benchmark").joinpath("scores_page.html").read_text(encoding="utf-8")
+    return template.replace("/*SCORES*/null", _embedded(scores)).replace("/*TRACES*/null", _embedded(traces))
+
+
+def _embedded(data: Any) -> str:
+    """JSON that may stand inside a script element: no `</script>` can come from a controller's name."""
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")

@@ -1,0 +1,107 @@
+"""The suite: which splits, scenarios, cases and metrics a benchmark runs, read from YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hydro_env.errors import InputError
+
+__all__ = ["Suite", "load_suite", "nearest"]
+
+KEYS = ("splits", "scenarios", "metrics")
+
+
+def nearest(word: object, known: Iterable[str]) -> str:
+    """What an error line says of a name nobody knows."""
+    names = list(known)
+    near = get_close_matches(str(word), names, n=1, cutoff=0.4)
+    meant = f"did you mean {near[0]!r}? " if near else ""
+    return f"{meant}There are {', '.join(names)}"
+
+
+@dataclass(frozen=True)
+class Suite:
+    """`splits` maps a split to its number of cases; `scenarios` and `metrics` are names."""
+
+    name: str
+    splits: dict[str, int]
+    scenarios: tuple[str, ...]
+    metrics: tuple[str, ...]
+
+    def narrowed(
+        self,
+        splits: Iterable[str] | None = None,
+        scenarios: Iterable[str] | None = None,
+        cases: int | None = None,
+    ) -> Suite:
+        """The suite with other splits or scenarios (a split the suite lacks gets its largest number of
+        cases).
+        """
+        chosen = (
+            self.splits
+            if splits is None
+            else {s: self.splits.get(s, max(self.splits.values())) for s in splits}
+        )
+        if cases is not None:
+            chosen = dict.fromkeys(chosen, cases)
+        return replace(
+            self, splits=dict(chosen), scenarios=self.scenarios if scenarios is None else tuple(scenarios)
+        )
+
+
+def load_suite(
+    spec: str | Path, *, splits: Iterable[str], scenarios: Iterable[str], metrics: Iterable[str]
+) -> Suite:
+    """A suite by name or YAML file. The keyword arguments are the names that exist; InputError names what
+    does not.
+    """
+    known = {"splits": list(splits), "scenarios": list(scenarios), "metrics": list(metrics)}
+    own = yaml.safe_load(files("hydro_env.benchmark").joinpath("suite.yaml").read_text(encoding="utf-8"))
+    if str(spec) in own:
+        return _checked(str(spec), own[str(spec)], known, "suite.yaml")
+    path = Path(spec)
+    if path.suffix not in (".yaml", ".yml"):
+        raise InputError(f"unknown suite {str(spec)!r}: {nearest(spec, own)}, or the path of a .yaml file")
+    try:
+        table = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such suite file") from None
+    except (yaml.YAMLError, UnicodeDecodeError, OSError) as problem:
+        raise InputError(f"{path}: not readable as YAML ({' '.join(str(problem).split())})") from None
+    return _checked(path.stem, table, known, str(path))
+
+
+def check_suite(suite: Suite, known: Mapping[str, Iterable[str]], where: str) -> Suite:
+    """The suite itself, or an InputError that names the first thing in it that does not exist."""
+    for key in KEYS:
+        for name in getattr(suite, key):
+            if name not in known[key]:
+                raise InputError(f"{where}: unknown {key[:-1]} {name!r}: {nearest(name, known[key])}")
+    for split, cases in suite.splits.items():
+        if not isinstance(cases, int) or isinstance(cases, bool) or cases < 1:
+            raise InputError(f"{where}: split {split!r} needs a number of cases of at least 1, not {cases!r}")
+    return suite
+
+
+def _checked(name: str, table: Any, known: dict[str, list[str]], where: str) -> Suite:
+    if not isinstance(table, dict):
+        raise InputError(f"{where}: must be a table with the keys {', '.join(KEYS)}")
+    for key in table:
+        if key not in KEYS:
+            raise InputError(f"{where}: unknown key {key!r}: {nearest(key, KEYS)}")
+    for key, kind, what in (
+        ("splits", dict, "a table of cases per split"),
+        ("scenarios", list, "a list"),
+        ("metrics", list, "a list"),
+    ):
+        if not isinstance(table.get(key), kind) or not table[key]:
+            raise InputError(f"{where}: key {key!r} must be {what}")
+    suite = Suite(name, table["splits"], tuple(table["scenarios"]), tuple(table["metrics"]))
+    return check_suite(suite, known, where)
