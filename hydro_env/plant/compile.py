@@ -159,7 +159,7 @@ def _slopes(effects: tuple[Effect, ...]) -> list[str]:
     lines = [
         # LuGre
         "bristle_decay = s0 * abs(spool_speed) / breakaway",
-        "breakaway_slope = -2.0 * (Fs - Fc) * exp(-slip * slip) * spool_speed / (vs * vs)",
+        "breakaway_slope = -2.0 * (breakaway - Fc) * slip * sign(spool_speed) / vs",
         "decay_slope = (sign(spool_speed) * s0 - bristle_decay * breakaway_slope) / breakaway",
         "bristle_slope = 1.0 - decay_slope * bristle",
         "friction_bristle = s0 - s1 * bristle_decay",
@@ -196,6 +196,26 @@ def _slopes(effects: tuple[Effect, ...]) -> list[str]:
     return lines
 
 
+#: The factors of W = ig - slopes, by elimination: current, spool and bristle into the spool speed, pressure into the speed.
+_FACTORS = [
+    "inertia = per_m",
+    "e_current = 1.0 / (ig + resistance * per_L)",
+    "e_bristle = 1.0 / (ig + bristle_decay)",
+    "w_spool = stiffness * inertia * gh",
+    "w_bristle = friction_bristle * inertia * e_bristle",
+    "w_current = alpha * inertia * e_current",
+    "w_back = alpha * per_L",
+    "w_slope = bristle_slope",
+    "e_spool_speed = 1.0 / (ig + friction_slope * inertia + w_spool * gh + w_bristle * w_slope + w_current * w_back)",
+    "softness = bulk_modulus * per_V",
+    "w_flow = softness * Kq",
+    "w_pump = softness * displacement",
+    "w_drive = displacement * per_J",
+    "e_pressure = 1.0 / (ig + softness * leakage_slope)",
+    "e_speed = 1.0 / (ig + shaft_slope * per_J + w_drive * w_pump * e_pressure)",
+]
+
+
 # --- the generated module ---------------------------------------------------------------------------------------------
 class _Rows:
     """Row numbers of a block, handed out in order."""
@@ -206,6 +226,14 @@ class _Rows:
     def add(self, *names: str) -> None:
         for name in names:
             self.number[name] = len(self.number)
+
+
+#: Base parameters that are divided by: their reciprocals are rows of their own, since a division costs ten products.
+_DIVISORS = ("L", "m", "V", "J", "vs", "v_stop")
+
+
+def _by_reciprocals(lines: Iterable[str]) -> list[str]:
+    return [re.sub(rf"/ ({'|'.join(_DIVISORS)})\b", r"* per_\1", line) for line in lines]
 
 
 def _indent(lines: Iterable[str], depth: int) -> str:
@@ -241,15 +269,18 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
                "e_speed", "e_pressure", "w_flow", "w_pump", "w_drive")  # fmt: skip
     rows.add(*(f"f__{name}" for name in factors), *(f"f__{name}" for name in states[len(STATES) :]))
     rows.add(*(f"u{stage}__{name}" for stage in range(3) for name in states), "applied", "next_flow")
+    rows.add(*(f"per_{name}" for name in _DIVISORS))
     at = rows.number
 
     def row(name: str) -> str:
         return f"lanes[index({at[name]} * LANES) + l]"
 
+    reciprocals = [f"per_{name}" for name in _DIVISORS]
+
     def load(names: Iterable[str], text: str) -> list[str]:
         return [f"{name} = {row(name)}" for name in names if _uses(name, text)]
 
-    body = _rates_body(effects)
+    body = _by_reciprocals(_rates_body(effects))
     # `rates` takes the command as the delay line hands it over.
     effect_rates = []
     for effect, state in extra:
@@ -260,28 +291,12 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     body_text = "\n".join(body + effect_rates)
     flows = own_flow if _uses("other_flow", body_text) or _uses("own_flow", body_text) else []
     inputs = ["command = " + row("applied"), *load(["load", "time"], body_text), *flows]
-    slopes = _slopes(effects)
+    slopes = _by_reciprocals(_slopes(effects))
 
     # First stage: rates, matrix, its factors, and the solution u0, all in one sweep.
     first = load(states, body_text + " ".join(states)) + inputs
-    first += load(parameters, body_text + "\n".join(slopes)) + body + effect_rates + slopes
-    first += [
-        "inertia = 1.0 / m",
-        "e_current = 1.0 / (ig + resistance / L)",
-        "e_bristle = 1.0 / (ig + bristle_decay)",
-        "w_spool = stiffness * inertia / ig",
-        "w_bristle = friction_bristle * inertia * e_bristle",
-        "w_current = alpha * inertia * e_current",
-        "w_back = alpha / L",
-        "w_slope = bristle_slope",
-        "e_spool_speed = 1.0 / (ig + friction_slope * inertia + w_spool / ig + w_bristle * w_slope + w_current * w_back)",
-        "softness = bulk_modulus / V",
-        "w_flow = softness * Kq",
-        "w_pump = softness * displacement",
-        "w_drive = displacement / J",
-        "e_pressure = 1.0 / (ig + softness * leakage_slope)",
-        "e_speed = 1.0 / (ig + shaft_slope / J + w_drive * w_pump * e_pressure)",
-    ]
+    first += load([*parameters, *reciprocals], body_text + "\n".join(slopes) + "\n".join(_FACTORS)) + body + effect_rates + slopes
+    first += _FACTORS
     first += [f"{row('f__' + name)} = {name}" for name in factors]
     for effect, state in extra:
         name = f"{effect.name}__{state.name}"
@@ -318,8 +333,8 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
             for j in range(number):
                 lines.append(f"u{j}__{name} = {row(f'u{j}__{name}')}")
             terms = "".join(f" + a{number}{j} * u{j}__{name}" for j in range(number) if A[number, j] != 0.0)
-            lines.append(f"{name} = {row(name)}{terms}")
-        lines += inputs + load(parameters, body_text)
+            lines += [f"y__{name} = {row(name)}", f"{name} = y__{name}{terms}"]
+        lines += inputs + load([*parameters, *reciprocals], body_text)
         lines += body + effect_rates
         lines += [f"{name} = {row('f__' + name)}" for name in factors]
         lines += [f"f__{name} = {row('f__' + name)}" for name in states[len(STATES) :]]
@@ -329,7 +344,9 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
         else:
             for name in states:
                 terms = "".join(f" + m{j} * u{j}__{name}" for j in range(3))
-                lines.append(f"{row(name)} = {row(name)}{terms} + m3 * u__{name}")
+                lines.append(f"y__{name} = y__{name}{terms} + m3 * u__{name}")
+            # Stored only after everything is loaded: the compiler gives up on vectors otherwise.
+            lines += [f"{row(name)} = y__{name}" for name in states]
         return lines
 
     method = rosenbrock_coefficients()
@@ -341,7 +358,7 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     coefficients += [f"m{j} = {float(method['m'][j])!r}" for j in range(4)]
 
     watch = body + ["measured_speed = speed", *_chain("measured_speed", effects)]
-    watch = load(states, " ".join(states)) + inputs + load(parameters, "\n".join(watch)) + watch
+    watch = load(states, " ".join(states)) + inputs + load([*parameters, *reciprocals], "\n".join(watch)) + watch
     watch += [f"{row('flow')} = flow", f"{row('measured_speed')} = measured_speed"]
 
     guard = [f"ok = abs({row(STATES[0])}) < {STATE_CAPS[0]!r}"]
@@ -357,7 +374,12 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
         "additions": "\n".join(
             f"        for l in range(LANES):\n            cells[{b} * LANES + l] = cells[{b} * LANES + l] + cells[{p} * LANES + l]"
             for b, p in additions
-        )
+        ),
+        "reciprocals": "\n".join(
+            f"        for l in range(LANES):\n            cells[{at['per_' + name]} * LANES + l]"
+            f" = 1.0 / cells[{at[name]} * LANES + l]"
+            for name in _DIVISORS
+        ),
     }
 
     helpers = [getattr(lanemath, name) for name in ("clip", "sign", "exp", "tanh", "cos", "sin")]
@@ -411,8 +433,8 @@ import numpy as np
 from numba import njit
 
 index = np.uint64
-lane = njit(inline="never", error_model="numpy")
-block = njit(error_model="numpy", cache=True)
+lane = njit(forceinline=True, error_model="numpy", fastmath={{"contract"}})
+block = njit(error_model="numpy", cache=True, fastmath={{"contract"}})
 
 HALF = {half}
 LANES = 2 * HALF
@@ -428,6 +450,14 @@ def positive(value):
 
 
 {functions}
+
+
+@lane
+def aligned(size):
+    room = np.zeros(size + 8)
+    skip = (64 - room.ctypes.data % 64) % 64 // 8
+    return room[skip : skip + size]
+
 
 @block
 def look(cells):
@@ -456,7 +486,7 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
     (T, rigs or 1, 2): one row for all rigs where the middle is 1; record: rows of the memory that go to
     out (len(record), T // every, rigs, 2) at the instant of each row, before its command acts.
     """
-    cells = np.zeros(TOTAL * LANES)
+    cells = aligned(TOTAL * LANES)
     ig = 1.0 / ({gamma} * h)
     gh = {gamma} * h
 {coefficients}
@@ -466,6 +496,7 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
             for l in range(LANES):
                 cells[r * LANES + l] = memory[b, r, l]
 {additions}
+{reciprocals}
         for t in range(commands.shape[0]):
             if record.size > 0 and t % every == 0:
                 look(cells)
@@ -526,12 +557,13 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
 @block
 def observe(memory):
     """Outputs of every block from its states as they are."""
-    cells = np.zeros(TOTAL * LANES)
+    cells = aligned(TOTAL * LANES)
     for b in range(memory.shape[0]):
         for r in range(KEPT):
             for l in range(LANES):
                 cells[r * LANES + l] = memory[b, r, l]
 {additions}
+{reciprocals}
         look(cells)
         for r in range(MOVING):
             for l in range(LANES):

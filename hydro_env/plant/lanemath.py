@@ -26,12 +26,11 @@ def sign(value):
 def exp(x):
     """e to the power x, for |x| <= 80 (clipped beyond); relative error below 2e-5, below 1e-13 for |x| < 3.
 
-    A polynomial on x/256, squared eight times.
+    A polynomial on x/64, squared six times.
     """
-    t = clip(x, -80.0, 80.0) * 0.00390625
-    y = 1.0 + t * (1.0 + t * (0.5 + t * (1.0 / 6.0 + t * (1.0 / 24.0 + t * (1.0 / 120.0 + t * (1.0 / 720.0))))))
-    y = y * y
-    y = y * y
+    t = clip(x, -80.0, 80.0) * 0.015625
+    q = t * t
+    y = (1.0 + t) + q * ((0.5 + t * (1.0 / 6.0)) + q * ((1.0 / 24.0 + t * (1.0 / 120.0)) + q * (1.0 / 720.0)))
     y = y * y
     y = y * y
     y = y * y

@@ -60,6 +60,7 @@ REFERENCE_SIGNALS = (
 
 _STATES = REFERENCE_SIGNALS[:7]
 _STATE_SCALES = (0.1, 1e-4, 1e-2, 1e-6, 1e5, 1.0, 1.0)  # for absolute tolerances
+_INSTANT = 1e-9  # s; what lies closer together happens at once
 _STOPS = np.array([0.48, 1.14, 1.97, 3.62])  # thresholds of the stop operators, in half widths
 _SHIFTS = ("heat", "loop", "second_bristle", "shaft_bristle", "twist", "lag", "droop")
 
@@ -479,7 +480,7 @@ class ReferenceRig:
         for c in (0, 1):
             voltage = min(max(float(command[c]), -self._rated[c]), self._rated[c])
             self._coming[c].append((start + self._delays[c], voltage))
-        instants = start + duration * np.arange(1, samples + 1) / samples
+        instants = np.linspace(start, end, samples + 1)[1:]
         out = {name: np.empty((samples, 2)) for name in REFERENCE_SIGNALS}
         for group in self._groups:
             for p, c in zip(group.channels, group.members, strict=True):
@@ -490,16 +491,18 @@ class ReferenceRig:
 
     def _run(self, group: _Group, start: float, end: float, instants: Array, out: dict[str, Array]) -> None:
         now = start
-        while now < end:
+        while now < end - _INSTANT:
             until = end
             for p, c in zip(group.channels, group.members, strict=True):
                 coming = self._coming[c]
-                while coming and coming[0][0] <= now + 1e-12:
+                while coming and coming[0][0] <= now + _INSTANT:
                     p["command"] = coming.pop(0)[1]
-                if coming and coming[0][0] < until - 1e-12:
+                if coming and coming[0][0] < until - _INSTANT:
                     until = coming[0][0]
-            rows = np.flatnonzero((instants > now) & (instants <= until))
-            times = np.unique(np.concatenate(([now], instants[rows], [until])))
+            rows = np.flatnonzero((instants > now + _INSTANT) & (instants <= until + _INSTANT))
+            times = np.concatenate(([now], np.minimum(instants[rows], until)))
+            if times[-1] < until - _INSTANT:
+                times = np.append(times, until)
             states = group.integrate(times, self.method, self.tolerance)
             self._store(group, states[1 : 1 + rows.size], out, rows)
             now = until
