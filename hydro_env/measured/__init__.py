@@ -1,4 +1,4 @@
-"""Logs of real rigs: reading, mapping foreign columns to signals in SI, and a gate that says what is wrong with them."""
+"""Logs of real rigs: reading, mapping foreign columns to signals in SI, and a gate that says what is wrong."""
 
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.log import RigLog, read_log, write_log

@@ -100,7 +100,7 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str) ->
         at = gaps[np.argmax(steps[gaps])]
         yield Finding(
             "gap",
-            f"{len(gaps)} gaps; the longest lasts {steps[at]:.6g} s after {time[at]:.6g} s (rows come every {median:.6g} s)",
+            f"{len(gaps)} gaps; the longest lasts {steps[at]:.6g} s after {time[at]:.6g} s (rows every {median:.6g} s)",
             "the last command before a gap is taken as held through it",
             column=column,
             row=int(rows[at + 1]),
@@ -108,7 +108,9 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str) ->
     ordinary = steps[steps <= 1.75 * median]
     spread = float(np.quantile(np.abs(ordinary - median), 0.95)) / median
     if spread > 0.05 or len(gaps) > 0.02 * len(steps) + 1:
-        message = f"rows are not evenly spaced: steps from {steps.min():.6g} to {steps.max():.6g} s, median {median:.6g} s"
+        message = (
+            f"rows are unevenly spaced: steps {steps.min():.6g} to {steps.max():.6g} s, median {median:.6g} s"
+        )
         yield Finding(
             "uneven_sampling", message, "record at a fixed rate, or resample the log", column=column
         )
@@ -224,8 +226,8 @@ def _stuck(
         if not at_end and np.nanmax(early) - np.nanmin(early) > 0.1 * swing:
             yield Finding(
                 "stuck",
-                f"{place['column']!r} repeats one value for {length * log.period:.3g} s from {log.time_s[start]:.6g} s while "
-                "the command moves",
+                f"{place['column']!r} repeats one value for {length * log.period:.3g} s from {log.time_s[start]:.6g} s "
+                "while the command moves",
                 "a stuck sensor or a frozen recorder: leave this stretch out",
                 row=int(rows[start]),
                 **place,
@@ -336,7 +338,7 @@ def _check_supply(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
             continue
         ratio = float(np.quantile(pressure, 0.99) / max(float(np.median(supply)), 1.0))
         if ratio > 3.0:
-            message = f"{source.pressure.column!r} is {ratio:.3g} times the supply pressure: is one of them in another unit?"
+            message = f"{source.pressure.column!r} is {ratio:.3g} times the supply pressure: another unit?"
             place = ("pressure", channel + 1, source.pressure.column)
             yield Finding("unit", message, "give the right unit in a mapping", *place)
 

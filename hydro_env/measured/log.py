@@ -37,7 +37,7 @@ _HELD = ("command", "load", "setpoint")  # held until the next row; everything e
 
 @dataclass(frozen=True)
 class RigLog:
-    """A log of T rows. Row n holds the command applied from `time_s[n]` to `time_s[n + 1]` and what was measured at `time_s[n]`.
+    """A log of T rows: row n holds what was measured at `time_s[n]` and the command held until `time_s[n + 1]`.
 
     Channel signals are (T, 2), column 0 = channel 1; a channel that is not in the log is NaN there, a signal that no
     channel has is None. `setpoint`, `supply`, `temperature` are (T,) or None. Single missing samples are NaN.

@@ -66,8 +66,10 @@ _COMMON = {
     "supply": "pressure", "temperature": "temperature",
 }  # fmt: skip
 _EXAMPLE = {
-    "voltage": "V", "current": "A", "pressure": "bar", "length": "mm", "flow": "l/min", "temperature": "degC", "time": "s",
-    "angular speed": "rpm", "linear speed": "m/s", "torque": "N m", "force": "N", "displacement": "cm3/rev", "area": "m2",
+    "voltage": "V", "current": "A", "pressure": "bar", "length": "mm", "flow": "l/min",
+    "temperature": "degC", "time": "s",
+    "angular speed": "rpm", "linear speed": "m/s", "torque": "N m", "force": "N",
+    "displacement": "cm3/rev", "area": "m2",
 }  # fmt: skip
 
 # The columns of the rig log itself: signal -> (ending of the column name, unit).
@@ -196,7 +198,8 @@ class ChannelMapping(_Strict):
                 raise ValueError(f"displacement: {error}") from None
             if quantity != wanted:
                 raise ValueError(
-                    f"displacement of a {self.actuator}: {self.displacement.unit} is a unit of {quantity}; use {_EXAMPLE[wanted]}"
+                    f"displacement of a {self.actuator}: {self.displacement.unit} is a unit of {quantity}; "
+                    f"use {_EXAMPLE[wanted]}"
                 )
         return self
 
@@ -358,5 +361,6 @@ def _missing(path: Path, column: str, names: tuple[str, ...]) -> InputError:
     hint = f"rename {near[0]!r}, or " if near else ""
     shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
     return InputError(
-        f"{path}: row 1: required column {column!r} is missing (found: {shown}); {hint}describe this log in a mapping file"
+        f"{path}: row 1: required column {column!r} is missing (found: {shown}); "
+        f"{hint}describe this log in a mapping file"
     )

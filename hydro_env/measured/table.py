@@ -12,6 +12,7 @@ import gzip
 import hashlib
 import itertools
 import math
+import zlib
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -27,6 +28,7 @@ __all__ = ["CsvStyle", "Table", "digest", "nearest", "read_csv"]
 
 _CHUNK = 50_000  # rows parsed at a time; bounds the memory taken by text
 _SI_SUFFIX = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+_BROKEN_GZIP = (gzip.BadGzipFile, EOFError, zlib.error)
 _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "#n/a"}
 
 
@@ -83,40 +85,32 @@ def read_csv(
             return _read(path, file, choose, style, findings)
     except UnicodeError:
         pass
-    except (gzip.BadGzipFile, EOFError) as error:
-        raise InputError(
-            f"{path}: not a complete gzip file ({error}); compress it again or give the CSV itself"
-        ) from None
+    except _BROKEN_GZIP as error:
+        raise InputError(f"{path}: not a complete gzip file ({error}); compress it again") from None
     except csv.Error as error:
         raise InputError(f"{path}: not readable as CSV ({error})") from None
     if style.encoding:
         raise InputError(f"{path}: not encoded in {style.encoding} as its mapping says")
+    findings.clear()  # the first pass may have told some already
     findings.append(Finding("encoding", "not UTF-8; read as Windows-1252", "save the log as UTF-8"))
     with _open(path, "cp1252", "replace") as file:
         return _read(path, file, choose, style, findings)
 
 
 def _open(path: Path, encoding: str, errors: str = "strict") -> IO[str]:
-    if _head(path)[:2] == b"\x1f\x8b" and path.suffix != ".gz":
-        raise InputError(f"{path}: a gzip file without the ending .gz; rename it to {path.name}.gz")
     if path.suffix == ".gz":
         return gzip.open(path, "rt", encoding=encoding, errors=errors, newline="")
     return open(path, encoding=encoding, errors=errors, newline="")
-
-
-def _head(path: Path) -> bytes:
-    with open(path, "rb") as file:
-        return file.read(4)
 
 
 def _encoding(path: Path, given: str | None) -> tuple[str, list[Finding]]:
     try:
         with gzip.open(path, "rb") if path.suffix == ".gz" else open(path, "rb") as file:  # type: ignore[attr-defined]
             head = file.read(4096)
-    except (gzip.BadGzipFile, EOFError) as error:
-        raise InputError(
-            f"{path}: not a complete gzip file ({error}); compress it again or give the CSV itself"
-        ) from None
+    except _BROKEN_GZIP as error:
+        raise InputError(f"{path}: not a complete gzip file ({error}); compress it again") from None
+    if head[:2] == b"\x1f\x8b":
+        raise InputError(f"{path}: a gzip file without the ending .gz; rename it to {path.name}.gz")
     if not head.strip():
         raise InputError(f"{path}: the file is empty; a log needs a header line and rows")
     if given:
@@ -124,7 +118,7 @@ def _encoding(path: Path, given: str | None) -> tuple[str, list[Finding]]:
             "".encode(given)
         except LookupError:
             raise InputError(
-                f"{path}: unknown encoding {given!r} in its mapping; utf-8, utf-16 or cp1252 are usual"
+                f"{path}: unknown encoding {given!r} in its mapping; say utf-8 or cp1252"
             ) from None
         return given, []
     if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -184,7 +178,13 @@ def _read(
     rows = csv.reader(file, delimiter=delimiter)
     for chunk, numbers in _chunks(rows, start, len(names), path, delimiter):
         for name in wanted:
-            parts[name].append(parse.column(name, position[name], chunk, numbers))
+            values = parse.column(name, position[name], chunk, numbers)
+            if np.isinf(values).any():
+                line = numbers[int(np.argmax(np.isinf(values)))]
+                raise InputError(
+                    f"{path}: row {line}, column {name!r}: infinite; leave the cell empty where nothing was measured"
+                )
+            parts[name].append(values)
         lines.extend(numbers)
     if not lines:
         raise InputError(f"{path}: only a header, no rows; a log needs at least two samples")

@@ -1,0 +1,232 @@
+"""The data gate: each mistake that recordings have is told, and a clean log is silent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env.errors import InputError
+from hydro_env.measured import RigLog, read_log
+
+Columns = dict[str, np.ndarray]
+
+
+def clean(rows: int = 3000) -> Columns:
+    """A plausible recording at 1 kHz: two motors that follow different commands with a lag, and noise."""
+    rng = np.random.default_rng(5)
+    time = np.arange(rows) * 1e-3
+    columns: Columns = {"time_s": time}
+    for channel, frequency in ((1, 1.0), (2, 1.7)):
+        phase = 2 * np.pi * frequency * time
+        columns[f"command_{channel}_V"] = 40 * np.sin(phase)
+        columns[f"current_{channel}_A"] = 0.6 * np.sin(phase - 0.1) + 2e-3 * rng.normal(size=rows)
+        columns[f"pressure_{channel}_bar"] = 40 * np.cos(phase) + 0.05 * rng.normal(size=rows)
+        columns[f"speed_{channel}_rpm"] = 400 * np.sin(phase - 0.4) + rng.normal(size=rows)
+    columns["supply_bar"] = 150 + 0.1 * rng.normal(size=rows)
+    columns["temperature_C"] = 40 + 0.1 * rng.normal(size=rows)
+    return columns
+
+
+def save(folder: Path, columns: Columns) -> Path:
+    path = folder / "log.csv"
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(path, rows, fmt="%.15g", delimiter=",", header=",".join(columns), comments="")
+    return path
+
+
+def test_a_clean_log_is_silent(tmp_path: Path) -> None:
+    assert read_log(save(tmp_path, clean())).findings == ()
+
+
+def test_a_noise_free_simulation_is_silent(tmp_path: Path) -> None:
+    """Exactly steady stretches are no stuck sensors, plateaus no clipping, equal channels no copied columns."""
+    time = np.arange(4000) * 1e-3
+    command = 30.0 * (time > 0.2) - 40.0 * (time > 2.0)
+    speed = np.zeros(4000)
+    for n in range(3999):
+        speed[n + 1] = speed[n] + 0.02 * (20 * command[n] - speed[n])
+    columns = {"time_s": time, "setpoint_rpm": 20 * command}
+    for channel in (1, 2):
+        columns |= {
+            f"command_{channel}_V": command,
+            f"speed_{channel}_rpm": speed,
+            f"pressure_{channel}_bar": speed / 10,
+        }
+    assert read_log(save(tmp_path, columns)).findings == ()
+
+
+def stuck(columns: Columns) -> None:
+    columns["speed_1_rpm"][1100:1700] = columns["speed_1_rpm"][1100]
+
+
+def clip(columns: Columns) -> None:
+    columns["pressure_2_bar"] = np.clip(columns["pressure_2_bar"], -30, 30)
+
+
+def coarsen(columns: Columns) -> None:
+    columns["speed_1_rpm"] = 25 * np.round(columns["speed_1_rpm"] / 25)
+
+
+def freeze(columns: Columns) -> None:
+    columns["current_2_A"][:] = 0.25
+
+
+def flip(columns: Columns) -> None:
+    columns["speed_2_rpm"] *= -1
+
+
+def swap(columns: Columns) -> None:
+    columns["speed_1_rpm"], columns["speed_2_rpm"] = columns["speed_2_rpm"], columns["speed_1_rpm"]
+
+
+def copy(columns: Columns) -> None:
+    columns["pressure_2_bar"] = columns["pressure_1_bar"]
+
+
+def gap(columns: Columns) -> None:
+    columns["time_s"][1500:] += 0.3
+
+
+def jump(columns: Columns) -> None:
+    columns["time_s"][1500:] += 3600.0
+
+
+def jitter(columns: Columns) -> None:
+    columns["time_s"] = columns["time_s"] + 4e-4 * np.random.default_rng(1).random(len(columns["time_s"]))
+
+
+def repeat(columns: Columns) -> None:
+    columns["time_s"][700] = columns["time_s"][699]
+
+
+def epoch(columns: Columns) -> None:
+    columns["time_s"] = columns["time_s"] + 17e8
+
+
+def holes(columns: Columns) -> None:
+    columns["speed_1_rpm"][10:20] = np.nan
+
+
+def empty(columns: Columns) -> None:
+    columns["current_1_A"][:] = np.nan
+
+
+def extra(columns: Columns) -> None:
+    columns["presure_1_bar"] = columns.pop("pressure_1_bar")
+
+
+def scaled(name: str, factor: float, offset: float = 0.0) -> Callable[[Columns], None]:
+    def change(columns: Columns) -> None:
+        columns[name] = factor * columns[name] + offset
+
+    return change
+
+
+def radians(columns: Columns) -> None:
+    columns["setpoint_rpm"] = columns["speed_1_rpm"].copy()
+    columns["speed_1_rpm"] = columns["speed_1_rpm"] * 2 * np.pi / 60
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code", "column", "channel"),
+    [
+        (stuck, "stuck", "speed_1_rpm", 1),
+        (clip, "clipped", "pressure_2_bar", 2),
+        (coarsen, "coarse", "speed_1_rpm", 1),
+        (freeze, "constant", "current_2_A", 2),
+        (flip, "sign", "speed_2_rpm", 2),
+        (swap, "swapped", None, None),
+        (copy, "duplicate_column", "pressure_2_bar", None),
+        (gap, "gap", "time_s", None),
+        (jump, "clock_jump", "time_s", None),
+        (jitter, "uneven_sampling", "time_s", None),
+        (repeat, "duplicate_time", "time_s", None),
+        (epoch, "epoch_time", "time_s", None),
+        (holes, "missing_values", "speed_1_rpm", 1),
+        (empty, "empty_column", "current_1_A", None),
+        (extra, "unknown_column", "presure_1_bar", None),
+        (scaled("pressure_1_bar", 100.0), "unit", "pressure_1_bar", 1),
+        (scaled("supply_bar", 0.01), "unit", "supply_bar", None),
+        (scaled("current_1_A", 1000.0), "unit", "current_1_A", 1),
+        (scaled("command_1_V", 0.02), "unit", "command_1_V", 1),
+        (scaled("speed_1_rpm", 2 * np.pi / 60), "unit", "speed_1_rpm", 1),
+        (radians, "unit", "speed_1_rpm", 1),
+        (scaled("temperature_C", 1.0, 273.15), "unit", "temperature_C", None),
+        (scaled("time_s", 1000.0), "time_unit", "time_s", None),
+    ],
+    ids=lambda value: getattr(value, "__name__", value) if callable(value) else None,
+)
+def test_a_mistake_is_found(
+    tmp_path: Path, spoil: Callable[[Columns], None], code: str, column: str | None, channel: int | None
+) -> None:
+    columns = clean()
+    spoil(columns)
+    log = read_log(save(tmp_path, columns))
+    hits = [finding for finding in log.findings if finding.code == code]
+    assert hits, [finding.as_dict() for finding in log.findings]
+    assert (hits[0].column, hits[0].channel) == (column, channel)
+    assert len(log.findings) <= 3  # one mistake does not set off every alarm
+
+
+def test_rows_are_named_as_in_the_file(tmp_path: Path) -> None:
+    columns = clean()
+    gap(columns)
+    assert read_log(save(tmp_path, columns)).findings[0].row == 1502  # header is row 1, sample 0 row 2
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "the file is empty"),
+        ("  \n\n", "the file is empty"),
+        ("time_s,command_1_V,speed_1_rpm\n", "only a header, no rows"),
+        ("time_s,command_1_V,speed_1_rpm\n0,0,0\n", "only 1 row"),
+        ("0,0,0\n0.01,1,1\n", "row 1 holds numbers where the header should be"),
+        ("time,command_1_V,speed_1_rpm\n0,0,0\n1,0,0\n", "required column 'time_s' is missing"),
+        ("time,command_1_V,speed_1_rpm\n0,0,0\n1,0,0\n", "rename 'time'"),
+        ("time_s,command_1_V,speed1_rpm\n0,0,0\n1,0,0\n", "'speed_1_rpm' is missing (found: "),
+        ("time_s,speed_1_rpm\n0,0\n1,0\n", "required column 'command_1_V' is missing"),
+        ("time_s,command_1_V,speed_1_rpm\n0,0,0\n0.01,1,fast\n", "row 3, column 'speed_1_rpm': 'fast' is not a number"),
+        ("time_s,command_1_V,speed_1_rpm\n0,0,0\n\n0.01,1,fast\n", "row 4, column 'speed_1_rpm'"),
+        ("time_s,command_1_V,speed_1_rpm\n0,0,0\n0.02,1,1\n0.01,1,1\n", "row 4, column 'time_s': time runs backwards"),
+        ("time_s,command_1_V,speed_1_rpm\n0,0,0\n,1,1\n", "row 3, column 'time_s': no time"),
+        ("time_s,command_1_V,speed_1_rpm\n0,0,0\n0,1,1\n0,1,1\n0,1,1\n", "rows repeat the time"),
+        ("time_s,command_1_V,speed_1_rpm\n0,0,0\n0.01,1\n", "row 3 has 2 cells, the header has 3"),
+        ("time_s,command_1_V,speed_1_rpm\n0,0,0\n0,01,1,1\n", "decimal commas need another delimiter"),
+        ("time_s;command_1_V;speed_1_rpm\n0;0;0\n0,01;1;1.234,5\n", "thousands separators"),
+        ("time_s,command_1_V,speed_1_rpm\n12:00:01,0,0\n12:00:02,1,1\n", "seconds as a plain number"),
+        ("time_s,command_1_V,speed_1_rpm,speed_1_rpm\n0,0,0,0\n1,1,1,1\n", "appears 2 times (columns 3, 4)"),
+        ("time_s,command_1_V,speed_1_rpm\n0,0,\n0.01,1,\n", "column 'speed_1_rpm' is empty"),
+        ("time_s,command_1_V,speed_1_rpm\n0,0,inf\n0.01,1,1\n", "row 2, column 'speed_1_rpm'"),
+        ('time_s,command_1_V,speed_1_rpm\n0,0,"1\n0.01,1,1\n', "row "),
+        ("\x00\x01\x02\x03", "not a text file"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_used_is_one_clear_line(tmp_path: Path, text: str, expected: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_log(path)
+    line = str(caught.value)
+    assert line.startswith(str(path)) and expected in line and "\n" not in line
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_log(tmp_path / "nothing.csv")
+
+
+def test_equal_speeds_in_closed_loop_are_not_called_swapped(tmp_path: Path) -> None:
+    """A controller that keeps two unequal motors together commands the weak one more; nothing is wrong with that."""
+    columns = clean()
+    rng = np.random.default_rng(2)
+    columns["speed_2_rpm"] = columns["speed_1_rpm"] + rng.normal(size=3000)
+    columns["command_2_V"] = 1.6 * columns["command_1_V"] + 5 * np.sign(columns["command_1_V"])
+    assert read_log(save(tmp_path, columns)).findings == ()
+
+
+def test_findings_do_not_change_equality() -> None:
+    assert RigLog.__dataclass_fields__["findings"].compare is False
