@@ -63,12 +63,11 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 def _run(arguments: Sequence[str] | None) -> int:
     try:
-        status = app(args=arguments, standalone_mode=False)
+        given = sys.argv[1:] if arguments is None else list(arguments)
+        status = app(args=_spread(given, "--sealed"), prog_name="hydro-env", standalone_mode=False)
     except InputError as problem:
         return _fail(problem)
-    except KeyboardInterrupt:
-        return _fail("interrupted; nothing was written", status=130)
-    except typer.Abort:
+    except (KeyboardInterrupt, typer.Abort):
         return _fail("interrupted; nothing was written", status=130)
     except BrokenPipeError:  # `hydro-env ... | head`
         sys.stderr.close()
@@ -88,7 +87,21 @@ def _run(arguments: Sequence[str] | None) -> int:
         if usage is None:
             raise
         return _fail(f"{usage()} Try `{_path(problem)} --help`.")
+    if status == 130:  # typer turns an interruption into this
+        return _fail("interrupted; nothing was written", status=130)
     return status if isinstance(status, int) else 0
+
+
+def _spread(arguments: list[str], option: str) -> list[str]:
+    """`--sealed A B` as `--sealed A --sealed B`: options of typer take one value each."""
+    spread: list[str] = []
+    active = False
+    for word in arguments:
+        if active and not word.startswith("-") and spread[-1] != option:
+            spread.append(option)
+        active = word == option or (active and not word.startswith("-"))
+        spread.append(word)
+    return spread
 
 
 def _fail(problem: object, status: int = 2) -> int:

@@ -552,7 +552,7 @@ def run(
         raise InputError(f"--none hides nothing, yet {effects[0]!r} is named; leave one of them out")
     if not none and not effects:
         raise InputError(f"name an effect to hide, or --none; effects are {', '.join(CATALOGUE)}")
-    with tqdm(total=len(_RUNS), unit="log", leave=False) as bar:
+    with tqdm(total=len(_RUNS), unit="log", leave=False, delay=0.5) as bar:
         def begin(name: str) -> None:
             bar.update(1 if bar.desc else 0)  # the one before is done
             bar.set_description(name)

@@ -1,0 +1,296 @@
+"""The command line: every bad input is one line on stderr and exit status 2, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env import __version__, cli
+from hydro_env.errors import InputError
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Runs a command in an empty folder: exit status, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as end:
+            cli.main([str(argument) for argument in arguments])
+        printed = capsys.readouterr()
+        return int(end.value.code or 0), printed.out, printed.err
+
+    return run
+
+
+def is_one_line(err: str) -> bool:
+    lines = [line for line in err.replace("\r", "\n").splitlines() if line.strip() and "it/s" not in line]
+    return bool(lines) and lines[-1].startswith("error: ") and not any("Traceback" in line for line in lines)
+
+
+def listing(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def write_log(path: Path, change: Callable[[list[list[str]]], object] = lambda rows: None) -> Path:
+    """A plausible log of 4 s at 100 Hz in the contract's format, after `change` of its rows (row 0: the header)."""
+    time = np.arange(400) * 0.01
+    command = 40.0 * np.sign(np.sin(3.0 * time + 0.1))
+    speed = np.convolve(command * 12.0, np.full(20, 0.05))[: len(time)]
+    names = ["time_s", "setpoint_rpm"]
+    names += [f"{signal}_{channel}_{unit}" for channel in (1, 2) for signal, unit in SIGNALS]
+    rows = [names]
+    for n in range(len(time)):
+        one = [command[n], command[n] / 100.0, 5.0 + 0.01 * n, speed[n], 0.0]
+        rows.append([f"{value:.4f}" for value in (time[n], 480.0, *one, *one)])
+    change(rows)
+    path.write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8")
+    return path
+
+
+SIGNALS = (("command", "V"), ("current", "A"), ("pressure", "bar"), ("speed", "rpm"), ("load", "Nm"))
+
+
+def test_version(run: Run) -> None:
+    assert run("--version") == (0, f"hydro_env {__version__}\n", "")
+
+
+def test_help_lists_the_commands(run: Run) -> None:
+    status, out, _ = run("--help")
+    assert status == 0
+    for command in ("benchmark", "demo", "diagnose", "hide", "reproduce", "speed", "tune"):
+        assert f"\n  {command} " in out
+        assert run(command, "--help")[0] == 0
+
+
+def test_every_command_takes_out(run: Run) -> None:
+    for command in cli.app.registered_commands:
+        name = command.name or command.callback.__name__  # type: ignore[union-attr]
+        status, _, err = run(name, *(["x.csv"] if name == "diagnose" else []))
+        assert status == 2 and err.startswith("error: Missing option '--out'"), name
+
+
+@pytest.mark.parametrize(
+    "arguments", [["nope"], ["hide", "--nope", "--out", "x"], ["hide", "--seed", "one", "--out", "x"]]
+)
+def test_usage_errors(run: Run, tmp_path: Path, arguments: list[str]) -> None:
+    status, _, err = run(*arguments)
+    assert status == 2 and is_one_line(err) and err.count("\n") == 1
+    assert listing(tmp_path) == []
+
+
+@pytest.mark.parametrize("out", ["file", "file/out", "/proc/hydro_env/out"])
+@pytest.mark.parametrize("command", ["benchmark", "demo", "hide", "reproduce", "speed", "tune"])
+def test_folder_that_cannot_be_written(run: Run, tmp_path: Path, command: str, out: str) -> None:
+    (tmp_path / "file").write_text("x")
+    status, _, err = run(command, "--out", out)
+    assert status == 2 and is_one_line(err) and out in err
+    assert listing(tmp_path) == ["file"]
+
+
+BAD = {
+    "unknown preset": (["benchmark", "pid_paper", "--plant", "papre", "--out", "out"], ["papre", "paper"]),
+    "no such model file": (["hide", "--none", "--model", "rig.yaml", "--out", "out"], ["rig.yaml"]),
+    "unknown controller": (["benchmark", "pid_papr", "--out", "out"], ["pid_papr", "pid_paper"]),
+    "unknown scenario": (
+        ["benchmark", "pid_paper", "--scenario", "stairs", "--out", "out"],
+        ["stairs", "staircase"],
+    ),
+    "unknown split": (
+        ["benchmark", "pid_paper", "--split", "tests", "--out", "out"],
+        ["tests", "test_interp"],
+    ),
+    "no such suite": (["benchmark", "--suite", "quickly", "--out", "out"], ["quickly", "quick"]),
+    "unknown effect": (["hide", "deadzone", "--out", "out"], ["deadzone", "dead_zone"]),
+    "unknown channel": (["hide", "dead_zone:3", "--out", "out"], ["3", "1, 2 or both"]),
+    "nothing to hide": (["hide", "--out", "out"], ["--none"]),
+    "value without a number": (
+        ["hide", "dead_zone", "--value", "dead_zone.overlap_positive=x", "--out", "out"],
+        ["NUMBER"],
+    ),
+    "unknown law": (["tune", "--controller", "pdi", "--out", "out"], ["pdi", "pid"]),
+    "tuning on a test split": (
+        ["tune", "--mismatch", "test_interp", "--out", "out"],
+        ["test_interp", "train"],
+    ),
+    "no such log": (["diagnose", "fit.csv", "--out", "out"], ["fit.csv"]),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_arguments(run: Run, tmp_path: Path, name: str) -> None:
+    arguments, words = BAD[name]
+    status, _, err = run(*arguments)
+    assert status == 2 and is_one_line(err), err
+    for word in words:
+        assert word in err
+    assert listing(tmp_path) == []
+
+
+MODELS = {
+    "a key that does not exist": ("schema: hydro_env/model/1\nname: x\nboth: {Kqq: 0.4}\n", ["Kqq", "Kq"]),
+    "an effect that does not exist": (
+        "schema: hydro_env/model/1\nname: x\neffects: {deadzone: {}}\n",
+        ["deadzone", "dead_zone"],
+    ),
+    "a section that does not exist": (
+        "schema: hydro_env/model/1\nname: x\nchanel_1: {Kq: 0.4}\n",
+        ["chanel_1", "channel_1"],
+    ),
+    "text for a number": ("schema: hydro_env/model/1\nname: x\nboth: {Kq: big}\n", ["Kq", "big"]),
+    "no YAML": ("both: {Kq: 0.4\n", []),
+    "a negative mass": ("schema: hydro_env/model/1\nname: x\nboth: {m: -1.0}\n", ["m", "-1"]),
+    "nothing": ("", []),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_bad_model_files(run: Run, tmp_path: Path, name: str) -> None:
+    text, words = MODELS[name]
+    (tmp_path / "model.yaml").write_text(text)
+    status, _, err = run("hide", "--none", "--model", "model.yaml", "--out", "out")
+    assert status == 2 and is_one_line(err), err
+    for word in ("model.yaml", *words):
+        assert word in err
+    assert listing(tmp_path) == ["model.yaml"]
+
+
+def _drop(name: str) -> Callable[[list[list[str]]], None]:
+    def change(rows: list[list[str]]) -> None:
+        column = rows[0].index(name)
+        for row in rows:
+            del row[column]
+
+    return change
+
+
+def _rename(old: str, new: str) -> Callable[[list[list[str]]], None]:
+    def change(rows: list[list[str]]) -> None:
+        rows[0][rows[0].index(old)] = new
+
+    return change
+
+
+def _put(row: int, name: str, value: str) -> Callable[[list[list[str]]], None]:
+    def change(rows: list[list[str]]) -> None:
+        rows[row][rows[0].index(name)] = value
+
+    return change
+
+
+LOGS: dict[str, tuple[Callable[[list[list[str]]], object], list[str]]] = {
+    "no time": (_drop("time_s"), ["time_s"]),
+    "no speed": (lambda rows: (_drop("speed_1_rpm")(rows), _drop("speed_2_rpm")(rows)), ["speed"]),
+    "no command": (lambda rows: (_drop("command_1_V")(rows), _drop("command_2_V")(rows)), ["command"]),
+    "text in a number": (_put(100, "speed_1_rpm", "fast"), ["fast", "speed_1_rpm", "101"]),
+    "time running backwards": (_put(100, "time_s", "0.5"), ["time_s", "101"]),
+    "a gap": (lambda rows: rows.__delitem__(slice(100, 250)), ["gap"]),
+    "a wrong unit": (_rename("speed_1_rpm", "speed_1_kg"), ["speed_1"]),
+    "no rows": (lambda rows: rows.__delitem__(slice(1, None)), []),
+    "an empty file": (lambda rows: rows.clear(), ["empty"]),
+    "a row cut short": (lambda rows: rows[100].__delitem__(slice(5, None)), ["101"]),
+}
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_bad_logs(run: Run, tmp_path: Path, name: str) -> None:
+    change, words = LOGS[name]
+    write_log(tmp_path / "fit.csv", change)
+    status, _, err = run("diagnose", "fit.csv", "--out", "out")
+    assert status == 2 and is_one_line(err), err
+    for word in ("fit.csv", *words):
+        assert word in err
+    assert listing(tmp_path) == ["fit.csv"]
+
+
+MAPPINGS = {
+    "a unit that does not exist": ("speed_1: {column: speed_1_rpm, unit: knots}", ["knots"]),
+    "a key that does not exist": ("spede_1: {column: speed_1_rpm, unit: rpm}", ["spede_1"]),
+    "no YAML": ("speed_1: {", []),
+}
+
+
+@pytest.mark.parametrize("name", MAPPINGS)
+def test_bad_mappings(run: Run, tmp_path: Path, name: str) -> None:
+    text, words = MAPPINGS[name]
+    write_log(tmp_path / "fit.csv")
+    (tmp_path / "mapping.yaml").write_text(text)
+    status, _, err = run("diagnose", "fit.csv", "--mapping", "mapping.yaml", "--out", "out")
+    assert status == 2 and is_one_line(err), err
+    for word in ("mapping.yaml", *words):
+        assert word in err
+    assert listing(tmp_path) == ["fit.csv", "mapping.yaml"]
+
+
+def test_interrupt(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hydro_env.diagnosis import hide
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(hide, "run", interrupted)
+    status, _, err = run("hide", "dead_zone", "--out", "out")
+    assert status == 130 and is_one_line(err)
+    assert listing(tmp_path) == []
+
+
+def test_missing_extra_is_named(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hydro_env.diagnosis import hide
+
+    def missing(*_: object, **__: object) -> None:
+        raise ModuleNotFoundError("No module named 'plotly.graph_objects'", name="plotly.graph_objects")
+
+    monkeypatch.setattr(hide, "run", missing)
+    status, _, err = run("hide", "dead_zone", "--out", "out")
+    assert status == 2 and "hydro_env[report]" in err and is_one_line(err)
+    assert listing(tmp_path) == []
+
+
+def test_a_mistake_in_the_program_is_not_hidden(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hydro_env.diagnosis import hide
+
+    def wrong(*_: object, **__: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(hide, "run", wrong)
+    with pytest.raises(ZeroDivisionError):
+        run("hide", "dead_zone", "--out", "out")
+
+
+def test_error_message_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hydro_env.diagnosis import hide
+
+    def bad(*_: object, **__: object) -> None:
+        raise InputError("first\nsecond")
+
+    monkeypatch.setattr(hide, "run", bad)
+    assert run("hide", "dead_zone", "--out", "out") == (2, "", "error: first second\n")
+
+
+def test_hide_writes_logs_and_truth(run: Run, tmp_path: Path) -> None:
+    status, out, _ = run("hide", "dead_zone:1", "--duration", 3, "--rate", 100, "--out", "out")
+    assert status == 0 and "truth.json" in out
+    assert listing(tmp_path / "out") == ["fit_1.csv", "fit_2.csv", "model.yaml", "sealed.csv", "truth.json"]
+    assert json.loads((tmp_path / "out" / "truth.json").read_text())["effects"][0]["name"] == "dead_zone"
+
+
+def test_as_a_program(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "hydro_env", "hide", "deadzone", "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+    assert listing(tmp_path) == []
+
+
+def test_option_with_several_values() -> None:
+    given = ["diagnose", "a", "b", "--sealed", "c", "d", "--seed", "1", "--sealed", "e"]
+    expected = ["diagnose", "a", "b", "--sealed", "c", "--sealed", "d", "--seed", "1", "--sealed", "e"]
+    assert cli._spread(given, "--sealed") == expected
