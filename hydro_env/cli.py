@@ -149,9 +149,11 @@ def tune(
     mismatch: Annotated[
         str, typer.Option(help="Split the pairs of valves come from, or `none`: the plant's own pair.")
     ] = "train",
-    scenario: Annotated[str, typer.Option(help="What is driven.")] = "setpoint_steps",
-    cases: Annotated[int, typer.Option(min=1, help="Pairs of valves each candidate drives.")] = 16,
-    episodes: Annotated[int, typer.Option(min=1, help="Budget: how many episodes may be simulated.")] = 6144,
+    scenario: Annotated[
+        str, typer.Option(help="What is driven; several with commas.")
+    ] = "setpoint_steps,random_steps",
+    cases: Annotated[int, typer.Option(min=1, help="Pairs of valves each candidate drives.")] = 12,
+    episodes: Annotated[int, typer.Option(min=1, help="Budget: how many episodes may be simulated.")] = 12288,
     weight: Annotated[
         float, typer.Option(help="Rpm of tracking error that one rpm of speed difference is worth.")
     ] = 1.0,

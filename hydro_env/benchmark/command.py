@@ -28,6 +28,7 @@ from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
 from hydro_env.files import output_folder, write_json, write_text
+from hydro_env.plant import load_model
 from hydro_env.tasks import METRICS, SCENARIOS, SPLITS, Trace
 
 __all__ = ["SCHEMA", "run"]
@@ -88,6 +89,7 @@ def run(
     chosen = _suite(suite, splits, scenarios, cases)
     if jobs < 1:
         raise InputError(f"jobs must be at least 1, not {jobs}")
+    load_model(plant)  # a plant that is not there is no controller's failure
     specs = list(controllers) if controllers else [n for n, entry in CONTROLLERS.items() if entry.available]
     cells = list(_cells(specs, chosen))
     with nullcontext() if out is None else output_folder(out) as folder:

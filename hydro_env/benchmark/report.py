@@ -29,15 +29,22 @@ def scores_table(scores: dict[str, Any]) -> str:
             [r["n"] for r in scores["rows"] if (r["split"], r["scenario"]) == (split, scenario)], default=0
         )
         lines.append(f"\n{split} / {scenario}, {n} cases: interquartile mean and its 95 % interval")
-        lines.append("  " + "controller".ljust(width) + "".join(f"{_short(m):>22}" for m in columns))
+        texts = {
+            name: [_cell(cells.get((split, scenario, name, metric))) for metric in columns]
+            for name in scores["controllers"]
+            if (split, scenario, name) not in failed
+        }
+        heads = [_short(metric) for metric in columns]
+        wide = [2 + max([len(head), *(len(row[i]) for row in texts.values())]) for i, head in enumerate(heads)]
+        lines.append("  " + "controller".ljust(width) + _row(heads, wide))
         for name in scores["controllers"]:
-            reason = failed.get((split, scenario, name))
-            if reason is not None:
-                lines.append("  " + name.ljust(width) + f"  failed: {reason}")
-                continue
-            texts = [_cell(cells.get((split, scenario, name, metric))) for metric in columns]
-            lines.append("  " + name.ljust(width) + "".join(f"{text:>22}" for text in texts))
+            told = _row(texts[name], wide) if name in texts else f"  failed: {failed[split, scenario, name]}"
+            lines.append("  " + name.ljust(width) + told)
     return "\n".join(lines).lstrip("\n")
+
+
+def _row(texts: list[str], widths: list[int]) -> str:
+    return "".join(text.rjust(width) for text, width in zip(texts, widths, strict=True))
 
 
 def _short(metric: str) -> str:

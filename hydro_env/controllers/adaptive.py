@@ -114,9 +114,10 @@ class ValveLearner:
 class LoadObserver:
     """Torque on each shaft (N m) from pressure and speed: Luenberger, with a double pole at `rate` 1/s."""
 
-    def __init__(self, speed: Floats, period: float, rate: float = 20.0) -> None:
+    def __init__(self, speed: Floats, period: float, rate: Floats | float) -> None:
         self.speed, self.load = speed.copy(), np.zeros_like(speed)
-        self._period, self._rate = period, min(rate, 0.3 / period)
+        self._period = period
+        self._rate = np.minimum(np.reshape(rate, (-1, 1)), 0.95 / period)  # sampled, the poles are 1 - rate period
 
     def step(self, speed: Floats, pressure: Floats) -> Floats:
         miss = speed - self.speed
@@ -141,6 +142,7 @@ class AdaptiveFlow(Controller):
             summary="how fast the spools creep up to an unknown edge (command per s)",
         ),
         Gain("caution", "1/s", 0.1, 10.0, summary="how fast flow may grow, times the doubt about the gain"),
+        Gain("observer", "1/s", 10.0, 95.0, summary="double pole of the load observer"),
         Gain("drift", "1/sqrt(s)", 0.002, 0.3, summary="random walk of the edge in the valve estimate"),
     )
     known_within = 0.02
@@ -150,7 +152,7 @@ class AdaptiveFlow(Controller):
         n = len(measured.speed)
         self._spool = Spool(measured.command, self.period)
         self._learner = self._first_estimate(n)
-        self._load = LoadObserver(measured.speed, self.period)
+        self._load = LoadObserver(measured.speed, self.period, self.gains["observer"])
         self._spacing, self._weight = shaper(self.period)
         self._asked = [measured.command.astype(float)] * (2 * self._spacing + 1)
         self._sent = measured.command.astype(float)

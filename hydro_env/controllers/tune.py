@@ -1,16 +1,16 @@
 """Tunes a controller's gains on the training pairs: `hydro-env tune`.
 
-The cost of one episode, in rpm:  tracking_mae_rpm + weight * max_speed_difference_rpm, the mean over both
-motors of the error to the set-point, plus the largest difference between the motors; the cost of a set of
-gains is the mean over the pairs, plus the same for the worst tenth of them by `tail`. Differential
-evolution (SciPy, vectorised: a whole generation is one batch of rigs) searches the gains on the scale their
-`Gain` names. All candidates drive the same pairs with the same noise. Only the split `train` is used,
-unless the rig's own pair is.
+The cost of one episode, in rpm, is  tracking_mae_rpm + weight * max_speed_difference_rpm:  the mean error of
+both motors to the set-point, plus the largest difference between them. The cost of a set of gains is its mean
+over pairs and scenarios. Differential evolution (SciPy) searches the gains on the scale their `Gain` names; a
+whole generation is one batch of rigs. All candidates drive the same pairs with the same noise. Only the split
+`train` may be used, or the plant's own pair.
 """
 
 from __future__ import annotations
 
 import shlex
+from math import log
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import differential_evolution
 from tqdm import tqdm
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Controller, Floats
 from hydro_env.controllers.gains import GainsFile, write_gains
 from hydro_env.controllers.registry import LAWS
 from hydro_env.controllers.rollout import roll_out
@@ -28,6 +28,7 @@ from hydro_env.files import output_folder
 __all__ = ["cost", "run"]
 
 POPULATION = 24
+COSTS = ("tracking_mae_rpm", "max_speed_difference_rpm")
 
 
 def cost(metrics: dict[str, Floats], weight: float) -> Floats:
@@ -41,9 +42,9 @@ def run(
     controller: str = "pid",
     plant: str = "paper_dead_zone",
     mismatch: str | None = "train",
-    scenario: str = "setpoint_steps",
-    cases: int = 16,
-    episodes: int = 6144,
+    scenario: str = "setpoint_steps,random_steps",
+    cases: int = 12,
+    episodes: int = 12288,
     weight: float = 1.0,
     control_period: float = 0.01,
     seed: int = 0,
@@ -57,8 +58,8 @@ def run(
         controller: the control law, a key of `LAWS`.
         plant: preset or model file.
         mismatch: "train", or None for the plant's own pair of valves.
-        scenario: what is driven.
-        cases: pairs of valves each candidate drives (seeds `seed`, `seed + 1`, ...).
+        scenario: what is driven; several are separated by commas and count equally.
+        cases: pairs of valves each candidate drives in each scenario (seeds `seed`, `seed + 1`, ...).
         episodes: the budget: how many episodes may be simulated in all.
         weight: how many rpm of tracking error one rpm of the largest speed difference is worth.
         control_period: s.
@@ -74,75 +75,89 @@ def run(
         raise InputError(
             f"mismatch {mismatch!r}: gains are tuned on 'train' or on the plant's own pair, never on other splits"
         )
-    if cases < 1 or episodes < cases * POPULATION * 2:
+    scenarios = [each.strip() for each in scenario.split(",")]
+    generation = cases * POPULATION * len(scenarios)
+    if cases < 1 or episodes < 2 * generation:
         raise InputError(
-            f"episodes {episodes}: {cases} cases need at least {cases * POPULATION * 2} (two generations)"
+            f"episodes {episodes}: {cases} cases need at least {2 * generation} (two generations)"
         )
     law = LAWS[controller]
-    low, high, logarithmic = (
-        np.array([getattr(gain, key) for gain in law.GAINS]) for key in ("low", "high", "log")
-    )
-    bounds = np.stack(
-        [np.where(logarithmic, np.log(low), low), np.where(logarithmic, np.log(high), high)], axis=1
-    )
+    names = [gain.name for gain in law.GAINS]
     seeds = [seed + i for i in range(cases)]
-    generations = episodes // (cases * POPULATION) - 1
     spent = 0
 
-    def physical(genes: Floats) -> Floats:
-        flags = logarithmic.reshape(-1, *[1] * (genes.ndim - 1))
-        return np.where(flags, np.exp(np.where(flags, genes, 0.0)), genes)
-
-    def costs(genes: Floats) -> Floats:
+    def mean_costs(genes: Floats) -> Floats:
         """Costs (candidates,) of genes (gains, candidates), all candidates and pairs in one batch."""
         nonlocal spent
-        values = np.repeat(physical(genes), cases, axis=1)[:, :, None]
-        tried = law(controller, **{gain.name: column for gain, column in zip(law.GAINS, values, strict=True)})
         count = genes.shape[1]
-        done = roll_out(
-            tried,
-            seeds * count,
-            plant=plant,
-            mismatch=mismatch,
-            scenario=scenario,
-            control_period=control_period,
-        )
-        spent += cases * count
-        bar.update(cases * count)
-        each = cost(done.metrics(("tracking_mae_rpm", "max_speed_difference_rpm")), weight)
-        return np.mean(np.nan_to_num(each.reshape(count, cases), nan=1e6, posinf=1e6), axis=1)
+        columns = np.repeat(_values(law, genes), cases, axis=1)[:, :, None]
+        tried = law(controller, **dict(zip(names, columns, strict=True)))
+        total = np.zeros(count)
+        for each in scenarios:
+            done = roll_out(
+                tried,
+                seeds * count,
+                plant=plant,
+                mismatch=mismatch,
+                scenario=each,
+                control_period=control_period,
+            )
+            total += cost(done.metrics(COSTS), weight).reshape(count, cases).mean(axis=1) / len(scenarios)
+            spent += cases * count
+            bar.update(cases * count)
+        return total
 
-    with tqdm(total=(generations + 1) * cases * POPULATION, unit="episode", disable=not progress) as bar:
-        start = _latin_hypercube(bounds, np.random.default_rng(seed))
+    generations = episodes // generation - 1
+    bounds = _bounds(law)
+    with tqdm(total=(generations + 1) * generation, unit="episode", disable=not progress) as bar:
         found = differential_evolution(
-            costs, bounds, init=start, maxiter=generations, rng=np.random.default_rng(seed),
-            vectorized=True, updating="deferred", mutation=(0.4, 0.9), recombination=0.9, polish=False, tol=0.0,
+            mean_costs, bounds, init=_latin_hypercube(bounds, np.random.default_rng(seed)), maxiter=generations,
+            rng=np.random.default_rng(seed), vectorized=True, updating="deferred", mutation=(0.4, 0.9),
+            recombination=0.9, polish=False, tol=0.0,
         )  # fmt: skip
-    gains = {
-        gain.name: float(f"{value:.4g}") for gain, value in zip(law.GAINS, physical(found.x), strict=True)
+    gains = {key: float(f"{value:.4g}") for key, value in zip(names, _values(law, found.x), strict=True)}
+    options = {
+        "controller": controller,
+        "plant": plant,
+        "mismatch": mismatch or "none",
+        "scenario": ",".join(scenarios),
+        "cases": cases,
+        "episodes": episodes,
+        "weight": f"{weight:g}",
+        "control-period": f"{control_period:g}",
+        "seed": seed,
     }
-    command = (
-        f"hydro-env tune --controller {controller} --plant {shlex.quote(str(plant))} --mismatch {mismatch or 'none'} "
-        f"--scenario {scenario} --cases {cases} --episodes {episodes} --weight {weight:g} "
-        f"--control-period {control_period:g} --seed {seed}"
-    )
     tuning = {
-        "command": command,
+        "command": "hydro-env tune "
+        + " ".join(f"--{key} {shlex.quote(str(v))}" for key, v in options.items()),
         "split": mismatch,
         "plant": str(plant),
-        "scenario": scenario,
+        "scenarios": scenarios,
         "cases": cases,
         "episodes": spent,
         "seed": seed,
         "control_period_s": control_period,
-        "objective": f"mean over the pairs of tracking_mae_rpm + {weight:g} max_speed_difference_rpm",
+        "objective": f"mean over pairs and scenarios of tracking_mae_rpm + {weight:g} max_speed_difference_rpm",
         "optimiser": f"differential evolution, population {POPULATION}, {generations} generations",
         "cost_rpm": float(f"{found.fun:.5g}"),
     }
-    file = GainsFile(controller, dict(gains), {g.name: g.unit for g in law.GAINS}, tuning, name or controller)
+    units = {gain.name: gain.unit for gain in law.GAINS}
     with output_folder(out) as folder:
-        write_gains(folder / "gains.json", file)
-    return {"controller": controller, "gains": gains, "units": file.units, "tuning": tuning}
+        write_gains(
+            folder / "gains.json", GainsFile(controller, dict(gains), units, tuning, name or controller)
+        )
+    return {"controller": controller, "gains": gains, "units": units, "tuning": tuning}
+
+
+def _bounds(law: type[Controller]) -> Floats:
+    """Where to search, (gains, 2): the logarithm of gains on a logarithmic scale."""
+    rows = [(gain.low, gain.high) if not gain.log else (log(gain.low), log(gain.high)) for gain in law.GAINS]
+    return np.array(rows)
+
+
+def _values(law: type[Controller], genes: Floats) -> Floats:
+    """Gains for what the search works with, both (gains, ...)."""
+    return np.stack([np.exp(x) if gain.log else x for gain, x in zip(law.GAINS, genes, strict=True)])
 
 
 def _latin_hypercube(bounds: Floats, rng: np.random.Generator) -> Floats:
