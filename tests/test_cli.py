@@ -186,13 +186,18 @@ def _put(row: int, name: str, value: str) -> Callable[[list[list[str]]], None]:
     return change
 
 
+def _pause(rows: list[list[str]]) -> None:
+    for row in rows[100:]:
+        row[0] = f"{float(row[0]) + 30.0:.4f}"
+
+
 LOGS: dict[str, tuple[Callable[[list[list[str]]], object], list[str]]] = {
     "no time": (_drop("time_s"), ["time_s"]),
     "no speed": (lambda rows: (_drop("speed_1_rpm")(rows), _drop("speed_2_rpm")(rows)), ["speed"]),
     "no command": (lambda rows: (_drop("command_1_V")(rows), _drop("command_2_V")(rows)), ["command"]),
     "text in a number": (_put(100, "speed_1_rpm", "fast"), ["fast", "speed_1_rpm", "101"]),
     "time running backwards": (_put(100, "time_s", "0.5"), ["time_s", "101"]),
-    "a gap": (lambda rows: rows.__delitem__(slice(100, 250)), ["gap"]),
+    "a gap of half a minute": (_pause, ["time_s", "101", "split"]),
     "a wrong unit": (_rename("speed_1_rpm", "speed_1_kg"), ["speed_1"]),
     "no rows": (lambda rows: rows.__delitem__(slice(1, None)), []),
     "an empty file": (lambda rows: rows.clear(), ["empty"]),

@@ -1,0 +1,243 @@
+"""`hydro-env demo`: the paper's experiment, a score board and one diagnosis, on one page.
+
+Every number on the page is computed in the same run, but for the paper's published ones. The parts are the commands
+`reproduce`, `benchmark`, `hide` and `diagnose`, whose own results stand in folders beside the page.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from hydro_env import __version__
+from hydro_env.pages import COLOURS, figure, png, render, svg
+
+__all__ = ["run"]
+
+HIDDEN = ("dead_zone:1",)
+"""What the third part hides."""
+
+LEARNED = ("ppo", "sac")
+BOARD = (
+    ("setpoint_steps", "max_speed_difference_rpm", "steps: largest difference, rpm"),
+    ("setpoint_steps", "tracking_mae_rpm", "steps: tracking error, rpm"),
+    ("load_step", "max_speed_difference_rpm", "load: largest difference, rpm"),
+    ("load_step", "tracking_mae_rpm", "load: tracking error, rpm"),
+)
+"""Columns of the score board: scenario, metric, heading. The first two span the picture."""
+
+GAPS = (
+    ("before", "model as given"),
+    ("calibrated", "calibrated"),
+    ("placebo", "calibrated, with the best wrong effect"),
+    ("after", "calibrated, with the named effect"),
+)
+
+
+class _Clock:
+    """Says what is being done and remembers how long it took."""
+
+    def __init__(self) -> None:
+        self.parts: list[dict[str, Any]] = []
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        tqdm.write(f"{name} ...")
+        start = time.perf_counter()
+        yield
+        seconds = time.perf_counter() - start
+        self.parts.append({"name": name, "seconds": seconds})
+        tqdm.write(f"{name}: {seconds:.1f} s")
+
+
+def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
+    """Runs the demo and writes `out/index.html`, `out/demo.png`, `out/demo.json` and a folder for each part.
+
+    Args:
+        out: an existing folder.
+        seed: of the benchmark's pairs of valves and of the practice logs.
+        jobs: processes.
+
+    Returns the content of demo.json: the numbers of the page and the seconds of each part.
+    """
+    from hydro_env.files import write_json, write_text
+
+    out = Path(out)
+    clock = _Clock()
+    with clock.part("the paper's experiment"):
+        paper = _paper(_folder(out, "reproduce"))
+    with clock.part("scoreboard"):
+        board = _board(_folder(out, "benchmark"), seed, jobs)
+    with clock.part("diagnosis"):
+        finding = _diagnosis(_folder(out, "practice"), _folder(out, "diagnosis"), seed, jobs)
+    png(paper["drawing"], out / "demo.png")
+    page = render(
+        files(__package__).joinpath("demo.html"),
+        title="Two hydraulic motors, two unequal valves",
+        version=__version__,
+        seconds=sum(part["seconds"] for part in clock.parts),
+        parts=clock.parts,
+        paper=paper,
+        board=board,
+        finding=finding,
+    )
+    write_text(out / "index.html", page)
+    result = {
+        "schema": "hydro_env/demo/1",
+        "paper": paper["numbers"],
+        "scores": board["numbers"],
+        "diagnosis": finding["numbers"],
+        "seconds": {part["name"]: part["seconds"] for part in clock.parts},
+    }
+    write_json(out / "demo.json", result)
+    return result
+
+
+def _folder(out: Path, name: str) -> Path:
+    folder = out / name
+    folder.mkdir()
+    return folder
+
+
+def _short(value: float | None) -> str:
+    """Three digits, as a reader wants them."""
+    if value is None or not np.isfinite(value):
+        return "–"
+    digits = max(0, 2 - int(np.floor(np.log10(abs(value))))) if value else 0
+    return f"{value:.{min(digits, 3)}f}"
+
+
+# --- 2. the score board -----------------------------------------------------------------------------------------------
+def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
+    from hydro_env.benchmark import command
+
+    scores = command.run(out, suite="quick", seed=seed, jobs=jobs)
+    cells = {(row["controller"], row["scenario"], row["metric"]): row for row in scores["rows"]}
+    rows = []
+    for name in scores["controllers"]:
+        found = [cells.get((name, scenario, metric)) for scenario, metric, _ in BOARD]
+        note = "learned" if name in LEARNED else "knows the true valves" if name == "oracle" else ""
+        rows.append(
+            {"name": name, "note": note, "learned": name in LEARNED, "cells": [_cell(row) for row in found]}
+        )
+    return {
+        "about": scores["about"],
+        "cases": max(row["n"] for row in scores["rows"]),
+        "columns": [heading for _, _, heading in BOARD],
+        "rows": rows,
+        "picture": svg(_front(scores["controllers"], cells), "largest speed difference over tracking error"),
+        "numbers": [
+            row for row in scores["rows"] if (row["scenario"], row["metric"]) in {key[:2] for key in BOARD}
+        ],
+    }
+
+
+def _cell(row: dict[str, Any] | None) -> dict[str, str]:
+    if row is None:
+        return {"text": "–", "interval": ""}
+    low, high = row["ci95"]
+    return {"text": _short(row["iqm"]), "interval": f"{_short(low)} to {_short(high)}"}
+
+
+def _front(controllers: list[str], cells: dict[Any, Any]) -> Any:
+    """Largest difference over tracking error on the set-point steps, a mark for each controller."""
+    drawing, (axis,) = figure(height=3.6)
+    for name in controllers:
+        pair = [cells.get((name, *column[:2])) for column in (BOARD[1], BOARD[0])]
+        if None in pair:
+            continue
+        across, up = pair
+        bars = [[[abs(row["iqm"] - row["ci95"][i])] for i in (0, 1)] for row in (across, up)]
+        colour = COLOURS[1] if name in LEARNED else COLOURS[4] if name == "oracle" else COLOURS[0]
+        axis.errorbar(
+            across["iqm"], up["iqm"], xerr=bars[0], yerr=bars[1], fmt="o", color=colour, elinewidth=0.8
+        )
+        axis.annotate(
+            name, (across["iqm"], up["iqm"]), xytext=(6, 5), textcoords="offset points", fontsize=8.5
+        )
+    axis.set(
+        xlabel="tracking error, rpm", ylabel="largest speed difference, rpm", xlim=(0, None), ylim=(0, None)
+    )
+    return drawing
+
+
+# --- 3. the diagnosis -------------------------------------------------------------------------------------------------
+def _diagnosis(practice: Path, out: Path, seed: int, jobs: int) -> dict[str, Any]:
+    from hydro_env.diagnosis import command, hide
+
+    hide.run(HIDDEN, practice, seed=seed)
+    truth = json.loads((practice / "truth.json").read_text(encoding="utf-8"))
+    logs = {kind: [practice / name for name in truth["logs"][kind]] for kind in ("fit", "sealed")}
+    command.run(
+        logs["fit"], sealed=logs["sealed"], model=practice / "model.yaml", out=out, seed=seed, jobs=jobs
+    )
+    found = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    hidden = {effect["name"]: effect for effect in truth["effects"]}
+    effects, parameters = [], []
+    for effect in found["effects"]:
+        effects.append(
+            {
+                "name": effect["name"],
+                "where": _where(effect["channel"]),
+                "probability": _short(effect.get("probability"))
+                if effect.get("probability") is not None
+                else "",
+            }
+        )
+        for name, value in effect["parameters"].items():
+            true = hidden.get(effect["name"], {}).get("parameters", {}).get(name, {}).get("value")
+            parameters.append(_parameter(f"{effect['name']}.{name}", true, value))
+    return {
+        "hidden": ", ".join(
+            f"{effect['name']} on {_where(effect['channel'])}" for effect in truth["effects"]
+        ),
+        "verdict": found["verdict"],
+        "effects": effects,
+        "parameters": parameters,
+        "picture": svg(_gaps(found["gap"]["sealed"]), "error on the sealed log before and after"),
+        "report": "diagnosis/report.html",
+        "numbers": {"hidden": truth["effects"], **{key: found[key] for key in ("verdict", "effects", "gap")}},
+    }
+
+
+def _where(channel: str) -> str:
+    return {"both": "both channels", "rig": "the whole rig"}.get(channel, f"channel {channel}")
+
+
+def _parameter(name: str, true: float | None, found: dict[str, Any]) -> dict[str, str]:
+    """A line of the table: hidden and found value; metres are shown as micrometres, which is how one speaks of laps."""
+    scale, unit = (1e6, "um") if found["unit"] == "m" else (1.0, found["unit"])
+    low, high = found.get("low"), found.get("high")
+    text = f"{low * scale:.3g} to {high * scale:.3g}" if low is not None and high is not None else ""
+    return {
+        "name": name,
+        "hidden": "none" if true is None else f"{true * scale:.3g}",
+        "value": f"{found['value'] * scale:.3g}",
+        "interval": text,
+        "unit": unit,
+    }
+
+
+def _gaps(signals: dict[str, dict[str, float]]) -> Any:
+    """Bars: error of each speed on the sealed log at every stage, with the noise as a line."""
+    speeds = [name for name in signals if name.startswith("speed_")]
+    drawing, axes = figure(len(speeds), height=1.5)
+    for axis, name in zip(axes, speeds, strict=True):
+        values = [signals[name][key] for key, _ in GAPS]
+        colours = [COLOURS[4], COLOURS[4], COLOURS[1], COLOURS[0]]
+        bars = axis.barh([label for _, label in GAPS], values, color=colours, height=0.62)
+        axis.bar_label(bars, [_short(value) for value in values], padding=4, fontsize=8.5)
+        axis.axvline(signals[name]["noise"], color=COLOURS[2], linestyle="--", linewidth=1.2)
+        axis.invert_yaxis()
+        axis.set_title(f"motor {name.split('_')[1]}; dashed: noise of the sensor", loc="left", fontsize=9)
+        axis.grid(axis="y", visible=False)
+    axes[-1].set_xlabel("error on the sealed log (RMS), rpm")
+    return drawing
