@@ -1,0 +1,195 @@
+"""Practice logs: what is hidden is what the truth says, a seed gives the same logs, bad input is refused in a line."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from hydro_env.diagnosis.hide import NOISE, make_practice, parse_effects, parse_values, run
+from hydro_env.errors import InputError
+from hydro_env.plant import CATALOGUE, load_model, simulate
+from hydro_env.units import RPM
+
+HEADER = (
+    "time_s,setpoint_rpm,command_1_V,current_1_A,pressure_1_bar,speed_1_rpm,load_1_Nm,"
+    "command_2_V,current_2_A,pressure_2_bar,speed_2_rpm,load_2_Nm"
+)
+
+
+def _quick(effects=(), **options):
+    return make_practice(effects, **{"duration": 3.0, "runs": ("fit_1",), **options})
+
+
+def _equal(a, b):
+    return a.logs.keys() == b.logs.keys() and all(
+        np.array_equal(a.logs[n][c], b.logs[n][c]) for n in a.logs for c in a.logs[n]
+    )
+
+
+def test_files_and_truth(tmp_path):
+    practice = run(["dead_zone:1", "supply_droop"], tmp_path, duration=3.0, seed=5, base_error_percent=10)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "fit_1.csv",
+        "fit_2.csv",
+        "model.yaml",
+        "sealed.csv",
+        "truth.json",
+    ]
+    for name in ("fit_1", "fit_2", "sealed"):
+        text = (tmp_path / f"{name}.csv").read_text()
+        assert text.splitlines()[0] == HEADER
+        table = np.loadtxt(tmp_path / f"{name}.csv", delimiter=",", skiprows=1)
+        assert table.shape == (3000, 12)
+        np.testing.assert_allclose(table, np.column_stack(list(practice.logs[name].values())), atol=1e-6)
+    truth = json.loads((tmp_path / "truth.json").read_text())
+    assert truth["verdict"] == "effects"
+    assert [(e["name"], e["channel"]) for e in truth["effects"]] == [
+        ("dead_zone", "1"),
+        ("supply_droop", "rig"),
+    ]
+    assert truth["logs"] == {"fit": ["fit_1.csv", "fit_2.csv"], "sealed": ["sealed.csv"]}
+    for entry in truth["effects"]:
+        for own, number in entry["parameters"].items():
+            assert practice.true.value(f"{entry['name']}.{own}", 0) == number["value"]
+    assert practice.true.value("dead_zone.overlap_positive", 1) == 0.0
+    for name, entry in truth["base_parameters"].items():
+        symbol, channel = name.rsplit("_", 1)
+        assert practice.true.value(symbol, int(channel) - 1) == entry["value"]
+        assert abs(entry["value"] / entry["nominal"] - 1.0) <= 0.1 + 1e-9 or symbol == "Fs"
+    # What an engineer is given knows nothing of what is hidden.
+    assert load_model(tmp_path / "model.yaml") == load_model("paper") == practice.given
+
+
+def test_seed_decides_everything():
+    assert _equal(_quick(["dead_zone:1"], seed=4), _quick(["dead_zone:1"], seed=4))
+    assert not _equal(_quick(["dead_zone:1"], seed=4), _quick(["dead_zone:1"], seed=5))
+
+
+def test_nothing_hidden_is_explained_by_the_model():
+    """With the fitting kernel on the given model, only the noise is left."""
+    practice = make_practice(duration=3.0, seed=1, runs=("fit_1", "fit_2", "sealed"))
+    assert practice.truth["verdict"] == "none"
+    assert practice.truth["effects"] == [] and practice.truth["base_parameters"] == {}
+    for log in practice.logs.values():
+        command = np.column_stack([log["command_1_V"], log["command_2_V"]])
+        load = np.column_stack([log["load_1_Nm"], log["load_2_Nm"]])
+        simulated = simulate("paper", command, load, 1e-3, record=("speed", "current"))
+        for c in (0, 1):
+            left = log[f"speed_{c + 1}_rpm"] - simulated["speed"][:, 0, c] / RPM
+            assert np.std(left) == pytest.approx(NOISE["speed"][0], rel=0.1)
+            left = log[f"current_{c + 1}_A"] - simulated["current"][:, 0, c]
+            assert np.std(left) == pytest.approx(NOISE["current"][0], rel=0.1)
+
+
+def test_base_error_alone_is_calibration():
+    practice = _quick(base_error=0.2, seed=2)
+    assert practice.truth["verdict"] == "calibration"
+    factors = [e["value"] / e["nominal"] for e in practice.truth["base_parameters"].values()]
+    assert max(factors) <= 1.2 + 1e-9 and min(factors) >= 0.8 - 1e-9 and np.std(factors) > 0.05
+
+
+def test_noise_has_its_size_and_quantisation():
+    noisy, clean = _quick(seed=3), _quick(seed=3, noise=0.0)
+    for signal, unit in (("speed", "rpm"), ("current", "A"), ("pressure", "bar")):
+        name = f"{signal}_1_{unit}"
+        size, resolution = NOISE[signal]
+        assert np.std(noisy.logs["fit_1"][name] - clean.logs["fit_1"][name]) == pytest.approx(size, rel=0.1)
+        steps = noisy.logs["fit_1"][name] / resolution
+        np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+
+
+def test_recorded_signals_change_no_other():
+    few, more = _quick(seed=6, record=("load",)), _quick(seed=6, record=("load", "spool", "flow", "pressure"))
+    assert list(few.logs["fit_1"]) == [
+        "time_s", "command_1_V", "speed_1_rpm", "load_1_Nm", "command_2_V", "speed_2_rpm", "load_2_Nm",
+    ]  # fmt: skip
+    assert {"spool_1_mm", "flow_2_lpm", "pressure_1_bar"} <= set(more.logs["fit_1"])
+    for name, column in few.logs["fit_1"].items():
+        np.testing.assert_array_equal(column, more.logs["fit_1"][name])
+
+
+def test_load_that_nobody_logs_is_not_applied():
+    practice = _quick(seed=7, record=("current",), noise=0.0, duration=9.0)
+    again = simulate(
+        "paper",
+        np.column_stack([practice.logs["fit_1"][f"command_{c}_V"] for c in (1, 2)]),
+        None,
+        1e-3,
+        record=("speed",),
+    )
+    assert np.abs(practice.logs["fit_1"]["speed_1_rpm"] - again["speed"][:, 0, 0] / RPM).max() < 0.5
+
+
+@pytest.mark.parametrize("rate", [50.0, 200.0])
+def test_rate(rate):
+    log = _quick(rate=rate).logs["fit_1"]
+    assert log["time_s"].size == round(3.0 * rate)
+    np.testing.assert_allclose(np.diff(log["time_s"]), 1.0 / rate)
+
+
+def test_severity_orders_the_sizes():
+    for name, effect in CATALOGUE.items():
+        sizes = []
+        for severity in ("small", "medium", "large"):
+            hidden = make_practice([name], severity=severity, runs=(), seed=11).hidden[0]
+            shift = 0.0
+            for p in effect.parameters:
+                value = hidden.parameters[p.name]
+                assert p.low <= value <= p.high or value == p.nominal, (name, p.name, value)
+                if p.typical != p.nominal:
+                    shift += (
+                        1.0 / value
+                        if np.isinf(p.nominal)
+                        else abs(value - p.nominal) / abs(p.typical - p.nominal)
+                    )
+            sizes.append(shift)
+        assert sizes[0] < sizes[1] <= sizes[2], (name, sizes)
+
+
+def test_explicit_values():
+    practice = make_practice(["dead_zone:2"], values={"dead_zone.overlap_positive": 7e-5}, runs=())
+    assert practice.true.pair("dead_zone.overlap_positive") == (0.0, 7e-5)
+    assert practice.true.pair("dead_zone.overlap_negative")[1] > 0.0
+    assert parse_values(["a.b=1e-3"]) == {"a.b": 1e-3}
+    assert parse_effects(["dead_zone", "sensor_lag:2"]) == {"dead_zone": "both", "sensor_lag": "2"}
+
+
+@pytest.mark.parametrize(
+    ("effects", "options", "message"),
+    [
+        (["dead_zon"], {}, "did you mean 'dead_zone'"),
+        (["dead_zone:3"], {}, "a channel is 1, 2 or both"),
+        (["supply_droop:1"], {}, "acts on the whole rig"),
+        (["dead_zone:1", "dead_zone:2"], {}, "named twice"),
+        (["dead_zone"], {"values": {"dead_zone.overlap": 1e-4}}, "no parameter 'overlap'"),
+        (["dead_zone"], {"values": {"sensor_lag.time_constant": 0.01}}, "not among the effects"),
+        (["dead_zone"], {"values": {"dead_zone.overlap_positive": 1.0}}, "out of range"),
+        (
+            ["dead_zone"],
+            {"values": {"dead_zone.overlap_positive": 0.0, "dead_zone.overlap_negative": 0.0}},
+            "nothing is hidden",
+        ),
+        (["dead_zone"], {"severity": "huge"}, "small, medium, large"),
+        (["dead_zone"], {"rate": 333.0}, "multiple of 100 Hz"),
+        (["dead_zone"], {"duration": 0.5}, "3 to 3600"),
+        (["dead_zone"], {"seed": -1}, "whole number"),
+        (["dead_zone"], {"record": ("colour",)}, "unknown signal 'colour'"),
+        (["dead_zone"], {"model": "papr"}, "unknown plant"),
+    ],
+)
+def test_bad_input(effects, options, message):
+    with pytest.raises(InputError, match=message) as caught:
+        make_practice(effects, **{"runs": (), **options})
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_commands_leave_nothing_behind(tmp_path):
+    with pytest.raises(InputError, match="--none"):
+        run([], tmp_path)
+    with pytest.raises(InputError, match="--none"):
+        run(["dead_zone"], tmp_path, none=True)
+    with pytest.raises(InputError, match="NUMBER"):
+        run(["dead_zone"], tmp_path, values=["dead_zone.overlap_positive=wide"])
+    assert list(tmp_path.iterdir()) == []
