@@ -65,7 +65,9 @@ def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
     """The HTML page. `traces`: {"split", "time_s", "scenarios": {name: {"setpoint_rpm": [...], "speeds_rpm":
     {controller: [[...], [...]]}}}}, one pair of valves."""
     template = files("hydro_env.benchmark").joinpath("scores_page.html").read_text(encoding="utf-8")
-    return template.replace("/*SCORES*/null", _embedded(scores)).replace("/*TRACES*/null", _embedded(traces))
+    style = files("hydro_env.pages").joinpath("style.css").read_text(encoding="utf-8")
+    page = template.replace("/*STYLE*/", style).replace("/*TRACES*/null", _embedded(traces))
+    return page.replace("/*SCORES*/null", _embedded(scores))
 
 
 def _embedded(data: Any) -> str:

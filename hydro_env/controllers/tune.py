@@ -24,6 +24,8 @@ from hydro_env.controllers.registry import LAWS
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
 from hydro_env.files import output_folder
+from hydro_env.plant import load_model
+from hydro_env.tasks import load_scenario
 
 __all__ = ["cost", "run"]
 
@@ -75,7 +77,8 @@ def run(
         raise InputError(
             f"mismatch {mismatch!r}: gains are tuned on 'train' or on the plant's own pair, never on other splits"
         )
-    scenarios = [each.strip() for each in scenario.split(",")]
+    scenarios = [load_scenario(each.strip()).name for each in scenario.split(",")]
+    load_model(plant)  # here, since SciPy hides what goes wrong inside of a search
     generation = cases * POPULATION * len(scenarios)
     if cases < 1 or episodes < 2 * generation:
         raise InputError(
