@@ -1,0 +1,49 @@
+"""The shared look of the pages: offline, escaped, and pictures that take the page's colours."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from jinja2 import UndefinedError
+
+from hydro_env.pages import figure, png, render, svg
+
+
+@pytest.fixture
+def template(tmp_path: Path) -> Path:
+    path = tmp_path / "page.html"
+    path.write_text('{% extends "page.html" %}{% block body %}<p>{{ word }}</p>{{ picture }}{% endblock %}')
+    return path
+
+
+def test_page_escapes_and_loads_nothing(template: Path) -> None:
+    drawing, (axis,) = figure()
+    axis.plot([0, 1], [0, 1])
+    axis.set_title("a < b")
+    page = render(template, title="<b>", word="<script>", picture=svg(drawing, 'say "yes"'))
+    assert "<title>&lt;b&gt;</title>" in page and "<p>&lt;script&gt;</p>" in page
+    assert 'aria-label="say &#34;yes&#34;"' in page and page.count("<svg") == 1 and "a &lt; b" in page
+    # Names of XML namespaces are no addresses that are loaded.
+    assert not re.search(r"(src|href)\s*=\s*[\"']?(https?:)?//", page.replace("xlink:href", ""))
+    assert "@import" not in page and "url(http" not in page
+
+
+def test_a_value_that_is_missing_is_an_error(template: Path) -> None:
+    with pytest.raises(UndefinedError):
+        render(template, title="t", word="w")
+
+
+def test_pictures_take_the_ink_of_the_page() -> None:
+    first, second = (figure(2) for _ in range(2))
+    assert len(first[1]) == 2
+    text = str(svg(first[0], "empty"))
+    assert "#123456" not in text and "currentColor" in text
+    assert text == str(svg(second[0], "empty")), "the same drawing must give the same page"
+
+
+def test_png(tmp_path: Path) -> None:
+    drawing, _ = figure()
+    png(drawing, tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
