@@ -59,7 +59,7 @@ class HydraulicSyncVecEnv(VecEnv):
                     break
             else:
                 groups.append((options, [row]))
-        self.reset_infos = [{} for _ in range(self.num_envs)]
+        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         observation = np.empty((self.num_envs, self.observation_space.shape[0]), np.float32)  # type: ignore[index]
         for options, rows in groups:
             mask = np.zeros(self.num_envs, np.bool_)
@@ -68,7 +68,8 @@ class HydraulicSyncVecEnv(VecEnv):
             seen, info = self.batch.reset(seed=seeds, options=masked)
             observation[rows] = seen[rows]
             for row in rows:
-                self.reset_infos[row] = _row(info, row)
+                told[row] = _row(info, row)
+        self.reset_infos = told
         self._reset_seeds()
         self._reset_options()
         return observation
@@ -87,7 +88,7 @@ class HydraulicSyncVecEnv(VecEnv):
         else:
             infos = [{} for _ in range(self.num_envs)]
         if ended.any():
-            for row in np.flatnonzero(ended):
+            for row in np.flatnonzero(ended).tolist():
                 infos[row] = {
                     **_row(told["final_info"], row),
                     "terminal_observation": told["final_obs"][row],
@@ -115,12 +116,14 @@ class HydraulicSyncVecEnv(VecEnv):
         return [getattr(self.batch, attr_name)] * len(self._rows(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Sets an attribute of the batch. ValueError if not all rows are meant: they have their attributes in common."""
+        """Sets an attribute of the batch. ValueError if not all rows are meant: they have them in common."""
         if len(set(self._rows(indices))) != self.num_envs:
             raise ValueError("all rows have their attributes in common: set them for all, or pass options to reset")
         setattr(self.batch, attr_name, value)
 
-    def env_method(self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
+    ) -> list[Any]:
         """Calls the batch's method once and returns its answer for each of the rows (`render`: the row's picture).
 
         ValueError for what steps or resets the rows; the VecEnv does that.
@@ -128,7 +131,8 @@ class HydraulicSyncVecEnv(VecEnv):
         if method_name in ("reset", "step", "advance"):
             raise ValueError(f"{method_name} concerns all rows: call it on the VecEnv, options go to set_options")
         answer = getattr(self.batch, method_name)(*method_args, **method_kwargs)
-        return [answer[row] if method_name == "render" and answer is not None else answer for row in self._rows(indices)]
+        own = method_name == "render" and answer is not None
+        return [answer[row] if own else answer for row in self._rows(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: Indices = None) -> list[bool]:
         """False for each row: nothing is wrapped."""

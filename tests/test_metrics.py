@@ -46,12 +46,13 @@ def test_settling_time():
     # never in step: the time up to the end
     assert value(apart, apart, apart) == pytest.approx(1.5)
     # a new step at row 3 starts the clock again: 1 row before it, 2 after
-    assert value(apart, together, together, apart, apart, together, setpoint=[0, 0, 0, 400, 400, 400]) == pytest.approx(1.0)
+    twice = (apart, together, together, apart, apart, together)
+    assert value(*twice, setpoint=[0, 0, 0, 400, 400, 400]) == pytest.approx(1.0)
     # so does a step of load, and one of either motor
     loads = [(0, 0)] * 3 + [(0, 1)] * 3
-    assert value(apart, together, together, apart, apart, together, load=loads) == pytest.approx(1.0)
+    assert value(*twice, load=loads) == pytest.approx(1.0)
     # a slow ramp is no step
-    assert value(apart, together, together, apart, apart, together, setpoint=[0, 40, 80, 120, 160, 200]) == pytest.approx(2.5)
+    assert value(*twice, setpoint=[0, 40, 80, 120, 160, 200]) == pytest.approx(2.5)
 
 
 def test_rigs_are_scored_apart():

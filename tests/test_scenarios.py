@@ -33,12 +33,12 @@ def test_shapes_and_bounds(name, period):
 def test_paper_set_points():
     for period in (0.01, 0.005, 0.001, 0.002):
         setpoint = SCENARIOS["setpoint_steps"].reference(period).setpoint / RPM
-        at = lambda time: round(time / period)  # noqa: E731
-        assert setpoint[at(0.2) - 1] == 0.0
-        for time, value in ((0.2, 600), (2.0, -200), (4.0, 600), (6.0, 600)):
-            assert setpoint[at(time)] == pytest.approx(value), (period, time)
-        assert setpoint[at(2.0) - 1] == pytest.approx(600)
-        assert setpoint[at(4.0) - 1] == pytest.approx(-200)
+        before = 0.0
+        for time, value in ((0.2, 600), (2.0, -200), (4.0, 600)):
+            row = round(time / period)
+            assert setpoint[row - 1 : row + 1] == pytest.approx([before, value]), (period, time)
+            before = value
+        assert setpoint[-1] == pytest.approx(600)
 
 
 def test_paper_load():
@@ -60,7 +60,9 @@ def test_random_scenarios_differ_by_stream_alone():
 
 
 def test_step_tables():
-    scenario = load_scenario({"duration": 1.0, "setpoint_rpm": [[0.0, 60], [0.5, -60]], "load_Nm": [[0.2, 1.0, 0.5]]})
+    scenario = load_scenario(
+        {"duration": 1.0, "setpoint_rpm": [[0.0, 60], [0.5, -60]], "load_Nm": [[0.2, 1.0, 0.5]]}
+    )
     reference = scenario.reference(0.1)
     assert reference.setpoint / RPM == pytest.approx([60] * 5 + [-60] * 6)
     assert reference.load[:2] == pytest.approx(np.zeros((2, 2)))

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from ..plant import Plant, PlantModel, load_model
-from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, load_mismatch
+from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, load_mismatch, own_values
 from ..tasks.scenarios import Reference, Scenario, load_scenario
 from .glue import COLUMNS, SIGNALS, TRUE, apply, look
 from .observation import FRAME, LIMIT, SCALES, noise_levels
@@ -54,7 +54,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
       "SameStep" (the end's observation is in `info["final_obs"]`) or "Disabled" (reset with
       `options={"reset_mask": mask}`).
     * `options` of `reset` hold for all rows that it resets; `case=k` means case k + i for row i, a list one for each.
-    * `info` holds arrays with one row per rig, with masks `_key` as Gymnasium has them. `pairs` holds the valves' values.
+    * `info` holds arrays with one row per rig and masks `_key` as Gymnasium has them; `pairs` the values of the valves.
     * `max_episode_steps` ends episodes early (truncation).
     """
 
@@ -129,6 +129,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._course: tuple[Scenario, Reference] | None = None
         self._recorder = Recorder(n) if render_mode is not None else None
         self._settable: dict[str, tuple[float, float]] = {}
+        self._effects: tuple[str, ...] = ()
         self._build(self.mismatch)
 
     # --- the interface of Gymnasium -------------------------------------------------------------------------------
@@ -146,6 +147,10 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         for key in options:
             if key not in OPTIONS:
                 raise InputError(f"reset: unknown option {key!r}: known are {', '.join(OPTIONS)}")
+        if "scenario" in options:
+            options["scenario"] = load_scenario(options["scenario"])
+        if "mismatch" in options:
+            options["mismatch"] = load_mismatch(options["mismatch"])
         rows = self._all
         mask = options.pop("reset_mask", None)
         if mask is not None:
@@ -165,14 +170,11 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self, actions: ArrayLike
     ) -> tuple[NDArray[np.float32], Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """One control period with the actions (N, 2). ValueError if one is not finite or the shape is wrong."""
-        again = self._ended
+        again = self._ended.copy()
         waiting = self.autoreset_mode is AutoresetMode.NEXT_STEP and again.any()
         if self.autoreset_mode is AutoresetMode.DISABLED and again.any():
-            raise gymnasium.error.ResetNeeded("an episode has ended; reset its row with options={'reset_mask': mask}")
-        if waiting and again.all():
-            result = self._outputs()
-        else:
-            result = self.advance(actions)
+            raise gymnasium.error.ResetNeeded("an episode has ended: reset its row, options={'reset_mask': mask}")
+        result = self._outputs() if waiting and again.all() else self.advance(actions)
         observation, true, reward, terminated, truncated = result
         if not waiting:
             info = self._step_info(true, terminated)
@@ -219,7 +221,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     @property
     def pairs(self) -> dict[str, Floats]:
         """Values (N, 2) of the parameters in which the valves of this environment may differ, as they now are."""
-        names = self._settable or {name: pair for name, pair in self.model.values.items() if name != "name"}
+        names = self._settable or self.model.values
         return {name: self._sensor[name].copy() if name in self._sensor else self.plant.get(name) for name in names}
 
     def advance(self, actions: ArrayLike) -> Result:
@@ -230,8 +232,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if wanted.shape != self._command.shape:
             raise ValueError(f"actions have the shape {wanted.shape}, expected {self._command.shape}")
         if not apply(
-            wanted, self._rated, self._step, self._last, self._load, self._fraction, self._moved, self._command, self._torque
-        ):
+            wanted, self._rated, self._step, self._last, self._load, self._fraction, self._moved, self._command,
+            self._torque,
+        ):  # fmt: skip
             raise ValueError("an action is not finite")
         self.plant.step(self._command, self._torque, self.control_period)
         self._step += 1
@@ -241,10 +244,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
     # --- episodes -------------------------------------------------------------------------------------------------
     def _build(self, mismatch: Mismatch | None) -> None:
-        """Makes the plant anew with the effects that a mismatch needs (and those it had)."""
-        wanted = () if mismatch is None else mismatch.effects
-        before = self.plant.effects if hasattr(self, "plant") else ()
-        self.plant = Plant(self.model, self.num_envs, effects=(*before, *wanted))
+        """Makes the plant anew with the effects that a mismatch needs beside those it had."""
+        self._effects += () if mismatch is None else mismatch.effects
+        self.plant = Plant(self.model, self.num_envs, effects=self._effects)
         self._where = np.array([self.plant.row_of(name) for name in SIGNALS], np.int64)
         self._half = self.plant.memory.shape[2] // 2
         self._rated = self.plant.get("u_rated")
@@ -274,13 +276,20 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
     def _begin(self, rows: NDArray[np.int64], **options: Any) -> None:
         """Draws and starts the next episode of some rows."""
-        scenario = load_scenario(options["scenario"]) if "scenario" in options else self.scenario
-        mismatch = load_mismatch(options["mismatch"]) if "mismatch" in options else self.mismatch
-        self._episode[rows] += 1
+        scenario: Scenario = options.get("scenario", self.scenario)
+        mismatch: Mismatch | None = options.get("mismatch", self.mismatch)
+        steps = scenario.steps(self.control_period)
         seeds = [self._seeds[i] for i in rows]
-        episodes = [int(self._episode[i]) for i in rows]
-        self._draw_valves(rows, mismatch, seeds, episodes, options.get("case"))
-        self._drive(rows, scenario, seeds, episodes)
+        episodes = [int(self._episode[i]) + 1 for i in rows]
+        cases = self._cases(rows, mismatch, seeds, episodes, options.get("case"))
+        if mismatch is not None and set(mismatch.effects) - set(self.plant.effects):
+            if rows.size < self.num_envs:
+                raise InputError("reset: this mismatch has effects the plant lacks so far: reset all rows with it")
+            self._build(mismatch)
+        # From here on nothing can go wrong any more, and nothing has been changed yet.
+        self._episode[rows] += 1
+        self._draw_valves(rows, mismatch, seeds, episodes, cases)
+        self._drive(rows, scenario, steps, seeds, episodes)
         self.plant.reset(None if rows.size == self.num_envs else rows)
         self._step[rows] = 0
         self._fraction[rows] = 0.0
@@ -290,32 +299,43 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if self._recorder is not None:
             self._recorder.clear(rows)
 
+    def _cases(
+        self, rows: NDArray[np.int64], mismatch: Mismatch | None, seeds: list[int], episodes: list[int], asked: Any
+    ) -> list[int]:
+        """Numbers of the cases these rows meet, -1 for none. InputError for one that is asked for and not there."""
+        listed = None if mismatch is None else mismatch.cases
+        if mismatch is None or listed is None:
+            if asked is not None:
+                raise InputError("reset: option case needs a mismatch with a fixed list of cases, such as val")
+            return [-1] * rows.size
+        if asked is None:
+            return [mismatch.case(seed, episode) for seed, episode in zip(seeds, episodes, strict=True)]
+        try:
+            cases = [int(asked) + int(i) for i in rows] if np.ndim(asked) == 0 else [int(asked[i]) for i in rows]
+        except (TypeError, ValueError, IndexError):
+            raise InputError(f"reset: option case is {asked!r}, expected a number or one for each row") from None
+        if not all(0 <= each < listed for each in cases):
+            raise InputError(f"reset: option case: cases of {mismatch.name!r} are 0 ... {listed - 1}")
+        return cases
+
     def _draw_valves(
-        self, rows: NDArray[np.int64], mismatch: Mismatch | None, seeds: list[int], episodes: list[int], case: Any
+        self,
+        rows: NDArray[np.int64],
+        mismatch: Mismatch | None,
+        seeds: list[int],
+        episodes: list[int],
+        cases: list[int],
     ) -> None:
-        cases = [-1] * len(seeds) if mismatch is None else list(map(mismatch.case, seeds, episodes))
-        if case is not None:
-            listed = mismatch.cases if mismatch is not None else None
-            if listed is None:
-                raise InputError("reset: option case needs a mismatch with a fixed list of cases (val, test_interp, ...)")
-            cases = [int(case) + int(i) for i in rows] if np.ndim(case) == 0 else [int(case[i]) for i in rows]
-            if not all(0 <= each < listed for each in cases):
-                raise InputError(f"reset: option case: cases of this mismatch are 0 ... {listed - 1}")
         self._case[rows] = cases
         self._fault[rows] = ""
         values: dict[str, Floats] = {}
         if mismatch is not None:
-            if set(mismatch.effects) - set(self.plant.effects):
-                if rows.size < self.num_envs:
-                    raise InputError("reset: this mismatch has effects the plant lacks so far: reset all rows with it")
-                self._build(mismatch)
             drawn = mismatch.draw(seeds, episodes, cases, self.model)
             values = drawn.values
             self._fault[rows] = drawn.fault
             for name in values:
                 if name not in self._settable:
-                    nominal = SENSOR_PARAMETERS[name].nominal if name in SENSOR_PARAMETERS else None
-                    self._settable[name] = self.model.pair(name) if nominal is None else (nominal, nominal)
+                    self._settable[name] = own_values(name, self.model)
         for name, own in self._settable.items():
             pairs = values.get(name, own)
             if name in self._sensor:
@@ -330,8 +350,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         first = np.maximum(1, np.ceil(np.where(finite, stuck, 0.0) / self.control_period - 1e-9))
         self._stuck[rows] = np.where(finite, first.astype(np.int64), _NEVER)
 
-    def _drive(self, rows: NDArray[np.int64], scenario: Scenario, seeds: list[int], episodes: list[int]) -> None:
-        steps = scenario.steps(self.control_period)
+    def _drive(
+        self, rows: NDArray[np.int64], scenario: Scenario, steps: int, seeds: list[int], episodes: list[int]
+    ) -> None:
         self._make_room(steps + 1)
         self._last[rows] = steps if self.max_episode_steps is None else min(steps, self.max_episode_steps)
         noisy = bool(self._levels.any())
@@ -382,7 +403,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             info[key] = true[:, column]
             info["_" + key] = given
         if terminated.any():
-            info["termination"] = np.where(terminated, DIVERGED, None)
+            info["termination"] = np.array([DIVERGED if each else None for each in terminated], object)
             info["_termination"] = terminated.copy()
         return info
 

@@ -17,7 +17,7 @@ __all__ = ["COLUMNS", "SIGNALS", "apply", "look"]
 SIGNALS = ("speed", "angle", "measured_speed", "current", "pressure", "diverged")
 
 #: Columns of the table of true signals that `look` fills.
-COLUMNS = {
+COLUMNS: dict[str, slice | int] = {
     "speed_rpm": slice(0, 2),
     "setpoint_rpm": 2,
     "speed_difference_rpm": 3,
@@ -37,8 +37,8 @@ _TO_DEG = 180.0 / pi
 def apply(actions, rated, step, last, loads, fraction, moved, command, load):
     """Turns actions (N, 2) into commands and loads (N, 2) of the period that begins; False if one is not finite.
 
-    rated (N, 2) in V; step, last (N,): row of the episode, its last row; loads (N, rows, 2) in N m; fraction (N, 2): the
-    command in force, replaced; moved (N,): its mean absolute change.
+    rated (N, 2) in V; step, last (N,): row of the episode, its last row; loads (N, rows, 2) in N m; fraction (N, 2):
+    the command in force, replaced; moved (N,): its mean absolute change.
     """
     for i in range(actions.shape[0]):
         if not (isfinite(actions[i, 0]) and isfinite(actions[i, 1])):
@@ -63,10 +63,10 @@ def look(
     """Sensors, reward and true signals of some rows at the instant `step` (N,) of their episodes.
 
     rows: numbers of the rows. memory, half, where: the plant's memory and the rows of `SIGNALS` in it. setpoint
-    (N, rows) in rad/s; noise (N, rows, 6), standard normal; levels (6,) and scales (9,) of the observation. factor, stuck,
-    held (N, 2): noise factor of the speed sensors, row from which on one is stuck, and what it last showed. frames (N, n):
-    the frames seen last, updated. The last five are filled: observation (N, n), true (N, TRUE), reward, terminated,
-    truncated (N,).
+    (N, rows) in rad/s; noise (N, rows, 6), standard normal; levels (6,) and scales (9,) of the observation. factor,
+    stuck, held (N, 2): noise factor of the speed sensors, row from which on one is stuck, and what it last showed.
+    frames (N, n): the frames seen last, updated. The last five are filled: observation (N, n), true (N, TRUE), reward,
+    terminated, truncated (N,).
     """
     frame = scales.shape[0]
     width = frames.shape[1]

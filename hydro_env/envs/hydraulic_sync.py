@@ -25,8 +25,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ## Description
 
     Two hydraulic motors, each behind its own proportional valve, are to turn at the same speed, the set-point's. The
-    valves are of one type and yet differ: dead zone, gain, friction, offset. Who commands them sees what sensors on such
-    a rig show, and knows nothing of the valves he was given.
+    valves are of one type and yet differ: dead zone, gain, friction, offset. Who commands them sees what the sensors of
+    such a rig show, and knows nothing of the valves.
 
     The plant is that of the paper "Impact of proportional valves' differences to ensure uniform motion of hydraulic
     motors", extended by what its equations leave out; see `hydro_env.plant`.
@@ -54,8 +54,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ## Reward
 
     Minus the cost of the period: 0.5 |speed - set-point| / 100 rpm (mean of both motors) + 1.5 |speed 1 - speed 2| /
-    100 rpm + 0.1 |change of action| (mean of both valves). Speeds are the true ones at the end of the period, the set-point
-    the one that was in force. The terms are in `info`; `hydro_env.envs.reward.Reward` describes the weights.
+    100 rpm + 0.1 |change of action| (mean of both valves). Speeds are the true ones at the end of the period, the
+    set-point the one that was in force. The terms are in `info`; `hydro_env.envs.Reward` describes the weights.
 
     ## Start
 
@@ -63,37 +63,39 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## End
 
-    *Truncation* at the end of the scenario. *Termination* only if the simulation leaves the bounds of sense, which costs 10
-    once; `info["termination"]` then says so.
+    *Truncation* at the end of the scenario. *Termination* only if the simulation leaves the bounds of sense, which
+    costs 10 once; `info["termination"]` then says so.
 
     ## Info
 
-    True values, without noise and lag: `speed_rpm` (2,), `setpoint_rpm`, `speed_difference_rpm` (1 less 2), `command_V` (2,),
-    `angle_difference_deg`; after a step `reward_tracking`, `reward_difference`, `reward_variation`; after a reset `mismatch`
-    (parameter: (2,) values, SI), `fault` (its name, or "") and `case` (number in the split's list, -1 if it has none).
+    True values, without noise and lag: `speed_rpm` (2,), `setpoint_rpm`, `speed_difference_rpm` (1 less 2),
+    `command_V` (2,), `angle_difference_deg` (1 less 2). After a step also `reward_tracking`, `reward_difference`,
+    `reward_variation`; after a reset `mismatch` (parameter: (2,) values, SI), `fault` (its name, or "") and `case`
+    (number in the split's list, -1 if it has none).
 
     ## Arguments
 
     `gymnasium.make("hydro_env:HydraulicSync-v0", plant="paper", scenario="setpoint_steps", mismatch="test_interp")`
 
     * `plant`: preset, YAML file, mapping or `PlantModel`. Default `paper_dead_zone`.
-    * `scenario`: a name of `hydro_env.tasks.SCENARIOS`, step tables (see there) or a `Scenario`. Default `random_steps`.
-    * `mismatch`: a split (`train`, `val`, `test_interp`, `test_extrap`, `faulted`), a named pair (`paper_pair`), a YAML file
-      or mapping of parameters to ranges or values, or None for the plant's own pair. Default `train`.
+    * `scenario`: a name of `hydro_env.tasks.SCENARIOS`, step tables (see there) or a `Scenario`. Default
+      `random_steps`.
+    * `mismatch`: a split (`train`, `val`, `test_interp`, `test_extrap`, `faulted`), a named pair (`paper_pair`), a YAML
+      file or mapping of parameters to ranges or values, or None for the plant's own pair. Default `train`.
     * `control_period`: s, default 0.01.
     * `render_mode`: None or "rgb_array" (Gymnasium shows it in a window for "human", given pygame).
     * `history`: frames in an observation, default 1.
     * `noise`: factor on the sensors' noise, 0 for none, or levels such as {"speed_rpm": 2.0}.
     * `reward`: weights to be changed, such as {"variation": 0.5}.
 
-    `reset(options=...)` takes, for that episode, `mismatch`, `scenario` and `case` (number of the case of a split with a
-    fixed list). Anything unknown raises `hydro_env.errors.InputError`.
+    `reset(options=...)` takes, for that episode, `mismatch`, `scenario` and `case` (number of the case of a split with
+    a fixed list). Anything unknown raises `hydro_env.errors.InputError`.
 
     ## Seeds
 
-    `reset(seed=s)` begins the first episode of seed s, each `reset()` after it the next one. Mismatch, noise and scenario
-    have a random stream of their own for each seed and episode. In a split with a fixed list of n cases the first
-    episode of seed s meets case s modulo n, whatever else is chosen.
+    `reset(seed=s)` begins the first episode of seed s, each `reset()` after it the next one. Mismatch, noise and
+    scenario have a random stream of their own for each seed and episode. In a split with a fixed list of n cases the
+    first episode of seed s meets case s modulo n, whatever else is chosen.
 
     ## Version history
 

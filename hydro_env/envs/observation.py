@@ -1,8 +1,8 @@
 """What a controller sees: names, scales, sensors.
 
-An observation is a frame of `OBSERVATION` signals, or with `history=k` the last k frames, newest last. Every signal is
-divided by its fixed physical scale (`SCALES`) inside the environment and clipped to +-`LIMIT`, so that nothing has to be
-normalised, and no statistics saved, outside.
+An observation is a frame of `OBSERVATION` signals, or with `history=k` the last k frames, newest last. Every signal
+is divided by its fixed physical scale (`SCALES`) inside the environment and clipped to +-`LIMIT`, so that nothing has
+to be normalised, and no statistics saved, outside.
 """
 
 from __future__ import annotations
@@ -42,8 +42,14 @@ NOISE: dict[str, float] = {"speed_rpm": 1.0, "current_A": 0.002, "pressure_bar":
 
 @dataclass(frozen=True)
 class Measurements:
-    """What the sensors show, SI: setpoint (N,) and speed (N, 2) in rad/s, current (N, 2) in A, pressure difference (N, 2)
-    in Pa, and the command given last, (N, 2), as a fraction of the rated one."""
+    """What the sensors show, SI.
+
+    setpoint: (N,) in rad/s
+    speed: (N, 2) in rad/s
+    current: (N, 2) in A
+    pressure: (N, 2), pressure differences over the motors in Pa
+    command: (N, 2), the last one, as a fraction of the rated command
+    """
 
     setpoint: Floats
     speed: Floats

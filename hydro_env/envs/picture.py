@@ -35,13 +35,16 @@ class Recorder:
         self._past[rows, -1] = now[rows]
 
     def picture(self, row: int, period: float) -> Picture:
-        """(HEIGHT, WIDTH, 3): above the speeds (+-800 rpm, set-point black, a line every 200 rpm and second), below a bar
-        per valve: the command as an outline, the spool filled (full width: rated command, 1 mm)."""
+        """(HEIGHT, WIDTH, 3): speeds above, a bar per valve below.
+
+        Speeds: +-800 rpm, set-point black, a line every 200 rpm and second. Bars: the command as an outline, the spool
+        filled; full width is the rated command and 1 mm.
+        """
         image = np.empty((HEIGHT, WIDTH, 3), np.uint8)
         image[:] = _WHITE
         past = self._past[row]
         top, bottom, left = 8, 176, 20
-        for level in np.arange(-800, 801, 200):
+        for level in range(-800, 801, 200):
             image[_height(level, top, bottom), left : left + SHOWN] = _GRID if level else _BLACK
         for back in range(0, SHOWN, max(1, round(1.0 / period))):
             image[top : bottom + 1, left + SHOWN - 1 - back] = _GRID

@@ -26,7 +26,7 @@ EVENT_RPM, EVENT_NM = 50.0, 0.1
 
 @dataclass(frozen=True)
 class Trace:
-    """Episodes of N rigs with T rows, SI at no place: what a reader of scores expects.
+    """Episodes of N rigs with T rows, in the units in which scores are read.
 
     period: control period in s
     setpoint_rpm: (T, N)
@@ -97,25 +97,45 @@ def _variation(trace: Trace) -> Floats:
 
 _ALL = (
     Metric(
-        "max_speed_difference_rpm", "rpm", "largest absolute difference of the two speeds in the episode", _largest_difference
+        "max_speed_difference_rpm",
+        "rpm",
+        "largest absolute difference of the two speeds in the episode",
+        _largest_difference,
     ),
-    Metric("rms_speed_difference_rpm", "rpm", "root of the mean squared difference of the two speeds", _rms_difference),
     Metric(
-        "sync_settling_time_s", "s",
-        f"longest time that passes after a step (the start, a change of set-point of more than {EVENT_RPM:g} rpm or of load of "
-        f"more than {EVENT_NM:g} N m between two rows) until the speeds differ by no more than {SETTLED_RPM:g} rpm and stay so up "
-        "to the next step; if they never do, the time up to the next step",
+        "rms_speed_difference_rpm",
+        "rpm",
+        "root of the mean squared difference of the two speeds",
+        _rms_difference,
+    ),
+    Metric(
+        "sync_settling_time_s",
+        "s",
+        "longest time that passes after a step (the start, or a change between two rows of the set-point by more than "
+        f"{EVENT_RPM:g} rpm or of a load by more than {EVENT_NM:g} N m) until the speeds differ by no more than "
+        f"{SETTLED_RPM:g} rpm and stay so up to the next step; if they never do, the time up to the next step",
         _settling_time,
     ),
     Metric(
-        "shaft_angle_difference_deg", "deg", "largest absolute difference of the angles turned since the start", _angle_difference
+        "shaft_angle_difference_deg",
+        "deg",
+        "largest absolute difference of the angles turned since the start",
+        _angle_difference,
     ),
-    Metric("tracking_mae_rpm", "rpm", "mean absolute difference between speed and set-point, over both motors", _tracking),
     Metric(
-        "command_variation", "1/s", "sum of the absolute changes of the command (fraction of the rated one; from zero at the "
-        "start) per second, mean of both valves", _variation,
+        "tracking_mae_rpm",
+        "rpm",
+        "mean absolute difference between speed and set-point, over time and both motors",
+        _tracking,
     ),
-)  # fmt: skip
+    Metric(
+        "command_variation",
+        "1/s",
+        "sum of the absolute changes of the command (fraction of the rated one; from zero at the start) per second, "
+        "mean of both valves",
+        _variation,
+    ),
+)
 
 #: The metrics by name.
 METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}

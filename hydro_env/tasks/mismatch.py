@@ -26,14 +26,24 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..plant import CATALOGUE, PARAMETERS, Parameter, PlantModel, parameter_of
 
-__all__ = ["NAMED_PAIRS", "SENSOR_PARAMETERS", "SPLITS", "Mismatch", "Pairs", "Range", "draw_pairs", "load_mismatch"]
+__all__ = [
+    "NAMED_PAIRS",
+    "SENSOR_PARAMETERS",
+    "SPLITS",
+    "Mismatch",
+    "Pairs",
+    "Range",
+    "draw_pairs",
+    "load_mismatch",
+    "own_values",
+]
 
 Floats = NDArray[np.float64]
 
 #: Faults of the speed sensors, which act on the measurement alone and so are no part of the plant.
 SENSOR_PARAMETERS: dict[str, Parameter] = {
     "speed_sensor.stuck_from": Parameter(
-        "stuck_from", "s", inf, 0.0, inf, "assumed", "time of the episode from which on the reading stays what it was", 1.0
+        "stuck_from", "s", inf, 0.0, inf, "assumed", "time of the episode from which on the reading stays", 1.0
     ),
     "speed_sensor.noise_factor": Parameter(
         "noise_factor", "1", 1.0, 0.0, 100.0, "assumed", "noise over the usual noise", 20.0, log=True
@@ -112,7 +122,7 @@ class Mismatch:
         return bool(self.faults) or any(r.low != r.high for r in self.ranges.values())
 
     def case(self, seed: int, episode: int) -> int:
-        """Number of the case that an episode of a seed meets: `seed` modulo the list in its first one. -1 if endless."""
+        """Number of the case that an episode of a seed meets, `seed` modulo the list in the first; -1 if endless."""
         return -1 if self.cases is None else (seed + CASE_STRIDE * episode) % self.cases
 
     def draw(self, seeds: Sequence[int], episodes: Sequence[int], cases: Sequence[int], model: PlantModel) -> Pairs:
@@ -125,9 +135,8 @@ class Mismatch:
         if not self.random:
             still = np.zeros((count, 2))
             return Pairs({name: r.value(still, {}) for name, r in self.ranges.items()}, ("",) * count)
-        streams = [
-            np.random.Generator(np.random.PCG64(self._seed(*which))) for which in zip(seeds, episodes, cases, strict=True)
-        ]
+        sources = map(self._seed, seeds, episodes, cases)
+        streams = [np.random.Generator(np.random.PCG64(source)) for source in sources]
         values = self._draw(streams)
         again = self._inside(values)
         while again.any():
@@ -163,7 +172,7 @@ class Mismatch:
         names = list(self.faults)
         for name in self.parameters:
             if name not in values:
-                values[name] = np.tile(_own(name, model), (len(streams), 1))
+                values[name] = np.tile(own_values(name, model), (len(streams), 1))
         told = []
         for row, (stream, case) in enumerate(zip(streams, cases, strict=True)):
             number = case if case >= 0 else int(stream.integers(2 * len(names)))
@@ -176,7 +185,8 @@ class Mismatch:
         return Pairs(values, tuple(told))
 
 
-def _own(name: str, model: PlantModel) -> tuple[float, float]:
+def own_values(name: str, model: PlantModel) -> tuple[float, float]:
+    """The values of a parameter where no mismatch sets it: the model's, and healthy sensors."""
     if name in SENSOR_PARAMETERS:
         return (SENSOR_PARAMETERS[name].nominal,) * 2
     return model.pair(name)
@@ -248,12 +258,11 @@ def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[
     outside: dict[str, Range] = {}
     if "outside" in data:
         if data["outside"] not in others:
-            raise InputError(f"{where}: outside: unknown split {data['outside']!r}: {_nearest(data['outside'], others)}")
+            hint = _nearest(data["outside"], others)
+            raise InputError(f"{where}: outside: unknown split {data['outside']!r}: {hint}")
         bounds = others[data["outside"]].ranges
         outside = {key: bounds[key] for key in bounds if key in ranges}
-        if all(
-            r.low[c] <= ranges[key].low[c] and ranges[key].high[c] <= r.high[c] for key, r in outside.items() for c in (0, 1)
-        ):
+        if all(r.low <= ranges[key].low and ranges[key].high <= r.high for key, r in outside.items()):
             raise InputError(f"{where}: outside: no range reaches beyond those of {data['outside']!r}")
     faults = data.get("faults", {})
     if not isinstance(faults, Mapping):
@@ -298,7 +307,7 @@ def _read_range(name: str, what: Any, where: str, before: Mapping[str, Range]) -
         return Range(fixed, fixed)
     rest = {key: value for key, value in what.items() if key != "at_most"}
     if len(rest) != 1 or next(iter(rest)) not in ("uniform", "loguniform"):
-        raise InputError(f"{at}: expected a number, [channel 1, channel 2], or uniform or loguniform: [low, high], found {what!r}")
+        raise InputError(f"{at}: expected a number, a pair, or uniform or loguniform: [low, high], found {what!r}")
     kind, bounds = next(iter(rest.items()))
     if not isinstance(bounds, Sequence) or isinstance(bounds, str) or len(bounds) != 2:
         raise InputError(f"{at}: {kind}: expected [low, high], found {bounds!r}")
@@ -350,9 +359,9 @@ def _read_package() -> tuple[dict[str, Mismatch], dict[str, Mismatch]]:
     splits: dict[str, Mismatch] = {}
     for name, what in data["splits"].items():
         splits[name] = _read_split(name, what, f"splits.yaml: {name}", splits)
-    pairs = {
-        name: _read_split(name, {"parameters": what}, f"splits.yaml: {name}", {}) for name, what in data["pairs"].items()
-    }
+    pairs: dict[str, Mismatch] = {}
+    for name, what in data["pairs"].items():
+        pairs[name] = _read_split(name, {"parameters": what}, f"splits.yaml: {name}", {})
     return splits, pairs
 
 

@@ -57,7 +57,7 @@ class Scenario:
         """Number of control periods in an episode. InputError if not even one fits."""
         steps = round(self.duration / period)
         if steps < 1:
-            raise InputError(f"scenario {self.name!r}: {self.duration:g} s are shorter than the control period {period:g} s")
+            raise InputError(f"scenario {self.name!r}: {self.duration:g} s is shorter than the control period")
         return steps
 
     def reference(self, period: float, stream: np.random.Generator | None = None) -> Reference:
@@ -108,8 +108,8 @@ def _disturbance(time: Floats, stream: np.random.Generator | None) -> tuple[Floa
 
 def _random_steps(time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
     assert stream is not None
-    # A set-point of up to 600 rpm either way every 0.3-2 s, standstill now and then; in two of three episodes each motor
-    # has a load of its own that changes every 0.5-2 s.
+    # A set-point of up to 600 rpm either way every 0.3-2 s, standstill now and then; in two of three episodes each
+    # motor has a load of its own that changes every 0.5-2 s.
     most = int(time[-1] / 0.3) + 2
     draw = stream.random((most, 4))
     changes = np.concatenate([[0.2 * draw[0, 0]], 0.2 * draw[0, 0] + np.cumsum(0.3 + 1.7 * draw[:-1, 1])])
@@ -125,7 +125,7 @@ def _random_steps(time: Floats, stream: np.random.Generator | None) -> tuple[Flo
     return setpoint, load
 
 
-_ALL = (
+_ALL: tuple[Scenario, ...] = (
     _tables(
         "setpoint_steps", "the paper's section 4.1: 0 -> 600 -> -200 -> 600 rpm without load", 6.0,
         [[0.2, 600.0], [2.0, -200.0], [4.0, 600.0]],
@@ -136,7 +136,8 @@ _ALL = (
     ),
     _tables(
         "staircase", "up and down through standstill in small steps, one a second", 8.0,
-        [[0.2, 150], [1, 300], [2, 450], [3, 300], [4, 150], [5, 0], [6, -150], [7, -300]],
+        [[0.2, 150.0], [1.0, 300.0], [2.0, 450.0], [3.0, 300.0], [4.0, 150.0], [5.0, 0.0], [6.0, -150.0],
+         [7.0, -300.0]],
     ),
     Scenario("sine", "400 rpm at 0.5 Hz through standstill, no load", 6.0, _sine),
     _tables(
@@ -144,7 +145,9 @@ _ALL = (
         [[0.2, 400.0]], _share([(1.5, 0.5, 0.0), (3.5, 0.0, 0.5), (5.0, 0.0, 0.0)]),
     ),
     Scenario("disturbance", "400 rpm; from 1.5 s loads that swing against each other at 1.5 Hz", 5.0, _disturbance),
-    Scenario("random_steps", "for training: random set-points, random loads on each motor", 6.0, _random_steps, random=True),
+    Scenario(
+        "random_steps", "for training: random set-points, random loads on each motor", 6.0, _random_steps, random=True
+    ),
 )  # fmt: skip
 
 #: The scenarios by name.
@@ -176,10 +179,9 @@ def load_scenario(source: str | Mapping[str, Any] | Scenario) -> Scenario:
         raise InputError("scenario: duration: a number of seconds is needed") from None
     if not 0.0 < duration < 1e5:
         raise InputError(f"scenario: duration is {duration:g} s, expected more than 0 and less than 1e5")
-    return _tables(
-        str(source.get("name", "custom")), "step tables", duration,
-        _read_table(source.get("setpoint_rpm", ()), 2, "setpoint_rpm"), _read_table(source.get("load_Nm", ()), 3, "load_Nm"),
-    )  # fmt: skip
+    setpoint = _read_table(source.get("setpoint_rpm", ()), 2, "setpoint_rpm")
+    load = _read_table(source.get("load_Nm", ()), 3, "load_Nm")
+    return _tables(str(source.get("name", "custom")), "step tables", duration, setpoint, load)
 
 
 def _read_table(rows: Any, width: int, key: str) -> Floats:

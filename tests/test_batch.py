@@ -1,0 +1,246 @@
+"""The native batch: each row is the single environment bit for bit, autoreset modes, masks, copies, wrappers."""
+
+import copy
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import hydro_env  # noqa: F401 (registers the environment)
+from hydro_env.envs import HydraulicSyncEnv, HydraulicSyncVectorEnv
+from hydro_env.errors import InputError
+
+SHORT = {"duration": 0.12, "setpoint_rpm": [[0.0, 300.0], [0.06, -200.0]], "load_Nm": [[0.03, 0.5, 0.1]]}
+
+
+def make(num_envs, **more):
+    return gymnasium.make_vec("hydro_env:HydraulicSync-v0", num_envs=num_envs, **{"plant": "paper", **more})
+
+
+def actions(num_envs, steps, seed=0):
+    return np.random.default_rng(seed).uniform(-0.8, 0.8, (steps, num_envs, 2)).astype(np.float32)
+
+
+def same(one, two):
+    if isinstance(one, dict):
+        assert one.keys() == two.keys()
+        for key in one:
+            same(one[key], two[key])
+    elif isinstance(one, tuple):
+        for a, b in zip(one, two, strict=True):
+            same(a, b)
+    else:
+        np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"scenario": SHORT},
+        {"scenario": SHORT, "mismatch": "test_extrap", "history": 2},
+        {"scenario": SHORT, "mismatch": "faulted", "control_period": 0.005},
+        {"scenario": "random_steps", "mismatch": "train"},
+    ],
+    ids=["train", "extrap", "faulted", "random"],
+)
+def test_rows_are_the_single_environment(mode, more):
+    """Bit for bit, into the following episodes, against Gymnasium's own batch of single environments."""
+    num_envs, steps = 19, 40  # more than two blocks of the compiled plant, the last one not full
+    batch = make(num_envs, autoreset_mode=mode, **more)
+    rows = SyncVectorEnv(
+        [lambda: HydraulicSyncEnv(**{"plant": "paper", **more})] * num_envs,
+        autoreset_mode=AutoresetMode(mode),
+    )
+    observation, info = batch.reset(seed=40)
+    wanted, told = rows.reset(seed=40)
+    np.testing.assert_array_equal(observation, wanted)
+    same(info, told)
+    for action in actions(num_envs, steps):
+        result, wanted = batch.step(action), rows.step(action)
+        same(result[:4], wanted[:4])
+        for key, value in wanted[4].items():
+            if key == "final_obs":
+                for a, b in zip(result[4][key], value, strict=True):
+                    np.testing.assert_array_equal(a, b)
+            elif key == "final_info":
+                ended = result[4]["_final_info"]
+                for name in value:
+                    np.testing.assert_array_equal(result[4][key][name][ended], value[name][ended])
+            elif not key.startswith("_") and not isinstance(value, dict):
+                mask = wanted[4]["_" + key]
+                np.testing.assert_array_equal(result[4]["_" + key], mask)
+                np.testing.assert_array_equal(result[4][key][mask], value[mask])
+            elif isinstance(value, dict):
+                mask = wanted[4]["_" + key]
+                for name in value:
+                    np.testing.assert_array_equal(result[4][key][name][mask], value[name][mask])
+
+
+def test_rows_do_not_depend_on_their_neighbours():
+    wide, narrow = make(11, mismatch="faulted", scenario="sine"), make(3, mismatch="faulted", scenario="sine")
+    wide.reset(seed=list(range(11))), narrow.reset(seed=[8, 0, 5])
+    for action in actions(11, 30):
+        one, two = wide.step(action), narrow.step(action[[8, 0, 5]])
+        same(tuple(part[[8, 0, 5]] for part in one[:4]), two[:4])
+
+
+def test_seeds_of_rows():
+    first = make(4).reset(seed=7)[0]
+    np.testing.assert_array_equal(first, make(4).reset(seed=[7, 8, 9, 10])[0])
+    mixed = make(4)
+    mixed.reset(seed=7)
+    again = mixed.reset(seed=[None, 8, None, 10])[0]
+    np.testing.assert_array_equal(again[[1, 3]], first[[1, 3]])
+    assert (again[[0, 2]] != first[[0, 2]]).any(axis=1).all()
+    assert len({row.tobytes() for row in make(50).reset()[0]}) == 50
+
+
+def test_staggered_ends():
+    """Rows that end at different times: each goes its own way, and a step never shows one row's end in another."""
+    batch = make(3, scenario=SHORT, autoreset_mode="Disabled")
+    batch.reset(seed=0)
+    ends = []
+    for n, action in enumerate(actions(3, 30)):
+        if n == 5:
+            _, info = batch.reset(options={"reset_mask": np.array([False, True, False])})
+            assert info["_mismatch"].tolist() == [False, True, False]
+        truncated = batch.step(action)[3]
+        ends.append(truncated.tolist())
+        if truncated.any():
+            with pytest.raises(gymnasium.error.ResetNeeded):
+                batch.step(action)
+            batch.reset(options={"reset_mask": truncated})
+    assert [n for n, end in enumerate(ends) if end[0]] == [11, 23]
+    assert [n for n, end in enumerate(ends) if end[1]] == [16, 28]
+
+
+def test_masked_reset_touches_no_other_row():
+    batch, twin = (make(5, scenario="sine", autoreset_mode="Disabled") for _ in range(2))
+    for env in (batch, twin):
+        env.reset(seed=0)
+        for action in actions(5, 10):
+            env.step(action)
+    mask = np.array([True, False, False, True, False])
+    observation, _ = batch.reset(seed=[3, None, None, 4, None], options={"reset_mask": mask})
+    before = twin.step(np.zeros((5, 2)))
+    after = batch.step(np.zeros((5, 2)))
+    same(tuple(part[~mask] for part in after[:4]), tuple(part[~mask] for part in before[:4]))
+    np.testing.assert_array_equal(observation[mask], make(2, scenario="sine").reset(seed=3)[0])
+
+
+def test_next_step_reset_ignores_the_action_and_gives_no_reward():
+    batch = make(2, scenario=SHORT)
+    batch.reset(seed=0)
+    for action in actions(2, 12):
+        result = batch.step(action)
+    assert result[3].all()
+    observation, reward, terminated, truncated, info = batch.step(np.full((2, 2), 0.7))
+    assert (observation[:, 7:9] == 0).all()
+    assert (reward == 0).all() and not terminated.any() and not truncated.any()
+    assert info["_mismatch"].all() and not info["_reward_tracking"].any()
+
+
+def test_divergence_resets_one_row():
+    batch = make(3, scenario="sine")
+    batch.reset(seed=0)
+    batch.plant.memory[0, batch.plant.row_of("diverged"), 1] = 1.0
+    _, _, terminated, _, info = batch.step(np.zeros((3, 2)))
+    assert terminated.tolist() == [False, True, False]
+    assert info["termination"][1].startswith("diverged") and info["termination"][0] is None
+    _, _, terminated, _, _ = batch.step(np.zeros((3, 2)))
+    assert not terminated.any()
+
+
+def test_results_share_no_memory_and_stay():
+    batch = make(3, scenario=SHORT, history=2)
+    kept = [batch.reset(seed=0)]
+    kept += [batch.step(action) for action in actions(3, 15)]
+    copies = copy.deepcopy(kept)
+    for action in actions(3, 5):
+        batch.step(action)
+    for result, then in zip(kept, copies, strict=True):
+        same(result[:4][0], then[:4][0])
+        same(result[-1]["speed_rpm"], then[-1]["speed_rpm"])
+    for i, one in enumerate(kept):
+        assert not any(np.shares_memory(one[0], two[0]) for two in kept[:i])
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_copies_go_on_alike(duplicate):
+    batch = make(9, scenario=SHORT, mismatch="faulted")
+    batch.reset(seed=5)
+    for action in actions(9, 5):
+        batch.step(action)
+    twin = duplicate(batch)
+    for action in actions(9, 20, seed=1):
+        same(batch.step(action), twin.step(action))
+
+
+def test_options():
+    batch = make(3, mismatch="test_interp")
+    _, info = batch.reset(seed=0, options={"case": 10, "scenario": "sine"})
+    assert info["case"].tolist() == [10, 11, 12]
+    _, info = batch.reset(options={"case": [5, 1, 5]})
+    assert info["case"].tolist() == [5, 1, 5]
+    np.testing.assert_array_equal(info["mismatch"]["Kq"][0], info["mismatch"]["Kq"][2])
+    _, info = batch.reset(options={"mismatch": {"sensor_lag.time_constant": 0.02}})
+    assert (batch.plant.get("sensor_lag.time_constant") == 0.02).all()
+    np.testing.assert_array_equal(batch.pairs["Kq"], np.tile(batch.model.pair("Kq"), (3, 1)))
+    for options in ({"case": [1, 2]}, {"case": "x"}, {"seed": 1}, {"reset_mask": np.ones(2, bool)}):
+        with pytest.raises(InputError, match="reset"):
+            batch.reset(options=options)
+    with pytest.raises(InputError, match="seeds"):
+        batch.reset(seed=[1, 2])
+    with pytest.raises(InputError, match="negative"):
+        batch.reset(seed=[1, -2, 3])
+
+
+def test_episode_limit():
+    batch = make(2, max_episode_steps=7)
+    batch.reset(seed=0)
+    assert [batch.step(action)[3].all() for action in actions(2, 8)] == [False] * 6 + [True, False]
+
+
+def test_gymnasium_wrappers_work():
+    wrapped = gymnasium.wrappers.vector.RecordEpisodeStatistics(make(3, scenario=SHORT))
+    wrapped = gymnasium.wrappers.vector.DictInfoToList(wrapped)
+    _, infos = wrapped.reset(seed=0)
+    assert set(infos[1]["mismatch"]) >= {"Kq", "R"}
+    for action in actions(3, 12):
+        *_, infos = wrapped.step(action)
+    assert infos[2]["episode"]["l"] == 12
+    assert infos[0]["speed_rpm"].shape == (2,)
+    for space, sample in ((wrapped.observation_space, wrapped.step(wrapped.action_space.sample())[0]),):
+        assert space.contains(sample)
+
+
+def test_spaces_and_metadata():
+    batch = make(4, history=2)
+    assert batch.observation_space.shape == (4, 18)
+    assert batch.single_observation_space == HydraulicSyncEnv("paper", history=2).observation_space
+    assert batch.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    assert batch.spec.kwargs["num_envs"] == 4
+    # an instance's settings are its own
+    assert make(1, autoreset_mode="SameStep").metadata != make(1).metadata
+    assert "autoreset_mode" not in HydraulicSyncVectorEnv.metadata
+
+
+def test_render():
+    frames = make(2, render_mode="rgb_array").render()
+    assert len(frames) == 2 and frames[0].shape == (240, 320, 3)
+
+
+def test_wrong_use_is_named():
+    batch = make(2)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        batch.step(np.zeros((2, 2)))
+    batch.reset(seed=0)
+    with pytest.raises(ValueError, match="shape"):
+        batch.step(np.zeros((3, 2)))
+    with pytest.raises(ValueError, match="finite"):
+        batch.step(np.array([[0, 0], [np.nan, 0]]))
+    with pytest.raises(InputError, match="num_envs"):
+        HydraulicSyncVectorEnv(0)

@@ -1,0 +1,361 @@
+"""The single environment: Gymnasium's and Stable-Baselines3's checks, seeds, copies, options, signals, faults."""
+
+import copy
+import pickle
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import hydro_env  # noqa: F401 (registers the environment)
+from hydro_env.envs import OBSERVATION, HydraulicSyncEnv, decode
+from hydro_env.envs.observation import LIMIT, SCALES
+from hydro_env.errors import InputError
+from hydro_env.tasks import draw_pairs
+from hydro_env.tasks.mismatch import CASE_STRIDE
+
+RPM = 2 * np.pi / 60
+
+
+def make(**more):
+    return gymnasium.make("hydro_env:HydraulicSync-v0", **{"plant": "paper", **more}).unwrapped
+
+
+def run(env, steps, stream, level=0.6):
+    out = []
+    for _ in range(steps):
+        out.append(env.step(stream.uniform(-level, level, 2).astype(np.float32)))
+    return out
+
+
+def same(one, two):
+    assert type(one) is type(two)
+    if isinstance(one, dict):
+        assert one.keys() == two.keys()
+        for key in one:
+            same(one[key], two[key])
+    elif isinstance(one, (tuple, list)):
+        assert len(one) == len(two)
+        for a, b in zip(one, two, strict=True):
+            same(a, b)
+    else:
+        np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize(
+    "more", [{}, {"history": 3}, {"mismatch": "faulted"}, {"mismatch": None, "noise": 0.0}]
+)
+def test_checkers_have_nothing_to_say(more):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(make(**more))
+
+
+def test_checker_of_stable_baselines3():
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(make())
+
+
+def test_default_arguments():
+    env = gymnasium.make("hydro_env:HydraulicSync-v0")
+    assert env.unwrapped.plant.model.name == "paper_dead_zone"
+    _, info = env.reset(seed=0)
+    assert info["mismatch"]["dead_zone.overlap_positive"].shape == (2,)
+
+
+def test_same_seed_same_episode_and_the_next_ones():
+    one, two, other = make(), make(), make()
+    for seed in (5, None, None):
+        same(one.reset(seed=seed), two.reset(seed=seed))
+        same(run(one, 40, np.random.default_rng(1)), run(two, 40, np.random.default_rng(1)))
+    one.reset(seed=5)
+    first, _ = one.reset()
+    again, _ = other.reset(seed=6)
+    assert (first != again).any()
+
+
+def test_unseeded_environments_differ():
+    assert (make().reset()[0] != make().reset()[0]).any()
+
+
+def test_global_random_state_is_left_alone():
+    before = pickle.dumps(np.random.get_state())  # noqa: NPY002
+    env = make(mismatch="faulted")
+    env.reset()
+    run(env, 5, np.random.default_rng(0))
+    assert pickle.dumps(np.random.get_state()) == before  # noqa: NPY002
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_copies_go_on_alike(duplicate):
+    env = make(mismatch="faulted", history=2, scenario={"duration": 0.4, "setpoint_rpm": [[0.1, 300]]})
+    env.reset(seed=3)
+    run(env, 25, np.random.default_rng(0))
+    twin = duplicate(env)
+    same(run(env, 15, np.random.default_rng(1)), run(twin, 15, np.random.default_rng(1)))
+    same(env.reset(), twin.reset())
+    same(run(env, 10, np.random.default_rng(2)), run(twin, 10, np.random.default_rng(2)))
+
+
+def test_results_share_no_memory():
+    env = make(history=2)
+    seen = [env.reset(seed=0)[0]]
+    kept = [seen[0].copy()]
+    for observation, *_ in run(env, 6, np.random.default_rng(0)):
+        seen.append(observation)
+        kept.append(observation.copy())
+    seen.append(env.reset()[0])
+    kept.append(seen[-1].copy())
+    for i, one in enumerate(seen):
+        np.testing.assert_array_equal(one, kept[i])
+        for two in seen[:i]:
+            assert not np.shares_memory(one, two)
+
+
+def test_observation_is_what_sensors_show():
+    env = make(noise=0.0, mismatch=None, scenario="setpoint_steps")
+    observation, info = env.reset(seed=0)
+    np.testing.assert_array_equal(observation, np.zeros(9))
+    for _ in range(30):
+        observation, _, _, _, info = env.step(np.array([0.5, -0.4], np.float32))
+    assert observation.dtype == np.float32
+    measured = decode(observation[None])
+    assert measured.setpoint[0] == pytest.approx(600 * RPM)
+    np.testing.assert_allclose(measured.speed, env.plant.measured_speed, rtol=1e-6)
+    np.testing.assert_allclose(measured.current, env.plant.current, rtol=1e-6)
+    np.testing.assert_allclose(measured.pressure, env.plant.pressure, rtol=1e-6)
+    np.testing.assert_allclose(measured.command[0], [0.5, -0.4], rtol=1e-6)
+    np.testing.assert_allclose(info["speed_rpm"], env.plant.speed[0] / RPM)
+    assert info["setpoint_rpm"] == pytest.approx(600)
+    assert info["speed_difference_rpm"] == info["speed_rpm"][0] - info["speed_rpm"][1]
+    np.testing.assert_allclose(info["command_V"], [36.5, -29.2], rtol=1e-6)
+    assert info["angle_difference_deg"] == pytest.approx(np.degrees(np.subtract(*env.plant.angle[0])))
+    assert info["speed_rpm"][0] > 50 > -50 > info["speed_rpm"][1]
+
+
+def test_no_signal_is_constant_and_none_at_the_limit():
+    env = make()
+    seen = []
+    for seed in range(3):
+        seen.append(env.reset(seed=seed)[0])
+        seen += [step[0] for step in run(env, 600, np.random.default_rng(seed), level=1.0)]
+    seen = np.array(seen)
+    assert np.isfinite(seen).all()
+    assert (seen.std(axis=0) > 0.05).all(), dict(zip(OBSERVATION, seen.std(axis=0), strict=True))
+    assert np.abs(seen).max() < LIMIT
+
+
+def test_noise_has_the_published_size():
+    traces = []
+    for level in (0.0, 1.0, {"speed_rpm": 5.0}):
+        env = make(noise=level, mismatch=None, scenario="sine")
+        first = env.reset(seed=2)[0]
+        rows = [first] + [step[0] for step in run(env, 600, np.random.default_rng(0), level=0.3)]
+        traces.append(np.array(rows) * SCALES)
+    noise = (traces[1] - traces[0]).std(axis=0)
+    np.testing.assert_allclose(noise[1:7], [RPM, RPM, 2e-3, 2e-3, 5e3, 5e3], rtol=0.1)
+    assert (noise[[0, 7, 8]] == 0).all()
+    assert (traces[2] - traces[0]).std(axis=0)[1] == pytest.approx(5 * RPM, rel=0.1)
+    # speeds, currents and pressures of both motors: no two sensors share their noise
+    assert np.abs(np.corrcoef((traces[1] - traces[0])[:, 1:7].T) - np.eye(6)).max() < 0.2
+
+
+def test_history_is_oldest_first():
+    plain, deep = make(), make(history=3)
+    frames = [plain.reset(seed=1)[0]]
+    np.testing.assert_array_equal(deep.reset(seed=1)[0], np.tile(frames[0], 3))
+    stream = np.random.default_rng(0)
+    for n in range(5):
+        action = stream.uniform(-1, 1, 2)
+        frames.append(plain.step(action)[0])
+        wanted = [frames[max(0, n + 1 - back)] for back in (2, 1, 0)]
+        np.testing.assert_array_equal(deep.step(action)[0], np.concatenate(wanted))
+
+
+def test_reward_by_hand():
+    env = make(
+        noise=0.0, mismatch=None, scenario={"duration": 1.0, "setpoint_rpm": [[0.0, 300], [0.05, 100]]}
+    )
+    env.reset(seed=0)
+    before = np.zeros(2)
+    for n in range(8):
+        action = np.array([0.5, 0.25]) if n else np.array([0.5, 0.75])
+        _, reward, _, _, info = env.step(action)
+        target = (
+            300 if n < 5 else 100
+        )  # in force during the period, although the observation shows the next one
+        one, two = info["speed_rpm"]
+        parts = (
+            -0.5 * (abs(one - target) + abs(two - target)) / 2 / 100,
+            -1.5 * abs(one - two) / 100,
+            -0.1 * np.abs(action - before).mean(),
+        )
+        assert info["reward_tracking"] == pytest.approx(parts[0])
+        assert info["reward_difference"] == pytest.approx(parts[1])
+        assert info["reward_variation"] == pytest.approx(parts[2])
+        assert reward == pytest.approx(sum(parts))
+        before = action
+    assert info["setpoint_rpm"] == pytest.approx(100)
+    env = make(reward={"tracking": 0.0, "difference": 0.0, "variation": 2.0})
+    env.reset(seed=0)
+    assert env.step(np.array([1.0, 0.0]))[1] == pytest.approx(-1.0)
+
+
+def test_episode_ends_by_truncation_with_its_scenario():
+    env = make(scenario={"duration": 0.25, "setpoint_rpm": [[0, 100]]})
+    for _ in range(2):
+        env.reset(seed=0)
+        ends = [
+            (terminated, truncated)
+            for _, _, terminated, truncated, _ in run(env, 25, np.random.default_rng(0))
+        ]
+        assert ends == [(False, False)] * 24 + [(False, True)]
+
+
+def test_divergence_terminates_with_its_reason():
+    env = make(mismatch={"J": 1e-12, "m": 1e-9, "V": 1e-12}, control_period=0.01)
+    env.reset(seed=0)
+    env.plant.memory[:, env.plant.row_of("diverged"), :] = 1.0
+    _, reward, terminated, _, info = env.step(np.zeros(2))
+    assert terminated
+    assert info["termination"].startswith("diverged")
+    assert -20 < reward < -9
+    env.reset(seed=0)
+    assert not env.plant.diverged.any()
+
+
+def test_reset_options_hold_for_one_episode():
+    env = make(mismatch="train", scenario="random_steps")
+    env.reset(seed=0)
+    _, info = env.reset(options={"mismatch": "paper_pair", "scenario": "load_step"})
+    np.testing.assert_array_equal(info["mismatch"]["Kq"], [476106e-6, 315000e-6])
+    np.testing.assert_array_equal(info["mismatch"]["R"], [100, 100])
+    steps = run(env, 600, np.random.default_rng(0))
+    assert steps[-1][3] and not steps[-2][3]
+    assert {round(step[4]["setpoint_rpm"]) for step in steps} == {0, 600}
+    _, info = env.reset()
+    assert info["mismatch"]["Kq"][0] != 476106e-6
+    # an effect the plant lacked so far
+    _, info = env.reset(options={"mismatch": {"sensor_lag.time_constant": [0.05, 0.0]}})
+    np.testing.assert_array_equal(info["mismatch"]["sensor_lag.time_constant"], [0.05, 0.0])
+    np.testing.assert_array_equal(env.plant.get("sensor_lag.time_constant"), [[0.05, 0.0]])
+    env.reset()
+    np.testing.assert_array_equal(env.plant.get("sensor_lag.time_constant"), [[0.0, 0.0]])
+
+
+def test_cases_of_fixed_splits():
+    env = make(mismatch="test_extrap")
+    listed = draw_pairs("test_extrap", 1000).values
+    _, info = env.reset(seed=17)
+    assert info["case"] == 17
+    for name, values in listed.items():
+        np.testing.assert_array_equal(info["mismatch"][name], values[17])
+    _, info = env.reset()
+    assert info["case"] == 17 + CASE_STRIDE
+    _, info = env.reset(options={"case": 8})
+    np.testing.assert_array_equal(info["mismatch"]["Kq"], listed["Kq"][8])
+    assert env.reset(seed=2016)[1]["case"] == 16
+
+
+def test_train_is_what_draw_pairs_says():
+    env = make()
+    listed = draw_pairs("train", 3, seed=11).values
+    for episode in range(3):
+        _, info = env.reset(seed=11 if episode == 0 else None)
+        for name, values in listed.items():
+            np.testing.assert_array_equal(info["mismatch"][name], values[episode])
+        np.testing.assert_array_equal(env.plant.get("Kq")[0], listed["Kq"][episode])
+
+
+def test_stuck_and_noisy_speed_sensors():
+    sick = {"speed_sensor.stuck_from": [0.1, np.inf], "speed_sensor.noise_factor": [1.0, 20.0]}
+    env = make(mismatch=sick, scenario="sine")
+    env.reset(seed=0)
+    shown, true = [], []
+    for observation, _, _, _, info in run(env, 300, np.random.default_rng(0), level=0.4):
+        shown.append(decode(observation[None]).speed[0] / RPM)
+        true.append(info["speed_rpm"])
+    shown, true = np.array(shown), np.array(true)
+    assert (shown[8:, 0] == shown[8, 0]).all()  # the reading at 0.09 s stays
+    assert np.ptp(true[8:, 0]) > 50
+    assert (shown - true)[:8, 0].std() < 3
+    assert (shown - true)[:, 1].std() == pytest.approx(20, rel=0.2)
+
+
+def test_render():
+    env = make(render_mode="rgb_array", scenario="setpoint_steps")
+    env.reset(seed=0)
+    first = env.render()
+    run(env, 60, np.random.default_rng(0))
+    later = env.render()
+    assert first.shape == later.shape == (240, 320, 3)
+    assert first.dtype == np.uint8
+    assert (first != later).any()
+    assert make().render() is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"plant": "papr"}, "papr"),
+        ({"scenario": "steps"}, "scenario"),
+        ({"mismatch": "trane"}, "did you mean 'train'"),
+        ({"control_period": 0.0}, "control_period"),
+        ({"history": 0}, "history"),
+        ({"noise": -1.0}, "noise"),
+        ({"noise": {"speed": 1.0}}, "speed_rpm"),
+        ({"reward": {"tracing": 1.0}}, "tracing"),
+        ({"reward": {"tracking": "much"}}, "tracking"),
+        ({"render_mode": "ansi"}, "render_mode"),
+        ({"scenario": {"duration": 1e-4}}, "shorter"),
+    ],
+)
+def test_wrong_arguments_are_named(arguments, told):
+    with pytest.raises(InputError, match=told) as caught:
+        HydraulicSyncEnv(**{"plant": "paper", **arguments}).reset()
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"mismatches": {}}, "unknown option 'mismatches'"),
+        ({"mismatch": {"Kqq": 1}}, "Kqq"),
+        ({"scenario": "steps"}, "scenario"),
+        ({"case": 3}, "fixed list"),
+        ({"mismatch": "val", "case": 1000}, "999"),
+    ],
+)
+def test_wrong_options_are_named_and_do_no_harm(options, told):
+    env = make()
+    env.reset(seed=0)
+    twin = copy.deepcopy(env)
+    with pytest.raises(InputError, match=told):
+        env.reset(options=options)
+    same(env.reset(), twin.reset())
+
+
+@pytest.mark.parametrize(
+    "action", [np.array([np.nan, 0.0]), np.array([0.0, np.inf]), np.zeros(3), np.zeros((1, 2))]
+)
+def test_wrong_actions_raise(action):
+    env = make()
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="action"):
+        env.step(action)
+
+
+def test_actions_are_clipped():
+    env, twin = make(), make()
+    env.reset(seed=0), twin.reset(seed=0)
+    same(env.step(np.array([5.0, -3.0])), twin.step(np.array([1.0, -1.0])))
+
+
+def test_decode_refuses_other_shapes():
+    for shape in ((9,), (2, 8), (2, 0)):
+        with pytest.raises(ValueError, match="shape"):
+            decode(np.zeros(shape))
