@@ -14,10 +14,10 @@ import itertools
 import math
 import zlib
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 
@@ -167,29 +167,34 @@ def _read(
     wanted = list(dict.fromkeys(choose(names)))
     for name in wanted:
         if names.count(name) > 1:
-            places = [str(i + 1) for i, other in enumerate(names) if other == name]
+            found = [str(i + 1) for i, other in enumerate(names) if other == name]
             raise InputError(
-                f"{path}: column {name!r} appears {len(places)} times (columns {', '.join(places)}); keep one of them"
+                f"{path}: column {name!r} appears {len(found)} times (columns {', '.join(found)}); keep one of them"
             )
     parse = _Cells(path, names, style, delimiter, findings)
-    parts: dict[str, list[np.ndarray]] = {name: [] for name in wanted}
-    lines = array("q")
-    position = {name: names.index(name) for name in wanted}
-    rows = csv.reader(file, delimiter=delimiter)
-    for chunk, numbers in _chunks(rows, start, len(names), path, delimiter):
-        for name in wanted:
-            values = parse.column(name, position[name], chunk, numbers)
-            if np.isinf(values).any():
-                line = numbers[int(np.argmax(np.isinf(values)))]
-                raise InputError(
-                    f"{path}: row {line}, column {name!r}: infinite; leave the cell empty where nothing was measured"
-                )
-            parts[name].append(values)
-        lines.extend(numbers)
-    if not lines:
+    places = [names.index(name) for name in wanted]
+    parts: list[np.ndarray] = []
+    lines: list[np.ndarray] = []
+    while text := list(itertools.islice(file, _CHUNK)):
+        numbers = np.arange(start + 1, start + 1 + len(text))
+        start += len(text)
+        block = parse.plain(text, places)
+        if block is None:
+            block, numbers = parse.careful(text, places, wanted, numbers)
+        if np.isinf(block).any():
+            row, place = np.argwhere(np.isinf(block))[0]
+            raise InputError(
+                f"{path}: row {numbers[row]}, column {wanted[place]!r}: infinite; "
+                "leave the cell empty where nothing was measured"
+            )
+        parts.append(block)
+        lines.append(numbers)
+    if not sum(map(len, parts)):
         raise InputError(f"{path}: only a header, no rows; a log needs at least two samples")
-    columns = {name: np.concatenate(pieces) for name, pieces in parts.items()}
-    return Table(path, names, columns, np.frombuffer(lines, dtype=np.int64).copy(), findings)
+    columns = {
+        name: np.concatenate([block[:, place] for block in parts]) for place, name in enumerate(wanted)
+    }
+    return Table(path, names, columns, np.concatenate(lines), findings)
 
 
 def _delimiter(header: str) -> str:
@@ -198,32 +203,8 @@ def _delimiter(header: str) -> str:
     return best if counts[best] else ","
 
 
-def _chunks(
-    rows: Any, start: int, width: int, path: Path, delimiter: str
-) -> Iterator[tuple[list[list[str]], list[int]]]:
-    while True:
-        chunk: list[list[str]] = []
-        numbers: list[int] = []
-        for row in itertools.islice(rows, _CHUNK):
-            if not row or (len(row) == 1 and not row[0].strip()):
-                continue
-            if len(row) != width and not (len(row) > width and not any(row[width:])):
-                line = rows.line_num + start
-                hint = "a cell is missing, or the recording was cut off here"
-                if len(row) > width and delimiter == ",":
-                    hint = "decimal commas need another delimiter: write 0.5, or separate the columns by ';'"
-                raise InputError(f"{path}: row {line} has {len(row)} cells, the header has {width}; {hint}")
-            chunk.append(row)
-            numbers.append(rows.line_num + start)
-        if not chunk:
-            if next(rows, None) is None:
-                return
-            continue
-        yield chunk, numbers
-
-
 class _Cells:
-    """Turns text cells into numbers; the fast way first, cell by cell only where that fails."""
+    """Turns lines of text into numbers."""
 
     def __init__(
         self, path: Path, names: tuple[str, ...], style: CsvStyle, delimiter: str, findings: list[Finding]
@@ -237,39 +218,67 @@ class _Cells:
         )
         self.decimal_comma = style.decimal == ","
 
-    def column(self, name: str, place: int, chunk: list[list[str]], lines: list[int]) -> np.ndarray:
-        if not self.decimal_comma and not self.style.si_suffixes:
-            try:
-                return np.fromiter((float(row[place]) for row in chunk), dtype=float, count=len(chunk))
-            except ValueError:
-                pass
-        cells = (self.cell(row[place], name, line) for row, line in zip(chunk, lines, strict=True))
-        return np.fromiter(cells, dtype=float, count=len(chunk))
+    def plain(self, text: list[str], places: list[int]) -> np.ndarray | None:
+        """Lines of complete rows of plain numbers as (rows, places), or None where there is anything else."""
+        if self.decimal_comma or self.style.si_suffixes:
+            return None
+        if any(line.count(self.delimiter) != len(self.names) - 1 or '"' in line for line in text):
+            return None
+        try:
+            return np.loadtxt(text, delimiter=self.delimiter, usecols=places, ndmin=2, comments=None)
+        except ValueError:
+            return None
+
+    def careful(
+        self, text: list[str], places: list[int], wanted: list[str], numbers: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The same cell by cell, with holes and other spellings; also the lines' numbers without the empty lines."""
+        values = array("d")
+        kept: list[int] = []
+        width = len(self.names)
+        rows = csv.reader(text, delimiter=self.delimiter)
+        for row in rows:
+            if not any(cell.strip() for cell in row):
+                continue
+            line = int(numbers[rows.line_num - 1])
+            if len(row) < width or any(row[width:]):
+                hint = "a cell is missing, or the recording was cut off here"
+                if len(row) > width and self.delimiter == ",":
+                    hint = "decimal commas need another delimiter: write 0.5, or separate the columns by ';'"
+                raise InputError(
+                    f"{self.path}: row {line} has {len(row)} cells, the header has {width}; {hint}"
+                )
+            kept.append(line)
+            values.extend(
+                self.cell(row[place], name, line) for place, name in zip(places, wanted, strict=True)
+            )
+        return np.array(values).reshape(len(kept), len(places)), np.array(kept, dtype=np.int64)
 
     def cell(self, text: str, name: str, line: int) -> float:
+        if not (self.decimal_comma and "." in text):
+            try:
+                return float(text)
+            except ValueError:
+                pass
         text = text.strip()
         if text.lower() in _MISSING:
             return math.nan
-        if self.decimal_comma and text.count(",") == 1 and "." not in text:
-            text = text.replace(",", ".")
-        elif (
-            self.style.decimal is None and self.delimiter != "," and text.count(",") == 1 and "." not in text
-        ):
-            # With another delimiter a comma inside a number can only be the decimal mark (or, far rarer, thousands).
-            if not any(finding.code == "decimal_comma" for finding in self.findings):
+        # With another delimiter a comma inside a number can only be the decimal mark (or, far rarer, thousands).
+        may_be_decimal = self.decimal_comma or (self.style.decimal is None and self.delimiter != ",")
+        if may_be_decimal and text.count(",") == 1 and "." not in text and _is_number(text.replace(",", ".")):
+            if not self.decimal_comma and self.style.decimal is None:
                 message = f"numbers are written with a decimal comma ({text!r} in row {line}), read so"
                 self.findings.append(
                     Finding("decimal_comma", message, "write decimal points", column=name, row=line)
                 )
-            text = text.replace(",", ".")
-        try:
-            return float(text)
-        except ValueError:
-            pass
+                self.decimal_comma = True
+            return float(text.replace(",", "."))
         if self.style.si_suffixes and text[-1:] in _SI_SUFFIX and _is_number(text[:-1]):
             return float(text[:-1]) * _SI_SUFFIX[text[-1]]
         hint = "write a number, or leave the cell empty where nothing was measured"
-        if "," in text and "." in text:
+        if self.decimal_comma and _is_number(text):
+            hint = "decimal commas are used elsewhere in the file; write all numbers alike"
+        elif "," in text and "." in text:
             hint = "write it without thousands separators, with a decimal point"
         elif text[-1:] in _SI_SUFFIX and _is_number(text[:-1]):
             hint = "for suffixes such as m and k say `si_suffixes: true` under `table` in the mapping"
