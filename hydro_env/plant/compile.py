@@ -46,6 +46,8 @@ __all__ = ["STATES", "Kernel", "compile_kernel", "rosenbrock_coefficients"]
 STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
 #: Beyond these magnitudes (SI) a state counts as diverged.
 STATE_CAPS = (1e2, 1e-2, 1e3, 1e-2, 1e10, 1e5, 1e12)
+#: A lane at an end stop takes a substep in so many parts.
+STOP_PARTS = 5
 #: Slots of the delay line of `command_delay`; one slot is one substep.
 DELAY_SLOTS = 512
 
@@ -262,6 +264,7 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
 
     rows = _Rows()
     rows.add(*states, *_OUTPUTS)
+    saved = len(states) + 2  # states, time and flow: all that a step changes
     moving = len(rows.number)
     rows.add(*parameters)
     kept = len(rows.number)
@@ -270,6 +273,7 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     rows.add(*(f"f__{name}" for name in factors), *(f"f__{name}" for name in states[len(STATES) :]))
     rows.add(*(f"u{stage}__{name}" for stage in range(3) for name in states), "applied", "next_flow")
     rows.add(*(f"per_{name}" for name in _DIVISORS))
+    rows.add("near", *(f"{copy}{r}" for copy in ("before", "whole") for r in range(saved)))
     at = rows.number
 
     def row(name: str) -> str:
@@ -402,8 +406,10 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     text = _MODULE.format(
         functions="\n\n".join(pasted), half=half, moving=moving, kept=kept, total=len(at),
         command=at["command"], load=at["load"], applied=at["applied"], time=at["time"], rated=at["u_rated"],
+        spool=at["spool"], spool_speed=at["spool_speed"], x_max=at["x_max"], near=at["near"],
+        saved=saved, before=at["before0"], whole=at["whole0"], parts=STOP_PARTS,
         gamma=repr(method["gamma"]), coefficients=_indent(coefficients, 1),
-        first=_indent(first, 6), second=_indent(stage(1), 6), third=_indent(stage(2), 6), fourth=_indent(stage(3), 6),
+        first=_indent(first, 3), second=_indent(stage(1), 3), third=_indent(stage(2), 3), fourth=_indent(stage(3), 3),
         watch=_indent(watch, 3), guard=_indent(guard, 2), apply=apply, ring=ring, keep_flow=keep_flow, **base_rows,
     )  # fmt: skip
     visible = {name.replace("__", ".", 1) if name in parameters and "__" in name else name: n
@@ -442,6 +448,8 @@ MOVING = {moving}
 KEPT = {kept}
 TOTAL = {total}
 COMMAND, LOAD, APPLIED, TIME, RATED = {command}, {load}, {applied}, {time}, {rated}
+SPOOL, SPOOL_SPEED, X_MAX, NEAR = {spool}, {spool_speed}, {x_max}, {near}
+SAVED, BEFORE, WHOLE = {saved}, {before}, {whole}
 
 
 @lane
@@ -479,6 +487,37 @@ def protect(lanes):
 
 
 @block
+def step(cells, h):
+    """One step of h seconds of a block."""
+    ig = 1.0 / ({gamma} * h)
+    gh = {gamma} * h
+{coefficients}
+    for side in range(2):
+        lanes = cells[side * HALF :]
+        others = cells[HALF - side * HALF :]
+        for l in range(index(HALF)):
+{first}
+    for side in range(2):
+        lanes = cells[side * HALF :]
+        others = cells[HALF - side * HALF :]
+        for l in range(index(HALF)):
+{second}
+    for side in range(2):
+        lanes = cells[side * HALF :]
+        others = cells[HALF - side * HALF :]
+        for l in range(index(HALF)):
+{third}
+    for side in range(2):
+        lanes = cells[side * HALF :]
+        others = cells[HALF - side * HALF :]
+        for l in range(index(HALF)):
+{fourth}
+    for l in range(index(LANES)):
+        cells[index(TIME * LANES) + l] = cells[index(TIME * LANES) + l] + h
+        {keep_flow}
+
+
+@block
 def advance(memory, ring, head, commands, loads, substeps, h, record, every, out):
     """Runs every block through all rows of `commands`, `substeps` steps of `h` seconds to a row.
 
@@ -487,9 +526,6 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
     out (len(record), T // every, rigs, 2) at the instant of each row, before its command acts.
     """
     cells = aligned(TOTAL * LANES)
-    ig = 1.0 / ({gamma} * h)
-    gh = {gamma} * h
-{coefficients}
     rigs = out.shape[2]
     for b in range(memory.shape[0]):
         for r in range(KEPT):
@@ -524,29 +560,31 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
                 {apply}
             for n in range(substeps):
 {ring}
-                for side in range(2):
-                    lanes = cells[side * HALF :]
-                    others = cells[HALF - side * HALF :]
-                    for l in range(index(HALF)):
-{first}
-                for side in range(2):
-                    lanes = cells[side * HALF :]
-                    others = cells[HALF - side * HALF :]
-                    for l in range(index(HALF)):
-{second}
-                for side in range(2):
-                    lanes = cells[side * HALF :]
-                    others = cells[HALF - side * HALF :]
-                    for l in range(index(HALF)):
-{third}
-                for side in range(2):
-                    lanes = cells[side * HALF :]
-                    others = cells[HALF - side * HALF :]
-                    for l in range(index(HALF)):
-{fourth}
+                near = 0
                 for l in range(index(LANES)):
-                    cells[index(TIME * LANES) + l] = cells[index(TIME * LANES) + l] + h
-                    {keep_flow}
+                    reach = abs(cells[index(SPOOL * LANES) + l]) + h * abs(cells[index(SPOOL_SPEED * LANES) + l])
+                    stop = reach > cells[index(X_MAX * LANES) + l]
+                    cells[index(NEAR * LANES) + l] = 1.0 if stop else 0.0
+                    near += 1 if stop else 0
+                if near == 0:
+                    step(cells, h)
+                else:
+                    # Lanes at an end stop take the substep in parts; the others keep the result of the whole one.
+                    for r in range(SAVED):
+                        for l in range(index(LANES)):
+                            cells[index((BEFORE + r) * LANES) + l] = cells[index(r * LANES) + l]
+                    step(cells, h)
+                    for r in range(SAVED):
+                        for l in range(index(LANES)):
+                            cells[index((WHOLE + r) * LANES) + l] = cells[index(r * LANES) + l]
+                            cells[index(r * LANES) + l] = cells[index((BEFORE + r) * LANES) + l]
+                    for part in range({parts}):
+                        step(cells, h / {parts})
+                    for r in range(SAVED):
+                        for l in range(index(LANES)):
+                            kept = cells[index((WHOLE + r) * LANES) + l]
+                            inside = cells[index(NEAR * LANES) + l] == 0.0
+                            cells[index(r * LANES) + l] = kept if inside else cells[index(r * LANES) + l]
             protect(cells)
         look(cells)
         for r in range(MOVING):
