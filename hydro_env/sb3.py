@@ -78,7 +78,9 @@ class HydraulicSyncVecEnv(VecEnv):
         """Takes the actions (N, 2) of the step."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """The step: observations (N, n), rewards, ends (N,), infos."""
         assert self._actions is not None, "step_async comes first"
         observation, reward, terminated, truncated, told = self.batch.step(self._actions)
@@ -118,7 +120,9 @@ class HydraulicSyncVecEnv(VecEnv):
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Sets an attribute of the batch. ValueError if not all rows are meant: they have them in common."""
         if len(set(self._rows(indices))) != self.num_envs:
-            raise ValueError("all rows have their attributes in common: set them for all, or pass options to reset")
+            raise ValueError(
+                "all rows have their attributes in common: set them for all, or pass options to reset"
+            )
         setattr(self.batch, attr_name, value)
 
     def env_method(
@@ -129,12 +133,16 @@ class HydraulicSyncVecEnv(VecEnv):
         ValueError for what steps or resets the rows; the VecEnv does that.
         """
         if method_name in ("reset", "step", "advance"):
-            raise ValueError(f"{method_name} concerns all rows: call it on the VecEnv, options go to set_options")
+            raise ValueError(
+                f"{method_name} concerns all rows: call it on the VecEnv, options go to set_options"
+            )
         answer = getattr(self.batch, method_name)(*method_args, **method_kwargs)
         own = method_name == "render" and answer is not None
         return [answer[row] if own else answer for row in self._rows(indices)]
 
-    def env_is_wrapped(self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: Indices = None) -> list[bool]:
+    def env_is_wrapped(
+        self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: Indices = None
+    ) -> list[bool]:
         """False for each row: nothing is wrapped."""
         return [False] * len(self._rows(indices))
 

@@ -186,7 +186,7 @@ def test_options():
     _, info = batch.reset(options={"case": [5, 1, 5]})
     assert info["case"].tolist() == [5, 1, 5]
     np.testing.assert_array_equal(info["mismatch"]["Kq"][0], info["mismatch"]["Kq"][2])
-    _, info = batch.reset(options={"mismatch": {"sensor_lag.time_constant": 0.02}})
+    _, info = batch.reset(options={"mismatch": {"sensor_lag.time_constant": 0.02, "spool_stiction.static": 0.1}})
     assert (batch.plant.get("sensor_lag.time_constant") == 0.02).all()
     np.testing.assert_array_equal(batch.pairs["Kq"], np.tile(batch.model.pair("Kq"), (3, 1)))
     for options in ({"case": [1, 2]}, {"case": "x"}, {"seed": 1}, {"reset_mask": np.ones(2, bool)}):

@@ -200,6 +200,7 @@ def test_reward_by_hand():
         assert reward == pytest.approx(sum(parts))
         before = action
     assert info["setpoint_rpm"] == pytest.approx(100)
+    np.testing.assert_allclose(env.batch.course().setpoint[[0, 4, 5]], np.array([300, 300, 100]) * RPM)
     env = make(reward={"tracking": 0.0, "difference": 0.0, "variation": 2.0})
     env.reset(seed=0)
     assert env.step(np.array([1.0, 0.0]))[1] == pytest.approx(-1.0)
@@ -239,10 +240,11 @@ def test_reset_options_hold_for_one_episode():
     assert {round(step[4]["setpoint_rpm"]) for step in steps} == {0, 600}
     _, info = env.reset()
     assert info["mismatch"]["Kq"][0] != 476106e-6
-    # an effect the plant lacked so far
-    _, info = env.reset(options={"mismatch": {"sensor_lag.time_constant": [0.05, 0.0]}})
+    # effects the plant lacked so far
+    _, info = env.reset(options={"mismatch": {"sensor_lag.time_constant": [0.05, 0.0], "spool_stiction.static": 0.1}})
     np.testing.assert_array_equal(info["mismatch"]["sensor_lag.time_constant"], [0.05, 0.0])
     np.testing.assert_array_equal(env.plant.get("sensor_lag.time_constant"), [[0.05, 0.0]])
+    run(env, 3, np.random.default_rng(0))
     env.reset()
     np.testing.assert_array_equal(env.plant.get("sensor_lag.time_constant"), [[0.0, 0.0]])
 

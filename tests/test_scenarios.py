@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from hydro_env.errors import InputError
+from hydro_env.plant import PARAMETERS
+from hydro_env.tasks.mismatch import draw_pairs
 from hydro_env.tasks.scenarios import NOMINAL_TORQUE, SCENARIOS, load_scenario
 
 RPM = 2 * np.pi / 60
@@ -45,6 +47,18 @@ def test_paper_load():
     load = SCENARIOS["load_step"].reference(0.01).load / NOMINAL_TORQUE
     assert load[199] == pytest.approx([0.1, 0.1])
     assert load[200] == pytest.approx([1.0, 1.0])
+
+
+def test_the_weaker_valve_of_most_pairs_holds_the_nominal_torque():
+    """Steady balance at 73 V and 600 rpm: Kq x = D w + Km dp, D dp = tau + B w."""
+    nominal = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
+    pairs = draw_pairs("train", 500).values
+    spool = np.minimum(nominal["alpha"] * 73.0 / (pairs["R"] * nominal["k"]), nominal["x_max"])
+    opening = spool + pairs["null_offset.offset"] - pairs["dead_zone.overlap_positive"]
+    speed = 600 * RPM
+    pressure = (pairs["Kq"] * opening - nominal["D"] * speed) / nominal["Km"]
+    held = (nominal["D"] * pressure - nominal["B"] * speed).min(axis=1)
+    assert (held > NOMINAL_TORQUE).mean() > 0.93
 
 
 def test_random_scenarios_differ_by_stream_alone():

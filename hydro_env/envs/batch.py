@@ -156,7 +156,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if mask is not None:
             mask = np.asarray(mask)
             if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
-                raise InputError(f"reset: reset_mask must be a mask of {self.num_envs} rows with one at least chosen")
+                raise InputError(
+                    f"reset: reset_mask must be a mask of {self.num_envs} rows with one at least chosen"
+                )
             rows = np.flatnonzero(mask)
         self._seed(rows, seed)
         self._begin(rows, **options)
@@ -173,7 +175,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         again = self._ended.copy()
         waiting = self.autoreset_mode is AutoresetMode.NEXT_STEP and again.any()
         if self.autoreset_mode is AutoresetMode.DISABLED and again.any():
-            raise gymnasium.error.ResetNeeded("an episode has ended: reset its row, options={'reset_mask': mask}")
+            raise gymnasium.error.ResetNeeded(
+                "an episode has ended: reset its row, options={'reset_mask': mask}"
+            )
         result = self._outputs() if waiting and again.all() else self.advance(actions)
         observation, true, reward, terminated, truncated = result
         if not waiting:
@@ -195,7 +199,10 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
                 fresh = self._outputs()
                 self._look(rows, fresh)
                 observation[rows], true[rows] = fresh[0][rows], fresh[1][rows]
-                info = {**_masked(self._step_info(true, np.zeros_like(terminated)), ~self._ended, "reward"), **info}
+                info = {
+                    **_masked(self._step_info(true, np.zeros_like(terminated)), ~self._ended, "reward"),
+                    **info,
+                }
                 self._reset_info(info, rows, true)
                 self._ended = np.zeros_like(self._ended)
             return observation, reward, terminated, truncated, info
@@ -222,7 +229,15 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     def pairs(self) -> dict[str, Floats]:
         """Values (N, 2) of the parameters in which the valves of this environment may differ, as they now are."""
         names = self._settable or self.model.values
-        return {name: self._sensor[name].copy() if name in self._sensor else self.plant.get(name) for name in names}
+        return {
+            name: self._sensor[name].copy() if name in self._sensor else self.plant.get(name)
+            for name in names
+        }
+
+    def course(self, row: int = 0) -> Reference:
+        """What the present episode of a row drives: set-point (T + 1,) in rad/s and loads (T + 1, 2) in N m."""
+        rows = int(self._last[row]) + 1
+        return Reference(self._setpoint[row, :rows].copy(), self._load[row, :rows].copy())
 
     def advance(self, actions: ArrayLike) -> Result:
         """One control period for all rows, without autoreset and info. ValueError as for `step`."""
@@ -284,7 +299,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         cases = self._cases(rows, mismatch, seeds, episodes, options.get("case"))
         if mismatch is not None and set(mismatch.effects) - set(self.plant.effects):
             if rows.size < self.num_envs:
-                raise InputError("reset: this mismatch has effects the plant lacks so far: reset all rows with it")
+                raise InputError(
+                    "reset: this mismatch has effects the plant lacks so far: reset all rows with it"
+                )
             self._build(mismatch)
         # From here on nothing can go wrong any more, and nothing has been changed yet.
         self._episode[rows] += 1
@@ -300,20 +317,31 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             self._recorder.clear(rows)
 
     def _cases(
-        self, rows: NDArray[np.int64], mismatch: Mismatch | None, seeds: list[int], episodes: list[int], asked: Any
+        self,
+        rows: NDArray[np.int64],
+        mismatch: Mismatch | None,
+        seeds: list[int],
+        episodes: list[int],
+        asked: Any,
     ) -> list[int]:
         """Numbers of the cases these rows meet, -1 for none. InputError for one that is asked for and not there."""
         listed = None if mismatch is None else mismatch.cases
         if mismatch is None or listed is None:
             if asked is not None:
-                raise InputError("reset: option case needs a mismatch with a fixed list of cases, such as val")
+                raise InputError(
+                    "reset: option case needs a mismatch with a fixed list of cases, such as val"
+                )
             return [-1] * rows.size
         if asked is None:
             return [mismatch.case(seed, episode) for seed, episode in zip(seeds, episodes, strict=True)]
         try:
-            cases = [int(asked) + int(i) for i in rows] if np.ndim(asked) == 0 else [int(asked[i]) for i in rows]
+            cases = (
+                [int(asked) + int(i) for i in rows] if np.ndim(asked) == 0 else [int(asked[i]) for i in rows]
+            )
         except (TypeError, ValueError, IndexError):
-            raise InputError(f"reset: option case is {asked!r}, expected a number or one for each row") from None
+            raise InputError(
+                f"reset: option case is {asked!r}, expected a number or one for each row"
+            ) from None
         if not all(0 <= each < listed for each in cases):
             raise InputError(f"reset: option case: cases of {mismatch.name!r} are 0 ... {listed - 1}")
         return cases

@@ -62,7 +62,9 @@ def decode(observation: NDArray[np.floating]) -> Measurements:
     """The newest frame of observations (N, n) in SI. ValueError if n is no multiple of the length of a frame."""
     array = np.asarray(observation)
     if array.ndim != 2 or array.shape[1] == 0 or array.shape[1] % FRAME:
-        raise ValueError(f"observations have the shape {array.shape}, expected (N, {FRAME}) or (N, k * {FRAME})")
+        raise ValueError(
+            f"observations have the shape {array.shape}, expected (N, {FRAME}) or (N, k * {FRAME})"
+        )
     frame = array[:, -FRAME:] * SCALES
     return Measurements(frame[:, 0], frame[:, 1:3], frame[:, 3:5], frame[:, 5:7], frame[:, 7:9])
 

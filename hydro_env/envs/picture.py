@@ -53,7 +53,9 @@ class Recorder:
         middle, half = left + SHOWN // 2, SHOWN // 2
         for channel, colour in enumerate(_COLOURS):
             y = 188 + 24 * channel
-            command, spool = np.clip(np.nan_to_num(past[-1, [3 + channel, 5 + channel]]) / (1.0, _SPOOL_M), -1.0, 1.0)
+            command, spool = np.clip(
+                np.nan_to_num(past[-1, [3 + channel, 5 + channel]]) / (1.0, _SPOOL_M), -1.0, 1.0
+            )
             ends = sorted((middle, middle + round(half * spool)))
             image[y + 5 : y + 12, ends[0] : ends[1] + 1] = colour
             ends = sorted((middle, middle + round(half * command)))
@@ -68,7 +70,9 @@ def _height(speed: float, top: int, bottom: int) -> int:
     return round(0.5 * (top + bottom) - 0.5 * (bottom - top) * share)
 
 
-def _curve(image: Picture, values: Floats, top: int, bottom: int, left: int, colour: tuple[int, int, int]) -> None:
+def _curve(
+    image: Picture, values: Floats, top: int, bottom: int, left: int, colour: tuple[int, int, int]
+) -> None:
     before = None
     for x, value in enumerate(values):
         if np.isnan(value):

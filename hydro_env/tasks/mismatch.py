@@ -43,7 +43,14 @@ Floats = NDArray[np.float64]
 #: Faults of the speed sensors, which act on the measurement alone and so are no part of the plant.
 SENSOR_PARAMETERS: dict[str, Parameter] = {
     "speed_sensor.stuck_from": Parameter(
-        "stuck_from", "s", inf, 0.0, inf, "assumed", "time of the episode from which on the reading stays", 1.0
+        "stuck_from",
+        "s",
+        inf,
+        0.0,
+        inf,
+        "assumed",
+        "time of the episode from which on the reading stays",
+        1.0,
     ),
     "speed_sensor.noise_factor": Parameter(
         "noise_factor", "1", 1.0, 0.0, 100.0, "assumed", "noise over the usual noise", 20.0, log=True
@@ -109,7 +116,9 @@ class Mismatch:
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of all parameters that a pair of this mismatch may set."""
-        return tuple(dict.fromkeys((*self.ranges, *(name for fault in self.faults.values() for name in fault))))
+        return tuple(
+            dict.fromkeys((*self.ranges, *(name for fault in self.faults.values() for name in fault)))
+        )
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -125,7 +134,9 @@ class Mismatch:
         """Number of the case that an episode of a seed meets, `seed` modulo the list in the first; -1 if endless."""
         return -1 if self.cases is None else (seed + CASE_STRIDE * episode) % self.cases
 
-    def draw(self, seeds: Sequence[int], episodes: Sequence[int], cases: Sequence[int], model: PlantModel) -> Pairs:
+    def draw(
+        self, seeds: Sequence[int], episodes: Sequence[int], cases: Sequence[int], model: PlantModel
+    ) -> Pairs:
         """One pair for each seed and episode, or for each case where that is not negative.
 
         `model` supplies the healthy values of parameters that only a fault changes. A pair depends on nothing but its
@@ -167,7 +178,11 @@ class Mismatch:
         return inside
 
     def _with_faults(
-        self, values: dict[str, Floats], streams: Sequence[np.random.Generator], cases: Sequence[int], model: PlantModel
+        self,
+        values: dict[str, Floats],
+        streams: Sequence[np.random.Generator],
+        cases: Sequence[int],
+        model: PlantModel,
     ) -> Pairs:
         names = list(self.faults)
         for name in self.parameters:
@@ -293,7 +308,9 @@ def _read_range(name: str, what: Any, where: str, before: Mapping[str, Range]) -
     at = f"{where}: {name}"
     if name not in SENSOR_PARAMETERS:
         if name.startswith("speed_sensor."):
-            raise InputError(f"{at}: the speed sensor has no such parameter: {_nearest(name, SENSOR_PARAMETERS)}")
+            raise InputError(
+                f"{at}: the speed sensor has no such parameter: {_nearest(name, SENSOR_PARAMETERS)}"
+            )
         try:
             parameter_of(name)
         except InputError as problem:
@@ -307,7 +324,9 @@ def _read_range(name: str, what: Any, where: str, before: Mapping[str, Range]) -
         return Range(fixed, fixed)
     rest = {key: value for key, value in what.items() if key != "at_most"}
     if len(rest) != 1 or next(iter(rest)) not in ("uniform", "loguniform"):
-        raise InputError(f"{at}: expected a number, a pair, or uniform or loguniform: [low, high], found {what!r}")
+        raise InputError(
+            f"{at}: expected a number, a pair, or uniform or loguniform: [low, high], found {what!r}"
+        )
     kind, bounds = next(iter(rest.items()))
     if not isinstance(bounds, Sequence) or isinstance(bounds, str) or len(bounds) != 2:
         raise InputError(f"{at}: {kind}: expected [low, high], found {bounds!r}")
@@ -327,7 +346,9 @@ def _read_range(name: str, what: Any, where: str, before: Mapping[str, Range]) -
 
 
 def _pair(what: Any, at: str) -> tuple[float, float]:
-    values = list(what) if isinstance(what, (Sequence, np.ndarray)) and not isinstance(what, str) else [what, what]
+    values = (
+        list(what) if isinstance(what, (Sequence, np.ndarray)) and not isinstance(what, str) else [what, what]
+    )
     try:
         if len(values) != 2 or any(isinstance(value, bool) for value in values):
             raise ValueError
@@ -351,7 +372,9 @@ def _check_bounds(name: str, pair: tuple[float, float], at: str) -> None:
 
 @cache
 def _rig_parameters() -> frozenset[str]:
-    return frozenset(f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.scope == "rig" for p in e.parameters)
+    return frozenset(
+        f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.scope == "rig" for p in e.parameters
+    )
 
 
 def _read_package() -> tuple[dict[str, Mismatch], dict[str, Mismatch]]:
