@@ -142,6 +142,16 @@ def _options(
 
 
 @app.command()
+def demo(out: Out, seed: Seed = 0, jobs: Jobs = 1) -> None:
+    """Show what the package does, on one page: paper, score board, diagnosis; writes index.html."""
+    with _writing(out) as folder:
+        from hydro_env.experiments import demo as work
+
+        work.run(folder, seed=seed, jobs=jobs)
+    print(f"Open {out / 'index.html'} in a browser.")
+
+
+@app.command()
 def tune(
     out: Out,
     controller: Annotated[str, typer.Option(help="Control law whose gains are searched.")] = "pid",

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -92,6 +94,15 @@ def test_command_line_answers_without_loading_the_simulator(tmp_path: Path) -> N
 def test_every_constraint_is_a_plain_pin() -> None:
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     assert "torch==2.13.0" in lines
+    pinned = set()
     for line in lines:
         name, equals, version = line.partition("==")
         assert equals and name.replace("-", "").isalnum() and version.replace(".", "").isalnum(), line
+        pinned.add(name)
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = [
+        *project["dependencies"],
+        *(each for extra in project["optional-dependencies"].values() for each in extra),
+    ]
+    names = {re.split(r"[^A-Za-z0-9_-]", each)[0].lower().replace("_", "-") for each in wanted}
+    assert names - {"hydro-env"} <= pinned
