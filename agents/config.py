@@ -1,0 +1,233 @@
+"""Training files: one table of settings per environment id as in RL-Zoo, and a table `training` beside it.
+
+HydraulicSync-v0:              # RL-Zoo's keys: n_envs, n_timesteps, policy, env_kwargs and the algorithm's arguments
+  n_envs: 256                  # rigs side by side
+  n_timesteps: !!float 2e7     # control periods of single rigs
+  learning_rate: lin_1e-3      # falls linearly to zero; a plain number stays
+  policy_kwargs: dict(net_arch=[64, 64], activation_fn=nn.Tanh)
+training:                      # what RL-Zoo has no key for
+  algorithm: ppo
+  view: {kind: valves}
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import inspect
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+from torch import nn
+
+from hydro_env.controllers.view import make_view
+from hydro_env.errors import InputError
+
+__all__ = ["ALGORITHMS", "ENV_ID", "Config", "Training", "read_config"]
+
+ENV_ID = "HydraulicSync-v0"
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
+OWN_KEYS = ("n_envs", "n_timesteps", "policy", "env_kwargs", "policy_kwargs")
+# Arguments of the algorithms that are set elsewhere or have no place in a file.
+CLOSED = ("self", "env", "device", "verbose", "seed", "tensorboard_log", "stats_window_size", "_init_setup_model",
+          "rollout_buffer_class", "rollout_buffer_kwargs", "replay_buffer_class", "replay_buffer_kwargs",
+          "action_noise", "optimize_memory_usage", "n_steps_td")  # fmt: skip
+ACTIVATIONS = {"nn.Tanh": nn.Tanh, "nn.ReLU": nn.ReLU, "nn.ELU": nn.ELU}
+
+
+@dataclass(frozen=True)
+class Training:
+    """The table `training`.
+
+    Attributes:
+        algorithm: "ppo" or "sac".
+        view: settings of `hydro_env.controllers.view.make_view`; the plain observation if empty.
+        seed: of networks, exploration and environment.
+        checkpoint_every: env steps between checkpoints.
+        evaluate_every: env steps between evaluations.
+        evaluate_pairs: how many pairs of split `val` an evaluation drives.
+        tracking_weight: an evaluation's score is the interquartile mean of the largest speed difference plus this times
+            the interquartile mean of the tracking error, both in rpm; the policy with the lowest score is exported.
+    """
+
+    algorithm: str
+    view: dict[str, Any] = field(default_factory=dict)
+    seed: int = 0
+    checkpoint_every: int = 1_000_000
+    evaluate_every: int = 500_000
+    evaluate_pairs: int = 64
+    tracking_weight: float = 0.5
+
+
+@dataclass(frozen=True)
+class Config:
+    """A training file: `hyper` are the algorithm's arguments, ready to be passed on; `text` is the file itself."""
+
+    path: Path
+    text: str
+    num_envs: int
+    num_steps: int
+    policy: str
+    env_kwargs: dict[str, Any]
+    hyper: dict[str, Any]
+    training: Training
+
+    @property
+    def algorithm(self) -> type[BaseAlgorithm]:
+        return ALGORITHMS[self.training.algorithm]
+
+
+def read_config(path: str | Path) -> Config:
+    """Reads a training file. InputError, in one line that names file and key, for anything that is not right."""
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as problem:
+        raise InputError(f"{path}: cannot be read ({problem.strerror or problem})") from None
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as problem:
+        mark = getattr(problem, "problem_mark", None)
+        raise InputError(f"{path}: is no YAML{f', see line {mark.line + 1}' if mark else ''}") from None
+    if not isinstance(data, dict) or not all(isinstance(table, dict) for table in data.values()):
+        raise InputError(f"{path}: should hold the tables {ENV_ID!r} and 'training'")
+    for key in data:
+        _known(f"{path}", key, (ENV_ID, "training"))
+    for key in (ENV_ID, "training"):
+        if key not in data:
+            raise InputError(f"{path}: the table {key!r} is missing")
+    training = _training(path, data["training"])
+    table = dict(data[ENV_ID])
+    algorithm = ALGORITHMS[training.algorithm]
+    arguments = [name for name in inspect.signature(algorithm).parameters if name not in CLOSED]
+    for key in table:
+        _known(f"{path}: {ENV_ID}", key, (*OWN_KEYS, *(name for name in arguments if name not in OWN_KEYS)))
+    where = f"{path}: {ENV_ID}"
+    num_envs = _whole(where, "n_envs", table.pop("n_envs", 1))
+    num_steps = _whole(where, "n_timesteps", table.pop("n_timesteps", None))
+    policy = table.pop("policy", "MlpPolicy")
+    if policy != "MlpPolicy":
+        raise InputError(f"{where}: policy {policy!r} cannot be exported; only 'MlpPolicy' can")
+    env_kwargs = table.pop("env_kwargs", None) or {}
+    if not isinstance(env_kwargs, dict):
+        raise InputError(f"{where}: env_kwargs should be a table of arguments of the environment")
+    hyper = {key: _value(where, key, value) for key, value in table.items()}
+    hyper["policy_kwargs"] = _policy_kwargs(where, hyper.pop("policy_kwargs", None))
+    return Config(path, text, num_envs, num_steps, policy, dict(env_kwargs), hyper, training)
+
+
+def _known(where: str, key: object, known: Iterable[str]) -> None:
+    names = list(known)
+    if key not in names:
+        near = difflib.get_close_matches(str(key), names, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(names)}"
+        raise InputError(f"{where}: unknown key {key!r}: {hint}")
+
+
+def _whole(where: str, key: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | float) or value != int(value) or value < 1:
+        raise InputError(
+            f"{where}: {key} is {value!r}, expected a whole number of at least 1 (write 1.0e+6, not 1e6)"
+        )
+    return int(value)
+
+
+def _training(path: Path, table: dict[str, Any]) -> Training:
+    where = f"{path}: training"
+    for key in table:
+        _known(where, key, [each.name for each in fields(Training)])
+    if table.get("algorithm") not in ALGORITHMS:
+        raise InputError(
+            f"{where}: algorithm is {table.get('algorithm')!r}, expected {' or '.join(ALGORITHMS)}"
+        )
+    values = dict(table)
+    for key in ("checkpoint_every", "evaluate_every", "evaluate_pairs"):
+        if key in values:
+            values[key] = _whole(where, key, values[key])
+    for key, kind in (("seed", int), ("tracking_weight", (int, float))):
+        if key in values and (
+            isinstance(values[key], bool) or not isinstance(values[key], kind) or values[key] < 0
+        ):
+            raise InputError(f"{where}: {key} is {values[key]!r}, expected a number of at least 0")
+    try:
+        make_view(values.get("view"))
+    except (InputError, TypeError, ValueError) as problem:
+        raise InputError(f"{where}: view: {problem}") from None
+    values["view"] = dict(values.get("view") or {})
+    return Training(**values)
+
+
+def _value(where: str, key: str, value: Any) -> Any:
+    """Numbers as they are; `lin_3e-4` as a schedule that falls linearly to zero."""
+    if isinstance(value, str) and value.startswith("lin_"):
+        try:
+            return Falling(float(value[4:]))
+        except ValueError:
+            raise InputError(f"{where}: {key} is {value!r}, expected lin_ and a number") from None
+    if key in ("learning_rate", "clip_range") and (
+        isinstance(value, bool) or not isinstance(value, int | float)
+    ):
+        raise InputError(
+            f"{where}: {key} is {value!r}, expected a number (write 1.0e-3, not 1e-3) or lin_1e-3"
+        )
+    if (
+        isinstance(value, float)
+        and value == int(value)
+        and key in ("buffer_size", "learning_starts", "n_steps", "batch_size")
+    ):
+        return int(value)
+    return value
+
+
+@dataclass(frozen=True)
+class Falling:
+    """A schedule from `start` to zero."""
+
+    start: float
+
+    def __call__(self, remaining: float) -> float:
+        return remaining * self.start
+
+
+def _policy_kwargs(where: str, value: Any) -> dict[str, Any]:
+    """A table, or RL-Zoo's `dict(net_arch=[64, 64], activation_fn=nn.Tanh)`, of which only plain values are read."""
+    if value is None:
+        return {}
+    if isinstance(value, dict):
+        given = dict(value)
+        if isinstance(given.get("activation_fn"), str):
+            given["activation_fn"] = _activation(where, given["activation_fn"])
+        return given
+    try:
+        call = ast.parse(str(value).strip(), mode="eval").body
+        if not (isinstance(call, ast.Call) and ast.unparse(call.func) == "dict" and not call.args):
+            raise ValueError
+        parsed = {str(each.arg): _plain(where, each.value) for each in call.keywords}
+    except InputError:
+        raise
+    except (SyntaxError, ValueError):
+        raise InputError(
+            f"{where}: policy_kwargs is {value!r}, expected dict(net_arch=[64, 64], activation_fn=nn.Tanh) or the like"
+        ) from None
+    return parsed
+
+
+def _plain(where: str, node: ast.expr) -> Any:
+    if isinstance(node, ast.Attribute):
+        return _activation(where, ast.unparse(node))
+    if isinstance(node, ast.Call) and ast.unparse(node.func) == "dict" and not node.args:
+        return {str(each.arg): _plain(where, each.value) for each in node.keywords}
+    return ast.literal_eval(node)
+
+
+def _activation(where: str, name: str) -> Callable[..., nn.Module]:
+    if name not in ACTIVATIONS:
+        raise InputError(
+            f"{where}: policy_kwargs: activation_fn {name} is unknown; there are {', '.join(ACTIVATIONS)}"
+        )
+    return ACTIVATIONS[name]

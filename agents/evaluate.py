@@ -1,0 +1,30 @@
+"""Scores of a policy during training, on the split `val` alone and in rpm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import trim_mean
+
+from hydro_env.controllers.policy import NumpyPolicy
+from hydro_env.controllers.rollout import roll_out
+
+__all__ = ["METRICS", "evaluate"]
+
+METRICS = ("max_speed_difference_rpm", "rms_speed_difference_rpm", "tracking_mae_rpm", "command_variation")
+
+
+def evaluate(
+    policy: str | Path, pairs: int, env_kwargs: dict[str, Any], split: str = "val"
+) -> dict[str, float]:
+    """Interquartile means over the first `pairs` pairs of a split in `setpoint_steps`, and the 95th percentile of the
+    largest speed difference."""
+    kwargs = {key: env_kwargs[key] for key in ("plant", "control_period") if key in env_kwargs}
+    metrics = roll_out(
+        NumpyPolicy(policy), range(pairs), mismatch=split, scenario="setpoint_steps", **kwargs
+    ).metrics(METRICS)
+    scores = {name: float(trim_mean(metrics[name], 0.25)) for name in METRICS}
+    scores["max_speed_difference_rpm_p95"] = float(np.percentile(metrics["max_speed_difference_rpm"], 95))
+    return scores

@@ -1,0 +1,96 @@
+"""Policies of Stable-Baselines3 as policy files: the deterministic path alone, as plain arrays.
+
+`python -m agents.export MODEL.zip --config configs/ppo.yml --out policy.npz` does by hand what a training run does by
+itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
+from torch import nn
+
+from agents.checkpoint import write_whole
+from hydro_env.controllers.policy import SCHEMA
+
+__all__ = ["export_policy", "policy_arrays"]
+
+ACTIVATIONS = {nn.Tanh: "tanh", nn.ReLU: "relu", nn.ELU: "elu"}
+
+
+def policy_arrays(model: BaseAlgorithm) -> tuple[dict[str, NDArray[np.float32]], str, str]:
+    """Weights `w0`, `b0`, ... of the path from observation to deterministic action, activation, and squash."""
+    modules: list[nn.Module]
+    if isinstance(model, PPO):
+        modules = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
+        squash = "clip"
+    elif isinstance(model, SAC):
+        modules = [*model.policy.actor.latent_pi, model.policy.actor.mu]
+        squash = "tanh"
+    else:
+        raise TypeError(f"{type(model).__name__} cannot be exported, only PPO and SAC can")
+    linear = [module for module in modules if isinstance(module, nn.Linear)]
+    between = {type(module) for module in modules if not isinstance(module, nn.Linear)}
+    if len(between) > 1 or not between <= set(ACTIVATIONS):
+        raise TypeError(f"layers between the linear ones are {between}, expected one of {set(ACTIVATIONS)}")
+    arrays = {}
+    for n, layer in enumerate(linear):
+        arrays[f"w{n}"] = layer.weight.detach().cpu().numpy().astype(np.float32)
+        arrays[f"b{n}"] = layer.bias.detach().cpu().numpy().astype(np.float32)
+    return arrays, ACTIVATIONS[between.pop()] if between else "tanh", squash
+
+
+def export_policy(
+    model: BaseAlgorithm, path: str | Path, view: Mapping[str, Any], about: Mapping[str, Any]
+) -> None:
+    """Writes a policy file in one go. `about` is what the reader should know of its training; JSON values."""
+    arrays, activation, squash = policy_arrays(model)
+    metadata = {"schema": SCHEMA, "activation": activation, "squash": squash, "view": dict(view), **about}
+    memory = io.BytesIO()
+    np.savez_compressed(memory, metadata=np.array(json.dumps(metadata)), **arrays)  # type: ignore[arg-type]
+    write_whole(Path(path), memory.getvalue())
+
+
+def main() -> None:
+    from agents.config import read_config
+    from agents.train import cleanly
+    from hydro_env.controllers.view import make_view
+    from hydro_env.errors import InputError
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("model", type=Path, help="a model saved by Stable-Baselines3 (.zip)")
+    parser.add_argument("--config", type=Path, required=True, help="the file it was trained with")
+    parser.add_argument("--out", type=Path, required=True, help="the policy file to write (.npz)")
+    arguments = parser.parse_args()
+
+    def run() -> None:
+        torch.set_num_threads(1)
+        config = read_config(arguments.config)
+        if not arguments.model.is_file():
+            raise InputError(f"{arguments.model}: no such file")
+        try:
+            model = config.algorithm.load(arguments.model, device="cpu")
+        except (ValueError, KeyError, RuntimeError, OSError) as problem:
+            raise InputError(
+                f"{arguments.model}: is no model of {config.training.algorithm} ({problem})"
+            ) from None
+        view = make_view(config.training.view)
+        about = {"algorithm": config.training.algorithm, "config": config.text}
+        export_policy(model, arguments.out, view.settings(), about)
+        print(f"wrote {arguments.out}")
+
+    cleanly(run)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,164 @@
+"""Policy files and the numpy runner: none of this needs torch."""
+
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env.controllers.policy import SCHEMA, NumpyPolicy, read_policy
+from hydro_env.controllers.view import FramesView, ValveView, make_view
+from hydro_env.envs import HydraulicSyncVectorEnv
+from hydro_env.errors import InputError
+
+SHIPPED = sorted((Path(__file__).parents[1] / "hydro_env" / "controllers" / "policies").glob("*.npz"))
+
+
+def arrays(view=None, width=16, squash="clip", seed=0):
+    """The content of a small policy file with random weights."""
+    made = make_view(view)
+    stream = np.random.default_rng(seed)
+    sizes = [made.num_features, width, width, made.num_actions]
+    content = {}
+    for n, (fan_in, fan_out) in enumerate(itertools.pairwise(sizes)):
+        content[f"w{n}"] = stream.normal(0.0, 0.3, (fan_out, fan_in)).astype(np.float32)
+        content[f"b{n}"] = stream.normal(0.0, 0.1, fan_out).astype(np.float32)
+    metadata = {"schema": SCHEMA, "activation": "tanh", "squash": squash, "view": made.settings()}
+    return {"metadata": np.array(json.dumps(metadata)), **content}
+
+
+def write(path, **content):
+    np.savez(path, **content)
+    return path
+
+
+def drive(policy, num_rigs, seeds, steps=60):
+    env = HydraulicSyncVectorEnv(num_rigs, plant="paper", mismatch="val", scenario="setpoint_steps")
+    observation, _ = env.reset(seed=seeds)
+    policy.reset(num_rigs, 0.01)
+    commands = []
+    for _ in range(steps):
+        commands.append(policy.act(observation))
+        observation, *_ = env.step(commands[-1].astype(np.float32))
+    return np.array(commands)
+
+
+@pytest.mark.parametrize(
+    "view", [{"kind": "frames", "frames": 2}, {"kind": "valves", "pull": 1.0, "couple": 1.0}]
+)
+def test_a_row_of_a_batch_is_that_rig_alone(tmp_path, view):
+    policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays(view)), dtype=np.float64)
+    together = drive(policy, 3, [5, 6, 7])
+    alone = drive(policy, 1, [6])
+    np.testing.assert_allclose(together[:, 1:2], alone, atol=1e-9)
+    assert np.abs(together).max() <= 1.0
+
+
+def test_reset_forgets_everything(tmp_path):
+    policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays({"kind": "valves"})))
+    np.testing.assert_array_equal(drive(policy, 2, [1, 2]), drive(policy, 2, [1, 2]))
+
+
+def test_restarting_rows_equals_starting_them():
+    """What training does at an episode's end must be what a controller does at an episode's beginning."""
+    stream = np.random.default_rng(0)
+    observations = stream.normal(0.0, 0.3, (6, 3, 9)).astype(np.float32)
+    for view, fresh in ((ValveView(), ValveView()), (FramesView(3), FramesView(3))):
+        rows = view.rows_per_rig
+        view.start(observations[0], 0.01)
+        for observation in observations[1:4]:
+            view.command(np.zeros((3 * rows, view.num_actions)))
+            view.see(observation)
+        first = view.restart(np.array([1]), observations[4][[1]])
+        np.testing.assert_array_equal(first, fresh.start(observations[4][[1]], 0.01))
+        np.testing.assert_array_equal(
+            view.see(observations[5])[rows : 2 * rows], fresh.see(observations[5][[1]])
+        )
+
+
+def test_valve_view_treats_both_channels_alike():
+    stream = np.random.default_rng(1)
+    observations = stream.normal(0.0, 0.3, (5, 4, 9)).astype(np.float32)
+    swapped = observations[..., [0, 2, 1, 4, 3, 6, 5, 8, 7]]
+    one, other = ValveView(pull=1.0, couple=1.0), ValveView(pull=1.0, couple=1.0)
+    seen, mirrored = one.start(observations[0], 0.01), other.start(swapped[0], 0.01)
+    for n in range(1, 5):
+        seen, mirrored = one.see(observations[n]), other.see(swapped[n])
+    np.testing.assert_allclose(seen.reshape(4, 2, -1), mirrored.reshape(4, 2, -1)[:, ::-1], atol=1e-6)
+    outputs = stream.normal(0.0, 0.3, (4, 2, 2))
+    np.testing.assert_allclose(one.command(outputs), other.command(outputs[:, ::-1])[:, ::-1], atol=1e-9)
+
+
+def test_valve_view_finds_the_valves():
+    """Edge and gain estimated while driving come far closer to the plant's own than the guess at the start."""
+    num_rigs = 24
+    env = HydraulicSyncVectorEnv(num_rigs, plant="paper", mismatch="val", scenario="setpoint_steps")
+    observation, info = env.reset(seed=0)
+    pairs = {key: value for key, value in info["mismatch"].items() if not key.startswith("_")}
+    travel = 20.0 * 73.0 / (pairs["R"] * 17000.0)
+    edge = (pairs["dead_zone.overlap_positive"] - pairs["null_offset.offset"]) / travel
+    gain = pairs["Kq"] * travel / (0.476106 * 20.0 * 73.0 / (100.0 * 17000.0))
+    view = ValveView(pull=1.2, couple=1.0)
+    view.start(observation, 0.01)
+    guess = view.edge[..., 0] - edge, view.gain[..., 0] - gain
+    for _ in range(190):
+        observation, *_ = env.step(view.command(np.zeros((2 * num_rigs, 2))))
+        view.see(observation)
+    assert np.std(view.edge[..., 0] - edge) < 0.4 * np.std(guess[0])
+    assert np.std(view.gain[..., 0] - gain) < 0.6 * np.std(guess[1])
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"w0": None}, "should hold w0, b0"),
+        ({"w1": np.zeros((16, 5), np.float32)}, "takes 5 inputs"),
+        ({"b0": np.zeros(3, np.float32)}, "do not fit"),
+        ({"w2": np.full((2, 16), np.nan, np.float32)}, "not finite"),
+        ({"w0": np.zeros((16, 9), int)}, "floating-point"),
+        ({"metadata": np.array("{")}, "not JSON"),
+        ({"metadata": np.array("{}")}, "schema"),
+        ({"metadata": None}, "no 'metadata'"),
+        ({"metadata": np.array({"schema": SCHEMA}, dtype=object)}, "plain arrays"),
+        ({"w0": np.zeros((16, 11), np.float32)}, "its view wants 9 and 2"),
+        ({"activation": "sine"}, "activation 'sine' is unknown"),
+        ({"view": {"kind": "valves", "speed": 1}}, "'speed' is unknown"),
+        ({"view": {"kind": "valves", "frames": "many"}}, "frames 'many'"),
+        ({"view": 3}, "view"),
+    ],
+)
+def test_a_broken_file_is_named_in_one_line(tmp_path, change, says):
+    content = arrays()
+    metadata = json.loads(str(content["metadata"]))
+    for key, value in change.items():
+        if key in ("activation", "view"):
+            content["metadata"] = np.array(json.dumps({**metadata, key: value}))
+        elif value is None:
+            del content[key]
+        else:
+            content[key] = value
+    path = write(tmp_path / "broken.npz", **content)
+    with pytest.raises(InputError, match=says) as caught:
+        NumpyPolicy(path)
+    assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
+
+
+def test_files_that_are_no_policy(tmp_path):
+    text = tmp_path / "text.npz"
+    text.write_text("no archive")
+    cut = write(tmp_path / "whole.npz", **arrays())
+    cut.write_bytes(cut.read_bytes()[:300])
+    for path in (text, cut, tmp_path / "absent.npz", tmp_path):
+        with pytest.raises(InputError, match=str(path)):
+            NumpyPolicy(path)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_policies_are_small_and_documented(path):
+    assert path.stat().st_size < 1_000_000
+    _, metadata = read_policy(path)
+    for key in ("algorithm", "config", "command", "seed", "steps", "env_kwargs", "val", "versions"):
+        assert key in metadata
+    assert metadata["env_kwargs"]["mismatch"] == "train"
+    assert path.with_suffix(".md").is_file()

@@ -1,0 +1,173 @@
+"""The training workshop: configuration, checkpoints that resume exactly, export that equals the original."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+import json
+
+from agents import checkpoint
+from agents.config import read_config
+from agents.train import train
+from hydro_env.controllers.policy import NumpyPolicy, read_policy
+from hydro_env.errors import InputError
+
+ROOT = Path(__file__).parents[1]
+PPO, SAC = ROOT / "configs" / "ppo_quick.yml", ROOT / "configs" / "sac_quick.yml"
+TIMES = ("seconds",)
+
+
+def weights(path):
+    network, metadata = read_policy(path)
+    return network.layers, metadata
+
+
+def curve(progress):
+    return [{key: value for key, value in row.items() if key not in TIMES} for row in progress["curve"]]
+
+
+@pytest.mark.parametrize("name", ["ppo", "sac", "ppo_quick", "sac_quick"])
+def test_the_training_files_are_valid(name):
+    config = read_config(ROOT / "configs" / f"{name}.yml")
+    assert config.training.algorithm == name.removesuffix("_quick")
+    assert config.env_kwargs["mismatch"] == "train"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("n_epochs: 2", "n_epoch: 2", "HydraulicSync-v0: unknown key 'n_epoch': did you mean 'n_epochs'?"),
+        ("evaluate_pairs", "evaluate_pair", "training: unknown key 'evaluate_pair'"),
+        ("HydraulicSync-v0:", "Pendulum-v1:", "unknown key 'Pendulum-v1'"),
+        ("algorithm: ppo", "algorithm: dqn", "algorithm is 'dqn'"),
+        ("kind: valves", "kind: eyes", "view: kind 'eyes' is unknown"),
+        ("n_timesteps: 2048", "n_timesteps: 1e6", "n_timesteps is '1e6'"),
+        ("learning_rate: lin_1e-3", "learning_rate: 1e-3", "learning_rate is '1e-3'"),
+        ("dict(net_arch", "exec(net_arch", "policy_kwargs"),
+        ("nn.Tanh", "nn.Softmax", "activation_fn nn.Softmax is unknown"),
+        ("MlpPolicy", "CnnPolicy", "only 'MlpPolicy'"),
+        ("training:", "training: [", "is no YAML"),
+        ("plant: paper", "plat: paper", "env_kwargs"),
+        ("mismatch: train", "mismatch: trian", "trian"),
+    ],
+)
+def test_bad_configuration_is_named_in_one_line(tmp_path, old, new, says):
+    path = tmp_path / "bad.yml"
+    text = PPO.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        train(read_config(path), tmp_path / "run", bar=False)
+    assert says in str(caught.value) and "\n" not in str(caught.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_bad_configuration_ends_with_status_2(tmp_path):
+    path = tmp_path / "bad.yml"
+    path.write_text(PPO.read_text().replace("n_epochs", "n_epoch"))
+    command = [sys.executable, "-m", "agents.train", "--config", str(path), "--out", str(tmp_path / "run")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("path", [PPO, SAC], ids=["ppo", "sac"])
+def test_exported_policy_equals_the_original(tmp_path, path):
+    config = read_config(path)
+    train(config, tmp_path / "run", bar=False)
+    model, _ = checkpoint.restore(checkpoint.latest(tmp_path / "run" / "checkpoints"), config.algorithm)
+    from agents.export import export_policy
+
+    export_policy(model, tmp_path / "last.npz", model.env.view.settings(), {})
+    network = NumpyPolicy(tmp_path / "last.npz").network
+    inputs = np.random.default_rng(0).normal(0.0, 2.0, (500, network.num_inputs)).astype(np.float32)
+    expected, _ = model.predict(inputs, deterministic=True)
+    np.testing.assert_allclose(network(inputs), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("path", [PPO, SAC], ids=["ppo", "sac"])
+def test_a_run_in_two_parts_equals_a_run_in_one(tmp_path, path):
+    config = replace(read_config(path))
+    whole = train(config, tmp_path / "whole", bar=False)
+
+    # The first part ends by an error right after a checkpoint, like a crash would.
+    class Crash(Exception):
+        pass
+
+    saved = checkpoint.save
+    count = 0
+
+    def crashing(*arguments):
+        nonlocal count
+        saved(*arguments)
+        count += 1
+        if count == 2:
+            raise Crash
+
+    checkpoint.save = crashing
+    try:
+        with pytest.raises(Crash):
+            train(config, tmp_path / "parts", bar=False)
+    finally:
+        checkpoint.save = saved
+    with pytest.raises(InputError, match="--resume"):
+        train(config, tmp_path / "parts", bar=False)
+    parts = train(config, tmp_path / "parts", resume=True, bar=False)
+
+    assert parts["steps"] == whole["steps"] == config.num_steps
+    assert curve(parts) == curve(whole)
+    one, _ = weights(tmp_path / "whole" / "policy.npz")
+    other, _ = weights(tmp_path / "parts" / "policy.npz")
+    for (w, b), (v, c) in zip(one, other, strict=True):
+        np.testing.assert_array_equal(w, v)
+        np.testing.assert_array_equal(b, c)
+
+
+def test_killed_and_resumed(tmp_path):
+    """kill -9 at a random moment loses no more than what came after the last checkpoint."""
+    path = tmp_path / "long.yml"
+    path.write_text(
+        PPO.read_text()
+        .replace("n_timesteps: 2048", "n_timesteps: 1000000")
+        .replace("evaluate_every: 1024", "evaluate_every: 1000000")
+    )
+    run = tmp_path / "run"
+    command = [sys.executable, "-m", "agents.train", "--config", str(path), "--out", str(run), "--quiet"]
+    process = subprocess.Popen(
+        command, cwd=ROOT, env={**os.environ, "OMP_NUM_THREADS": "1"}, stderr=subprocess.PIPE
+    )
+    try:
+        for _ in range(600):
+            newest = checkpoint.latest(run / "checkpoints")
+            if newest is not None and newest.name >= "step_000000001024":
+                break
+            assert process.poll() is None, process.stderr.read().decode()
+            time.sleep(0.1)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    config = read_config(path)
+    newest = checkpoint.latest(run / "checkpoints")
+    _, before = checkpoint.restore(newest, config.algorithm)
+    # The same file with an end: train only one rollout more. The run's own copy has to agree.
+    text = path.read_text().replace("n_timesteps: 1000000", f"n_timesteps: {before['steps'] + 512}")
+    path.write_text(text)
+    (run / "config.yml").write_text(text)
+    after = train(read_config(path), run, resume=True, bar=False)
+    assert after["steps"] == before["steps"] + 512
+    assert json.loads((run / "curve.json").read_text()) == after["curve"]
+
+
+def test_resume_wants_a_run(tmp_path):
+    config = read_config(PPO)
+    with pytest.raises(InputError, match="no checkpoint"):
+        train(config, tmp_path / "empty", resume=True, bar=False)
