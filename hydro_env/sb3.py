@@ -54,7 +54,7 @@ class HydraulicSyncVecEnv(VecEnv):
         groups: list[tuple[dict[str, Any], list[int]]] = []
         for row, options in enumerate(self._options):
             for known, rows in groups:
-                if known == options:
+                if known is options or not (known or options):
                     rows.append(row)
                     break
             else:

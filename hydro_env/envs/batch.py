@@ -78,7 +78,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         super().__init__()
         if num_envs < 1:
             raise InputError(f"num_envs is {num_envs}, expected at least 1")
-        if not 1e-4 <= control_period <= 1.0:
+        if not isinstance(control_period, (int, float)) or not 1e-4 <= control_period <= 1.0:
             raise InputError(f"control_period is {control_period!r} s, expected 0.0001 to 1")
         if not (isinstance(history, int) and history >= 1):
             raise InputError(f"history is {history!r}, expected a whole number of frames of at least 1")
@@ -112,7 +112,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._levels = noise_levels(noise)
         self._weights = self.reward.weights()
         self._seeds: list[int] = []
-        self._episode = np.zeros(n, np.int64)
+        self._episode = np.full(n, -1, np.int64)
         self._case = np.full(n, -1, np.int64)
         self._fault = np.full(n, "", object)
         self._ended = np.zeros(n, np.bool_)
@@ -160,8 +160,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
                     f"reset: reset_mask must be a mask of {self.num_envs} rows with one at least chosen"
                 )
             rows = np.flatnonzero(mask)
-        self._seed(rows, seed)
-        self._begin(rows, **options)
+        self._begin(rows, *self._next(rows, seed), **options)
         result = self._outputs()
         self._look(self._all if mask is None else rows, result)
         if mask is not None:  # rows that are not reset show what they showed last
@@ -172,50 +171,35 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self, actions: ArrayLike
     ) -> tuple[NDArray[np.float32], Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """One control period with the actions (N, 2). ValueError if one is not finite or the shape is wrong."""
+        mode, everyone = self.autoreset_mode, np.ones(self.num_envs, np.bool_)
         again = self._ended.copy()
-        waiting = self.autoreset_mode is AutoresetMode.NEXT_STEP and again.any()
-        if self.autoreset_mode is AutoresetMode.DISABLED and again.any():
+        if mode is AutoresetMode.DISABLED and again.any():
             raise gymnasium.error.ResetNeeded(
                 "an episode has ended: reset its row, options={'reset_mask': mask}"
             )
+        waiting = mode is AutoresetMode.NEXT_STEP and again.any()
         result = self._outputs() if waiting and again.all() else self.advance(actions)
         observation, true, reward, terminated, truncated = result
-        if not waiting:
-            info = self._step_info(true, terminated)
-            self._ended = terminated | truncated
-            if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
-                rows = np.flatnonzero(self._ended)
-                final = np.full(self.num_envs, None, object)
-                for row in rows:
-                    final[row] = observation[row].copy()
-                last_true = true.copy()
-                info = {
-                    "final_obs": final,
-                    "_final_obs": self._ended.copy(),
-                    "final_info": _masked(self._step_info(last_true, terminated), self._ended),
-                    "_final_info": self._ended.copy(),
-                }
-                self._begin(rows)
-                fresh = self._outputs()
-                self._look(rows, fresh)
-                observation[rows], true[rows] = fresh[0][rows], fresh[1][rows]
-                info = {
-                    **_masked(self._step_info(true, np.zeros_like(terminated)), ~self._ended, "reward"),
-                    **info,
-                }
-                self._reset_info(info, rows, true)
-                self._ended = np.zeros_like(self._ended)
-            return observation, reward, terminated, truncated, info
-
-        rows = np.flatnonzero(again)
-        self._begin(rows)
-        fresh = self._outputs()
-        self._look(rows, fresh)
-        observation[rows], true[rows] = fresh[0][rows], fresh[1][rows]
-        reward[rows], terminated[rows], truncated[rows] = 0.0, False, False
-        info = _masked(self._step_info(true, terminated), ~again, "reward")
-        self._reset_info(info, rows, true)
-        self._ended = terminated | truncated
+        if waiting:
+            rows = np.flatnonzero(again)
+            self._restart(rows, result)
+            reward[rows], terminated[rows], truncated[rows] = 0.0, False, False
+            info = self._reset_info(self._step_info(true, terminated, everyone, ~again), rows, true)
+        else:
+            info = self._step_info(true, terminated, everyone, everyone)
+        ended = terminated | truncated
+        if mode is AutoresetMode.SAME_STEP and ended.any():
+            rows = np.flatnonzero(ended)
+            final = np.full(self.num_envs, None, object)
+            for row in rows:
+                final[row] = observation[row].copy()
+            final_info = self._step_info(true.copy(), terminated, ended, ended)
+            self._restart(rows, result)
+            info = self._step_info(true, np.zeros_like(ended), everyone, ~ended)
+            info |= {"final_obs": final, "_final_obs": ended, "final_info": final_info, "_final_info": ended}
+            self._reset_info(info, rows, true)
+            ended = np.zeros_like(ended)
+        self._ended = ended
         return observation, reward, terminated, truncated, info
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -266,36 +250,34 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._half = self.plant.memory.shape[2] // 2
         self._rated = self.plant.get("u_rated")
 
-    def _seed(self, rows: NDArray[np.int64], seed: int | Sequence[int | None] | None) -> None:
+    def _next(
+        self, rows: NDArray[np.int64], seed: int | Sequence[int | None] | None = None
+    ) -> tuple[list[int], list[int]]:
+        """Seeds of these rows and numbers of the episodes they play next. InputError for wrong seeds."""
         n = self.num_envs
-        if seed is None:
-            seeds: Sequence[int | None] = [None] * n
-        elif isinstance(seed, (int, np.integer)):
+        if isinstance(seed, (int, np.integer)):
             super().reset(seed=int(seed))
-            seeds = [int(seed) + i for i in range(n)]
-        else:
-            seeds = list(seed)
-        if len(seeds) != n:
-            raise InputError(f"reset: {len(seeds)} seeds for {n} environments")
-        if any(each is not None and each < 0 for each in seeds):
+            seed = [int(seed) + i for i in range(n)]
+        given = [None] * n if seed is None else list(seed)
+        if len(given) != n:
+            raise InputError(f"reset: {len(given)} seeds for {n} environments")
+        if any(each is not None and each < 0 for each in given):
             raise InputError("reset: a seed is negative, expected whole numbers of at least 0")
-        fresh = not self._seeds
-        if fresh:
+        if not self._seeds:
             base = int(np.random.SeedSequence().generate_state(1, np.uint64)[0]) >> 1
             self._seeds = [base + i for i in range(n)]
-            self._episode[:] = -1
-        for i in rows:
-            each = seeds[i]
-            if each is not None:
-                self._seeds[i], self._episode[i] = int(each), -1
+        seeds, episodes = [], []
+        for i in rows.tolist():
+            each = given[i]
+            seeds.append(self._seeds[i] if each is None else int(each))
+            episodes.append(int(self._episode[i]) + 1 if each is None else 0)
+        return seeds, episodes
 
-    def _begin(self, rows: NDArray[np.int64], **options: Any) -> None:
-        """Draws and starts the next episode of some rows."""
+    def _begin(self, rows: NDArray[np.int64], seeds: list[int], episodes: list[int], **options: Any) -> None:
+        """Draws and starts an episode of each of these rows; `options` as for `reset`."""
         scenario: Scenario = options.get("scenario", self.scenario)
         mismatch: Mismatch | None = options.get("mismatch", self.mismatch)
         steps = scenario.steps(self.control_period)
-        seeds = [self._seeds[i] for i in rows]
-        episodes = [int(self._episode[i]) + 1 for i in rows]
         cases = self._cases(rows, mismatch, seeds, episodes, options.get("case"))
         if mismatch is not None and set(mismatch.effects) - set(self.plant.effects):
             if rows.size < self.num_envs:
@@ -303,8 +285,10 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
                     "reset: this mismatch has effects the plant lacks so far: reset all rows with it"
                 )
             self._build(mismatch)
-        # From here on nothing can go wrong any more, and nothing has been changed yet.
-        self._episode[rows] += 1
+        # Up to here something could be wrong with the options, and nothing has been changed; from here on not.
+        for row, seed in zip(rows.tolist(), seeds, strict=True):
+            self._seeds[row] = seed
+        self._episode[rows] = episodes
         self._draw_valves(rows, mismatch, seeds, episodes, cases)
         self._drive(rows, scenario, steps, seeds, episodes)
         self.plant.reset(None if rows.size == self.num_envs else rows)
@@ -315,6 +299,13 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._ended[rows] = False
         if self._recorder is not None:
             self._recorder.clear(rows)
+
+    def _restart(self, rows: NDArray[np.int64], result: Result) -> None:
+        """Starts the next episode of these rows and puts its first signals in their place."""
+        self._begin(rows, *self._next(rows))
+        first = self._outputs()
+        self._look(rows, first)
+        result[0][rows], result[1][rows] = first[0][rows], first[1][rows]
 
     def _cases(
         self,
@@ -424,12 +415,18 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if self._recorder is not None:
             self._recorder.add(rows, result[1], self._fraction, self.plant.spool)
 
-    def _step_info(self, true: Floats, terminated: NDArray[np.bool_]) -> dict[str, Any]:
-        given = np.ones(self.num_envs, np.bool_)
+    def _step_info(
+        self,
+        true: Floats,
+        terminated: NDArray[np.bool_],
+        given: NDArray[np.bool_],
+        stepped: NDArray[np.bool_],
+    ) -> dict[str, Any]:
+        """What a step tells: true signals of the rows `given`, and the terms of the reward of those that `stepped`."""
         info: dict[str, Any] = {}
         for key, column in COLUMNS.items():
             info[key] = true[:, column]
-            info["_" + key] = given
+            info["_" + key] = given if key in _AT_RESET else stepped
         if terminated.any():
             info["termination"] = np.array([DIVERGED if each else None for each in terminated], object)
             info["_termination"] = terminated.copy()
@@ -452,12 +449,3 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
 def _stream(seed: int, episode: int, component: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(episode, component))))
-
-
-def _masked(info: dict[str, Any], mask: NDArray[np.bool_], start: str = "") -> dict[str, Any]:
-    """Info whose keys with that start hold for the rows of the mask only."""
-    narrowed = dict(info)
-    for key in info:
-        if key.startswith("_" + start):
-            narrowed[key] = info[key] & mask
-    return narrowed
