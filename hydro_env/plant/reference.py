@@ -60,6 +60,7 @@ REFERENCE_SIGNALS = (
 
 _STATES = REFERENCE_SIGNALS[:7]
 _STATE_SCALES = (0.1, 1e-4, 1e-2, 1e-6, 1e5, 1.0, 1.0)  # for absolute tolerances
+_SUPPLY_FLOW = 2.0 * 476106e-6 * 20.0 * 73.0 / (100.0 * 17000.0)  # m3/s
 _INSTANT = 1e-9  # s; what lies closer together happens at once
 _STOPS = np.array([0.48, 1.14, 1.97, 3.62])  # thresholds of the stop operators, in half widths
 _SHIFTS = ("heat", "loop", "second_bristle", "shaft_bristle", "twist", "lag", "droop")
@@ -69,7 +70,7 @@ def _fields() -> list[tuple[str, Any]]:
     own = [(name, np.float64) for name in PARAMETERS]
     effects = [(f"{e.name}__{p.name}", np.float64) for e in CATALOGUE.values() for p in e.parameters]
     places = [(f"at_{name}", np.int64) for name in ("states", *_SHIFTS)]
-    return [*own, *effects, *places, ("different", np.int64), ("rated_flow", np.float64)]
+    return [*own, *effects, *places, ("different", np.int64)]
 
 
 # --- laws, one by one; `p` is the record of a channel's parameters ---------------------------------------------------
@@ -323,7 +324,6 @@ def _rates(time, y, channels):
     """Right-hand side of one or of both channels: `channels` is an array of parameter records."""
     dy = np.zeros(y.size)
     total = 0.0
-    rated = 0.0
     for p in channels:
         at = p.at_states
         droop = 0.0
@@ -332,7 +332,6 @@ def _rates(time, y, channels):
         pressure = y[at + 4]
         flow = _valve_flow(p, y[at + 1], pressure, droop)
         total += abs(flow)
-        rated += p.rated_flow
         _spool_rates(p, y, dy, pressure)
         _motor_rates(p, y, dy, flow, p.load, time)
         if p.at_lag >= 0:
@@ -344,8 +343,8 @@ def _rates(time, y, channels):
                 dy[p.at_lag] = (y[at + 5] - y[p.at_lag]) / whole
     p = channels[0]
     if p.at_droop >= 0:
-        # One supply for both valves; the drop at the rated flow of both is `relative_drop`.
-        target = p.supply_droop__relative_drop * total / rated
+        # One supply for both valves; `relative_drop` is the drop at the rated flow of two nominal valves.
+        target = p.supply_droop__relative_drop * total / _SUPPLY_FLOW
         memory = p.supply_droop__time_constant
         if p.different:
             dy[p.at_droop] = (target - y[p.at_droop]) / (0.7 * memory)
@@ -389,7 +388,6 @@ class _Group:
                 for parameter in effect.parameters:
                     p[f"{effect.name}__{parameter.name}"] = model.value(f"{effect.name}.{parameter.name}", c)
             p["different"] = different
-            p["rated_flow"] = p["Kq"] * p["alpha"] * p["u_rated"] / (p["R"] * p["k"])
             p["at_states"] = place(*_STATE_SCALES)
             for name in _SHIFTS:
                 p[f"at_{name}"] = -1
