@@ -223,7 +223,8 @@ def main() -> None:
         last = min(progress["curve"], key=lambda row: row["score"])
         print(
             f"best on val after {last['steps']} steps: "
-            f"largest speed difference {last['max_speed_difference_rpm']:.1f} rpm, tracking error {last['tracking_mae_rpm']:.1f} rpm; {arguments.out / 'policy.npz'}"
+            f"largest speed difference {last['max_speed_difference_rpm']:.1f} rpm, "
+            f"tracking error {last['tracking_mae_rpm']:.1f} rpm; {arguments.out / 'policy.npz'}"
         )
 
     cleanly(run)

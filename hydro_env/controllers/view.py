@@ -96,16 +96,20 @@ class FramesView:
         return {"kind": "frames", "frames": self.frames, "width": self.width}
 
     def start(self, observation: Floats, period: float) -> Floats:
-        self._seen = np.tile(np.asarray(observation, dtype=np.float32), (1, self.frames))
+        self._seen = np.tile(self._newest(observation), (1, self.frames))
         return self._seen.copy()
 
     def restart(self, rows: Rows, observation: Floats) -> Floats:
-        self._seen[rows] = np.tile(np.asarray(observation, dtype=np.float32), (1, self.frames))
+        self._seen[rows] = np.tile(self._newest(observation), (1, self.frames))
         return self._seen[rows]
 
     def see(self, observation: Floats) -> Floats:
-        self._seen = np.concatenate([self._seen[:, self.width :], observation], axis=1, dtype=np.float32)
+        self._seen = np.concatenate([self._seen[:, self.width :], self._newest(observation)], axis=1)
         return self._seen.copy()
+
+    def _newest(self, observation: Floats) -> NDArray[np.float32]:
+        """The newest frame, whatever history the environment adds."""
+        return np.asarray(observation, dtype=np.float32)[:, -self.width :]
 
     def command(self, outputs: Floats) -> Floats:
         return np.clip(outputs, -1.0, 1.0)
