@@ -1,0 +1,1 @@
+"""From rig logs to what the model of the rig lacks."""

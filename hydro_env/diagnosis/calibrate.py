@@ -1,0 +1,60 @@
+"""Adjusting the known parameters inside their plausible ranges: what the model can explain without any further effect."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..plant import parameter_of
+from .fit import Floors, Problem, evaluate, solve
+from .machine import Machine
+from .noise import noise_floor
+from .unknowns import Unknown, base_unknown, limited_by_effects
+
+__all__ = ["as_given", "base_unknowns", "calibrate", "floors_from"]
+
+
+def base_unknowns(machine: Machine, channel: int) -> list[Unknown]:
+    """The parameters that calibration may adjust, about their values in the model as given.
+
+    Parameters of effects that the model has already are among them.
+    """
+    limited = limited_by_effects()
+    found = []
+    for name in machine.base(channel):
+        parameter = parameter_of(name) if name not in machine.own else machine.own[name]
+        value = machine.given(name, channel)
+        unknown = base_unknown(parameter, value, name in limited)
+        found.append(Unknown(name, *[getattr(unknown, f) for f in ("unit", "center", "low", "high", "scale", "log", "prior")], channel))
+    return found
+
+
+def as_given(machine: Machine, floors: Floors) -> dict[int, Problem]:
+    """The model as given, by channel."""
+    problems = {c: Problem(c, [], np.zeros(0), "as given") for c in machine.channels}
+    evaluate(machine, list(problems.values()), floors)
+    return problems
+
+
+def floors_from(machine: Machine, problems: dict[int, Problem]) -> Floors:
+    """Noise floors by (channel, signal): the smallest that the residual of a model or the bare signal shows, SI."""
+    floors: Floors = {}
+    for channel, problem in problems.items():
+        found: dict[str, list[float]] = {}
+        for s in machine.segments[channel]:
+            # Of the residual: a model, even a poor one, takes the fast movements out.
+            error = s.measured - problem.simulated[channel][s.place]
+            both = [noise_floor(x, s.used, s.period) for x in (error, s.measured)]
+            found.setdefault(s.signal, []).append(float(np.nanmin(both)))
+        for signal, values in found.items():
+            floors[channel, signal] = max(float(np.nanmedian(values)), 1e-12)
+    return floors
+
+
+def calibrate(machine: Machine, floors: Floors, iterations: int = 6) -> dict[int, Problem]:
+    """Adjusts the base parameters of every channel, with priors about the model as given."""
+    problems = {}
+    for channel in machine.channels:
+        unknowns = base_unknowns(machine, channel)
+        problems[channel] = Problem(channel, unknowns, np.zeros(len(unknowns)), "calibrated")
+    solve(machine, list(problems.values()), floors, iterations)
+    return problems

@@ -1,0 +1,163 @@
+"""The command `hydro-env diagnose`: from logs to verdict, numbers, page and improved model.
+
+    hydro-env diagnose FIT_LOG... --sealed LOG... [--model PRESET_OR_YAML] [--mapping YAML] [--jobs N] [--seed N] --out DIR
+
+`LOG@FROM:TO` names a part of a log in seconds, `LOG@0:13,23:34` two windows of it; so one long run can serve for both
+fit and proof. Axes whose mapping says `actuator: cylinder`, or any with `--steady`, are diagnosed with the reduced
+steady-valve model (`steady_valve`), everything else with the dynamic plant (`motor`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+from ..files import write_json, write_text
+from ..plant import PlantModel, load_model
+from .calibrate import as_given, calibrate, floors_from
+from .fit import Floors, Problem
+from .machine import Machine
+from .motor import MotorRig
+from .parts import Part, overlap, read_parts
+from .prove import Proof, prove
+from .result import Named, at_bounds, diagnosis_dict, estimated_model, named_effects, verdict
+from .select import Selection, select
+from .signatures import Look, first_look
+from .steady_valve import SteadyValve
+from .where import Place, locate
+
+__all__ = ["Diagnosis", "diagnose", "run"]
+
+
+@dataclass
+class Diagnosis:
+    """Everything that was found; `data` is the content of diagnosis.json."""
+
+    data: dict[str, Any]
+    model: PlantModel
+    machine: Machine
+    named: list[Named]
+    places: list[Place]
+    selection: Selection
+    looks: list[Look]
+    fit: Proof
+    sealed: Proof
+    warnings: list[str]
+
+
+def diagnose(
+    fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], *, model: str | Path | PlantModel = "paper",
+    mapping: str | Path | None = None, jobs: int = 1, seed: int = 0, steady: bool = False,
+    say: Callable[[str], None] = lambda text: None, count: Callable[[int], None] | None = None,
+) -> Diagnosis:  # fmt: skip
+    """The whole workflow. `say` is told each stage in words, `count` the number of simulations done.
+
+    InputError for anything that cannot be used. `seed` is kept for reproducible resampling; the result is deterministic.
+    """
+    begin = time.perf_counter()
+    if not fit_logs:
+        raise InputError("no fit log; name at least one log to fit")
+    if not sealed:
+        raise InputError("no sealed log; name at least one with --sealed (or a part of a run, LOG@FROM:TO)")
+    given_model = load_model(model)
+    say("reading logs")
+    parts, proofs = read_parts(fit_logs, mapping), read_parts(sealed, mapping)
+    overlap(parts, proofs)
+    _check_channels(parts, proofs)
+    machine = _machine(given_model, parts, steady, jobs, count)
+    seconds = max(len(p.log) * p.log.period for p in parts)
+
+    say("model as given")
+    given = as_given(machine, {(c, s.signal): 1e-9 for c in machine.channels for s in machine.segments[c]})
+    floors = floors_from(machine, given)
+    say("calibrating known parameters")
+    calibrated = calibrate(machine, floors)
+    floors = _lower(floors, floors_from(machine, calibrated))
+    say("looking at every effect")
+    looks = first_look(machine, calibrated, floors, machine.candidates(), seconds)
+    selection = select(machine, calibrated, looks, floors, seconds, say)
+    floors = _lower(floors, floors_from(machine, selection.problems))
+    word = verdict(machine, given, calibrated, selection, floors)
+    say("locating the gap")
+    places = locate(machine, calibrated) if word not in ("none", "calibration") else []
+    say("proof on sealed logs")
+    final = given if word == "none" else selection.problems
+    models = {"before": given, "calibrated": calibrated, "after": final, "placebo": {**calibrated, **selection.placebo}}
+    fit_proof = prove(machine, models)
+    sealed_proof = prove(machine.with_parts(proofs, True), models)
+
+    named = named_effects(machine, selection, looks)
+    warnings = _warnings(machine, parts, proofs, final, sealed_proof)
+    hashes = {Path(str(p.label).split("@")[0]).name: p.log.sha256 for p in (*parts, *proofs)}
+    data = diagnosis_dict(
+        machine, word, named, places, final if word != "none" else calibrated, fit_proof, sealed_proof, looks, selection,
+        time.perf_counter() - begin, hashes, warnings,
+    )  # fmt: skip
+    improved = given_model if word == "none" else estimated_model(machine, final, f"{given_model.name} diagnosed")
+    return Diagnosis(data, improved, machine, named, places, selection, looks, fit_proof, sealed_proof, warnings)
+
+
+def _machine(model: PlantModel, parts: list[Part], steady: bool, jobs: int, count: Callable[[int], None] | None) -> Machine:
+    kinds = {part.log.kinds[c] for part in parts for c in part.log.channels}
+    if len(kinds) > 1:
+        raise InputError("the mapping mixes motors and cylinders; diagnose one kind at a time")
+    if steady or kinds == {"cylinder"}:
+        return SteadyValve(model, parts, progress=count)
+    return MotorRig(model, parts, jobs=jobs, progress=count)
+
+
+def _check_channels(parts: list[Part], proofs: list[Part]) -> None:
+    for part in (*parts, *proofs):
+        if part.log.channels != parts[0].log.channels:
+            raise InputError(f"{part.label}: has channels {[c + 1 for c in part.log.channels]}, {parts[0].label} has {[c + 1 for c in parts[0].log.channels]}; all logs need the same")
+    for c in parts[0].log.channels:
+        for signal in ("current", "pressure"):
+            if len({part.log.has(signal, c) for part in parts}) > 1:
+                raise InputError(f"{signal} of channel {c + 1} is in some fit logs only; record it in all or leave it out")
+        if not any(abs(part.log.command_V[:, c]).max() > 0.0 for part in parts):
+            raise InputError(f"{parts[0].label}: the command of channel {c + 1} is zero throughout; a diagnosis needs a rig that is driven")
+
+
+def _lower(old: Floors, new: Floors) -> Floors:
+    return {key: min(value, new[key]) for key, value in old.items()}
+
+
+def _warnings(machine: Machine, parts: list[Part], proofs: list[Part], final: dict[int, Problem], proof: Proof) -> list[str]:
+    found = list(machine.notes)
+    for part in {p.log.sha256: p for p in (*parts, *proofs)}.values():
+        found += [f"{part.log.name}: {f.message}" + (f"; {f.suggestion}" if f.suggestion else "") for f in part.log.findings]
+    found += [f"{text} ends at the edge of its plausible range" for text in at_bounds(final)]
+    for key, entry in proof.gap.items():
+        if entry["after"] > 1.02 * entry["calibrated"] and entry["after"] > 1.2 * entry["noise"]:
+            found.append(f"{key}: on the sealed logs the calibrated model alone was better than with the named effects")
+    return found
+
+
+def run(
+    fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], out: str | Path, *, model: str | Path = "paper",
+    mapping: str | Path | None = None, jobs: int = 1, seed: int = 0, steady: bool = False, quiet: bool = False,
+) -> Diagnosis:  # fmt: skip
+    """The command: diagnoses, prints about twenty lines, writes diagnosis.json, report.html and model.yaml to `out`."""
+    from tqdm import tqdm
+
+    from .report import report_page, terminal_text
+
+    with tqdm(unit=" simulations", disable=quiet or None, leave=False) as bar:
+        found = diagnose(
+            fit_logs, sealed, model=model, mapping=mapping, jobs=jobs, seed=seed, steady=steady,
+            say=lambda text: bar.set_description(text), count=bar.update,
+        )  # fmt: skip
+        bar.set_description("writing the report")
+        page = report_page(found)
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / "diagnosis.json", found.data)
+    found.model.to_yaml(folder / "model.yaml")
+    write_text(folder / "report.html", page)
+    if not quiet:
+        print(terminal_text(found))
+    return found

@@ -1,0 +1,137 @@
+"""The dynamic rig as a machine of the diagnosis: many parameter variants as lanes of the batched plant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ..plant import CATALOGUE, Parameter, PlantModel, simulate
+from .machine import Request, Segment, measured_segments
+from .parts import Part
+
+__all__ = ["MotorRig"]
+
+#: Longest substep, s; with 200 us a spool that meets its end stop is off.
+SUBSTEP = 100e-6
+#: Lanes of one call, so that memory stays small and progress visible.
+LANES = 32
+#: Base parameters that calibration may adjust. V is left out (never told from beta), u_rated and x_max are settings.
+BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
+#: Effects that are compiled into one kernel for a first look: fewer kernels to compile, few terms in each.
+_GROUPS = (("driver", "coil", "force"), ("opening", "flow"), ("supply",), ("line", "fluid"), ("motor", "load", "sensor"))
+_RECORDED = {"speed": "measured_speed", "current": "current", "pressure": "pressure", "spool": "spool", "flow": "flow"}
+
+
+class MotorRig:
+    """See `machine.Machine`. `progress` is called with the number of rig simulations done."""
+
+    def __init__(
+        self, model: PlantModel, parts: list[Part], *, every_row: bool = False, substep: float = SUBSTEP,
+        jobs: int = 1, progress: Callable[[int], None] | None = None,
+    ) -> None:  # fmt: skip
+        self.model, self.parts, self.substep, self.jobs, self.progress = model, parts, substep, jobs, progress
+        self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
+        self.segments: dict[int, list[Segment]] = measured_segments(parts, self.channels, tuple(_RECORDED), every_row)
+        self.signals = tuple(s for s in _RECORDED if any(seg.signal == s for segs in self.segments.values() for seg in segs))
+        self.coupled = any(CATALOGUE[e].scope == "rig" for e in model.declared)
+        self.quick = False
+        self.notes: list[str] = []
+        self.own: dict[str, Parameter] = {}
+
+    def with_parts(self, parts: list[Part], every_row: bool) -> MotorRig:
+        return MotorRig(self.model, parts, every_row=every_row, substep=self.substep, jobs=self.jobs, progress=self.progress)
+
+    def written(self, model: PlantModel) -> PlantModel:
+        return model
+
+    def base(self, channel: int) -> list[str]:
+        return list(BASE)
+
+    def candidates(self) -> list[str]:
+        both = len(self.channels) == 2
+        return [e.name for e in CATALOGUE.values() if (both or e.name != "supply_droop") and not self._present(e.name)]
+
+    def _present(self, effect: str) -> bool:
+        """Whether the model as given has the effect already: its parameters are then calibrated, not discovered."""
+        acts = self.model.effects.get(effect)
+        return acts is not None and any(not CATALOGUE[effect].is_neutral(acts[c]) for c in self.channels)
+
+    def given(self, name: str, channel: int) -> float:
+        return self.model.value(name, channel)
+
+    # --- simulation -----------------------------------------------------------------------------------------------------
+    def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
+        results: list[dict[int, np.ndarray]] = [{} for _ in requests]
+        by_kernel: dict[tuple[str, ...], list[int]] = {}
+        for number, request in enumerate(requests):
+            by_kernel.setdefault(_kernel(request.effects), []).append(number)
+        for effects, numbers in by_kernel.items():
+            rows = self._pack([(n, requests[n]) for n in numbers])
+            for start in range(0, len(rows), LANES):
+                self._run(effects, rows[start : start + LANES], requests, results)
+        return results
+
+    def _pack(self, wanted: list[tuple[int, Request]]) -> list[list[int]]:
+        """Rigs, each a list of request numbers: one per channel where the channels do not act on each other."""
+        whole = [[n] for n, r in wanted if r.channel is None or self.coupled]
+        sides = [[n for n, r in wanted if r.channel == c and not self.coupled] for c in (0, 1)]
+        for place in range(max(map(len, sides))):
+            whole.append([side[place] for side in sides if place < len(side)])
+        return whole
+
+    def _run(
+        self, effects: tuple[str, ...], rigs: list[list[int]], requests: Sequence[Request], results: list[dict[int, np.ndarray]]
+    ) -> None:
+        lanes = len(rigs)
+        names = {name for rig in rigs for n in rig for name in requests[n].values}
+        values = {name: np.tile([self.model.value(name, c) for c in (0, 1)], (lanes, 1)) for name in names}
+        for lane, rig in enumerate(rigs):
+            for n in rig:
+                request = requests[n]
+                where = slice(None) if request.channel is None else request.channel
+                for name, value in request.values.items():
+                    values[name][lane, where] = value
+        for rig in rigs:
+            for n in rig:
+                for channel in self._seen(requests[n]):
+                    results[n][channel] = np.empty(self._length(channel))
+        for number, part in enumerate(self.parts):
+            out = self._simulate(part, values, lanes, effects)
+            for channel in self.channels:
+                for segment in self.segments[channel]:
+                    if segment.log != number:
+                        continue
+                    signal = out[_RECORDED[segment.signal]]
+                    for lane, rig in enumerate(rigs):
+                        for n in rig:
+                            if channel in results[n]:
+                                results[n][channel][segment.place] = signal[segment.rows, lane, channel]
+        if self.progress is not None:
+            self.progress(lanes)
+
+    def _seen(self, request: Request) -> tuple[int, ...]:
+        return self.channels if request.channel is None else (request.channel,)
+
+    def _length(self, channel: int) -> int:
+        return self.segments[channel][-1].place.stop
+
+    def _simulate(self, part: Part, values: dict[str, np.ndarray], lanes: int, effects: tuple[str, ...]) -> dict[str, np.ndarray]:
+        command = np.nan_to_num(part.log.command_V)
+        load = None if part.log.load is None else np.nan_to_num(part.log.load)
+        with np.errstate(all="ignore"):
+            return simulate(
+                self.model, command, load, part.log.period, values=values, num_rigs=lanes, effects=effects,
+                record=[_RECORDED[s] for s in self.signals], substep=self.substep,
+            )  # fmt: skip
+
+
+def _kernel(effects: frozenset[str]) -> tuple[str, ...]:
+    """The effects to compile in for a set of effects: their group, where one holds all of them."""
+    if not effects:
+        return ()
+    for group in _GROUPS:
+        members = tuple(e.name for e in CATALOGUE.values() if e.port in group)
+        if effects <= set(members):
+            return members
+    return tuple(sorted(effects))

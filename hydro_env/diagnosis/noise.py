@@ -1,0 +1,54 @@
+"""How noisy a signal is, and how many independent samples a residual is worth."""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["effective_samples", "noise_floor"]
+
+
+def noise_floor(residual: np.ndarray, inside: np.ndarray, period: float, window_s: float = 0.15) -> float:
+    """Standard deviation of what no smooth curve explains: a low quantile over short windows about their own parabola.
+
+    `residual` (T,) is measured minus simulated, which is smoother than the signal itself; where the model is poor the
+    quantile over windows keeps edges of its error out, and noise that is coloured up to the window's length stays in.
+    Falls back on second differences where there are too few rows for windows. NaN if no sample is there.
+    """
+    width = max(8, round(window_s / period))
+    good = inside & np.isfinite(residual)
+    starts = range(0, residual.size - width + 1, width)
+    t = np.linspace(-1.0, 1.0, width)
+    basis, _ = np.linalg.qr(np.column_stack([np.ones(width), t, t * t]))
+    found = []
+    for start in starts:
+        if good[start : start + width].all():
+            piece = residual[start : start + width]
+            rest = piece - basis @ (basis.T @ piece)
+            found.append(rest @ rest / (width - 3))
+    if len(found) >= 5:
+        # The low quantile of a mean of squares of white noise, by its normal approximation.
+        share = 1.0 - 0.385 * np.sqrt(2.0 / (width - 3))
+        return float(np.sqrt(np.quantile(found, 0.35) / share))
+    piece = residual[good]
+    if piece.size < 4:
+        return float("nan")
+    return float(np.std(np.diff(piece, 2)) / np.sqrt(6.0))
+
+
+def effective_samples(residual: np.ndarray) -> float:
+    """Number of independent samples that a residual (T,) is worth: T over its integrated autocorrelation time.
+
+    Geyer's initial positive sequence on the autocorrelation by FFT.
+    """
+    n = residual.size
+    x = residual - residual.mean()
+    power = float(x @ x)
+    if n < 8 or power <= 0.0:
+        return float(max(n, 1))
+    size = 1 << (2 * n - 1).bit_length()
+    spectrum = np.fft.rfft(x, size)
+    rho = np.fft.irfft(spectrum * spectrum.conj(), size)[:n] / power
+    pairs = rho[0 : n - n % 2 : 2] + rho[1 : n : 2]
+    stop = np.flatnonzero(pairs <= 0.0)
+    tau = 2.0 * float(pairs[: stop[0] if stop.size else pairs.size].sum()) - 1.0
+    return float(np.clip(n / max(tau, 1.0), 1.0, n))

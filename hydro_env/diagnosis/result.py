@@ -1,0 +1,181 @@
+"""The result of a diagnosis as data: verdict, effects with probabilities and intervals, gaps, and the JSON of the contract."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..plant import CATALOGUE, PlantModel, parameter_of
+from .experiments import next_experiment
+from .fit import Floors, Problem, gain, rms
+from .machine import Machine
+from .prove import Proof
+from .select import Choice, Selection
+from .signatures import Look, alike, detectable
+from .where import Place
+
+__all__ = ["SCHEMA", "Named", "calibrated_values", "diagnosis_dict", "estimated_model", "named_effects", "verdict"]
+
+SCHEMA = "hydro_env/diagnosis/1"
+#: A deviance by which rivals fall behind counts as this fraction: models are never exact.
+TEMPER = 0.1
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect that was found, as it goes to the report."""
+
+    name: str
+    channel: str
+    probability: float
+    indistinguishable_from: list[str]
+    parameters: dict[str, dict[str, Any]]
+
+
+def verdict(
+    machine: Machine, given: dict[int, Problem], calibrated: dict[int, Problem], selection: Selection, floors: Floors
+) -> str:
+    """none | calibration | effects | unknown, see the contract."""
+    unexplained = any(_unexplained(machine, calibrated[c], selection.problems[c], c, floors) for c in machine.channels)
+    if selection.choices:
+        return "effects" if not unexplained else "unknown" if not _mostly(machine, calibrated, selection, floors) else "effects"
+    if unexplained:
+        return "unknown"
+    return "calibration" if any(_better(machine, given[c], calibrated[c], c, floors) for c in machine.channels) else "none"
+
+
+def _better(machine: Machine, given: Problem, calibrated: Problem, channel: int, floors: Floors) -> bool:
+    """Whether calibration explains more than its number of parameters would by chance."""
+    old, new = rms(machine, given.simulated[channel], channel), rms(machine, calibrated.simulated[channel], channel)
+    visible = any(old[k] > 1.03 * max(new[k], floors[channel, k[1]]) for k in old)
+    return visible and gain(machine, given, calibrated, floors) > 6.0 * len(calibrated.unknowns)
+
+
+def _unexplained(machine: Machine, before: Problem, after: Problem, channel: int, floors: Floors) -> bool:
+    """Whether a gap stays that is half as large again as the noise, in a signal of a log."""
+    left = rms(machine, after.simulated[channel], channel)
+    return any(v > 1.5 * floors[channel, signal] for (_, signal), v in left.items())
+
+
+def _mostly(machine: Machine, calibrated: dict[int, Problem], selection: Selection, floors: Floors) -> bool:
+    """Whether what was found explains most of the gap in every channel that has one left."""
+    for c in machine.channels:
+        old = rms(machine, calibrated[c].simulated[c], c)
+        new = rms(machine, selection.problems[c].simulated[c], c)
+        for key, value in new.items():
+            floor = floors[c, key[1]]
+            if value > 2.0 * floor and value**2 - floor**2 > 0.5 * (old[key] ** 2 - floor**2):
+                return False
+    return True
+
+
+def named_effects(machine: Machine, selection: Selection, looks: Sequence[Look]) -> list[Named]:
+    """The effects with probability, rivals, values and 95 % intervals; equal ones on both channels become "both"."""
+    same = alike(looks)
+    found = []
+    for choice in selection.choices:
+        # Alike by direction is not enough: a rival must also have done nearly as well when it was refitted.
+        rivals = sorted(choice.rivals, key=lambda n: choice.rivals[n])
+        rivals += [n for n in same.get((choice.effect, choice.channel), []) if n not in rivals and _tied(selection, choice, n)]
+        weight = 1.0 + sum(math.exp(-0.5 * TEMPER * choice.rivals.get(n, 0.0)) for n in rivals)
+        chance = 1.0 / (1.0 + math.exp(-0.5 * TEMPER * (choice.gain - choice.needed)))
+        channel = choice.channel
+        c = machine.channels[0] if channel is None else channel
+        key = "rig" if channel is None else str(channel + 1)
+        found.append(Named(choice.effect, key, round(chance / weight, 3), rivals, _parameters(selection.problems[c], choice.effect)))
+    return found
+
+
+def _tied(selection: Selection, choice: Choice, name: str) -> bool:
+    tried = [t for t in selection.trials if t.effect == name and t.channel == choice.channel and t.problem is not None]
+    return any(t.gain > 0.9 * choice.gain for t in tried)
+
+
+def _parameters(problem: Problem, effect: str) -> dict[str, dict[str, Any]]:
+    out = {}
+    for j, u in enumerate(problem.unknowns):
+        if u.name.startswith(f"{effect}."):
+            out[u.name.split(".", 1)[1]] = _interval(problem, j)
+    return out
+
+
+def _interval(problem: Problem, j: int) -> dict[str, Any]:
+    u, q = problem.unknowns[j], float(problem.q[j])
+    spread = 1.96 * float(problem.spread[j]) if problem.spread is not None else 0.0
+    ends = [min(max(u.value(q + s), u.low), u.high) for s in (-spread, spread)]
+    return {"value": float(u.value(q)), "low": float(min(ends)), "high": float(max(ends)), "unit": u.unit}
+
+
+def calibrated_values(machine: Machine, problems: dict[int, Problem]) -> dict[str, dict[str, Any]]:
+    """Base parameters: nominal (as given), estimated value and its interval, by "J_1"."""
+    out = {}
+    for c, problem in problems.items():
+        for j, u in enumerate(problem.unknowns):
+            if u.channel in (None, c) and (("." not in u.name) or u.name in machine.base(c)):
+                out[f"{u.name}_{c + 1}"] = {"nominal": machine.given(u.name, c), **_interval(problem, j)}
+    return out
+
+
+def at_bounds(problems: dict[int, Problem]) -> list[str]:
+    """Estimates at the end of their plausible range, by "J of channel 1"."""
+    found = []
+    for c, problem in problems.items():
+        for u, q in zip(problem.unknowns, problem.q, strict=True):
+            if u.channel in (None, c) and u.at_bound(float(q)) and u.high > u.low and not ("." in u.name and q == 0.0):
+                found.append(f"{u.name} of channel {c + 1} ({u.value(float(q)):.3g} {u.unit})")
+    return found
+
+
+def estimated_model(machine: Machine, problems: dict[int, Problem], name: str) -> PlantModel:
+    """The model with the estimated values put in."""
+    pairs: dict[str, tuple[float, float]] = {}
+    for c, problem in problems.items():
+        for parameter, value in problem.values(c).items():
+            if parameter in machine.own and parameter != "Kq":
+                continue
+            parameter_of(parameter)
+            pair = list(pairs.get(parameter, machine.model.pair(parameter)))
+            pair[c] = float(value)
+            if "." in parameter and CATALOGUE[parameter.split(".", 1)[0]].scope == "rig":
+                pair = [float(value)] * 2
+            pairs[parameter] = (pair[0], pair[1])
+    return machine.written(machine.model.with_values(pairs, name))
+
+
+def diagnosis_dict(
+    machine: Machine, word: str, named: list[Named], places: list[Place], calibrated: dict[int, Problem], fit: Proof,
+    sealed: Proof, looks: Sequence[Look], selection: Selection, seconds: float, hashes: dict[str, str], warnings: list[str],
+) -> dict[str, Any]:  # fmt: skip
+    """The content of diagnosis.json; `trials` and `warnings` go beyond the contract."""
+    visible = detectable(looks, machine)
+    return {
+        "schema": SCHEMA,
+        "verdict": word,
+        "effects": [vars(n) for n in named],
+        "where": [p.as_dict() for p in places],
+        "calibrated": calibrated_values(machine, calibrated),
+        "gap": {"sealed": sealed.gap, "fit": fit.gap},
+        "next_experiment": next_experiment(named, machine),
+        "detectable": visible,
+        "seconds": round(seconds, 1),
+        "log_sha256": hashes,
+        "trials": [
+            {
+                "effect": t.effect, "channel": "rig" if t.channel is None else str(t.channel + 1), "round": t.round,
+                "gain": round(float(t.gain), 1), "needed": round(float(t.needed), 1), "refitted": t.problem is not None, "fate": t.fate,
+            }
+            for t in selection.trials
+        ],
+        "warnings": warnings,
+    }  # fmt: skip
+
+
+def parameter_text(entry: dict[str, Any]) -> str:
+    """`1.14e-04 m (1.11e-04 to 1.17e-04)`."""
+    values = [entry["value"], entry["low"], entry["high"]]
+    shown = [f"{v:.3g}" if np.isfinite(v) else "none" for v in values]
+    return f"{shown[0]} {entry['unit']} ({shown[1]} to {shown[2]})"

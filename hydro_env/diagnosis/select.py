@@ -1,0 +1,306 @@
+"""Which effects are there: forward selection with joint refits, a penalty for the size of the library, backward steps.
+
+For each channel: a first look at all candidates beside the present model, cheap refits of the promising ones
+(base parameters move along frozen derivatives), full joint refits of the best, and the winner is taken if the deviance
+falls by more than the penalty. The deviance counts independent samples (`fit.gain`), and the penalty per parameter is
+2 ln(n0 / p) with n0 parameters in the library and p the accepted chance of a superfluous effect (PASTIS, Gerardos and
+Ronceray 2025). Effects of the whole rig compete last, against what the channels found separately.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..plant import CATALOGUE
+from .fit import Floors, Problem, channels_of, differentiate, evaluate, gain, solve
+from .machine import Machine
+from .noise import effective_samples
+from .signatures import Look, first_look
+from .unknowns import effect_unknowns
+
+__all__ = ["Choice", "Selection", "Trial", "penalty", "select"]
+
+#: Accepted chance of one superfluous effect.
+FALSE_ALARM = 0.01
+#: Cheap refits and full refits in a round.
+CHEAP, FULL = 9, 3
+#: Effects on a channel at most.
+MOST = 3
+#: An effect must explain this share of what is left above the noise, in the signal where it explains most.
+SHARE = 0.05
+
+
+@dataclass
+class Trial:
+    """What became of a candidate: `gain` is the fall of the deviance, `needed` what it takes; `fate` in words."""
+
+    effect: str
+    channel: int | None
+    round: int
+    gain: float
+    needed: float
+    fate: str
+    problem: Problem | None = None
+
+
+@dataclass
+class Choice:
+    """An effect that was taken, its gain over leaving it out, and rivals that did nearly as well in its place."""
+
+    effect: str
+    channel: int | None
+    gain: float
+    needed: float
+    rivals: dict[str, float] = field(default_factory=dict)  # name -> deficit of deviance
+
+
+@dataclass
+class Selection:
+    """The outcome: final problems by channel (the same joint problem for both where a rig effect was taken)."""
+
+    problems: dict[int, Problem]
+    choices: list[Choice]
+    trials: list[Trial]
+    placebo: dict[int, Problem]
+
+
+def penalty(machine: Machine, effect: str) -> float:
+    """Fall of the deviance that the effect's parameters must pay for."""
+    library = sum(len(CATALOGUE[name].parameters) for name in machine.candidates()) * len(machine.channels)
+    return 2.0 * np.log(max(library, 2) / FALSE_ALARM) * len(CATALOGUE[effect].parameters)
+
+
+def extended(problem: Problem, look: Look) -> Problem:
+    """The problem with an effect more, at the size of the first look; derivatives are taken along, new ones zero."""
+    added = effect_unknowns(CATALOGUE[look.effect], look.start)
+    unknowns = [*problem.unknowns, *added]
+    twin = Problem(problem.channel, unknowns, np.concatenate([problem.q, np.zeros(len(added))]), look.effect)
+    twin.columns = {c: np.hstack([m, np.zeros((m.shape[0], len(added)))]) for c, m in problem.columns.items()}
+    return twin
+
+
+def joined(problems: dict[int, Problem]) -> Problem:
+    """The problems of the channels as one problem of the rig."""
+    first = next(iter(problems.values()))
+    if first.channel is None:
+        return first
+    unknowns = [u for p in problems.values() for u in p.unknowns]
+    q = np.concatenate([p.q for p in problems.values()])
+    whole = Problem(None, unknowns, q, "rig", simulated={c: p.simulated[c] for c, p in problems.items()})
+    place = 0
+    for c, p in problems.items():
+        matrix = np.zeros((p.simulated[c].size, len(unknowns)))
+        if c in p.columns:
+            matrix[:, place : place + len(p.unknowns)] = p.columns[c]
+        whole.columns[c] = matrix
+        place += len(p.unknowns)
+    whole.cost = sum(p.cost for p in problems.values())
+    return whole
+
+
+def select(
+    machine: Machine, calibrated: dict[int, Problem], looks: Sequence[Look], floors: Floors, seconds: float,
+    say: Callable[[str], None] = lambda text: None,
+) -> Selection:  # fmt: skip
+    """Selects effects for every channel and for the rig, starting from the calibrated model and its first look."""
+    trials: list[Trial] = []
+    choices: list[Choice] = []
+    present = dict(calibrated)
+    open_channels = [c for c in machine.channels if _left(machine, calibrated[c], c, floors)]
+    now = [k for k in looks if k.channel is not None]
+    candidates = machine.candidates()
+    placebo: dict[int, Problem] = {}
+    for number in range(1, MOST + 1):
+        if not open_channels:
+            break
+        if number > 1:
+            say(f"round {number}: looking at what is left")
+            names = [n for n in candidates if CATALOGUE[n].scope == "channel"]
+            now = first_look(machine, {c: present[c] for c in open_channels}, floors, names, seconds)
+        say(f"round {number}: refitting candidates")
+        taken = _round(machine, present, open_channels, now, floors, number, trials, choices, placebo)
+        open_channels = [c for c in taken if _left(machine, present[c], c, floors)]
+    whole = [k for k in looks if k.channel is None]
+    if whole and len(machine.channels) == 2:
+        say("effects of the whole rig")
+        present, choices = _rig(machine, calibrated, present, whole, floors, trials, choices)
+    if any(len([k for k in choices if k.channel == c]) > 1 for c in machine.channels):
+        say("can any of them be left out?")
+        _backward(machine, present, choices, floors, trials)
+    return Selection(present, choices, trials, placebo)
+
+
+def _left(machine: Machine, problem: Problem, channel: int, floors: Floors) -> bool:
+    """Whether a channel has a gap above its noise that could pay for an effect."""
+    worth, seen = 0.0, False
+    for s in machine.segments[channel]:
+        error = (s.measured - problem.simulated[channel][s.place])[s.used]
+        if error.size:
+            ratio = float(np.mean(error**2)) / floors[channel, s.signal] ** 2
+            seen = seen or ratio > 1.04
+            worth += effective_samples(error) * max(np.log(ratio), 0.0)
+    return seen and worth > 20.0
+
+
+def _round(
+    machine: Machine, present: dict[int, Problem], channels: Sequence[int], looks: Sequence[Look], floors: Floors,
+    number: int, trials: list[Trial], choices: list[Choice], placebo: dict[int, Problem],
+) -> list[int]:  # fmt: skip
+    """One forward step on every open channel; returns the channels on which an effect was taken."""
+    batch: list[tuple[int, Look, Problem]] = []
+    for c in channels:
+        here = {k.effect for k in choices if k.channel == c}
+        own = [k for k in looks if k.channel == c and k.effect not in here]
+        for place, look in enumerate(own):
+            if machine.quick or (place < CHEAP and look.gain > 0.0):
+                batch.append((c, look, extended(present[c], look)))
+            else:
+                trials.append(Trial(look.effect, c, number, look.gain, penalty(machine, look.effect), "explains too little at first look"))
+    if not batch:
+        return []
+    _cheap(machine, [p for _, _, p in batch], floors)
+    best: list[tuple[int, Look, Problem]] = []
+    for c in channels:
+        own_batch = sorted((b for b in batch if b[0] == c), key=lambda b: b[2].cost)
+        best += own_batch[:FULL]
+        for _, look, problem in own_batch[FULL:]:
+            found = gain(machine, present[c], problem, floors)
+            trials.append(Trial(look.effect, c, number, found, penalty(machine, look.effect), "others explain more", problem))
+    solve(machine, [p for _, _, p in best], floors, 10 if machine.quick else 3)
+    taken = []
+    for c in channels:
+        own_best = sorted(((look, p) for k, look, p in best if k == c), key=lambda b: b[1].cost + penalty(machine, b[0].effect))
+        for place, (look, problem) in enumerate(own_best):
+            found, needed = gain(machine, present[c], problem, floors), penalty(machine, look.effect)
+            fate = _verdict(machine, present[c], problem, look, c, found, needed, floors)
+            if place == 0 and fate == "taken":
+                rivals = {
+                    o.effect: max(0.0, gain(machine, present[c], problem, floors) - gain(machine, present[c], p, floors))
+                    for o, p in own_best[1:]
+                }
+                choices.append(Choice(look.effect, c, found, needed, {n: d for n, d in rivals.items() if d < 0.1 * found or d < needed}))
+                taken.append(c)
+            elif place > 0 and fate == "taken":
+                fate = "others explain more"
+            trials.append(Trial(look.effect, c, number, found, needed, fate, problem))
+        if own_best and number == 1:
+            wrong = own_best[1] if c in taken and len(own_best) > 1 else own_best[0]
+            placebo[c] = wrong[1]
+        if c in taken:
+            present[c] = own_best[0][1]
+    return taken
+
+
+def _cheap(machine: Machine, problems: Sequence[Problem], floors: Floors) -> None:
+    """Two steps along the derivatives of the base parameters as they are and fresh ones of the new effect.
+
+    Where simulating costs next to nothing all derivatives are fresh and there are more steps.
+    """
+    evaluate(machine, problems, floors)
+    if machine.quick:
+        differentiate(machine, problems)
+        solve(machine, problems, floors, 10)
+        return
+    fresh = [[j for j, u in enumerate(p.unknowns) if u.name.startswith(f"{p.label}.")] for p in problems]
+    for _ in range(2):
+        differentiate(machine, problems, fresh)
+        solve(machine, problems, floors, 1)
+
+
+def _verdict(
+    machine: Machine, before: Problem, after: Problem, look: Look, channel: int, found: float, needed: float, floors: Floors
+) -> str:
+    if found < needed:
+        return "gains less than chance could"
+    if _share(machine, before, after, channels_of(after, machine), floors) < SHARE:
+        return "explains no noticeable share of the gap"
+    if _neutral(after, look.effect):
+        return "vanishes when refitted"
+    return "taken"
+
+
+def _neutral(problem: Problem, effect: str) -> bool:
+    """Whether the estimate of an effect is its neutral value."""
+    values = {u.name.split(".", 1)[1]: u.value(q) for u, q in zip(problem.unknowns, problem.q, strict=True) if u.name.startswith(f"{effect}.")}
+    sizes = [p for p in CATALOGUE[effect].parameters if p.typical is not None and p.typical != p.nominal]
+    return all(np.isfinite(p.nominal) and abs(values[p.name] - p.nominal) < 0.02 * abs(p.typical - p.nominal) for p in sizes)  # type: ignore[operator]
+
+
+def _share(machine: Machine, before: Problem, after: Problem, channels: Sequence[int], floors: Floors) -> float:
+    """Share of the variance above the noise that is explained, in the signal and log where it is largest."""
+    best = 0.0
+    for c in channels:
+        for s in machine.segments[c]:
+            old, new = (float(np.mean((s.measured - p.simulated[c][s.place])[s.used] ** 2)) for p in (before, after))
+            excess = old - floors[c, s.signal] ** 2
+            if excess > 0.02 * floors[c, s.signal] ** 2:
+                best = max(best, (old - new) / excess)
+    return best
+
+
+def _rig(
+    machine: Machine, calibrated: dict[int, Problem], present: dict[int, Problem], looks: Sequence[Look], floors: Floors,
+    trials: list[Trial], choices: list[Choice],
+) -> tuple[dict[int, Problem], list[Choice]]:  # fmt: skip
+    """Effects of the whole rig, beside the calibrated channels and beside what the channels have taken."""
+    base, full = joined(calibrated), joined(present)
+    tries = []
+    for look in looks:
+        if look.gain <= penalty(machine, look.effect):
+            trials.append(Trial(look.effect, None, 1, look.gain, penalty(machine, look.effect), "explains too little at first look"))
+            continue
+        tries.append((look, extended(base, look), base, []))
+        if choices:
+            tries.append((look, extended(full, look), full, choices))
+    if not tries:
+        return present, choices
+    _cheap(machine, [p for _, p, _, _ in tries], floors)
+    solve(machine, [p for _, p, _, _ in tries], floors, 2)
+
+    def score(problem: Problem, names: Sequence[str]) -> float:
+        return gain(machine, base, problem, floors, machine.channels) - sum(penalty(machine, n) for n in names)
+
+    best, best_score, best_choices = full, score(full, [k.effect for k in choices]), choices
+    for look, problem, before, kept in tries:
+        found, needed = gain(machine, before, problem, floors), penalty(machine, look.effect)
+        reached = score(problem, [k.effect for k in kept] + [look.effect])
+        fate = _verdict(machine, before, problem, look, 0, found, needed, floors)
+        if fate == "taken" and reached > best_score:
+            best, best_score = problem, reached
+            best_choices = [*kept, Choice(look.effect, None, found, needed)]
+        trials.append(Trial(look.effect, None, 1, found, needed, fate if fate != "taken" else "others explain more", problem))
+    if best is full:
+        return present, choices
+    for trial in trials:
+        if trial.problem is best:
+            trial.fate = "taken"
+    return {c: best for c in machine.channels}, best_choices
+
+
+def _backward(machine: Machine, present: dict[int, Problem], choices: list[Choice], floors: Floors, trials: list[Trial]) -> None:
+    """Refits without each effect in turn and drops those that are not missed."""
+    while True:
+        without = []
+        for choice in choices:
+            c = choice.channel
+            if c is None or present[c].channel is None or sum(k.channel == c for k in choices) < 2:
+                continue
+            keep = [j for j, u in enumerate(present[c].unknowns) if not u.name.startswith(f"{choice.effect}.")]
+            less = Problem(c, [present[c].unknowns[j] for j in keep], present[c].q[keep], "without " + choice.effect)
+            less.columns = {c: present[c].columns[c][:, keep]}
+            without.append((choice, less))
+        if not without:
+            return
+        solve(machine, [p for _, p in without], floors, 3)
+        missed = [(gain(machine, p, present[k.channel], floors) - k.needed, k, p) for k, p in without if k.channel is not None]
+        for worth, choice, _ in missed:
+            choice.gain = worth + choice.needed
+        worth, choice, less = min(missed, key=lambda m: m[0])
+        if worth > 0.0 or choice.channel is None:
+            return
+        present[choice.channel] = less
+        choices.remove(choice)
+        trials.append(Trial(choice.effect, choice.channel, 9, choice.gain, choice.needed, "not missed once the others are there", less))

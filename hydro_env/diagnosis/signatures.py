@@ -1,0 +1,173 @@
+"""What every effect of the catalogue would look like in these logs: its signature beside the calibrated model.
+
+One simulation per effect and size. A signature is the change of all signals; what calibration could absorb of it is
+projected off. From it follow, at once, whether the effect could be seen at all here (`detectable`), which effects look
+alike (`alike`), and how much of the present gap each could explain (`first_look`). Finite sizes are used because a dead
+zone, play or stiction has no useful derivative at zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..plant import CATALOGUE
+from .fit import Floors, Problem
+from .machine import Machine, Request
+from .unknowns import starts
+
+__all__ = ["Look", "alike", "detectable", "first_look"]
+
+#: Squared length of a projected signature, in noise units, from which an effect counts as visible.
+VISIBLE = 60.0
+#: Cosine from which two projected signatures count as the same.
+SAME = 0.96
+
+
+@dataclass
+class Look:
+    """An effect on a channel (None: the rig) at the size that explains most of the gap.
+
+    `gain` is the expected fall of the deviance, `visible` the squared length of the signature of medium size in noise
+    units after projection, by channel; `signature` that projected signature, normalised, all channels one after the other.
+    """
+
+    effect: str
+    channel: int | None
+    start: dict[str, float]
+    gain: float
+    visible: float
+    signature: np.ndarray
+
+
+class _Projector:
+    """Takes out of a weighted vector what small changes of the base parameters can make."""
+
+    def __init__(self, machine: Machine, problem: Problem, channel: int, deviations: dict[str, float]) -> None:
+        self.weights = np.zeros(problem.simulated[channel].size)
+        for s in machine.segments[channel]:
+            self.weights[s.place] = s.used / deviations[s.signal]
+        columns = problem.columns[channel] * self.weights[:, None]
+        prior = np.diag([1.0 if u.prior else 1e-6 for u in problem.unknowns])
+        # Rows of the prior below the columns make the projection a ridge: parameters move inside their priors only.
+        self.basis, _ = np.linalg.qr(np.vstack([columns, np.sqrt(prior)]))
+        self.rows = columns.shape[0]
+
+    def __call__(self, vector: np.ndarray) -> np.ndarray:
+        full = np.concatenate([vector * self.weights, np.zeros(self.basis.shape[0] - self.rows)])
+        full -= self.basis @ (self.basis.T @ full)
+        return full[: self.rows]
+
+
+def first_look(
+    machine: Machine, problems: dict[int, Problem], floors: Floors, effects: Sequence[str], seconds: float
+) -> list[Look]:
+    """One look at every effect on every channel, beside the present `problems`, best first.
+
+    Effects of the whole rig are looked at on both channels together.
+    """
+    wanted: list[tuple[str, int | None, dict[str, float]]] = []
+    for name in effects:
+        effect = CATALOGUE[name]
+        for start in starts(effect, seconds):
+            for channel in problems if effect.scope == "channel" else (None,):
+                wanted.append((name, channel, start))
+    requests = [_beside(problems, name, channel, start) for name, channel, start in wanted]
+    results = machine.predict(requests)
+    left = {c: _Projector(machine, p, c, _deviations(machine, p, c, floors)) for c, p in problems.items()}
+    noise = {c: _Projector(machine, p, c, {s: floors[c, s] for s in {g.signal for g in machine.segments[c]}}) for c, p in problems.items()}
+    errors = {c: left[c](_error(machine, p, c)) for c, p in problems.items()}
+    looks: dict[tuple[str, int | None], Look] = {}
+    for (name, channel, start), result in zip(wanted, results, strict=True):
+        channels = machine.channels if channel is None else (channel,)
+        if not all(np.isfinite(result[c]).all() for c in channels):
+            continue
+        changes = {c: result[c] - problems[c].simulated[c] for c in channels}
+        gained = _gain(machine, channels, {c: left[c](changes[c]) for c in channels}, errors, left, floors)
+        parts = [noise[c](changes[c]) for c in channels]
+        signature = np.concatenate(parts)
+        size = float(signature @ signature)
+        known = looks.get((name, channel))
+        medium = _is_medium(name, start)
+        if known is None:
+            known = looks[name, channel] = Look(name, channel, start, gained, size, signature / max(np.sqrt(size), 1e-30))
+        if medium:
+            known.visible, known.signature = size, signature / max(np.sqrt(size), 1e-30)
+        if gained > known.gain:
+            known.gain, known.start = gained, start
+    return sorted(looks.values(), key=lambda look: -look.gain)
+
+
+def _beside(problems: dict[int, Problem], effect: str, channel: int | None, start: dict[str, float]) -> Request:
+    extra = {f"{effect}.{name}": value for name, value in start.items()}
+    if channel is not None:
+        return Request(channel, {**problems[channel].values(channel), **extra})
+    values: dict[str, tuple[float, float]] = {}
+    sides = [problems[c].values(c) if c in problems else {} for c in (0, 1)]
+    for name in {*sides[0], *sides[1]}:
+        pair = [side.get(name) for side in sides]
+        values[name] = tuple(v if v is not None else next(w for w in pair if w is not None) for v in pair)  # type: ignore[assignment]
+    return Request(None, {**values, **{name: (value, value) for name, value in extra.items()}})
+
+
+def _is_medium(effect: str, start: dict[str, float]) -> bool:
+    return all(start[p.name] == p.typical for p in CATALOGUE[effect].parameters if p.typical is not None and p.typical != p.nominal)
+
+
+def _deviations(machine: Machine, problem: Problem, channel: int, floors: Floors) -> dict[str, float]:
+    sums: dict[str, list[float]] = {}
+    for s in machine.segments[channel]:
+        error = (s.measured - problem.simulated[channel][s.place])[s.used]
+        entry = sums.setdefault(s.signal, [0.0, 1e-9])
+        entry[0] += float(error @ error)
+        entry[1] += error.size
+    return {n: float(np.sqrt(max(t / k, floors[channel, n] ** 2))) for n, (t, k) in sums.items()}
+
+
+def _error(machine: Machine, problem: Problem, channel: int) -> np.ndarray:
+    return np.concatenate([np.nan_to_num(s.measured - problem.simulated[channel][s.place]) for s in machine.segments[channel]])
+
+
+def _gain(
+    machine: Machine, channels: Sequence[int], changes: dict[int, np.ndarray], errors: dict[int, np.ndarray],
+    projectors: dict[int, _Projector], floors: Floors,
+) -> float:  # fmt: skip
+    """Fall of the deviance if the change came with the best factor from 0 to 1.5."""
+    square = sum(float(changes[c] @ changes[c]) for c in channels)
+    if square <= 1e-12:
+        return 0.0
+    factor = float(np.clip(sum(float(changes[c] @ errors[c]) for c in channels) / square, 0.0, 1.5))
+    total = 0.0
+    for c in channels:
+        for s in machine.segments[c]:
+            used = s.used
+            before = errors[c][s.place][used]
+            after = before - factor * changes[c][s.place][used]
+            # In the units of the weights the noise floor is the floor over the deviation that was left.
+            scale = projectors[c].weights[s.place][used]
+            floor = floors[c, s.signal] * (scale[0] if scale.size else 1.0)
+            total += before.size * np.log(max(np.mean(before**2), floor**2) / max(np.mean(after**2), floor**2))
+    return float(total)
+
+
+def detectable(looks: Sequence[Look], machine: Machine) -> dict[str, dict[str, bool]]:
+    """By effect and channel ("1", "2", "rig"): whether an effect of medium size would show in these logs."""
+    found: dict[str, dict[str, bool]] = {}
+    for look in looks:
+        key = "rig" if look.channel is None else str(look.channel + 1)
+        found.setdefault(look.effect, {})[key] = look.visible > VISIBLE
+    return {name: dict(sorted(found[name].items())) for name in CATALOGUE if name in found}
+
+
+def alike(looks: Sequence[Look]) -> dict[tuple[str, int | None], list[str]]:
+    """For every effect on a channel the visible ones whose signature has the same direction, whatever the sign."""
+    found: dict[tuple[str, int | None], list[str]] = {}
+    for a in looks:
+        same = [
+            b.effect for b in looks
+            if b is not a and b.channel == a.channel and min(a.visible, b.visible) > VISIBLE and abs(float(a.signature @ b.signature)) > SAME
+        ]  # fmt: skip
+        found[a.effect, a.channel] = same
+    return found

@@ -1,0 +1,137 @@
+"""What is estimated: numbers with a start, plausible bounds and a scale on which steps are of order one.
+
+A calibrated base parameter has a prior about the value in the model as given; a parameter of an effect has none beyond
+its bounds. Estimation works in the coordinate q: 0 at the centre, 1 one scale away (logarithmic where the parameter
+varies by factors).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from ..plant import CATALOGUE, Effect, Parameter
+
+__all__ = ["Unknown", "base_unknown", "effect_unknowns", "limited_by_effects", "starts"]
+
+#: Largest standard deviation of the prior of a base parameter, relative (or share of its range).
+PRIOR_SPREAD = 0.3
+#: Base parameters that an effect of the catalogue adds to may be calibrated by this factor only: more has a name there.
+BASE_OF_EFFECT_FACTOR = 1.35
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number to be estimated. `prior` is whether leaving q = 0 costs anything; `channel` whose number it is, None for
+    one that both channels share.
+    """
+
+    name: str
+    unit: str
+    center: float
+    low: float
+    high: float
+    scale: float
+    log: bool
+    prior: bool
+    channel: int | None = None
+
+    def value(self, q: float) -> float:
+        return self.center * math.exp(self.scale * q) if self.log else self.center + self.scale * q
+
+    def q(self, value: float) -> float:
+        if self.log:
+            return math.log(value / self.center) / self.scale
+        return (value - self.center) / self.scale
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Bounds of q."""
+        return self.q(self.low), self.q(self.high)
+
+    def at_bound(self, q: float) -> bool:
+        """Whether the estimate sits at the end of what is plausible."""
+        low, high = self.bounds
+        return q <= low + 1e-3 * (high - low) or q >= high - 1e-3 * (high - low)
+
+
+def limited_by_effects() -> set[str]:
+    """Base parameters that some effect adds to."""
+    return {name for effect in CATALOGUE.values() for name in effect.adds_to}
+
+
+def base_unknown(parameter: Parameter, value: float, limited: bool = False) -> Unknown:
+    """A base parameter about the value `value` of the model as given."""
+    low, high = min(parameter.low, value), max(parameter.high, value)
+    log = parameter.log and value > 0.0
+    if log:
+        low = max(low, value / 20.0)
+        if limited:
+            low, high = max(low, value / BASE_OF_EFFECT_FACTOR), min(high, value * BASE_OF_EFFECT_FACTOR)
+        scale = min(math.log(high / low) / 4.0, PRIOR_SPREAD)
+    else:
+        scale = min((high - low) / 4.0, PRIOR_SPREAD * max(abs(value), 0.25 * (high - low)))
+    return Unknown(parameter.name, parameter.unit, value, low, high, scale, log, True)
+
+
+def starts(effect: Effect, seconds: float) -> list[dict[str, float]]:
+    """Values of the effect's parameters worth a first look: sizes together, small to large, with every shape.
+
+    `seconds` is the length of the longest log: nobody sees a drift of minutes in seconds.
+    """
+    sizes = [p for p in effect.parameters if not _is_shape(p)]
+    shapes = [p for p in effect.parameters if _is_shape(p)]
+    rows = []
+    for factor in (0.35, 1.0, 2.2, -0.35, -1.0, -2.2):
+        row = {p.name: _sized(p, factor) for p in sizes}
+        if all(v is not None for v in row.values()):
+            rows.append(row)
+    if len({p.unit for p in sizes}) == 1 and len(sizes) == 2 and all(math.isfinite(p.nominal) for p in sizes):
+        # Two sizes of a kind, such as the overlaps of the two directions, may be unequal.
+        rows += [{p.name: _sized(p, 1.0 if p is alone else 0.0) for p in sizes} for alone in sizes]
+    for p in shapes:
+        rows = [{**row, p.name: value} for row in rows for value in _shapes(p, seconds)]
+    return rows  # type: ignore[return-value]
+
+
+def _is_shape(p: Parameter) -> bool:
+    """Whether a parameter only shapes an effect; its size is carried by another one."""
+    return p.typical is None or p.typical == p.nominal
+
+
+def _sized(p: Parameter, factor: float) -> float | None:
+    assert p.typical is not None
+    if math.isinf(p.nominal):
+        return {0.35: min(2.0 * p.typical, 0.95 * p.high), 1.0: p.typical, 2.2: 0.55 * p.typical}.get(factor)
+    if p.log and p.nominal > 0.0:
+        value = p.nominal * math.exp(math.log(p.typical / p.nominal) * factor)
+    else:
+        value = p.nominal + (p.typical - p.nominal) * factor
+    return value if p.low <= value <= p.high else None
+
+
+def _shapes(p: Parameter, seconds: float) -> list[float]:
+    if p.unit == "rad" and p.low <= -3.0:
+        return [-0.75 * math.pi, -0.25 * math.pi, 0.25 * math.pi, 0.75 * math.pi]
+    if p.name == "order":
+        return [float(n) for n in range(math.ceil(p.low), math.floor(p.high) + 1)]
+    if p.name == "time_constant" and p.nominal > seconds:
+        return [min(max(0.4 * seconds, p.low), p.high)]
+    return [p.nominal]
+
+
+def effect_unknowns(effect: Effect, start: dict[str, float]) -> list[Unknown]:
+    """The parameters of an effect; `start` gives their values {own name: value} at the first look."""
+    return [_effect_unknown(effect.name, p, start[p.name]) for p in effect.parameters]
+
+
+def _effect_unknown(effect: str, p: Parameter, start: float) -> Unknown:
+    name, shape = f"{effect}.{p.name}", _is_shape(p)
+    low, high = min(p.low, start), max(p.high, start)
+    if p.low > 0.0 and (p.log or math.isinf(p.nominal)):
+        return Unknown(name, p.unit, start, low, high, 0.5 if shape else 0.25, True, shape)
+    scale = 0.15 * (p.high - p.low) if shape or p.typical is None else abs(p.typical - p.nominal)
+    if p.name == "order":
+        scale = 0.1
+    return Unknown(name, p.unit, start, low, high, scale, False, shape and p.name != "order")

@@ -1,0 +1,161 @@
+"""Where the gap is: every component replayed with measured neighbours, and the conditions under which it errs.
+
+coil         measured current against the simulated one (only the command acts on it)
+shaft        measured speed against the shaft driven by the measured pressure and the logged load
+valve_flow   flow that the measured speed and pressure need against the flow that the model's valve gives
+
+A component whose own replay errs by more than its noise owns part of the gap. Only what the logs hold can be replayed; with
+speed alone the whole gap is the valve's and motor's together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter, savgol_filter
+
+from .fit import Problem
+from .machine import Machine
+from .noise import noise_floor
+
+__all__ = ["Place", "locate"]
+
+
+@dataclass(frozen=True)
+class Place:
+    """An equation that errs on a channel: its share of the gap, in which regime, and the windows that hold most of it."""
+
+    equation: str
+    channel: int
+    share: float
+    regime: str
+    windows: list[tuple[float, float]]
+    ratio: float
+
+    def as_dict(self) -> dict[str, object]:
+        return {
+            "equation": self.equation, "channel": str(self.channel + 1), "share_of_gap": round(self.share, 3), "regime": self.regime,
+            "windows_s": [[round(a, 3), round(b, 3)] for a, b in self.windows],
+        }  # fmt: skip
+
+
+@dataclass
+class _Replay:
+    equation: str
+    error: np.ndarray
+    noise: float
+    time: np.ndarray
+    regimes: dict[str, np.ndarray]
+
+    @property
+    def ratio(self) -> float:
+        return float(np.sqrt(np.mean(self.error**2)) / max(self.noise, 1e-30))
+
+
+def locate(machine: Machine, problems: dict[int, Problem]) -> list[Place]:
+    """The equations that err beside the models `problems` on the fit logs, largest share first."""
+    places = []
+    for channel, problem in problems.items():
+        replays = _replays(machine, problem, channel)
+        excess = {r.equation: max(r.ratio**2 - 1.1, 0.0) for r in replays}
+        whole = sum(excess.values())
+        for r in replays:
+            if whole > 0.0 and excess[r.equation] > 0.02 * whole and r.ratio > 1.1:
+                places.append(Place(r.equation, channel, excess[r.equation] / whole, _regime(r), _windows(r), r.ratio))
+    return sorted(places, key=lambda p: (p.channel, -p.share))
+
+
+def _replays(machine: Machine, problem: Problem, channel: int) -> list[_Replay]:
+    """Replays of the components over all fit logs, one behind the other."""
+    parts: dict[str, list[_Replay]] = {}
+    for number, part in enumerate(machine.parts):
+        mine = {s.signal: s for s in machine.segments[channel] if s.log == number}
+        speed = mine["speed"]
+        simulated = {n: problem.simulated[channel][s.place] for n, s in mine.items()}
+        used = speed.used
+        time = part.log.time_s[speed.rows]
+        base = {"speed near zero": np.abs(speed.measured) < 0.15 * np.nanmax(np.abs(speed.measured)), "positive speed": speed.measured > 0, "negative speed": speed.measured < 0}
+        command = part.log.command_V[speed.rows, channel]
+        rated = machine.model.value("u_rated", channel)
+        opening = {
+            "opening near zero": np.abs(command) < 0.25 * rated,
+            "medium opening": (np.abs(command) >= 0.25 * rated) & (np.abs(command) < 0.6 * rated),
+            "large opening": np.abs(command) >= 0.6 * rated,
+            "opening positive": command > 0.02 * rated, "opening negative": command < -0.02 * rated,
+        }  # fmt: skip
+        found: list[_Replay] = []
+        if "current" in mine:
+            error = mine["current"].measured - simulated["current"]
+            regimes = {"large current": np.abs(command) > 0.6 * rated, "late in the log": time > time[0] + 0.6 * (time[-1] - time[0]), "any current": np.ones(used.size, bool)}
+            found.append(_replay("coil", error, speed.period, time, regimes, used))
+        if "pressure" in mine and not machine.quick:
+            value = problem.values(channel)
+            get = lambda name: value.get(name, machine.model.value(name, channel))  # noqa: E731
+            found += _hydraulic(machine, part, channel, number, get, speed.measured, mine["pressure"].measured, simulated, speed, time, used, base, opening)
+        elif "pressure" not in mine or machine.quick:
+            name = "valve_flow" if machine.quick else "valve and motor"
+            found.append(_replay(name, speed.measured - simulated["speed"], speed.period, time, {**opening, **base}, used))
+        for replay in found:
+            parts.setdefault(replay.equation, []).append(replay)
+    return [_joined(list_) for list_ in parts.values()]
+
+
+def _hydraulic(machine, part, channel, number, get, speed, pressure, simulated, segment, time, used, base, opening):  # type: ignore[no-untyped-def]
+    """Shaft from the measured pressure; valve from the flow that measured speed and pressure need."""
+    h = segment.period
+    load = np.zeros(speed.size)
+    if part.log.load is not None and part.log.has("load", channel):
+        load = np.nan_to_num(part.log.load[segment.rows, channel])
+    inertia, drag, displacement = get("J"), max(get("B"), 1e-6), get("D")
+    keep = float(np.exp(-h * drag / inertia))
+    torque = displacement * np.nan_to_num(pressure) - load
+    replayed = lfilter([0.0, 1.0 - keep], [1.0, -keep], torque / drag)
+    # Only what the shaft loses against measurement within a second counts: errors do not pile up.
+    forget = float(np.exp(-h / 1.0))
+    error = np.nan_to_num(speed - replayed)
+    error = lfilter([(1.0 + forget) / 2.0, -(1.0 + forget) / 2.0], [1.0, -forget], error)
+    found = [_replay("shaft", error, h, time, base, used)]
+    width = max(5, 2 * round(0.01 / h) + 1)
+    smooth, slope = savgol_filter(pressure, width, 2), savgol_filter(pressure, width, 2, deriv=1, delta=h)
+    needed = displacement * savgol_filter(speed, width, 2) + get("Km") * smooth + get("V") / get("beta") * slope
+    given = displacement * simulated["speed"] + get("Km") * simulated["pressure"] + get("V") / get("beta") * savgol_filter(simulated["pressure"], width, 2, deriv=1, delta=h)
+    found.append(_replay("valve_flow", (needed - given) / displacement, h, time, opening, used))
+    return found
+
+
+def _replay(equation: str, error: np.ndarray, period: float, time: np.ndarray, regimes: dict[str, np.ndarray], used: np.ndarray) -> _Replay:
+    noise = noise_floor(error, used, period)
+    return _Replay(equation, error[used], noise, time[used], {n: m[used] for n, m in regimes.items()})
+
+
+def _joined(replays: list[_Replay]) -> _Replay:
+    first = replays[0]
+    return _Replay(
+        first.equation, np.concatenate([r.error for r in replays]), float(np.nanmin([r.noise for r in replays])),
+        np.concatenate([r.time for r in replays]), {n: np.concatenate([r.regimes[n] for r in replays]) for n in first.regimes},
+    )  # fmt: skip
+
+
+def _regime(replay: _Replay) -> str:
+    """The condition under which the error is most above its mean."""
+    power = replay.error**2
+    mean = float(np.mean(power))
+    best, strongest = "everywhere", 1.3
+    for name, rows in replay.regimes.items():
+        if 0.03 < rows.mean() < 0.9:
+            contrast = float(np.mean(power[rows])) / max(mean, 1e-30)
+            if contrast > strongest:
+                best, strongest = name, contrast
+    return best
+
+
+def _windows(replay: _Replay, most: int = 3) -> list[tuple[float, float]]:
+    """Up to `most` windows of a fortieth of the logs with the largest error."""
+    width = max(10, replay.error.size // 40)
+    count = replay.error.size // width
+    if count == 0:
+        return []
+    power = (replay.error[: count * width] ** 2).reshape(count, width).mean(axis=1)
+    worst = sorted(np.argsort(power)[::-1][:most])
+    return [(float(replay.time[i * width]), float(replay.time[(i + 1) * width - 1])) for i in worst]
