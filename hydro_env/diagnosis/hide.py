@@ -34,7 +34,17 @@ from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, load_m
 from ..plant.reference import ReferenceRig
 from ..units import BAR, LPM, MILLIMETRE, RPM
 
-__all__ = ["NOISE", "RECORDABLE", "SEVERITIES", "Hidden", "Practice", "make_practice", "parse_effects", "parse_values", "run"]
+__all__ = [
+    "NOISE",
+    "RECORDABLE",
+    "SEVERITIES",
+    "Hidden",
+    "Practice",
+    "make_practice",
+    "parse_effects",
+    "parse_values",
+    "run",
+]
 
 Array = NDArray[np.float64]
 
@@ -64,7 +74,17 @@ _COLUMNS = {  # signal of the simulator and its unit in the log
     "flow": ("flow", "lpm", LPM),
 }
 _COLUMN_ORDER = ("command", "current", "pressure", "speed", "load", "spool", "flow")
-_DECIMALS = {"time": 6, "setpoint": 1, "command": 3, "current": 4, "pressure": 2, "speed": 1, "load": 3, "spool": 4, "flow": 2}
+_DECIMALS = {
+    "time": 6,
+    "setpoint": 1,
+    "command": 3,
+    "current": 4,
+    "pressure": 2,
+    "speed": 1,
+    "load": 3,
+    "spool": 4,
+    "flow": 2,
+}
 
 
 @dataclass(frozen=True)
@@ -96,7 +116,9 @@ class Practice:
             raise InputError(f"{out}: cannot make this folder: {error.strerror}") from None
         texts = {f"{name}.csv": log_text(columns) for name, columns in self.logs.items()}
         truth = dict(self.truth)
-        truth["log_sha256"] = {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
+        truth["log_sha256"] = {
+            name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()
+        }
         for name, text in texts.items():
             write_text(out / name, text)
         self.given.to_yaml(out / "model.yaml")
@@ -142,7 +164,9 @@ def parse_values(words: Iterable[str]) -> dict[str, float]:
         except ValueError:
             value = math.nan
         if not equals or not math.isfinite(value):
-            raise InputError(f"{word}: expected EFFECT.PARAMETER=NUMBER in SI units, e.g. dead_zone.overlap_positive=7e-5")
+            raise InputError(
+                f"{word}: expected EFFECT.PARAMETER=NUMBER in SI units, e.g. dead_zone.overlap_positive=7e-5"
+            )
         values[name] = value
     return values
 
@@ -172,7 +196,11 @@ def _draw(parameter: Parameter, severity: str, duration: float, rng: np.random.G
 
 
 def _choose(
-    effects: Mapping[str, str], values: Mapping[str, float], severity: str, duration: float, rng: np.random.Generator
+    effects: Mapping[str, str],
+    values: Mapping[str, float],
+    severity: str,
+    duration: float,
+    rng: np.random.Generator,
 ) -> tuple[Hidden, ...]:
     hidden = []
     for name, channel in effects.items():
@@ -182,7 +210,9 @@ def _choose(
         explicit = {key.split(".", 1)[1]: v for key, v in values.items() if key.split(".", 1)[0] == name}
         chosen = {**drawn, **explicit}
         if effect.is_neutral(chosen):
-            raise InputError(f"{name}: with these values nothing is hidden; a size away from the neutral one is needed")
+            raise InputError(
+                f"{name}: with these values nothing is hidden; a size away from the neutral one is needed"
+            )
         hidden.append(Hidden(name, channel, chosen))
     return tuple(hidden)
 
@@ -191,13 +221,17 @@ def _check_values(values: Mapping[str, float], effects: Mapping[str, str]) -> No
     for key, value in values.items():
         name, _, own = key.partition(".")
         if name not in effects:
-            raise InputError(f"{key}: {name!r} is not among the effects to hide ({', '.join(effects) or 'none'})")
+            raise InputError(
+                f"{key}: {name!r} is not among the effects to hide ({', '.join(effects) or 'none'})"
+            )
         known = {p.name: p for p in CATALOGUE[name].parameters}
         if own not in known:
             raise InputError(f"{key}: effect {name!r} has no parameter {own!r}: {_nearest(own, known)}")
         p = known[own]
         if value != p.nominal and not p.low <= value <= p.high:
-            raise InputError(f"{key}: {value:g} {p.unit} is out of range; right is {p.low:g} to {p.high:g} {p.unit}")
+            raise InputError(
+                f"{key}: {value:g} {p.unit} is out of range; right is {p.low:g} to {p.high:g} {p.unit}"
+            )
 
 
 def _true_model(
@@ -303,10 +337,16 @@ def _operation(common: np.random.Generator, own: np.random.Generator, side: int,
     s = common.uniform(0.85, 1.15, 12)
     lift = own.uniform(0.4, 0.7)
     jumps = ("closed", _hold([600.0 * s[0], -250.0 * s[1], 500.0 * s[2]], 1.0, dt), 0.0)
-    pushes = _hold([0.0, lift, 0.2, -0.5 * lift, 0.0] if side == 0 else [0.5 * lift, 0.0, -0.2, lift, 0.0], 0.4, dt)
+    pushes = _hold(
+        [0.0, lift, 0.2, -0.5 * lift, 0.0] if side == 0 else [0.5 * lift, 0.0, -0.2, lift, 0.0], 0.4, dt
+    )
     held = ("closed", np.full(pushes.size, 450.0 * s[4]), pushes)
     back = ("closed", np.full(pushes.size, -400.0 * s[5]), -pushes)
-    stairs = ("closed", _hold([60.0 * s[6], 150.0 * s[7], 300.0 * s[8], -60.0 * s[6], -150.0 * s[7], 0.0], 0.4, dt), 0.0)
+    stairs = (
+        "closed",
+        _hold([60.0 * s[6], 150.0 * s[7], 300.0 * s[8], -60.0 * s[6], -150.0 * s[7], 0.0], 0.4, dt),
+        0.0,
+    )
     wave = ("closed", _sweep(0.0, 250.0 * s[9], 0.5, 1.5, 2.6, dt), 0.0)
     rest = ("closed", _hold([0.0], 0.2, dt), 0.0)
     return _Plan.of(rest, jumps, held, wave, stairs, back)
@@ -348,7 +388,9 @@ def _plans(make: _Maker, seeds: np.random.SeedSequence, dt: float, steps: int) -
         plan = make(common, alone, side, dt)
         while plan.value.size < steps:
             more = make(common, alone, side, dt)
-            plan = _Plan(*(np.concatenate([getattr(plan, n), getattr(more, n)]) for n in ("value", "closed", "load")))
+            plan = _Plan(
+                *(np.concatenate([getattr(plan, n), getattr(more, n)]) for n in ("value", "closed", "load"))
+            )
         plans.append(_Plan(plan.value[:steps], plan.closed[:steps], plan.load[:steps]))
     return plans
 
@@ -366,7 +408,9 @@ class _SpeedLoop:
         error = setpoint - speed
         wanted = self.gain * (error + self.sum / self.reset_time)
         given = np.clip(wanted, -self.limit, self.limit)
-        self.sum = np.where((wanted != given) & (error * wanted > 0.0), self.sum, self.sum + error * self.period)
+        self.sum = np.where(
+            (wanted != given) & (error * wanted > 0.0), self.sum, self.sum + error * self.period
+        )
         return given
 
 
@@ -386,7 +430,10 @@ def _record(
             plan.load = np.zeros(steps)
     # Every signal has a stream of its own: recording more of them changes none.
     streams = dict(zip(_COLUMNS, noise_seed.spawn(len(_COLUMNS)), strict=True))
-    errors = {n: noise * NOISE[n][0] * np.random.default_rng(s).standard_normal((rows, 2)) for n, s in streams.items()}
+    errors = {
+        n: noise * NOISE[n][0] * np.random.default_rng(s).standard_normal((rows, 2))
+        for n, s in streams.items()
+    }
 
     loop = _SpeedLoop(given, period)
     rated = np.array(given.pair("u_rated"))
@@ -426,7 +473,9 @@ def _record(
                 _, unit, scale = _COLUMNS[column]
                 resolution = NOISE[column][1]
                 raw = shown[column][:, c] / scale + errors[column][:, c]
-                columns[f"{column}_{c + 1}_{unit}"] = np.round(raw / resolution) * resolution if noise > 0.0 else raw
+                columns[f"{column}_{c + 1}_{unit}"] = (
+                    np.round(raw / resolution) * resolution if noise > 0.0 else raw
+                )
     return columns
 
 
@@ -468,12 +517,18 @@ def make_practice(
 
     InputError in one line for anything unknown or out of range.
     """
-    chosen = parse_effects(effects if not isinstance(effects, Mapping) else [f"{n}:{c}" if c != "rig" else n for n, c in effects.items()])  # noqa: E501
+    chosen = parse_effects(
+        effects
+        if not isinstance(effects, Mapping)
+        else [f"{n}:{c}" if c != "rig" else n for n, c in effects.items()]
+    )
     explicit = dict(values or {})
     record = tuple(record)
     runs = tuple(runs)
     if severity not in SEVERITIES:
-        raise InputError(f"severity is {severity!r}; right is {', '.join(SEVERITIES)} or EFFECT.PARAMETER=NUMBER")
+        raise InputError(
+            f"severity is {severity!r}; right is {', '.join(SEVERITIES)} or EFFECT.PARAMETER=NUMBER"
+        )
     _check_values(explicit, chosen)
     for name in record:
         if name not in RECORDABLE:
@@ -482,7 +537,9 @@ def make_practice(
         if name not in _RUNS:
             raise InputError(f"runs: unknown log {name!r}: {_nearest(name, _RUNS)}")
     if not 0.0 <= noise <= 100.0:
-        raise InputError(f"noise is {noise:g}; a factor from 0 to 100 is right (1: as in the contract of the rig)")
+        raise InputError(
+            f"noise is {noise:g}; a factor from 0 to 100 is right (1: as in the contract of the rig)"
+        )
     if not 0.0 <= base_error <= 0.5:
         raise InputError(f"base error is {base_error:g}; a fraction from 0 to 0.5 is right (0.1: 10 %)")
     if not 3.0 <= duration <= 3600.0:
@@ -553,6 +610,7 @@ def run(
     if not none and not effects:
         raise InputError(f"name an effect to hide, or --none; effects are {', '.join(CATALOGUE)}")
     with tqdm(total=len(_RUNS), unit="log", leave=False, delay=0.5) as bar:
+
         def begin(name: str) -> None:
             bar.update(1 if bar.desc else 0)  # the one before is done
             bar.set_description(name)

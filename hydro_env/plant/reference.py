@@ -74,7 +74,6 @@ def _fields() -> list[tuple[str, Any]]:
 
 
 # --- laws, one by one; `p` is the record of a channel's parameters ---------------------------------------------------
-# ruff: noqa: ANN001, ANN202
 _law = njit(cache=True)
 
 
@@ -222,7 +221,9 @@ def _spool_rates(p, y, dy, pressure):
     beyond = abs(x) - p.x_max
     if beyond > 0.0:
         side = 1.0 if x > 0.0 else -1.0
-        stop = -side * max(p.k_stop * beyond * (1.0 + v * side / p.v_stop), 0.0)  # Hunt and Crossley: pushes, never pulls
+        stop = -side * max(
+            p.k_stop * beyond * (1.0 + v * side / p.v_stop), 0.0
+        )  # Hunt and Crossley: pushes, never pulls
     friction = _spool_friction(p, y, dy)
     dy[at + 2] = (force + stop - p.k * x - p.C * v - friction) / p.m
 
@@ -233,7 +234,9 @@ def _shaft_torque(p, y, dy, speed, angle, load):
     torque = -load - p.load_bias__bias
     coulomb, static = p.motor_coulomb_friction__coulomb, p.motor_coulomb_friction__static
     if coulomb != 0.0 or static != 0.0:
-        level = coulomb + (static - coulomb) * math.exp(-((speed / p.motor_coulomb_friction__stribeck_speed) ** 2))
+        level = coulomb + (static - coulomb) * math.exp(
+            -((speed / p.motor_coulomb_friction__stribeck_speed) ** 2)
+        )
         if p.different:
             stiffness = max(coulomb, static) / 0.003
             damping = 2.0 * 0.5 * math.sqrt(stiffness * p.J) * math.exp(-((speed / 0.5) ** 2))
@@ -373,7 +376,9 @@ class _Group:
 
     def __init__(self, model: PlantModel, members: tuple[int, ...], forms: str) -> None:
         self.members = members
-        self.channels = np.zeros(len(members), dtype=[*_fields(), ("command", np.float64), ("load", np.float64)])
+        self.channels = np.zeros(
+            len(members), dtype=[*_fields(), ("command", np.float64), ("load", np.float64)]
+        )
         different = forms == "different"
         scales: list[float] = []
 
@@ -397,7 +402,10 @@ class _Group:
                 p["at_loop"] = place(*([1.0] * (4 if different else 1)))
             if different and max(p["spool_stiction__coulomb"], p["spool_stiction__static"]) > 0.0:
                 p["at_second_bristle"] = place(1e-6)
-            if different and max(p["motor_coulomb_friction__coulomb"], p["motor_coulomb_friction__static"]) > 0.0:
+            if (
+                different
+                and max(p["motor_coulomb_friction__coulomb"], p["motor_coulomb_friction__static"]) > 0.0
+            ):
                 p["at_shaft_bristle"] = place(1e-3)
             if p["shaft_backlash__inertia"] > 0.0:
                 p["at_twist"] = place(1e-2, 1.0)
@@ -421,10 +429,18 @@ class _Group:
                 rows, method = None, "Radau"
         if rows is None:
             found = solve_ivp(
-                _rates, (times[0], times[-1]), self.state, method=method, t_eval=times, args=(self.channels,), **limits
+                _rates,
+                (times[0], times[-1]),
+                self.state,
+                method=method,
+                t_eval=times,
+                args=(self.channels,),
+                **limits,
             )
             if not found.success:
-                raise RuntimeError(f"reference simulator: {found.message} at t = {found.t[-1] if found.t.size else times[0]}")
+                raise RuntimeError(
+                    f"reference simulator: {found.message} at t = {found.t[-1] if found.t.size else times[0]}"
+                )
             rows = found.y.T
         if not np.isfinite(rows[-1]).all():
             raise RuntimeError(f"reference simulator: a state is not finite after t = {times[0]:g} s")
@@ -457,7 +473,10 @@ class ReferenceRig:
         sets: tuple[tuple[int, ...], ...] = ((0, 1),) if coupled else ((0,), (1,))
         self._groups = [_Group(self.model, members, self.forms) for members in sets]
         self.time = 0.0
-        self._coming: tuple[list[tuple[float, float]], ...] = ([], [])  # (when, voltage) on its way, by channel
+        self._coming: tuple[list[tuple[float, float]], ...] = (
+            [],
+            [],
+        )  # (when, voltage) on its way, by channel
 
     def signals(self) -> dict[str, Array]:
         """All `REFERENCE_SIGNALS` now, each (2,)."""
@@ -466,7 +485,9 @@ class ReferenceRig:
             self._store(group, group.state[None, :], out, np.array([0]))
         return {name: values[0] for name, values in out.items()}
 
-    def advance(self, command_V: ArrayLike, load_Nm: ArrayLike, duration: float, samples: int = 1) -> dict[str, Array]:
+    def advance(
+        self, command_V: ArrayLike, load_Nm: ArrayLike, duration: float, samples: int = 1
+    ) -> dict[str, Array]:
         """Holds commands and loads, each (2,), over `duration` s.
 
         Returns `REFERENCE_SIGNALS`, each (samples, 2), at `samples` evenly spaced instants of which the last is the end.
@@ -539,7 +560,9 @@ def simulate_reference(
     out = {name: np.empty((length, 2)) for name in REFERENCE_SIGNALS}
     for name, value in rig.signals().items():
         out[name][:1] = value
-    changes = np.flatnonzero((np.diff(command, axis=0) != 0.0).any(axis=1) | (np.diff(load, axis=0) != 0.0).any(axis=1))
+    changes = np.flatnonzero(
+        (np.diff(command, axis=0) != 0.0).any(axis=1) | (np.diff(load, axis=0) != 0.0).any(axis=1)
+    )
     starts = np.concatenate(([0], changes + 1))
     ends = np.concatenate((changes + 1, [length - 1]))  # the last row's command acts only after the log
     for first, last in zip(starts, ends, strict=True):
