@@ -6,7 +6,9 @@ so that a row of a batch is bit for bit the same as that row alone.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import isfinite, pi
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -33,7 +35,14 @@ _TO_RPM = 60.0 / (2.0 * pi)
 _TO_DEG = 180.0 / pi
 
 
-@njit(cache=True, error_model="numpy")
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    try:
+        return njit(cache=True, error_model="numpy")(function)
+    except RuntimeError:  # Numba found no folder it may write to: compile in every process
+        return njit(error_model="numpy")(function)
+
+
+@_compiled
 def apply(actions, rated, step, last, loads, fraction, moved, command, load):
     """Turns actions (N, 2) into commands and loads (N, 2) of the period that begins; False if one is not finite.
 
@@ -55,7 +64,7 @@ def apply(actions, rated, step, last, loads, fraction, moved, command, load):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@_compiled
 def look(
     rows, memory, half, where, step, last, setpoint, noise, levels, scales, limit, factor, stuck, held, fraction, moved,
     rated, weights, frames, observation, true, reward, terminated, truncated,
