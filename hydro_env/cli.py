@@ -152,6 +152,18 @@ def demo(out: Out, seed: Seed = 0, jobs: Jobs = 1) -> None:
 
 
 @app.command()
+def reproduce(
+    out: Out,
+    pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw the figures too.")] = True,
+) -> None:
+    """Run the paper's experiments (Fig. 2, 7, 8); writes reproduce.json, traces and figures."""
+    with _writing(out) as folder:
+        from hydro_env.experiments import reproduce as work
+
+        print(work.summary(work.run(folder, pictures=pictures)))
+
+
+@app.command()
 def tune(
     out: Out,
     controller: Annotated[str, typer.Option(help="Control law whose gains are searched.")] = "pid",
@@ -166,7 +178,7 @@ def tune(
     episodes: Annotated[int, typer.Option(min=1, help="Budget: how many episodes may be simulated.")] = 12288,
     weight: Annotated[
         float, typer.Option(help="Rpm of tracking error that one rpm of speed difference is worth.")
-    ] = 1.0,
+    ] = 2.0,
     control_period: ControlPeriod = 0.01,
     seed: Seed = 0,
     name: Annotated[str | None, typer.Option(help="The controller's name in score boards.")] = None,
@@ -272,4 +284,32 @@ def hide(
             rate=rate,
             duration=duration,
             seed=seed,
+        )
+
+
+@app.command()
+def diagnose(
+    out: Out,
+    fit_logs: Annotated[
+        list[str], typer.Argument(metavar="FIT_LOG...", help="Logs to learn from; LOG@FROM:TO: a part, s.")
+    ],
+    sealed: Annotated[
+        list[str] | None, typer.Option(metavar="LOG...", help="Logs that are kept for the proof.")
+    ] = None,
+    model: Model = "paper",
+    mapping: Annotated[
+        str | None, typer.Option(metavar="YAML", help="What the columns of foreign logs are.")
+    ] = None,
+    steady: Annotated[
+        bool, typer.Option("--steady", help="Use the reduced model of a slow cylinder axis.")
+    ] = False,
+    jobs: Jobs = 1,
+    seed: Seed = 0,
+) -> None:
+    """Find out from logs what a model lacks; writes diagnosis.json, report.html and model.yaml."""
+    with _writing(out) as folder:
+        from hydro_env.diagnosis import command
+
+        command.run(
+            fit_logs, sealed or [], folder, model=model, mapping=mapping, jobs=jobs, seed=seed, steady=steady
         )

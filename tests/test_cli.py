@@ -121,7 +121,7 @@ BAD = {
         ["tune", "--mismatch", "test_interp", "--out", "out"],
         ["test_interp", "train"],
     ),
-    "no such log": (["diagnose", "fit.csv", "--out", "out"], ["fit.csv"]),
+    "no such log": (["diagnose", "fit.csv", "--sealed", "sealed.csv", "--out", "out"], ["fit.csv"]),
 }
 
 
@@ -209,7 +209,7 @@ LOGS: dict[str, tuple[Callable[[list[list[str]]], object], list[str]]] = {
 def test_bad_logs(run: Run, tmp_path: Path, name: str) -> None:
     change, words = LOGS[name]
     write_log(tmp_path / "fit.csv", change)
-    status, _, err = run("diagnose", "fit.csv", "--out", "out")
+    status, _, err = run("diagnose", "fit.csv", "--sealed", "sealed.csv", "--out", "out")
     assert status == 2 and is_one_line(err), err
     for word in ("fit.csv", *words):
         assert word in err
@@ -228,7 +228,9 @@ def test_bad_mappings(run: Run, tmp_path: Path, name: str) -> None:
     text, words = MAPPINGS[name]
     write_log(tmp_path / "fit.csv")
     (tmp_path / "mapping.yaml").write_text(text)
-    status, _, err = run("diagnose", "fit.csv", "--mapping", "mapping.yaml", "--out", "out")
+    status, _, err = run(
+        "diagnose", "fit.csv", "--sealed", "sealed.csv", "--mapping", "mapping.yaml", "--out", "out"
+    )
     assert status == 2 and is_one_line(err), err
     for word in ("mapping.yaml", *words):
         assert word in err

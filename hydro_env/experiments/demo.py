@@ -18,7 +18,12 @@ import numpy as np
 from tqdm import tqdm
 
 from hydro_env import __version__
-from hydro_env.pages import COLOURS, figure, png, render, svg
+from hydro_env.benchmark import command as benchmark
+from hydro_env.diagnosis import command as diagnosis
+from hydro_env.diagnosis import hide
+from hydro_env.experiments import reproduce
+from hydro_env.files import write_json, write_text
+from hydro_env.pages import COLOURS, figure, legend, png, render, svg
 
 __all__ = ["run"]
 
@@ -68,8 +73,6 @@ def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
 
     Returns the content of demo.json: the numbers of the page and the seconds of each part.
     """
-    from hydro_env.files import write_json, write_text
-
     out = Path(out)
     clock = _Clock()
     with clock.part("the paper's experiment"):
@@ -115,11 +118,57 @@ def _short(value: float | None) -> str:
     return f"{value:.{min(digits, 3)}f}"
 
 
+# --- 1. the paper's experiment ----------------------------------------------------------------------------------------
+RIGS = (("tables", "the tables alone"), ("dead_zone", "with the dead zone"))
+"""What reproduce's traces hold, and how the page calls it."""
+
+
+def _paper(out: Path) -> dict[str, Any]:
+    numbers = reproduce.run(out)
+    steps, load = numbers["setpoint_steps"], numbers["load_step"]
+    traces = np.genfromtxt(out / "traces.csv", delimiter=",", names=True)
+    again, within = steps["equal_again_after_s"], steps["equal_again_within_rpm"]
+    alt = "speeds of both motors in the paper's experiment and their difference"
+    return {
+        "published": _short(steps["published_rpm"]),
+        "tables_only": _short(steps["tables_only_rpm"]),
+        "with_dead_zone": _short(steps["with_dead_zone_rpm"]),
+        "overlap": _short(steps["overlap_V1_m"] * 1e6),
+        "equal_again": f"within {within:g} rpm of each other again after at most {_short(again)} s",
+        "load_published": _short(load["published_rpm"]),
+        "load_simulated": _short(load["simulated_rpm"]),
+        "nominal_torque": _short(load["nominal_torque_Nm"]),
+        "links": sorted(f"{out.name}/{path.name}" for path in out.iterdir()),
+        "picture": svg(_drawing(traces, steps["published_rpm"]), alt),
+        "drawing": _drawing(traces, steps["published_rpm"]),
+        "numbers": {"setpoint_steps": steps, "load_step": load},
+    }
+
+
+def _drawing(traces: Any, published: float) -> Any:
+    """Speeds of both motors on each rig, and below them the differences beside the published one."""
+    drawing, axes = figure(len(RIGS) + 1, height=1.9)
+    time, last = traces["time_s"], axes[-1]
+    for axis, (key, label), colour in zip(axes, RIGS, (COLOURS[4], COLOURS[3]), strict=False):
+        speeds = [traces[f"{key}_speed_{motor}_rpm"] for motor in (1, 2)]
+        axis.plot(time, traces["setpoint_rpm"], color=COLOURS[4], linewidth=0.9, label="set-point")
+        for motor, speed in enumerate(speeds):
+            axis.plot(time, speed, color=COLOURS[motor], label=f"motor {motor + 1}")
+        axis.set_title(f"Speeds, {label}", loc="left", fontsize=9.5)
+        axis.set_ylabel("rpm")
+        last.plot(time, speeds[0] - speeds[1], color=colour, label=label)
+    for side in (-1, 1):
+        last.axhline(side * published, color=COLOURS[2], linestyle="--", linewidth=1.1)
+    last.set_title(f"Speed difference; dashed: the {published:g} rpm of the paper", loc="left", fontsize=9.5)
+    last.set(xlabel="time, s", ylabel="rpm", xlim=(0, time[-1]))
+    legend(axes[0])
+    legend(last)
+    return drawing
+
+
 # --- 2. the score board -----------------------------------------------------------------------------------------------
 def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
-    from hydro_env.benchmark import command
-
-    scores = command.run(out, suite="quick", seed=seed, jobs=jobs)
+    scores = benchmark.run(out, suite="quick", seed=seed, jobs=jobs)
     cells = {(row["controller"], row["scenario"], row["metric"]): row for row in scores["rows"]}
     rows = []
     for name in scores["controllers"]:
@@ -171,14 +220,10 @@ def _front(controllers: list[str], cells: dict[Any, Any]) -> Any:
 
 # --- 3. the diagnosis -------------------------------------------------------------------------------------------------
 def _diagnosis(practice: Path, out: Path, seed: int, jobs: int) -> dict[str, Any]:
-    from hydro_env.diagnosis import command, hide
-
     hide.run(HIDDEN, practice, seed=seed)
     truth = json.loads((practice / "truth.json").read_text(encoding="utf-8"))
     logs = {kind: [practice / name for name in truth["logs"][kind]] for kind in ("fit", "sealed")}
-    command.run(
-        logs["fit"], sealed=logs["sealed"], model=practice / "model.yaml", out=out, seed=seed, jobs=jobs
-    )
+    diagnosis.run(logs["fit"], logs["sealed"], out, model=practice / "model.yaml", jobs=jobs, seed=seed)
     found = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
     hidden = {effect["name"]: effect for effect in truth["effects"]}
     effects, parameters = [], []
