@@ -131,19 +131,19 @@ class AdaptiveFlow(Controller):
     """See the module's text. The drawn valves are unknown to it."""
 
     GAINS = (
-        Gain("rate", "1/s", 5.0, 80.0, summary="double pole of the reference: 2 / rate is its mean delay"),
-        Gain("Kp", "1/s", 0.5, 40.0, summary="acceleration per error to the reference speed"),
-        Gain("Ks", "1/s", 0.5, 60.0, summary="acceleration per half of the speed difference"),
+        Gain("rate", "1/s", 15.0, 60.0, summary="double pole of the reference: 2 / rate is its mean delay"),
+        Gain("Kp", "1/s", 2.0, 20.0, summary="acceleration per error to the reference speed"),
+        Gain("Ks", "1/s", 5.0, 50.0, summary="acceleration per half of the speed difference"),
         Gain(
             "search",
             "1/s",
-            0.5,
+            3.0,
             20.0,
             summary="how fast the spools creep up to an unknown edge (command per s)",
         ),
-        Gain("caution", "1/s", 0.1, 10.0, summary="how fast flow may grow, times the doubt about the gain"),
-        Gain("observer", "1/s", 10.0, 95.0, summary="double pole of the load observer"),
-        Gain("drift", "1/sqrt(s)", 0.002, 0.3, summary="random walk of the edge in the valve estimate"),
+        Gain("caution", "1/s", 0.2, 5.0, summary="how fast flow may grow, times the doubt about the gain"),
+        Gain("observer", "1/s", 30.0, 95.0, summary="double pole of the load observer"),
+        Gain("drift", "1/sqrt(s)", 0.01, 0.15, summary="random walk of the edge in the valve estimate"),
     )
     known_within = 0.02
     """An edge with a standard deviation below this needs no search."""

@@ -18,10 +18,10 @@ __all__ = ["CrossCoupled", "MasterSlave", "Smoothed", "VirtualLeader"]
 SIDES = np.array([1.0, -1.0])
 """How channels 1 and 2 enter the speed difference."""
 
-FILTER = Gain("filter", "s", 0.005, 0.5, summary="time constant of the set-point filter")
+FILTER = Gain("filter", "s", 0.01, 0.2, summary="time constant of the set-point filter")
 COUPLING = (
-    Gain("Kc", "V/rpm", 1e-3, 0.5, summary="proportional gain on the speed difference"),
-    Gain("Tic", "s", 0.02, 3.0, summary="integral time on the speed difference"),
+    Gain("Kc", "V/rpm", 0.01, 0.4, summary="proportional gain on the speed difference"),
+    Gain("Tic", "s", 0.01, 1.0, summary="integral time on the speed difference"),
 )
 
 
@@ -66,7 +66,7 @@ class VirtualLeader(CrossCoupled):
 
     GAINS = (
         *CrossCoupled.GAINS,
-        Gain("lead", "rpm", 10.0, 600.0, summary="how far the leader may run ahead"),
+        Gain("lead", "rpm", 30.0, 600.0, summary="how far the leader may run ahead"),
     )
 
     def command(self, measured: Measurements) -> Floats:
@@ -91,8 +91,8 @@ class MasterSlave(Controller):
     GAINS = (
         KP,
         TI,
-        Gain("Kp_slave", "V/rpm", 1e-3, 0.5, summary="proportional gain of the slave"),
-        Gain("Ti_slave", "s", 0.02, 3.0, summary="integral time of the slave"),
+        Gain("Kp_slave", "V/rpm", 0.01, 0.4, summary="proportional gain of the slave"),
+        Gain("Ti_slave", "s", 0.03, 1.0, summary="integral time of the slave"),
         FILTER,
     )
 

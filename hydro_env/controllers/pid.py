@@ -17,9 +17,9 @@ __all__ = ["KP", "TABLE_III", "TI", "Pid", "PidController", "per_rpm"]
 TABLE_III = {"Kp": (0.016, 0.023), "Ti": (0.156, 0.150), "Td": (0.005, 0.0)}
 """The paper's gains of valves V1 and V2: V/rpm, s, s."""
 
-KP = Gain("Kp", "V/rpm", 1e-3, 0.5, summary="proportional gain")
-TI = Gain("Ti", "s", 0.02, 3.0, summary="integral time")
-TD = Gain("Td", "s", 1e-4, 0.05, summary="derivative time")
+KP = Gain("Kp", "V/rpm", 0.01, 0.4, summary="proportional gain")
+TI = Gain("Ti", "s", 0.03, 1.0, summary="integral time")
+TD = Gain("Td", "s", 1e-4, 0.03, summary="derivative time")
 
 
 def per_rpm(gain: ArrayLike) -> Floats:

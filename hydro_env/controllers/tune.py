@@ -1,7 +1,8 @@
 """Tunes a controller's gains on the training pairs: `hydro-env tune`.
 
 The cost of one episode, in rpm, is  tracking_mae_rpm + weight * max_speed_difference_rpm:  the mean error of
-both motors to the set-point, plus the largest difference between them. The cost of a set of gains is its mean
+both motors to the set-point, plus the largest difference between them, which counts double by default since
+moving together is the task. The cost of a set of gains is its mean
 over pairs and scenarios. Differential evolution (SciPy) searches the gains on the scale their `Gain` names; a
 whole generation is one batch of rigs. All candidates drive the same pairs with the same noise. Only the split
 `train` may be used, or the plant's own pair.
@@ -47,7 +48,7 @@ def run(
     scenario: str = "setpoint_steps,random_steps",
     cases: int = 12,
     episodes: int = 12288,
-    weight: float = 1.0,
+    weight: float = 2.0,
     control_period: float = 0.01,
     seed: int = 0,
     name: str | None = None,
@@ -164,7 +165,10 @@ def _values(law: type[Controller], genes: Floats) -> Floats:
 
 
 def _latin_hypercube(bounds: Floats, rng: np.random.Generator) -> Floats:
-    """First generation (POPULATION, gains): every gain's range is cut into equal parts, each used once."""
+    """First generation (POPULATION, gains): every gain's range is cut into equal parts, each used once;
+    the first candidate is the middle of all ranges.
+    """
     parts = np.stack([rng.permutation(POPULATION) for _ in bounds], axis=1)
     share = (parts + rng.random(parts.shape)) / POPULATION
+    share[0] = 0.5
     return bounds[:, 0] + share * (bounds[:, 1] - bounds[:, 0])

@@ -1,0 +1,184 @@
+"""The benchmark: contract of scores.json, determinism, pairing, failures, bad input, pinned baselines."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from hydro_env.benchmark.command import run
+from hydro_env.benchmark.report import scores_page, scores_table
+from hydro_env.controllers import CONTROLLERS, make_controller
+from hydro_env.controllers.rollout import roll_out
+from hydro_env.errors import InputError
+
+SMALL = {"splits": ["test_interp"], "scenarios": ["setpoint_steps"], "cases": 4, "progress": False}
+METRICS = {
+    "max_speed_difference_rpm",
+    "rms_speed_difference_rpm",
+    "sync_settling_time_s",
+    "shaft_angle_difference_deg",
+    "tracking_mae_rpm",
+    "command_variation",
+}
+
+
+class Raises:
+    """A controller that breaks in the middle of an episode."""
+
+    name = "raises"
+
+    def reset(self, num_rigs, control_period):
+        self.left = 50
+
+    def act(self, observation):
+        self.left -= 1
+        if self.left < 0:
+            raise RuntimeError("out of\nhydraulic oil")
+        return np.zeros((len(observation), 2))
+
+
+class NotANumber(Raises):
+    name = "not_a_number"
+
+    def act(self, observation):
+        return np.full((len(observation), 2), np.nan)
+
+
+class WrongShape(Raises):
+    name = "wrong_shape"
+
+    def act(self, observation):
+        return np.zeros(2)
+
+
+@pytest.fixture(scope="module")
+def scores(tmp_path_factory):
+    out = tmp_path_factory.mktemp("scores")
+    controllers = ["pid_paper", Raises(), NotANumber(), WrongShape(), "cross_coupled"]
+    return run(out, controllers=controllers, **SMALL), out
+
+
+def test_scores_follow_the_contract(scores):
+    got, out = scores
+    assert got == json.loads((out / "scores.json").read_text())
+    assert got["schema"] == "hydro_env/scores/1" and got["suite"] == "full"
+    for row in got["rows"]:
+        assert set(row) == {"controller", "split", "scenario", "metric", "iqm", "ci95", "cvar95", "n"}
+        assert row["ci95"][0] <= row["iqm"] <= row["ci95"][1] and row["n"] == 4
+        assert row["cvar95"] >= row["iqm"]
+    assert {row["metric"] for row in got["rows"]} == METRICS
+    assert {row["controller"] for row in got["rows"]} == {"pid_paper", "cross_coupled"}
+
+
+def test_failures_are_named_and_the_rest_goes_on(scores):
+    got, _ = scores
+    reasons = {entry["controller"]: entry["reason"] for entry in got["failed"]}
+    assert reasons["raises"] == "RuntimeError: out of hydraulic oil"
+    assert "nan" in reasons["not_a_number"].lower() or "finite" in reasons["not_a_number"]
+    assert "shape" in reasons["wrong_shape"]
+    table = scores_table(got)
+    assert re.search(r"raises +failed: RuntimeError", table) and re.search(r"cross_coupled +\d", table)
+
+
+def test_page_is_one_file_and_harmless(scores):
+    got, out = scores
+    page = (out / "scores.html").read_text()
+    assert "http://" not in page.replace("http://www.w3.org/2000/svg", "") and "https://" not in page
+    assert not [name.name for name in out.iterdir() if name.name not in ("scores.json", "scores.html")]
+    nasty = {**got, "controllers": ["</script><script>alert(1)</script>"]}
+    assert "</script><script>alert" not in scores_page(nasty, None)
+
+
+def test_scores_are_deterministic_and_paired():
+    """Alone or beside others, in one process: the same cases, the same scores; another seed, other cases."""
+    first = run(None, controllers=["pid_paper"], **SMALL)
+    beside = run(None, controllers=["cross_coupled", "pid_paper"], **SMALL)
+    assert first["rows"] == [row for row in beside["rows"] if row["controller"] == "pid_paper"]
+    assert run(None, controllers=["pid_paper"], seed=100, **SMALL)["rows"] != first["rows"]
+
+
+def test_cases_do_not_depend_on_their_number():
+    """Case i is what seed i draws, however many cases are run beside it."""
+    few = roll_out(make_controller("pid_paper"), [0, 1], mismatch="test_interp", scenario="setpoint_steps")
+    one = roll_out(make_controller("pid_paper"), [1], mismatch="test_interp", scenario="setpoint_steps")
+    np.testing.assert_array_equal(few.trace.speed_rpm[:, 1:], one.trace.speed_rpm)
+
+
+@pytest.mark.parametrize("name", [n for n, e in CONTROLLERS.items() if e.available])
+def test_every_controller_is_vectorised_over_rigs(name):
+    """A row of a batch is driven exactly as the same rig alone, and no command leaves the limits."""
+    controller = make_controller(name)
+    where = {"scenario": "setpoint_steps", "mismatch": None if getattr(controller, "plant", None) else "val"}
+    if getattr(controller, "plant", None):
+        where["plant"] = controller.plant
+    batch = roll_out(controller, [3, 4, 5], **where)
+    alone = roll_out(make_controller(name), [4], **where)
+    np.testing.assert_allclose(batch.trace.command[:, 1:2], alone.trace.command, rtol=0, atol=2e-4)
+    np.testing.assert_allclose(batch.trace.speed_rpm[:, 1:2], alone.trace.speed_rpm, rtol=0, atol=0.5)
+    assert np.max(np.abs(batch.trace.command)) <= 1.0
+
+
+def test_jobs_change_nothing():
+    one = run(None, controllers=["pid_paper", "cross_coupled"], jobs=1, **SMALL)
+    two = run(None, controllers=["pid_paper", "cross_coupled"], jobs=2, **SMALL)
+    assert one == two
+
+
+def test_third_party_controllers(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "import numpy as np\n"
+        "class Mine:\n"
+        "    def reset(self, num_rigs, control_period): pass\n"
+        "    def act(self, observation): return np.full((len(observation), 2), 0.2)\n"
+    )
+    got = run(None, controllers=[f"{file}:Mine", "hydro_env.controllers.adaptive:AdaptiveFlow"][:1], **SMALL)
+    assert got["controllers"] == ["Mine"] and not got["failed"] and got["rows"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"controllers": ["pid_papr"]}, "did you mean 'pid_paper'"),
+        ({"splits": ["test_interpp"]}, "did you mean 'test_interp'"),
+        ({"scenarios": ["setpoint_step"]}, "did you mean 'setpoint_steps'"),
+        ({"suite": "fulll"}, "did you mean 'full'"),
+        ({"suite": "nowhere.yaml"}, "no such suite file"),
+        ({"cases": 0}, "at least 1"),
+        ({"jobs": 0}, "jobs"),
+        ({"plant": "papr"}, "papr"),
+    ],
+)
+def test_bad_input_is_refused_with_one_line(tmp_path, changed, message):
+    with pytest.raises(InputError, match=message) as caught:
+        run(tmp_path / "out", **{**SMALL, **changed})
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("- 1", "table"),
+        ("splits: {val: 2}\nscenarios: [sine]\nmetrics: [speed]", "unknown metric 'speed'"),
+        ("splits: {val: two}\nscenarios: [sine]\nmetrics: [tracking_mae_rpm]", "number of cases"),
+        ("splits: {val: 2}\nscenario: [sine]\nmetrics: [tracking_mae_rpm]", "did you mean 'scenarios'"),
+        ("splits: [", "YAML"),
+    ],
+)
+def test_bad_suite_files_are_named(tmp_path, text, message):
+    path = tmp_path / "suite.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        run(None, suite=path, progress=False)
+    assert str(path) in str(caught.value)
+
+
+def test_own_suite(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("splits: {val: 2}\nscenarios: [sine]\nmetrics: [tracking_mae_rpm]\n")
+    got = run(None, suite=path, controllers=["pid_paper"], progress=False)
+    assert [(r["split"], r["scenario"], r["metric"], r["n"]) for r in got["rows"]] == [
+        ("val", "sine", "tracking_mae_rpm", 2)
+    ]

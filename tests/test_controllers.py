@@ -1,0 +1,254 @@
+"""Controllers: the PID law by hand and against SciPy, anti-windup, bumpless start, batch parity, making
+them.
+"""
+
+import json
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from hydro_env.controllers import CONTROLLERS, LAWS, make_controller, tune
+from hydro_env.controllers.adaptive import Spool, ValveLearner, shaper
+from hydro_env.controllers.base import FRACTION_PER_V, RPM
+from hydro_env.controllers.gains import read_gains
+from hydro_env.controllers.pid import Pid, per_rpm
+from hydro_env.controllers.valve_map import MOTOR_RATE, ValveMap, flow_for, on_the_bench, true_map
+from hydro_env.errors import InputError
+from hydro_env.plant import Plant
+
+
+def test_pid_by_hand():
+    """kp 2, ti 0.5 s, td 0.1 s, N 10 1/s at 0.1 s: every term worked out on paper."""
+    pid = Pid(2.0, 0.5, 0.1, filter_rate=10.0, low=-100, high=100)
+    pid.start(0.1, 0.0)
+    # P = 2 e; I += 2 * 0.1/0.5 e = 0.4 e; D = (D + 2*0.1*10 de) / (1 + 1), no kick at the first sample
+    assert pid.step(np.array(1.0)) == pytest.approx(2.0 + 0.4 + 0.0)
+    assert pid.step(np.array(2.0)) == pytest.approx(4.0 + (0.4 + 0.8) + 1.0)
+    assert pid.step(np.array(2.0)) == pytest.approx(4.0 + 2.0 + 0.5)
+
+
+@pytest.mark.parametrize("gains", [(0.016, 0.156, 0.005), (0.023, 0.150, 0.0)])
+def test_pid_converges_to_the_continuous_law(gains):
+    """Table III: the sampled law tends to kp (1 + 1/(ti s) + td s/(1 + s/N)), first order in the sample
+    time.
+    """
+    kp, ti, td = gains
+    n = 100.0
+    #  kp [ (1 + s/N) ti s + (1 + s/N) + ti td s^2 ] / [ ti s (1 + s/N) ]
+    law = signal.TransferFunction([kp * (ti / n + ti * td), kp * (ti + 1 / n), kp], [ti / n, ti, 0.0])
+    errors = []
+    for period in (1e-3, 5e-4):
+        time = np.arange(0.0, 0.5, period)
+        error = np.sin(7.0 * time) * 10.0
+        _, wanted, _ = signal.lsim(law, error, time)
+        pid = Pid(kp, ti, td)
+        pid.start(period, 0.0)
+        got = [pid.step(np.array(e)) for e in error]
+        errors.append(np.max(np.abs(got - wanted)))
+    assert errors[0] < 4e-3
+    assert errors[1] < 0.6 * errors[0]
+
+
+def test_anti_windup():
+    """A second in the limit must not have to be integrated back: the output leaves it as soon as the error
+    turns.
+    """
+    pid = Pid(0.5, 0.1)
+    pid.start(0.01, 0.0)
+    for _ in range(100):
+        assert pid.step(np.array(3.0)) == 1.0
+    assert pid.integral < 1.0
+    assert pid.step(np.array(-0.1)) < 1.0
+    for _ in range(100):
+        assert pid.step(np.array(-3.0)) == -1.0
+    assert pid.step(np.array(0.1)) > -1.0
+
+
+def test_anti_windup_counts_what_is_fed_forward():
+    pid = Pid(0.1, 0.1)
+    pid.start(0.01, 0.0)
+    for _ in range(50):
+        pid.step(np.array(0.1), feedforward=2.0)
+    assert pid.integral == 0.0
+
+
+def test_bumpless_takeover():
+    """Taking over at the set-point changes nothing; the output that is in force stays."""
+    pid = Pid(0.5, 0.1)
+    pid.start(0.01, np.array([[0.3, -0.2]]))
+    np.testing.assert_allclose(pid.step(np.zeros((1, 2))), [[0.3, -0.2]])
+
+
+def test_units_of_the_paper():
+    """Table III is V per rpm: an error of 600 rpm and Kp = 0.016 are 9.6 V of 73."""
+    assert per_rpm(0.016) * (600 * RPM) == pytest.approx(9.6 / 73)
+    assert pytest.approx(1 / 73) == FRACTION_PER_V
+
+
+def test_valve_map_inverts_itself():
+    curve = ValveMap(np.array([[[0.1, 0.2], [0.0, -0.05]]]), np.array([[[0.8, 0.9], [1.0, 0.7]]]))
+    for flow in (0.4, -0.3):
+        u = curve.command(np.full((1, 2), flow))[0]
+        side = 0 if flow > 0 else 1
+        got = (
+            np.sign(flow) * curve.gain[0, :, side] * (np.abs(u) - np.sign(flow * u) * curve.edge[0, :, side])
+        )
+        np.testing.assert_allclose(got, flow)
+    np.testing.assert_allclose(
+        curve.command(np.zeros((1, 2))), [[-0.05, 0.025]]
+    )  # the middle of the dead zone
+
+
+def test_motor_coasts_at_its_pole():
+    """plant.md's pole, 0.178 s; coasting is what takes no flow."""
+    assert pytest.approx(0.178, abs=5e-4) == 1 / MOTOR_RATE
+    assert flow_for(np.array(50.0), np.array(-50.0 * MOTOR_RATE), np.array(0.0)) == pytest.approx(
+        0.0, abs=1e-12
+    )
+
+
+@pytest.mark.parametrize("period", [0.001, 0.005, 0.01])
+def test_shaper_leaves_the_spool_at_rest(period):
+    spacing, weight = shaper(period)
+    spool = Spool(np.zeros(1), period, damping=0.0)
+    asked = [np.zeros(1)] * (2 * spacing) + [np.ones(1)] * 60
+    peak = 0.0
+    for n in range(2 * spacing, len(asked)):
+        spool.step(weight * (asked[n] + asked[n - 2 * spacing]) + (1 - 2 * weight) * asked[n - spacing])
+        if n > 4 * spacing + 1:
+            peak = max(peak, abs(spool.position[0] - 1.0))
+    assert peak < 1e-9
+
+
+def test_learner_finds_edge_and_gain():
+    """Two valves with known curves, noisy flow: edge and gain are found, the uncertainty shrinks and is
+    honest.
+    """
+    rng = np.random.default_rng(0)
+    learner = ValveLearner(2, 0.01, drift=0.002)
+    edge, gain = np.array([[0.03, 0.2], [0.15, 0.08]]), np.array([[0.7, 0.95], [0.65, 0.8]])
+    for n in range(600):
+        spool = np.full((2, 2), 0.3 + 0.2 * np.sin(2 * np.pi * n / 200))
+        flow = gain * np.maximum(spool - edge, 0.0) + 0.002 * rng.normal(size=(2, 2))
+        learner.learn(spool, flow)
+    np.testing.assert_allclose(learner.map.edge[..., 0], edge, atol=0.01)
+    np.testing.assert_allclose(learner.map.gain[..., 0], gain, atol=0.03)
+    assert np.all(np.sqrt(learner.edge_variance[..., 0]) < 0.02)
+    np.testing.assert_allclose(learner.map.edge[..., 1], 0.115)  # never visited
+
+
+def test_bench_finds_what_the_parameters_say():
+    """The slow triangle on the simulated bench against the curve that follows from the true parameters."""
+    plant = Plant("paper", 3, effects=("dead_zone", "null_offset"))
+    plant.set("dead_zone.overlap_positive", [[0.0, 50e-6], [100e-6, 200e-6], [150e-6, 20e-6]])
+    plant.set("dead_zone.overlap_negative", 80e-6)
+    plant.set("null_offset.offset", [[20e-6, -20e-6], [0.0, 0.0], [-30e-6, 30e-6]])
+    plant.set("R", [[90.0, 110.0], [100.0, 100.0], [100.0, 95.0]])
+    wanted, got = true_map(plant), on_the_bench(plant)
+    np.testing.assert_allclose(got.edge, wanted.edge, atol=0.006)
+    np.testing.assert_allclose(got.gain, wanted.gain, rtol=0.02)
+
+
+def test_controllers_that_need_to_know_the_rig_say_so():
+    observation = np.zeros((1, 9), np.float32)
+    for name in ("compensated", "oracle"):
+        law = LAWS[name]
+        controller = law(**{gain.name: gain.high for gain in law.GAINS})
+        controller.reset(1, 0.01)
+        with pytest.raises(RuntimeError, match="prepare"):
+            controller.act(observation)
+
+
+def test_wrong_number_of_observations():
+    controller = make_controller("pid_paper")
+    controller.reset(3, 0.01)
+    with pytest.raises(ValueError, match="reset for 3 rigs, got 2"):
+        controller.act(np.zeros((2, 9), np.float32))
+
+
+def test_controller_takes_over_without_a_bump():
+    """In a steady state the first command of a PID is the command that is in force."""
+    observation = np.zeros((1, 9), np.float32)
+    observation[0, :3] = 0.5  # set-point and both speeds: 300 rpm
+    observation[0, 7:] = 0.25, 0.375
+    for name in ("pid_paper", "pid_tuned", "cross_coupled", "virtual_leader", "master_slave"):
+        controller = make_controller(name)
+        controller.reset(1, 0.01)
+        np.testing.assert_allclose(controller.act(observation), [[0.25, 0.375]], atol=1e-6, err_msg=name)
+
+
+def test_tuning_improves_on_its_first_guess_and_can_be_read_back(tmp_path):
+    few = {"controller": "pid", "plant": "paper", "scenario": "setpoint_steps", "cases": 1, "progress": False}
+    first = tune.run(tmp_path / "a", episodes=48, **few)
+    more = tune.run(tmp_path / "b", episodes=144, **few)
+    assert more["tuning"]["cost_rpm"] <= first["tuning"]["cost_rpm"]
+    assert tune.run(tmp_path / "c", episodes=48, **few) == first
+    assert (tmp_path / "a/gains.json").read_bytes() == (tmp_path / "c/gains.json").read_bytes()
+    controller = make_controller(str(tmp_path / "b/gains.json"))
+    assert {key: float(value) for key, value in controller.gains.items()} == more["gains"]
+
+
+def test_nothing_is_tuned_on_a_test_split(tmp_path):
+    with pytest.raises(InputError, match="never on other splits"):
+        tune.run(tmp_path, mismatch="test_interp")
+    with pytest.raises(InputError, match="at least 1152"):
+        tune.run(tmp_path, episodes=100)
+    with pytest.raises(InputError, match="unknown control law 'pdi'"):
+        tune.run(tmp_path, controller="pdi")
+    with pytest.raises(InputError, match="did you mean 'setpoint_steps'"):
+        tune.run(tmp_path, scenario="setpoint_step")
+    with pytest.raises(InputError, match="unknown plant 'papr'"):
+        tune.run(tmp_path, plant="papr")
+    assert not list(tmp_path.iterdir())
+
+
+def test_unknown_names_are_answered_with_the_nearest():
+    with pytest.raises(InputError, match="did you mean 'pid_tuned'"):
+        make_controller("pid_tunde")
+    with pytest.raises(InputError, match="no such gains file"):
+        make_controller("nothing_here.json")
+    with pytest.raises(InputError, match="cannot be imported"):
+        make_controller("no_such_module_at_all:Thing")
+    with pytest.raises(InputError, match="did you mean 'PidController'"):
+        make_controller("hydro_env.controllers.pid:PidControler")
+    with pytest.raises(InputError, match="no method 'reset'"):
+        make_controller(object())
+    with pytest.raises(InputError, match="'Ti' is missing"):
+        make_controller(LAWS["pid"], Kp=1.0, Td=0.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "not a gains file"),
+        ("{}", "schema"),
+        (
+            '{"schema": "hydro_env/gains/1", "controller": "pid", "gains": {"Kp": "big", "Ti": 1, "Td": 0}}',
+            "Kp",
+        ),
+        ('{"schema": "hydro_env/gains/1", "controller": "pdi", "gains": {}}', "did you mean 'pid'"),
+        ('{"schema": "hydro_env/gains/1", "controller": "pid", "gains": {"Kp": 1, "Ti": 1}}', "Td"),
+        (
+            '{"schema": "hydro_env/gains/1", "controller": "pid", "gains": {"Kp": NaN, "Ti": 1, "Td": 0}}',
+            "Kp",
+        ),
+    ],
+)
+def test_bad_gains_files_are_named(tmp_path, text, message):
+    path = tmp_path / "gains.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        make_controller(str(path))
+    assert str(path) in str(caught.value)
+
+
+def test_shipped_gains_say_how_they_were_found():
+    for entry in CONTROLLERS.values():
+        if entry.file is None or entry.file.suffix != ".json":
+            continue
+        found = read_gains(entry.file)
+        assert found.tuning["split"] == "train", entry.name
+        assert found.tuning["command"].startswith("hydro-env tune"), entry.name
+        assert found.tuning["episodes"] > 0 and "seed" in found.tuning, entry.name
+        json.dumps(found.tuning)
