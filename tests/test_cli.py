@@ -216,10 +216,14 @@ def test_bad_logs(run: Run, tmp_path: Path, name: str) -> None:
     assert listing(tmp_path) == ["fit.csv"]
 
 
+MAPPING = "schema: hydro_env/mapping/1\nname: x\ntime: {column: time_s, unit: s}\n"
 MAPPINGS = {
-    "a unit that does not exist": ("speed_1: {column: speed_1_rpm, unit: knots}", ["knots"]),
-    "a key that does not exist": ("spede_1: {column: speed_1_rpm, unit: rpm}", ["spede_1"]),
-    "no YAML": ("speed_1: {", []),
+    "a unit that does not exist": (
+        "channel_1: {command: {column: command_1_V, unit: V}, speed: {column: speed_1_rpm, unit: knots}}",
+        ["knots"],
+    ),
+    "a key that does not exist": ("channel_1: {spede: {column: speed_1_rpm, unit: rpm}}", ["spede", "speed"]),
+    "no YAML": ("channel_1: {", []),
 }
 
 
@@ -227,7 +231,7 @@ MAPPINGS = {
 def test_bad_mappings(run: Run, tmp_path: Path, name: str) -> None:
     text, words = MAPPINGS[name]
     write_log(tmp_path / "fit.csv")
-    (tmp_path / "mapping.yaml").write_text(text)
+    (tmp_path / "mapping.yaml").write_text(MAPPING + text)
     status, _, err = run(
         "diagnose", "fit.csv", "--sealed", "sealed.csv", "--mapping", "mapping.yaml", "--out", "out"
     )

@@ -42,7 +42,7 @@ def read_parts(words: Iterable[str | Path], mapping: Mapping | str | Path | None
     for word in words:
         path, windows = _split(str(word))
         if path not in read:
-            read[path] = _even(read_log(path, mapping))
+            read[path] = _even(_whole(path, read_log(path, mapping)))
         parts.append(_cut(str(word), read[path], windows))
     return parts
 
@@ -62,6 +62,15 @@ def _split(word: str) -> tuple[str, list[tuple[float, float]]]:
             raise InputError(f"{word}: window {piece!r} is not FROM:TO in seconds, e.g. {path}@0:25")
         windows.append(window)
     return path, windows
+
+
+def _whole(path: str, log: RigLog) -> RigLog:
+    """The log, if its clock does not jump: nobody knows what the rig did meanwhile, so nothing after it can be simulated."""
+    for finding in log.findings:
+        if finding.code == "clock_jump":
+            row = "" if finding.row is None else f"row {finding.row}, "
+            raise InputError(f"{path}: {row}column {finding.column!r}: {finding.message}; {finding.suggestion}")
+    return log
 
 
 def _even(log: RigLog) -> RigLog:

@@ -111,11 +111,14 @@ def _folder(out: Path, name: str) -> Path:
 
 
 def _short(value: float | None) -> str:
-    """Three digits, as a reader wants them."""
+    """Three digits, as a reader wants them, and no zeros that say nothing."""
     if value is None or not np.isfinite(value):
         return "–"
-    digits = max(0, 2 - int(np.floor(np.log10(abs(value))))) if value else 0
-    return f"{value:.{min(digits, 3)}f}"
+    if value == 0.0:
+        return "0"
+    digits = min(max(0, 2 - int(np.floor(np.log10(abs(value))))), 3)
+    text = f"{value:.{digits}f}"
+    return text.rstrip("0").rstrip(".") if float(text) == round(value) and value == round(value) else text
 
 
 # --- 1. the paper's experiment ----------------------------------------------------------------------------------------
@@ -127,17 +130,19 @@ def _paper(out: Path) -> dict[str, Any]:
     numbers = reproduce.run(out)
     steps, load = numbers["setpoint_steps"], numbers["load_step"]
     traces = np.genfromtxt(out / "traces.csv", delimiter=",", names=True)
-    again, within = steps["equal_again_after_s"], steps["equal_again_within_rpm"]
     alt = "speeds of both motors in the paper's experiment and their difference"
     return {
         "published": _short(steps["published_rpm"]),
         "tables_only": _short(steps["tables_only_rpm"]),
         "with_dead_zone": _short(steps["with_dead_zone_rpm"]),
         "overlap": _short(steps["overlap_V1_m"] * 1e6),
-        "equal_again": f"within {within:g} rpm of each other again after at most {_short(again)} s",
+        "equal_again": _short(steps["equal_again_after_s"]),
+        "equal_within": _short(steps["equal_again_within_rpm"]),
+        "published_again": _short(steps["published_equal_again_after_s"]),
         "load_published": _short(load["published_rpm"]),
         "load_simulated": _short(load["simulated_rpm"]),
         "nominal_torque": _short(load["nominal_torque_Nm"]),
+        "largest_command": _short(load["largest_command_V"]),
         "links": sorted(f"{out.name}/{path.name}" for path in out.iterdir()),
         "picture": svg(_drawing(traces, steps["published_rpm"]), alt),
         "drawing": _drawing(traces, steps["published_rpm"]),
@@ -261,11 +266,11 @@ def _parameter(name: str, true: float | None, found: dict[str, Any]) -> dict[str
     """A line of the table: hidden and found value; metres are shown as micrometres, which is how one speaks of laps."""
     scale, unit = (1e6, "um") if found["unit"] == "m" else (1.0, found["unit"])
     low, high = found.get("low"), found.get("high")
-    text = f"{low * scale:.3g} to {high * scale:.3g}" if low is not None and high is not None else ""
+    text = f"{low * scale:.4g} to {high * scale:.4g}" if low is not None and high is not None else ""
     return {
         "name": name,
-        "hidden": "none" if true is None else f"{true * scale:.3g}",
-        "value": f"{found['value'] * scale:.3g}",
+        "hidden": "none" if true is None else f"{true * scale:.4g}",
+        "value": f"{found['value'] * scale:.4g}",
         "interval": text,
         "unit": unit,
     }
