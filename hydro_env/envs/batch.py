@@ -49,7 +49,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     `gymnasium.make_vec("hydro_env:HydraulicSync-v0", num_envs=N, ...)` makes it. Beyond the single environment:
 
     * `reset(seed=s)` seeds row i with s + i, `reset(seed=[...])` each row with its own. Row i then is bit for bit the
-      single environment of that seed, in this and all following episodes.
+      single environment of that seed, in this and all following episodes. Runs that are to share no episode need seeds
+      at least N apart.
     * `autoreset_mode`: "NextStep" (default: the step after an end resets the row, ignores its action and has reward 0),
       "SameStep" (the end's observation is in `info["final_obs"]`) or "Disabled" (reset with
       `options={"reset_mask": mask}`).
