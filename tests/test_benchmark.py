@@ -182,3 +182,32 @@ def test_own_suite(tmp_path):
     assert [(r["split"], r["scenario"], r["metric"], r["n"]) for r in got["rows"]] == [
         ("val", "sine", "tracking_mae_rpm", 2)
     ]
+
+
+PINNED = {
+    # controller: (tracking_mae_rpm, max_speed_difference_rpm) on the first 12 pairs of test_interp
+    "pid_paper": (200.65, 186.87),
+    "cross_coupled": (40.45, 19.15),
+    "adaptive_flow": (34.49, 16.67),
+}
+
+
+def test_baselines_keep_their_scores():
+    """A baseline that is evaluated wrongly flatters whatever is compared with it."""
+    got = run(None, controllers=list(PINNED), **{**SMALL, "cases": 12})
+    cells = {(row["controller"], row["metric"]): row["iqm"] for row in got["rows"]}
+    for name, (tracking, difference) in PINNED.items():
+        assert cells[name, "tracking_mae_rpm"] == pytest.approx(tracking, rel=0.02), name
+        assert cells[name, "max_speed_difference_rpm"] == pytest.approx(difference, rel=0.05), name
+
+
+def test_a_better_controller_is_seen_as_better():
+    """Case by case the cross coupling is nearly always better than the paper's PIDs."""
+    got = run(None, controllers=["pid_paper", "cross_coupled"], **{**SMALL, "cases": 12})
+    chance = {
+        entry["metric"]: entry["probability"]
+        for entry in got["improvement"]
+        if (entry["controller"], entry["over"]) == ("cross_coupled", "pid_paper")
+    }
+    assert chance["max_speed_difference_rpm"] > 0.9 and chance["tracking_mae_rpm"] == 1.0
+    assert chance["command_variation"] < 0.1
