@@ -439,8 +439,8 @@ import numpy as np
 from numba import njit
 
 index = np.uint64
-lane = njit(forceinline=True, error_model="numpy", fastmath={{"contract"}})
-block = njit(error_model="numpy", cache=True, fastmath={{"contract"}})
+lane = njit(forceinline=True, error_model="numpy")
+block = njit(error_model="numpy", cache=True)
 
 HALF = {half}
 LANES = 2 * HALF

@@ -174,13 +174,16 @@ def _hysteresis_force(force, amplitude, loop):
     return force - amplitude * loop
 
 
-def _loop_rate(loop, current_rate, width):
+def _loop_rate(loop, current_rate, amplitude, width, alpha):
     # Bouc-Wen with n = 1 and beta = gamma: rate-independent, saturates at +-1 (loop opposes the change of current).
-    return (current_rate - abs(current_rate) * loop) / width
+    # Never so narrow that more current would mean less force, which no magnet does and which would not be stable.
+    least = 2.0 * amplitude / alpha
+    return (current_rate - abs(current_rate) * loop) / (width if width > least else least)
 
 
-def _loop_decay(current_rate, width):
-    return abs(current_rate) / width
+def _loop_decay(current_rate, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    return abs(current_rate) / (width if width > least else least)
 
 
 register(
@@ -192,7 +195,7 @@ register(
         source="Bouc 1967, Wen 1976; Vaughan and Gamble 1996 for proportional solenoids",
         parameters=(
             Parameter("amplitude", "N", 0.0, 0.0, 2.0, "2-7 % of the rated force are usual", "half height of the loop", 0.3),
-            Parameter("width", "A", 0.03, 0.01, 0.2, "assumed", "change of current that turns the loop", 0.03, log=True),
+            Parameter("width", "A", 0.03, 0.01, 0.2, "assumed", "change of current that turns the loop; at least 2 amplitude/alpha", 0.03, log=True),
         ),
         laws={"force": _hysteresis_force},
         states=(State("loop", _loop_rate, _loop_decay),),
@@ -218,8 +221,8 @@ register(
 
 
 def _preload_force(force, spool, preload):
-    # Smooth over 5 um of spool travel.
-    return force - preload * tanh(spool * 2e5)
+    # Smooth over 20 um of spool travel.
+    return force - preload * tanh(spool * 5e4)
 
 
 register(
@@ -456,7 +459,7 @@ register(
         source="crossport relief valves; linear override",
         parameters=(
             Parameter("relief_pressure", "Pa", inf, 5e5, 350e5, "assumed", "setting", 15e5, log=True),
-            Parameter("conductance", "m3/(s Pa)", 1e-9, 1e-10, 1e-8, "assumed", "slope of the open valve", 1e-9, log=True),
+            Parameter("conductance", "m3/(s Pa)", 1e-9, 1e-10, 3e-9, "assumed", "slope of the open valve", 1e-9, log=True),
         ),
         laws={"leakage": _crossport_relief},
     )
@@ -586,7 +589,8 @@ register(
 def _backlash_torque(torque, twist, speed, load_speed, gap, stiffness, damping, load, inertia):
     half = 0.5 * gap
     wound = twist - clip(twist, -half, half)
-    contact = stiffness * wound + (damping * (speed - load_speed) if wound != 0.0 else 0.0)
+    # The damper grows over the first 20 mrad of winding, so that a blow begins smoothly.
+    contact = stiffness * wound + damping * (speed - load_speed) * clip(abs(wound) * 50.0, 0.0, 1.0)
     contact = contact if contact * wound > 0.0 else 0.0
     # The logged load acts behind the coupling.
     return torque - contact + (load if inertia > 0.0 else 0.0)
@@ -599,7 +603,8 @@ def _twist_rate(twist, speed, load_speed, inertia):
 def _load_speed_rate(load_speed, twist, speed, gap, stiffness, damping, load, inertia):
     half = 0.5 * gap
     wound = twist - clip(twist, -half, half)
-    contact = stiffness * wound + (damping * (speed - load_speed) if wound != 0.0 else 0.0)
+    # The damper grows over the first 20 mrad of winding, so that a blow begins smoothly.
+    contact = stiffness * wound + damping * (speed - load_speed) * clip(abs(wound) * 50.0, 0.0, 1.0)
     contact = contact if contact * wound > 0.0 else 0.0
     return (contact - load) / inertia if inertia > 0.0 else 0.0
 
@@ -612,8 +617,8 @@ register(
         signature="jump at reversal, anti-resonance",
         source="Nordin and Gutman 2002, dead-zone model of backlash",
         parameters=(
-            Parameter("inertia", "kg m2", 0.0, 1e-4, 2e-2, "assumed", "inertia behind the coupling", 2e-3, log=True),
-            Parameter("gap", "rad", 0.0, 0.0, 0.3, "assumed", "play of the coupling", 0.05),
+            Parameter("inertia", "kg m2", 0.0, 1e-4, 1e-2, "assumed", "inertia behind the coupling", 2e-3, log=True),
+            Parameter("gap", "rad", 0.0, 0.0, 0.1, "assumed", "play of the coupling", 0.05),
             Parameter("stiffness", "N m/rad", 300.0, 20.0, 2000.0, "assumed", "stiffness in contact", 300.0, log=True),
             Parameter("damping", "N m s/rad", 0.3, 0.01, 2.0, "assumed", "damping in contact", 0.3, log=True),
         ),

@@ -22,7 +22,7 @@ agree on what every parameter means and on its limits; they differ in shape:
     crossport_relief           kink                              rounded cracking
     motor_coulomb_friction     tanh with Stribeck peak           LuGre bristle on the shaft
     displacement_ripple        one cosine                        with a second harmonic
-    shaft_backlash             spring and damper                 damper grows with the penetration (Hunt-Crossley)
+    shaft_backlash             damper grows at first             damper grows throughout, more gently
     viscosity_drift            exponential                       faster beginning, same end
     sensor_lag                 first order                       two lags with the same sum
     the others                 one form only: delay, offsets, gains, constant and eccentric torque, leakage by speed
@@ -140,7 +140,7 @@ def _magnetic_force(p, y, dy, current_rate):
     """Force of the solenoid, N; sets the rates of the hysteresis."""
     force = p.alpha * y[p.at_states]
     if p.at_loop >= 0:
-        width = p.magnetic_hysteresis__width
+        width = max(p.magnetic_hysteresis__width, 2.0 * p.magnetic_hysteresis__amplitude / p.alpha)
         if p.different:
             for j in range(4):
                 s = y[p.at_loop + j]
@@ -206,9 +206,9 @@ def _spool_rates(p, y, dy, pressure):
     preload = p.spring_preload__preload
     if preload != 0.0:
         if p.different:
-            force -= preload * x / math.sqrt(x * x + 3e-6**2)
+            force -= preload * x / math.sqrt(x * x + 15e-6**2)
         else:
-            force -= preload * math.tanh(x / 5e-6)
+            force -= preload * math.tanh(x / 20e-6)
     if p.flow_force__coefficient != 0.0:
         travel = x
         if p.different:
@@ -260,7 +260,9 @@ def _shaft_torque(p, y, dy, speed, angle, load):
             side = 1.0 if twist > 0.0 else -1.0
             damping = p.shaft_backlash__damping
             if p.different:
-                damping *= wound / (wound + 1e-3)
+                damping *= wound / (wound + 8e-3)
+            else:
+                damping *= min(50.0 * wound, 1.0)
             passed = side * max(p.shaft_backlash__stiffness * wound + damping * (speed - outer) * side, 0.0)
         dy[p.at_twist] = speed - outer
         dy[p.at_twist + 1] = (passed - load) / p.shaft_backlash__inertia

@@ -1,0 +1,328 @@
+"""The plant: one right-hand side, the same bits alone and in a batch, effects that vanish, commands that cannot break it."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from hydro_env.plant import CATALOGUE, PARAMETERS, Effect, Parameter, Plant, register, simulate, unregister
+from hydro_env.plant.compile import STATES, rosenbrock_coefficients
+from hydro_env.plant.plant import SIGNALS
+from hydro_env.plant.rhs import rates
+
+PERIOD = 0.01
+
+
+def random_commands(rows: int, rigs: int, seed: int = 0, size: float = 73.0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-size, size, (rows, rigs, 2))
+
+
+@pytest.fixture(scope="module")
+def everything() -> Plant:
+    """Nine rigs (more than one block) with every effect compiled in, all neutral."""
+    return Plant("paper", 9, effects=list(CATALOGUE))
+
+
+def twin(plant: Plant, **values: float) -> Plant:
+    other = copy.deepcopy(plant)
+    other.set_values({name.replace("__", "."): value for name, value in values.items()})
+    other.reset()
+    return other
+
+
+# --- bits -------------------------------------------------------------------------------------------------------------
+def test_a_row_of_a_batch_equals_the_same_row_alone() -> None:
+    rng = np.random.default_rng(1)
+    values = {
+        "Kq": rng.uniform(0.3, 0.5, (11, 2)),
+        "dead_zone.overlap_positive": rng.uniform(0, 2e-4, (11, 2)),
+        "R": rng.uniform(90, 110, (11, 2)),
+    }
+    commands = random_commands(60, 11)
+    batch = simulate("paper", commands, None, PERIOD, values=values, num_rigs=11, record=SIGNALS)
+    for row in (0, 7, 8, 10):
+        own = {name: value[row : row + 1] for name, value in values.items()}
+        alone = simulate("paper", commands[:, row : row + 1], None, PERIOD, values=own, record=SIGNALS)
+        for name in SIGNALS:
+            assert np.array_equal(batch[name][:, row], alone[name][:, 0]), name
+
+
+def test_every_effect_at_its_neutral_value_leaves_the_base_plant_bit_for_bit(everything: Plant) -> None:
+    commands = random_commands(100, 9)
+    neutral = twin(everything).run(commands, None, PERIOD, SIGNALS)
+    base = simulate("paper", commands, None, PERIOD, num_rigs=9, record=SIGNALS)
+    for name in SIGNALS:
+        assert np.array_equal(neutral[name], base[name]), name
+
+
+def test_stepping_and_running_give_the_same_bits() -> None:
+    commands = random_commands(30, 3)
+    plant = Plant("paper_dead_zone", 3)
+    recorded = plant.run(commands, None, PERIOD, ("speed",))["speed"]
+    plant.reset()
+    for n in range(30):
+        assert np.array_equal(plant.speed, recorded[n])
+        plant.step(commands[n], 0.0, PERIOD)
+
+
+def test_copies_go_on_alike(everything: Plant) -> None:
+    plant = twin(everything, command_delay__delay=0.004, magnetic_hysteresis__amplitude=0.3)
+    commands = random_commands(20, 9)
+    for command in commands[:10]:
+        plant.step(command, 0.1, PERIOD)
+    others = [copy.deepcopy(plant), pickle.loads(pickle.dumps(plant))]
+    for command in commands[10:]:
+        for one in (plant, *others):
+            one.step(command, 0.1, PERIOD)
+    for other in others:
+        assert np.array_equal(other.speed, plant.speed)
+
+
+def test_a_reset_row_starts_afresh_and_the_others_go_on() -> None:
+    commands = random_commands(20, 3)
+    plant, fresh = Plant("paper", 3), Plant("paper", 3)
+    for command in commands[:10]:
+        plant.step(command, 0.0, PERIOD)
+    going_on = copy.deepcopy(plant)
+    plant.reset([1])
+    for command in commands[10:]:
+        for one in (plant, fresh, going_on):
+            one.step(command, 0.0, PERIOD)
+    assert np.array_equal(plant.speed[1], fresh.speed[1])
+    assert np.array_equal(plant.speed[[0, 2]], going_on.speed[[0, 2]])
+
+
+# --- the integrator ---------------------------------------------------------------------------------------------------
+def test_the_method_meets_its_order_conditions_with_any_matrix() -> None:
+    """Hairer and Wanner II, IV.7: order 3 of a Rosenbrock method whose matrix is not the Jacobian."""
+    method = rosenbrock_coefficients()
+    alpha, gamma, b = method["alpha"], method["Gamma"], method["b"]
+    a, g = alpha.sum(axis=1), gamma.sum(axis=1)
+    assert b.sum() == pytest.approx(1, abs=1e-13)
+    assert b @ a == pytest.approx(1 / 2, abs=1e-13)
+    assert b @ a**2 == pytest.approx(1 / 3, abs=1e-13)
+    assert b @ alpha @ a == pytest.approx(1 / 6, abs=1e-13)
+    for zero in (b @ g, b @ alpha @ g, b @ gamma @ a, b @ gamma @ g):
+        assert zero == pytest.approx(0, abs=1e-13)
+    # Stiffly accurate: the last stage is the result.
+    assert np.allclose(alpha[3] + gamma[3], b)
+
+
+def test_the_error_falls_with_the_third_power_of_the_step() -> None:
+    """On a smooth motion: the spool never turns, and the Stribeck speed is high."""
+    commands = 0.3 * np.arange(100)[:, None] * np.ones((1, 2))
+    values = {"vs": 1.0, "Fc": 0.02, "Fs": 0.02, "s0": 3e4}
+
+    def final(substep: float) -> np.ndarray:
+        out = simulate("paper", commands, None, 1e-3, values=values, record=("speed", "pressure"), substep=substep)
+        return np.array([out["speed"][-1, 0, 0], out["pressure"][-1, 0, 0] / 1e5])
+
+    exact = final(1e-5)
+    errors = [np.abs(final(h) - exact) for h in (2.5e-4, 1.25e-4, 6.25e-5)]
+    slopes = np.log2(errors[0] / errors[1]), np.log2(errors[1] / errors[2])
+    assert min(slope.min() for slope in slopes) > 2.6, (errors, slopes)
+
+
+def test_the_kernel_runs_the_right_hand_side_that_is_written_down() -> None:
+    """One tiny step of the compiled kernel against `rates` called from Python."""
+    plant = Plant("paper")
+    plant.step([30.0, -25.0], [0.2, 0.0], 0.037)
+    before = {name: plant.get(name)[0] for name in STATES}
+    values = {name: plant.get(name)[0] for name in PARAMETERS}
+    h = 1e-8
+    plant.step([30.0, -25.0], [0.2, 0.0], h)
+    for channel, (command, load) in enumerate(((30.0, 0.2), (-25.0, 0.0))):
+        state = [before[name][channel] for name in STATES]
+        expected = rates(*state, command, load, 0.037, *(values[name][channel] for name in PARAMETERS))
+        for name, rate in zip(STATES, expected, strict=True):
+            change = (plant.get(name)[0, channel] - before[name][channel]) / h
+            scale = max(abs(rate), abs(before[name][channel]), 1e-6)
+            assert change == pytest.approx(rate, abs=2e-3 * scale), name
+
+
+def hammer(steps: int, seed: int) -> None:
+    """Random and bang-bang commands over the whole action box, unequal valves, all kinds of loads."""
+    rng = np.random.default_rng(seed)
+    rigs, rows = 256, 100
+    plant = Plant("paper_dead_zone", rigs)
+    plant.set("Kq", rng.uniform(0.24, 0.6, (rigs, 2)))
+    plant.set("vs", np.exp(rng.uniform(np.log(1e-4), np.log(1e-2), (rigs, 2))))
+    plant.set("Fs", rng.uniform(0.1, 0.6, (rigs, 2)))
+    plant.set("R", rng.uniform(80, 120, (rigs, 2)))
+    for n in range(0, steps, rigs * rows):
+        kind = (n // (rigs * rows)) % 3
+        commands = random_commands(rows, rigs, seed + n)
+        if kind == 1:
+            commands = 73.0 * np.sign(commands)
+        if kind == 2:
+            commands = np.repeat(commands[::5], 5, axis=0) * 3.0  # beyond the limit: clipped
+        out = plant.run(commands, rng.uniform(-5, 5, (rows, rigs, 2)), PERIOD, SIGNALS)
+        for name, values in out.items():
+            assert np.isfinite(values).all(), name
+        assert not plant.diverged.any()
+        assert np.abs(plant.spool).max() < 1.25e-3
+
+
+def test_no_command_breaks_it() -> None:
+    hammer(200_000, seed=3)
+
+
+@pytest.mark.slow
+def test_ten_million_commands_do_not_break_it() -> None:
+    hammer(10_000_000, seed=4)
+
+
+def test_a_state_beyond_sense_is_put_to_rest_and_marked() -> None:
+    plant = Plant("paper", 2)
+    plant.set("J", 1e-12, rows=[1])  # a shaft without inertia
+    plant.set("Kq", 1e6, rows=[1])
+    for _ in range(20):
+        plant.step(73.0, 0.0, PERIOD)
+    assert plant.diverged.tolist() == [False, True]
+    assert all(np.isfinite(plant.get(name)).all() for name in SIGNALS)
+
+
+def test_what_is_not_a_number_is_refused() -> None:
+    plant = Plant("paper")
+    with pytest.raises(ValueError, match="not finite"):
+        plant.step([np.nan, 0.0], 0.0, PERIOD)
+    with pytest.raises(ValueError, match="more than 0 s"):
+        plant.step(0.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="shape"):
+        plant.run(np.zeros((5, 3)), None, PERIOD)
+
+
+# --- effects ----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("name", list(CATALOGUE))
+def test_every_parameter_of_every_effect_is_seen_in_some_signal(name: str, everything: Plant) -> None:
+    """No parameter is silently ignored: moving it changes a recorded signal."""
+    effect = CATALOGUE[name]
+    time = np.arange(200) * PERIOD
+    commands = np.stack([45 * np.sin(2 * np.pi * 0.8 * time), 73 * np.sin(2 * np.pi * 0.5 * time) + 9], axis=1)
+    loads = np.stack([2.5 * np.sign(np.sin(7 * time)), 0.3 * np.sin(3 * time)], axis=1)
+    typical = {f"{name}.{p.name}": p.typical for p in effect.parameters}
+    for parameter in effect.parameters:
+        moved = dict(typical)
+        middle = 0.5 * (max(parameter.low, -1e9) + min(parameter.high, 1e9))
+        moved[f"{name}.{parameter.name}"] = middle if abs(middle - parameter.typical) > 1e-9 else parameter.high
+        signals = []
+        for values in (typical, moved):
+            plant = copy.deepcopy(everything)
+            plant.set_values(values)  # type: ignore[arg-type]
+            plant.reset()
+            signals.append(plant.run(commands, loads, PERIOD, ("speed", "measured_speed", "current", "pressure")))
+        shift = max(np.abs(signals[0][s] - signals[1][s]).max() / np.abs(signals[0][s]).max() for s in signals[0])
+        assert shift > 1e-5, parameter.name
+
+
+def test_every_parameter_carries_its_unit_bounds_and_source() -> None:
+    for parameter in [*PARAMETERS.values(), *(p for e in CATALOGUE.values() for p in e.parameters)]:
+        assert parameter.unit and parameter.source, parameter.name
+        assert parameter.low < parameter.high, parameter.name
+        if parameter.typical is not None:
+            assert parameter.low <= parameter.typical <= parameter.high, parameter.name
+
+
+def steady(plant: Plant, command: float, load: float = 0.0, rows: int = 300) -> Plant:
+    for _ in range(rows):
+        plant.step(command, load, PERIOD)
+    return plant
+
+
+def test_dead_zone_shifts_the_opening_by_its_own_overlap_each_way(everything: Plant) -> None:
+    plant = twin(everything, dead_zone__overlap_positive=1e-4, dead_zone__overlap_negative=2e-4)
+    for command, overlap in ((40.0, 1e-4), (-40.0, -2e-4)):
+        plant.reset()
+        steady(plant, command)
+        opening = plant.flow / plant.get("Kq")
+        assert np.allclose(opening, plant.spool - overlap, atol=1e-9)
+    plant.reset()
+    steady(plant, 5.0)  # spool inside the overlap
+    assert np.all(np.abs(plant.spool) < 1e-4) and np.all(plant.flow == 0.0)
+
+
+def test_magnetic_hysteresis_loop_keeps_its_width_at_any_rate(everything: Plant) -> None:
+    plant = twin(everything, magnetic_hysteresis__amplitude=1.0, magnetic_hysteresis__width=0.1, Fc=0.02, Fs=0.02)
+    widths = []
+    for seconds in (4.0, 16.0):
+        plant.reset()
+        share = np.interp(np.linspace(0, 1, int(seconds / PERIOD)), [0, 0.2, 0.6, 1.0], [0, 1, -1, 1])
+        out = plant.run(60 * share[:, None] * np.ones((1, 2)), None, PERIOD, ("current", "spool"))
+        current, spool = out["current"][:, 0, 0], out["spool"][:, 0, 0]
+        falling, rising = slice(int(0.25 * share.size), int(0.55 * share.size)), slice(int(0.65 * share.size), None)
+        at = 0.0
+        down = np.interp(at, current[falling][::-1], spool[falling][::-1])
+        up = np.interp(at, current[rising], spool[rising])
+        widths.append((down - up) * 17000.0)
+    assert widths[1] == pytest.approx(2.0, rel=0.1)  # twice the amplitude, with a little friction
+    assert widths[0] == pytest.approx(widths[1], rel=0.05)
+
+
+def test_command_delay_shifts_everything_by_the_delay(everything: Plant) -> None:
+    delay = 0.00537
+    plant, prompt = twin(everything, command_delay__delay=delay), twin(everything)
+    commands = np.full((400, 2), 40.0)
+    late = plant.run(commands, None, 1e-4, ("speed",))["speed"][:, 0, 0]
+    early = prompt.run(commands, None, 1e-4, ("speed",))["speed"][:, 0, 0]
+    time = np.arange(400) * 1e-4
+    assert np.allclose(np.interp(time - delay, time, early)[60:], late[60:], atol=2e-3 * early.max())
+
+
+def test_supply_droop_couples_the_channels(everything: Plant) -> None:
+    plant = twin(everything, supply_droop__relative_drop=0.5, supply_droop__time_constant=0.05)
+    alone = steady(copy.deepcopy(plant), np.array([50.0, 0.0]))  # type: ignore[arg-type]
+    together = steady(plant, np.array([50.0, 60.0]))  # type: ignore[arg-type]
+    assert np.all(together.speed[:, 0] < 0.97 * alone.speed[:, 0])
+
+
+def test_load_bias_and_friction_in_the_torque_balance(everything: Plant) -> None:
+    plant = steady(twin(everything, load_bias__bias=0.5, motor_coulomb_friction__coulomb=0.2), 60.0, rows=600)
+    torque = plant.get("D") * plant.pressure - plant.get("B") * plant.speed
+    assert np.allclose(torque, 0.7, rtol=1e-6)
+
+
+def test_flow_balance_closes_at_steady_state(everything: Plant) -> None:
+    plant = steady(twin(everything, speed_dependent_leakage__coefficient=2e-7, crossport_relief__relief_pressure=5e5), 60.0, 1.0, 600)
+    excess = np.maximum(plant.pressure - 5e5, 0.0) * 1e-9
+    flow = plant.get("D") * plant.speed + plant.get("Km") * plant.pressure + 2e-7 * plant.speed + excess
+    assert np.all(excess > 0) and np.allclose(plant.flow, flow, rtol=1e-9)
+
+
+# --- effects of the user ----------------------------------------------------------------------------------------------
+def _sticky_edge(opening, swelling):  # type: ignore[no-untyped-def]
+    return opening / (1.0 + swelling * abs(opening) * 1e3)
+
+
+def test_a_users_effect_is_simulated_at_once() -> None:
+    register(
+        Effect(
+            name="swollen_edge",
+            port="opening",
+            summary="an edge that swells",
+            signature="less gain at large openings",
+            source="this test",
+            parameters=(Parameter("swelling", "1", 0.0, 0.0, 2.0, "this test", typical=0.5),),
+            laws={"opening": _sticky_edge},
+        )
+    )
+    try:
+        commands = np.full((200, 2), 60.0)
+        out = simulate("paper", commands, None, PERIOD, values={"swollen_edge.swelling": np.array([0.0, 0.5])},
+                       num_rigs=2, record=("flow", "spool"))  # fmt: skip
+        plain = simulate("paper", commands, None, PERIOD, record=("flow",))
+        assert np.array_equal(out["flow"][:, 0], plain["flow"][:, 0])
+        spool, flow = out["spool"][-1, 1, 0], out["flow"][-1, 1, 0]
+        assert flow == pytest.approx(0.476106 * spool / (1 + 0.5 * spool * 1e3), rel=1e-12)
+    finally:
+        unregister("swollen_edge")
+
+
+def test_a_wrong_effect_is_refused() -> None:
+    wrong = Effect("x", "opening", (), "", "", "", laws={"voltag": _sticky_edge})
+    with pytest.raises(ValueError, match="voltag"):
+        register(wrong)
+    with pytest.raises(ValueError, match="catalogue already"):
+        register(CATALOGUE["dead_zone"])
