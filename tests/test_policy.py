@@ -34,7 +34,7 @@ def write(path, **content):
 
 
 def drive(policy, num_rigs, seeds, steps=60):
-    env = HydraulicSyncVectorEnv(num_rigs, plant="paper", mismatch="val", scenario="setpoint_steps")
+    env = HydraulicSyncVectorEnv(num_rigs, plant="paper_dead_zone", mismatch="val", scenario="setpoint_steps")
     observation, _ = env.reset(seed=seeds)
     policy.reset(num_rigs, 0.01)
     commands = []
@@ -60,21 +60,29 @@ def test_reset_forgets_everything(tmp_path):
     np.testing.assert_array_equal(drive(policy, 2, [1, 2]), drive(policy, 2, [1, 2]))
 
 
-def test_restarting_rows_equals_starting_them():
-    """What training does at an episode's end must be what a controller does at an episode's beginning."""
+@pytest.mark.parametrize("make", [lambda: ValveView(pull=1.0, couple=1.0, calm=0.1), lambda: FramesView(3)])
+def test_restarting_rows_equals_starting_them(make):
+    """What training does at an episode's end must be what a controller does at its beginning, and touch no other row."""
     stream = np.random.default_rng(0)
-    observations = stream.normal(0.0, 0.3, (6, 3, 9)).astype(np.float32)
-    for view, fresh in ((ValveView(), ValveView()), (FramesView(3), FramesView(3))):
-        rows = view.rows_per_rig
-        view.start(observations[0], 0.01)
-        for observation in observations[1:4]:
-            view.command(np.zeros((3 * rows, view.num_actions)))
-            view.see(observation)
-        first = view.restart(np.array([1]), observations[4][[1]])
-        np.testing.assert_array_equal(first, fresh.start(observations[4][[1]], 0.01))
-        np.testing.assert_array_equal(
-            view.see(observations[5])[rows : 2 * rows], fresh.see(observations[5][[1]])
-        )
+    observations = stream.normal(0.0, 0.3, (7, 3, 9)).astype(np.float32)
+    view, fresh, undisturbed = make(), make(), make()
+    rows, actions = view.rows_per_rig, view.num_actions
+    outputs = stream.normal(0.0, 0.3, (7, 3 * rows, actions))
+    for each in (view, undisturbed):
+        each.start(observations[0], 0.01)
+        for n in range(1, 5):
+            each.command(outputs[n])
+            each.see(observations[n])
+    first = view.restart(np.array([1]), observations[4][[1]])
+    np.testing.assert_array_equal(first, fresh.start(observations[4][[1]], 0.01))
+    for n in (5, 6):
+        commands, expected = view.command(outputs[n]), undisturbed.command(outputs[n])
+        np.testing.assert_array_equal(commands[[0, 2]], expected[[0, 2]])
+        np.testing.assert_array_equal(commands[[1]], fresh.command(outputs[n][rows : 2 * rows]))
+        seen, expected = view.see(observations[n]), undisturbed.see(observations[n])
+        np.testing.assert_array_equal(seen[:rows], expected[:rows])
+        np.testing.assert_array_equal(seen[2 * rows :], expected[2 * rows :])
+        np.testing.assert_array_equal(seen[rows : 2 * rows], fresh.see(observations[n][[1]]))
 
 
 def test_valve_view_treats_both_channels_alike():
@@ -93,7 +101,7 @@ def test_valve_view_treats_both_channels_alike():
 def test_valve_view_finds_the_valves():
     """Edge and gain estimated while driving come far closer to the plant's own than the guess at the start."""
     num_rigs = 24
-    env = HydraulicSyncVectorEnv(num_rigs, plant="paper", mismatch="val", scenario="setpoint_steps")
+    env = HydraulicSyncVectorEnv(num_rigs, plant="paper_dead_zone", mismatch="val", scenario="setpoint_steps")
     observation, info = env.reset(seed=0)
     pairs = {key: value for key, value in info["mismatch"].items() if not key.startswith("_")}
     travel = 20.0 * 73.0 / (pairs["R"] * 17000.0)

@@ -56,7 +56,7 @@ def test_the_training_files_are_valid(name):
         ("nn.Tanh", "nn.Softmax", "activation_fn nn.Softmax is unknown"),
         ("MlpPolicy", "CnnPolicy", "only 'MlpPolicy'"),
         ("training:", "training: [", "is no YAML"),
-        ("plant: paper", "plat: paper", "env_kwargs"),
+        ("plant: paper_dead_zone", "plat: paper", "env_kwargs"),
         ("mismatch: train", "mismatch: trian", "trian"),
     ],
 )

@@ -120,11 +120,15 @@ RATED_FLOW = NOMINAL["Kq"] * NOMINAL["alpha"] * NOMINAL["u_rated"] / (NOMINAL["R
 """Flow of the nominal valve at the rated command, m3/s: flows below are fractions of it."""
 FLOW_PER_SPEED = (NOMINAL["D"] + NOMINAL["B"] * NOMINAL["Km"] / NOMINAL["D"]) / RATED_FLOW
 """Flow that holds a speed without load (s/rad): displacement, and the leakage that viscous friction costs."""
+FLOW_PER_TORQUE = NOMINAL["Km"] / NOMINAL["D"] / RATED_FLOW
+"""Leakage that a load costs (1/(N m))."""
 
 RPM = 2.0 * np.pi / 60.0
 SPEED = 600.0 * RPM  # scales of the inputs
 PRESSURE = 10e5
 INTEGRAL_TIME = 0.3
+TRIM_TIME, TRIM_ERROR, TRIM_MOST = 0.35, 20.0 * RPM, 0.15
+LOAD_TIME = 0.03
 LAG = 0.1
 SPOOL_RATE = sqrt(NOMINAL["k"] / NOMINAL["m"])
 SPOOL_DAMPING = 0.05  # assumed: back-EMF and friction
@@ -141,6 +145,7 @@ class ValveView:
         pull, limit, couple: a proportional law beneath the network: what is added to the output per 600 rpm of error to
             the set-point (no more than `limit`), and taken off per 600 rpm that the motor is ahead of the other.
         shift: what a second output of 1 adds to the command itself, as a fraction of the rated one.
+        calm: what is left of both outputs at the set-point; they have their full effect from 100 rpm of error on.
         blend: flow (share of rated) below which the jump over the dead zone is a ramp.
         drift: random walk of the estimated edge, command per root second.
     """
@@ -158,17 +163,18 @@ class ValveView:
         limit: float = 1.0,
         couple: float = 0.0,
         shift: float = 0.1,
+        calm: float = 1.0,
     ) -> None:
         self.frames = int(frames)
         self.reach, self.blend, self.drift = float(reach), float(blend), float(drift)
         self.pull, self.limit, self.couple = float(pull), float(limit), float(couple)
-        self.shift_reach = float(shift)
-        self.num_features = 38 + 5 * self.frames
+        self.shift_reach, self.calm = float(shift), float(calm)
+        self.num_features = 44 + 5 * self.frames
 
     def settings(self) -> dict[str, Any]:
         return {
             "kind": "valves", "frames": self.frames, "reach": self.reach, "blend": self.blend, "drift": self.drift,
-            "pull": self.pull, "limit": self.limit, "couple": self.couple, "shift": self.shift_reach,
+            "pull": self.pull, "limit": self.limit, "couple": self.couple, "shift": self.shift_reach, "calm": self.calm,
         }  # fmt: skip
 
     # ---- memory: (num_rigs, 2 channels) or (num_rigs, 2 channels, 2 directions) ------------------------------------
@@ -179,6 +185,7 @@ class ValveView:
         pair, each = (num_rigs, 2), (num_rigs, 2, 2)
         self.spool, self.spool_speed = np.zeros(pair), np.zeros(pair)
         self.integral, self.apart = np.zeros(pair), np.zeros(num_rigs)
+        self.trim, self.slow_speed, self.slow_torque = np.zeros(pair), np.zeros(pair), np.zeros(pair)
         self.lagged, self.before = np.zeros(num_rigs), np.zeros(pair)
         self.past = np.zeros((self.frames, num_rigs, 5))
         # weights a, 1 - 2 a, a have no response at the mode's angle per sample if 2 a cos(angle) + 1 - 2 a = 0
@@ -188,7 +195,8 @@ class ValveView:
         self.gain, self.shift = np.zeros(each), np.zeros(each)
         self.gain_variance, self.shift_variance = np.zeros(each), np.zeros(each)
         self.covariance = np.zeros(each)
-        self._inputs = np.zeros((num_rigs, 2, self.num_features), dtype=np.float32)
+        # of the inputs seen last: flow that holds the speed, what the law asks for, effect of the outputs
+        self._hold, self._law, self._effect = np.zeros(pair), np.zeros(pair), np.zeros(num_rigs)
         return self.restart(np.arange(num_rigs), observation).reshape(-1, self.num_features)
 
     def restart(self, rows: Rows, observation: Floats) -> Floats:
@@ -196,18 +204,14 @@ class ValveView:
         self.spool[rows], self.spool_speed[rows] = seen.command, 0.0
         self.integral[rows], self.apart[rows] = 0.0, 0.0
         self.lagged[rows] = np.mean(seen.speed, axis=1)
+        self.trim[rows], self.slow_speed[rows], self.slow_torque[rows] = 0.0, seen.speed, 0.0
         self.before[rows] = seen.command
         self.asked[:, rows] = seen.command
         # the scatter of valves of one type: flow = gain * spool - shift beyond the edge shift / gain
         self.gain[rows], self.shift[rows] = 0.82, 0.095
         self.gain_variance[rows], self.shift_variance[rows], self.covariance[rows] = 0.15**2, 0.07**2, 0.0
         self.past[:, rows] = self._frame(seen)
-        everything = Measurements(*(np.zeros((len(self.spool), *part.shape[1:])) for part in _parts(seen)))
-        for whole, part in zip(_parts(everything), _parts(seen), strict=True):
-            whole[rows] = part
-        inputs = self._features(everything)[rows]
-        self._inputs[rows] = inputs
-        return inputs.reshape(-1, self.num_features)
+        return self._inputs(seen, rows).reshape(-1, self.num_features)
 
     def see(self, observation: Floats) -> Floats:
         seen = decode(np.asarray(observation))
@@ -217,11 +221,16 @@ class ValveView:
         self.integral = self.integral * decay + (1.0 - decay) * (seen.setpoint[:, None] - seen.speed) / SPEED
         self.apart = self.apart * decay + (1.0 - decay) * (seen.speed[:, 0] - seen.speed[:, 1]) / SPEED
         self.lagged = self.lagged + (1.0 - exp(-self.period / LAG)) * (seen.setpoint - self.lagged)
-        inputs = self._features(seen)
+        error = np.clip(seen.setpoint[:, None] - seen.speed, -TRIM_ERROR, TRIM_ERROR) / SPEED
+        self.trim = self.trim + self.period / TRIM_TIME * self.reach * self.pull * error
+        self.trim = np.clip(self.trim, -TRIM_MOST, TRIM_MOST)
+        share = 1.0 - exp(-self.period / LOAD_TIME)
+        self.slow_torque = self.slow_torque + share * (_shaft_torque(seen) - self.slow_torque)
+        self.slow_speed = self.slow_speed + share * (seen.speed - self.slow_speed)
+        inputs = self._inputs(seen, slice(None))
         if self.frames:
             self.past = np.concatenate([self._frame(seen)[None], self.past[:-1]])
         self.before = np.array(seen.command, dtype=float)
-        self._inputs = inputs
         return inputs.reshape(-1, self.num_features)
 
     def _move_spool(self, command: Floats) -> None:
@@ -261,40 +270,50 @@ class ValveView:
         """What is remembered of every step, (num_rigs, 5): both speeds, both flows, the set-point."""
         return np.concatenate([seen.speed / SPEED, 2.0 * _flow(seen), seen.setpoint[:, None] / SPEED], axis=1)
 
-    def _features(self, seen: Measurements) -> NDArray[np.float32]:
+    def _inputs(self, seen: Measurements, rows: Rows | slice) -> NDArray[np.float32]:
+        """The network's inputs for some rigs and what they measure, (rigs, 2, num_features)."""
         speed, flow = seen.speed, _flow(seen)
         setpoint = np.broadcast_to(seen.setpoint[:, None], speed.shape)
         error, apart = setpoint - speed, speed - speed[:, ::-1]
-        edge = np.clip(self.edge, -0.3, 0.7)
-        unsure = np.sqrt(self.shift_variance)
-        self._hold = FLOW_PER_SPEED * np.asarray(speed, dtype=float)
-        self._law = np.clip(self.pull * error / SPEED, -self.limit, self.limit) - self.couple * apart / SPEED
+        # J dw/dt = torque - load, both sides through the same lag
+        load = self.slow_torque[rows] - NOMINAL["J"] * (speed - self.slow_speed[rows]) / LOAD_TIME
+        self._hold[rows] = FLOW_PER_SPEED * speed + FLOW_PER_TORQUE * load + self.trim[rows]
+        pull = np.clip(self.pull * error / SPEED, -self.limit, self.limit)
+        self._law[rows] = pull - self.couple * apart / SPEED
+        worst = np.max(np.abs(error), axis=1) / (100.0 * RPM)
+        self._effect[rows] = self.calm + (1.0 - self.calm) * np.minimum(worst, 1.0)
+
+        edge, unsure = np.clip(self.edge[rows], -0.3, 0.7), np.sqrt(self.shift_variance[rows])
+        gain, asked = self.gain[rows], self.asked[:, rows]
         own = np.stack(
             [
-                speed / SPEED, error / SPEED, np.clip(error / (60.0 * RPM), -1.0, 1.0),
-                2.0 * flow, seen.pressure / PRESSURE, seen.command, self.before, self.spool,
-                self.spool_speed / SPOOL_RATE, self.integral, self.asked[1], self.asked[0],
-                4.0 * edge[..., 0], 4.0 * edge[..., 1], self.gain[..., 0], self.gain[..., 1],
+                speed / SPEED, error / SPEED,
+                np.clip(error / (60.0 * RPM), -1.0, 1.0), 2.0 * flow, seen.pressure / PRESSURE, seen.command,
+                self.before[rows], self.spool[rows], self.spool_speed[rows] / SPOOL_RATE, self.integral[rows],
+                asked[1], asked[0], load, 10.0 * self.trim[rows],
+                4.0 * edge[..., 0], 4.0 * edge[..., 1], gain[..., 0], gain[..., 1],
                 10.0 * unsure[..., 0], 10.0 * unsure[..., 1],
             ],
             axis=-1,
         )  # fmt: skip
-        lag = np.broadcast_to(((seen.setpoint - self.lagged) / SPEED)[:, None], speed.shape)
-        common = [setpoint / SPEED, lag]
-        inputs = [own, own[:, ::-1, 2:14], np.stack(common, axis=-1)]
-        fine = [apart / SPEED, np.clip(apart / (60.0 * RPM), -1, 1), np.clip(apart / (10.0 * RPM), -1, 1)]
-        fine += [self.apart[:, None] * SIGNS, own[:, ::-1, 14], own[:, ::-1, 15]]
-        inputs.append(np.stack(fine, axis=-1))
-        for frame in self.past:
-            mine, other = frame[:, [0, 2]].reshape(-1, 1, 2), frame[:, [1, 3]].reshape(-1, 1, 2)
-            both = np.concatenate([mine, other], axis=1)
+        other = own[:, ::-1, 2:]
+        lag = np.broadcast_to((seen.setpoint - self.lagged[rows])[:, None], speed.shape)
+        both = np.stack(
+            [
+                setpoint / SPEED, lag / SPEED, apart / SPEED, np.clip(apart / (60.0 * RPM), -1.0, 1.0),
+                np.clip(apart / (10.0 * RPM), -1.0, 1.0), self.apart[rows, None] * SIGNS,
+            ],
+            axis=-1,
+        )  # fmt: skip
+        inputs = [own, other, both]
+        for frame in self.past[:, rows]:
+            mine = np.stack([frame[:, 0:2], frame[:, 2:4]], axis=-1)
             shared = np.broadcast_to(frame[:, None, 4:], (len(frame), 2, 1))
-            inputs += [both, both[:, ::-1], shared]
-        stacked: NDArray[np.float32] = np.concatenate(inputs, axis=-1).astype(np.float32)
-        return np.clip(stacked, -10.0, 10.0)
+            inputs += [mine, mine[:, ::-1], shared]
+        return np.clip(np.concatenate(inputs, axis=-1), -10.0, 10.0).astype(np.float32)
 
     def command(self, outputs: Floats) -> Floats:
-        given = np.asarray(outputs, dtype=float).reshape(-1, 2, 2)
+        given = self._effect[:, None, None] * np.asarray(outputs, dtype=float).reshape(-1, 2, 2)
         asked = np.clip(self._law + given[..., 0], -1.0, 1.0)
         flow = self._hold + self.reach * asked
         edges = self.edge
@@ -310,13 +329,14 @@ class ValveView:
         return np.clip(smooth, -1.0, 1.0)
 
 
-def _parts(seen: Measurements) -> tuple[Floats, ...]:
-    return seen.setpoint, seen.speed, seen.current, seen.pressure, seen.command
-
-
 def _flow(seen: Measurements) -> Floats:
     """Flow into each motor from its speed and leakage (eq. 1), as a share of the rated flow, (num_rigs, 2)."""
     return (NOMINAL["D"] * seen.speed + NOMINAL["Km"] * seen.pressure) / RATED_FLOW
+
+
+def _shaft_torque(seen: Measurements) -> Floats:
+    """What each motor's shaft gives after friction (eq. 2), N m, (num_rigs, 2)."""
+    return NOMINAL["D"] * seen.pressure - NOMINAL["B"] * seen.speed
 
 
 def _held_oscillator(rate: float, damping: float, period: float) -> tuple[tuple[float, float], ...]:
