@@ -172,8 +172,8 @@ def test_controller_takes_over_without_a_bump():
     observation = np.zeros((1, 9), np.float32)
     observation[0, :3] = 0.5  # set-point and both speeds: 300 rpm
     observation[0, 7:] = 0.25, 0.375
-    for name in ("pid_paper", "pid_tuned", "cross_coupled", "virtual_leader", "master_slave"):
-        controller = make_controller(name)
+    for name in ("pid", "cross_coupled", "virtual_leader", "master_slave"):
+        controller = LAWS[name](**{gain.name: np.sqrt(gain.low * gain.high) for gain in LAWS[name].GAINS})
         controller.reset(1, 0.01)
         np.testing.assert_allclose(controller.act(observation), [[0.25, 0.375]], atol=1e-6, err_msg=name)
 
@@ -245,10 +245,11 @@ def test_bad_gains_files_are_named(tmp_path, text, message):
 
 def test_shipped_gains_say_how_they_were_found():
     for entry in CONTROLLERS.values():
-        if entry.file is None or entry.file.suffix != ".json":
+        if entry.file is None or entry.file.suffix != ".json" or not entry.available:
             continue
         found = read_gains(entry.file)
-        assert found.tuning["split"] == "train", entry.name
+        on_servo_valves = entry.build().plant == "servo"
+        assert found.tuning["split"] == (None if on_servo_valves else "train"), entry.name
         assert found.tuning["command"].startswith("hydro-env tune"), entry.name
         assert found.tuning["episodes"] > 0 and "seed" in found.tuning, entry.name
         json.dumps(found.tuning)
