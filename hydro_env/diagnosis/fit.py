@@ -1,20 +1,20 @@
 """Joint estimation of parameters by damped Gauss-Newton steps, many estimation problems side by side.
 
 Every finite-difference column and every trial step of every problem is one request to the machine, so that one batch of
-simulations serves all of them. Weights follow the residual: each signal of each channel has the variance that the
-model leaves in it, at least the noise floor, which is maximum likelihood for unknown variances. A signal that the
-model explains badly thereby does not drown the others.
+simulations serves all of them. Weights follow the residual: every block of a tenth of a second of every signal has a variance
+of its own, at least the noise's, which is maximum likelihood for variances that are unknown. What the model explains
+well thereby counts, and a few events that it misses (a spool that sticks a moment longer) do not drown the rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from .machine import Machine, Request
+from .machine import Machine, Request, Segment
 from .noise import effective_samples
 from .unknowns import Unknown
 
@@ -23,8 +23,11 @@ __all__ = ["Floors", "Problem", "channels_of", "differentiate", "evaluate", "gai
 Vector = np.ndarray
 #: Standard deviations of the noise by (channel, signal), in SI.
 Floors = dict[tuple[int, str], float]
-_STEP = 0.04  # of q, for finite differences
+#: Steps of q for finite differences, in turn: stiction makes the data a rough function of its parameters.
+_STEPS = (0.15, 0.04, 0.4)
 _TRIALS = (1.0, 0.5, 0.2, 0.05)
+#: Length of the blocks that have a variance of their own, s.
+BLOCK_S = 0.1
 
 
 @dataclass
@@ -83,37 +86,37 @@ def rms(machine: Machine, simulated: Vector, channel: int) -> dict[tuple[int, st
     return found
 
 
-def variances(machine: Machine, simulated: Vector, channel: int, floors: Floors) -> dict[str, float]:
-    """Variance that a model leaves in each signal of a channel, at least the noise's."""
-    totals: dict[str, list[float]] = {}
+def _powers(machine: Machine, simulated: Vector, channel: int, floors: Floors) -> Iterator[tuple[Segment, Vector, Vector, Vector]]:
+    """By segment: the first row of every block (b,), the rows of it that count, and the power of noise and error (b,).
+
+    The power is the mean square of the error plus the noise's.
+    """
     for s in machine.segments[channel]:
-        error = (s.measured - simulated[s.place])[s.used]
-        entry = totals.setdefault(s.signal, [0.0, 0.0])
-        entry[0] += float(error @ error)
-        entry[1] += error.size
-    return {n: max(t / max(k, 1.0), floors[channel, n] ** 2) for n, (t, k) in totals.items()}
+        first = np.arange(0, s.rows.size, max(10, round(BLOCK_S / s.period)))
+        used = s.used
+        count = np.add.reduceat(used.astype(float), first)
+        error = np.where(used, np.nan_to_num(s.measured) - simulated[s.place], 0.0)
+        power = np.add.reduceat(error * error, first) / np.maximum(count, 1.0) + floors[channel, s.signal] ** 2
+        yield s, first, count, power
 
 
 def _cost(machine: Machine, problem: Problem, simulated: dict[int, Vector], q: Vector, floors: Floors) -> float:
-    """Twice the negative log-likelihood with unknown variances, plus priors; infinite where a simulation failed."""
+    """Twice the negative log-likelihood with an unknown variance in every block, plus priors; inf for a failed simulation."""
     total = float(sum(v * v for u, v in zip(problem.unknowns, q, strict=True) if u.prior))
     for channel in channels_of(problem, machine):
         if not np.isfinite(simulated[channel]).all():
             return np.inf
-        left = variances(machine, simulated[channel], channel, floors)
-        count: dict[str, int] = {}
-        for s in machine.segments[channel]:
-            count[s.signal] = count.get(s.signal, 0) + int(s.used.sum())
-        total += sum(count[n] * np.log(v) for n, v in left.items())
+        for _, _, count, power in _powers(machine, simulated[channel], channel, floors):
+            total += float(count @ np.log(power))
     return total
 
 
 def _weights(machine: Machine, simulated: Vector, channel: int, floors: Floors) -> Vector:
     """One over the standard deviation of every sample (n,), 0 for rows that do not count."""
-    left = variances(machine, simulated, channel, floors)
     weights = np.zeros(simulated.size)
-    for s in machine.segments[channel]:
-        weights[s.place] = s.used / np.sqrt(left[s.signal])
+    for s, first, _, power in _powers(machine, simulated, channel, floors):
+        sizes = np.diff(first, append=s.rows.size)
+        weights[s.place] = s.used / np.sqrt(np.repeat(power, sizes))
     return weights
 
 
@@ -128,28 +131,43 @@ def evaluate(machine: Machine, problems: Sequence[Problem], floors: Floors) -> N
         problem.cost = _cost(machine, problem, result, problem.q, floors)
 
 
-def differentiate(machine: Machine, problems: Sequence[Problem], only: Sequence[Sequence[int]] | None = None) -> None:
-    """Sets `columns` of every problem, or only the columns `only` (one list of numbers for each problem)."""
+def differentiate(
+    machine: Machine, problems: Sequence[Problem], floors: Floors, only: Sequence[Sequence[int]] | None = None, size: float = _STEPS[0]
+) -> list[tuple[float, Vector, dict[int, Vector]]]:
+    """Sets `columns` of every problem, or only the columns `only` (one list of numbers for each problem).
+
+    Returns for every problem the best of the points that were simulated for it: (cost, q, samples).
+    """
     wanted = [list(range(len(p.unknowns))) if only is None else list(only[n]) for n, p in enumerate(problems)]
     requests, steps = [], []
     for problem, numbers in zip(problems, wanted, strict=True):
         high = problem.bounds[1]
         for j in numbers:
-            step = -_STEP if problem.q[j] + _STEP > high[j] else _STEP
+            step = -size if problem.q[j] + size > high[j] else size
             moved = problem.q.copy()
             moved[j] += step
             requests.append(problem.request(moved))
             steps.append(step)
     results = iter(zip(machine.predict(requests), steps, strict=True))
+    found = []
     for problem, numbers in zip(problems, wanted, strict=True):
+        best = (np.inf, problem.q, problem.simulated)
+        low, high = problem.bounds
         for channel in channels_of(problem, machine):
-            size = (problem.simulated[channel].size, len(problem.unknowns))
-            if problem.columns.get(channel, np.empty((0, 0))).shape != size:
-                problem.columns[channel] = np.zeros(size)
+            shape = (problem.simulated[channel].size, len(problem.unknowns))
+            if problem.columns.get(channel, np.empty((0, 0))).shape != shape:
+                problem.columns[channel] = np.zeros(shape)
         for j in numbers:
             result, step = next(results)
             for channel in channels_of(problem, machine):
                 problem.columns[channel][:, j] = (result[channel] - problem.simulated[channel]) / step
+            moved = problem.q.copy()
+            moved[j] += step
+            cost = _cost(machine, problem, result, moved, floors) if low[j] <= moved[j] <= high[j] else np.inf
+            if cost < best[0]:
+                best = (cost, moved, result)
+        found.append(best)
+    return found
 
 
 def _normal(machine: Machine, problem: Problem, floors: Floors) -> tuple[Vector, Vector]:
@@ -178,18 +196,20 @@ def _bounded_step(problem: Problem, matrix: Vector, side: Vector) -> Vector:
 
 
 def solve(machine: Machine, problems: Sequence[Problem], floors: Floors, iterations: int = 4, tolerance: float = 2.0) -> None:
-    """Improves the estimates of all problems; ends early for a problem whose cost falls by less than `tolerance`.
+    """Improves the estimates of all problems.
 
-    A problem that brings `columns` along (from a smaller problem) uses them in its first step.
+    A problem ends early once no step size of the differences lowers its cost by `tolerance`. One that brings `columns`
+    along (from a smaller problem) uses them in its first step.
     """
     fresh = [p for p in problems if not p.simulated]
     evaluate(machine, fresh, floors)
     live = [p for p in problems if p.unknowns and np.isfinite(p.cost)]
+    stalled = dict.fromkeys(map(id, live), 0)
     for iteration in range(iterations):
         if not live:
             break
         old = [p for p in live if not p.columns or iteration > 0]
-        differentiate(machine, old)
+        points = differentiate(machine, old, floors, size=_STEPS[iteration % len(_STEPS)])
         steps = [_bounded_step(p, *_normal(machine, p, floors)) for p in live]
         low_high = [p.bounds for p in live]
         trials = [
@@ -199,16 +219,18 @@ def solve(machine: Machine, problems: Sequence[Problem], floors: Floors, iterati
         ]
         owners = [p for p in live for _ in _TRIALS]
         results = machine.predict([p.request(q) for p, q in zip(owners, trials, strict=True)])
-        going = []
-        for number, problem in enumerate(live):
-            before = problem.cost
-            for k in range(number * len(_TRIALS), (number + 1) * len(_TRIALS)):
-                cost = _cost(machine, problem, results[k], trials[k], floors)
-                if cost < problem.cost:
-                    problem.cost, problem.q, problem.simulated = cost, trials[k], results[k]
-            if before - problem.cost > tolerance:
-                going.append(problem)
-        live = going
+        before = {id(p): p.cost for p in live}
+        for problem, q, result in zip(owners, trials, results, strict=True):
+            cost = _cost(machine, problem, result, q, floors)
+            if cost < problem.cost:
+                problem.cost, problem.q, problem.simulated = cost, q, result
+        for problem, (cost, q, result) in zip(old, points, strict=True):
+            # A point that was simulated for a derivative may be better than every step along it.
+            if cost < problem.cost:
+                problem.cost, problem.q, problem.simulated = cost, q, result
+        for p in live:
+            stalled[id(p)] = stalled[id(p)] + 1 if before[id(p)] - p.cost < tolerance else 0
+        live = [p for p in live if stalled[id(p)] < len(_STEPS)]
     for problem in problems:
         if problem.unknowns and problem.columns:
             problem.spread = _spread(machine, problem, floors)

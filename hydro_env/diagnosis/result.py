@@ -178,4 +178,5 @@ def parameter_text(entry: dict[str, Any]) -> str:
     """`1.14e-04 m (1.11e-04 to 1.17e-04)`."""
     values = [entry["value"], entry["low"], entry["high"]]
     shown = [f"{v:.3g}" if np.isfinite(v) else "none" for v in values]
-    return f"{shown[0]} {entry['unit']} ({shown[1]} to {shown[2]})"
+    unit = "" if entry["unit"] == "1" else f" {entry['unit']}"
+    return f"{shown[0]}{unit} ({shown[1]} to {shown[2]})"

@@ -170,6 +170,7 @@ def _round(
             found = gain(machine, present[c], problem, floors)
             trials.append(Trial(look.effect, c, number, found, penalty(machine, look.effect), "others explain more", problem))
     solve(machine, [p for _, _, p in best], floors, 10 if machine.quick else 3)
+    _polish(machine, present, channels, best, floors)
     taken = []
     for c in channels:
         own_best = sorted(((look, p) for k, look, p in best if k == c), key=lambda b: b[1].cost + penalty(machine, b[0].effect))
@@ -194,6 +195,26 @@ def _round(
     return taken
 
 
+def _polish(
+    machine: Machine, present: dict[int, Problem], channels: Sequence[int], best: Sequence[tuple[int, Look, Problem]], floors: Floors
+) -> None:
+    """Restarts the present models from the base parameters that their best extensions found.
+
+    A candidate must not win because its refit led the known parameters out of a bad place.
+    """
+    restarts = {}
+    for c in channels:
+        own = min((p for k, _, p in best if k == c), key=lambda p: p.cost, default=None)
+        if own is not None:
+            size = len(present[c].unknowns)
+            restarts[c] = Problem(c, present[c].unknowns, own.q[:size].copy(), present[c].label)
+    solve(machine, list(restarts.values()), floors, 5)
+    for c, problem in restarts.items():
+        if problem.cost < present[c].cost:
+            present[c].q, present[c].cost, present[c].spread = problem.q, problem.cost, problem.spread
+            present[c].simulated, present[c].columns = problem.simulated, problem.columns
+
+
 def _cheap(machine: Machine, problems: Sequence[Problem], floors: Floors) -> None:
     """Two steps along the derivatives of the base parameters as they are and fresh ones of the new effect.
 
@@ -201,12 +222,12 @@ def _cheap(machine: Machine, problems: Sequence[Problem], floors: Floors) -> Non
     """
     evaluate(machine, problems, floors)
     if machine.quick:
-        differentiate(machine, problems)
+        differentiate(machine, problems, floors)
         solve(machine, problems, floors, 10)
         return
     fresh = [[j for j, u in enumerate(p.unknowns) if u.name.startswith(f"{p.label}.")] for p in problems]
     for _ in range(2):
-        differentiate(machine, problems, fresh)
+        differentiate(machine, problems, floors, fresh)
         solve(machine, problems, floors, 1)
 
 

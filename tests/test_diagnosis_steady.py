@@ -1,0 +1,126 @@
+"""The steady-valve model, and the whole workflow on it: quick enough for every run of the tests."""
+
+import json
+import os
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from hydro_env.diagnosis.command import diagnose, run
+from hydro_env.diagnosis.laws import elementwise
+from hydro_env.errors import InputError
+from hydro_env.plant import CATALOGUE, load_model
+
+MAPPING = """
+schema: hydro_env/mapping/1
+time: {column: t, unit: s}
+channel_1:
+  actuator: cylinder
+  command: {column: u, unit: fraction, full_scale: 73}
+  speed: {column: v, unit: mm/s}
+"""
+
+
+def _axis(folder: Path, name: str, opening, *, lag: float = 0.15, seed: int = 0, seconds: float = 30.0) -> Path:  # type: ignore[no-untyped-def]
+    """A log of an axis whose speed is 40 mm/s times `opening(u)`, late by a lag, with noise of 0.3 mm/s."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds / 0.01)) * 0.01
+    command = 0.35 * np.sin(0.5 * time) + 0.25 * np.sin(1.3 * time + seed)
+    command += 0.2 * np.repeat(rng.uniform(-1, 1, time.size // 150 + 1), 150)[: time.size]
+    command[:100] = 0.0
+    speed, x = np.empty(time.size), 0.0
+    for n, target in enumerate(40.0 * opening(command)):
+        speed[n] = x
+        x += (target - x) * (1.0 - np.exp(-0.01 / lag))
+    rows = np.column_stack([time, command, speed + 0.3 * rng.standard_normal(time.size)])
+    path = folder / f"{name}.csv"
+    np.savetxt(path, rows, delimiter=",", header="t,u,v", comments="", fmt="%.6f")
+    (folder / "map.yaml").write_text(MAPPING)
+    return path
+
+
+def _overlap(u: np.ndarray) -> np.ndarray:
+    return u - np.clip(u, -0.12, 0.06)
+
+
+def test_laws_on_arrays_are_the_laws() -> None:
+    values = np.linspace(-5e-4, 5e-4, 11)
+    law = CATALOGUE["dead_zone"].laws["opening"]
+    np.testing.assert_array_equal(elementwise(law)(values, 1e-4, 2e-4), [law(float(v), 1e-4, 2e-4) for v in values])
+
+
+def test_a_dead_zone_is_named_and_proved(tmp_path: Path) -> None:
+    fit, sealed = _axis(tmp_path, "fit", _overlap), _axis(tmp_path, "sealed", _overlap, seed=1)
+    found = run([fit], [sealed], tmp_path / "out", mapping=tmp_path / "map.yaml", quiet=True)
+    data = json.loads((tmp_path / "out/diagnosis.json").read_text())
+    assert data["schema"] == "hydro_env/diagnosis/1"
+    assert data["verdict"] == "effects"
+    assert [(e["name"], e["channel"]) for e in data["effects"]] == [("dead_zone", "1")]
+    # The whole command is a spool of 0.86 mm.
+    rated = 20.0 * 73.0 / (100.0 * 17000.0)
+    for own, share in (("overlap_positive", 0.06), ("overlap_negative", 0.12)):
+        entry = data["effects"][0]["parameters"][own]
+        assert entry["value"] == pytest.approx(share * rated, rel=0.1)
+        assert entry["low"] <= entry["value"] <= entry["high"]
+    gap = data["gap"]["sealed"]["speed_1_mm_per_s"]
+    assert gap["after"] < 1.15 * 0.3 < gap["placebo"] <= 1.01 * max(gap["calibrated"], gap["placebo"])
+    assert gap["calibrated"] > 2.0 * gap["after"]
+    assert data["detectable"]["dead_zone"]["1"] is True
+    page = (tmp_path / "out/report.html").read_text()
+    assert "dead zone" in page and "<svg" in page and "http://" not in page.replace("http://www.w3.org", "")
+    model = load_model(tmp_path / "out/model.yaml")
+    assert model.value("dead_zone.overlap_negative", 0) == pytest.approx(found.named[0].parameters["overlap_negative"]["value"])
+
+
+def test_nothing_is_named_where_only_the_gain_is_unknown(tmp_path: Path) -> None:
+    fit, sealed = _axis(tmp_path, "fit", lambda u: u), _axis(tmp_path, "sealed", lambda u: u, seed=1)
+    data = diagnose([fit], [sealed], mapping=tmp_path / "map.yaml").data
+    assert data["verdict"] in ("none", "calibration")
+    assert data["effects"] == []
+
+
+def test_the_estimated_model_drives_the_environment(tmp_path: Path) -> None:
+    fit = _axis(tmp_path, "fit", _overlap)
+    run([f"{fit}@0:20"], [f"{fit}@20:30"], tmp_path / "out", mapping=tmp_path / "map.yaml", quiet=True)
+    env = gymnasium.make("hydro_env:HydraulicSync-v0", plant=str(tmp_path / "out/model.yaml"), mismatch=None)
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    env.close()
+
+
+def test_bad_input_is_one_line(tmp_path: Path) -> None:
+    fit = _axis(tmp_path, "fit", lambda u: u)
+    mapping = tmp_path / "map.yaml"
+    with pytest.raises(InputError, match="no sealed log"):
+        diagnose([fit], [], mapping=mapping)
+    with pytest.raises(InputError, match="no such file"):
+        diagnose([fit], [tmp_path / "missing.csv"], mapping=mapping)
+    with pytest.raises(InputError, match="shares rows"):
+        diagnose([fit], [fit], mapping=mapping)
+    with pytest.raises(InputError, match="unknown plant"):
+        diagnose([fit], [fit], mapping=mapping, model="papr")
+
+
+@pytest.mark.skipif("HYDRO_ENV_REALDATA" not in os.environ, reason="HYDRO_ENV_REALDATA names no folder of measured logs")
+def test_a_measured_crane_axis(tmp_path: Path) -> None:
+    mapping = tmp_path / "crane.yaml"
+    mapping.write_text(
+        """
+schema: hydro_env/mapping/1
+time: {column: time, unit: s}
+channel_1:
+  actuator: cylinder
+  command: {column: MainU, unit: fraction, full_scale: 73}
+  speed: {column: MainPistonVelocity, unit: m/s}
+  pressure: {column: MainPaDCV, unit: bar, minus: {column: MainPbDCV, unit: bar}}
+"""
+    )
+    log = Path(os.environ["HYDRO_ENV_REALDATA"]) / "crane_two_axes" / "main_sine.csv.gz"
+    data = diagnose([f"{log}@0:13,23:34"], [f"{log}@13:23,34:47"], mapping=mapping).data
+    assert data["verdict"] == "effects"
+    assert data["effects"][0]["name"] == "dead_zone"
+    gap = data["gap"]["sealed"]["speed_1_mm_per_s"]
+    assert gap["before"] == pytest.approx(1.9, abs=0.15)
+    assert gap["after"] < 0.8 < gap["placebo"]
