@@ -35,7 +35,8 @@ def scores_table(scores: dict[str, Any]) -> str:
             if (split, scenario, name) not in failed
         }
         heads = [_short(metric) for metric in columns]
-        wide = [2 + max([len(head), *(len(row[i]) for row in texts.values())]) for i, head in enumerate(heads)]
+        columns_of = zip(heads, *texts.values(), strict=True)
+        wide = [2 + max(len(text) for text in column) for column in columns_of]
         lines.append("  " + "controller".ljust(width) + _row(heads, wide))
         for name in scores["controllers"]:
             told = _row(texts[name], wide) if name in texts else f"  failed: {failed[split, scenario, name]}"

@@ -35,6 +35,10 @@ FLOWING = 0.008
 """Share of the rated flow that counts as flowing: four standard deviations of the measured flow's noise."""
 
 
+LARGEST_EDGE = 0.6
+"""No dead zone reaches further than this share of the rated command; Fig. 2 shows 0.4."""
+
+
 class Spool:
     """Where the nominal spool stands (share of its rated travel): mass, spring, damping, sampled exactly."""
 
@@ -104,7 +108,7 @@ class ValveLearner:
         by_gain = self.covariance * -gain + self.gain_variance * beyond
         total = -gain * by_edge + beyond * by_gain + noise
         to_edge, to_gain = np.where(active, by_edge / total, 0.0), np.where(active, by_gain / total, 0.0)
-        self.map.edge = np.clip(edge + to_edge * surprise, -0.15, 0.6)
+        self.map.edge = np.clip(edge + to_edge * surprise, -0.15, LARGEST_EDGE)
         self.map.gain = np.clip(gain + to_gain * surprise, 0.3, 1.6)
         self.edge_variance = np.maximum(self.edge_variance - to_edge * by_edge, 1e-8)
         self.gain_variance = np.maximum(self.gain_variance - to_gain * by_gain, 1e-8)
@@ -117,7 +121,8 @@ class LoadObserver:
     def __init__(self, speed: Floats, period: float, rate: Floats | float) -> None:
         self.speed, self.load = speed.copy(), np.zeros_like(speed)
         self._period = period
-        self._rate = np.minimum(np.reshape(rate, (-1, 1)), 0.95 / period)  # sampled, the poles are 1 - rate period
+        # Sampled, the poles lie at 1 - rate period.
+        self._rate = np.minimum(np.reshape(rate, (-1, 1)), 0.95 / period)
 
     def step(self, speed: Floats, pressure: Floats) -> Floats:
         miss = speed - self.speed
@@ -246,7 +251,9 @@ class AdaptiveFlow(Controller):
         edge = self._facing(self._learner.map.edge)
         gain = self._facing(self._learner.map.gain)
         known = np.sqrt(self._facing(self._learner.edge_variance)) < self.known_within
-        flowing = (sign * flow > FLOWING) | known
+        flowing = (
+            (sign * flow > FLOWING) | known | (self._creep > LARGEST_EDGE)
+        )  # no flow seen: a sick sensor
         pace = np.reshape(self.gains["search"], (-1, 1)) * self.period
         self._creep = np.where(flowing, self._creep, self._creep + pace)
         self._crossing = self._crossing & ~np.all(flowing, axis=1)
