@@ -46,10 +46,10 @@ __all__ = ["STATES", "Kernel", "compile_kernel", "rosenbrock_coefficients"]
 STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
 #: Beyond these magnitudes (SI) a state counts as diverged.
 STATE_CAPS = (1e2, 1e-2, 1e3, 1e-2, 1e10, 1e5, 1e12)
-#: A lane at an end stop takes a substep in so many parts.
+#: A lane at an end stop or a sharp bend of an effect takes a substep in so many parts.
 STOP_PARTS = 5
-#: Slots of the delay line of `command_delay`; one slot is one substep.
-DELAY_SLOTS = 512
+#: Longest delay that the delay line of `command_delay` holds, s.
+LONGEST_DELAY = 0.05
 
 _OUTPUTS = ("time", "flow", "measured_speed", "diverged", "command", "load")
 
@@ -371,6 +371,15 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     guard += [f"{row('diverged')} = {row('diverged')} if ok else 1.0"]
     guard += [f"{row(name)} = {row(name)} if ok else 0.0" for name in states]
 
+    corners: list[str] = []
+    for effect in effects:
+        if effect.corner is not None:
+            names = _Names(effect)
+            called = [names(a, {}) for a in _arguments(effect.corner)]
+            corners += [f"{name} = {row(name)}".replace("lanes", "cells") for name in called if name != "substep"]
+            call = ", ".join("h" if name == "substep" else name for name in called)
+            corners.append(f"bend = bend | {_law_name(effect, 'corner')}({call})")
+
     additions = [
         (at[base], at[f"{e.name}__{own}"]) for e in effects for base, own in e.adds_to.items()
     ]  # fmt: skip
@@ -390,6 +399,8 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     pasted = [_paste(f, f.__name__) for f in helpers]
     for effect in effects:
         pasted += [_paste(law, _law_name(effect, quantity)) for quantity, law in effect.laws.items()]
+        if effect.corner is not None:
+            pasted.append(_paste(effect.corner, _law_name(effect, "corner")))
         for state in effect.states:
             pasted.append(_paste(state.rate, _law_name(effect, state.name + "_rate")))
             if state.decay is not None:
@@ -402,7 +413,7 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
         ring = "                pass"
     else:
         apply = "pass"
-        ring = _DELAY.format(delay=delay, slots=DELAY_SLOTS)
+        ring = _DELAY.format(delay=delay)
     text = _MODULE.format(
         functions="\n\n".join(pasted), half=half, moving=moving, kept=kept, total=len(at),
         command=at["command"], load=at["load"], applied=at["applied"], time=at["time"], rated=at["u_rated"],
@@ -410,7 +421,7 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
         saved=saved, before=at["before0"], whole=at["whole0"], parts=STOP_PARTS,
         gamma=repr(method["gamma"]), coefficients=_indent(coefficients, 1),
         first=_indent(first, 3), second=_indent(stage(1), 3), third=_indent(stage(2), 3), fourth=_indent(stage(3), 3),
-        watch=_indent(watch, 3), guard=_indent(guard, 2), apply=apply, ring=ring, keep_flow=keep_flow, **base_rows,
+        corners=_indent(corners, 5), watch=_indent(watch, 3), guard=_indent(guard, 2), apply=apply, ring=ring, keep_flow=keep_flow, **base_rows,
     )  # fmt: skip
     visible = {name.replace("__", ".", 1) if name in parameters and "__" in name else name: n
                for name, n in at.items() if n < kept}  # fmt: skip
@@ -418,15 +429,15 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
 
 
 _DELAY = """\
-                slot = (head + t * substeps + n) % {slots}
+                slot = (head + t * substeps + n) % slots
                 for l in range(LANES):
                     ring[b, slot, l] = cells[COMMAND * LANES + l]
                     late = cells[{delay} * LANES + l] / h
-                    late = late if late < {slots} - 2.0 else {slots} - 2.0
+                    late = late if late < slots - 2.0 else slots - 2.0
                     whole = int(late)
                     share = late - whole
                     cells[APPLIED * LANES + l] = (
-                        (1.0 - share) * ring[b, (slot - whole) % {slots}, l] + share * ring[b, (slot - whole - 1) % {slots}, l]
+                        (1.0 - share) * ring[b, (slot - whole) % slots, l] + share * ring[b, (slot - whole - 1) % slots, l]
                     )
 """
 
@@ -527,6 +538,7 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
     """
     cells = aligned(TOTAL * LANES)
     rigs = out.shape[2]
+    slots = ring.shape[1]
     for b in range(memory.shape[0]):
         for r in range(KEPT):
             for l in range(LANES):
@@ -563,13 +575,14 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
                 near = 0
                 for l in range(index(LANES)):
                     reach = abs(cells[index(SPOOL * LANES) + l]) + h * abs(cells[index(SPOOL_SPEED * LANES) + l])
-                    stop = reach > cells[index(X_MAX * LANES) + l]
-                    cells[index(NEAR * LANES) + l] = 1.0 if stop else 0.0
-                    near += 1 if stop else 0
+                    bend = reach > cells[index(X_MAX * LANES) + l]
+{corners}
+                    cells[index(NEAR * LANES) + l] = 1.0 if bend else 0.0
+                    near += 1 if bend else 0
                 if near == 0:
                     step(cells, h)
                 else:
-                    # Lanes at an end stop take the substep in parts; the others keep the result of the whole one.
+                    # Lanes at an end stop or a sharp bend of an effect take the substep in parts; the others keep the result of the whole one.
                     for r in range(SAVED):
                         for l in range(index(LANES)):
                             cells[index((BEFORE + r) * LANES) + l] = cells[index(r * LANES) + l]

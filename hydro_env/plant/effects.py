@@ -51,6 +51,8 @@ class State:
 class Effect:
     """One effect of the catalogue; see the module's text for what laws and states are.
 
+    `corner` says, by a law that may also ask for `substep` (s), whether a channel is about to pass a bend of the effect that
+    is too sharp for a whole substep; it then takes the substep in parts. It must be false when the effect is neutral.
     `adds_to` names base parameters of the channel that one of the effect's parameters is simply added to.
     `scope` is "channel" (each valve and motor has its own) or "rig" (both share the same values).
     `indistinguishable_from` lists effects that no data of the usual channels separate from this one.
@@ -65,6 +67,7 @@ class Effect:
     laws: Mapping[str, Callable[..., float]] = field(default_factory=dict)
     states: tuple[State, ...] = ()
     adds_to: Mapping[str, str] = field(default_factory=dict)
+    corner: Callable[..., bool] | None = None
     scope: str = "channel"
     indistinguishable_from: tuple[str, ...] = ()
 
@@ -225,6 +228,10 @@ def _preload_force(force, spool, preload):
     return force - preload * tanh(spool * 5e4)
 
 
+def _preload_corner(spool, spool_speed, preload, substep):
+    return preload > 0.0 and abs(spool) < 6e-5 + substep * abs(spool_speed)
+
+
 register(
     Effect(
         name="spring_preload",
@@ -234,6 +241,7 @@ register(
         source="construction of spring-centred directional valves",
         parameters=(Parameter("preload", "N", 0.0, 0.0, 6.0, "assumed: up to 40 % of the rated force", "preload", 1.5),),
         laws={"force": _preload_force},
+        corner=_preload_corner,
         indistinguishable_from=("dead_zone",),
     )
 )
@@ -609,6 +617,12 @@ def _load_speed_rate(load_speed, twist, speed, gap, stiffness, damping, load, in
     return (contact - load) / inertia if inertia > 0.0 else 0.0
 
 
+def _backlash_corner(twist, speed, load_speed, gap, inertia, substep):
+    # From just before a contact until the damper has grown to its full size.
+    reach = abs(twist) + substep * abs(speed - load_speed)
+    return inertia > 0.0 and reach > 0.5 * gap and abs(twist) < 0.5 * gap + 0.02
+
+
 register(
     Effect(
         name="shaft_backlash",
@@ -624,6 +638,7 @@ register(
         ),
         laws={"torque": _backlash_torque},
         states=(State("twist", _twist_rate), State("load_speed", _load_speed_rate)),
+        corner=_backlash_corner,
     )
 )
 

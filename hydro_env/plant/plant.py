@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .compile import DELAY_SLOTS, STATES, Kernel, compile_kernel
+from .compile import LONGEST_DELAY, STATES, Kernel, compile_kernel
 from .effects import CATALOGUE
 from .model import PlantModel, load_model, parameter_of
 from .parameters import PARAMETERS
@@ -59,7 +59,8 @@ class Plant:
         kernel = self._kernel
         blocks = -(-self.num_rigs // kernel.half)
         self._memory = np.zeros((blocks, kernel.num_rows, 2 * kernel.half))
-        self._ring = np.zeros((blocks, DELAY_SLOTS if kernel.has_delay else 1, 2 * kernel.half))
+        self._slots = int(LONGEST_DELAY / self.substep) + 3  # a slot of the delay line is a substep
+        self._ring = np.zeros((blocks, self._slots if kernel.has_delay else 1, 2 * kernel.half))
         self._head = 0
         self._empty = np.zeros((0, 1, self.num_rigs, 2))
         for name in PARAMETERS:
@@ -169,7 +170,7 @@ class Plant:
         self._kernel.advance(
             self._memory, self._ring, self._head, command, load, n, period / n, _NO_RECORD, 1, self._empty
         )
-        self._head = (self._head + n) % DELAY_SLOTS
+        self._head = (self._head + n) % self._slots
 
     def run(
         self,
@@ -193,7 +194,7 @@ class Plant:
         out = np.empty((len(record), -(-command.shape[0] // every), self.num_rigs, 2))
         n = self.substeps(period)
         self._kernel.advance(self._memory, self._ring, self._head, command, load, n, period / n, rows, every, out)
-        self._head = (self._head + n * command.shape[0]) % DELAY_SLOTS
+        self._head = (self._head + n * command.shape[0]) % self._slots
         return dict(zip(record, out, strict=True))
 
     # --- signals --------------------------------------------------------------------------------------------------
