@@ -34,12 +34,12 @@ def test_open_windows(log: Path) -> None:
 
 @pytest.mark.parametrize("window", ["2", "2:1", "a:b", "1:2,"])
 def test_a_bad_window_is_named(log: Path, window: str) -> None:
-    with pytest.raises(InputError, match="window|rows"):
+    with pytest.raises(InputError, match=r"window|rows"):
         read_parts([f"{log}@{window}"], None)
 
 
 def test_a_window_outside_the_log_is_refused(log: Path) -> None:
-    with pytest.raises(InputError, match="the log runs from 0 to 3.99 s"):
+    with pytest.raises(InputError, match=r"the log runs from 0 to 3\.99 s"):
         read_parts([f"{log}@10:20"], None)
 
 

@@ -23,7 +23,9 @@ channel_1:
 """
 
 
-def _axis(folder: Path, name: str, opening, *, lag: float = 0.15, seed: int = 0, seconds: float = 30.0) -> Path:  # type: ignore[no-untyped-def]
+def _axis(
+    folder: Path, name: str, opening, *, lag: float = 0.15, seed: int = 0, seconds: float = 30.0
+) -> Path:  # type: ignore[no-untyped-def]
     """A log of an axis whose speed is 40 mm/s times `opening(u)`, late by a lag, with noise of 0.3 mm/s."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds / 0.01)) * 0.01
@@ -48,7 +50,9 @@ def _overlap(u: np.ndarray) -> np.ndarray:
 def test_laws_on_arrays_are_the_laws() -> None:
     values = np.linspace(-5e-4, 5e-4, 11)
     law = CATALOGUE["dead_zone"].laws["opening"]
-    np.testing.assert_array_equal(elementwise(law)(values, 1e-4, 2e-4), [law(float(v), 1e-4, 2e-4) for v in values])
+    np.testing.assert_array_equal(
+        elementwise(law)(values, 1e-4, 2e-4), [law(float(v), 1e-4, 2e-4) for v in values]
+    )
 
 
 def test_a_dead_zone_is_named_and_proved(tmp_path: Path) -> None:
@@ -71,7 +75,9 @@ def test_a_dead_zone_is_named_and_proved(tmp_path: Path) -> None:
     page = (tmp_path / "out/report.html").read_text()
     assert "dead zone" in page and "<svg" in page and "http://" not in page.replace("http://www.w3.org", "")
     model = load_model(tmp_path / "out/model.yaml")
-    assert model.value("dead_zone.overlap_negative", 0) == pytest.approx(found.named[0].parameters["overlap_negative"]["value"])
+    assert model.value("dead_zone.overlap_negative", 0) == pytest.approx(
+        found.named[0].parameters["overlap_negative"]["value"]
+    )
 
 
 def test_nothing_is_named_where_only_the_gain_is_unknown(tmp_path: Path) -> None:
@@ -103,7 +109,9 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
         diagnose([fit], [fit], mapping=mapping, model="papr")
 
 
-@pytest.mark.skipif("HYDRO_ENV_REALDATA" not in os.environ, reason="HYDRO_ENV_REALDATA names no folder of measured logs")
+@pytest.mark.skipif(
+    "HYDRO_ENV_REALDATA" not in os.environ, reason="HYDRO_ENV_REALDATA names no folder of measured logs"
+)
 def test_a_measured_crane_axis(tmp_path: Path) -> None:
     mapping = tmp_path / "crane.yaml"
     mapping.write_text(

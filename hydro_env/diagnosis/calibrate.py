@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..plant import parameter_of
@@ -23,8 +25,7 @@ def base_unknowns(machine: Machine, channel: int) -> list[Unknown]:
     for name in machine.base(channel):
         parameter = parameter_of(name) if name not in machine.own else machine.own[name]
         value = machine.given(name, channel)
-        unknown = base_unknown(parameter, value, name in limited)
-        found.append(Unknown(name, *[getattr(unknown, f) for f in ("unit", "center", "low", "high", "scale", "log", "prior")], channel))
+        found.append(replace(base_unknown(parameter, value, name in limited), name=name, channel=channel))
     return found
 
 

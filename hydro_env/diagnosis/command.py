@@ -71,6 +71,17 @@ def diagnose(
     machine = _machine(given_model, parts, steady, jobs, count)
     seconds = max(len(p.log) * p.log.period for p in parts)
 
+    try:
+        return _workflow(machine, given_model, parts, proofs, seconds, say, begin)
+    finally:
+        machine.close()
+
+
+def _workflow(
+    machine: Machine, given_model: PlantModel, parts: list[Part], proofs: list[Part], seconds: float,
+    say: Callable[[str], None], begin: float,
+) -> Diagnosis:  # fmt: skip
+    """The stages."""
     say("model as given")
     given = as_given(machine, {(c, s.signal): 1e-9 for c in machine.channels for s in machine.segments[c]})
     floors = floors_from(machine, given)
@@ -86,7 +97,12 @@ def diagnose(
     places = locate(machine, calibrated) if word not in ("none", "calibration") else []
     say("proof on sealed logs")
     final = given if word == "none" else selection.problems
-    models = {"before": given, "calibrated": calibrated, "after": final, "placebo": {**calibrated, **selection.placebo}}
+    models = {
+        "before": given,
+        "calibrated": calibrated,
+        "after": final,
+        "placebo": {**calibrated, **selection.placebo},
+    }
     fit_proof = prove(machine, models)
     sealed_proof = prove(machine.with_parts(proofs, True), models)
 
@@ -97,11 +113,17 @@ def diagnose(
         machine, word, named, places, final if word != "none" else calibrated, fit_proof, sealed_proof, looks, selection,
         time.perf_counter() - begin, hashes, warnings,
     )  # fmt: skip
-    improved = given_model if word == "none" else estimated_model(machine, final, f"{given_model.name} diagnosed")
-    return Diagnosis(data, improved, machine, named, places, selection, looks, fit_proof, sealed_proof, warnings)
+    improved = (
+        given_model if word == "none" else estimated_model(machine, final, f"{given_model.name} diagnosed")
+    )
+    return Diagnosis(
+        data, improved, machine, named, places, selection, looks, fit_proof, sealed_proof, warnings
+    )
 
 
-def _machine(model: PlantModel, parts: list[Part], steady: bool, jobs: int, count: Callable[[int], None] | None) -> Machine:
+def _machine(
+    model: PlantModel, parts: list[Part], steady: bool, jobs: int, count: Callable[[int], None] | None
+) -> Machine:
     kinds = {part.log.kinds[c] for part in parts for c in part.log.channels}
     if len(kinds) > 1:
         raise InputError("the mapping mixes motors and cylinders; diagnose one kind at a time")
@@ -113,27 +135,45 @@ def _machine(model: PlantModel, parts: list[Part], steady: bool, jobs: int, coun
 def _check_channels(parts: list[Part], proofs: list[Part]) -> None:
     for part in (*parts, *proofs):
         if part.log.channels != parts[0].log.channels:
-            raise InputError(f"{part.label}: has channels {[c + 1 for c in part.log.channels]}, {parts[0].label} has {[c + 1 for c in parts[0].log.channels]}; all logs need the same")
+            raise InputError(
+                f"{part.label}: has channels {_listed(part)}, {parts[0].label} has {_listed(parts[0])}; "
+                "all logs need the same"
+            )
     for c in parts[0].log.channels:
         for signal in ("current", "pressure"):
             if len({part.log.has(signal, c) for part in parts}) > 1:
-                raise InputError(f"{signal} of channel {c + 1} is in some fit logs only; record it in all or leave it out")
+                raise InputError(
+                    f"{signal} of channel {c + 1} is in some fit logs only; record it in all or leave it out"
+                )
         if not any(abs(part.log.command_V[:, c]).max() > 0.0 for part in parts):
-            raise InputError(f"{parts[0].label}: the command of channel {c + 1} is zero throughout; a diagnosis needs a rig that is driven")
+            raise InputError(
+                f"{parts[0].label}: the command of channel {c + 1} is zero throughout; a diagnosis needs a rig that is driven"
+            )
+
+
+def _listed(part: Part) -> str:
+    return " and ".join(str(c + 1) for c in part.log.channels)
 
 
 def _lower(old: Floors, new: Floors) -> Floors:
     return {key: min(value, new[key]) for key, value in old.items()}
 
 
-def _warnings(machine: Machine, parts: list[Part], proofs: list[Part], final: dict[int, Problem], proof: Proof) -> list[str]:
+def _warnings(
+    machine: Machine, parts: list[Part], proofs: list[Part], final: dict[int, Problem], proof: Proof
+) -> list[str]:
     found = list(machine.notes)
     for part in {p.log.sha256: p for p in (*parts, *proofs)}.values():
-        found += [f"{part.log.name}: {f.message}" + (f"; {f.suggestion}" if f.suggestion else "") for f in part.log.findings]
+        found += [
+            f"{part.log.name}: {f.message}" + (f"; {f.suggestion}" if f.suggestion else "")
+            for f in part.log.findings
+        ]
     found += [f"{text} ends at the edge of its plausible range" for text in at_bounds(final)]
     for key, entry in proof.gap.items():
         if entry["after"] > 1.02 * entry["calibrated"] and entry["after"] > 1.2 * entry["noise"]:
-            found.append(f"{key}: on the sealed logs the calibrated model alone was better than with the named effects")
+            found.append(
+                f"{key}: on the sealed logs the calibrated model alone was better than with the named effects"
+            )
     return found
 
 

@@ -67,7 +67,11 @@ class Problem:
 
     def values(self, channel: int) -> dict[str, float]:
         """The estimated values that act on a channel, by name."""
-        return {u.name: u.value(v) for u, v in zip(self.unknowns, self.q, strict=True) if u.channel in (None, channel)}
+        return {
+            u.name: u.value(v)
+            for u, v in zip(self.unknowns, self.q, strict=True)
+            if u.channel in (None, channel)
+        }
 
     def effects(self) -> list[str]:
         return list(dict.fromkeys(u.name.split(".", 1)[0] for u in self.unknowns if "." in u.name))
@@ -86,7 +90,9 @@ def rms(machine: Machine, simulated: Vector, channel: int) -> dict[tuple[int, st
     return found
 
 
-def _powers(machine: Machine, simulated: Vector, channel: int, floors: Floors) -> Iterator[tuple[Segment, Vector, Vector, Vector]]:
+def _powers(
+    machine: Machine, simulated: Vector, channel: int, floors: Floors
+) -> Iterator[tuple[Segment, Vector, Vector, Vector]]:
     """By segment: the first row of every block (b,), the rows of it that count, and the power of noise and error (b,).
 
     The power is the mean square of the error plus the noise's.
@@ -96,11 +102,15 @@ def _powers(machine: Machine, simulated: Vector, channel: int, floors: Floors) -
         used = s.used
         count = np.add.reduceat(used.astype(float), first)
         error = np.where(used, np.nan_to_num(s.measured) - simulated[s.place], 0.0)
-        power = np.add.reduceat(error * error, first) / np.maximum(count, 1.0) + floors[channel, s.signal] ** 2
+        power = (
+            np.add.reduceat(error * error, first) / np.maximum(count, 1.0) + floors[channel, s.signal] ** 2
+        )
         yield s, first, count, power
 
 
-def _cost(machine: Machine, problem: Problem, simulated: dict[int, Vector], q: Vector, floors: Floors) -> float:
+def _cost(
+    machine: Machine, problem: Problem, simulated: dict[int, Vector], q: Vector, floors: Floors
+) -> float:
     """Twice the negative log-likelihood with an unknown variance in every block, plus priors; inf for a failed simulation."""
     total = float(sum(v * v for u, v in zip(problem.unknowns, q, strict=True) if u.prior))
     for channel in channels_of(problem, machine):
@@ -132,7 +142,11 @@ def evaluate(machine: Machine, problems: Sequence[Problem], floors: Floors) -> N
 
 
 def differentiate(
-    machine: Machine, problems: Sequence[Problem], floors: Floors, only: Sequence[Sequence[int]] | None = None, size: float = _STEPS[0]
+    machine: Machine,
+    problems: Sequence[Problem],
+    floors: Floors,
+    only: Sequence[Sequence[int]] | None = None,
+    size: float = _STEPS[0],
 ) -> list[tuple[float, Vector, dict[int, Vector]]]:
     """Sets `columns` of every problem, or only the columns `only` (one list of numbers for each problem).
 
@@ -192,10 +206,14 @@ def _bounded_step(problem: Problem, matrix: Vector, side: Vector) -> Vector:
     low, high = problem.bounds
     low, high = np.maximum(low - problem.q, -3.0), np.minimum(high - problem.q, 3.0)
     low, high = np.minimum(low, 0.0) - 1e-9, np.maximum(high, 0.0) + 1e-9
-    return lsq_linear(root[:, None] * vectors.T, (vectors.T @ side) / root, bounds=(low, high), method="bvls").x
+    return lsq_linear(
+        root[:, None] * vectors.T, (vectors.T @ side) / root, bounds=(low, high), method="bvls"
+    ).x
 
 
-def solve(machine: Machine, problems: Sequence[Problem], floors: Floors, iterations: int = 4, tolerance: float = 2.0) -> None:
+def solve(
+    machine: Machine, problems: Sequence[Problem], floors: Floors, iterations: int = 4, tolerance: float = 2.0
+) -> None:
     """Improves the estimates of all problems.
 
     A problem ends early once no step size of the differences lowers its cost by `tolerance`. One that brings `columns`
@@ -252,7 +270,9 @@ def _spread(machine: Machine, problem: Problem, floors: Floors) -> Vector:
     return np.sqrt(np.maximum(np.diag(np.linalg.pinv(matrix, hermitian=True)), 0.0))
 
 
-def gain(machine: Machine, smaller: Problem, larger: Problem, floors: Floors, channels: Sequence[int] | None = None) -> float:
+def gain(
+    machine: Machine, smaller: Problem, larger: Problem, floors: Floors, channels: Sequence[int] | None = None
+) -> float:
     """How much better `larger` explains the data: the fall of the deviance, counted in independent samples.
 
     Per log and signal, n_eff log(variance before / variance after), with n_eff from the residual of the better model.

@@ -30,7 +30,7 @@ def elementwise(law: Callable[..., float]) -> Callable[..., Any]:
 def _rebuilt(function: Callable[..., Any], space: dict[str, Any]) -> Any:
     """The function from its source, with the helpers in `space` in place of plain Python ones."""
     local: dict[str, Any] = {}
-    exec(textwrap.dedent(inspect.getsource(function)), space, local)  # noqa: S102 - our own catalogue's source
+    exec(textwrap.dedent(inspect.getsource(function)), space, local)
     return local[function.__name__]
 
 
@@ -43,7 +43,9 @@ def apply_laws(quantity: str, value: np.ndarray, effects: list[str], known: Mapp
         effect = CATALOGUE[name]
         law = effect.laws.get(quantity)
         if law is not None:
-            value = elementwise(law)(value, *(argument(effect, a, known) for a in list(inspect.signature(law).parameters)[1:]))
+            value = elementwise(law)(
+                value, *(argument(effect, a, known) for a in list(inspect.signature(law).parameters)[1:])
+            )
     return value
 
 

@@ -20,7 +20,13 @@ __all__ = ["Machine", "Request", "UNITS", "Segment", "measured_segments"]
 #: Rows of one log and signal that a fit looks at, at most; the proof looks at all of them.
 MAX_ROWS = 6000
 #: Signals that a machine may predict, with the unit they are shown in and its size in SI.
-UNITS = {"speed": ("rpm", np.pi / 30.0), "current": ("A", 1.0), "pressure": ("bar", 1e5), "spool": ("mm", 1e-3), "flow": ("lpm", 1e-3 / 60.0)}
+UNITS = {
+    "speed": ("rpm", np.pi / 30.0),
+    "current": ("A", 1.0),
+    "pressure": ("bar", 1e5),
+    "spool": ("mm", 1e-3),
+    "flow": ("lpm", 1e-3 / 60.0),
+}
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,9 @@ class Machine(Protocol):
     def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
         """For every request, by channel: the simulated samples (n,) in the order of `segments[channel]`."""
 
+    def close(self) -> None:
+        """Ends what the machine holds open."""
+
     def written(self, model: PlantModel) -> PlantModel:
         """The estimated model as it goes to a model file of the plant."""
 
@@ -83,7 +92,9 @@ class Machine(Protocol):
         """The same machine on other logs."""
 
 
-def measured_segments(parts: Sequence[Part], channels: Sequence[int], signals: Sequence[str], every_row: bool) -> dict[int, list[Segment]]:
+def measured_segments(
+    parts: Sequence[Part], channels: Sequence[int], signals: Sequence[str], every_row: bool
+) -> dict[int, list[Segment]]:
     """The measurements of every channel as segments that lie one behind the other in a vector."""
     found: dict[int, list[Segment]] = {}
     for channel in channels:
@@ -96,7 +107,15 @@ def measured_segments(parts: Sequence[Part], channels: Sequence[int], signals: S
                     continue
                 values = part.log.get(signal)
                 assert values is not None
-                segment = Segment(number, channel, signal, values[rows, channel], rows, part.inside[rows], part.log.period * step)
+                segment = Segment(
+                    number,
+                    channel,
+                    signal,
+                    values[rows, channel],
+                    rows,
+                    part.inside[rows],
+                    part.log.period * step,
+                )
                 segment.place = slice(place, place + rows.size)
                 place += rows.size
                 found[channel].append(segment)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
+from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
@@ -16,11 +19,17 @@ __all__ = ["MotorRig"]
 SUBSTEP = 100e-6
 #: Lanes of one call, so that memory stays small and progress visible.
 LANES = 32
+#: Requests for the same effects from which a kernel of their own is worth its compilation, which is kept on disk.
+OWN_KERNEL = 12
 #: Base parameters that calibration may adjust. V is left out (never told from beta), u_rated and x_max are settings.
 BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
-#: Effects that are compiled into one kernel for a first look: fewer kernels to compile, few terms in each.
-_GROUPS = (("driver", "coil", "force"), ("opening", "flow"), ("supply",), ("line", "fluid"), ("motor", "load", "sensor"))
-_RECORDED = {"speed": "measured_speed", "current": "current", "pressure": "pressure", "spool": "spool", "flow": "flow"}
+_RECORDED = {
+    "speed": "measured_speed",
+    "current": "current",
+    "pressure": "pressure",
+    "spool": "spool",
+    "flow": "flow",
+}
 
 
 class MotorRig:
@@ -32,15 +41,28 @@ class MotorRig:
     ) -> None:  # fmt: skip
         self.model, self.parts, self.substep, self.jobs, self.progress = model, parts, substep, jobs, progress
         self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
-        self.segments: dict[int, list[Segment]] = measured_segments(parts, self.channels, tuple(_RECORDED), every_row)
-        self.signals = tuple(s for s in _RECORDED if any(seg.signal == s for segs in self.segments.values() for seg in segs))
+        self.segments: dict[int, list[Segment]] = measured_segments(
+            parts, self.channels, tuple(_RECORDED), every_row
+        )
+        self.signals = tuple(
+            s for s in _RECORDED if any(seg.signal == s for segs in self.segments.values() for seg in segs)
+        )
+        self.every_row = every_row
+        self._pool: ProcessPoolExecutor | None = None
         self.coupled = any(CATALOGUE[e].scope == "rig" for e in model.declared)
         self.quick = False
         self.notes: list[str] = []
         self.own: dict[str, Parameter] = {}
 
     def with_parts(self, parts: list[Part], every_row: bool) -> MotorRig:
-        return MotorRig(self.model, parts, every_row=every_row, substep=self.substep, jobs=self.jobs, progress=self.progress)
+        return MotorRig(
+            self.model,
+            parts,
+            every_row=every_row,
+            substep=self.substep,
+            jobs=self.jobs,
+            progress=self.progress,
+        )
 
     def written(self, model: PlantModel) -> PlantModel:
         return model
@@ -50,7 +72,11 @@ class MotorRig:
 
     def candidates(self) -> list[str]:
         both = len(self.channels) == 2
-        return [e.name for e in CATALOGUE.values() if (both or e.name != "supply_droop") and not self._present(e.name)]
+        return [
+            e.name
+            for e in CATALOGUE.values()
+            if (both or e.name != "supply_droop") and not self._present(e.name)
+        ]
 
     def _present(self, effect: str) -> bool:
         """Whether the model as given has the effect already: its parameters are then calibrated, not discovered."""
@@ -62,15 +88,40 @@ class MotorRig:
 
     # --- simulation -----------------------------------------------------------------------------------------------------
     def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
+        if self.jobs > 1 and len(requests) >= 16:
+            return self._shared_out(requests)
         results: list[dict[int, np.ndarray]] = [{} for _ in requests]
+        count = Counter(request.effects for request in requests)
         by_kernel: dict[tuple[str, ...], list[int]] = {}
         for number, request in enumerate(requests):
-            by_kernel.setdefault(_kernel(request.effects), []).append(number)
+            alone = count[request.effects] >= OWN_KERNEL
+            by_kernel.setdefault(_kernel(request.effects, alone), []).append(number)
         for effects, numbers in by_kernel.items():
             rows = self._pack([(n, requests[n]) for n in numbers])
             for start in range(0, len(rows), LANES):
                 self._run(effects, rows[start : start + LANES], requests, results)
         return results
+
+    def _shared_out(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
+        """The same by several processes; a request's result does not depend on who simulates it or beside what."""
+        if self._pool is None:
+            mode = multiprocessing.get_context("spawn")
+            given = (self.model, self.parts, self.every_row, self.substep)
+            self._pool = ProcessPoolExecutor(self.jobs, mp_context=mode, initializer=_begin, initargs=given)
+        # Every n-th, so that each share holds both channels and every kernel in equal parts.
+        shares = [list(requests[k :: self.jobs]) for k in range(self.jobs)]
+        results: list[dict[int, np.ndarray]] = [{} for _ in requests]
+        for k, answers in enumerate(self._pool.map(_answer, shares)):
+            results[k :: self.jobs] = answers
+            if self.progress is not None:
+                self.progress(len(answers) // 2)
+        return results
+
+    def close(self) -> None:
+        """Ends the processes, if there are any."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
 
     def _pack(self, wanted: list[tuple[int, Request]]) -> list[list[int]]:
         """Rigs, each a list of request numbers: one per channel where the channels do not act on each other."""
@@ -81,7 +132,11 @@ class MotorRig:
         return whole
 
     def _run(
-        self, effects: tuple[str, ...], rigs: list[list[int]], requests: Sequence[Request], results: list[dict[int, np.ndarray]]
+        self,
+        effects: tuple[str, ...],
+        rigs: list[list[int]],
+        requests: Sequence[Request],
+        results: list[dict[int, np.ndarray]],
     ) -> None:
         lanes = len(rigs)
         names = {name for rig in rigs for n in rig for name in requests[n].values}
@@ -116,7 +171,9 @@ class MotorRig:
     def _length(self, channel: int) -> int:
         return self.segments[channel][-1].place.stop
 
-    def _simulate(self, part: Part, values: dict[str, np.ndarray], lanes: int, effects: tuple[str, ...]) -> dict[str, np.ndarray]:
+    def _simulate(
+        self, part: Part, values: dict[str, np.ndarray], lanes: int, effects: tuple[str, ...]
+    ) -> dict[str, np.ndarray]:
         command = np.nan_to_num(part.log.command_V)
         load = None if part.log.load is None else np.nan_to_num(part.log.load)
         with np.errstate(all="ignore"):
@@ -126,12 +183,23 @@ class MotorRig:
             )  # fmt: skip
 
 
-def _kernel(effects: frozenset[str]) -> tuple[str, ...]:
-    """The effects to compile in for a set of effects: their group, where one holds all of them."""
-    if not effects:
-        return ()
-    for group in _GROUPS:
-        members = tuple(e.name for e in CATALOGUE.values() if e.port in group)
-        if effects <= set(members):
-            return members
-    return tuple(sorted(effects))
+_RIG: list[MotorRig] = []  # of a worker process
+
+
+def _begin(model: PlantModel, parts: list[Part], every_row: bool, substep: float) -> None:
+    _RIG.append(MotorRig(model, parts, every_row=every_row, substep=substep))
+
+
+def _answer(requests: list[Request]) -> list[dict[int, np.ndarray]]:
+    return _RIG[0].predict(requests)
+
+
+def _kernel(effects: frozenset[str], alone: bool) -> tuple[str, ...]:
+    """The effects to compile in: none, all at once, or, for many requests alike (`alone`), just these.
+
+    A kernel with all effects is compiled once for every candidate but is some three times as slow. The supply, which ties
+    the two channels together and slows the kernel down, is never among them.
+    """
+    if alone or not effects or "supply_droop" in effects:
+        return tuple(sorted(effects))
+    return tuple(name for name in CATALOGUE if name != "supply_droop")

@@ -48,7 +48,7 @@ def effective_samples(residual: np.ndarray) -> float:
     size = 1 << (2 * n - 1).bit_length()
     spectrum = np.fft.rfft(x, size)
     rho = np.fft.irfft(spectrum * spectrum.conj(), size)[:n] / power
-    pairs = rho[0 : n - n % 2 : 2] + rho[1 : n : 2]
+    pairs = rho[0 : n - n % 2 : 2] + rho[1:n:2]
     stop = np.flatnonzero(pairs <= 0.0)
     tau = 2.0 * float(pairs[: stop[0] if stop.size else pairs.size].sum()) - 1.0
     return float(np.clip(n / max(tau, 1.0), 1.0, n))

@@ -69,7 +69,9 @@ def _whole(path: str, log: RigLog) -> RigLog:
     for finding in log.findings:
         if finding.code == "clock_jump":
             row = "" if finding.row is None else f"row {finding.row}, "
-            raise InputError(f"{path}: {row}column {finding.column!r}: {finding.message}; {finding.suggestion}")
+            raise InputError(
+                f"{path}: {row}column {finding.column!r}: {finding.message}; {finding.suggestion}"
+            )
     return log
 
 
@@ -84,7 +86,8 @@ def _cut(word: str, log: RigLog, windows: list[tuple[float, float]]) -> Part:
         rows = (time >= start) & (time < end)
         if rows.sum() < 20:
             raise InputError(
-                f"{word}: only {int(rows.sum())} rows between {start:g} and {end:g} s; the log runs from {time[0]:g} to {time[-1]:g} s"
+                f"{word}: only {int(rows.sum())} rows between {start:g} and {end:g} s; "
+                f"the log runs from {time[0]:g} to {time[-1]:g} s"
             )
         inside |= rows
     last = int(np.flatnonzero(inside)[-1]) + 1
@@ -101,4 +104,6 @@ def overlap(fit: Iterable[Part], sealed: Iterable[Part]) -> None:
             if a.log.sha256 == b.log.sha256:
                 n = min(len(a.inside), len(b.inside))
                 if (a.inside[:n] & b.inside[:n]).any():
-                    raise InputError(f"{b.label} is sealed but shares rows with {a.label}, which is fitted; name parts that are apart")
+                    raise InputError(
+                        f"{b.label} is sealed but shares rows with {a.label}, which is fitted; name parts that are apart"
+                    )

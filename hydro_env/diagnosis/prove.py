@@ -53,7 +53,9 @@ def prove(machine: Machine, models: Mapping[str, Mapping[int, Problem]]) -> Proo
             entry = {"noise": _noise(machine, traces, channel, signal) / size}
             for name in MODELS:
                 errors = [
-                    (s.measured - traces[name][channel][s.place])[s.used] for s in machine.segments[channel] if s.signal == signal
+                    (s.measured - traces[name][channel][s.place])[s.used]
+                    for s in machine.segments[channel]
+                    if s.signal == signal
                 ]
                 entry[name] = float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) / size
             gap[f"{signal}_{channel + 1}_{unit}"] = entry
@@ -65,6 +67,9 @@ def _noise(machine: Machine, traces: dict[str, dict[int, np.ndarray]], channel: 
     found = []
     for s in machine.segments[channel]:
         if s.signal == signal:
-            each = [noise_floor(s.measured - traces[name][channel][s.place], s.used, s.period) for name in ("calibrated", "after")]
+            each = [
+                noise_floor(s.measured - traces[name][channel][s.place], s.used, s.period)
+                for name in ("calibrated", "after")
+            ]
             found.append(min(each))
     return float(np.median(found))

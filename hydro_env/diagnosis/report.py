@@ -14,10 +14,17 @@ from .result import parameter_text
 
 if TYPE_CHECKING:
     from .command import Diagnosis
+    from .select import Trial
 
 __all__ = ["report_page", "sentence", "terminal_text"]
 
-_NAMES = {"speed": "speed", "current": "coil current", "pressure": "pressure difference", "spool": "spool position", "flow": "flow"}
+_NAMES = {
+    "speed": "speed",
+    "current": "coil current",
+    "pressure": "pressure difference",
+    "spool": "spool position",
+    "flow": "flow",
+}
 _UNITS = {"mm_per_s": "mm/s", "lpm": "l/min"}
 #: Points of a trace in a picture.
 POINTS = 900
@@ -41,19 +48,34 @@ def sentence(found: Diagnosis) -> str:
     if word == "none":
         return f"Nothing is missing: the model as given explains the logs. {gap} ({noise})."
     if word == "calibration":
-        return f"Only known parameters were off: adjusted inside their plausible ranges, the model explains the logs. {gap}, {entry['before']:.3g} before ({noise})."
+        return (
+            "Only known parameters were off: adjusted inside their plausible ranges, the model explains the logs. "
+            f"{gap}, {entry['before']:.3g} before ({noise})."
+        )
     names = "; ".join(f"{_plain(n.name)} on {_where(n.channel)}" for n in found.named)
     if word == "effects":
-        return f"The model lacks {names}. {gap}: {entry['before']:.3g} as given, {entry['calibrated']:.3g} after calibration alone ({noise})."
+        return (
+            f"The model lacks {names}. {gap}: {entry['before']:.3g} as given, "
+            f"{entry['calibrated']:.3g} after calibration alone ({noise})."
+        )
     known = f" {names} explains a part." if names else ""
-    places = ", ".join(dict.fromkeys(f"{_plain(p.equation)} of channel {p.channel + 1} ({p.regime})" for p in found.places[:2]))
-    return f"Something is missing that no effect of the catalogue explains; it shows in {places or 'all signals'}.{known} {gap} ({noise})."
+    places = ", ".join(
+        dict.fromkeys(
+            f"{_plain(p.equation)} of channel {p.channel + 1} ({p.regime})" for p in found.places[:2]
+        )
+    )
+    return (
+        f"Something is missing that no effect of the catalogue explains; it shows in {places or 'all signals'}."
+        f"{known} {gap} ({noise})."
+    )
 
 
 def headline(data: dict[str, Any]) -> tuple[str, dict[str, float]]:
     """The signal that tells most: the speed whose gap fell most, in noise units."""
     speeds = {k: v for k, v in data["gap"]["sealed"].items() if k.startswith("speed")}
-    key = max(speeds, key=lambda k: (speeds[k]["before"] - speeds[k]["after"]) / max(speeds[k]["noise"], 1e-30))
+    key = max(
+        speeds, key=lambda k: (speeds[k]["before"] - speeds[k]["after"]) / max(speeds[k]["noise"], 1e-30)
+    )
     return key, speeds[key]
 
 
@@ -67,13 +89,22 @@ def terminal_text(found: Diagnosis) -> str:
     data = found.data
     lines = [f"verdict: {data['verdict']}", sentence(found), ""]
     for n in found.named:
-        tied = f"; cannot be told from {', '.join(n.indistinguishable_from)}" if n.indistinguishable_from else ""
+        tied = (
+            f"; cannot be told from {', '.join(n.indistinguishable_from)}" if n.indistinguishable_from else ""
+        )
         lines.append(f"  {n.name} ({_where(n.channel)}), probability {n.probability:.2f}{tied}")
         lines += [f"    {name} = {parameter_text(p)}" for name, p in n.parameters.items()]
-    lines += ["RMS error on the sealed logs", f"  {'signal':<18}{'noise':>9}{'before':>10}{'calibrated':>12}{'after':>10}{'placebo':>10}"]
+    lines += [
+        "RMS error on the sealed logs",
+        f"  {'signal':<18}{'noise':>9}{'before':>10}{'calibrated':>12}{'after':>10}{'placebo':>10}",
+    ]
     for key, e in data["gap"]["sealed"].items():
-        lines.append(f"  {key:<18}{e['noise']:9.3g}{e['before']:10.3g}{e['calibrated']:12.3g}{e['after']:10.3g}{e['placebo']:10.3g}")
-    hidden = [f"{name}:{c}" for name, row in data["detectable"].items() for c, seen in row.items() if not seen]
+        lines.append(
+            f"  {key:<18}{e['noise']:9.3g}{e['before']:10.3g}{e['calibrated']:12.3g}{e['after']:10.3g}{e['placebo']:10.3g}"
+        )
+    hidden = [
+        f"{name}:{c}" for name, row in data["detectable"].items() for c, seen in row.items() if not seen
+    ]
     if hidden:
         text = ", ".join(hidden[:8]) + (f" and {len(hidden) - 8} more" if len(hidden) > 8 else "")
         lines.append(f"could not be seen in these logs at medium size: {text}")
@@ -92,9 +123,11 @@ def report_page(found: Diagnosis) -> str:
     return render(
         files("hydro_env.diagnosis").joinpath("report.html"),
         title="Diagnosis of a hydraulic rig", verdict=found.data["verdict"], sentence=sentence(found), data=found.data,
-        traces=_traces(found), bars=_bars(found), ranking=_ranking(found), parameters=_parameters(found), detectable=_detectable(found),
+        traces=_traces(found), bars=_bars(found), ranking=_ranking(found), parameters=_parameters(found),
+        detectable=_detectable(found),
         named=found.named, warnings=found.warnings, plain=_plain, where=_where, parameter_text=parameter_text,
-        split=_split, catalogue=CATALOGUE, logs=[p.label for p in found.machine.parts], proofs=[p.label for p in found.sealed.machine.parts],
+        split=_split, catalogue=CATALOGUE, logs=[p.label for p in found.machine.parts],
+        proofs=[p.label for p in found.sealed.machine.parts],
     )  # fmt: skip
 
 
@@ -111,22 +144,39 @@ def _traces(found: Diagnosis) -> list[Any]:
         log = machine.parts[segment.log].log
         time = log.time_s[segment.rows]
         keep = segment.used
-        noise = found.data["gap"]["sealed"][next(k for k in found.data["gap"]["sealed"] if k.startswith(f"speed_{channel + 1}"))]["noise"]
+        noise = found.data["gap"]["sealed"][
+            next(k for k in found.data["gap"]["sealed"] if k.startswith(f"speed_{channel + 1}"))
+        ]["noise"]
         drawing, axes = figure(2, height=2.1)
         shown = _thin(np.where(keep, segment.measured, np.nan) / size)
         axes[0].plot(_thin(time), shown, color=COLOURS[4], label="measured", linewidth=2.2)
-        axes[1].axhspan(-2.0 * noise, 2.0 * noise, color=COLOURS[4], alpha=0.25, label="noise, 2 standard deviations")
+        axes[1].axhspan(
+            -2.0 * noise, 2.0 * noise, color=COLOURS[4], alpha=0.25, label="noise, 2 standard deviations"
+        )
         for name, colour in (("before", COLOURS[1]), ("calibrated", COLOURS[5]), ("after", COLOURS[0])):
             trace = found.sealed.traces[name][channel][segment.place]
             if name != "calibrated":
-                axes[0].plot(_thin(time), _thin(np.where(keep, trace, np.nan) / size), color=colour, label=name)
-            axes[1].plot(_thin(time), _thin(np.where(keep, segment.measured - trace, np.nan) / size), color=colour, label=name, linewidth=1.0)
+                axes[0].plot(
+                    _thin(time), _thin(np.where(keep, trace, np.nan) / size), color=colour, label=name
+                )
+            axes[1].plot(
+                _thin(time),
+                _thin(np.where(keep, segment.measured - trace, np.nan) / size),
+                color=colour,
+                label=name,
+                linewidth=1.0,
+            )
         axes[0].set_ylabel(f"speed, {unit}")
         axes[1].set_ylabel(f"error, {unit}")
         axes[1].set_xlabel("time, s")
         for axis in axes:
             axis.legend(loc="upper right", ncols=4)
-        pictures.append((f"Channel {channel + 1}, sealed log {log.name}", svg(drawing, f"speed of channel {channel + 1} and its error")))
+        pictures.append(
+            (
+                f"Channel {channel + 1}, sealed log {log.name}",
+                svg(drawing, f"speed of channel {channel + 1} and its error"),
+            )
+        )
     return pictures
 
 
@@ -157,15 +207,20 @@ def _bars(found: Diagnosis) -> Any:
 
 def _ranking(found: Diagnosis) -> list[dict[str, Any]]:
     """Candidates by gain in their last try: taken ones first, then by gain."""
-    trials = {}
+    trials: dict[tuple[str, int | None], Trial] = {}
     for t in found.selection.trials:
         key = (t.effect, t.channel)
-        if key not in trials or t.fate == "taken" or (trials[key].fate != "taken" and t.problem is not None and t.gain > trials[key].gain):
+        if (
+            key not in trials
+            or t.fate == "taken"
+            or (trials[key].fate != "taken" and t.problem is not None and t.gain > trials[key].gain)
+        ):
             trials[key] = t
     rows = sorted(trials.values(), key=lambda t: (t.fate != "taken", t.problem is None, -t.gain))
     return [
         {
-            "effect": t.effect, "where": "rig" if t.channel is None else str(t.channel + 1), "gain": float(t.gain), "needed": float(t.needed),
+            "effect": t.effect, "where": "rig" if t.channel is None else str(t.channel + 1), "gain": float(t.gain),
+            "needed": float(t.needed),
             "refitted": t.problem is not None, "fate": t.fate,
         }
         for t in rows
@@ -180,6 +235,10 @@ def _parameters(found: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _detectable(found: Diagnosis) -> tuple[Sequence[str], list[tuple[str, list[str]]]]:
-    columns = [str(c + 1) for c in found.machine.channels] + (["rig"] if any("rig" in v for v in found.data["detectable"].values()) else [])
+    columns = [str(c + 1) for c in found.machine.channels] + (
+        ["rig"] if any("rig" in v for v in found.data["detectable"].values()) else []
+    )
     marks = {True: "yes", False: "no", None: ""}
-    return columns, [(name, [marks[row.get(c)] for c in columns]) for name, row in found.data["detectable"].items()]
+    return columns, [
+        (name, [marks[row.get(c)] for c in columns]) for name, row in found.data["detectable"].items()
+    ]

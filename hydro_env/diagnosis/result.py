@@ -18,7 +18,15 @@ from .select import Choice, Selection
 from .signatures import Look, alike, detectable
 from .where import Place
 
-__all__ = ["SCHEMA", "Named", "calibrated_values", "diagnosis_dict", "estimated_model", "named_effects", "verdict"]
+__all__ = [
+    "SCHEMA",
+    "Named",
+    "calibrated_values",
+    "diagnosis_dict",
+    "estimated_model",
+    "named_effects",
+    "verdict",
+]
 
 SCHEMA = "hydro_env/diagnosis/1"
 #: A deviance by which rivals fall behind counts as this fraction: models are never exact.
@@ -37,20 +45,39 @@ class Named:
 
 
 def verdict(
-    machine: Machine, given: dict[int, Problem], calibrated: dict[int, Problem], selection: Selection, floors: Floors
+    machine: Machine,
+    given: dict[int, Problem],
+    calibrated: dict[int, Problem],
+    selection: Selection,
+    floors: Floors,
 ) -> str:
     """none | calibration | effects | unknown, see the contract."""
-    unexplained = any(_unexplained(machine, calibrated[c], selection.problems[c], c, floors) for c in machine.channels)
+    unexplained = any(
+        _unexplained(machine, calibrated[c], selection.problems[c], c, floors) for c in machine.channels
+    )
     if selection.choices:
-        return "effects" if not unexplained else "unknown" if not _mostly(machine, calibrated, selection, floors) else "effects"
+        return (
+            "effects"
+            if not unexplained
+            else "unknown"
+            if not _mostly(machine, calibrated, selection, floors)
+            else "effects"
+        )
     if unexplained:
         return "unknown"
-    return "calibration" if any(_better(machine, given[c], calibrated[c], c, floors) for c in machine.channels) else "none"
+    return (
+        "calibration"
+        if any(_better(machine, given[c], calibrated[c], c, floors) for c in machine.channels)
+        else "none"
+    )
 
 
 def _better(machine: Machine, given: Problem, calibrated: Problem, channel: int, floors: Floors) -> bool:
     """Whether calibration explains more than its number of parameters would by chance."""
-    old, new = rms(machine, given.simulated[channel], channel), rms(machine, calibrated.simulated[channel], channel)
+    old, new = (
+        rms(machine, given.simulated[channel], channel),
+        rms(machine, calibrated.simulated[channel], channel),
+    )
     visible = any(old[k] > 1.03 * max(new[k], floors[channel, k[1]]) for k in old)
     return visible and gain(machine, given, calibrated, floors) > 6.0 * len(calibrated.unknowns)
 
@@ -80,18 +107,34 @@ def named_effects(machine: Machine, selection: Selection, looks: Sequence[Look])
     for choice in selection.choices:
         # Alike by direction is not enough: a rival must also have done nearly as well when it was refitted.
         rivals = sorted(choice.rivals, key=lambda n: choice.rivals[n])
-        rivals += [n for n in same.get((choice.effect, choice.channel), []) if n not in rivals and _tied(selection, choice, n)]
+        rivals += [
+            n
+            for n in same.get((choice.effect, choice.channel), [])
+            if n not in rivals and _tied(selection, choice, n)
+        ]
         weight = 1.0 + sum(math.exp(-0.5 * TEMPER * choice.rivals.get(n, 0.0)) for n in rivals)
         chance = 1.0 / (1.0 + math.exp(-0.5 * TEMPER * (choice.gain - choice.needed)))
         channel = choice.channel
         c = machine.channels[0] if channel is None else channel
         key = "rig" if channel is None else str(channel + 1)
-        found.append(Named(choice.effect, key, round(chance / weight, 3), rivals, _parameters(selection.problems[c], choice.effect)))
+        found.append(
+            Named(
+                choice.effect,
+                key,
+                round(chance / weight, 3),
+                rivals,
+                _parameters(selection.problems[c], choice.effect),
+            )
+        )
     return found
 
 
 def _tied(selection: Selection, choice: Choice, name: str) -> bool:
-    tried = [t for t in selection.trials if t.effect == name and t.channel == choice.channel and t.problem is not None]
+    tried = [
+        t
+        for t in selection.trials
+        if t.effect == name and t.channel == choice.channel and t.problem is not None
+    ]
     return any(t.gain > 0.9 * choice.gain for t in tried)
 
 
@@ -125,7 +168,12 @@ def at_bounds(problems: dict[int, Problem]) -> list[str]:
     found = []
     for c, problem in problems.items():
         for u, q in zip(problem.unknowns, problem.q, strict=True):
-            if u.channel in (None, c) and u.at_bound(float(q)) and u.high > u.low and not ("." in u.name and q == 0.0):
+            if (
+                u.channel in (None, c)
+                and u.at_bound(float(q))
+                and u.high > u.low
+                and not ("." in u.name and q == 0.0)
+            ):
                 found.append(f"{u.name} of channel {c + 1} ({u.value(float(q)):.3g} {u.unit})")
     return found
 
@@ -166,7 +214,8 @@ def diagnosis_dict(
         "trials": [
             {
                 "effect": t.effect, "channel": "rig" if t.channel is None else str(t.channel + 1), "round": t.round,
-                "gain": round(float(t.gain), 1), "needed": round(float(t.needed), 1), "refitted": t.problem is not None, "fate": t.fate,
+                "gain": round(float(t.gain), 1), "needed": round(float(t.needed), 1), "refitted": t.problem is not None,
+                "fate": t.fate,
             }
             for t in selection.trials
         ],

@@ -31,6 +31,8 @@ CHEAP, FULL = 9, 3
 MOST = 3
 #: An effect must explain this share of what is left above the noise, in the signal where it explains most.
 SHARE = 0.05
+#: What stays of the gap after an effect is looked into if it is a larger share; no effect has exactly its law.
+REST = 0.005
 
 
 @dataclass
@@ -122,7 +124,12 @@ def select(
             now = first_look(machine, {c: present[c] for c in open_channels}, floors, names, seconds)
         say(f"round {number}: refitting candidates")
         taken = _round(machine, present, open_channels, now, floors, number, trials, choices, placebo)
-        open_channels = [c for c in taken if _left(machine, present[c], c, floors)]
+        open_channels = [
+            c
+            for c in taken
+            if _left(machine, present[c], c, floors)
+            and 1.0 - _explained(machine, calibrated[c], present[c], c, floors) > REST
+        ]
     whole = [k for k in looks if k.channel is None]
     if whole and len(machine.channels) == 2:
         say("effects of the whole rig")
@@ -158,7 +165,16 @@ def _round(
             if machine.quick or (place < CHEAP and look.gain > 0.0):
                 batch.append((c, look, extended(present[c], look)))
             else:
-                trials.append(Trial(look.effect, c, number, look.gain, penalty(machine, look.effect), "explains too little at first look"))
+                trials.append(
+                    Trial(
+                        look.effect,
+                        c,
+                        number,
+                        look.gain,
+                        penalty(machine, look.effect),
+                        "explains too little at first look",
+                    )
+                )
     if not batch:
         return []
     _cheap(machine, [p for _, _, p in batch], floors)
@@ -168,21 +184,44 @@ def _round(
         best += own_batch[:FULL]
         for _, look, problem in own_batch[FULL:]:
             found = gain(machine, present[c], problem, floors)
-            trials.append(Trial(look.effect, c, number, found, penalty(machine, look.effect), "others explain more", problem))
+            trials.append(
+                Trial(
+                    look.effect,
+                    c,
+                    number,
+                    found,
+                    penalty(machine, look.effect),
+                    "others explain more",
+                    problem,
+                )
+            )
     solve(machine, [p for _, _, p in best], floors, 10 if machine.quick else 3)
     _polish(machine, present, channels, best, floors)
     taken = []
     for c in channels:
-        own_best = sorted(((look, p) for k, look, p in best if k == c), key=lambda b: b[1].cost + penalty(machine, b[0].effect))
+        own_best = sorted(
+            ((look, p) for k, look, p in best if k == c),
+            key=lambda b: b[1].cost + penalty(machine, b[0].effect),
+        )
         for place, (look, problem) in enumerate(own_best):
             found, needed = gain(machine, present[c], problem, floors), penalty(machine, look.effect)
             fate = _verdict(machine, present[c], problem, look, c, found, needed, floors)
             if place == 0 and fate == "taken":
                 rivals = {
-                    o.effect: max(0.0, gain(machine, present[c], problem, floors) - gain(machine, present[c], p, floors))
+                    o.effect: max(
+                        0.0, gain(machine, present[c], problem, floors) - gain(machine, present[c], p, floors)
+                    )
                     for o, p in own_best[1:]
                 }
-                choices.append(Choice(look.effect, c, found, needed, {n: d for n, d in rivals.items() if d < 0.1 * found or d < needed}))
+                choices.append(
+                    Choice(
+                        look.effect,
+                        c,
+                        found,
+                        needed,
+                        {n: d for n, d in rivals.items() if d < 0.1 * found or d < needed},
+                    )
+                )
                 taken.append(c)
             elif place > 0 and fate == "taken":
                 fate = "others explain more"
@@ -196,7 +235,11 @@ def _round(
 
 
 def _polish(
-    machine: Machine, present: dict[int, Problem], channels: Sequence[int], best: Sequence[tuple[int, Look, Problem]], floors: Floors
+    machine: Machine,
+    present: dict[int, Problem],
+    channels: Sequence[int],
+    best: Sequence[tuple[int, Look, Problem]],
+    floors: Floors,
 ) -> None:
     """Restarts the present models from the base parameters that their best extensions found.
 
@@ -232,7 +275,14 @@ def _cheap(machine: Machine, problems: Sequence[Problem], floors: Floors) -> Non
 
 
 def _verdict(
-    machine: Machine, before: Problem, after: Problem, look: Look, channel: int, found: float, needed: float, floors: Floors
+    machine: Machine,
+    before: Problem,
+    after: Problem,
+    look: Look,
+    channel: int,
+    found: float,
+    needed: float,
+    floors: Floors,
 ) -> str:
     if found < needed:
         return "gains less than chance could"
@@ -245,17 +295,44 @@ def _verdict(
 
 def _neutral(problem: Problem, effect: str) -> bool:
     """Whether the estimate of an effect is its neutral value."""
-    values = {u.name.split(".", 1)[1]: u.value(q) for u, q in zip(problem.unknowns, problem.q, strict=True) if u.name.startswith(f"{effect}.")}
-    sizes = [p for p in CATALOGUE[effect].parameters if p.typical is not None and p.typical != p.nominal]
-    return all(np.isfinite(p.nominal) and abs(values[p.name] - p.nominal) < 0.02 * abs(p.typical - p.nominal) for p in sizes)  # type: ignore[operator]
+    values = {
+        u.name.split(".", 1)[1]: u.value(q)
+        for u, q in zip(problem.unknowns, problem.q, strict=True)
+        if u.name.startswith(f"{effect}.")
+    }
+    sizes = {p.name: (p.nominal, p.typical) for p in CATALOGUE[effect].parameters}
+    return all(
+        np.isfinite(neutral) and abs(values[name] - neutral) < 0.02 * abs(typical - neutral)
+        for name, (neutral, typical) in sizes.items()
+        if typical is not None and typical != neutral
+    )
 
 
-def _share(machine: Machine, before: Problem, after: Problem, channels: Sequence[int], floors: Floors) -> float:
+def _explained(machine: Machine, before: Problem, after: Problem, channel: int, floors: Floors) -> float:
+    """Share of the variance above the noise that is explained, in the signal and log where it is smallest of those that
+    mattered."""
+    shares = [1.0]
+    for s in machine.segments[channel]:
+        floor = floors[channel, s.signal] ** 2
+        old, new = (
+            float(np.mean((s.measured - p.simulated[channel][s.place])[s.used] ** 2)) / floor - 1.0
+            for p in (before, after)
+        )
+        if old > 0.5:
+            shares.append(1.0 - new / old)
+    return min(shares)
+
+
+def _share(
+    machine: Machine, before: Problem, after: Problem, channels: Sequence[int], floors: Floors
+) -> float:
     """Share of the variance above the noise that is explained, in the signal and log where it is largest."""
     best = 0.0
     for c in channels:
         for s in machine.segments[c]:
-            old, new = (float(np.mean((s.measured - p.simulated[c][s.place])[s.used] ** 2)) for p in (before, after))
+            old, new = (
+                float(np.mean((s.measured - p.simulated[c][s.place])[s.used] ** 2)) for p in (before, after)
+            )
             excess = old - floors[c, s.signal] ** 2
             if excess > 0.02 * floors[c, s.signal] ** 2:
                 best = max(best, (old - new) / excess)
@@ -268,10 +345,19 @@ def _rig(
 ) -> tuple[dict[int, Problem], list[Choice]]:  # fmt: skip
     """Effects of the whole rig, beside the calibrated channels and beside what the channels have taken."""
     base, full = joined(calibrated), joined(present)
-    tries = []
+    tries: list[tuple[Look, Problem, Problem, list[Choice]]] = []
     for look in looks:
         if look.gain <= penalty(machine, look.effect):
-            trials.append(Trial(look.effect, None, 1, look.gain, penalty(machine, look.effect), "explains too little at first look"))
+            trials.append(
+                Trial(
+                    look.effect,
+                    None,
+                    1,
+                    look.gain,
+                    penalty(machine, look.effect),
+                    "explains too little at first look",
+                )
+            )
             continue
         tries.append((look, extended(base, look), base, []))
         if choices:
@@ -282,7 +368,9 @@ def _rig(
     solve(machine, [p for _, p, _, _ in tries], floors, 2)
 
     def score(problem: Problem, names: Sequence[str]) -> float:
-        return gain(machine, base, problem, floors, machine.channels) - sum(penalty(machine, n) for n in names)
+        return gain(machine, base, problem, floors, machine.channels) - sum(
+            penalty(machine, n) for n in names
+        )
 
     best, best_score, best_choices = full, score(full, [k.effect for k in choices]), choices
     for look, problem, before, kept in tries:
@@ -292,16 +380,28 @@ def _rig(
         if fate == "taken" and reached > best_score:
             best, best_score = problem, reached
             best_choices = [*kept, Choice(look.effect, None, found, needed)]
-        trials.append(Trial(look.effect, None, 1, found, needed, fate if fate != "taken" else "others explain more", problem))
+        trials.append(
+            Trial(
+                look.effect,
+                None,
+                1,
+                found,
+                needed,
+                fate if fate != "taken" else "others explain more",
+                problem,
+            )
+        )
     if best is full:
         return present, choices
     for trial in trials:
         if trial.problem is best:
             trial.fate = "taken"
-    return {c: best for c in machine.channels}, best_choices
+    return dict.fromkeys(machine.channels, best), best_choices
 
 
-def _backward(machine: Machine, present: dict[int, Problem], choices: list[Choice], floors: Floors, trials: list[Trial]) -> None:
+def _backward(
+    machine: Machine, present: dict[int, Problem], choices: list[Choice], floors: Floors, trials: list[Trial]
+) -> None:
     """Refits without each effect in turn and drops those that are not missed."""
     while True:
         without = []
@@ -309,14 +409,22 @@ def _backward(machine: Machine, present: dict[int, Problem], choices: list[Choic
             c = choice.channel
             if c is None or present[c].channel is None or sum(k.channel == c for k in choices) < 2:
                 continue
-            keep = [j for j, u in enumerate(present[c].unknowns) if not u.name.startswith(f"{choice.effect}.")]
-            less = Problem(c, [present[c].unknowns[j] for j in keep], present[c].q[keep], "without " + choice.effect)
+            keep = [
+                j for j, u in enumerate(present[c].unknowns) if not u.name.startswith(f"{choice.effect}.")
+            ]
+            less = Problem(
+                c, [present[c].unknowns[j] for j in keep], present[c].q[keep], "without " + choice.effect
+            )
             less.columns = {c: present[c].columns[c][:, keep]}
             without.append((choice, less))
         if not without:
             return
         solve(machine, [p for _, p in without], floors, 3)
-        missed = [(gain(machine, p, present[k.channel], floors) - k.needed, k, p) for k, p in without if k.channel is not None]
+        missed = [
+            (gain(machine, p, present[k.channel], floors) - k.needed, k, p)
+            for k, p in without
+            if k.channel is not None
+        ]
         for worth, choice, _ in missed:
             choice.gain = worth + choice.needed
         worth, choice, less = min(missed, key=lambda m: m[0])
@@ -324,4 +432,14 @@ def _backward(machine: Machine, present: dict[int, Problem], choices: list[Choic
             return
         present[choice.channel] = less
         choices.remove(choice)
-        trials.append(Trial(choice.effect, choice.channel, 9, choice.gain, choice.needed, "not missed once the others are there", less))
+        trials.append(
+            Trial(
+                choice.effect,
+                choice.channel,
+                9,
+                choice.gain,
+                choice.needed,
+                "not missed once the others are there",
+                less,
+            )
+        )

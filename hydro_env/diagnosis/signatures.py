@@ -45,7 +45,9 @@ class Look:
 class _Projector:
     """Takes out of a weighted vector what small changes of the base parameters can make."""
 
-    def __init__(self, machine: Machine, problem: Problem, channel: int, deviations: dict[str, float]) -> None:
+    def __init__(
+        self, machine: Machine, problem: Problem, channel: int, deviations: dict[str, float]
+    ) -> None:
         self.weights = np.zeros(problem.simulated[channel].size)
         for s in machine.segments[channel]:
             self.weights[s.place] = s.used / deviations[s.signal]
@@ -77,7 +79,10 @@ def first_look(
     requests = [_beside(problems, name, channel, start) for name, channel, start in wanted]
     results = machine.predict(requests)
     left = {c: _Projector(machine, p, c, _deviations(machine, p, c, floors)) for c, p in problems.items()}
-    noise = {c: _Projector(machine, p, c, {s: floors[c, s] for s in {g.signal for g in machine.segments[c]}}) for c, p in problems.items()}
+    noise = {
+        c: _Projector(machine, p, c, {s: floors[c, s] for s in {g.signal for g in machine.segments[c]}})
+        for c, p in problems.items()
+    }
     errors = {c: left[c](_error(machine, p, c)) for c, p in problems.items()}
     looks: dict[tuple[str, int | None], Look] = {}
     for (name, channel, start), result in zip(wanted, results, strict=True):
@@ -92,7 +97,9 @@ def first_look(
         known = looks.get((name, channel))
         medium = _is_medium(name, start)
         if known is None:
-            known = looks[name, channel] = Look(name, channel, start, gained, size, signature / max(np.sqrt(size), 1e-30))
+            known = looks[name, channel] = Look(
+                name, channel, start, gained, size, signature / max(np.sqrt(size), 1e-30)
+            )
         if medium:
             known.visible, known.signature = size, signature / max(np.sqrt(size), 1e-30)
         if gained > known.gain:
@@ -100,7 +107,9 @@ def first_look(
     return sorted(looks.values(), key=lambda look: -look.gain)
 
 
-def _beside(problems: dict[int, Problem], effect: str, channel: int | None, start: dict[str, float]) -> Request:
+def _beside(
+    problems: dict[int, Problem], effect: str, channel: int | None, start: dict[str, float]
+) -> Request:
     extra = {f"{effect}.{name}": value for name, value in start.items()}
     if channel is not None:
         return Request(channel, {**problems[channel].values(channel), **extra})
@@ -113,7 +122,11 @@ def _beside(problems: dict[int, Problem], effect: str, channel: int | None, star
 
 
 def _is_medium(effect: str, start: dict[str, float]) -> bool:
-    return all(start[p.name] == p.typical for p in CATALOGUE[effect].parameters if p.typical is not None and p.typical != p.nominal)
+    return all(
+        start[p.name] == p.typical
+        for p in CATALOGUE[effect].parameters
+        if p.typical is not None and p.typical != p.nominal
+    )
 
 
 def _deviations(machine: Machine, problem: Problem, channel: int, floors: Floors) -> dict[str, float]:
@@ -127,7 +140,9 @@ def _deviations(machine: Machine, problem: Problem, channel: int, floors: Floors
 
 
 def _error(machine: Machine, problem: Problem, channel: int) -> np.ndarray:
-    return np.concatenate([np.nan_to_num(s.measured - problem.simulated[channel][s.place]) for s in machine.segments[channel]])
+    return np.concatenate(
+        [np.nan_to_num(s.measured - problem.simulated[channel][s.place]) for s in machine.segments[channel]]
+    )
 
 
 def _gain(
@@ -148,7 +163,9 @@ def _gain(
             # In the units of the weights the noise floor is the floor over the deviation that was left.
             scale = projectors[c].weights[s.place][used]
             floor = floors[c, s.signal] * (scale[0] if scale.size else 1.0)
-            total += before.size * np.log(max(np.mean(before**2), floor**2) / max(np.mean(after**2), floor**2))
+            total += before.size * np.log(
+                max(np.mean(before**2), floor**2) / max(np.mean(after**2), floor**2)
+            )
     return float(total)
 
 
@@ -167,7 +184,8 @@ def alike(looks: Sequence[Look]) -> dict[tuple[str, int | None], list[str]]:
     for a in looks:
         same = [
             b.effect for b in looks
-            if b is not a and b.channel == a.channel and min(a.visible, b.visible) > VISIBLE and abs(float(a.signature @ b.signature)) > SAME
+            if b is not a and b.channel == a.channel and min(a.visible, b.visible) > VISIBLE
+            and abs(float(a.signature @ b.signature)) > SAME
         ]  # fmt: skip
         found[a.effect, a.channel] = same
     return found

@@ -29,7 +29,16 @@ SUPPORTED = (
     "command_delay", "driver_saturation", "magnetic_hysteresis", "null_offset", "dead_zone", "flow_saturation",
     "directional_gain", "flow_gain_nonlinearity", "pressure_dependent_flow", "sensor_offset",
 )  # fmt: skip
-LAG = Parameter("lag", "s", 0.02, 0.001, 0.6, "valve, line and inertia of a large axis together", "lag of the speed behind the command", log=True)
+LAG = Parameter(
+    "lag",
+    "s",
+    0.02,
+    0.001,
+    0.6,
+    "valve, line and inertia of a large axis together",
+    "lag of the speed behind the command",
+    log=True,
+)
 
 
 class SteadyValve:
@@ -42,17 +51,31 @@ class SteadyValve:
     ) -> None:  # fmt: skip
         self.model, self.parts, self.progress = model, parts, progress
         self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
-        self.segments: dict[int, list[Segment]] = measured_segments(parts, self.channels, ("speed",), every_row)
+        self.segments: dict[int, list[Segment]] = measured_segments(
+            parts, self.channels, ("speed",), every_row
+        )
         self.displacement = {c: parts[0].log.displacement[c] or model.value("D", c) for c in self.channels}
         self.flow_gain = flow_gain or {c: self._flow_gain(c) for c in self.channels}
         widest = [v * f for v in self.flow_gain.values() for f in (0.2, 5.0)]
         kq = PARAMETERS["Kq"]
-        self.own = {"lag": LAG, "Kq": Parameter("Kq", kq.unit, kq.nominal, min(widest), max(widest), "least squares", kq.note, log=True)}
+        self.own = {
+            "lag": LAG,
+            "Kq": Parameter(
+                "Kq", kq.unit, kq.nominal, min(widest), max(widest), "least squares", kq.note, log=True
+            ),
+        }
         self.quick = True
-        self.notes: list[str] = ["steady-valve model: the flow gain as given is set by least squares on the fit logs, the lag stands for all dynamics"]
+        self.notes: list[str] = [
+            "steady-valve model: the flow gain as given is set by least squares on the fit logs, the lag stands for all dynamics"
+        ]
 
     def with_parts(self, parts: list[Part], every_row: bool) -> SteadyValve:
-        return SteadyValve(self.model, parts, every_row=every_row, progress=self.progress, flow_gain=self.flow_gain)
+        return SteadyValve(
+            self.model, parts, every_row=every_row, progress=self.progress, flow_gain=self.flow_gain
+        )
+
+    def close(self) -> None:
+        """Nothing is held open."""
 
     def written(self, model: PlantModel) -> PlantModel:
         """The model as a rig of the dynamic plant: the axis' displacement, or its flow gain scaled to the model's own."""
@@ -92,7 +115,9 @@ class SteadyValve:
                 groups.setdefault((channel, request.effects), []).append(number)
         for (channel, effects), numbers in groups.items():
             values = {
-                name: np.array([[_of(requests[n].values.get(name, self.given(name, channel)), channel)] for n in numbers])
+                name: np.array(
+                    [[_of(requests[n].values.get(name, self.given(name, channel)), channel)] for n in numbers]
+                )
                 for name in {*("Kq", "lag"), *(k for n in numbers for k in requests[n].values)}
             }
             ordered = [n for n in CATALOGUE if n in effects]
@@ -106,7 +131,9 @@ class SteadyValve:
             self.progress(len(requests))
         return results
 
-    def _speed(self, part: Part, channel: int, values: dict[str, np.ndarray], effects: list[str]) -> np.ndarray:
+    def _speed(
+        self, part: Part, channel: int, values: dict[str, np.ndarray], effects: list[str]
+    ) -> np.ndarray:
         """Speeds (lanes, T) for values (lanes, 1)."""
         log, period = part.log, part.log.period
         known: dict[str, Any] = {n: self.model.value(n, channel) for n in PARAMETERS} | values
@@ -121,7 +148,11 @@ class SteadyValve:
                 known[f"{name}.{CATALOGUE[name].states[0].name}"] = _state(name, known, period)
         known["spool"] = apply_laws("force", force, effects, known) / known["k"]
         known["opening"] = apply_laws("opening", known["spool"], effects, known)
-        pressure = log.pressure[:, channel] if log.has("pressure", channel) and log.pressure is not None else np.zeros(len(log))
+        pressure = (
+            log.pressure[:, channel]
+            if log.has("pressure", channel) and log.pressure is not None
+            else np.zeros(len(log))
+        )
         known["pressure"] = np.nan_to_num(pressure)[None, :]
         drive = apply_laws("drive", np.ones_like(known["opening"]), effects, known)
         speed = known["Kq"] * known["opening"] * np.sqrt(np.maximum(drive, 0.0)) / self.displacement[channel]
@@ -156,16 +187,25 @@ def _state(effect: str, known: dict[str, Any], period: float) -> np.ndarray:
     state = described.states[0]
     assert state.decay is not None
     current = known["current"]
-    width = max(np.shape(v)[0] for v in (current, *(v for n, v in known.items() if n.startswith(f"{effect}."))) if np.ndim(v))
+    width = max(
+        np.shape(v)[0]
+        for v in (current, *(v for n, v in known.items() if n.startswith(f"{effect}.")))
+        if np.ndim(v)
+    )
     rate_of, decay_of = elementwise(state.rate), elementwise(state.decay)
     changes = np.diff(current, axis=1, prepend=current[:, :1]) / period
     out = np.zeros((width, current.shape[1]))
     loop = np.zeros(width)
     rate_names, decay_names = (list(inspect.signature(f).parameters) for f in (state.rate, state.decay))
-    own = {n: np.broadcast_to(argument(described, n, known), (width, 1))[:, 0] for n in {*rate_names, *decay_names} - {state.name, "current_rate"}}
+    own = {
+        n: np.broadcast_to(argument(described, n, known), (width, 1))[:, 0]
+        for n in {*rate_names, *decay_names} - {state.name, "current_rate"}
+    }
     for row in range(current.shape[1]):
         inputs = {**own, state.name: loop, "current_rate": np.broadcast_to(changes[:, row], (width,))}
         decay = decay_of(*(inputs[n] for n in decay_names))
-        loop = (loop + period * (rate_of(*(inputs[n] for n in rate_names)) + decay * loop)) / (1.0 + period * decay)
+        loop = (loop + period * (rate_of(*(inputs[n] for n in rate_names)) + decay * loop)) / (
+            1.0 + period * decay
+        )
         out[:, row] = loop
     return out

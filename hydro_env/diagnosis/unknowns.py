@@ -8,7 +8,6 @@ varies by factors).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ..plant import CATALOGUE, Effect, Parameter

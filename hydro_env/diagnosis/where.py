@@ -16,8 +16,9 @@ import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
 from .fit import Problem
-from .machine import Machine
+from .machine import Machine, Segment
 from .noise import noise_floor
+from .parts import Part
 
 __all__ = ["Place", "locate"]
 
@@ -35,7 +36,8 @@ class Place:
 
     def as_dict(self) -> dict[str, object]:
         return {
-            "equation": self.equation, "channel": str(self.channel + 1), "share_of_gap": round(self.share, 3), "regime": self.regime,
+            "equation": self.equation, "channel": str(self.channel + 1), "share_of_gap": round(self.share, 3),
+            "regime": self.regime,
             "windows_s": [[round(a, 3), round(b, 3)] for a, b in self.windows],
         }  # fmt: skip
 
@@ -62,7 +64,9 @@ def locate(machine: Machine, problems: dict[int, Problem]) -> list[Place]:
         whole = sum(excess.values())
         for r in replays:
             if whole > 0.0 and excess[r.equation] > 0.02 * whole and r.ratio > 1.1:
-                places.append(Place(r.equation, channel, excess[r.equation] / whole, _regime(r), _windows(r), r.ratio))
+                places.append(
+                    Place(r.equation, channel, excess[r.equation] / whole, _regime(r), _windows(r), r.ratio)
+                )
     return sorted(places, key=lambda p: (p.channel, -p.share))
 
 
@@ -75,7 +79,11 @@ def _replays(machine: Machine, problem: Problem, channel: int) -> list[_Replay]:
         simulated = {n: problem.simulated[channel][s.place] for n, s in mine.items()}
         used = speed.used
         time = part.log.time_s[speed.rows]
-        base = {"speed near zero": np.abs(speed.measured) < 0.15 * np.nanmax(np.abs(speed.measured)), "positive speed": speed.measured > 0, "negative speed": speed.measured < 0}
+        fast = float(np.nanmax(np.abs(speed.measured)))
+        base = {
+            "speed near zero": np.abs(speed.measured) < 0.15 * fast,
+            "positive speed": speed.measured > 0.0, "negative speed": speed.measured < 0.0,
+        }  # fmt: skip
         command = part.log.command_V[speed.rows, channel]
         rated = machine.model.value("u_rated", channel)
         opening = {
@@ -87,44 +95,65 @@ def _replays(machine: Machine, problem: Problem, channel: int) -> list[_Replay]:
         found: list[_Replay] = []
         if "current" in mine:
             error = mine["current"].measured - simulated["current"]
-            regimes = {"large current": np.abs(command) > 0.6 * rated, "late in the log": time > time[0] + 0.6 * (time[-1] - time[0]), "any current": np.ones(used.size, bool)}
+            late = time > time[0] + 0.6 * (time[-1] - time[0])
+            regimes = {"large current": np.abs(command) > 0.6 * rated, "late in the log": late}
             found.append(_replay("coil", error, speed.period, time, regimes, used))
         if "pressure" in mine and not machine.quick:
             value = problem.values(channel)
-            get = lambda name: value.get(name, machine.model.value(name, channel))  # noqa: E731
-            found += _hydraulic(machine, part, channel, number, get, speed.measured, mine["pressure"].measured, simulated, speed, time, used, base, opening)
+            names = ("J", "B", "D", "Km", "V", "beta")
+            numbers = {n: value.get(n, machine.model.value(n, channel)) for n in names}
+            found += _hydraulic(part, speed, mine["pressure"].measured, simulated, numbers, base, opening)
         elif "pressure" not in mine or machine.quick:
             name = "valve_flow" if machine.quick else "valve and motor"
-            found.append(_replay(name, speed.measured - simulated["speed"], speed.period, time, {**opening, **base}, used))
+            found.append(
+                _replay(
+                    name, speed.measured - simulated["speed"], speed.period, time, {**opening, **base}, used
+                )
+            )
         for replay in found:
             parts.setdefault(replay.equation, []).append(replay)
     return [_joined(list_) for list_ in parts.values()]
 
 
-def _hydraulic(machine, part, channel, number, get, speed, pressure, simulated, segment, time, used, base, opening):  # type: ignore[no-untyped-def]
+def _hydraulic(
+    part: Part, segment: Segment, pressure: np.ndarray, simulated: dict[str, np.ndarray], numbers: dict[str, float],
+    speeds: dict[str, np.ndarray], openings: dict[str, np.ndarray],
+) -> list[_Replay]:  # fmt: skip
     """Shaft from the measured pressure; valve from the flow that measured speed and pressure need."""
-    h = segment.period
+    h, used, time = segment.period, segment.used, part.log.time_s[segment.rows]
+    speed, pressure = np.nan_to_num(segment.measured), np.nan_to_num(pressure)
     load = np.zeros(speed.size)
-    if part.log.load is not None and part.log.has("load", channel):
-        load = np.nan_to_num(part.log.load[segment.rows, channel])
-    inertia, drag, displacement = get("J"), max(get("B"), 1e-6), get("D")
-    keep = float(np.exp(-h * drag / inertia))
-    torque = displacement * np.nan_to_num(pressure) - load
-    replayed = lfilter([0.0, 1.0 - keep], [1.0, -keep], torque / drag)
+    if part.log.load is not None and part.log.has("load", segment.channel):
+        load = np.nan_to_num(part.log.load[segment.rows, segment.channel])
+    drag = max(numbers["B"], 1e-6)
+    keep = float(np.exp(-h * drag / numbers["J"]))
+    replayed = lfilter([0.0, 1.0 - keep], [1.0, -keep], (numbers["D"] * pressure - load) / drag)
     # Only what the shaft loses against measurement within a second counts: errors do not pile up.
     forget = float(np.exp(-h / 1.0))
-    error = np.nan_to_num(speed - replayed)
-    error = lfilter([(1.0 + forget) / 2.0, -(1.0 + forget) / 2.0], [1.0, -forget], error)
-    found = [_replay("shaft", error, h, time, base, used)]
+    error = lfilter([(1.0 + forget) / 2.0, -(1.0 + forget) / 2.0], [1.0, -forget], speed - replayed)
+    found = [_replay("shaft", error, h, time, speeds, used)]
+
     width = max(5, 2 * round(0.01 / h) + 1)
-    smooth, slope = savgol_filter(pressure, width, 2), savgol_filter(pressure, width, 2, deriv=1, delta=h)
-    needed = displacement * savgol_filter(speed, width, 2) + get("Km") * smooth + get("V") / get("beta") * slope
-    given = displacement * simulated["speed"] + get("Km") * simulated["pressure"] + get("V") / get("beta") * savgol_filter(simulated["pressure"], width, 2, deriv=1, delta=h)
-    found.append(_replay("valve_flow", (needed - given) / displacement, h, time, opening, used))
+
+    def flow(w: np.ndarray, dp: np.ndarray) -> np.ndarray:
+        squeezed = numbers["V"] / numbers["beta"] * savgol_filter(dp, width, 2, deriv=1, delta=h)
+        return (
+            numbers["D"] * savgol_filter(w, width, 2) + numbers["Km"] * savgol_filter(dp, width, 2) + squeezed
+        )
+
+    missing = flow(speed, pressure) - flow(simulated["speed"], simulated["pressure"])
+    found.append(_replay("valve_flow", missing / numbers["D"], h, time, openings, used))
     return found
 
 
-def _replay(equation: str, error: np.ndarray, period: float, time: np.ndarray, regimes: dict[str, np.ndarray], used: np.ndarray) -> _Replay:
+def _replay(
+    equation: str,
+    error: np.ndarray,
+    period: float,
+    time: np.ndarray,
+    regimes: dict[str, np.ndarray],
+    used: np.ndarray,
+) -> _Replay:
     noise = noise_floor(error, used, period)
     return _Replay(equation, error[used], noise, time[used], {n: m[used] for n, m in regimes.items()})
 

@@ -1,0 +1,80 @@
+"""The workflow on the dynamic rig, with logs of the independent simulator."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env.diagnosis.command import diagnose
+from hydro_env.diagnosis.hide import make_practice
+from hydro_env.diagnosis.machine import Request
+from hydro_env.diagnosis.motor import MotorRig
+from hydro_env.diagnosis.parts import read_parts
+from hydro_env.diagnosis.unknowns import base_unknown, effect_unknowns, starts
+from hydro_env.plant import CATALOGUE, PARAMETERS, load_model
+
+
+@pytest.fixture(scope="module")
+def fit_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("practice")
+    make_practice([], duration=3.0, rate=500.0, runs=("fit_1",)).write(folder)
+    return folder / "fit_1.csv"
+
+
+def test_a_request_is_answered_the_same_beside_others(fit_log: Path) -> None:
+    rig = MotorRig(load_model("paper"), read_parts([fit_log], None))
+    one = Request(0, {"Kq": 0.4})
+    both = Request(None, {"Kq": (0.4, 0.3)})
+    alone = rig.predict([one])[0]
+    beside = rig.predict([Request(1, {"Kq": 0.2}), one, Request(0, {"J": 0.003}), both])
+    np.testing.assert_array_equal(alone[0], beside[1][0])
+    np.testing.assert_array_equal(alone[0], beside[3][0])
+    assert set(alone) == {0} and set(beside[3]) == {0, 1}
+
+
+def test_the_model_as_given_explains_a_rig_without_surprise(fit_log: Path) -> None:
+    rig = MotorRig(load_model("paper"), read_parts([fit_log], None))
+    simulated = rig.predict([Request(0, {})])[0][0]
+    speed = next(s for s in rig.segments[0] if s.signal == "speed")
+    error = speed.measured - simulated[speed.place]
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(np.pi / 30.0, rel=0.1)  # the noise of 1 rpm
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_every_effect_has_sensible_starts(name: str) -> None:
+    effect = CATALOGUE[name]
+    rows = starts(effect, 12.0)
+    assert rows
+    for row in rows:
+        for unknown in effect_unknowns(effect, row):
+            low, high = unknown.bounds
+            assert low <= 0.0 <= high and np.isfinite(unknown.scale) and unknown.scale > 0.0
+            assert unknown.value(0.0) == row[unknown.name.split(".", 1)[1]]
+    assert any(not effect.is_neutral(row) for row in rows)
+
+
+@pytest.mark.parametrize("name", [n for n in PARAMETERS if n != "u_rated"])
+def test_base_parameters_stay_in_their_range(name: str) -> None:
+    unknown = base_unknown(PARAMETERS[name], PARAMETERS[name].nominal)
+    low, high = unknown.bounds
+    assert low < high
+    assert unknown.value(low) >= PARAMETERS[name].low * (1 - 1e-9)
+    assert unknown.value(high) <= PARAMETERS[name].high * (1 + 1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("hidden", "base_error", "verdict"),
+    [([], 0.0, "none"), ([], 0.1, "calibration"), (["dead_zone:1"], 0.1, "effects")],
+)
+def test_practice_logs(tmp_path: Path, hidden: list[str], base_error: float, verdict: str) -> None:
+    make_practice(hidden, base_error=base_error, seed=5).write(tmp_path)
+    found = diagnose(
+        [tmp_path / "fit_1.csv", tmp_path / "fit_2.csv"],
+        [tmp_path / "sealed.csv"],
+        model=tmp_path / "model.yaml",
+    )
+    assert found.data["verdict"] == verdict
+    assert [f"{e['name']}:{e['channel']}" for e in found.data["effects"]] == hidden
+    for key, gap in found.data["gap"]["sealed"].items():
+        assert gap["after"] < 1.5 * gap["noise"], key
