@@ -164,6 +164,21 @@ def reproduce(
 
 
 @app.command()
+def speed(
+    out: Out,
+    num_envs: Annotated[
+        list[int] | None, typer.Option(min=1, help="Size of a batch; may be repeated. Default: 1 to 1024.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=0.05, help="Time to spend on each figure, s.")] = 1.0,
+) -> None:
+    """Measure how fast plant and environment run here, and the error at that speed; writes speed.json."""
+    with _writing(out) as folder:
+        from hydro_env.experiments import speed as work
+
+        print(work.summary(work.run(folder, num_envs=num_envs or work.NUM_ENVS, seconds=seconds)))
+
+
+@app.command()
 def tune(
     out: Out,
     controller: Annotated[str, typer.Option(help="Control law whose gains are searched.")] = "pid",

@@ -30,7 +30,9 @@ _EFFECTS = st.dictionaries(
 
 
 @given(base=st.dictionaries(st.sampled_from(list(PARAMETERS)), st.tuples(_NUMBER, _NUMBER)), effects=_EFFECTS)
-def test_any_model_survives_a_round_trip(tmp_path_factory: pytest.TempPathFactory, base: dict, effects: dict) -> None:
+def test_any_model_survives_a_round_trip(
+    tmp_path_factory: pytest.TempPathFactory, base: dict, effects: dict
+) -> None:
     model = PlantModel("mine", {**base, **effects})
     path = tmp_path_factory.mktemp("model") / "model.yaml"
     model.to_yaml(path)
@@ -44,7 +46,10 @@ def test_values_and_channels() -> None:
     assert model.value("Kq", 0) == 476106e-6 and model.value("Kq", 1) == 315000e-6
     assert model.channels[1]["J"] == 0.003
     assert model.effects == {
-        "dead_zone": ({"overlap_positive": 7e-5, "overlap_negative": 0.0}, {"overlap_positive": 0.0, "overlap_negative": 0.0})
+        "dead_zone": (
+            {"overlap_positive": 7e-5, "overlap_negative": 0.0},
+            {"overlap_positive": 0.0, "overlap_negative": 0.0},
+        )
     }
     assert model.without("dead_zone").effects == {}
     assert load_model("paper").value("driver_saturation.voltage_limit", 0) == inf

@@ -117,7 +117,9 @@ def test_the_error_falls_with_the_third_power_of_the_step() -> None:
     values = {"vs": 1.0, "Fc": 0.02, "Fs": 0.02, "s0": 3e4}
 
     def final(substep: float) -> np.ndarray:
-        out = simulate("paper", commands, None, 1e-3, values=values, record=("speed", "pressure"), substep=substep)
+        out = simulate(
+            "paper", commands, None, 1e-3, values=values, record=("speed", "pressure"), substep=substep
+        )
         return np.array([out["speed"][-1, 0, 0], out["pressure"][-1, 0, 0] / 1e5])
 
     exact = final(1e-5)
@@ -201,20 +203,28 @@ def test_every_parameter_of_every_effect_is_seen_in_some_signal(name: str, every
     """No parameter is silently ignored: moving it changes a recorded signal."""
     effect = CATALOGUE[name]
     time = np.arange(200) * PERIOD
-    commands = np.stack([45 * np.sin(2 * np.pi * 0.8 * time), 73 * np.sin(2 * np.pi * 0.5 * time) + 9], axis=1)
+    commands = np.stack(
+        [45 * np.sin(2 * np.pi * 0.8 * time), 73 * np.sin(2 * np.pi * 0.5 * time) + 9], axis=1
+    )
     loads = np.stack([2.5 * np.sign(np.sin(7 * time)), 0.3 * np.sin(3 * time)], axis=1)
     typical = {f"{name}.{p.name}": p.typical for p in effect.parameters}
     for parameter in effect.parameters:
         moved = dict(typical)
         middle = 0.5 * (max(parameter.low, -1e9) + min(parameter.high, 1e9))
-        moved[f"{name}.{parameter.name}"] = middle if abs(middle - parameter.typical) > 1e-9 else parameter.high
+        moved[f"{name}.{parameter.name}"] = (
+            middle if abs(middle - parameter.typical) > 1e-9 else parameter.high
+        )
         signals = []
         for values in (typical, moved):
             plant = copy.deepcopy(everything)
             plant.set_values(values)  # type: ignore[arg-type]
             plant.reset()
-            signals.append(plant.run(commands, loads, PERIOD, ("speed", "measured_speed", "current", "pressure")))
-        shift = max(np.abs(signals[0][s] - signals[1][s]).max() / np.abs(signals[0][s]).max() for s in signals[0])
+            signals.append(
+                plant.run(commands, loads, PERIOD, ("speed", "measured_speed", "current", "pressure"))
+            )
+        shift = max(
+            np.abs(signals[0][s] - signals[1][s]).max() / np.abs(signals[0][s]).max() for s in signals[0]
+        )
         assert shift > 1e-5, parameter.name
 
 
@@ -245,14 +255,19 @@ def test_dead_zone_shifts_the_opening_by_its_own_overlap_each_way(everything: Pl
 
 
 def test_magnetic_hysteresis_loop_keeps_its_width_at_any_rate(everything: Plant) -> None:
-    plant = twin(everything, magnetic_hysteresis__amplitude=1.0, magnetic_hysteresis__width=0.1, Fc=0.02, Fs=0.02)
+    plant = twin(
+        everything, magnetic_hysteresis__amplitude=1.0, magnetic_hysteresis__width=0.1, Fc=0.02, Fs=0.02
+    )
     widths = []
     for seconds in (4.0, 16.0):
         plant.reset()
         share = np.interp(np.linspace(0, 1, int(seconds / PERIOD)), [0, 0.2, 0.6, 1.0], [0, 1, -1, 1])
         out = plant.run(60 * share[:, None] * np.ones((1, 2)), None, PERIOD, ("current", "spool"))
         current, spool = out["current"][:, 0, 0], out["spool"][:, 0, 0]
-        falling, rising = slice(int(0.25 * share.size), int(0.55 * share.size)), slice(int(0.65 * share.size), None)
+        falling, rising = (
+            slice(int(0.25 * share.size), int(0.55 * share.size)),
+            slice(int(0.65 * share.size), None),
+        )
         at = 0.0
         down = np.interp(at, current[falling][::-1], spool[falling][::-1])
         up = np.interp(at, current[rising], spool[rising])
@@ -285,7 +300,12 @@ def test_load_bias_and_friction_in_the_torque_balance(everything: Plant) -> None
 
 
 def test_flow_balance_closes_at_steady_state(everything: Plant) -> None:
-    plant = steady(twin(everything, speed_dependent_leakage__coefficient=2e-7, crossport_relief__relief_pressure=5e5), 60.0, 1.0, 600)
+    plant = steady(
+        twin(everything, speed_dependent_leakage__coefficient=2e-7, crossport_relief__relief_pressure=5e5),
+        60.0,
+        1.0,
+        600,
+    )
     excess = np.maximum(plant.pressure - 5e5, 0.0) * 1e-9
     flow = plant.get("D") * plant.speed + plant.get("Km") * plant.pressure + 2e-7 * plant.speed + excess
     assert np.all(excess > 0) and np.allclose(plant.flow, flow, rtol=1e-9)

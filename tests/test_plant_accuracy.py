@@ -45,7 +45,14 @@ def test_any_command(kind):
 #: the blows of a coupling magnify any difference; with substeps of 20 us both are below 0.1.
 LIMITS = {"spring_preload": 6.0, "shaft_backlash": 0.4}
 #: The default run takes these, `pytest -m slow` the others.
-QUICK = ("dead_zone", "magnetic_hysteresis", "command_delay", "supply_droop", "motor_coulomb_friction", "entrained_air")
+QUICK = (
+    "dead_zone",
+    "magnetic_hysteresis",
+    "command_delay",
+    "supply_droop",
+    "motor_coulomb_friction",
+    "entrained_air",
+)
 
 
 def _strong(effect):

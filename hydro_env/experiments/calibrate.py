@@ -16,7 +16,13 @@ from hydro_env.errors import InputError
 from hydro_env.experiments.paper_rig import LOAD_STEP, SETPOINT_STEPS, run_paper
 from hydro_env.plant import PlantModel, load_model
 
-__all__ = ["PUBLISHED_LOAD_RPM", "PUBLISHED_STEPS_RPM", "Calibration", "calibrate_dead_zone", "calibrate_torque"]
+__all__ = [
+    "PUBLISHED_LOAD_RPM",
+    "PUBLISHED_STEPS_RPM",
+    "Calibration",
+    "calibrate_dead_zone",
+    "calibrate_torque",
+]
 
 #: Largest speed differences that the paper reports: Fig. 7 (set-point steps) and Fig. 8 (load step), rpm.
 PUBLISHED_STEPS_RPM = 175.0

@@ -6,7 +6,8 @@ Speeds are the true ones: the paper's simulation has no sensors.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 
@@ -69,7 +70,7 @@ def run_paper(
     model: PlantModel,
     course: Course,
     *,
-    values: dict[str, ArrayLike] | None = None,
+    values: Mapping[str, ArrayLike] | None = None,
     num_rigs: int = 1,
     nominal_torque: ArrayLike = 0.0,
     limit_V: float = inf,
@@ -96,7 +97,7 @@ def run_paper(
 
     steps = round(course.duration / PERIOD)
     every = round(1e-3 / PERIOD)
-    time = np.arange(steps) * PERIOD
+    time: Floats = np.arange(steps, dtype=float) * PERIOD
     setpoint = Course.at(course.setpoint_rpm, time)
     torque = np.broadcast_to(np.asarray(nominal_torque, dtype=float), (num_rigs,))
     load = Course.at(course.load_share, time)
@@ -117,10 +118,9 @@ def equal_again_after(traces: Traces, course: Course, within_rpm: float) -> Floa
     """Time in s, (changes, N), from each change of the set-point until the difference stays within a band."""
     changes = [t for t, _ in course.setpoint_rpm] + [course.duration]
     times = []
-    for start, end in zip(changes, changes[1:], strict=False):
+    for start, end in itertools.pairwise(changes):
         rows = (traces.time >= start - 1e-9) & (traces.time < end - 1e-9)
         outside = np.abs(traces.difference[rows]) > within_rpm
         last = np.where(outside.any(axis=0), outside.shape[0] - np.argmax(outside[::-1], axis=0), 0)
         times.append(last * (traces.time[1] - traces.time[0]))
     return np.array(times)
-

@@ -156,7 +156,9 @@ def summary(numbers: dict[str, Any]) -> str:
 
 def _table(result: Reproduction) -> str:
     head = "time_s,setpoint_rpm,tables_speed_1_rpm,tables_speed_2_rpm,dead_zone_speed_1_rpm,dead_zone_speed_2_rpm"
-    rows = np.column_stack([result.steps.time, result.steps.setpoint, result.steps.speed.reshape(len(result.steps.time), 4)])
+    rows = np.column_stack(
+        [result.steps.time, result.steps.setpoint, result.steps.speed.reshape(len(result.steps.time), 4)]
+    )
     return head + "\n" + "\n".join(",".join(f"{value:.6g}" for value in row) for row in rows) + "\n"
 
 
@@ -174,8 +176,16 @@ def draw_steps(result: Reproduction) -> Any:
     speeds.legend(loc="upper right", ncols=3)
     for rig, (label, colour) in enumerate((("tables alone", COLOURS[2]), ("with dead zone", COLOURS[3]))):
         peak = result.steps.peak[rig]
-        gap.plot(time, np.abs(result.steps.difference[:, rig]), color=colour, label=f"{label}: {peak:.0f} rpm")
-    gap.axhline(PUBLISHED_STEPS_RPM, color="grey", linestyle="--", linewidth=0.8, label=f"paper: {PUBLISHED_STEPS_RPM:.0f} rpm")
+        gap.plot(
+            time, np.abs(result.steps.difference[:, rig]), color=colour, label=f"{label}: {peak:.0f} rpm"
+        )
+    gap.axhline(
+        PUBLISHED_STEPS_RPM,
+        color="grey",
+        linestyle="--",
+        linewidth=0.8,
+        label=f"paper: {PUBLISHED_STEPS_RPM:.0f} rpm",
+    )
     gap.set(xlabel="time, s", ylabel="speed difference, rpm", ylim=(0, None))
     gap.legend(loc="upper right", ncols=3)
     return drawing
@@ -192,8 +202,19 @@ def draw_load(result: Reproduction) -> Any:
     speeds.set(ylabel="speed, rpm")
     speeds.legend(loc="lower right", ncols=2)
     late = time >= 1.9
-    gap.plot(time[late], np.abs(result.load.difference[late, 0]), color=COLOURS[3], label=f"simulated: {result.load.peak[0]:.0f} rpm")
-    gap.axhline(PUBLISHED_LOAD_RPM, color="grey", linestyle="--", linewidth=0.8, label=f"paper: {PUBLISHED_LOAD_RPM:.0f} rpm")
+    gap.plot(
+        time[late],
+        np.abs(result.load.difference[late, 0]),
+        color=COLOURS[3],
+        label=f"simulated: {result.load.peak[0]:.0f} rpm",
+    )
+    gap.axhline(
+        PUBLISHED_LOAD_RPM,
+        color="grey",
+        linestyle="--",
+        linewidth=0.8,
+        label=f"paper: {PUBLISHED_LOAD_RPM:.0f} rpm",
+    )
     gap.set(xlabel="time, s", ylabel="speed difference\nfrom 1.9 s on, rpm", ylim=(0, None))
     gap.legend(loc="upper right", ncols=2)
     return drawing

@@ -73,7 +73,9 @@ def rosenbrock_coefficients() -> dict[str, Any]:
         [-9.0338057013044082e-01, 5.4180672388095326e-02, gamma, 0.0],
         [2.4212380706095346e-01, -1.2232505839045147e00, 5.4526025533510214e-01, gamma],
     ])  # fmt: skip
-    b = np.array([2.4212380706095346e-01, -1.2232505839045147e00, 1.5452602553351020e00, 4.3586652150845900e-01])
+    b = np.array(
+        [2.4212380706095346e-01, -1.2232505839045147e00, 1.5452602553351020e00, 4.3586652150845900e-01]
+    )
     inverse = np.linalg.inv(full)
     return {
         "gamma": gamma, "alpha": alpha, "Gamma": full, "b": b,
@@ -251,9 +253,13 @@ def _paste(function: Callable[..., Any], name: str) -> str:
     try:
         source = textwrap.dedent(inspect.getsource(function))
     except OSError:
-        raise ValueError(f"the source of law {function.__name__!r} cannot be read; define it in a file") from None
+        raise ValueError(
+            f"the source of law {function.__name__!r} cannot be read; define it in a file"
+        ) from None
     if not source.startswith("def "):
-        raise ValueError(f"law {function.__name__!r} must be a plain function (def), not a lambda or decorated")
+        raise ValueError(
+            f"law {function.__name__!r} must be a plain function (def), not a lambda or decorated"
+        )
     return "@lane\n" + re.sub(r"^def \w+\(", f"def {name}(", source)
 
 
@@ -290,7 +296,9 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     for effect, state in extra:
         names = _Names(effect)
         call = ", ".join(names(a, {}) for a in _arguments(state.rate))
-        effect_rates.append(f"{effect.name}__{state.name}_rate = {_law_name(effect, state.name + '_rate')}({call})")
+        effect_rates.append(
+            f"{effect.name}__{state.name}_rate = {_law_name(effect, state.name + '_rate')}({call})"
+        )
     own_flow = ["own_flow = " + row("flow"), f"other_flow = others[index({at['flow']} * LANES) + l]"]
     body_text = "\n".join(body + effect_rates)
     flows = own_flow if _uses("other_flow", body_text) or _uses("own_flow", body_text) else []
@@ -299,7 +307,12 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
 
     # First stage: rates, matrix, its factors, and the solution u0, all in one sweep.
     first = load(states, body_text + " ".join(states)) + inputs
-    first += load([*parameters, *reciprocals], body_text + "\n".join(slopes) + "\n".join(_FACTORS)) + body + effect_rates + slopes
+    first += (
+        load([*parameters, *reciprocals], body_text + "\n".join(slopes) + "\n".join(_FACTORS))
+        + body
+        + effect_rates
+        + slopes
+    )
     first += _FACTORS
     first += [f"{row('f__' + name)} = {name}" for name in factors]
     for effect, state in extra:
@@ -361,8 +374,10 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
             coefficients.append(f"c{i}{j} = {float(method['c'][i, j])!r} / h")
     coefficients += [f"m{j} = {float(method['m'][j])!r}" for j in range(4)]
 
-    watch = body + ["measured_speed = speed", *_chain("measured_speed", effects)]
-    watch = load(states, " ".join(states)) + inputs + load([*parameters, *reciprocals], "\n".join(watch)) + watch
+    watch = [*body, "measured_speed = speed", *_chain("measured_speed", effects)]
+    watch = (
+        load(states, " ".join(states)) + inputs + load([*parameters, *reciprocals], "\n".join(watch)) + watch
+    )
     watch += [f"{row('flow')} = flow", f"{row('measured_speed')} = measured_speed"]
 
     guard = [f"ok = abs({row(STATES[0])}) < {STATE_CAPS[0]!r}"]
@@ -376,7 +391,9 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
         if effect.corner is not None:
             names = _Names(effect)
             called = [names(a, {}) for a in _arguments(effect.corner)]
-            corners += [f"{name} = {row(name)}".replace("lanes", "cells") for name in called if name != "substep"]
+            corners += [
+                f"{name} = {row(name)}".replace("lanes", "cells") for name in called if name != "substep"
+            ]
             call = ", ".join("h" if name == "substep" else name for name in called)
             corners.append(f"bend = bend | {_law_name(effect, 'corner')}({call})")
 
@@ -385,7 +402,8 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     ]  # fmt: skip
     base_rows = {
         "additions": "\n".join(
-            f"        for l in range(LANES):\n            cells[{b} * LANES + l] = cells[{b} * LANES + l] + cells[{p} * LANES + l]"
+            f"        for l in range(LANES):\n"
+            f"            cells[{b} * LANES + l] = cells[{b} * LANES + l] + cells[{p} * LANES + l]"
             for b, p in additions
         ),
         "reciprocals": "\n".join(
@@ -421,7 +439,8 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
         saved=saved, before=at["before0"], whole=at["whole0"], parts=STOP_PARTS,
         gamma=repr(method["gamma"]), coefficients=_indent(coefficients, 1),
         first=_indent(first, 3), second=_indent(stage(1), 3), third=_indent(stage(2), 3), fourth=_indent(stage(3), 3),
-        corners=_indent(corners, 5), watch=_indent(watch, 3), guard=_indent(guard, 2), apply=apply, ring=ring, keep_flow=keep_flow, **base_rows,
+        corners=_indent(corners, 5), watch=_indent(watch, 3), guard=_indent(guard, 2),
+        apply=apply, ring=ring, keep_flow=keep_flow, **base_rows,
     )  # fmt: skip
     visible = {name.replace("__", ".", 1) if name in parameters and "__" in name else name: n
                for name, n in at.items() if n < kept}  # fmt: skip
@@ -582,7 +601,8 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
                 if near == 0:
                     step(cells, h)
                 else:
-                    # Lanes at an end stop or a sharp bend of an effect take the substep in parts; the others keep the result of the whole one.
+                    # Lanes at an end stop or a sharp bend of an effect take the substep in parts; the others keep
+                    # the result of the whole one.
                     for r in range(SAVED):
                         for l in range(index(LANES)):
                             cells[index((BEFORE + r) * LANES) + l] = cells[index(r * LANES) + l]
@@ -625,7 +645,11 @@ def observe(memory):
 def _cache_folder() -> Path:
     """Where generated kernels are kept: $HYDRO_ENV_CACHE, else the user's cache, else a temporary folder."""
     named = os.environ.get("HYDRO_ENV_CACHE")
-    base = Path(named) if named else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hydro_env"
+    base = (
+        Path(named)
+        if named
+        else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hydro_env"
+    )
     try:
         base.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=base):

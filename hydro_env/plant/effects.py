@@ -83,7 +83,9 @@ class Effect:
 
         An effect vanishes when the parameters that carry its size are neutral; the others only shape it.
         """
-        return all(values.get(p.name, p.nominal) == p.nominal for p in self.parameters if p.typical != p.nominal)
+        return all(
+            values.get(p.name, p.nominal) == p.nominal for p in self.parameters if p.typical != p.nominal
+        )
 
 
 CATALOGUE: dict[str, Effect] = {}
@@ -100,7 +102,9 @@ def register(effect: Effect) -> Effect:
         raise ValueError(f"effect {effect.name!r}: port {effect.port!r} is none of {', '.join(PORTS)}")
     for quantity in effect.laws:
         if quantity not in QUANTITIES:
-            raise ValueError(f"effect {effect.name!r}: a law changes {quantity!r}, none of {', '.join(QUANTITIES)}")
+            raise ValueError(
+                f"effect {effect.name!r}: a law changes {quantity!r}, none of {', '.join(QUANTITIES)}"
+            )
     CATALOGUE[effect.name] = effect
     return effect
 
@@ -120,7 +124,9 @@ register(
         source="fieldbus and driver electronics; dead time, e.g. Merritt 1967",
         # The delay line itself lives in the kernel, which hands `rates` the delayed command.
         parameters=(
-            Parameter("delay", "s", 0.0, 0.0, 0.03, "one to three control periods of 10 ms", "dead time", 0.005),
+            Parameter(
+                "delay", "s", 0.0, 0.0, 0.03, "one to three control periods of 10 ms", "dead time", 0.005
+            ),
         ),
         indistinguishable_from=("sensor_lag",),
     )
@@ -138,7 +144,9 @@ register(
         summary="the driver cannot give more than a limited voltage",
         signature="clipped current at large commands",
         source="supply voltage of valve amplifiers (24 V less their own drop)",
-        parameters=(Parameter("voltage_limit", "V", inf, 20.0, 73.0, "assumed", "limit of the output", 45.0),),
+        parameters=(
+            Parameter("voltage_limit", "V", inf, 20.0, 73.0, "assumed", "limit of the output", 45.0),
+        ),
         laws={"voltage": _driver_saturation},
     )
 )
@@ -163,8 +171,19 @@ register(
         signature="slow loss of force at constant voltage, seen in the current",
         source="copper, 0.39 %/K; 60-100 K of coil temperature rise are usual for wet-pin solenoids",
         parameters=(
-            Parameter("rise", "1", 0.0, 0.0, 0.5, "0.39 %/K over up to 130 K", "relative rise of R at rated power", 0.25),
-            Parameter("time_constant", "s", 300.0, 2.0, 1200.0, "assumed", "thermal time constant", 300.0, log=True),
+            Parameter(
+                "rise",
+                "1",
+                0.0,
+                0.0,
+                0.5,
+                "0.39 %/K over up to 130 K",
+                "relative rise of R at rated power",
+                0.25,
+            ),
+            Parameter(
+                "time_constant", "s", 300.0, 2.0, 1200.0, "assumed", "thermal time constant", 300.0, log=True
+            ),
         ),
         laws={"resistance": _heating_resistance},
         states=(State("heat", _heating_rate),),
@@ -197,8 +216,27 @@ register(
         signature="loop in flow over current whose width does not depend on the sweep rate",
         source="Bouc 1967, Wen 1976; Vaughan and Gamble 1996 for proportional solenoids",
         parameters=(
-            Parameter("amplitude", "N", 0.0, 0.0, 2.0, "2-7 % of the rated force are usual", "half height of the loop", 0.3),
-            Parameter("width", "A", 0.03, 0.01, 0.2, "assumed", "change of current that turns the loop; at least 2 amplitude/alpha", 0.03, log=True),
+            Parameter(
+                "amplitude",
+                "N",
+                0.0,
+                0.0,
+                2.0,
+                "2-7 % of the rated force are usual",
+                "half height of the loop",
+                0.3,
+            ),
+            Parameter(
+                "width",
+                "A",
+                0.03,
+                0.01,
+                0.2,
+                "assumed",
+                "change of current that turns the loop; at least 2 amplitude/alpha",
+                0.03,
+                log=True,
+            ),
         ),
         laws={"force": _hysteresis_force},
         states=(State("loop", _loop_rate, _loop_decay),),
@@ -239,7 +277,11 @@ register(
         summary="centring springs are preloaded: a force threshold before the spool leaves its centre",
         signature="threshold in current, none in opening",
         source="construction of spring-centred directional valves",
-        parameters=(Parameter("preload", "N", 0.0, 0.0, 6.0, "assumed: up to 40 % of the rated force", "preload", 1.5),),
+        parameters=(
+            Parameter(
+                "preload", "N", 0.0, 0.0, 6.0, "assumed: up to 40 % of the rated force", "preload", 1.5
+            ),
+        ),
         laws={"force": _preload_force},
         corner=_preload_corner,
         indistinguishable_from=("dead_zone",),
@@ -260,8 +302,19 @@ register(
         signature="opening sags with the pressure drop over the valve",
         source="Merritt 1967, ch. 5: F = 0.43 w x dp for a sharp-edged spool",
         parameters=(
-            Parameter("coefficient", "m", 0.0, 0.0, 1.2e-3, "0.43 times the area gradient w", "force per opening and pressure drop", 3e-4),
-            Parameter("supply_pressure", "Pa", 100e5, 50e5, 350e5, "assumed", "supply pressure", 100e5, log=True),
+            Parameter(
+                "coefficient",
+                "m",
+                0.0,
+                0.0,
+                1.2e-3,
+                "0.43 times the area gradient w",
+                "force per opening and pressure drop",
+                3e-4,
+            ),
+            Parameter(
+                "supply_pressure", "Pa", 100e5, 50e5, 350e5, "assumed", "supply pressure", 100e5, log=True
+            ),
         ),
         laws={"force": _flow_force},
     )
@@ -280,7 +333,9 @@ register(
         summary="hydraulic centre beside the electrical one",
         signature="asymmetric onset, offset at zero command",
         source="ISO 10770-1, null bias",
-        parameters=(Parameter("offset", "m", 0.0, -1.5e-4, 1.5e-4, "assumed", "opening at centred spool", 3e-5),),
+        parameters=(
+            Parameter("offset", "m", 0.0, -1.5e-4, 1.5e-4, "assumed", "opening at centred spool", 3e-5),
+        ),
         laws={"opening": _null_offset},
     )
 )
@@ -298,8 +353,26 @@ register(
         signature="flat flow around zero, each direction its own width",
         source="ISO 10770-1, dead band; the paper's Fig. 2 shows none below 300 mA",
         parameters=(
-            Parameter("overlap_positive", "m", 0.0, 0.0, 4.5e-4, "Fig. 2: 300 mA are 353 um", "overlap, positive flow", 1e-4),
-            Parameter("overlap_negative", "m", 0.0, 0.0, 4.5e-4, "Fig. 2: 300 mA are 353 um", "overlap, negative flow", 1e-4),
+            Parameter(
+                "overlap_positive",
+                "m",
+                0.0,
+                0.0,
+                4.5e-4,
+                "Fig. 2: 300 mA are 353 um",
+                "overlap, positive flow",
+                1e-4,
+            ),
+            Parameter(
+                "overlap_negative",
+                "m",
+                0.0,
+                0.0,
+                4.5e-4,
+                "Fig. 2: 300 mA are 353 um",
+                "overlap, negative flow",
+                1e-4,
+            ),
         ),
         laws={"opening": _dead_zone},
         indistinguishable_from=("spring_preload",),
@@ -318,7 +391,9 @@ register(
         summary="the opening stops growing although the spool moves on",
         signature="flat top at large commands",
         source="ISO 10770-1, flow saturation",
-        parameters=(Parameter("opening_limit", "m", inf, 1e-4, 8.6e-4, "assumed", "largest opening", 3e-4, log=True),),
+        parameters=(
+            Parameter("opening_limit", "m", inf, 1e-4, 8.6e-4, "assumed", "largest opening", 3e-4, log=True),
+        ),
         laws={"opening": _flow_saturation},
     )
 )
@@ -336,7 +411,9 @@ register(
         signature="gain split by the sign of the command",
         source="ISO 10770-1, symmetry",
         parameters=(
-            Parameter("ratio", "1", 1.0, 0.4, 2.5, "assumed", "negative over positive flow gain", 0.75, log=True),
+            Parameter(
+                "ratio", "1", 1.0, 0.4, 2.5, "assumed", "negative over positive flow gain", 0.75, log=True
+            ),
         ),
         laws={"opening": _directional_gain},
     )
@@ -357,7 +434,16 @@ register(
         signature="residual over opening only",
         source="V-notches of proportional spools; ISO 10770-1, linearity",
         parameters=(
-            Parameter("curvature", "1", 0.0, -0.8, 0.9, "assumed", "share of the gain that grows with the opening", 0.5),
+            Parameter(
+                "curvature",
+                "1",
+                0.0,
+                -0.8,
+                0.9,
+                "assumed",
+                "share of the gain that grows with the opening",
+                0.5,
+            ),
         ),
         laws={"opening": _flow_gain_nonlinearity},
     )
@@ -377,7 +463,9 @@ register(
         signature="flow falls as load pressure rises",
         source="paper, (7), which it replaces by (8); Merritt 1967: sqrt((ps - sign(x) dp) / ps)",
         parameters=(
-            Parameter("supply_pressure", "Pa", inf, 20e5, 350e5, "assumed", "supply pressure", 100e5, log=True),
+            Parameter(
+                "supply_pressure", "Pa", inf, 20e5, 350e5, "assumed", "supply pressure", 100e5, log=True
+            ),
         ),
         laws={"drive": _pressure_dependent_flow},
     )
@@ -402,7 +490,16 @@ register(
         signature="both motors slow down together; needs the other channel's flow",
         source="pump and accumulator characteristics, Backe 1992",
         parameters=(
-            Parameter("relative_drop", "1", 0.0, 0.0, 0.9, "assumed", "share of the supply pressure lost at 49 l/min, the rated flow of two nominal valves", 0.5),
+            Parameter(
+                "relative_drop",
+                "1",
+                0.0,
+                0.0,
+                0.9,
+                "assumed",
+                "share of the supply pressure lost at 49 l/min, the rated flow of two nominal valves",
+                0.5,
+            ),
             Parameter("time_constant", "s", 0.1, 0.01, 5.0, "assumed", "memory of the supply", 0.1, log=True),
         ),
         laws={"drive": _supply_droop},
@@ -425,7 +522,16 @@ register(
         signature="slow first pressure rise",
         source="isothermal air in parallel with the liquid, Manring 2005",
         parameters=(
-            Parameter("fraction", "1", 0.0, 0.0, 0.1, "0.5-5 % at atmospheric pressure are usual", "volume share of air at 1 atm", 0.02),
+            Parameter(
+                "fraction",
+                "1",
+                0.0,
+                0.0,
+                0.1,
+                "0.5-5 % at atmospheric pressure are usual",
+                "volume share of air at 1 atm",
+                0.02,
+            ),
         ),
         laws={"bulk_modulus": _entrained_air},
     )
@@ -467,7 +573,17 @@ register(
         source="crossport relief valves; linear override",
         parameters=(
             Parameter("relief_pressure", "Pa", inf, 5e5, 350e5, "assumed", "setting", 15e5, log=True),
-            Parameter("conductance", "m3/(s Pa)", 1e-9, 1e-10, 3e-9, "assumed", "slope of the open valve", 1e-9, log=True),
+            Parameter(
+                "conductance",
+                "m3/(s Pa)",
+                1e-9,
+                1e-10,
+                3e-9,
+                "assumed",
+                "slope of the open valve",
+                1e-9,
+                log=True,
+            ),
         ),
         laws={"leakage": _crossport_relief},
     )
@@ -487,7 +603,16 @@ register(
         signature="speed loss at no load, seen in the flow balance",
         source="neglected by the paper in its own words; Wilson 1948, Schloesser 1961",
         parameters=(
-            Parameter("coefficient", "m3/rad", 0.0, 0.0, 6e-7, "up to 45 % of the displacement", "leakage per speed", 1.5e-7),
+            Parameter(
+                "coefficient",
+                "m3/rad",
+                0.0,
+                0.0,
+                6e-7,
+                "up to 45 % of the displacement",
+                "leakage per speed",
+                1.5e-7,
+            ),
         ),
         laws={"leakage": _speed_dependent_leakage},
     )
@@ -507,7 +632,16 @@ register(
         signature="step of torque with the sign of the speed, sticking at reversal",
         source="Armstrong-Helouvry 1991; Olsson 1973 for hydraulic motors",
         parameters=(
-            Parameter("coulomb", "N m", 0.0, 0.0, 2.0, "3-10 % of the nominal torque are usual", "Coulomb friction", 0.3),
+            Parameter(
+                "coulomb",
+                "N m",
+                0.0,
+                0.0,
+                2.0,
+                "3-10 % of the nominal torque are usual",
+                "Coulomb friction",
+                0.3,
+            ),
             Parameter("static", "N m", 0.0, 0.0, 3.0, "assumed", "static friction", 0.4),
             Parameter("stribeck_speed", "rad/s", 3.0, 0.2, 20.0, "assumed", "Stribeck speed", 3.0, log=True),
         ),
@@ -528,7 +662,9 @@ register(
         signature="curvature of torque over speed",
         source="Schloesser 1961, hydrodynamic loss",
         parameters=(
-            Parameter("coefficient", "N m s2/rad2", 0.0, 0.0, 8e-4, "assumed", "torque per speed squared", 1e-4),
+            Parameter(
+                "coefficient", "N m s2/rad2", 0.0, 0.0, 8e-4, "assumed", "torque per speed squared", 1e-4
+            ),
         ),
         laws={"torque": _quadratic_drag},
         indistinguishable_from=("line_loss",),
@@ -568,7 +704,9 @@ register(
         summary="a constant load torque that nobody logged",
         signature="same sign in both directions",
         source="weights, belts, seals",
-        parameters=(Parameter("bias", "N m", 0.0, -3.0, 3.0, "assumed", "torque against positive speed", 0.4),),
+        parameters=(
+            Parameter("bias", "N m", 0.0, -3.0, 3.0, "assumed", "torque against positive speed", 0.4),
+        ),
         laws={"torque": _load_bias},
     )
 )
@@ -631,9 +769,21 @@ register(
         signature="jump at reversal, anti-resonance",
         source="Nordin and Gutman 2002, dead-zone model of backlash",
         parameters=(
-            Parameter("inertia", "kg m2", 0.0, 1e-4, 1e-2, "assumed", "inertia behind the coupling", 2e-3, log=True),
+            Parameter(
+                "inertia", "kg m2", 0.0, 1e-4, 1e-2, "assumed", "inertia behind the coupling", 2e-3, log=True
+            ),
             Parameter("gap", "rad", 0.0, 0.0, 0.1, "assumed", "play of the coupling", 0.05),
-            Parameter("stiffness", "N m/rad", 300.0, 20.0, 2000.0, "assumed", "stiffness in contact", 300.0, log=True),
+            Parameter(
+                "stiffness",
+                "N m/rad",
+                300.0,
+                20.0,
+                2000.0,
+                "assumed",
+                "stiffness in contact",
+                300.0,
+                log=True,
+            ),
             Parameter("damping", "N m s/rad", 0.3, 0.01, 2.0, "assumed", "damping in contact", 0.3, log=True),
         ),
         laws={"torque": _backlash_torque},
@@ -661,8 +811,27 @@ register(
         signature="slow opposite trends of leakage and friction",
         source="leakage ~ 1/viscosity, viscous friction ~ viscosity",
         parameters=(
-            Parameter("change", "1", 0.0, -2.0, 2.0, "20 K of warming halve the viscosity of HLP 46", "log of final over initial viscosity", -0.7),
-            Parameter("time_constant", "s", 100.0, 3.0, 3000.0, "assumed", "time constant of the warming", 100.0, log=True),
+            Parameter(
+                "change",
+                "1",
+                0.0,
+                -2.0,
+                2.0,
+                "20 K of warming halve the viscosity of HLP 46",
+                "log of final over initial viscosity",
+                -0.7,
+            ),
+            Parameter(
+                "time_constant",
+                "s",
+                100.0,
+                3.0,
+                3000.0,
+                "assumed",
+                "time constant of the warming",
+                100.0,
+                log=True,
+            ),
         ),
         laws={"leakage_coefficient": _drift_leakage, "viscous_friction": _drift_friction},
     )
@@ -708,7 +877,9 @@ register(
         summary="the speed sensor's scale is wrong",
         signature="redundancy check fails, physics does not",
         source="pulses per turn, calibration",
-        parameters=(Parameter("gain", "1", 1.0, 0.7, 1.4, "assumed", "measured over true speed", 1.05, log=True),),
+        parameters=(
+            Parameter("gain", "1", 1.0, 0.7, 1.4, "assumed", "measured over true speed", 1.05, log=True),
+        ),
         laws={"measured_speed": _sensor_gain},
     )
 )
@@ -725,7 +896,9 @@ register(
         summary="the speed sensor's zero is wrong",
         signature="redundancy check fails, physics does not",
         source="drift of analogue speed signals",
-        parameters=(Parameter("offset", "rad/s", 0.0, -10.0, 10.0, "assumed", "measured speed at standstill", 1.0),),
+        parameters=(
+            Parameter("offset", "rad/s", 0.0, -10.0, 10.0, "assumed", "measured speed at standstill", 1.0),
+        ),
         laws={"measured_speed": _sensor_offset},
     )
 )

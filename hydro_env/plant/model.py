@@ -98,10 +98,11 @@ class PlantModel:
     @property
     def effects(self) -> dict[str, tuple[dict[str, float], dict[str, float]]]:
         """The effects that act, each with the parameters of channel 1 and of channel 2."""
-        return {
-            name: tuple({p.name: self.value(f"{name}.{p.name}", c) for p in CATALOGUE[name].parameters} for c in (0, 1))
-            for name in self.declared
-        }  # type: ignore[return-value]
+
+        def of(name: str, channel: int) -> dict[str, float]:
+            return {p.name: self.value(f"{name}.{p.name}", channel) for p in CATALOGUE[name].parameters}
+
+        return {name: (of(name, 0), of(name, 1)) for name in self.declared}
 
     def value(self, name: str, channel: int) -> float:
         """The value of "Kq" or "dead_zone.overlap_positive" on channel 0 or 1, SI."""
@@ -134,7 +135,9 @@ class PlantModel:
         for name, pair in self.values.items():
             same = pair[0] == pair[1]
             if "." not in name:
-                for side, channels in (("both", (0,)),) if same else (("channel_1", (0,)), ("channel_2", (1,))):
+                for side, channels in (
+                    (("both", (0,)),) if same else (("channel_1", (0,)), ("channel_2", (1,)))
+                ):
                     data.setdefault(side, {})[name] = pair[channels[0]]
                 continue
             effect, own = name.split(".", 1)
@@ -180,7 +183,9 @@ _ZERO_ALLOWED = {"B", "C", "s2", "Km", "Fc"}
 def _check_base(name: str, pair: tuple[float, float], where: str) -> None:
     for value in pair:
         if value < 0.0 or (value == 0.0 and name not in _ZERO_ALLOWED):
-            raise InputError(f"{where}: {name} is {value:g}; {PARAMETERS[name].note or name} must be positive")
+            raise InputError(
+                f"{where}: {name} is {value:g}; {PARAMETERS[name].note or name} must be positive"
+            )
 
 
 def _number(value: object, where: str) -> float:
@@ -256,7 +261,9 @@ def _read(text: str, where: str) -> PlantModel:
 def preset_names() -> list[str]:
     """Names of the presets that ship with the package."""
     folder = resources.files(__package__) / "presets"
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+    return sorted(
+        entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")
+    )
 
 
 @cache

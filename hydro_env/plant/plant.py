@@ -55,7 +55,7 @@ class Plant:
         for name in effects:
             if name not in CATALOGUE:
                 parameter_of(f"{name}.")  # raises the line that names the nearest effect
-        self._kernel = compile_kernel((*self.model.declared, *effects), HALF)
+        self._kernel: Kernel = compile_kernel((*self.model.declared, *effects), HALF)
         kernel = self._kernel
         blocks = -(-self.num_rigs // kernel.half)
         self._memory = np.zeros((blocks, kernel.num_rows, 2 * kernel.half))
@@ -81,7 +81,9 @@ class Plant:
             return self._kernel.rows[name]
         except KeyError:
             parameter_of(name)  # InputError for a name that nobody knows
-            raise KeyError(f"{name}: the effect is not among this plant's ({', '.join(self.effects) or 'none'})") from None
+            raise KeyError(
+                f"{name}: the effect is not among this plant's ({', '.join(self.effects) or 'none'})"
+            ) from None
 
     def _fill(self, name: str, pair: tuple[float, float]) -> None:
         row = self._memory[:, self._row(name), :]
@@ -193,7 +195,9 @@ class Plant:
         rows = np.array([self._row(name) for name in record], dtype=np.int64)
         out = np.empty((len(record), -(-command.shape[0] // every), self.num_rigs, 2))
         n = self.substeps(period)
-        self._kernel.advance(self._memory, self._ring, self._head, command, load, n, period / n, rows, every, out)
+        self._kernel.advance(
+            self._memory, self._ring, self._head, command, load, n, period / n, rows, every, out
+        )
         self._head = (self._head + n * command.shape[0]) % self._slots
         return dict(zip(record, out, strict=True))
 
@@ -246,7 +250,8 @@ class Plant:
     @property
     def diverged(self) -> NDArray[np.bool_]:
         """Rigs that left the bounds of sense since their reset, (num_rigs,)."""
-        return (self.get("diverged") > 0.0).any(axis=1)
+        marked = self.get("diverged") > 0.0
+        return marked[:, 0] | marked[:, 1]
 
     # --- copies ---------------------------------------------------------------------------------------------------
     def __getstate__(self) -> dict[str, Any]:
@@ -258,7 +263,7 @@ class Plant:
     def __setstate__(self, state: dict[str, Any]) -> None:
         effects = state.pop("_effects")
         self.__dict__.update(state)
-        self._kernel: Kernel = compile_kernel(effects, HALF)
+        self._kernel = compile_kernel(effects, HALF)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Plant:
         twin = object.__new__(type(self))

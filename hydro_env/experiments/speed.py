@@ -1,0 +1,181 @@
+"""`hydro-env speed`: how fast the plant and the environment run here, and how large the error is at that speed.
+
+Speed without accuracy means nothing, so both are measured in one run: the error is the largest difference of the speed
+to the reference simulator (SciPy's stiff solver on the plain equations) under three kinds of command.
+"""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from hydro_env.files import write_json
+from hydro_env.plant import Plant, load_model, simulate
+from hydro_env.plant.plant import SUBSTEP
+from hydro_env.units import RPM
+
+__all__ = ["NUM_ENVS", "measure_batch", "measure_error", "measure_single", "run", "summary"]
+
+NUM_ENVS = (1, 16, 64, 256, 1024)
+PERIOD = 0.01
+
+
+def _rate(work: Callable[[], int], seconds: float) -> float:
+    """Units of work a second: the best of five stretches, after one that warms up."""
+    work()
+    best = 0.0
+    for _ in range(5):
+        done, start = 0, time.perf_counter()
+        while (passed := time.perf_counter() - start) < seconds / 5:
+            done += work()
+        best = max(best, done / passed)
+    return best
+
+
+def _commands(rows: int, rigs: int, rng: np.random.Generator) -> np.ndarray:
+    """What a controller does: slow motion with a little unrest, (rows, rigs, 2) V."""
+    phase = rng.uniform(0, 2 * np.pi, (rigs, 2))
+    time_s = np.arange(rows)[:, None, None] * PERIOD
+    return 35.0 * np.sin(2 * np.pi * 0.4 * time_s + phase) + rng.normal(0.0, 1.0, (rows, rigs, 2))
+
+
+def measure_single(seconds: float = 1.0) -> dict[str, float]:
+    """Steps a second of one environment (`gymnasium.make` without wrappers), and of its plant alone."""
+    from hydro_env.envs.hydraulic_sync import HydraulicSyncEnv
+
+    env = HydraulicSyncEnv()
+    env.reset(seed=0)
+    actions = (_commands(600, 1, np.random.default_rng(0))[:, 0] / 73.0).astype(np.float32)
+
+    def steps() -> int:
+        env.reset(seed=0)
+        for action in actions[:500]:
+            env.step(action)
+        return 500
+
+    plant = Plant("paper_dead_zone")
+    volts = actions.astype(float) * 73.0
+
+    def plant_steps() -> int:
+        for command in volts[:500]:
+            plant.step(command, 0.0, PERIOD)
+        return 500
+
+    return {"env_steps_per_s": _rate(steps, seconds), "plant_steps_per_s": _rate(plant_steps, seconds)}
+
+
+def measure_batch(num_envs: int, seconds: float = 1.0) -> dict[str, Any]:
+    """Steps a second of a native batch, summed over its environments, with the kernel's share."""
+    from hydro_env.envs.batch import HydraulicSyncVectorEnv
+
+    rows = max(5, min(500, 20_000 // num_envs))
+    envs = HydraulicSyncVectorEnv(num_envs)
+    commands = _commands(rows, num_envs, np.random.default_rng(0))
+    actions = (commands / 73.0).astype(np.float32)
+    envs.reset(seed=0)
+
+    def steps() -> int:
+        for action in actions:
+            envs.step(action)
+        return rows * num_envs
+
+    plant = Plant("paper_dead_zone", num_envs)
+
+    def plant_steps() -> int:
+        plant.run(commands, None, PERIOD, (), 1)
+        return rows * num_envs
+
+    rate, kernel = _rate(steps, seconds), _rate(plant_steps, seconds)
+    substeps = 2 * plant.substeps(PERIOD)
+    return {
+        "num_envs": num_envs,
+        "dtype": "float64",
+        "threads": 1,
+        "env_steps_per_s": rate,
+        "plant_steps_per_s": kernel,
+        "channel_substeps_per_s": kernel * substeps,
+        "times_real_time": rate * PERIOD,
+    }
+
+
+def measure_error() -> dict[str, float]:
+    """Largest error of the speed in rpm against the reference, for the paper's rig with its calibrated dead zone."""
+    from hydro_env.plant.reference import simulate_reference
+
+    rng = np.random.default_rng(0)
+    model = load_model("paper_dead_zone")
+    steps = np.repeat(rng.uniform(-40.0, 40.0, (8, 2)), 50, axis=0)
+    kinds = {
+        "steps": steps,
+        "random": rng.uniform(-73.0, 73.0, (200, 2)),
+        "bang_bang": 73.0 * rng.choice([-1.0, 1.0], (200, 2)),
+    }
+    errors = {}
+    for name, commands in kinds.items():
+        fine = np.repeat(commands, 5, axis=0)
+        truth = simulate_reference(model, fine, np.zeros_like(fine), PERIOD / 5, tolerance=1e-8)
+        ours = simulate(model, fine, None, PERIOD / 5, record=("speed",))["speed"][:, 0]
+        errors[name] = float(np.abs(ours - truth["speed"]).max() / RPM)
+    return {"worst_against_reference": max(errors.values()), **errors}
+
+
+def run(out: str | Path, *, num_envs: Sequence[int] = NUM_ENVS, seconds: float = 1.0) -> dict[str, Any]:
+    """Measures and writes speed.json.
+
+    Args:
+        out: an existing folder.
+        num_envs: sizes of batches.
+        seconds: time to spend on each figure.
+
+    Returns the content of speed.json.
+    """
+    start = time.perf_counter()
+    Plant("paper_dead_zone").step(0.0, 0.0, PERIOD)
+    first = time.perf_counter() - start
+    batch = [measure_batch(n, seconds) for n in tqdm(num_envs, desc="batch", leave=False)]
+    plant = Plant("paper_dead_zone", 1024)
+    result = {
+        "schema": "hydro_env/speed/1",
+        "machine": {
+            "processor": platform.processor() or platform.machine(),
+            "python": platform.python_version(),
+        },
+        "control_period_s": PERIOD,
+        "substep_s": SUBSTEP,
+        "first_step_s": first,
+        "single": measure_single(seconds),
+        "batch": batch,
+        "error_rpm": measure_error(),
+        "memory_bytes_per_env": plant.memory.nbytes / 1024,
+    }
+    write_json(Path(out) / "speed.json", result)
+    return result
+
+
+def summary(result: dict[str, Any]) -> str:
+    """The result as a small table for the terminal."""
+    lines = ["environments   env steps/s   plant alone   ns per channel substep   times real time"]
+    for row in result["batch"]:
+        lines.append(
+            f"{row['num_envs']:12d}{row['env_steps_per_s']:14.0f}{row['plant_steps_per_s']:14.0f}"
+            f"{1e9 / row['channel_substeps_per_s']:25.1f}{row['times_real_time']:18.0f}"
+        )
+    single, error = result["single"], result["error_rpm"]
+    lines.append(
+        f"single environment: {1e6 / single['env_steps_per_s']:.0f} us a step,"
+        f" plant alone {1e6 / single['plant_steps_per_s']:.0f} us"
+    )
+    lines.append(
+        f"largest error against the reference: {error['worst_against_reference']:.3f} rpm"
+        f" (steps {error['steps']:.3f}, random {error['random']:.3f}, bang-bang {error['bang_bang']:.3f})"
+    )
+    lines.append(
+        f"first step after {result['first_step_s']:.1f} s, {result['memory_bytes_per_env']:.0f} bytes of plant per environment"
+    )
+    return "\n".join(lines)

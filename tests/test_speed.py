@@ -1,0 +1,26 @@
+"""`hydro-env speed` measures what it says; no test here depends on how fast the machine is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hydro_env.experiments import speed
+
+
+def test_speed_writes_rates_and_the_error_at_that_speed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        speed, "measure_single", lambda seconds: {"env_steps_per_s": 1.0, "plant_steps_per_s": 1.0}
+    )
+    result = speed.run(tmp_path, num_envs=[3], seconds=0.05)
+    assert json.loads((tmp_path / "speed.json").read_text()) == result
+    (row,) = result["batch"]
+    assert row["num_envs"] == 3 and row["env_steps_per_s"] > 0
+    assert row["channel_substeps_per_s"] == pytest.approx(row["plant_steps_per_s"] * 200)
+    assert row["times_real_time"] == pytest.approx(row["env_steps_per_s"] * 0.01)
+    assert 0 < result["error_rpm"]["worst_against_reference"] < 0.1
+    assert "rpm" in speed.summary(result)
