@@ -37,7 +37,7 @@ BOARD = (
     ("load_step", "max_speed_difference_rpm", "load: largest difference, rpm"),
     ("load_step", "tracking_mae_rpm", "load: tracking error, rpm"),
 )
-"""Columns of the score board: scenario, metric, heading. The first two span the picture."""
+"""Columns of the score board: scenario, metric, heading. The first two are drawn."""
 
 GAPS = (
     ("before", "model as given"),
@@ -187,7 +187,10 @@ def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
         "cases": max(row["n"] for row in scores["rows"]),
         "columns": [heading for _, _, heading in BOARD],
         "rows": rows,
-        "picture": svg(_front(scores["controllers"], cells), "largest speed difference over tracking error"),
+        "picture": svg(
+            _dots(scores["controllers"], cells),
+            "largest speed difference and tracking error of every controller",
+        ),
         "numbers": [
             row for row in scores["rows"] if (row["scenario"], row["metric"]) in {key[:2] for key in BOARD}
         ],
@@ -201,25 +204,33 @@ def _cell(row: dict[str, Any] | None) -> dict[str, str]:
     return {"text": _short(row["iqm"]), "interval": f"{_short(low)} to {_short(high)}"}
 
 
-def _front(controllers: list[str], cells: dict[Any, Any]) -> Any:
-    """Largest difference over tracking error on the set-point steps, a mark for each controller."""
-    drawing, (axis,) = figure(height=3.6)
-    for name in controllers:
-        pair = [cells.get((name, *column[:2])) for column in (BOARD[1], BOARD[0])]
-        if None in pair:
-            continue
-        across, up = pair
-        bars = [[[abs(row["iqm"] - row["ci95"][i])] for i in (0, 1)] for row in (across, up)]
-        colour = COLOURS[1] if name in LEARNED else COLOURS[4] if name == "oracle" else COLOURS[0]
-        axis.errorbar(
-            across["iqm"], up["iqm"], xerr=bars[0], yerr=bars[1], fmt="o", color=colour, elinewidth=0.8
-        )
-        axis.annotate(
-            name, (across["iqm"], up["iqm"]), xytext=(6, 5), textcoords="offset points", fontsize=8.5
-        )
-    axis.set(
-        xlabel="tracking error, rpm", ylabel="largest speed difference, rpm", xlim=(0, None), ylim=(0, None)
+def _dots(controllers: list[str], cells: dict[Any, Any]) -> Any:
+    """A line for each controller: largest difference and tracking error on the set-point steps, with their intervals."""
+    drawing, (axis,) = figure(height=0.7 + 0.3 * len(controllers))
+    marks = (
+        (BOARD[0], "largest speed difference", "o", COLOURS[0]),
+        (BOARD[1], "tracking error", "D", COLOURS[1]),
     )
+    for column, label, mark, colour in marks:
+        rows = [
+            (line, cells[name, *column[:2]])
+            for line, name in enumerate(controllers)
+            if (name, *column[:2]) in cells
+        ]
+        means = np.array([row["iqm"] for _, row in rows])
+        ends = np.array([row["ci95"] for _, row in rows]).reshape(-1, 2)
+        bars = np.abs(ends - means[:, None]).T
+        style = {"fmt": mark, "color": colour, "markersize": 5, "elinewidth": 1.2, "label": label}
+        axis.errorbar(means, [line for line, _ in rows], xerr=bars, **style)
+    axis.set_yticks(range(len(controllers)), controllers)
+    axis.invert_yaxis()
+    axis.set(xscale="log", xlabel="rpm, set-point steps")
+    axis.xaxis.set_major_formatter("{x:g}")
+    limits = axis.get_xlim()
+    axis.set_xticks([digit * 10**power for power in range(4) for digit in (1, 2, 5)])
+    axis.set_xlim(limits)
+    axis.minorticks_off()
+    legend(axis)
     return drawing
 
 
