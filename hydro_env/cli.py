@@ -143,7 +143,10 @@ def _options(
 
 @app.command()
 def demo(out: Out, seed: Seed = 0, jobs: Jobs = 1) -> None:
-    """Show what the package does, on one page: paper, score board, diagnosis; writes index.html."""
+    """Show what the package does, on one page.
+
+    The paper's experiment, a score board and one diagnosis; writes index.html and a folder for each part.
+    """
     with _writing(out) as folder:
         from hydro_env.experiments import demo as work
 
@@ -156,7 +159,10 @@ def reproduce(
     out: Out,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw the figures too.")] = True,
 ) -> None:
-    """Run the paper's experiments (Fig. 2, 7, 8); writes reproduce.json, traces and figures."""
+    """Run the paper's experiments.
+
+    Fig. 2, 7 and 8; writes reproduce.json, traces.csv and figures.
+    """
     with _writing(out) as folder:
         from hydro_env.experiments import reproduce as work
 
@@ -171,7 +177,10 @@ def speed(
     ] = None,
     seconds: Annotated[float, typer.Option(min=0.05, help="Time to spend on each figure, s.")] = 1.0,
 ) -> None:
-    """Measure how fast plant and environment run here, and the error at that speed; writes speed.json."""
+    """Measure how fast and exact the simulator is.
+
+    Writes speed.json.
+    """
     with _writing(out) as folder:
         from hydro_env.experiments import speed as work
 
@@ -198,7 +207,10 @@ def tune(
     seed: Seed = 0,
     name: Annotated[str | None, typer.Option(help="The controller's name in score boards.")] = None,
 ) -> None:
-    """Search the gains of a controller for a plant; writes gains.json, which `benchmark` takes."""
+    """Search the gains of a controller.
+
+    Writes gains.json, which `benchmark` takes.
+    """
     with _writing(out) as folder:
         from hydro_env.controllers import tune as work
 
@@ -238,7 +250,10 @@ def benchmark(
     seed: Seed = 0,
     jobs: Jobs = 1,
 ) -> None:
-    """Score controllers on the fixed suite; writes scores.json and scores.html."""
+    """Score controllers on the fixed suite.
+
+    Writes scores.json and scores.html.
+    """
     with _writing(out) as folder:
         from hydro_env.benchmark import command
 
@@ -282,7 +297,10 @@ def hide(
     duration: Annotated[float, typer.Option(help="Length of each log, s.")] = 12.0,
     seed: Seed = 0,
 ) -> None:
-    """Make practice logs with effects hidden in them; writes logs, model.yaml and truth.json."""
+    """Make practice logs with effects hidden.
+
+    Writes logs, model.yaml and truth.json.
+    """
     with _writing(out) as folder:
         from hydro_env.diagnosis import hide as work
 
@@ -321,10 +339,33 @@ def diagnose(
     jobs: Jobs = 1,
     seed: Seed = 0,
 ) -> None:
-    """Find out from logs what a model lacks; writes diagnosis.json, report.html and model.yaml."""
+    """Find out from logs what a model lacks.
+
+    Writes diagnosis.json, report.html and model.yaml.
+    """
     with _writing(out) as folder:
         from hydro_env.diagnosis import command
 
         command.run(
             fit_logs, sealed or [], folder, model=model, mapping=mapping, jobs=jobs, seed=seed, steady=steady
         )
+
+
+@app.command()
+def speed(
+    out: Out,
+    num_envs: Annotated[str, typer.Option(help="Sizes of batches to measure.")] = "1,16,64,256,1024",
+    seconds: Annotated[float, typer.Option(min=0.01, help="Time to spend on each figure.")] = 1.0,
+) -> None:
+    """Measure how fast and how exact the simulator is here; writes speed.json."""
+    with _writing(out) as folder:
+        from hydro_env.experiments import speed as work
+
+        print(work.summary(work.run(folder, num_envs=_counts("--num-envs", num_envs), seconds=seconds)))
+
+
+def _counts(option: str, text: str) -> list[int]:
+    words = [word.strip() for word in text.split(",")]
+    if not all(word.isdigit() and int(word) > 0 for word in words):
+        raise InputError(f"{option} {text}: whole numbers from 1, separated by commas, are right")
+    return [int(word) for word in words]
