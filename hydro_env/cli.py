@@ -349,23 +349,3 @@ def diagnose(
         command.run(
             fit_logs, sealed or [], folder, model=model, mapping=mapping, jobs=jobs, seed=seed, steady=steady
         )
-
-
-@app.command()
-def speed(
-    out: Out,
-    num_envs: Annotated[str, typer.Option(help="Sizes of batches to measure.")] = "1,16,64,256,1024",
-    seconds: Annotated[float, typer.Option(min=0.01, help="Time to spend on each figure.")] = 1.0,
-) -> None:
-    """Measure how fast and how exact the simulator is here; writes speed.json."""
-    with _writing(out) as folder:
-        from hydro_env.experiments import speed as work
-
-        print(work.summary(work.run(folder, num_envs=_counts("--num-envs", num_envs), seconds=seconds)))
-
-
-def _counts(option: str, text: str) -> list[int]:
-    words = [word.strip() for word in text.split(",")]
-    if not all(word.isdigit() and int(word) > 0 for word in words):
-        raise InputError(f"{option} {text}: whole numbers from 1, separated by commas, are right")
-    return [int(word) for word in words]
