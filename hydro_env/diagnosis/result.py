@@ -31,6 +31,8 @@ __all__ = [
 SCHEMA = "hydro_env/diagnosis/1"
 #: A deviance by which rivals fall behind counts as this fraction: models are never exact.
 TEMPER = 0.1
+#: Values of the two channels that differ by less (relative) are one effect of both.
+SAME_VALUE = 0.15
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,36 @@ def named_effects(machine: Machine, selection: Selection, looks: Sequence[Look])
                 _parameters(selection.problems[c], choice.effect),
             )
         )
-    return found
+    return _merged(found)
+
+
+def _merged(found: list[Named]) -> list[Named]:
+    """An effect that both channels have with the same values, within SAME_VALUE, becomes one entry of channel "both"."""
+    out: list[Named] = []
+    for n in found:
+        twin = next((o for o in out if o.name == n.name and {o.channel, n.channel} == {"1", "2"}), None)
+        if twin is None or not all(_alike(twin.parameters[p], n.parameters[p]) for p in n.parameters):
+            out.append(n)
+            continue
+        parameters = {
+            name: {
+                "value": 0.5 * (a["value"] + b["value"]),
+                "low": min(a["low"], b["low"]),
+                "high": max(a["high"], b["high"]),
+                "unit": a["unit"],
+            }
+            for name, a in twin.parameters.items()
+            for b in (n.parameters[name],)
+        }
+        rivals = list(dict.fromkeys(twin.indistinguishable_from + n.indistinguishable_from))
+        out[out.index(twin)] = Named(n.name, "both", min(twin.probability, n.probability), rivals, parameters)
+    return out
+
+
+def _alike(a: dict[str, Any], b: dict[str, Any]) -> bool:
+    if a["low"] <= b["high"] and b["low"] <= a["high"]:
+        return True
+    return bool(abs(a["value"] - b["value"]) <= SAME_VALUE * max(abs(a["value"]), abs(b["value"])))
 
 
 def _tied(selection: Selection, choice: Choice, name: str) -> bool:

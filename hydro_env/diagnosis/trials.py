@@ -40,9 +40,14 @@ def run_case(
         practice.write(Path(folder))
         logs = [Path(folder) / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
         data = diagnose(logs[:2], logs[2:], model=Path(folder) / "model.yaml").data
-    truth = {(h.name, h.channel) for h in practice.hidden}
-    named = {(e["name"], e["channel"]) for e in data["effects"]}
-    tied = {(n, e["channel"]) for e in data["effects"] for n in (e["name"], *e["indistinguishable_from"])}
+    truth = {(h.name, c) for h in practice.hidden for c in _sides(h.channel)}
+    named = {(e["name"], c) for e in data["effects"] for c in _sides(e["channel"])}
+    tied = {
+        (n, c)
+        for e in data["effects"]
+        for n in (e["name"], *e["indistinguishable_from"])
+        for c in _sides(e["channel"])
+    }
     speeds = {k: v for k, v in data["gap"]["sealed"].items() if k.startswith("speed")}
     worst = max(speeds, key=lambda k: speeds[k]["before"])
     return {
@@ -57,6 +62,10 @@ def run_case(
         "cpu_s": round(time.process_time() - begin, 1),
         "severity": severity, "base_error": base_error, "seed": seed,
     }  # fmt: skip
+
+
+def _sides(channel: str) -> tuple[str, ...]:
+    return ("1", "2") if channel == "both" else (channel,)
 
 
 def run_trials(
