@@ -6,8 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import trim_mean
 
 from hydro_env.controllers.policy import SCHEMA, NumpyPolicy, read_policy
+from hydro_env.controllers.registry import make_controller
+from hydro_env.controllers.rollout import roll_out
 from hydro_env.controllers.view import FramesView, ValveView, make_view
 from hydro_env.envs import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
@@ -170,3 +173,15 @@ def test_shipped_policies_are_small_and_documented(path):
         assert key in metadata
     assert metadata["env_kwargs"]["mismatch"] == "train"
     assert path.with_suffix(".md").is_file()
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_policies_drive_as_when_they_were_scored(path):
+    """A change of view or plant that spoils a policy shows here: the first pairs of `val`, as in its metadata."""
+    policy = NumpyPolicy(path)
+    val = policy.metadata["val"]
+    metrics = roll_out(policy, range(val["pairs"]), mismatch="val", scenario=val["scenario"]).metrics()
+    for name in ("max_speed_difference_rpm", "tracking_mae_rpm"):
+        assert trim_mean(metrics[name], 0.25) == pytest.approx(val[name], rel=0.03)
+    paper = roll_out(make_controller("pid_paper"), range(val["pairs"]), mismatch="val").metrics()
+    assert val["max_speed_difference_rpm"] < 0.25 * trim_mean(paper["max_speed_difference_rpm"], 0.25)

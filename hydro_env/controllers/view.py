@@ -127,7 +127,7 @@ RPM = 2.0 * np.pi / 60.0
 SPEED = 600.0 * RPM  # scales of the inputs
 PRESSURE = 10e5
 INTEGRAL_TIME = 0.3
-TRIM_TIME, TRIM_ERROR, TRIM_MOST = 0.35, 20.0 * RPM, 0.15
+TRIM_TIME, TRIM_ERROR, TRIM_MOST = 0.35, 50.0 * RPM, 0.15
 LOAD_TIME = 0.03
 LAG = 0.1
 SPOOL_RATE = sqrt(NOMINAL["k"] / NOMINAL["m"])
@@ -221,8 +221,11 @@ class ValveView:
         self.integral = self.integral * decay + (1.0 - decay) * (seen.setpoint[:, None] - seen.speed) / SPEED
         self.apart = self.apart * decay + (1.0 - decay) * (seen.speed[:, 0] - seen.speed[:, 1]) / SPEED
         self.lagged = self.lagged + (1.0 - exp(-self.period / LAG)) * (seen.setpoint - self.lagged)
-        error = np.clip(seen.setpoint[:, None] - seen.speed, -TRIM_ERROR, TRIM_ERROR) / SPEED
-        self.trim = self.trim + self.period / TRIM_TIME * self.reach * self.pull * error
+        error = seen.setpoint[:, None] - seen.speed
+        near = np.abs(error) < TRIM_ERROR  # not on the way there: that would wind it up
+        self.trim = (
+            self.trim + self.period / TRIM_TIME * self.reach * self.pull * np.where(near, error, 0.0) / SPEED
+        )
         self.trim = np.clip(self.trim, -TRIM_MOST, TRIM_MOST)
         share = 1.0 - exp(-self.period / LOAD_TIME)
         self.slow_torque = self.slow_torque + share * (_shaft_torque(seen) - self.slow_torque)
