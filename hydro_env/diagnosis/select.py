@@ -27,12 +27,14 @@ __all__ = ["Choice", "Selection", "Trial", "penalty", "select"]
 FALSE_ALARM = 0.01
 #: Cheap refits and full refits in a round.
 CHEAP, FULL = 9, 3
+#: The same in later rounds, where the first look is beside a better model.
+LATER_CHEAP, LATER_FULL = 5, 2
 #: Effects on a channel at most.
 MOST = 3
 #: An effect must explain this share of what is left above the noise, in the signal where it explains most.
 SHARE = 0.05
 #: What stays of the gap after an effect is looked into if it is a larger share; no effect has exactly its law.
-REST = 0.005
+REST = 0.01
 
 
 @dataclass
@@ -157,12 +159,13 @@ def _round(
     number: int, trials: list[Trial], choices: list[Choice], placebo: dict[int, Problem],
 ) -> list[int]:  # fmt: skip
     """One forward step on every open channel; returns the channels on which an effect was taken."""
+    cheap, full = (CHEAP, FULL) if number == 1 or machine.quick else (LATER_CHEAP, LATER_FULL)
     batch: list[tuple[int, Look, Problem]] = []
     for c in channels:
         here = {k.effect for k in choices if k.channel == c}
         own = [k for k in looks if k.channel == c and k.effect not in here]
         for place, look in enumerate(own):
-            if machine.quick or (place < CHEAP and look.gain > 0.0):
+            if machine.quick or (place < cheap and look.gain > 0.0):
                 batch.append((c, look, extended(present[c], look)))
             else:
                 trials.append(
@@ -181,8 +184,8 @@ def _round(
     best: list[tuple[int, Look, Problem]] = []
     for c in channels:
         own_batch = sorted((b for b in batch if b[0] == c), key=lambda b: b[2].cost)
-        best += own_batch[:FULL]
-        for _, look, problem in own_batch[FULL:]:
+        best += own_batch[:full]
+        for _, look, problem in own_batch[full:]:
             found = gain(machine, present[c], problem, floors)
             trials.append(
                 Trial(
