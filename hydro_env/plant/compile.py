@@ -240,6 +240,17 @@ def _by_reciprocals(lines: Iterable[str]) -> list[str]:
     return [re.sub(rf"/ ({'|'.join(_DIVISORS)})\b", r"* per_\1", line) for line in lines]
 
 
+def _needed(wanted: set[str], lines: Iterable[str]) -> list[str]:
+    """The assignments among `lines` that the wanted names depend on."""
+    kept: list[str] = []
+    for line in reversed(list(lines)):
+        target, expression = line.split(" = ", 1)
+        if target in wanted:
+            kept.append(line)
+            wanted = wanted | set(re.findall(r"[A-Za-z_]\w*", expression))
+    return kept[::-1]
+
+
 def _indent(lines: Iterable[str], depth: int) -> str:
     return "\n".join("    " * depth + line for line in lines)
 
@@ -283,7 +294,7 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     at = rows.number
 
     def row(name: str) -> str:
-        return f"lanes[index({at[name]} * LANES) + l]"
+        return f"lanes[{at[name] * 2 * half} + l]"
 
     reciprocals = [f"per_{name}" for name in _DIVISORS]
 
@@ -299,7 +310,7 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
         effect_rates.append(
             f"{effect.name}__{state.name}_rate = {_law_name(effect, state.name + '_rate')}({call})"
         )
-    own_flow = ["own_flow = " + row("flow"), f"other_flow = others[index({at['flow']} * LANES) + l]"]
+    own_flow = ["own_flow = " + row("flow"), f"other_flow = others[{at['flow'] * 2 * half} + l]"]
     body_text = "\n".join(body + effect_rates)
     flows = own_flow if _uses("other_flow", body_text) or _uses("own_flow", body_text) else []
     inputs = ["command = " + row("applied"), *load(["load", "time"], body_text), *flows]
@@ -375,6 +386,7 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     coefficients += [f"m{j} = {float(method['m'][j])!r}" for j in range(4)]
 
     watch = [*body, "measured_speed = speed", *_chain("measured_speed", effects)]
+    watch = _needed({"flow", "measured_speed"}, watch)
     watch = (
         load(states, " ".join(states)) + inputs + load([*parameters, *reciprocals], "\n".join(watch)) + watch
     )
@@ -468,7 +480,6 @@ from math import floor, sqrt
 import numpy as np
 from numba import njit
 
-index = np.uint64
 lane = njit(forceinline=True, error_model="numpy")
 block = njit(error_model="numpy", cache=True)
 
@@ -505,14 +516,14 @@ def look(cells):
     for side in range(2):
         lanes = cells[side * HALF :]
         others = cells[HALF - side * HALF :]
-        for l in range(index(HALF)):
+        for l in range(HALF):
 {watch}
 
 
 @block
 def protect(lanes):
     """Puts lanes that left the bounds of sense to rest and marks them."""
-    for l in range(index(LANES)):
+    for l in range(LANES):
 {guard}
 
 
@@ -525,25 +536,25 @@ def step(cells, h):
     for side in range(2):
         lanes = cells[side * HALF :]
         others = cells[HALF - side * HALF :]
-        for l in range(index(HALF)):
+        for l in range(HALF):
 {first}
     for side in range(2):
         lanes = cells[side * HALF :]
         others = cells[HALF - side * HALF :]
-        for l in range(index(HALF)):
+        for l in range(HALF):
 {second}
     for side in range(2):
         lanes = cells[side * HALF :]
         others = cells[HALF - side * HALF :]
-        for l in range(index(HALF)):
+        for l in range(HALF):
 {third}
     for side in range(2):
         lanes = cells[side * HALF :]
         others = cells[HALF - side * HALF :]
-        for l in range(index(HALF)):
+        for l in range(HALF):
 {fourth}
-    for l in range(index(LANES)):
-        cells[index(TIME * LANES) + l] = cells[index(TIME * LANES) + l] + h
+    for l in range(LANES):
+        cells[TIME * LANES + l] = cells[TIME * LANES + l] + h
         {keep_flow}
 
 
@@ -592,11 +603,11 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
             for n in range(substeps):
 {ring}
                 near = 0
-                for l in range(index(LANES)):
-                    reach = abs(cells[index(SPOOL * LANES) + l]) + h * abs(cells[index(SPOOL_SPEED * LANES) + l])
-                    bend = reach > cells[index(X_MAX * LANES) + l]
+                for l in range(LANES):
+                    reach = abs(cells[SPOOL * LANES + l]) + h * abs(cells[SPOOL_SPEED * LANES + l])
+                    bend = reach > cells[X_MAX * LANES + l]
 {corners}
-                    cells[index(NEAR * LANES) + l] = 1.0 if bend else 0.0
+                    cells[NEAR * LANES + l] = 1.0 if bend else 0.0
                     near += 1 if bend else 0
                 if near == 0:
                     step(cells, h)
@@ -604,20 +615,20 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
                     # Lanes at an end stop or a sharp bend of an effect take the substep in parts; the others keep
                     # the result of the whole one.
                     for r in range(SAVED):
-                        for l in range(index(LANES)):
-                            cells[index((BEFORE + r) * LANES) + l] = cells[index(r * LANES) + l]
+                        for l in range(LANES):
+                            cells[(BEFORE + r) * LANES + l] = cells[r * LANES + l]
                     step(cells, h)
                     for r in range(SAVED):
-                        for l in range(index(LANES)):
-                            cells[index((WHOLE + r) * LANES) + l] = cells[index(r * LANES) + l]
-                            cells[index(r * LANES) + l] = cells[index((BEFORE + r) * LANES) + l]
+                        for l in range(LANES):
+                            cells[(WHOLE + r) * LANES + l] = cells[r * LANES + l]
+                            cells[r * LANES + l] = cells[(BEFORE + r) * LANES + l]
                     for part in range({parts}):
                         step(cells, h / {parts})
                     for r in range(SAVED):
-                        for l in range(index(LANES)):
-                            kept = cells[index((WHOLE + r) * LANES) + l]
-                            inside = cells[index(NEAR * LANES) + l] == 0.0
-                            cells[index(r * LANES) + l] = kept if inside else cells[index(r * LANES) + l]
+                        for l in range(LANES):
+                            kept = cells[(WHOLE + r) * LANES + l]
+                            inside = cells[NEAR * LANES + l] == 0.0
+                            cells[r * LANES + l] = kept if inside else cells[r * LANES + l]
             protect(cells)
         look(cells)
         for r in range(MOVING):
