@@ -31,6 +31,13 @@ HIDDEN = ("dead_zone:1",)
 """What the third part hides."""
 
 LEARNED = ("ppo", "sac")
+NOTES = {
+    **dict.fromkeys(LEARNED, "learned: a network on top of a control law"),
+    "oracle": "knows the true valves",
+    "servo_pid": "other, better valves",
+}
+"""What a reader must know to compare a controller with the others."""
+
 BOARD = (
     ("setpoint_steps", "max_speed_difference_rpm", "steps: largest difference, rpm"),
     ("setpoint_steps", "tracking_mae_rpm", "steps: tracking error, rpm"),
@@ -178,7 +185,7 @@ def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
     rows = []
     for name in scores["controllers"]:
         found = [cells.get((name, scenario, metric)) for scenario, metric, _ in BOARD]
-        note = "learned" if name in LEARNED else "knows the true valves" if name == "oracle" else ""
+        note = NOTES.get(name, "")
         rows.append(
             {"name": name, "note": note, "learned": name in LEARNED, "cells": [_cell(row) for row in found]}
         )
