@@ -27,6 +27,7 @@ from torch import nn
 
 from hydro_env.controllers.view import make_view
 from hydro_env.errors import InputError
+from hydro_env.tasks.scenarios import SCENARIOS
 
 __all__ = ["ALGORITHMS", "ENV_ID", "Config", "Training", "read_config"]
 
@@ -50,9 +51,11 @@ class Training:
         seed: of networks, exploration and environment.
         checkpoint_every: env steps between checkpoints.
         evaluate_every: env steps between evaluations.
+        evaluate_scenarios: the scenarios it drives; the first one's scores are reported.
         evaluate_pairs: how many pairs of split `val` an evaluation drives.
-        tracking_weight: an evaluation's score is the interquartile mean of the largest speed difference plus this times
-            the interquartile mean of the tracking error, both in rpm; the policy with the lowest score is exported.
+        tracking_weight: an evaluation's score is the interquartile mean of the largest speed difference plus this
+            times the interquartile mean of the tracking error, both in rpm, averaged over the scenarios; the policy
+            with the lowest score is exported.
     """
 
     algorithm: str
@@ -60,6 +63,7 @@ class Training:
     seed: int = 0
     checkpoint_every: int = 1_000_000
     evaluate_every: int = 500_000
+    evaluate_scenarios: tuple[str, ...] = ("setpoint_steps",)
     evaluate_pairs: int = 64
     tracking_weight: float = 0.5
 
@@ -154,6 +158,13 @@ def _training(path: Path, table: dict[str, Any]) -> Training:
             isinstance(values[key], bool) or not isinstance(values[key], kind) or values[key] < 0
         ):
             raise InputError(f"{where}: {key} is {values[key]!r}, expected a number of at least 0")
+    if "evaluate_scenarios" in values:
+        names = values["evaluate_scenarios"]
+        if not isinstance(names, list) or not names:
+            raise InputError(f"{where}: evaluate_scenarios is {names!r}, expected a list of scenarios")
+        for name in names:
+            _known(f"{where}: evaluate_scenarios", name, SCENARIOS)
+        values["evaluate_scenarios"] = tuple(names)
     try:
         make_view(values.get("view"))
     except (InputError, TypeError, ValueError) as problem:

@@ -17,14 +17,16 @@ METRICS = ("max_speed_difference_rpm", "rms_speed_difference_rpm", "tracking_mae
 
 
 def evaluate(
-    policy: str | Path, pairs: int, env_kwargs: dict[str, Any], split: str = "val"
+    policy: str | Path,
+    pairs: int,
+    env_kwargs: dict[str, Any],
+    scenario: str = "setpoint_steps",
 ) -> dict[str, float]:
-    """Interquartile means over the first `pairs` pairs of a split in `setpoint_steps`, and the 95th percentile of the
-    largest speed difference."""
+    """Interquartile means over the first `pairs` pairs of `val` in a scenario, and the 95th percentile of the largest
+    speed difference."""
     kwargs = {key: env_kwargs[key] for key in ("plant", "control_period") if key in env_kwargs}
-    metrics = roll_out(
-        NumpyPolicy(policy), range(pairs), mismatch=split, scenario="setpoint_steps", **kwargs
-    ).metrics(METRICS)
+    episodes = roll_out(NumpyPolicy(policy), range(pairs), mismatch="val", scenario=scenario, **kwargs)
+    metrics = episodes.metrics(METRICS)
     scores = {name: float(trim_mean(metrics[name], 0.25)) for name in METRICS}
     scores["max_speed_difference_rpm_p95"] = float(np.percentile(metrics["max_speed_difference_rpm"], 95))
     return scores

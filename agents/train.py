@@ -99,13 +99,24 @@ class Run(BaseCallback):
             "versions": versions(),
         }  # fmt: skip
         self._export(candidate, about)
-        scores = evaluate(candidate, training.evaluate_pairs, self.config.env_kwargs)
-        score = scores["max_speed_difference_rpm"] + training.tracking_weight * scores["tracking_mae_rpm"]
+        each = {
+            name: evaluate(candidate, training.evaluate_pairs, self.config.env_kwargs, name)
+            for name in training.evaluate_scenarios
+        }
+        difference = np.mean([scores["max_speed_difference_rpm"] for scores in each.values()])
+        tracking = np.mean([scores["tracking_mae_rpm"] for scores in each.values()])
+        score = float(difference + training.tracking_weight * tracking)
+        scores = each[training.evaluate_scenarios[0]]
         seconds = round(time.monotonic() - self._since, 1)
         self.progress["curve"].append({"steps": self.steps, "seconds": seconds, "score": score, **scores})
         if score < self.progress["best"]:
             self.progress["best"] = score
-            val = {"pairs": training.evaluate_pairs, "scenario": "setpoint_steps", "score": score, **scores}
+            val = {
+                "pairs": training.evaluate_pairs,
+                "score": score,
+                "scenario": training.evaluate_scenarios[0],
+            }
+            val = {**val, **scores, "scenarios": each}
             self._export(self.out / "policy.npz", {**about, "seconds": seconds, "val": val})
         candidate.unlink()
         self.progress["evaluated"] = self.steps

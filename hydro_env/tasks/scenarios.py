@@ -135,6 +135,18 @@ def _random_steps(time: Floats, stream: np.random.Generator | None) -> tuple[Flo
     return setpoint, load
 
 
+def _random_courses(time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
+    assert stream is not None
+    setpoint, load = _random_steps(time, stream)
+    # In every second episode the set-point goes from level to level in ramps: a moving mean over 0.1-1 s.
+    ramps, length = stream.random(2)
+    if ramps < 0.5 and time.size > 1:
+        window = max(1, round((0.1 + 0.9 * length) / (time[1] - time[0])))
+        total = np.concatenate([np.zeros(window), np.cumsum(setpoint)])
+        setpoint = (total[window:] - total[:-window]) / window
+    return setpoint, load
+
+
 _ALL: tuple[Scenario, ...] = (
     _tables(
         "setpoint_steps", "the paper's section 4.1: 0 -> 600 -> -200 -> 600 rpm without load", 6.0,
@@ -157,6 +169,9 @@ _ALL: tuple[Scenario, ...] = (
     Scenario("disturbance", "400 rpm; from 1.5 s loads that swing against each other at 1.5 Hz", 5.0, _disturbance),
     Scenario(
         "random_steps", "for training: random set-points, random loads on each motor", 6.0, _random_steps, random=True
+    ),
+    Scenario(
+        "random_courses", "random_steps with ramps for steps in every second episode", 6.0, _random_courses, random=True
     ),
 )  # fmt: skip
 
