@@ -1,14 +1,19 @@
-"""Writes the tables of docs/plant.md and docs/effects.md from the code: `python docs/tables.py`.
+"""Writes the tables of the documents: `python docs/tables.py [scores/scores.json] [speed/speed.json]`.
 
-A table stands between `<!-- table: NAME -->` and `<!-- end -->` and is never edited by hand.
+A table stands between `<!-- table: NAME -->` and `<!-- end -->` and is never edited by hand. Those of the plant are made
+from the code; measured ones from docs/results.json, which keeps what they need of the named files (by
+`hydro-env benchmark` and `hydro-env speed`).
 """
 
 from __future__ import annotations
 
+import json
 import math
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, preset_names
 
@@ -61,7 +66,89 @@ def effects() -> str:
     return _table(["effect", "port", "what it is", "how it shows", "parameters", "source"], rows)
 
 
-TABLES: dict[str, Callable[[], str]] = {"parameters": parameters, "presets": presets, "effects": effects}
+# --- measured ---------------------------------------------------------------------------------------------------------
+SCORES = (
+    ("test_interp", "setpoint_steps", "steps"),
+    ("test_interp", "load_step", "load step"),
+    ("test_interp", "sine", "sine"),
+    ("test_extrap", "setpoint_steps", "steps, valves beyond the training ranges"),
+)
+METRICS = ("max_speed_difference_rpm", "tracking_mae_rpm")
+
+
+def take(path: Path) -> None:
+    """Keeps what the tables need of a result file."""
+    data = json.loads(path.read_text(encoding="utf-8"))
+    results = _results()
+    if data["schema"] == "hydro_env/scores/1":
+        places = {column[:2] for column in SCORES}
+        rows = [r for r in data["rows"] if (r["split"], r["scenario"]) in places and r["metric"] in METRICS]
+        results["scores"] = {"controllers": data["controllers"], "seed": data["seed"], "rows": rows}
+    elif data["schema"] == "hydro_env/speed/1":
+        results["speed"] = {
+            key: data[key] for key in ("machine", "single", "batch", "error_rpm", "substep_s")
+        }
+    else:
+        raise SystemExit(f"{path}: schema {data['schema']!r}; scores.json and speed.json are right")
+    text = json.dumps(results, indent=1, ensure_ascii=False)
+    RESULTS.write_text(text + "\n", encoding="utf-8")
+
+
+def _results() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
+    return found
+
+
+def _digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 100 else f"{value:.1f}"
+
+
+def scores() -> str:
+    found = _results()["scores"]
+    cells = {(r["controller"], r["split"], r["scenario"], r["metric"]): r for r in found["rows"]}
+    rows = []
+    for name in found["controllers"]:
+        row = [f"`{name}`"]
+        for split, scenario, _ in SCORES:
+            pair = [cells.get((name, split, scenario, metric)) for metric in METRICS]
+            row.append(" / ".join("–" if each is None else _digits(each["iqm"]) for each in pair))
+        rows.append(row)
+    return _table(["controller", *(heading for _, _, heading in SCORES)], rows)
+
+
+def speed() -> str:
+    found = _results()["speed"]
+    rows = [
+        [
+            f"{r['num_envs']}",
+            f"{r['env_steps_per_s']:,.0f}",
+            f"{r['channel_substeps_per_s'] / 1e6:.1f}",
+            f"{r['times_real_time']:,.0f}",
+        ]
+        for r in found["batch"]
+    ]
+    return _table(
+        ["rigs", "environment steps per s", "million channel substeps per s", "times real time"], rows
+    )
+
+
+def error() -> str:
+    found = _results()["speed"]
+    return (
+        f"The largest error of a speed against SciPy's stiff solver on the plain equations is "
+        f"{found['error_rpm']['worst_against_reference']:.2g} rpm, with substeps of {found['substep_s'] * 1e6:.0f} us."
+    )
+
+
+RESULTS = HERE / "results.json"
+TABLES: dict[str, Callable[[], str]] = {
+    "parameters": parameters,
+    "presets": presets,
+    "effects": effects,
+    "scores": scores,
+    "speed": speed,
+    "error": error,
+}
 
 
 def filled(text: str) -> str:
@@ -74,7 +161,9 @@ def filled(text: str) -> str:
 
 
 def main() -> None:
-    for path in sorted(HERE.glob("*.md")):
+    for name in sys.argv[1:]:
+        take(Path(name))
+    for path in (HERE.parent / "README.md", *sorted(HERE.glob("*.md"))):
         path.write_text(filled(path.read_text(encoding="utf-8")), encoding="utf-8")
 
 
