@@ -34,7 +34,9 @@ def card_rows(policy: str, first: int = 500, cases: int = 200) -> list[str]:
     ]
     for split, scenario in ROWS:
         count = min(cases, 20) if split == "paper_pair" else cases  # one pair, 20 times other noise
-        episodes = roll_out(make_controller(policy), range(first, first + count), mismatch=split, scenario=scenario)
+        episodes = roll_out(
+            make_controller(policy), range(first, first + count), mismatch=split, scenario=scenario
+        )
         scores = episodes.metrics(METRICS)
         largest = scores[METRICS[0]]
         low, high = bootstrap_interval(largest)
