@@ -53,6 +53,12 @@ Plant = Annotated[str, typer.Option("--plant", help="Preset or YAML file of the 
 Model = Annotated[str, typer.Option("--model", help="Preset or YAML file of the model.")]
 ControlPeriod = Annotated[float, typer.Option("--control-period", help="Time between two commands, s.")]
 Seed = Annotated[int, typer.Option("--seed", help="Same seed, same result.")]
+EffectFiles = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--effects", metavar="FILE.py", help="Python file that registers your own effects; it is run."
+    ),
+]
 Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Processes to work with.")]
 
 
@@ -295,6 +301,7 @@ def hide(
     ] = "setpoint,current,pressure,load",
     rate: Annotated[float, typer.Option(help="Rows per second.")] = 1000.0,
     duration: Annotated[float, typer.Option(help="Length of each log, s.")] = 12.0,
+    effect_files: EffectFiles = None,
     seed: Seed = 0,
 ) -> None:
     """Make practice logs with effects hidden.
@@ -303,7 +310,9 @@ def hide(
     """
     with _writing(out) as folder:
         from hydro_env.diagnosis import hide as work
+        from hydro_env.plant import load_effects
 
+        load_effects(effect_files or [])
         work.run(
             effects or [],
             folder,
@@ -336,6 +345,7 @@ def diagnose(
     steady: Annotated[
         bool, typer.Option("--steady", help="Use the reduced model of a slow cylinder axis.")
     ] = False,
+    effect_files: EffectFiles = None,
     jobs: Jobs = 1,
     seed: Seed = 0,
 ) -> None:
@@ -345,7 +355,9 @@ def diagnose(
     """
     with _writing(out) as folder:
         from hydro_env.diagnosis import command
+        from hydro_env.plant import load_effects
 
+        load_effects(effect_files or [])
         command.run(
             fit_logs, sealed or [], folder, model=model, mapping=mapping, jobs=jobs, seed=seed, steady=steady
         )

@@ -10,6 +10,10 @@ diagnosis fits. An engineer's two runs and a third one to be sealed are made:
     model.yaml  the model as an engineer has it, without the hidden effects
     truth.json  what was hidden
 
+A user's own effect (`plant.load_effects`) has one set of equations, its laws. If one is hidden, the rig is the compiled
+plant with the laws of the catalogue for all effects, and truth.json says `"forms": "catalogue"`: the diagnosis then meets
+its own equations, so such a log shows that an effect can be found, not that it is told from real physics.
+
 Commands change every 10 ms (the control period of the rig); the log is faster. Noise: see `NOISE`.
 """
 
@@ -30,7 +34,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..files import write_text
-from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, load_model
+from ..plant import BUILT_IN, CATALOGUE, PARAMETERS, Effect, Parameter, Plant, PlantModel, load_model
 from ..plant.reference import ReferenceRig
 from ..units import BAR, LPM, MILLIMETRE, RPM
 
@@ -66,6 +70,7 @@ RECORDABLE = ("setpoint", "current", "pressure", "load", "spool", "flow")
 #: Base parameters that `base_error` makes wrong.
 UNCERTAIN = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs")
 CONTROL_PERIOD = 0.01  # s
+_CATALOGUE = "catalogue"  # forms of a rig with a user's effect
 _COLUMNS = {  # signal of the simulator and its unit in the log
     "current": ("current", "A", 1.0),
     "pressure": ("pressure", "bar", BAR),
@@ -395,6 +400,25 @@ def _plans(make: _Maker, seeds: np.random.SeedSequence, dt: float, steps: int) -
     return plans
 
 
+class _CatalogueRig:
+    """The compiled plant in the place of a `ReferenceRig`."""
+
+    def __init__(self, model: PlantModel) -> None:
+        self.plant = Plant(model)
+        self.names = [signal for signal, _, _ in _COLUMNS.values()]
+
+    def signals(self) -> dict[str, Array]:
+        return {name: self.plant.get(name)[0] for name in self.names}
+
+    def advance(self, command_V: Array, load_Nm: Array, duration: float, samples: int) -> dict[str, Array]:
+        command, load = np.tile(command_V, (samples, 1)), np.tile(load_Nm, (samples, 1))
+        rows = self.plant.run(command, load, duration / samples, self.names)
+        if self.plant.diverged[0]:
+            raise InputError("the rig diverges with these effects; smaller values are right")
+        end = self.signals()
+        return {name: np.vstack([rows[name][1:, 0], end[name]]) for name in self.names}
+
+
 class _SpeedLoop:
     """The PI controllers of the rig: the paper's V1 gains, scaled to the flow gain of the given model."""
 
@@ -437,7 +461,8 @@ def _record(
 
     loop = _SpeedLoop(given, period)
     rated = np.array(given.pair("u_rated"))
-    rig = ReferenceRig(true, forms=forms, tolerance=1e-6)
+    rig: ReferenceRig | _CatalogueRig
+    rig = _CatalogueRig(true) if forms == _CATALOGUE else ReferenceRig(true, forms=forms, tolerance=1e-6)
     now = rig.signals()
     command, load, setpoint = np.empty((rows, 2)), np.empty((rows, 2)), np.empty((rows, 2))
     shown = {n: np.empty((rows, 2)) for n in _COLUMNS}
@@ -511,7 +536,7 @@ def make_practice(
     rate        rows per second, a multiple of 100 Hz or a rate below
     duration    of each log, s, at least 3
     seed        the same seed gives the same logs; plan, rig and noise have streams of their own
-    forms       of the effects in the simulator, see `plant.reference.FORMS`
+    forms       of the effects in the simulator, see `plant.reference.FORMS`; "catalogue" wherever a user's effect is
     runs        which logs to make, of "fit_1", "fit_2", "sealed"
     progress    called with the name of each log as it is begun
 
@@ -553,6 +578,8 @@ def make_practice(
     given = load_model(model)
     size_seed, base_seed, *run_seeds = np.random.SeedSequence(seed).spawn(2 + len(_RUNS))
     hidden = _choose(chosen, explicit, severity, duration, np.random.default_rng(size_seed))
+    if any(name not in BUILT_IN for name in (*chosen, *given.declared)):
+        forms = _CATALOGUE
     true, wrong = _true_model(given, hidden, base_error, np.random.default_rng(base_seed))
     logs: dict[str, dict[str, Array]] = {}
     for name, seeds in zip(_RUNS, run_seeds, strict=True):

@@ -6,10 +6,11 @@ import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import numpy as np
 
-from ..plant import CATALOGUE, Parameter, PlantModel, simulate
+from ..plant import CATALOGUE, Parameter, PlantModel, load_effects, loaded_files, simulate
 from .machine import Request, Segment, measured_segments
 from .parts import Part
 
@@ -106,7 +107,7 @@ class MotorRig:
         """The same by several processes; a request's result does not depend on who simulates it or beside what."""
         if self._pool is None:
             mode = multiprocessing.get_context("spawn")
-            given = (self.model, self.parts, self.every_row, self.substep)
+            given = (loaded_files(), self.model, self.parts, self.every_row, self.substep)
             self._pool = ProcessPoolExecutor(self.jobs, mp_context=mode, initializer=_begin, initargs=given)
         # Every n-th, so that each share holds both channels and every kernel in equal parts.
         shares = [list(requests[k :: self.jobs]) for k in range(self.jobs)]
@@ -186,7 +187,10 @@ class MotorRig:
 _RIG: list[MotorRig] = []  # of a worker process
 
 
-def _begin(model: PlantModel, parts: list[Part], every_row: bool, substep: float) -> None:
+def _begin(
+    files: tuple[Path, ...], model: PlantModel, parts: list[Part], every_row: bool, substep: float
+) -> None:
+    load_effects(files)  # a new process knows the built-in effects only
     _RIG.append(MotorRig(model, parts, every_row=every_row, substep=substep))
 
 

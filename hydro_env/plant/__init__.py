@@ -9,12 +9,14 @@ plant       many rigs side by side
 reference   an independent simulator on the plain equations, which checks the kernel
 """
 
-from .effects import CATALOGUE, Effect, State, register, unregister
+from .effect_files import load_effects, loaded_files
+from .effects import BUILT_IN, CATALOGUE, Effect, State, register, unregister
 from .model import PlantModel, load_model, parameter_of, preset_names
 from .parameters import PARAMETERS, Parameter
 from .plant import SIGNALS, Plant, simulate
 
 __all__ = [
+    "BUILT_IN",
     "CATALOGUE",
     "PARAMETERS",
     "SIGNALS",
@@ -23,7 +25,9 @@ __all__ = [
     "Plant",
     "PlantModel",
     "State",
+    "load_effects",
     "load_model",
+    "loaded_files",
     "parameter_of",
     "preset_names",
     "register",

@@ -26,7 +26,7 @@ from math import inf, pi
 from .lanemath import clip, cos, exp, sign, sin, tanh
 from .parameters import Parameter
 
-__all__ = ["CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "register", "unregister"]
+__all__ = ["BUILT_IN", "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "register", "unregister"]
 
 #: Ports in the order in which the signal passes them.
 PORTS = ("driver", "coil", "force", "opening", "flow", "supply", "line", "motor", "load", "fluid", "sensor")
@@ -902,3 +902,6 @@ register(
         laws={"measured_speed": _sensor_offset},
     )
 )
+
+#: The effects of this file; any other one is a user's (see `register` and `effect_files`).
+BUILT_IN = tuple(CATALOGUE)

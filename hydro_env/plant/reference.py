@@ -43,7 +43,8 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import odeint, solve_ivp
 
-from .effects import CATALOGUE
+from ..errors import InputError
+from .effects import BUILT_IN, CATALOGUE
 from .model import PlantModel, load_model
 from .parameters import PARAMETERS
 
@@ -68,7 +69,11 @@ _SHIFTS = ("heat", "loop", "second_bristle", "shaft_bristle", "twist", "lag", "d
 
 def _fields() -> list[tuple[str, Any]]:
     own = [(name, np.float64) for name in PARAMETERS]
-    effects = [(f"{e.name}__{p.name}", np.float64) for e in CATALOGUE.values() for p in e.parameters]
+    effects = [
+        (f"{e.name}__{p.name}", np.float64)
+        for e in map(CATALOGUE.__getitem__, BUILT_IN)
+        for p in e.parameters
+    ]
     places = [(f"at_{name}", np.int64) for name in ("states", *_SHIFTS)]
     return [*own, *effects, *places, ("different", np.int64)]
 
@@ -391,7 +396,7 @@ class _Group:
         for p, c in zip(self.channels, members, strict=True):
             for name in PARAMETERS:
                 p[name] = model.value(name, c)
-            for effect in CATALOGUE.values():
+            for effect in map(CATALOGUE.__getitem__, BUILT_IN):
                 for parameter in effect.parameters:
                     p[f"{effect.name}__{parameter.name}"] = model.value(f"{effect.name}.{parameter.name}", c)
             p["different"] = different
@@ -455,7 +460,8 @@ class ReferenceRig:
 
     `forms` as in `FORMS`; `method` one of SciPy's "LSODA" (fast), "BDF", "Radau" (the strictest); `tolerance` is the
     relative one, absolute ones follow from the scale of each state. The integration starts afresh at every change of a
-    command or load, so no solver steps over a jump. InputError for an unknown model, ValueError for an unknown form.
+    command or load, so no solver steps over a jump. InputError for an unknown model or one with a user's effect,
+    for which there are no independent equations; ValueError for an unknown form.
     """
 
     def __init__(
@@ -465,6 +471,11 @@ class ReferenceRig:
         if forms not in FORMS:
             raise ValueError(f"forms is {forms!r}, expected one of {', '.join(FORMS)}")
         self.model, self.forms, self.method, self.tolerance = load_model(model), forms, method, tolerance
+        for name, acts in self.model.effects.items():
+            if name not in BUILT_IN and not all(CATALOGUE[name].is_neutral(values or {}) for values in acts):
+                raise InputError(
+                    f"{name}: the reference simulator has no equations for this user's effect; use hydro_env.plant.simulate"
+                )
         self._delays = self.model.pair("command_delay.delay")
         self._rated = self.model.pair("u_rated")
         self.reset()

@@ -1,0 +1,53 @@
+"""Golden trajectories of the plant, base and every effect at its typical size: `python -m tests.golden` writes them anew."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Plant, effects, rhs
+
+PATH = Path(__file__).parent / "golden" / "trajectories.json"
+SIGNALS = ("measured_speed", "pressure")
+PERIOD, ROWS, EVERY = 0.01, 31, 5  # s; commands of 10 ms, every fifth row is kept
+
+
+def fingerprint() -> str:
+    """Hash of what the trajectories depend on: parameters, and the text of effects and right-hand side."""
+    base = "".join(f"{p.name} {p.nominal!r}\n" for p in PARAMETERS.values())
+    return hashlib.sha256((base + inspect.getsource(effects) + inspect.getsource(rhs)).encode()).hexdigest()[
+        :16
+    ]
+
+
+def trajectories() -> dict[str, NDArray[np.float64]]:
+    """Signals of the base plant (row 0) and each effect, in one batch: (rows kept, 1 + effects, 2)."""
+    plant = Plant("paper", 1 + len(BUILT_IN), effects=BUILT_IN)
+    for row, name in enumerate(BUILT_IN, 1):
+        for p in CATALOGUE[name].parameters:
+            plant.set(f"{name}.{p.name}", p.nominal if p.typical is None else p.typical, rows=[row])
+    plant.reset()
+    t = np.arange(ROWS) * PERIOD
+    command = np.stack([np.where(t < 0.15, 50.0, -30.0), 60.0 * np.sin(20.0 * t)], axis=1)
+    load = np.where(t < 0.2, 0.0, 0.5)[:, None] * np.ones(2)
+    return plant.run(command, load, PERIOD, SIGNALS, EVERY)
+
+
+def main() -> None:
+    found = trajectories()
+    rows = {
+        name: {s: [[float(f"{v:.7g}") for v in pair] for pair in found[s][:, n]] for s in SIGNALS}
+        for n, name in enumerate(("base", *BUILT_IN))
+    }
+    lines = ",\n".join(f" {json.dumps(name)}: {json.dumps(row)}" for name, row in rows.items())
+    PATH.parent.mkdir(exist_ok=True)
+    PATH.write_text(f'{{"fingerprint": "{fingerprint()}",\n"rows": {{\n{lines}\n}}}}\n', encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""A user's own effect, from the worked example of docs/effects.md: simulated, hidden, a candidate of the diagnosis."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env.cli import _run
+from hydro_env.diagnosis.hide import make_practice
+from hydro_env.diagnosis.motor import MotorRig
+from hydro_env.diagnosis.parts import read_parts
+from hydro_env.errors import InputError
+from hydro_env.plant import CATALOGUE, load_effects, load_model, simulate, unregister
+from hydro_env.plant.reference import ReferenceRig
+
+NAME = "narrowing_edge"
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Iterator[Path]:
+    text = (Path(__file__).parent.parent / "docs" / "effects.md").read_text(encoding="utf-8")
+    found = re.findall(r"```python\n(# my_effect\.py\n.*?)```", text, flags=re.S)
+    assert len(found) == 1
+    path = tmp_path / "my_effect.py"
+    path.write_text(found[0], encoding="utf-8")
+    yield path
+    if NAME in CATALOGUE:
+        unregister(NAME)
+
+
+def test_the_documents_example_is_simulated(file: Path) -> None:
+    assert load_effects([file]) == (NAME,)
+    assert load_effects([file]) == (NAME,)  # again: no harm
+    out = simulate("paper", np.full((60, 2), 60.0), None, 0.01, values={f"{NAME}.loss": np.array([0.0, 1.0])},
+                   num_rigs=2, record=("flow", "spool"))  # fmt: skip
+    spool, flow = out["spool"][-1, :, 0], out["flow"][-1, :, 0]
+    kq = load_model("paper").value("Kq", 0)
+    assert flow == pytest.approx(kq * spool / (1.0 + np.array([0.0, 1.0]) * spool * 1e3), rel=1e-9)
+
+
+def test_it_is_hidden_and_a_candidate(file: Path, tmp_path: Path) -> None:
+    load_effects([file])
+    options = {"runs": ("fit_1",), "duration": 3.0, "rate": 100.0, "noise": 0.0, "seed": 3}
+    with_it = make_practice([f"{NAME}:1"], **options)
+    assert with_it.truth["forms"] == "catalogue"
+    assert [e["name"] for e in with_it.truth["effects"]] == [NAME]
+    plain = make_practice([], **options)
+    gap = {
+        c: np.ptp(with_it.logs["fit_1"][f"speed_{c}_rpm"] - plain.logs["fit_1"][f"speed_{c}_rpm"])
+        for c in (1, 2)
+    }
+    assert gap[1] > 30.0 > 10.0 > gap[2]  # rpm; channel 2 differs by the simulator only
+    with_it.write(tmp_path)
+    rig = MotorRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+    assert NAME in rig.candidates()
+    with pytest.raises(InputError, match=NAME):
+        ReferenceRig(with_it.true)
+
+
+def test_the_command_line_loads_it(file: Path, tmp_path: Path) -> None:
+    words = ["hide", f"{NAME}:2", "--effects", str(file), "--duration", "3", "--rate", "100"]
+    assert _run([*words, "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "truth.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("", "registers no effect"),
+        ("1 / 0", "ZeroDivisionError"),
+        ("x = (", "SyntaxError"),
+        (None, "not a Python file"),
+    ],
+)
+def test_a_wrong_file_is_one_line(
+    text: str | None, line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "wrong.py"
+    if text is not None:
+        path.write_text(text, encoding="utf-8")
+    before = list(CATALOGUE)
+    assert _run(["hide", "dead_zone", "--effects", str(path), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert line in error and "wrong.py" in error and error.count("\n") == 1
+    assert list(CATALOGUE) == before
