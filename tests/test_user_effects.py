@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from hydro_env.cli import _run
+from hydro_env.diagnosis.command import diagnose
 from hydro_env.diagnosis.hide import make_practice
 from hydro_env.diagnosis.motor import MotorRig
 from hydro_env.diagnosis.parts import read_parts
@@ -87,3 +89,13 @@ def test_a_wrong_file_is_one_line(
     error = capsys.readouterr().err
     assert line in error and "wrong.py" in error and error.count("\n") == 1
     assert list(CATALOGUE) == before
+
+
+@pytest.mark.slow
+def test_it_is_diagnosed(file: Path, tmp_path: Path) -> None:
+    load_effects([file])
+    make_practice([f"{NAME}:1"], duration=6.0, rate=500.0).write(tmp_path)
+    logs = [tmp_path / f"{name}.csv" for name in ("fit_1", "fit_2")]
+    found = diagnose(logs, [tmp_path / "sealed.csv"], jobs=2)  # the processes load the file too
+    assert found.data["verdict"] == "effects"
+    assert f'"{NAME}"' in json.dumps(found.data["effects"])
