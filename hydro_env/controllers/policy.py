@@ -59,9 +59,9 @@ class Network:
         hidden = np.asarray(inputs, dtype=self.layers[0][0].dtype)
         activate = ACTIVATIONS[self.activation]
         for weight, bias in self.layers[:-1]:
-            hidden = activate(hidden @ weight.T + bias)
+            hidden = activate(_product(hidden, weight) + bias)
         weight, bias = self.layers[-1]
-        return SQUASHES[self.squash](hidden @ weight.T + bias)
+        return SQUASHES[self.squash](_product(hidden, weight) + bias)
 
     def astype(self, dtype: type) -> Network:
         """The same network in another precision."""
@@ -71,6 +71,14 @@ class Network:
 
         layers = [(cast(weight), cast(bias)) for weight, bias in self.layers]
         return Network(layers, self.activation, self.squash)
+
+
+def _product(hidden: Floats, weight: Floats) -> Floats:
+    """`hidden @ weight.T`, each row for itself: one product of the whole batch rounds differently with every size of the
+    batch, and stiction turns a last bit into another course.
+    """
+    product: Floats = (hidden[..., None, :] @ weight.T)[..., 0, :]
+    return product
 
 
 def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
