@@ -37,6 +37,7 @@ EXTRAS = {
     "sb3_contrib": "agents",
     "onnx": "agents",
     "onnxruntime": "agents",
+    "ray": "ray",
 }
 """Which extra of the package holds an optional library."""
 
@@ -254,7 +255,15 @@ def benchmark(
     plant: Plant = "paper_dead_zone",
     control_period: ControlPeriod = 0.01,
     seed: Seed = 0,
+    engine: Annotated[
+        str,
+        typer.Option(help="local: --jobs processes; ray: the Ray cluster at RAY_ADDRESS or on this machine."),
+    ] = "local",
     jobs: Jobs = 1,
+    cells: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Keep finished cells here; a run that was stopped goes on."),
+    ] = None,
 ) -> None:
     """Score controllers on the fixed suite.
 
@@ -273,7 +282,9 @@ def benchmark(
             plant=plant,
             control_period=control_period,
             seed=seed,
+            engine=engine,
             jobs=jobs,
+            cells_folder=cells,
         )
         print(command.report(scores))
 

@@ -8,17 +8,16 @@ did so; the rest go on.
 
 from __future__ import annotations
 
-import multiprocessing
+import hashlib
+import importlib.util
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from hydro_env.benchmark.report import scores_page, scores_table
 from hydro_env.benchmark.statistics import probability_of_improvement, summarise
@@ -26,7 +25,8 @@ from hydro_env.benchmark.suite import Suite, check_suite, load_suite
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.errors import InputError
+from hydro_env.engine import Failure, Store, check_engine
+from hydro_env.engine import run as run_tasks
 from hydro_env.files import output_folder, write_json, write_text
 from hydro_env.plant import load_model
 from hydro_env.tasks import METRICS, SCENARIOS, SPLITS, Trace
@@ -67,7 +67,9 @@ def run(
     seed: int = 0,
     plant: Any = "paper_dead_zone",
     control_period: float = 0.01,
+    engine: str = "local",
     jobs: int = 1,
+    cells_folder: str | Path | None = None,
     progress: bool = True,
 ) -> dict[str, Any]:
     """Scores controllers and writes `out/scores.json` and `out/scores.html`.
@@ -81,37 +83,38 @@ def run(
         seed: case i has the seed `seed + i`.
         plant: preset or model file under test.
         control_period: s.
-        jobs: processes.
+        engine, jobs: where the cells run, see `hydro_env.engine`; makes no difference to the scores.
+        cells_folder: keeps finished cells, and gives back those that are still the same.
         progress: whether to show a progress bar.
 
     Returns what scores.json holds. InputError for a name that does not exist.
     """
     chosen = _suite(suite, splits, scenarios, cases)
-    if jobs < 1:
-        raise InputError(f"jobs must be at least 1, not {jobs}")
+    check_engine(engine, jobs)
     load_model(plant)  # a plant that is not there is no controller's failure
     specs = list(controllers) if controllers else [n for n, entry in CONTROLLERS.items() if entry.available]
     cells = list(_cells(specs, chosen))
     with nullcontext() if out is None else output_folder(out) as folder:
-        done = _run_all(
-            cells, seed=seed, plant=plant, control_period=control_period, jobs=jobs, progress=progress
+        where = {"seed": seed, "plant": plant, "control_period": control_period}
+        done = run_tasks(
+            cells,
+            partial(_run_cell, **where),
+            engine=engine,
+            jobs=jobs,
+            progress=progress,
+            unit="episode",
+            size=lambda cell: cell.cases,
+            store=None if cells_folder is None else Store(cells_folder, partial(_key, **where)),
         )
+        done = [
+            replace(cell, failure=result.reason) if isinstance(result, Failure) else result
+            for cell, result in zip(cells, done, strict=True)
+        ]
         scores = _scores(done, chosen, seed=seed, plant=plant, control_period=control_period)
         if folder is not None:
             write_json(folder / "scores.json", scores)
             write_text(folder / "scores.html", scores_page(scores, _traces(done, chosen)))
     return scores
-
-
-def _run_all(cells: list[Cell], *, jobs: int, progress: bool, **where: Any) -> list[Cell]:
-    """Runs the cells, in whatever order they get done, and returns them in the order they were given."""
-    place = {(cell.name, cell.split, cell.scenario): i for i, cell in enumerate(cells)}
-    done = []
-    with tqdm(total=sum(cell.cases for cell in cells), unit="episode", disable=not progress) as bar:
-        for cell in _as_done(partial(_run_cell, **where), cells, jobs):
-            bar.update(cell.cases)
-            done.append(cell)
-    return sorted(done, key=lambda cell: place[cell.name, cell.split, cell.scenario])
 
 
 def _suite(suite: str | Path, splits: Any, scenarios: Any, cases: int | None) -> Suite:
@@ -136,46 +139,47 @@ def _cells(specs: Sequence[Any], suite: Suite) -> Iterator[Cell]:
                 yield Cell(portable, name, split, scenario, cases)
 
 
-def _as_done(work: Any, cells: list[Cell], jobs: int) -> Iterator[Cell]:
-    """The cells as they were asked for, run here or in `jobs` processes; which makes no difference to the
-    scores.
+def _key(cell: Cell, **where: Any) -> str | None:
+    """What the result of a cell depends on besides our own code: also the content of the files that it names.
+    None for what cannot be compared. (What a controller's file imports from elsewhere is not seen.)
     """
-    if jobs == 1:
-        yield from map(work, cells)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        futures = {pool.submit(work, cell): index for index, cell in enumerate(cells)}
-        for future in as_completed(futures):
-            index = futures[future]
-            try:
-                cells[index] = future.result()
-            except Exception as problem:  # a worker that died or a controller that cannot be sent to one
-                cells[index].failure = _line(problem)
-            yield cells[index]
+    try:
+        named = [_content(cell.controller), _content(where.pop("plant"))]
+    except Exception:
+        return None
+    return repr((named, cell.name, cell.split, cell.scenario, cell.cases, sorted(where.items())))
+
+
+def _content(spec: Any) -> str:
+    if hasattr(spec, "to_dict"):  # a model of a plant
+        return repr(spec.to_dict())
+    if not isinstance(spec, str | Path):
+        raise TypeError("an object says nothing of the code behind it")
+    source = str(spec).rpartition(":")[0]
+    if source and not source.endswith(".py"):
+        module = importlib.util.find_spec(source)
+        source = "" if module is None or module.origin is None else module.origin
+    path = Path(source or spec)
+    return f"{spec} {hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ''}"
 
 
 def _run_cell(cell: Cell, *, seed: int, plant: Any, control_period: float) -> Cell:
-    try:
-        controller = make_controller(cell.controller)
-        own = getattr(controller, "plant", None)
-        done = roll_out(
-            controller,
-            [seed + i for i in range(cell.cases)],
-            plant=own or plant,
-            mismatch=None if own else cell.split,
-            scenario=cell.scenario,
-            control_period=control_period,
-        )
-        cell.metrics = done.metrics(METRICS)
-        for name, values in cell.metrics.items():
-            if not np.all(np.isfinite(values)):
-                raise ValueError(f"{name} of case {int(np.argmin(np.isfinite(values)))} is not finite")
-        cell.strata = done.faults
-        cell.trace = _thinned(done.trace)
-    except Exception as problem:  # whatever a controller does must not end the run of the others
-        cell.failure = _line(problem)
-        cell.metrics, cell.trace = {}, {}
-    return cell
+    """The cell with its scores. Whatever a controller raises is the failure of its cell alone."""
+    controller = make_controller(cell.controller)
+    own = getattr(controller, "plant", None)
+    done = roll_out(
+        controller,
+        [seed + i for i in range(cell.cases)],
+        plant=own or plant,
+        mismatch=None if own else cell.split,
+        scenario=cell.scenario,
+        control_period=control_period,
+    )
+    metrics = done.metrics(METRICS)
+    for name, values in metrics.items():
+        if not np.all(np.isfinite(values)):
+            raise ValueError(f"{name} of case {int(np.argmin(np.isfinite(values)))} is not finite")
+    return replace(cell, metrics=metrics, strata=done.faults, trace=_thinned(done.trace))
 
 
 def _thinned(trace: Trace) -> dict[str, list[Any]]:
@@ -187,10 +191,6 @@ def _thinned(trace: Trace) -> dict[str, list[Any]]:
         "setpoint_rpm": np.round(trace.setpoint_rpm[rows, 0], 1).tolist(),
         "speeds_rpm": np.round(trace.speed_rpm[rows, 0].T, 1).tolist(),
     }
-
-
-def _line(problem: BaseException) -> str:
-    return f"{type(problem).__name__}: {' '.join(str(problem).split())}"[:300]
 
 
 def _scores(
