@@ -11,6 +11,7 @@ from scipy.stats import trim_mean
 from hydro_env.controllers.policy import SCHEMA, NumpyPolicy, read_policy
 from hydro_env.controllers.registry import make_controller
 from hydro_env.controllers.rollout import roll_out
+from hydro_env.controllers.flow_view import FlowView
 from hydro_env.controllers.view import FramesView, ValveView, make_view
 from hydro_env.envs import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
@@ -48,7 +49,8 @@ def drive(policy, num_rigs, seeds, steps=60):
 
 
 @pytest.mark.parametrize(
-    "view", [{"kind": "frames", "frames": 2}, {"kind": "valves", "pull": 1.0, "couple": 1.0}]
+    "view",
+    [{"kind": "frames", "frames": 2}, {"kind": "valves", "pull": 1.0, "couple": 1.0}, {"kind": "flow"}],
 )
 def test_a_row_of_a_batch_is_that_rig_alone(tmp_path, view):
     policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays(view)), dtype=np.float64)
@@ -63,7 +65,9 @@ def test_reset_forgets_everything(tmp_path):
     np.testing.assert_array_equal(drive(policy, 2, [1, 2]), drive(policy, 2, [1, 2]))
 
 
-@pytest.mark.parametrize("make", [lambda: ValveView(pull=1.0, couple=1.0, calm=0.1), lambda: FramesView(3)])
+@pytest.mark.parametrize(
+    "make", [lambda: ValveView(pull=1.0, couple=1.0, calm=0.1), lambda: FlowView(), lambda: FramesView(3)]
+)
 def test_restarting_rows_equals_starting_them(make):
     """What training does at an episode's end must be what a controller does at its beginning, and touch no other row."""
     stream = np.random.default_rng(0)
@@ -88,33 +92,58 @@ def test_restarting_rows_equals_starting_them(make):
         np.testing.assert_array_equal(seen[rows : 2 * rows], fresh.see(observations[n][[1]]))
 
 
-def test_valve_view_treats_both_channels_alike():
+@pytest.mark.parametrize("make", [lambda: ValveView(pull=1.0, couple=1.0), lambda: FlowView()])
+def test_views_treat_both_channels_alike(make):
     stream = np.random.default_rng(1)
     observations = stream.normal(0.0, 0.3, (5, 4, 9)).astype(np.float32)
     swapped = observations[..., [0, 2, 1, 4, 3, 6, 5, 8, 7]]
-    one, other = ValveView(pull=1.0, couple=1.0), ValveView(pull=1.0, couple=1.0)
+    one, other = make(), make()
     seen, mirrored = one.start(observations[0], 0.01), other.start(swapped[0], 0.01)
     for n in range(1, 5):
         seen, mirrored = one.see(observations[n]), other.see(swapped[n])
     np.testing.assert_allclose(seen.reshape(4, 2, -1), mirrored.reshape(4, 2, -1)[:, ::-1], atol=1e-6)
-    outputs = stream.normal(0.0, 0.3, (4, 2, 2))
+    outputs = stream.normal(0.0, 0.3, (4, 2, one.num_actions))
     np.testing.assert_allclose(one.command(outputs), other.command(outputs[:, ::-1])[:, ::-1], atol=1e-9)
 
 
-def test_valve_view_finds_the_valves():
-    """Edge and gain estimated while driving come far closer to the plant's own than the guess at the start."""
-    num_rigs = 24
+def rigs_and_truth(num_rigs=24):
+    """Rigs at their first observation, and their valves' true edges and gains in the positive direction."""
     env = HydraulicSyncVectorEnv(num_rigs, plant="paper_dead_zone", mismatch="val", scenario="setpoint_steps")
     observation, info = env.reset(seed=0)
     pairs = {key: value for key, value in info["mismatch"].items() if not key.startswith("_")}
     travel = 20.0 * 73.0 / (pairs["R"] * 17000.0)
     edge = (pairs["dead_zone.overlap_positive"] - pairs["null_offset.offset"]) / travel
     gain = pairs["Kq"] * travel / (0.476106 * 20.0 * 73.0 / (100.0 * 17000.0))
+    return env, observation, edge, gain
+
+
+def test_flow_view_knows_the_valves_before_the_first_step():
+    """What probing at rest is for: by 0.2 s edges and gains are known well, and the shafts have hardly moved."""
+    env, observation, edge, gain = rigs_and_truth()
+    view = FlowView()
+    view.start(observation, 0.01)
+    guess = view.valves.edge[..., 0] - edge, view.valves.gain - gain
+    for _ in range(20):
+        observation, *_, info = env.step(view.command(np.zeros((2 * len(edge), 3))))
+        assert np.abs(info["speed_rpm"]).max() < 60.0
+        view.see(observation)
+    assert np.abs(info["angle_difference_deg"]).max() < 20.0
+    assert np.std(view.valves.edge[..., 0] - edge) < 0.3 * np.std(guess[0])
+    assert np.std(view.valves.gain - gain) < 0.9 * np.std(guess[1])
+    for _ in range(60):
+        observation, *_ = env.step(view.command(np.zeros((2 * len(edge), 3))))
+        view.see(observation)
+    assert np.std(view.valves.gain - gain) < 0.3 * np.std(guess[1])
+
+
+def test_valve_view_finds_the_valves():
+    """Edge and gain estimated while driving come far closer to the plant's own than the guess at the start."""
+    env, observation, edge, gain = rigs_and_truth()
     view = ValveView(pull=1.2, couple=1.0)
     view.start(observation, 0.01)
     guess = view.edge[..., 0] - edge, view.gain[..., 0] - gain
     for _ in range(190):
-        observation, *_ = env.step(view.command(np.zeros((2 * num_rigs, 2))))
+        observation, *_ = env.step(view.command(np.zeros((2 * len(edge), 2))))
         view.see(observation)
     assert np.std(view.edge[..., 0] - edge) < 0.4 * np.std(guess[0])
     assert np.std(view.gain[..., 0] - gain) < 0.6 * np.std(guess[1])

@@ -61,14 +61,16 @@ class View(Protocol):
 
 
 def make_view(settings: Any) -> View:
-    """A view from its settings, `{"kind": "valves" | "frames", ...}`; the plain observation without any.
+    """A view from its settings, `{"kind": "flow" | "valves" | "frames", ...}`; the plain observation without any.
 
     InputError for anything that is not right.
     """
     if settings is not None and not isinstance(settings, Mapping):
         raise InputError(f"should be a table with a key 'kind', found {type(settings).__name__}")
     given = dict(settings or {"kind": "frames"})
-    kinds: dict[str, type[Any]] = {"frames": FramesView, "valves": ValveView}
+    from hydro_env.controllers.flow_view import FlowView
+
+    kinds: dict[str, type[Any]] = {"frames": FramesView, "valves": ValveView, "flow": FlowView}
     kind = given.pop("kind", None)
     if kind not in kinds:
         raise InputError(f"kind {kind!r} is unknown; there are {', '.join(kinds)}")
