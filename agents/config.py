@@ -48,6 +48,8 @@ class Training:
     Attributes:
         algorithm: "ppo" or "sac".
         view: settings of `hydro_env.controllers.view.make_view`; the plain observation if empty.
+        peak: what a speed difference of 20 rpm costs beside the environment's reward; grows with the square, see
+            `agents.view_env`.
         seed: of networks, exploration and environment.
         checkpoint_every: env steps between checkpoints.
         evaluate_every: env steps between evaluations.
@@ -60,6 +62,7 @@ class Training:
 
     algorithm: str
     view: dict[str, Any] = field(default_factory=dict)
+    peak: float = 0.0
     seed: int = 0
     checkpoint_every: int = 1_000_000
     evaluate_every: int = 500_000
@@ -153,7 +156,7 @@ def _training(path: Path, table: dict[str, Any]) -> Training:
     for key in ("checkpoint_every", "evaluate_every", "evaluate_pairs"):
         if key in values:
             values[key] = _whole(where, key, values[key])
-    for key, kind in (("seed", int), ("tracking_weight", (int, float))):
+    for key, kind in (("seed", int), ("tracking_weight", (int, float)), ("peak", (int, float))):
         if key in values and (
             isinstance(values[key], bool) or not isinstance(values[key], kind) or values[key] < 0
         ):

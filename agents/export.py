@@ -1,7 +1,9 @@
-"""Policies of Stable-Baselines3 as policy files: the deterministic path alone, as plain arrays.
+"""Policies of Stable-Baselines3 as policy files, and policy files as ONNX: the deterministic path alone.
 
 `python -m agents.export MODEL.zip --config configs/ppo.yml --out policy.npz` does by hand what a training run does by
-itself.
+itself. `python -m agents.export policy.npz --out policy.onnx` writes the network for other runtimes: input `inputs`
+(rows, features), output `outputs` (rows, actions) in [-1, 1]. The view (what the inputs are and what becomes of the
+outputs) is code, not part of the graph; its settings are in the graph's metadata under `view`.
 """
 
 from __future__ import annotations
@@ -21,10 +23,11 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 from agents.checkpoint import write_whole
-from hydro_env.controllers.policy import SCHEMA
+from hydro_env.controllers.policy import SCHEMA, read_policy
 
-__all__ = ["export_policy", "policy_arrays"]
+__all__ = ["export_onnx", "export_policy", "policy_arrays"]
 
+ONNX_NAMES = {"tanh": "Tanh", "relu": "Relu", "elu": "Elu"}
 ACTIVATIONS = {nn.Tanh: "tanh", nn.ReLU: "relu", nn.ELU: "elu"}
 
 
@@ -61,6 +64,42 @@ def export_policy(
     write_whole(Path(path), memory.getvalue())
 
 
+def export_onnx(policy: str | Path, path: str | Path) -> None:
+    """Writes the network of a policy file as an ONNX graph in one go. InputError for a file that is no policy."""
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    network, metadata = read_policy(policy)
+    single = network.astype(np.float32)
+    nodes, constants, name = [], [], "inputs"
+    last = len(single.layers) - 1
+    for n, (weight, bias) in enumerate(single.layers):
+        constants += [numpy_helper.from_array(weight, f"w{n}"), numpy_helper.from_array(bias, f"b{n}")]
+        nodes.append(helper.make_node("Gemm", [name, f"w{n}", f"b{n}"], [f"sum{n}"], transB=1))
+        name = f"hidden{n}"
+        if n < last:
+            nodes.append(helper.make_node(ONNX_NAMES[single.activation], [f"sum{n}"], [name]))
+    if single.squash == "tanh":
+        nodes.append(helper.make_node("Tanh", [f"sum{last}"], ["outputs"]))
+    else:
+        limits = [
+            numpy_helper.from_array(np.float32(value), key) for key, value in (("low", -1.0), ("high", 1.0))
+        ]
+        constants += limits
+        nodes.append(helper.make_node("Clip", [f"sum{last}", "low", "high"], ["outputs"]))
+    graph = helper.make_graph(
+        nodes,
+        "policy",
+        [helper.make_tensor_value_info("inputs", TensorProto.FLOAT, ["rows", network.num_inputs])],
+        [helper.make_tensor_value_info("outputs", TensorProto.FLOAT, ["rows", network.num_outputs])],
+        constants,
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, {"view": json.dumps(metadata["view"]), "schema": metadata["schema"]})
+    onnx.checker.check_model(model)
+    write_whole(Path(path), model.SerializeToString())
+
+
 def main() -> None:
     from agents.config import read_config
     from agents.train import cleanly
@@ -68,13 +107,23 @@ def main() -> None:
     from hydro_env.errors import InputError
 
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("model", type=Path, help="a model saved by Stable-Baselines3 (.zip)")
-    parser.add_argument("--config", type=Path, required=True, help="the file it was trained with")
-    parser.add_argument("--out", type=Path, required=True, help="the policy file to write (.npz)")
+    parser.add_argument(
+        "model", type=Path, help="a model saved by Stable-Baselines3 (.zip), or a policy file (.npz)"
+    )
+    parser.add_argument("--config", type=Path, help="the file a model was trained with")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="what to write: a policy file, or ONNX from one"
+    )
     arguments = parser.parse_args()
 
     def run() -> None:
         torch.set_num_threads(1)
+        if arguments.model.suffix == ".npz":
+            export_onnx(arguments.model, arguments.out)
+            print(f"wrote {arguments.out}")
+            return
+        if arguments.config is None:
+            raise InputError("a model needs --config, the file it was trained with")
         config = read_config(arguments.config)
         if not arguments.model.is_file():
             raise InputError(f"{arguments.model}: no such file")

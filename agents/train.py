@@ -48,9 +48,18 @@ class Run(BaseCallback):
     single rigs; Stable-Baselines3 counts a rig once for each row of its view.
     """
 
-    def __init__(self, config: Config, out: Path, command: str, progress: dict[str, Any], bar: bool) -> None:
+    def __init__(
+        self,
+        config: Config,
+        out: Path,
+        command: str,
+        progress: dict[str, Any],
+        bar: bool,
+        report: Callable[[int, float], None] | None = None,
+    ) -> None:
         super().__init__()
         self.config, self.out, self.command, self.progress = config, out, command, progress
+        self.report = report
         self._rows = make_view(config.training.view).rows_per_rig
         self._bar = tqdm(
             total=config.num_steps,
@@ -129,6 +138,8 @@ class Run(BaseCallback):
             difference=f"{scores['max_speed_difference_rpm']:.1f}",
             tracking=f"{scores['tracking_mae_rpm']:.1f} rpm",
         )
+        if self.report is not None:
+            self.report(self.steps, score)
 
     def _export(self, path: Path, about: dict[str, Any]) -> None:
         export_policy(self.model, path, make_view(self.config.training.view).settings(), about)
@@ -165,7 +176,8 @@ def make_model(config: Config) -> BaseAlgorithm:
     except TypeError as problem:
         raise InputError(f"{config.path}: env_kwargs: {problem}") from None
     rigs.set_options(staggered(rigs))
-    env = ViewVecEnv(rigs, make_view(config.training.view), float(env_kwargs["control_period"]))
+    period = float(env_kwargs["control_period"])
+    env = ViewVecEnv(rigs, make_view(config.training.view), period, config.training.peak)
     try:
         return config.algorithm(config.policy, env, seed=config.training.seed, device="cpu", **config.hyper)
     except (TypeError, ValueError, AssertionError) as problem:
@@ -173,9 +185,16 @@ def make_model(config: Config) -> BaseAlgorithm:
 
 
 def train(
-    config: Config, out: Path, *, resume: bool = False, command: str = "", bar: bool = True
+    config: Config,
+    out: Path,
+    *,
+    resume: bool = False,
+    command: str = "",
+    bar: bool = True,
+    report: Callable[[int, float], None] | None = None,
 ) -> dict[str, Any]:
-    """Trains or goes on training; returns the run's counters and curve."""
+    """Trains or goes on training; returns the run's counters and curve. `report` is told the steps and score of every
+    evaluation; what it raises ends the run."""
     torch.set_num_threads(1)
     newest = checkpoint.latest(out / "checkpoints")
     if newest is not None and not resume:
@@ -198,7 +217,7 @@ def train(
         checkpoint.write_whole(out / "config.yml", config.text.encode())
     model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
     rows = make_view(config.training.view).rows_per_rig
-    run = Run(config, out, command, progress, bar)
+    run = Run(config, out, command, progress, bar, report)
     left = config.num_steps * rows - model.num_timesteps
     if left > 0:
         model.learn(left, callback=run, log_interval=1, reset_num_timesteps=newest is None)

@@ -9,12 +9,16 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from hydro_env.controllers.view import View
+from hydro_env.sb3 import HydraulicSyncVecEnv
+from hydro_env.units import RPM
 
 __all__ = ["ViewVecEnv"]
+
+PEAK_RPM = 20.0
 
 
 class ViewVecEnv(VecEnvWrapper):
@@ -22,10 +26,14 @@ class ViewVecEnv(VecEnvWrapper):
 
     A view with several rows per rig makes several environments of each rig, which share its reward and its end. Episode
     returns are kept here, since Stable-Baselines3 reports them only for environments that do.
+
+    `peak` is what a (true) speed difference of 20 rpm costs in a control period, beside the environment's own reward. The
+    cost grows with the square, since the largest difference is what counts in the end, up to 40 rpm: what a sudden load on
+    one motor does before any control can answer is not to drown the rest.
     """
 
-    def __init__(self, venv: VecEnv, view: View, period: float) -> None:
-        self.view, self.period, self.rows = view, period, view.rows_per_rig
+    def __init__(self, venv: HydraulicSyncVecEnv, view: View, period: float, peak: float = 0.0) -> None:
+        self.view, self.period, self.rows, self.peak = view, period, view.rows_per_rig, float(peak)
         self.num_rigs = venv.num_envs
         super().__init__(
             venv,
@@ -47,6 +55,10 @@ class ViewVecEnv(VecEnvWrapper):
     def step_wait(self) -> VecEnvStepReturn:
         observation, reward, done, infos = self.venv.step_wait()
         observation = np.asarray(observation)
+        if self.peak:
+            speed = self.venv.batch.plant.speed  # type: ignore[attr-defined]
+            apart = np.abs(speed[:, 0] - speed[:, 1]) / (PEAK_RPM * RPM)
+            reward = (reward - self.peak * np.minimum(apart**2, 4.0)).astype(np.float32)
         self._return += reward
         self._length += 1
         ended = np.flatnonzero(done)

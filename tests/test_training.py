@@ -18,7 +18,7 @@ import json
 from agents import checkpoint
 from agents.config import read_config
 from agents.train import train
-from hydro_env.controllers.policy import NumpyPolicy, read_policy
+from hydro_env.controllers.policy import SCHEMA, NumpyPolicy, read_policy
 from hydro_env.errors import InputError
 
 ROOT = Path(__file__).parents[1]
@@ -93,6 +93,29 @@ def test_exported_policy_equals_the_original(tmp_path, path):
     inputs = np.random.default_rng(0).normal(0.0, 2.0, (500, network.num_inputs)).astype(np.float32)
     expected, _ = model.predict(inputs, deterministic=True)
     np.testing.assert_allclose(network(inputs), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("squash", ["clip", "tanh"])
+@pytest.mark.parametrize("activation", ["tanh", "relu", "elu"])
+def test_onnx_equals_the_policy_file(tmp_path, activation, squash):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    from agents.export import export_onnx
+
+    stream = np.random.default_rng(0)
+    sizes = [(24, 9), (16, 24), (2, 16)]
+    arrays = {f"w{n}": stream.normal(0.0, 0.5, size).astype(np.float32) for n, size in enumerate(sizes)}
+    arrays |= {f"b{n}": stream.normal(0.0, 0.5, size[0]).astype(np.float32) for n, size in enumerate(sizes)}
+    view = {"kind": "frames", "frames": 1, "width": 9}
+    metadata = {"schema": SCHEMA, "activation": activation, "squash": squash, "view": view}
+    np.savez(tmp_path / "policy.npz", metadata=np.array(json.dumps(metadata)), **arrays)
+    export_onnx(tmp_path / "policy.npz", tmp_path / "policy.onnx")
+    session = onnxruntime.InferenceSession(str(tmp_path / "policy.onnx"), providers=["CPUExecutionProvider"])
+    inputs = stream.normal(0.0, 2.0, (300, 9)).astype(np.float32)
+    (outputs,) = session.run(None, {"inputs": inputs})
+    network, _ = read_policy(tmp_path / "policy.npz")
+    np.testing.assert_allclose(outputs, network(inputs), atol=1e-5)
+    assert json.loads(session.get_modelmeta().custom_metadata_map["view"]) == view
 
 
 @pytest.mark.parametrize("path", [PPO, SAC], ids=["ppo", "sac"])
