@@ -147,6 +147,18 @@ def _random_courses(time: Floats, stream: np.random.Generator | None) -> tuple[F
     return setpoint, load
 
 
+def _random_drives(time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
+    assert stream is not None
+    # Up to 0.3 s of rest, then as random_courses, but half of the episodes have no load and a quarter the same on both
+    # motors: sudden loads on one motor alone make differences that nothing prevents and that drown all others.
+    setpoint, load = _random_courses(time, stream)
+    rest, kind = stream.random(2)
+    setpoint = np.where(time < 0.3 * rest, 0.0, setpoint)
+    if kind < 0.75:
+        load = np.zeros_like(load) if kind < 0.5 else np.repeat(load[:, :1], 2, axis=1)
+    return setpoint, load
+
+
 _ALL: tuple[Scenario, ...] = (
     _tables(
         "setpoint_steps", "the paper's section 4.1: 0 -> 600 -> -200 -> 600 rpm without load", 6.0,
@@ -173,6 +185,7 @@ _ALL: tuple[Scenario, ...] = (
     Scenario(
         "random_courses", "random_steps with ramps for steps in every second episode", 6.0, _random_courses, random=True
     ),
+    Scenario("random_drives", "random_courses from rest, most without unequal loads", 6.0, _random_drives, random=True),
 )  # fmt: skip
 
 #: The scenarios by name.
