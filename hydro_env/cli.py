@@ -137,6 +137,14 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
+def _numbers(option: str, text: str) -> list[float]:
+    """`5,20,80` as numbers."""
+    try:
+        return [float(part) for part in text.split(",") if part.strip()]
+    except ValueError:
+        raise InputError(f"{option} is {text!r}: numbers with commas, such as 5,20,80") from None
+
+
 @app.callback()
 def _options(
     context: typer.Context,
@@ -174,6 +182,82 @@ def reproduce(
         from hydro_env.experiments import reproduce as work
 
         print(work.summary(work.run(folder, pictures=pictures)))
+
+
+@app.command(name="valve-test")
+def valve_test(
+    out: Out,
+    valves: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[VALVE]...",
+            help="Presets or model files (paper:2: channel 2), files of measured curves. Default: the paper's.",
+        ),
+    ] = None,
+    signal: Annotated[
+        str, typer.Option(help="What modelled valves are read over: current or command.")
+    ] = "current",
+    seconds: Annotated[str, typer.Option(help="Sweeps of modelled valves, s.")] = "5,20,80",
+    signal_column: Annotated[str | None, typer.Option(help="Name or number. Default: the first.")] = None,
+    flow_column: Annotated[str | None, typer.Option(help="Name or number. Default: the second.")] = None,
+    time_column: Annotated[str | None, typer.Option(help="Name or number, if there is one.")] = None,
+    signal_unit: Annotated[
+        str | None, typer.Option(help="mA, V, percent, ... Default: the header's.")
+    ] = None,
+    flow_unit: Annotated[str | None, typer.Option(help="lpm, GPM, ... Default: the header's.")] = None,
+    time_unit: Annotated[str | None, typer.Option(help="s, ms, ... Default: the header's, or s.")] = None,
+    rated: Annotated[
+        float | None, typer.Option(help="Rated signal of a measured valve, in its unit. Default: the largest.")
+    ] = None,
+    row_period: Annotated[
+        float | None, typer.Option(help="Time between rows, s, where no column tells it.")
+    ] = None,
+    sweep_period: Annotated[
+        str, typer.Option(help="Length of a whole sweep, s, where nothing else tells it; one for each file.")
+    ] = "",
+    one_valve: Annotated[
+        bool, typer.Option("--one-valve", help="The measured files are sweeps of one valve.")
+    ] = False,
+    controllers: Annotated[
+        str, typer.Option(help="Pairs of modelled valves are compared under these; `none`: not at all.")
+    ] = "pid_paper,cross_coupled,adaptive_flow",
+    seeds: Annotated[int, typer.Option(min=1, help="Seeds of the sensor noise per pair.")] = 4,
+    pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw the curves too.")] = True,
+) -> None:
+    """Measure steady flow curves as in ISO 10770-1.
+
+    Dead zone, hysteresis, gain, linearity, ... of modelled or measured valves, whether a loop is lag, and the
+    most alike pair of several valves; writes valve_test.json, curves.csv and pictures.
+    """
+    with _writing(out) as folder:
+        from hydro_env.experiments import valve_test as work
+        from hydro_env.valve_bench import Columns
+
+        print(
+            work.summary(
+                work.run(
+                    folder,
+                    valves or work.VALVES,
+                    signal=signal,
+                    seconds=_numbers("--seconds", seconds),
+                    columns=Columns(
+                        signal=signal_column,
+                        flow=flow_column,
+                        time=time_column,
+                        signal_unit=signal_unit,
+                        flow_unit=flow_unit,
+                        time_unit=time_unit,
+                        rated=rated,
+                        row_period=row_period,
+                    ),
+                    sweep_periods=_numbers("--sweep-period", sweep_period),
+                    one_valve=one_valve,
+                    controllers=[] if controllers == "none" else [each.strip() for each in controllers.split(",")],
+                    seeds=seeds,
+                    pictures=pictures,
+                )
+            )
+        )
 
 
 @app.command()

@@ -12,10 +12,11 @@ import gzip
 import hashlib
 import itertools
 import math
+import re
 import zlib
 from array import array
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
@@ -34,13 +35,17 @@ _MISSING = {"", "nan", "na", "n/a", "null", "none", "-", "#n/a"}
 
 @dataclass(frozen=True)
 class CsvStyle:
-    """How a CSV file is written; None is recognised from the file."""
+    """How a CSV file is written; None is recognised from the file.
+
+    Without a `header` the columns are called "1", "2", ...; None takes a first line of nothing but numbers for data.
+    """
 
     delimiter: str | None = None
     decimal: str | None = None
     encoding: str | None = None
     skip_rows: int = 0
     si_suffixes: bool = False
+    header: bool | None = True
 
 
 @dataclass
@@ -142,25 +147,31 @@ def _read(
     first = file.readline()
     while first and not first.strip():
         first = file.readline()
-        style = CsvStyle(
-            style.delimiter, style.decimal, style.encoding, style.skip_rows + 1, style.si_suffixes
-        )
+        style = replace(style, skip_rows=style.skip_rows + 1)
     first = first.lstrip("\ufeff")
     start = style.skip_rows + 1
     if first.lower().startswith("sep=") and style.delimiter is None:
-        style = CsvStyle(
-            first.strip()[4:] or ",", style.decimal, style.encoding, style.skip_rows, style.si_suffixes
-        )
+        style = replace(style, delimiter=first.strip()[4:] or ",")
         first = file.readline()
         start += 1
     delimiter = style.delimiter or _delimiter(first)
     if style.delimiter is None and delimiter != ",":
-        shown = {"\t": "tab"}.get(delimiter, delimiter)
+        shown = {"\t": "tab", " ": "blanks"}.get(delimiter, delimiter)
         findings.append(Finding("delimiter", f"columns are separated by {shown!r}, read so", "write commas"))
+    lines_left: Iterator[str] = iter(file)
+    if delimiter == " ":  # any run of blanks separates
+        lines_left = ("\t".join(line.split()) + "\n" for line in lines_left)
+        # A unit in brackets belongs to the name before it.
+        first, delimiter = "\t".join(re.sub(r"\s+(?=[(\[])", "", first).split()) + "\n", "\t"
     names = tuple(name.strip() for name in next(csv.reader([first], delimiter=delimiter)))
     while names and not names[-1]:
         names = names[:-1]
-    if names and all(_is_number(name) for name in names):
+    numbers_only = bool(names) and all(_is_value(name, style.si_suffixes) for name in names)
+    if style.header is False or (style.header is None and numbers_only):
+        lines_left = itertools.chain([first], lines_left)
+        names = tuple(str(place + 1) for place in range(len(names)))
+        start -= 1
+    elif names and all(_is_number(name) for name in names):
         raise InputError(
             f"{path}: row {start} holds numbers where the header should be; add the line of column names"
         )
@@ -175,7 +186,7 @@ def _read(
     places = [names.index(name) for name in wanted]
     parts: list[np.ndarray] = []
     lines: list[np.ndarray] = []
-    while text := list(itertools.islice(file, _CHUNK)):
+    while text := list(itertools.islice(lines_left, _CHUNK)):
         numbers = np.arange(start + 1, start + 1 + len(text))
         start += len(text)
         block = parse.plain(text, places)
@@ -200,7 +211,9 @@ def _read(
 def _delimiter(header: str) -> str:
     counts = {mark: header.count(mark) for mark in ("\t", ";", ",", "|")}
     best = max(counts, key=lambda mark: counts[mark])
-    return best if counts[best] else ","
+    if counts[best]:
+        return best
+    return " " if len(header.split()) > 1 else ","
 
 
 class _Cells:
@@ -285,6 +298,10 @@ class _Cells:
         elif text.count(":") >= 1:
             hint = "time stamps must be seconds as a plain number"
         raise InputError(f"{self.path}: row {line}, column {name!r}: {text!r} is not a number; {hint}")
+
+
+def _is_value(text: str, si_suffixes: bool) -> bool:
+    return _is_number(text) or (si_suffixes and text[-1:] in _SI_SUFFIX and _is_number(text[:-1]))
 
 
 def _is_number(text: str) -> bool:

@@ -1,0 +1,334 @@
+"""`hydro-env valve-test`: the steady curves of modelled or measured valves, their figures, and the most alike pair.
+
+A valve is a preset or model file, of which every different channel is one (`paper:2`: only channel 2), or a file with a
+measured curve. Several files may be sweeps of one valve at different rates. What the figures mean stands in
+`hydro_env.valve_bench.figures`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from hydro_env.errors import InputError
+from hydro_env.experiments.valve_pairs import Valve, synchronisation
+from hydro_env.files import write_json, write_text
+from hydro_env.plant import load_model, preset_names
+from hydro_env.units import LPM
+from hydro_env.valve_bench.alike import most_alike
+from hydro_env.valve_bench.curve import FLOW, Curve, loop_of
+from hydro_env.valve_bench.figures import Figures, identify
+from hydro_env.valve_bench.rates import RateCheck, check_rates
+from hydro_env.valve_bench.read import Columns, read_curve
+from hydro_env.valve_bench.record import own_channels, record_rates
+
+__all__ = ["CONTROLLERS", "VALVES", "Tested", "bench", "run", "summary"]
+
+SCHEMA = "hydro_env/valve_test/1"
+#: Valves that are tested when none is named.
+VALVES = ("paper_dead_zone",)
+#: Lengths of the sweeps of a modelled valve, s.
+SECONDS = (5.0, 20.0, 80.0)
+#: Controllers under which pairs are compared: the paper's, the simplest good one, and the best classical one.
+CONTROLLERS = ("pid_paper", "cross_coupled", "adaptive_flow")
+
+
+@dataclass(frozen=True)
+class Tested:
+    """One valve on the bench: all sweeps, the slowest of them (`curve`) and its figures, the check of all rates; its
+    model if it has one.
+    """
+
+    source: str
+    sweeps: tuple[Curve, ...]
+    curve: Curve
+    figures: Figures
+    rates: RateCheck
+    model: Valve | None = None
+
+
+def run(
+    out: str | Path,
+    valves: Sequence[str],
+    *,
+    signal: str = "current",
+    seconds: Sequence[float] = SECONDS,
+    columns: Columns | None = None,
+    sweep_periods: Sequence[float] = (),
+    one_valve: bool = False,
+    controllers: Sequence[str] = CONTROLLERS,
+    seeds: int = 4,
+    pictures: bool = True,
+    progress: bool = True,
+) -> dict[str, Any]:
+    """Tests the valves and writes valve_test.json, curves.csv and, if asked, valve_test.png and valve_rates.png.
+
+    Args:
+        out: an existing folder.
+        valves: presets, model files, files of measured curves.
+        signal: "current" or "command", the input over which modelled valves are read.
+        seconds: lengths of the sweeps of modelled valves, s.
+        columns: what the columns of measured curves are.
+        sweep_periods: s, one for every measured file, or one for all.
+        one_valve: all measured files are sweeps of the same valve.
+        controllers: under which all pairs of modelled valves are driven; none: no such comparison.
+        seeds: seeds of the sensor noise per pair and order.
+
+    Returns the content of valve_test.json. InputError for anything that cannot be used.
+    """
+    out = Path(out)
+    for name in controllers:
+        from hydro_env.controllers.registry import make_controller
+
+        make_controller(name)  # an unknown name is said before the long work
+    tested = bench(
+        valves,
+        signal=signal,
+        seconds=seconds,
+        columns=columns,
+        sweep_periods=sweep_periods,
+        one_valve=one_valve,
+        progress=progress,
+    )
+    pairs = _pairs(tested)
+    data: dict[str, Any] = {
+        "schema": SCHEMA,
+        "valves": [
+            {"source": each.source, **each.figures.as_json(), "rate_check": each.rates.as_json()}
+            for each in tested
+        ],
+        "pairs": pairs,
+        "most_alike": pairs[0]["valves"] if pairs else None,
+        "synchronisation": None,
+    }
+    models = [each.model for each in tested if each.model is not None]
+    if pairs and controllers and len(models) == len(tested):
+        data["synchronisation"] = synchronisation(
+            models,
+            controllers,
+            alike=(pairs[0]["valves"][0], pairs[0]["valves"][1]),
+            seeds=range(seeds),
+            progress=progress,
+        )
+    write_text(out / "curves.csv", _table(tested))
+    if pictures:
+        from hydro_env.pages import png
+        from hydro_env.valve_bench.picture import draw_curves, draw_rates
+
+        # A modelled valve's loops hardly differ; a measured one's may.
+        sweeps = [(each.curve,) if each.model else each.sweeps for each in tested]
+        png(draw_curves(sweeps, [each.figures for each in tested]), out / "valve_test.png")
+        several = [each for each in tested if each.rates.hysteresis_percent is not None]
+        if several:
+            drawing = draw_rates([each.curve.name for each in several], [each.rates for each in several])
+            png(drawing, out / "valve_rates.png")
+    write_json(out / "valve_test.json", data)
+    return data
+
+
+def bench(
+    valves: Sequence[str],
+    *,
+    signal: str = "current",
+    seconds: Sequence[float] = SECONDS,
+    columns: Columns | None = None,
+    sweep_periods: Sequence[float] = (),
+    one_valve: bool = False,
+    progress: bool = True,
+) -> list[Tested]:
+    """Puts every valve on the bench; see `run`."""
+    if not valves:
+        raise InputError(
+            f"name a valve: a preset ({', '.join(preset_names())}), a model file or a measured curve"
+        )
+    models: list[tuple[str, Valve]] = []
+    files: list[str] = []
+    for text in valves:
+        if _is_model(text):
+            models += [(text, valve) for valve in _model_valves(text)]
+        else:
+            files.append(text)
+    if len(sweep_periods) not in (0, 1, len(files)):
+        raise InputError(
+            f"--sweep-period gives {len(sweep_periods)} values for {len(files)} measured files: one for all, or one each"
+        )
+    tested: list[Tested] = []
+    with tqdm(total=len(models) + len(files), desc="valves", disable=not progress, leave=False) as bar:
+        for text, valve in models:
+            sweeps = record_rates(valve.model, valve.channel, seconds, signal=signal, name=valve.name)
+            tested.append(_tested(text, sweeps, valve))
+            bar.update()
+        curves = []
+        for n, text in enumerate(files):
+            own = columns or Columns()
+            if sweep_periods:
+                own = replace(own, sweep_period=sweep_periods[n if len(sweep_periods) > 1 else 0])
+            curves.append(read_curve(text, own))
+            bar.update()
+        if one_valve and len({curve.signal_unit for curve in curves}) > 1:
+            raise InputError("--one-valve: the files have signals of different quantities")
+        if one_valve and curves:
+            rated = max(curve.rated for curve in curves)
+            name = _common([curve.name for curve in curves])
+            curves = [replace(curve, rated=rated, name=name) for curve in curves]
+            tested.append(_tested(", ".join(files), curves, None))
+        else:
+            tested += [_tested(text, [curve], None) for text, curve in zip(files, curves, strict=True)]
+    return _named_apart(tested)
+
+
+def _common(names: Sequence[str]) -> str:
+    """What all names begin with, or the first name."""
+    length = next(
+        (n for n, letters in enumerate(zip(*names, strict=False)) if len(set(letters)) > 1), len(min(names))
+    )
+    return names[0][:length].rstrip("_- ") or names[0]
+
+
+def _is_model(text: str) -> bool:
+    name = _split(text)[0]
+    return name in preset_names() or Path(name).suffix in (".yaml", ".yml") or not _looks_like_a_file(name)
+
+
+def _looks_like_a_file(name: str) -> bool:
+    return Path(name).exists() or bool(Path(name).suffix)
+
+
+def _split(text: str) -> tuple[str, int | None]:
+    """`paper:2` as ("paper", 1); a name without a channel has None."""
+    name, colon, last = text.rpartition(":")
+    if colon and name and last.isdigit() and not Path(text).exists():
+        if last not in ("1", "2"):
+            raise InputError(f"{text}: a rig has the channels 1 and 2, not {last}")
+        return name, int(last) - 1
+    return text, None
+
+
+def _model_valves(text: str) -> list[Valve]:
+    name, channel = _split(text)
+    model = load_model(name)
+    channels = own_channels(model) if channel is None else (channel,)
+    label = model.name
+    return [
+        Valve(label if len(channels) == 1 and channel is None else f"{label}:{c + 1}", model, c)
+        for c in channels
+    ]
+
+
+def _tested(source: str, sweeps: list[Curve], model: Valve | None) -> Tested:
+    """The figures come from the slowest sweep, which is the steadiest."""
+    slowest = max(sweeps, key=lambda curve: 0.0 if curve.time is None else float(np.ptp(curve.time)))
+    figures = identify(slowest)
+    if figures.hysteresis_percent is None:
+        check = RateCheck(
+            "undecided", "the curve has branches of one direction only: no loop", rated=slowest.rated
+        )
+    else:
+        check = check_rates(sweeps)
+    return Tested(source, tuple(sweeps), slowest, figures, check, model)
+
+
+def _named_apart(tested: list[Tested]) -> list[Tested]:
+    """Valves of the same name get numbers, so that a pair can be named."""
+    counts: dict[str, int] = {}
+    apart = []
+    names = [each.curve.name for each in tested]
+    for each in tested:
+        name = each.curve.name
+        if names.count(name) > 1:
+            counts[name] = counts.get(name, 0) + 1
+            name = f"{name} ({counts[name]})"
+        apart.append(
+            replace(
+                each,
+                curve=replace(each.curve, name=name),
+                figures=replace(each.figures, name=name),
+                model=None if each.model is None else replace(each.model, name=name),
+            )
+        )
+    return apart
+
+
+def _pairs(tested: Sequence[Tested]) -> list[dict[str, Any]]:
+    """All pairs of valves with flow curves, the most alike first."""
+    able = [each for each in tested if each.figures.kind == FLOW]
+    if len(able) < 2:
+        return []
+    return [
+        {"valves": [able[i].curve.name, able[j].curve.name], "distance_percent": apart}
+        for apart, i, j in most_alike([each.curve for each in able])
+    ]
+
+
+def _table(tested: Sequence[Tested]) -> str:
+    """The averaged branches as text: valve, direction, signal in percent of the rated one, flow in l/min."""
+    lines = ["valve,direction,signal_percent,flow_lpm"]
+    for each in tested:
+        loop = loop_of(each.curve)
+        name = '"' + each.curve.name.replace('"', "'") + '"' if "," in each.curve.name else each.curve.name
+        for word, branch in (("rising", loop.rising), ("falling", loop.falling)):
+            if branch is None:
+                continue
+            for x, q in zip(100.0 * branch.signal / each.curve.rated, branch.flow / LPM, strict=True):
+                lines.append(f"{name},{word},{x:.5g},{q:.6g}")
+    return "\n".join(lines) + "\n"
+
+
+# --- the terminal -----------------------------------------------------------------------------------------------------
+def summary(data: dict[str, Any]) -> str:
+    """The result in a few lines for the terminal."""
+    width = max(len(valve["name"]) for valve in data["valves"])
+    lines = [
+        f"{'valve':{width}}  dead zone, %    hysteresis, %  null   gain, l/min per  linearity    max. flow   loop is",
+        f"{'':{width}}    +       -     at signal, %     %       + / -         + / -, %   + / -, l/min",
+    ]
+    for valve in data["valves"]:
+        sides = valve["positive"], valve["negative"]
+        unit = valve["rated_signal"]["unit"]
+        loop = valve["hysteresis"]
+        lines.append(
+            f"{valve['name']:{width}} {_two(sides, 'dead_zone_percent', '6.2f', ' ')}  "
+            f"{_number(loop['percent'], '6.2f')} at{_number(loop['widest_at_percent'], '5.0f')} "
+            f"{_number(valve['null']['percent'], '7.2f')} {_two(sides, 'gain_lpm_per_unit', '6.1f')} {unit:2} "
+            f"{_two(sides, 'linearity_percent', '5.2f')} {_two(sides, 'maximum_flow_lpm', '6.2f')}  "
+            f"{valve['rate_check']['verdict']}"
+        )
+    for valve in data["valves"]:
+        check = valve["rate_check"]
+        lines.append(f"{valve['name']}: {check['verdict']}: {check['reason']}")
+        lines += [f"note: {finding}" for finding in [*valve["findings"], *check["findings"]]]
+    for pair in data["pairs"][:3]:
+        mark = "most alike: " if pair is data["pairs"][0] else "            "
+        lines.append(
+            f"{mark}{' and '.join(pair['valves'])}, {pair['distance_percent']:.1f} % of the largest flow apart"
+        )
+    found = data["synchronisation"]
+    if found is not None:
+        lines.append("largest speed difference, rpm (tracking error)")
+        for row in found["pairs"]:
+            lines.append(
+                f"  {row['controller']:14} {' + '.join(row['valves']):{2 * width + 3}} "
+                f"{row['max_speed_difference_rpm']:6.1f} ({row['tracking_mae_rpm']:.1f})"
+            )
+        for gain in found["most_alike"]:
+            if "wins" in gain:
+                word, less = ("wins", "less") if gain["wins"] else ("does not win", "more")
+                share = gain["max_speed_difference_rpm"] / gain["mean_of_others_rpm"]
+                lines.append(
+                    f"  {gain['controller']}: the most alike pair {word}: {abs(gain['rpm_less_than_best_other']):.1f} rpm "
+                    f"{less} than the best other pair, {100.0 * share:.0f} % of the others' mean"
+                )
+    return "\n".join(lines)
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-".rjust(int(form.split(".")[0])) if value is None else format(value, form)
+
+
+def _two(sides: tuple[dict[str, Any] | None, ...], key: str, form: str, between: str = "/") -> str:
+    return between.join(_number(None if side is None else side[key], form) for side in sides)

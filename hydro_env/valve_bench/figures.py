@@ -1,0 +1,409 @@
+"""The figures of a steady flow curve, in the manner of ISO 10770-1 (steady-state tests, output flow over signal).
+
+All of them are read at equal flow: `rising(q)` and `falling(q)` are the signals at which the two branches pass the
+flow q, and their middle is the valve without its hysteresis. 100 % of a signal is the rated signal, 100 % of a flow
+the largest flow of that direction.
+
+    dead zone      signal, from zero to where flow begins, each way: a parabola through the middle line between 3 and
+                   50 % of the flow, extrapolated to no flow (subject: dead band, spool lap). `opens_at` is the signal
+                   of the rising branch at 1 % of the flow, `closes_at` that of the returning one. A negative dead zone
+                   is a valve that is open at zero signal.
+    null           middle between the two edges of the dead zone (null bias); with no overlap, where the flow is zero
+    hysteresis     largest difference of signal between the branches at equal flow, as the mean over a window of 4 % of
+                   the flow; flows below 2 % and above 98 % of the largest are left out, where the curve is flat
+    gain           slope of the straight line through the middle line between 10 and 80 % of the flow (normal flow gain)
+    linearity      largest distance of the middle line from that straight line, in signal, between 5 and 95 % of the flow
+    symmetry       difference of the two gains over the larger
+    maximum flow   at the largest signal that was driven
+    threshold      change of signal that the flow takes no notice of when the signal turns (seen at the turns of the
+                   sweep, beyond half of the rated signal, at a change of 0.5 % of the flow)
+    saturation     signal from which on the flow stays above 99 % of its largest value
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from hydro_env.errors import InputError
+from hydro_env.units import LPM
+from hydro_env.valve_bench.curve import FLOW, Curve, Floats, Loop, Monotone, loop_of, resolution
+from hydro_env.valve_bench.leakage import flank_signals, flanks_of, peak_of
+
+__all__ = ["Figures", "Side", "identify", "widths"]
+
+#: Shares of the largest flow between which each figure is read.
+EDGE, LINE, LINEAR, WIDTH = (0.03, 0.5), (0.1, 0.8), (0.05, 0.95), (0.02, 0.98)
+#: Share of the flow that counts as having begun.
+BEGUN = 0.01
+#: Hysteresis is the mean over a window of this share of the flow.
+WINDOW = 0.04
+
+
+@dataclass(frozen=True)
+class Side:
+    """One direction of the flow. Signals are counted away from zero, so both directions read alike.
+
+    dead_zone, opens_at, closes_at in the unit of the signal; gain in m3/s per unit of signal; maximum_flow in m3/s;
+    linearity_percent of the rated signal; `saturates_at` is None if the flow grows to the end.
+    """
+
+    dead_zone: float
+    dead_zone_uncertainty: float
+    opens_at: float | None
+    closes_at: float | None
+    gain: float
+    linearity_percent: float
+    maximum_flow: float
+    largest_signal: float
+    saturates_at: float | None
+
+
+@dataclass(frozen=True)
+class Figures:
+    """All figures of a valve. What the curve does not tell is None, and `findings` says why."""
+
+    name: str
+    kind: str
+    signal_unit: str
+    rated: float
+    positive: Side | None
+    negative: Side | None
+    hysteresis_percent: float | None
+    hysteresis_uncertainty_percent: float | None
+    widest_at: float | None
+    mean_loop_percent: float | None
+    null: float | None
+    flow_at_zero: float | None
+    gain_asymmetry_percent: float | None
+    maximum_flow_asymmetry_percent: float | None
+    threshold_percent: float | None
+    noise: float
+    travel_per_signal: float | None
+    findings: tuple[str, ...]
+    leakage: dict[str, float] | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The figures with units in the names: signals in percent of the rated one, flows in l/min."""
+        data = {
+            "name": self.name,
+            "kind": self.kind,
+            "rated_signal": {"value": self.rated, "unit": self.signal_unit},
+            **{side: self._side(getattr(self, side)) for side in ("positive", "negative")},
+            "hysteresis": {
+                "percent": self.hysteresis_percent,
+                "uncertainty_percent": self.hysteresis_uncertainty_percent,
+                "widest_at_percent": self._percent(self.widest_at),
+                "widest_at": self.widest_at,
+                "mean_percent": self.mean_loop_percent,
+            },
+            "null": {"percent": self._percent(self.null), "signal": self.null},
+            "flow_at_zero_lpm": None if self.flow_at_zero is None else self.flow_at_zero / LPM,
+            "gain_asymmetry_percent": self.gain_asymmetry_percent,
+            "maximum_flow_asymmetry_percent": self.maximum_flow_asymmetry_percent,
+            "threshold_percent": self.threshold_percent,
+            "noise_lpm": self.noise / LPM,
+            "findings": list(self.findings),
+        }
+        if self.leakage is not None:
+            data["leakage"] = {
+                "maximum_lpm": self.leakage["maximum"] / LPM,
+                "least_lpm": self.leakage["least"] / LPM,
+                "null_percent": self._percent(self.leakage["null"]),
+            }
+        return data
+
+    def _percent(self, signal: float | None) -> float | None:
+        return None if signal is None else 100.0 * signal / self.rated
+
+    def _side(self, side: Side | None) -> dict[str, Any] | None:
+        if side is None:
+            return None
+        data = asdict(side)
+        for name in ("gain", "maximum_flow"):
+            del data[name]
+        travel = self.travel_per_signal
+        return {
+            **data,
+            "dead_zone_percent": self._percent(side.dead_zone),
+            "dead_zone_travel_m": None if travel is None else side.dead_zone * travel,
+            "gain_lpm_per_unit": side.gain / LPM,
+            "gain_m2_per_s": None if travel is None else side.gain / travel,
+            "maximum_flow_lpm": side.maximum_flow / LPM,
+        }
+
+
+def identify(curve: Curve, loop: Loop | None = None) -> Figures:
+    """The figures of one sweep. InputError if the curve has too little in it."""
+    loop = loop_of(curve) if loop is None else loop
+    notes = [*curve.findings, *loop.findings]
+    steps = resolution(curve.signal), resolution(curve.flow)
+    if steps[0] > 2e-3 * curve.rated or steps[1] > 5e-3 * float(np.abs(curve.flow).max()):
+        notes.append(
+            f"{curve.name}: recorded in steps of {100.0 * steps[0] / curve.rated:.2g} % of the rated signal and "
+            f"{100.0 * steps[1] / float(np.abs(curve.flow).max()):.2g} % of the largest flow, which limits every figure"
+        )
+    if loop.kind != FLOW:
+        return _leakage(curve, loop, notes)
+    top = {
+        sign: max(float(sign * b.smooth[-1 if sign > 0 else 0]) for b in loop.branches) for sign in (1, -1)
+    }
+    whole = max(top.values())
+    floor = 6.0 * loop.noise / np.sqrt(np.median(loop.branches[0].count))
+    sides: dict[int, Side | None] = {}
+    for sign, word in ((1, "positive"), (-1, "negative")):
+        if top[sign] < max(0.05 * whole, floor):
+            notes.append(f"{curve.name}: no {word} flow in the curve, its figures are left out")
+            sides[sign] = None
+        else:
+            sides[sign] = _side(curve, loop, sign, top[sign], steps, notes)
+    if sides[1] is None and sides[-1] is None:
+        raise InputError(
+            f"{curve.name}: the flow does not rise out of its noise of {loop.noise / LPM:.3g} l/min"
+        )
+    widest, where, spread, mean = _hysteresis(curve, loop, {s: top[s] for s in sides if sides[s] is not None})
+    positive, negative = sides[1], sides[-1]
+    if spread is not None:
+        gain = max(side.gain for side in (positive, negative) if side)
+        near = np.abs(curve.signal - (where or 0.0)) < 0.1 * curve.rated
+        spread += 0.5 * (resolution(curve.signal[near]) + resolution(curve.flow[near]) / gain)
+    null = 0.5 * (positive.dead_zone - negative.dead_zone) if positive and negative else None
+    at_zero = None
+    if loop.low <= 0.0 <= loop.high:
+        at_zero = float(np.mean([branch.flow_at(0.0) for branch in loop.branches]))
+    return Figures(
+        name=curve.name,
+        kind=loop.kind,
+        signal_unit=curve.signal_unit,
+        rated=curve.rated,
+        positive=positive,
+        negative=negative,
+        hysteresis_percent=_share(widest, curve.rated),
+        hysteresis_uncertainty_percent=_share(spread, curve.rated),
+        widest_at=where,
+        mean_loop_percent=_share(mean, curve.rated),
+        null=null,
+        flow_at_zero=at_zero,
+        gain_asymmetry_percent=_apart(positive, negative, "gain"),
+        maximum_flow_asymmetry_percent=_apart(positive, negative, "maximum_flow"),
+        threshold_percent=_threshold(curve, loop, sides, steps, notes),
+        noise=loop.noise,
+        travel_per_signal=curve.travel_per_signal,
+        findings=tuple(notes),
+    )
+
+
+def widths(rising: Monotone, falling: Monotone, levels: Floats) -> Floats:
+    """Signal of the rising branch less that of the falling one at these flows (m3/s)."""
+    return rising.signal_at(levels) - falling.signal_at(levels)
+
+
+def _share(value: float | None, rated: float) -> float | None:
+    return None if value is None else 100.0 * value / rated
+
+
+def _apart(first: Side | None, second: Side | None, name: str) -> float | None:
+    if first is None or second is None:
+        return None
+    a, b = getattr(first, name), getattr(second, name)
+    return 100.0 * float(abs(a - b) / max(a, b))
+
+
+def _middle(loop: Loop, levels: Floats) -> Floats:
+    return np.mean([branch.signal_at(levels) for branch in loop.branches], axis=0)
+
+
+def _side(
+    curve: Curve, loop: Loop, sign: int, top: float, steps: tuple[float, float], notes: list[str]
+) -> Side:
+    word = "positive" if sign > 0 else "negative"
+    # A branch that does not begin at no flow (an open valve swept on one side) cannot be read below its own start.
+    reach = np.linspace(*EDGE, 120)
+    levels = np.linspace(0.01, 0.99, 197)
+    covered = min(sign * float(b.smooth[-1 if sign > 0 else 0]) for b in loop.branches) / top
+    inside = levels < 0.995 * covered
+    middle = sign * _middle(loop, sign * top * levels)
+    use = (levels >= LINE[0]) & (levels <= min(LINE[1], covered))
+    if np.count_nonzero(use) < 10:
+        raise InputError(
+            f"{curve.name}: the branches share too little of the {word} flow; sweep both over the same range"
+        )
+    slope, start = np.polyfit(levels[use] * top, middle[use], 1)
+    if not slope > 0.0:
+        raise InputError(f"{curve.name}: the {word} flow does not grow with the signal; is a column wrong?")
+    straight = start + slope * levels * top
+    between = (levels >= LINEAR[0]) & (levels <= LINEAR[1]) & inside
+    off = float(np.max(np.abs(middle - straight)[between]))
+    edges, spreads = zip(*(_edge(branch, sign, top, reach) for branch in loop.branches), strict=True)
+    limits = [sign * float(branch.signal_at(sign * top * BEGUN)) for branch in loop.branches]
+    begins: list[float | None] = [None, None]
+    for limit, branch in zip(limits, loop.branches, strict=True):
+        opening = (branch is loop.rising) == (sign > 0)
+        begins[0 if opening else 1] = limit
+    end = sign * (loop.high if sign > 0 else loop.low)
+    # On the way out only: on the way back hysteresis alone keeps the flow up.
+    out = (loop.rising if sign > 0 else loop.falling) or loop.branches[0]
+    full = sign * float(out.signal_at(sign * 0.99 * sign_top(out, sign)))
+    slack = 3.0 * loop.noise / np.sqrt(np.median(loop.branches[0].count)) / top
+    # A straight curve reaches 99 % of its flow one hundredth of its length before the end.
+    flat = end - full > 0.03 * end + (0.01 + slack) * (end - float(np.mean(edges)))
+    if flat:
+        notes.append(
+            f"{curve.name}: the {word} flow is saturated from {100.0 * full / curve.rated:.0f} % of the rated signal on"
+        )
+    if end < 0.97 * curve.rated:
+        notes.append(
+            f"{curve.name}: the {word} side was driven to {100.0 * end / curve.rated:.0f} % of the rated signal only; "
+            "its maximum flow is that of this signal"
+        )
+    return Side(
+        dead_zone=float(np.mean(edges)),
+        dead_zone_uncertainty=float(np.max(spreads)) + 0.5 * (steps[0] + steps[1] * slope),
+        opens_at=begins[0],
+        closes_at=begins[1],
+        gain=1.0 / slope,
+        linearity_percent=100.0 * off / curve.rated,
+        maximum_flow=top,
+        largest_signal=end,
+        saturates_at=full if flat else None,
+    )
+
+
+def sign_top(branch: Monotone, sign: int) -> float:
+    """The largest flow of a branch in one direction, m3/s."""
+    return float(sign * branch.smooth[-1 if sign > 0 else 0])
+
+
+def _edge(branch: Monotone, sign: int, top: float, reach: Floats) -> tuple[float, float]:
+    """Where a branch's flow begins, counted away from zero, and its standard error from the scatter of the bins."""
+    ends = np.sort(sign * branch.signal_at(sign * top * reach[[0, -1]]))
+    away, flow = sign * branch.signal, sign * branch.flow
+    use = (away >= ends[0]) & (away <= ends[1])
+    if np.count_nonzero(use) < 4:  # few points: what lies between them is a straight line
+        away, flow = sign * branch.signal_at(sign * top * reach), top * reach
+        use, weight = np.ones(len(reach), dtype=bool), np.ones(len(reach))
+    else:
+        weight = np.sqrt(branch.count[use])
+    x, q = away[use] - ends[0], flow[use] / top
+    slope, start = np.polyfit(x, q, 1, w=weight)
+    noise = branch.noise / top / np.sqrt(np.sum(weight**2)) / max(slope, 1e-12)
+    root = ends[0] - start / slope
+    span = ends[1] - ends[0]
+    if len(x) >= 6:
+        # A parabola where the control edge is curved; its lower root, unless that lies nowhere near.
+        a, b, c = np.polyfit(x, q, 2, w=weight)
+        under = b * b - 4.0 * a * c
+        bent = (
+            -2.0 * c / (b + np.sqrt(under)) if under >= 0.0 and b + np.sqrt(max(under, 0.0)) > 0.0 else np.nan
+        )
+        if np.isfinite(bent) and -span <= bent <= span:
+            return float(ends[0] + bent), float(4.0 * noise)
+    return float(root), float(2.0 * noise)
+
+
+def _hysteresis(
+    curve: Curve, loop: Loop, top: dict[int, float]
+) -> tuple[float | None, float | None, float | None, float | None]:
+    """Widest loop, where it is, its uncertainty, and the mean width between 10 and 90 % of the flow."""
+    if loop.rising is None or loop.falling is None:
+        return None, None, None, None
+    best, where, spread, means = 0.0, None, None, []
+    levels = np.linspace(*WIDTH, 193)
+    window = max(1, round(WINDOW / (levels[1] - levels[0])))
+    kernel = np.ones(window) / window
+    for sign, peak in top.items():
+        both = min(sign_top(branch, sign) for branch in loop.branches)
+        flows = sign * both * levels
+        # The first flow out of the noise: below it the dead zone's flat part is read, not the valve.
+        quiet = 10.0 * loop.noise / np.sqrt(np.median(loop.rising.count)) / peak
+        use = levels > max(WIDTH[0], quiet)
+        if np.count_nonzero(use) < window + 2:
+            continue
+        width = widths(loop.rising, loop.falling, flows[use])
+        smooth = np.convolve(width, kernel, "valid")
+        n = int(np.argmax(np.abs(smooth)))
+        middle = _middle(loop, flows[use])
+        inner = (levels[use] > 0.1) & (levels[use] < 0.9)
+        means.append(float(np.mean(width[inner])))
+        if where is None or abs(smooth[n]) > abs(best):
+            best, where = float(smooth[n]), float(middle[n + window // 2])
+            gain = float(np.ptp(flows[use]) / max(np.ptp(middle), 1e-300))
+            near = max(1.0, float(np.median(loop.rising.count)) * max(1.0, WINDOW * len(loop.rising.count)))
+            # The largest of some 50 windows stands further out than one of them: 2.8 instead of 2 standard errors.
+            spread = 2.8 * np.sqrt(2.0) * loop.noise / np.sqrt(near) / gain
+    if where is None:
+        return None, None, None, None
+    return abs(best), where, spread, float(np.mean(means))
+
+
+def _threshold(
+    curve: Curve, loop: Loop, sides: dict[int, Side | None], steps: tuple[float, float], notes: list[str]
+) -> float | None:
+    """Change of signal after a turn that the flow takes no notice of, percent of the rated signal."""
+    if loop.rising is None or loop.falling is None:
+        return None
+    found = []
+    for sign, leaving in ((1, loop.falling), (-1, loop.rising)):
+        side = sides[sign]
+        if side is None or side.saturates_at is not None or side.largest_signal < 0.5 * curve.rated:
+            continue
+        bin_noise = loop.noise / np.sqrt(np.median(leaving.count))
+        step = 0.005 * side.maximum_flow
+        if max(3.0 * bin_noise, steps[1]) > step or len(leaving.signal) < 100:
+            continue
+        full = sign_top(leaving, sign)
+        left = sign * float(leaving.signal[-1 if sign > 0 else 0])
+        gone = left - sign * float(leaving.signal_at(sign * (full - step)))
+        found.append(max(0.0, gone - step / side.gain))
+    if not found:
+        notes.append(
+            f"{curve.name}: the threshold cannot be read off this sweep (saturated, noisy or coarse turns)"
+        )
+        return None
+    return 100.0 * float(np.mean(found)) / curve.rated
+
+
+def _leakage(curve: Curve, loop: Loop, notes: list[str]) -> Figures:
+    """Figures of an internal leakage curve: its peak, its null, and the loop of its flanks."""
+    notes.append(
+        f"{curve.name}: the flow peaks near the null: read as internal leakage, not as flow over signal"
+    )
+    flanks = flanks_of(loop)
+    null = float(np.mean([peak_of(*flank) for flank in flanks.values()]))
+    widest, mean, where = None, None, None
+    if len(flanks) == 2:
+        rising, falling = flank_signals(*flanks[1]), flank_signals(*flanks[-1])
+        wide = (rising - falling).ravel()
+        n = int(np.argmax(np.abs(wide)))
+        widest, where, mean = (
+            float(abs(wide[n])),
+            float((rising + falling).ravel()[n] / 2.0),
+            float(np.mean(wide)),
+        )
+    return Figures(
+        name=curve.name,
+        kind=loop.kind,
+        signal_unit=curve.signal_unit,
+        rated=curve.rated,
+        positive=None,
+        negative=None,
+        hysteresis_percent=_share(widest, curve.rated),
+        hysteresis_uncertainty_percent=None,
+        widest_at=where,
+        mean_loop_percent=_share(mean, curve.rated),
+        null=null,
+        flow_at_zero=None,
+        gain_asymmetry_percent=None,
+        maximum_flow_asymmetry_percent=None,
+        threshold_percent=None,
+        noise=loop.noise,
+        travel_per_signal=curve.travel_per_signal,
+        findings=tuple(notes),
+        leakage={
+            "maximum": float(np.mean([flow.max() for _, flow in flanks.values()])),
+            "least": float(np.mean([flow.min() for _, flow in flanks.values()])),
+            "null": null,
+        },
+    )

@@ -1,0 +1,267 @@
+"""Several sweep rates of one valve: is the loop lag, which shrinks with the rate, or hysteresis, which does not?
+
+At every height of the curve the width of the loop is fitted by
+
+    width = hysteresis + 2 lag rate
+
+with the rate of the signal per second: a time `lag` behind, the rising branch is `lag * rate` too high and the falling
+one as much too low. The heights fall into blocks; the scatter of the blocks gives 95 % intervals (Student's t). Beside the fit
+stands a bound that needs no fit at all: the hysteresis is no wider than the narrowest loop that was seen.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from hydro_env.errors import InputError
+from hydro_env.valve_bench.curve import FLOW, Branch, Curve, Floats, Loop, branches_of, loop_of
+from hydro_env.valve_bench.figures import sign_top, widths
+from hydro_env.valve_bench.leakage import flank_signals, flanks_of
+
+__all__ = ["RateCheck", "Sweep", "check_rates", "sweeps_of"]
+
+#: Rates must differ by this factor to tell anything.
+APART = 1.5
+#: Heights of the flow at which loops are compared, and the number of blocks they fall into on each side.
+HEIGHTS, BLOCKS = np.linspace(0.1, 0.9, 80), 4
+#: A part of the loop below this share of the widest loop does not count.
+MINOR = 0.3
+#: A loop narrower than this share of the rated signal is none.
+NO_LOOP = 5e-4
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The loop of one sweep: signal per second, and the width of the loop in blocks of the flow (unit of the signal)."""
+
+    rate: float
+    blocks: Floats
+    resolution: float
+
+    @property
+    def width(self) -> float:
+        """Mean width of the loop."""
+        return float(np.mean(self.blocks))
+
+
+@dataclass(frozen=True)
+class RateCheck:
+    """What several sweeps say. `verdict`: "lag", "hysteresis", "both", "no loop" or "undecided"; `reason` says why.
+
+    Intervals are of 95 %; hysteresis in percent of the rated signal, lag in s. `share` is the part of the widest loop that
+    does not depend on the rate.
+    """
+
+    verdict: str
+    reason: str
+    sweeps: tuple[Sweep, ...] = ()
+    rated: float = 1.0
+    hysteresis_percent: tuple[float, float, float] | None = None
+    lag_s: tuple[float, float, float] | None = None
+    share: tuple[float, float, float] | None = None
+    bound_percent: float | None = None
+    exponent: float | None = None
+    findings: tuple[str, ...] = field(default=())
+
+    def as_json(self) -> dict[str, Any]:
+        """The check as plain data: values with `low` and `high`."""
+
+        def triple(value: tuple[float, float, float] | None, unit: str) -> dict[str, Any] | None:
+            return (
+                None
+                if value is None
+                else dict(zip(("value", "low", "high"), value, strict=True)) | {"unit": unit}
+            )
+
+        return {
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "sweeps": [
+                {
+                    "rate_percent_per_s": 100.0 * sweep.rate / self.rated
+                    if np.isfinite(sweep.rate)
+                    else None,
+                    "loop_percent": 100.0 * sweep.width / self.rated,
+                    "blocks_percent": (100.0 * sweep.blocks / self.rated).tolist(),
+                }
+                for sweep in self.sweeps
+            ],
+            "hysteresis": triple(self.hysteresis_percent, "% of rated signal"),
+            "lag": triple(self.lag_s, "s"),
+            "rate_independent_share": triple(self.share, "1"),
+            "hysteresis_at_most_percent": self.bound_percent,
+            "loop_grows_as_rate_to_the_power": self.exponent,
+            "findings": list(self.findings),
+        }
+
+
+def sweeps_of(curve: Curve) -> list[Sweep]:
+    """The sweeps in a curve: one, or several where its branches go at clearly different rates."""
+    found = branches_of(curve)
+    rates = np.array([_rate(curve, branch) for branch in found])
+    if curve.time is None:
+        return [_sweep(curve, found, np.nan)]
+    order = np.argsort(rates)
+    groups: list[list[int]] = [[int(order[0])]]
+    for before, n in itertools.pairwise(order):
+        if rates[n] > APART * rates[before]:
+            groups.append([])
+        groups[-1].append(int(n))
+    sweeps = []
+    for group in groups:
+        own = [found[n] for n in group]
+        if {branch.direction for branch in own} == {1, -1}:
+            sweeps.append(_sweep(curve, own, float(np.mean(rates[group]))))
+    return sweeps
+
+
+def _rate(curve: Curve, branch: Branch) -> float:
+    if curve.time is None:
+        return float("nan")
+    # The middle half of the branch: at the turns a generator is slower, and a recording may wait there.
+    quarter = (branch.stop - branch.start) // 4
+    first, last = branch.start + quarter, branch.stop - 1 - quarter
+    if last <= first:
+        first, last = branch.start, branch.stop - 1
+    passed = float(curve.time[last] - curve.time[first])
+    return abs(float(curve.signal[last] - curve.signal[first])) / passed if passed > 0.0 else float("nan")
+
+
+def _sweep(curve: Curve, branches: list[Branch], rate: float) -> Sweep:
+    loop = loop_of(curve, branches)
+    if loop.rising is None or loop.falling is None:
+        raise InputError(
+            f"{curve.name}: a loop needs a rising and a falling branch; sweep the signal back again"
+        )
+    return Sweep(rate, _blocks(loop), _resolution(loop))
+
+
+def _resolution(loop: Loop) -> float:
+    """What the scatter of the samples leaves uncertain in the mean width, in signal."""
+    assert loop.rising is not None
+    span = float(np.ptp(loop.rising.flow)) or 1.0
+    samples = float(np.sum(loop.rising.count))
+    return 2.0 * loop.noise / np.sqrt(max(samples, 1.0)) * float(np.ptp(loop.rising.signal)) / span
+
+
+def _blocks(loop: Loop) -> Floats:
+    """Mean width in blocks of the flow."""
+    assert loop.rising is not None and loop.falling is not None
+    if loop.kind != FLOW:
+        flanks = flanks_of(loop)
+        wide = flank_signals(*flanks[1]) - flank_signals(*flanks[-1])
+        return np.array([part.mean() for row in wide for part in np.array_split(row, BLOCKS)])
+    means = []
+    whole = max(sign_top(branch, sign) for sign in (1, -1) for branch in loop.branches)
+    for sign in (1, -1):
+        top = min(sign_top(branch, sign) for branch in loop.branches)
+        if top > 0.05 * whole:
+            wide = widths(loop.rising, loop.falling, sign * top * HEIGHTS)
+            means += [float(part.mean()) for part in np.array_split(wide, BLOCKS)]
+    return np.array(means)
+
+
+def check_rates(curves: Sequence[Curve]) -> RateCheck:
+    """Decides between lag and hysteresis from all sweeps in these curves of one valve.
+
+    InputError if a curve has no loop in it.
+    """
+    sweeps = sorted((sweep for curve in curves for sweep in sweeps_of(curve)), key=lambda each: each.rate)
+    rated = curves[0].rated
+    kinds = {len(sweep.blocks) for sweep in sweeps}
+    base: dict[str, Any] = {"sweeps": tuple(sweeps), "rated": rated}
+    if not sweeps or len(kinds) != 1:
+        return RateCheck("undecided", "the sweeps do not cover the same sides of the valve", **base)
+    rates = np.array([sweep.rate for sweep in sweeps])
+    if not np.isfinite(rates).all():
+        return RateCheck(
+            "undecided",
+            "the rate of a sweep is unknown: give a column of time, the time between rows, or the length of the sweep",
+            **base,
+        )
+    if rates[-1] < APART * rates[0]:
+        count = "one sweep rate" if len(sweeps) == 1 else "sweeps of nearly one rate"
+        return RateCheck(
+            "undecided",
+            f"{count} cannot tell lag from hysteresis: sweep again at a tenth of the rate",
+            **base,
+        )
+    return _decide(sweeps, rates, rated, base)
+
+
+def _decide(sweeps: list[Sweep], rates: Floats, rated: float, base: dict[str, Any]) -> RateCheck:
+    wide = np.array([sweep.blocks for sweep in sweeps])
+    means = np.abs(wide.mean(axis=1))
+    resolution = max(sweep.resolution for sweep in sweeps)
+    bound = 100.0 * float(means.min()) / rated
+    if means.max() < max(NO_LOOP * rated, 2.0 * resolution):
+        shown = 100.0 * means.max() / rated
+        return RateCheck(
+            "no loop", f"the widest loop is {shown:.2g} % of the rated signal", bound_percent=bound, **base
+        )
+    # Weights by the inverse rate: what scatters about the line grows with the width of the loop.
+    design = np.column_stack([np.ones_like(rates), 2.0 * rates])
+    weight = 1.0 / np.maximum(means, 0.02 * means.max())
+    fit = np.linalg.lstsq(design * weight[:, None], wide * weight[:, None], rcond=None)[0]
+    rest = wide.mean(axis=1) - design @ fit.mean(axis=1)
+    floor = np.linalg.inv((design * weight[:, None]).T @ (design * weight[:, None]))
+    # The line's own lack of fit, seen only with three rates and more, widens both intervals.
+    free = len(rates) - 2
+    misfit = float(np.sum((rest * weight) ** 2)) / free if free > 0 else 0.0
+    triples = []
+    for row, values in enumerate(fit):
+        spread = np.std(values, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else 0.0
+        margin = student.ppf(0.975, max(1, len(values) - 1)) * spread
+        lacking = 2.0 * np.sqrt(misfit * floor[row, row])
+        noise = resolution * np.sqrt(floor[row, row]) * float(weight.max())
+        margin = float(np.sqrt(margin**2 + lacking**2 + noise**2))
+        mean = float(np.mean(values))
+        triples.append((mean, mean - margin, mean + margin))
+    hysteresis, lag = triples
+    widest = float(means.max())
+    share = tuple(value / widest for value in hysteresis)
+    lagging = tuple(2.0 * value * float(rates[-1]) / widest for value in lag)
+    exponent = None
+    if means.min() > 0.0:
+        exponent = float(np.polyfit(np.log(rates), np.log(means), 1)[0])
+    notes = []
+    if free > 0 and np.max(np.abs(rest)) > 0.1 * widest:
+        notes.append(
+            f"the loop grows as the rate to the power {exponent:.2f}, not along a straight line: the intervals allow for it"
+        )
+    narrowest = float(means.min()) / widest
+    first, last = 100.0 * means[0] / rated, 100.0 * means[-1] / rated
+    story = (
+        f"the loop goes from {last:.3g} % at the fastest sweep to {first:.3g} % at the slowest, "
+        f"{rates[-1] / rates[0]:.3g} times slower"
+    )
+    at_most = min(share[2], narrowest)
+    if at_most <= MINOR and lagging[1] > 0.0:
+        verdict = "lag"
+    elif share[1] >= 1.0 - MINOR and abs(lagging[0]) <= MINOR:
+        verdict = "hysteresis"
+    elif share[1] > 0.0 and lagging[1] > 0.0:
+        verdict = "both"
+    else:
+        verdict = "undecided"
+    kept = (
+        f"; of that at most {min(100.0 * hysteresis[2] / rated, bound):.3g} % is hysteresis, the lag is {lag[0]:.3g} s "
+        f"({lag[1]:.3g} to {lag[2]:.3g})"
+    )
+    return RateCheck(
+        verdict,
+        story + kept if verdict in ("lag", "both") else story,
+        hysteresis_percent=tuple(100.0 * value / rated for value in hysteresis),  # type: ignore[arg-type]
+        lag_s=lag,
+        share=share,  # type: ignore[arg-type]
+        bound_percent=bound,
+        exponent=exponent,
+        findings=tuple(notes),
+        **base,
+    )

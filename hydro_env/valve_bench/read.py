@@ -1,0 +1,236 @@
+"""A measured curve from a file: columns and units become SI here.
+
+CSV, tab or blank separated text (also gzipped, with or without a header, with suffixes such as 25.1m), and the binary
+formats of `hydro_env.measured`. What is missing from the file is said by `Columns`.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from hydro_env.errors import InputError
+from hydro_env.measured.formats import BINARY, read_binary
+from hydro_env.measured.table import CsvStyle, Table, nearest, read_csv
+from hydro_env.units import Unit, to_si, unit
+from hydro_env.valve_bench.curve import Curve, Floats, branches_of
+
+__all__ = ["Columns", "read_curve"]
+
+#: What a valve's input may be measured as, and the unit it has in a curve.
+QUANTITIES = {"current": "A", "voltage": "V", "fraction": "1", "length": "m"}
+#: Most rows of a file that may lack a number.
+HOLES = 0.5
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What the columns are. A column is a name of the header or its number from 1; None means: the first column is
+    the signal, the second the flow, and a unit stands in the header.
+
+    `rated` is the rated signal in its unit. Time is a column, or follows from `row_period` (s between rows) or
+    `sweep_period` (s for one whole triangle); without any the sweep rate is unknown.
+    """
+
+    signal: str | None = None
+    flow: str | None = None
+    time: str | None = None
+    signal_unit: str | None = None
+    flow_unit: str | None = None
+    time_unit: str | None = None
+    rated: float | None = None
+    row_period: float | None = None
+    sweep_period: float | None = None
+
+
+@dataclass
+class _Choice:
+    """Finds the columns in a header while the file is read."""
+
+    path: Path
+    wanted: Columns
+    found: dict[str, str] = field(default_factory=dict)
+
+    def __call__(self, names: tuple[str, ...]) -> list[str]:
+        if len(names) < 2:
+            raise InputError(
+                f"{self.path}: one column ({names[0] if names else 'none'}); a curve needs signal and flow, separated by "
+                "commas, tabs or blanks"
+            )
+        self.found["signal"] = self._one("signal", self.wanted.signal or "1", names)
+        self.found["flow"] = self._one("flow", self.wanted.flow or "2", names)
+        if self.wanted.time is not None:
+            self.found["time"] = self._one("time", self.wanted.time, names)
+        if len(set(self.found.values())) < len(self.found):
+            raise InputError(
+                f"{self.path}: signal, flow and time must be different columns, not {self.found}"
+            )
+        return list(self.found.values())
+
+    def _one(self, role: str, name: str, names: tuple[str, ...]) -> str:
+        if name in names:
+            return name
+        if name.isdigit() and 1 <= int(name) <= len(names):
+            return names[int(name) - 1]
+        raise InputError(
+            f"{self.path}: no column {name!r} for the {role}{nearest(name, names)}; there are {', '.join(names)}"
+        )
+
+
+def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | None = None) -> Curve:
+    """Reads a measured curve. InputError, naming file, row or column, for whatever cannot be used."""
+    path, columns = Path(path), columns or Columns()
+    if not path.is_file():
+        raise InputError(f"{path}: no such file, and no preset of that name")
+    choice = _Choice(path, columns)
+    suffixed = False
+    if path.suffix.lower() in BINARY:
+        table = read_binary(path, choice)
+    else:
+        suffixed = _has_suffixes(path)
+        table = read_csv(path, choice, CsvStyle(si_suffixes=suffixed, header=None))
+    findings = [f"{path.name}: {each.message}" for each in table.findings if each.code != "delimiter"]
+    values = {role: table.columns[column] for role, column in choice.found.items()}
+    whole = np.all([np.isfinite(each) for each in values.values()], axis=0)
+    if not whole.all():
+        missing = int(np.count_nonzero(~whole))
+        first = table.row(int(np.argmin(whole)))
+        if missing > HOLES * len(whole):
+            raise InputError(
+                f"{path}: {missing} of {len(whole)} rows lack a number in {', '.join(choice.found.values())} (first: row "
+                f"{first}); name the columns of the curve"
+            )
+        findings.append(f"{path.name}: {missing} rows without a number left out, the first is row {first}")
+    lines = table.lines[whole]
+    signal_unit = _unit(
+        path, "signal", choice.found["signal"], columns.signal_unit, suffixed, tuple(QUANTITIES)
+    )
+    flow_unit = _unit(path, "flow", choice.found["flow"], columns.flow_unit, suffixed, ("flow",))
+    signal = np.asarray(to_si(values["signal"][whole], signal_unit.name))
+    flow = np.asarray(to_si(values["flow"][whole], flow_unit.name))
+    if columns.rated is None:
+        rated = float(np.abs(signal).max()) if len(signal) else 0.0
+        findings.append(
+            f"{path.name}: rated signal taken to be the largest in the file; say --rated if it is another"
+        )
+    else:
+        rated = float(to_si(columns.rated, signal_unit.name))
+    if not rated > 0.0:
+        raise InputError(
+            f"{path}: the rated signal is {rated:g}, column {choice.found['signal']!r}; it must be positive"
+        )
+    curve = Curve(
+        name=name or _short(path),
+        signal=signal,
+        flow=flow,
+        signal_unit=QUANTITIES[signal_unit.quantity],
+        rated=rated,
+        findings=tuple(findings),
+    )
+    try:
+        return _timed(curve, columns, _times(path, table, choice, columns, values, whole, lines))
+    except InputError as problem:
+        raise InputError(str(problem) if str(path) in str(problem) else f"{path}: {problem}") from None
+
+
+def _short(path: Path) -> str:
+    name = path.name
+    for ending in (".gz", ".txt", ".csv", ".dat", ".tsv", ".parquet", ".mat", ".mf4", ".tdms"):
+        name = name.removesuffix(ending)
+    return name
+
+
+def _times(
+    path: Path,
+    table: Table,
+    choice: _Choice,
+    columns: Columns,
+    values: dict[str, Floats],
+    whole: np.ndarray,
+    lines: np.ndarray,
+) -> Floats | None:
+    if "time" in choice.found:
+        column = choice.found["time"]
+        time_unit = columns.time_unit or _in_header(column) or "s"
+        if unit(time_unit).quantity != "time":
+            raise InputError(f"{path}: column {column!r}: {time_unit!r} is no unit of time")
+        time = np.asarray(to_si(values["time"][whole], time_unit))
+        back = np.flatnonzero(np.diff(time) < 0.0)
+        if len(back):
+            n = int(back[0]) + 1
+            raise InputError(
+                f"{path}: row {lines[n]}, column {column!r}: time goes back from {time[n - 1]:g} s to {time[n]:g} s; "
+                "sort the rows, or keep one recording per file"
+            )
+        return time
+    if columns.row_period is not None:
+        if not columns.row_period > 0.0:
+            raise InputError(f"--row-period is {columns.row_period:g}, expected more than 0 s")
+        return np.asarray(np.flatnonzero(whole) * columns.row_period, dtype=float)
+    return None
+
+
+def _timed(curve: Curve, columns: Columns, time: Floats | None) -> Curve:
+    from dataclasses import replace
+
+    found = branches_of(curve)
+    if time is None and columns.sweep_period is not None:
+        if not columns.sweep_period > 0.0:
+            raise InputError(f"--sweep-period is {columns.sweep_period:g}, expected more than 0 s")
+        # A whole triangle passes its range twice.
+        path = sum(abs(curve.signal[branch.stop - 1] - curve.signal[branch.start]) for branch in found)
+        rows = sum(branch.stop - branch.start for branch in found)
+        step = columns.sweep_period * path / (2.0 * float(np.ptp(curve.signal)) * rows)
+        time = np.arange(len(curve.signal)) * step
+    return replace(curve, time=time)
+
+
+def _in_header(column: str) -> str | None:
+    """The unit that a column's name ends with: `Current (mA)`, `flow [l/min]`, `flow_lpm`."""
+    bracketed = re.findall(r"[(\[]([^)\]]*)[)\]]", column)
+    for text in [*bracketed, column.rpartition("_")[2] if "_" in column else ""]:
+        try:
+            if text.strip():
+                return unit(text.strip()).name
+        except InputError:
+            continue
+    return None
+
+
+def _unit(
+    path: Path, role: str, column: str, given: str | None, suffixed: bool, quantities: tuple[str, ...]
+) -> Unit:
+    name = given if given is not None else _in_header(column)
+    if name is None:
+        raise InputError(f"{path}: column {column!r} says no unit; give it by --{role}-unit, such as " + (
+            "mA, V or percent" if role == "signal" else "l/min"))  # fmt: skip
+    try:
+        known = unit(name)
+    except InputError as problem:
+        raise InputError(f"--{role}-unit: {problem}" if given else f"{path}: {problem}") from None
+    if known.quantity not in quantities:
+        raise InputError(
+            f"{path}: column {column!r}: {name!r} is a unit of {known.quantity}, the {role} needs one of "
+            f"{', '.join(quantities)}; is it the right column?"
+        )
+    if given is None and suffixed and known.name[:1] in "mku" and known.name not in ("m", "m3/s", "m3/h"):
+        raise InputError(
+            f"{path}: column {column!r}: numbers carry suffixes such as 1m and the header's unit is {name}, so the prefix may "
+            f"count once or twice; say which by --{role}-unit, {name[1:]} if 1m means 1 {name}"
+        )
+    return known
+
+
+def _has_suffixes(path: Path) -> bool:
+    """Whether numbers in the first lines are written with suffixes such as 25.1m."""
+    opener = gzip.open if path.suffix == ".gz" else open
+    try:
+        with opener(path, "rt", errors="replace") as file:  # type: ignore[operator]
+            head = [line for _, line in zip(range(2000), file, strict=False)]
+    except (OSError, EOFError):
+        return False  # said properly by the reader
+    return any(re.search(r"(?:^|[\s,;])[-+]?\d+\.?\d*[munkM](?:$|[\s,;])", line) for line in head)

@@ -1,0 +1,83 @@
+"""Sweeps of a modelled valve in the plant's kernel.
+
+The command goes as a triangle between plus and minus its rated value. A first quarter from zero to the rated value
+only conditions the valve (magnetisation, friction) and is left out, so the loop is closed. The motor behind the valve
+runs free, and the other valve stays closed. The pressure over the motor is then that of its own friction, which
+stands for the constant valve pressure drop of the standard.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydro_env.errors import InputError
+from hydro_env.plant import Plant, PlantModel
+from hydro_env.valve_bench.curve import Curve
+
+__all__ = ["SIGNALS", "own_channels", "record", "record_rates"]
+
+#: What can be taken as the valve's input, and its unit.
+SIGNALS = {"current": "A", "command": "V"}
+#: Time between two recorded samples is this share of the sweep, and at least `SHORTEST` s.
+SHARE, SHORTEST = 1.0 / 10_000.0, 5e-4
+
+
+def own_channels(model: PlantModel) -> tuple[int, ...]:
+    """The channels (0, 1) of a model that hold different valves: one if both are alike."""
+    same = all(pair[0] == pair[1] for pair in model.values.values())
+    return (0,) if same else (0, 1)
+
+
+def record(
+    model: PlantModel,
+    channel: int,
+    *,
+    seconds: float = 20.0,
+    signal: str = "current",
+    name: str | None = None,
+) -> Curve:
+    """Sweeps the valve of channel 0 or 1 once through its loop in `seconds`, read over "current" or "command".
+
+    InputError for an unknown signal or a sweep that is not longer than 0.1 s.
+    """
+    if signal not in SIGNALS:
+        raise InputError(f"unknown signal {signal!r}: current or command")
+    if not seconds > 0.1:
+        raise InputError(f"a sweep of {seconds:g} s: too short for a steady curve, 5 s and more are right")
+    period = max(SHORTEST, round(seconds * SHARE / SHORTEST) * SHORTEST)
+    quarter = max(1, round(seconds / 4.0 / period))
+    knots = np.array([0, 1, 3, 5]) * quarter
+    share = np.interp(np.arange(5 * quarter + 1), knots, [0.0, 1.0, -1.0, 1.0])
+    rated = model.value("u_rated", channel)
+    command = np.zeros((len(share), 2))
+    command[:, channel] = rated * share
+    out = Plant(model).run(command, None, period, ("current", "flow"))
+    keep = slice(quarter, None)
+    per_volt = 1.0 / model.value("R", channel)
+    travel = model.value("alpha", channel) / model.value("k", channel)
+    # Row n of a run is the state when command n begins to act: what it answers to is command n - 1.
+    answered = np.concatenate([[0.0], command[:-1, channel]])
+    taken = out["current"][:, 0, channel] if signal == "current" else answered
+    return Curve(
+        name=name or f"{model.name}:{channel + 1}",
+        signal=taken[keep],
+        flow=out["flow"][keep, 0, channel],
+        signal_unit=SIGNALS[signal],
+        rated=rated * (per_volt if signal == "current" else 1.0),
+        time=np.asarray(np.arange(len(share))[keep] * period, dtype=float),
+        travel_per_signal=travel * (1.0 if signal == "current" else per_volt),
+    )
+
+
+def record_rates(
+    model: PlantModel,
+    channel: int,
+    seconds: Sequence[float] = (5.0, 20.0, 80.0),
+    *,
+    signal: str = "current",
+    name: str | None = None,
+) -> list[Curve]:
+    """The same valve swept at several rates."""
+    return [record(model, channel, seconds=each, signal=signal, name=name) for each in seconds]
