@@ -53,8 +53,11 @@ def presets() -> str:
 
 
 def effects() -> str:
+    """The effects that are candidates of the diagnosis; `losses` has the loss models."""
     rows = []
     for effect in CATALOGUE.values():
+        if effect.family:
+            continue
         sizes = [
             f"`{p.name}` {_number(p.low)} to {_number(p.high)} {p.unit if p.unit != '1' else ''}".strip()
             for p in effect.parameters
@@ -64,6 +67,29 @@ def effects() -> str:
             [f"`{effect.name}`", scope, effect.summary, effect.signature, "; ".join(sizes), effect.source]
         )
     return _table(["effect", "port", "what it is", "how it shows", "parameters", "source"], rows)
+
+
+def losses() -> str:
+    rows = []
+    for effect in CATALOGUE.values():
+        if not effect.family:
+            continue
+        for number, p in enumerate(effect.parameters):
+            shown = "" if p.unit == "1" else p.unit
+            rows.append(
+                [
+                    f"`{effect.name}`" if number == 0 else "",
+                    f"`{p.name}`",
+                    p.note,
+                    shown,
+                    _number(p.nominal),
+                    _number(p.nominal if p.typical is None else p.typical),
+                    f"{_number(p.low)} to {_number(p.high)}",
+                    p.source,
+                ]
+            )
+    head = ["effect", "parameter", "meaning", "unit", "neutral", "medium", "range", "where it comes from"]
+    return _table(head, rows)
 
 
 # --- measured ---------------------------------------------------------------------------------------------------------
@@ -145,6 +171,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "parameters": parameters,
     "presets": presets,
     "effects": effects,
+    "losses": losses,
     "scores": scores,
     "speed": speed,
     "error": error,

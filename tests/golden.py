@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Plant, effects, rhs
+from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Plant, effects, losses, rhs
 
 PATH = Path(__file__).parent / "golden" / "trajectories.json"
 SIGNALS = ("measured_speed", "pressure")
@@ -18,11 +18,10 @@ PERIOD, ROWS, EVERY = 0.01, 31, 5  # s; commands of 10 ms, every fifth row is ke
 
 
 def fingerprint() -> str:
-    """Hash of what the trajectories depend on: parameters, and the text of effects and right-hand side."""
+    """Hash of what the trajectories depend on: parameters, and the text of effects, loss models and right-hand side."""
     base = "".join(f"{p.name} {p.nominal!r}\n" for p in PARAMETERS.values())
-    return hashlib.sha256((base + inspect.getsource(effects) + inspect.getsource(rhs)).encode()).hexdigest()[
-        :16
-    ]
+    text = base + "".join(inspect.getsource(module) for module in (effects, losses, rhs))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def trajectories() -> dict[str, NDArray[np.float64]]:

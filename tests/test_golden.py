@@ -12,7 +12,7 @@ from tests import golden
 def test_golden_trajectories() -> None:
     stored = json.loads(golden.PATH.read_text(encoding="utf-8"))
     assert stored["fingerprint"] == golden.fingerprint(), (
-        "parameters, effects.py or rhs.py changed since: if that is meant, run `python -m tests.golden`"
+        "parameters, effects.py, losses.py or rhs.py changed since: if that is meant, run `python -m tests.golden`"
     )
     found = golden.trajectories()
     for signal, values in found.items():

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hydro_env.errors import InputError
-from hydro_env.plant import CATALOGUE, PARAMETERS, PlantModel, load_model, preset_names
+from hydro_env.plant import CATALOGUE, PARAMETERS, PlantModel, load_model, parameter_of, preset_names
 
 
 @pytest.mark.parametrize("name", preset_names())
@@ -29,11 +29,21 @@ _EFFECTS = st.dictionaries(
 )
 
 
+def _by_factors(name: str) -> bool:
+    p = parameter_of(name)
+    return p.log and p.nominal > 0.0
+
+
+def _positive(pair: tuple[float, float]) -> tuple[float, float]:
+    return abs(pair[0]) or 1.0, abs(pair[1]) or 1.0
+
+
 @given(base=st.dictionaries(st.sampled_from(list(PARAMETERS)), st.tuples(_NUMBER, _NUMBER)), effects=_EFFECTS)
 def test_any_model_survives_a_round_trip(
     tmp_path_factory: pytest.TempPathFactory, base: dict, effects: dict
 ) -> None:
-    model = PlantModel("mine", {**base, **effects})
+    own = {name: _positive(pair) if _by_factors(name) else pair for name, pair in effects.items()}
+    model = PlantModel("mine", {**base, **own})
     path = tmp_path_factory.mktemp("model") / "model.yaml"
     model.to_yaml(path)
     again = load_model(path)

@@ -20,7 +20,7 @@ def test_checker(command: list[str]) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/plant.md", "docs/effects.md"])
+@pytest.mark.parametrize("name", ["README.md", "docs/plant.md", "docs/effects.md", "docs/losses.md"])
 def test_tables_of_the_documents(name: str) -> None:
     text = (ROOT / name).read_text(encoding="utf-8")
     filled = runpy.run_path(str(ROOT / "docs" / "tables.py"))["filled"]

@@ -72,11 +72,14 @@ class MotorRig:
         return list(BASE)
 
     def candidates(self) -> list[str]:
+        """Effects to try. Those of a family, such as the loss models of the motor, only if the model lists them."""
         both = len(self.channels) == 2
         return [
             e.name
             for e in CATALOGUE.values()
-            if (both or e.name != "supply_droop") and not self._present(e.name)
+            if (both or e.name != "supply_droop")
+            and (not e.family or e.name in self.model.declared)
+            and not self._present(e.name)
         ]
 
     def _present(self, effect: str) -> bool:
@@ -206,4 +209,6 @@ def _kernel(effects: frozenset[str], alone: bool) -> tuple[str, ...]:
     """
     if alone or not effects or "supply_droop" in effects:
         return tuple(sorted(effects))
-    return tuple(name for name in CATALOGUE if name != "supply_droop")
+    return tuple(
+        e.name for e in CATALOGUE.values() if e.name != "supply_droop" and (not e.family or e.name in effects)
+    )

@@ -111,7 +111,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 def _main() -> None:
     parser = argparse.ArgumentParser(description="How often the diagnosis is right.")
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--effects", nargs="*", default=list(CATALOGUE))
+    parser.add_argument("--effects", nargs="*", default=[e.name for e in CATALOGUE.values() if not e.family])
     parser.add_argument("--severity", default="medium")
     parser.add_argument("--base-error", type=float, default=10.0, help="percent")
     parser.add_argument("--seed", type=int, default=100)

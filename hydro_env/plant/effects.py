@@ -56,6 +56,8 @@ class Effect:
     `adds_to` names base parameters of the channel that one of the effect's parameters is simply added to.
     `scope` is "channel" (each valve and motor has its own) or "rig" (both share the same values).
     `indistinguishable_from` lists effects that no data of the usual channels separate from this one.
+    `family` names a group of effects that compete with each other and with simpler ones; the diagnosis tries a member only
+    if the model as given lists it among its effects.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Effect:
     corner: Callable[..., bool] | None = None
     scope: str = "channel"
     indistinguishable_from: tuple[str, ...] = ()
+    family: str = ""
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError if there is none."""
@@ -903,5 +906,8 @@ register(
     )
 )
 
-#: The effects of this file; any other one is a user's (see `register` and `effect_files`).
+# The loss models of the motor have a file of their own; they come last.
+from . import losses  # noqa: E402, F401
+
+#: The effects that ship with the package; any other one is a user's (see `register` and `effect_files`).
 BUILT_IN = tuple(CATALOGUE)

@@ -82,6 +82,8 @@ class PlantModel:
                 raise InputError(f"model {self.name!r}: {name} is not a number")
             if name in PARAMETERS:
                 _check_base(name, (first, second), f"model {self.name!r}")
+            else:
+                _check_own(name, (first, second), f"model {self.name!r}")
             clean[name] = (first, second)
         for name in self.declared:
             if name not in CATALOGUE:
@@ -186,6 +188,13 @@ def _check_base(name: str, pair: tuple[float, float], where: str) -> None:
             raise InputError(
                 f"{where}: {name} is {value:g}; {PARAMETERS[name].note or name} must be positive"
             )
+
+
+def _check_own(name: str, pair: tuple[float, float], where: str) -> None:
+    """What varies by factors about a neutral value, such as a viscosity or a time constant, is never zero."""
+    p = parameter_of(name)
+    if p.log and p.nominal > 0.0 and min(pair) <= 0.0:
+        raise InputError(f"{where}: {name} is {min(pair):g}; it must be positive")
 
 
 def _number(value: object, where: str) -> float:

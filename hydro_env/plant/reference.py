@@ -22,6 +22,8 @@ agree on what every parameter means and on its limits; they differ in shape:
     crossport_relief           kink                              rounded cracking
     motor_coulomb_friction     tanh with Stribeck peak           LuGre bristle on the shaft
     displacement_ripple        one cosine                        with a second harmonic
+    loss models of the motor   sign(w) as tanh(10 w), root       sign(w) as w/sqrt(w^2 + 0.01), laminar gap
+                               smooth below 0.1 bar              in series with the turbulent one
     shaft_backlash             damper grows at first             damper grows throughout, more gently
     viscosity_drift            exponential                       faster beginning, same end
     sensor_lag                 first order                       two lags with the same sum
@@ -45,6 +47,7 @@ from scipy.integrate import odeint, solve_ivp
 
 from ..errors import InputError
 from .effects import BUILT_IN, CATALOGUE
+from .losses import FAMILY
 from .model import PlantModel, load_model
 from .parameters import PARAMETERS
 
@@ -75,7 +78,7 @@ def _fields() -> list[tuple[str, Any]]:
         for p in e.parameters
     ]
     places = [(f"at_{name}", np.int64) for name in ("states", *_SHIFTS)]
-    return [*own, *effects, *places, ("different", np.int64)]
+    return [*own, *effects, *places, ("different", np.int64), ("lossy", np.int64)]
 
 
 # --- laws, one by one; `p` is the record of a channel's parameters ---------------------------------------------------
@@ -276,6 +279,65 @@ def _shaft_torque(p, y, dy, speed, angle, load):
 
 
 @_law
+def _loss_flow(p, difference, speed):
+    """Flow that the loss models of the motor let past its chambers at a pressure difference, m3/s."""
+    height = abs(difference)
+    # Wilson: Cs D dp / mu.
+    past = height * p.wilson_losses__slip / p.wilson_losses__viscosity * p.D
+
+    # Schloesser: the same, and Cst D^(2/3) sqrt(2 dp / rho).
+    past += height * p.schloesser_losses__slip / p.schloesser_losses__viscosity * p.D
+    area, transition = p.schloesser_losses__turbulent_area, 1e4
+    if area > 0.0:
+        inertia = p.schloesser_losses__density / (2.0 * area * area)
+        if p.different:
+            gap = math.sqrt(inertia * transition)
+            past += 2.0 * height / (gap + math.sqrt(gap * gap + 4.0 * inertia * height))
+        else:
+            past += math.sqrt(height * height / math.hypot(height, transition) / inertia)
+
+    # Dorey: Wilson's with a coefficient that grows, and what is compressed in every turn and lost.
+    coefficient = p.dorey_losses__slip * (1.0 + p.dorey_losses__slip_growth * height)
+    past += height * coefficient / p.dorey_losses__viscosity * p.D
+    past += p.dorey_losses__compression * p.D * height / p.beta * abs(speed)
+
+    # Jeong: flow in a gap goes with the cube of its height.
+    widening = (1.0 + p.jeong_losses__gap_growth * height) ** 3.0
+    past += height * widening * p.jeong_losses__slip / p.jeong_losses__viscosity * p.D
+
+    # Ivantysyn and Ivantysynova: terms of second degree.
+    past += p.ivantysyn_losses__flow_pp * height**2.0 + p.ivantysyn_losses__flow_pw * abs(speed) * height
+    return math.copysign(past, difference)
+
+
+@_law
+def _loss_torque(p, difference, speed):
+    """Torque that the loss models of the motor take, N m, against the motion."""
+    ideal, rate = abs(p.D * difference), abs(speed)
+    dry = p.wilson_losses__constant_torque + p.wilson_losses__friction * ideal
+    wet = p.wilson_losses__drag * p.wilson_losses__viscosity * p.D
+
+    dry += p.schloesser_losses__constant_torque + p.schloesser_losses__friction * ideal
+    wet += p.schloesser_losses__drag * p.schloesser_losses__viscosity * p.D
+    wet += p.schloesser_losses__hydrodynamic * p.schloesser_losses__density * rate
+
+    rest = math.exp(-rate / p.dorey_losses__boundary_speed)
+    dry += p.dorey_losses__friction * ideal * (1.0 + p.dorey_losses__boundary * rest)
+    wet += p.dorey_losses__drag * p.dorey_losses__viscosity * p.D
+
+    rest = math.exp(-rate / p.jeong_losses__stribeck_speed)
+    contact = p.jeong_losses__constant_torque + p.jeong_losses__friction * ideal
+    dry += contact + contact * p.jeong_losses__stribeck * rest
+    wet += p.jeong_losses__drag * p.jeong_losses__viscosity * p.D
+    wet += p.jeong_losses__hydrodynamic * p.jeong_losses__density * rate
+
+    dry += p.ivantysyn_losses__torque_0 + p.ivantysyn_losses__torque_p * abs(difference)
+    wet += p.ivantysyn_losses__torque_ww * rate + p.ivantysyn_losses__torque_pw * abs(difference)
+    way = speed / math.hypot(speed, 0.1) if p.different else math.tanh(10.0 * speed)
+    return dry * way + wet * speed
+
+
+@_law
 def _motor_rates(p, y, dy, flow, load, time):
     """Line (1), (3) and shaft (2)."""
     at = p.at_states
@@ -310,12 +372,16 @@ def _motor_rates(p, y, dy, flow, load, time):
             excess = 0.5 * (excess + math.sqrt(excess * excess + 0.3e5**2))
             excess *= math.tanh(abs(pressure) / 1e5)
         leakage += math.copysign(max(excess, 0.0) * p.crossport_relief__conductance, pressure)
+    if p.lossy:
+        leakage += _loss_flow(p, pressure, speed)
     motor_flow = displacement * speed
     dy[at + 4] = (flow - motor_flow - leakage) / (p.V * softness)
 
     lost = p.line_loss__coefficient * motor_flow
     lost *= math.sqrt(motor_flow * motor_flow + 1e-10) if p.different else abs(motor_flow)
     torque = displacement * (pressure - lost) - p.B * math.exp(change) * speed
+    if p.lossy:
+        torque -= _loss_torque(p, pressure - lost, speed)
     dy[at + 5] = (torque + _shaft_torque(p, y, dy, speed, angle, load)) / p.J
     dy[at + 6] = speed
 
@@ -400,6 +466,10 @@ class _Group:
                 for parameter in effect.parameters:
                     p[f"{effect.name}__{parameter.name}"] = model.value(f"{effect.name}.{parameter.name}", c)
             p["different"] = different
+            p["lossy"] = any(
+                CATALOGUE[name].family == FAMILY and not CATALOGUE[name].is_neutral(pair[c])
+                for name, pair in model.effects.items()
+            )
             p["at_states"] = place(*_STATE_SCALES)
             for name in _SHIFTS:
                 p[f"at_{name}"] = -1

@@ -1,0 +1,79 @@
+"""Steady flow, torque and efficiencies of a model's motor over pressure and speed: what a catalogue of motors shows."""
+
+from __future__ import annotations
+
+import inspect
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .effects import CATALOGUE
+from .losses import FAMILY
+from .model import PlantModel
+
+__all__ = ["MotorMap", "motor_map"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MotorMap:
+    """A motor at steady points, arrays of one shape: `pressure` Pa, `speed` rad/s, `flow` m3/s, `torque` N m, `loss` W.
+
+    `flow` enters at the first port, `torque` acts on the load; `loss` is what goes in less what comes out. Efficiencies
+    are those of motoring, in [0, 1] where the motor drives its load and NaN elsewhere.
+    """
+
+    pressure: Array
+    speed: Array
+    flow: Array
+    torque: Array
+    loss: Array
+    volumetric: Array
+    hydromechanical: Array
+
+    @property
+    def total(self) -> Array:
+        """Volumetric times hydromechanical efficiency."""
+        return self.volumetric * self.hydromechanical
+
+
+def motor_map(model: PlantModel, pressure: ArrayLike, speed: ArrayLike, channel: int = 0) -> MotorMap:
+    """The motor of channel 0 or 1 with Km, B and the loss models of `model`, without any other effect.
+
+    `pressure` (Pa) and `speed` (rad/s) broadcast against each other.
+    """
+    p, w = np.broadcast_arrays(np.asarray(pressure, dtype=float), np.asarray(speed, dtype=float))
+    base = model.channels[channel]
+    points = [_point(model, base, channel, float(a), float(b)) for a, b in zip(p.flat, w.flat, strict=True)]
+    flow, torque = (np.reshape(column, p.shape) for column in zip(*points, strict=True))
+    loss = p * flow - torque * w
+    with np.errstate(divide="ignore", invalid="ignore"):
+        drives = (p * w > 0.0) & (torque * w > 0.0)
+        volumetric = np.where(drives, base["D"] * w / flow, np.nan)
+        hydromechanical = np.where(drives, torque / (base["D"] * p), np.nan)
+    return MotorMap(p, w, flow, torque, loss, volumetric, hydromechanical)
+
+
+def _point(
+    model: PlantModel, base: dict[str, float], channel: int, pressure: float, speed: float
+) -> tuple[float, float]:
+    leakage, lost = base["Km"] * pressure, -base["B"] * speed
+    for name, pair in model.effects.items():
+        effect = CATALOGUE[name]
+        if effect.family == FAMILY:
+            known = {
+                **base,
+                **pair[channel],
+                "pressure": pressure,
+                "motor_pressure": pressure,
+                "speed": speed,
+            }
+            for quantity, law in effect.laws.items():
+                others = [known[a] for a in list(inspect.signature(law).parameters)[1:]]
+                if quantity == "leakage":
+                    leakage = law(leakage, *others)
+                else:
+                    lost = law(lost, *others)
+    return base["D"] * speed + leakage, base["D"] * pressure + lost
