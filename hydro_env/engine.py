@@ -28,6 +28,7 @@ import os
 import pickle
 import platform
 import signal
+import socket
 import sys
 import threading
 from collections import deque
@@ -381,8 +382,15 @@ def _cluster() -> tuple[Any, bool]:
         raise InputError("engine ray: this needs ray: pip install 'hydro_env[ray]'") from None
     if ray.is_initialized():
         return ray, False
-    address = os.environ.get("RAY_ADDRESS", "auto")
+    address = os.environ.get("RAY_ADDRESS") or "auto"
     try:
+        latest = Path(
+            os.environ.get("RAY_TMPDIR", "/tmp"), "ray", "ray_current_cluster"
+        )  # as `ray start` left it
+        if address == "auto" and latest.is_file():
+            _knock(latest.read_text(encoding="utf-8").strip())
+        elif address != "auto":
+            _knock(address)
         ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     except (
         Exception
@@ -393,3 +401,10 @@ def _cluster() -> tuple[Any, bool]:
             f"engine ray: no Ray cluster answers{where}; start one with `ray start --head`, or name one in RAY_ADDRESS"
         ) from problem
     return ray, True
+
+
+def _knock(address: str) -> None:
+    """OSError or ValueError if nobody listens at `host:port`, where Ray itself would go on trying for many minutes."""
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    with socket.create_connection((host.strip("[]"), int(port)), timeout=10.0):
+        pass
