@@ -173,9 +173,9 @@ def branches_of(curve: Curve) -> list[Branch]:
 
 def _average(signal: Floats, flow: Floats, low: float, high: float) -> Monotone:
     """Averages samples of one direction over equal bins of the signal; few samples stay as they are."""
-    bins = int(np.clip(len(signal) / 8, 20, 400))
-    if len(signal) <= 60:
-        bins = 4000  # as good as the samples themselves
+    few = len(signal) <= 400
+    # So many that few samples stay as they are.
+    bins = 20_000 if few else int(np.clip(len(signal) / 8, 100, 400))
     place = np.clip(((signal - low) / (high - low) * bins).astype(int), 0, bins - 1)
     count = np.bincount(place, minlength=bins).astype(float)
     used = count > 0
@@ -189,7 +189,7 @@ def _average(signal: Floats, flow: Floats, low: float, high: float) -> Monotone:
     # Robust: the bend at the edge of a dead zone is no scatter.
     rough = float(np.sqrt(np.sum(rest**2) / free))
     noise = min(rough, 1.4826 * float(np.median(np.abs(rest))) * np.sqrt(len(signal) / free))
-    if len(signal) <= 60:
+    if few:
         noise = float(np.median(np.abs(np.diff(q, 2)))) / 1.65 if len(q) > 4 else 0.0
     return Monotone(x, q, count[used], noise)
 
@@ -241,7 +241,7 @@ def _kind(curve: Curve, found: list[Branch]) -> tuple[str, int]:
     rank = float(spearmanr(signal, flow).statistic)
     if abs(rank) > 0.8:
         return FLOW, 1 if rank > 0.0 else -1
-    if np.all(flow >= -0.05 * flow.max()):
+    if len(flow) >= 21 and np.all(flow >= -0.05 * flow.max()):
         # A peak inside, low at both ends: internal leakage of a valve that passes its null.
         order = np.argsort(signal)
         parts = np.array_split(flow[order], 7)

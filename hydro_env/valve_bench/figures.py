@@ -230,6 +230,8 @@ def _side(
         raise InputError(
             f"{curve.name}: the branches share too little of the {word} flow; sweep both over the same range"
         )
+    if not np.ptp(middle[use]) > 1e-6 * curve.rated:
+        raise InputError(f"{curve.name}: the {word} flow jumps at one signal; record samples between, more slowly")
     slope, start = np.polyfit(levels[use] * top, middle[use], 1)
     if not slope > 0.0:
         raise InputError(f"{curve.name}: the {word} flow does not grow with the signal; is a column wrong?")
@@ -287,11 +289,13 @@ def _edge(branch: Monotone, sign: int, top: float, reach: Floats) -> tuple[float
     else:
         weight = np.sqrt(branch.count[use])
     x, q = away[use] - ends[0], flow[use] / top
+    span = float(ends[1] - ends[0])
+    if not np.ptp(x) > 1e-3 * span or span <= 0.0:  # a jump
+        return float(ends[0]), span
     slope, start = np.polyfit(x, q, 1, w=weight)
     noise = branch.noise / top / np.sqrt(np.sum(weight**2)) / max(slope, 1e-12)
     root = ends[0] - start / slope
-    span = ends[1] - ends[0]
-    if len(x) >= 6:
+    if np.unique(np.round(x / span, 3)).size >= 6:
         # A parabola where the control edge is curved; its lower root, unless that lies nowhere near.
         a, b, c = np.polyfit(x, q, 2, w=weight)
         under = b * b - 4.0 * a * c
@@ -326,7 +330,8 @@ def _hysteresis(
         n = int(np.argmax(np.abs(smooth)))
         middle = _middle(loop, flows[use])
         inner = (levels[use] > 0.1) & (levels[use] < 0.9)
-        means.append(float(np.mean(width[inner])))
+        if inner.any():
+            means.append(float(np.mean(width[inner])))
         if where is None or abs(smooth[n]) > abs(best):
             best, where = float(smooth[n]), float(middle[n + window // 2])
             gain = float(np.ptp(flows[use]) / max(np.ptp(middle), 1e-300))
@@ -335,7 +340,7 @@ def _hysteresis(
             spread = 2.8 * np.sqrt(2.0) * loop.noise / np.sqrt(near) / gain
     if where is None:
         return None, None, None, None
-    return abs(best), where, spread, float(np.mean(means))
+    return abs(best), where, spread, float(np.mean(means)) if means else None
 
 
 def _threshold(

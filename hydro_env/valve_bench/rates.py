@@ -30,8 +30,8 @@ __all__ = ["RateCheck", "Sweep", "check_rates", "sweeps_of"]
 APART = 1.5
 #: Heights of the flow at which loops are compared, and the number of blocks they fall into on each side.
 HEIGHTS, BLOCKS = np.linspace(0.1, 0.9, 80), 4
-#: A part of the loop below this share of the widest loop does not count.
-MINOR = 0.3
+#: A part of the loop that is surely below this share of the widest loop does not enter the verdict; it is reported.
+MINOR = 0.2
 #: A loop narrower than this share of the rated signal is none.
 NO_LOOP = 5e-4
 
