@@ -75,7 +75,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except InputError as problem:
         return _fail(problem)
     except (KeyboardInterrupt, typer.Abort):
-        return _fail("interrupted; nothing was written", status=130)
+        return _fail("interrupted; nothing was written to --out", status=130)
     except BrokenPipeError:  # `hydro-env ... | head`
         sys.stderr.close()
         return 1
@@ -95,7 +95,7 @@ def _run(arguments: Sequence[str] | None) -> int:
             raise
         return _fail(f"{usage()} Try `{_path(problem)} --help`.")
     if status == 130:  # typer turns an interruption into this
-        return _fail("interrupted; nothing was written", status=130)
+        return _fail("interrupted; nothing was written to --out", status=130)
     return status if isinstance(status, int) else 0
 
 
@@ -220,7 +220,7 @@ def valve_test(
     ] = False,
     controllers: Annotated[
         str, typer.Option(help="Pairs of modelled valves are compared under these; `none`: not at all.")
-    ] = "pid_paper,cross_coupled,adaptive_flow",
+    ] = "pid_paper,pid_tuned,adaptive_flow",
     seeds: Annotated[int, typer.Option(min=1, help="Seeds of the sensor noise per pair.")] = 4,
     pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw the curves too.")] = True,
 ) -> None:

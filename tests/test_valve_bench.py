@@ -161,7 +161,11 @@ def test_a_modelled_valve(overlaps: tuple[float, float], offset: float) -> None:
 
 def test_a_curved_and_saturated_edge() -> None:
     model = SMOOTH.with_values(
-        {"dead_zone.overlap_positive": 1e-4, "dead_zone.overlap_negative": 1e-4, "flow_gain_nonlinearity.curvature": 0.5}
+        {
+            "dead_zone.overlap_positive": 1e-4,
+            "dead_zone.overlap_negative": 1e-4,
+            "flow_gain_nonlinearity.curvature": 0.5,
+        }
     )
     found = identify(record(model, 0))
     assert found.positive is not None and found.positive.saturates_at is None
@@ -340,7 +344,9 @@ def write(path: Path, rows: list[list[str]], between: str = ",") -> Path:
 COLUMNS = Columns(signal="current (mA)", flow="flow (l/min)", time="time_s")
 
 
-@pytest.mark.parametrize("name, between", [("a.csv", ","), ("a.txt", "\t"), ("a.csv.gz", ";"), ("a.txt.gz", "  ")])
+@pytest.mark.parametrize(
+    "name, between", [("a.csv", ","), ("a.txt", "\t"), ("a.csv.gz", ";"), ("a.txt.gz", "  ")]
+)
 def test_formats(tmp_path: Path, name: str, between: str) -> None:
     curve = made((0.2, 0.1), width=0.1, rows=2000)
     columns = replace(COLUMNS, signal="2", flow="3", time="1", rated=1000.0)
@@ -352,7 +358,9 @@ def test_formats(tmp_path: Path, name: str, between: str) -> None:
 
 def test_no_header_and_other_units(tmp_path: Path) -> None:
     curve = made((0.2, 0.1), width=0.1, rows=2000)
-    rows = [[f"{100.0 * x:.3f}", f"{q / 6.30902e-5:.6f}"] for x, q in zip(curve.signal, curve.flow, strict=True)]
+    rows = [
+        [f"{100.0 * x:.3f}", f"{q / 6.30902e-5:.6f}"] for x, q in zip(curve.signal, curve.flow, strict=True)
+    ]
     back = read_curve(write(tmp_path / "a.txt", rows, " "), Columns(signal_unit="%", flow_unit="gpm"))
     np.testing.assert_allclose(back.signal, curve.signal, atol=1e-5)
     np.testing.assert_allclose(back.flow, curve.flow, rtol=1e-4, atol=1e-9)
@@ -362,7 +370,9 @@ def test_no_header_and_other_units(tmp_path: Path) -> None:
 def test_suffixes_need_a_unit(tmp_path: Path) -> None:
     curve = made(rows=400)
     rows = [["Current (mA)", "Flow (GPM)"]]
-    rows += [[f"{1e3 * x:.1f}m", f"{q / 6.30902e-5:.5f}"] for x, q in zip(curve.signal, curve.flow, strict=True)]
+    rows += [
+        [f"{1e3 * x:.1f}m", f"{q / 6.30902e-5:.5f}"] for x, q in zip(curve.signal, curve.flow, strict=True)
+    ]
     path = write(tmp_path / "a.txt", rows, "\t")
     with pytest.raises(InputError, match="once or twice"):
         read_curve(path)
@@ -380,7 +390,10 @@ def test_holes_are_left_out_and_said(tmp_path: Path) -> None:
 
 def test_time_by_the_length_of_the_sweep(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", rows_of(made(width=0.1, rows=2000)))
-    for columns in (replace(COLUMNS, time=None, sweep_period=20.0), replace(COLUMNS, time=None, row_period=0.01)):
+    for columns in (
+        replace(COLUMNS, time=None, sweep_period=20.0),
+        replace(COLUMNS, time=None, row_period=0.01),
+    ):
         time = read_curve(path, columns).time
         assert time is not None and time[-1] == pytest.approx(20.0, rel=0.01)
 
@@ -401,9 +414,17 @@ BAD: dict[str, tuple[Change, Columns, list[str]]] = {
     "unknown unit": (lambda rows: None, replace(COLUMNS, flow_unit="lpn"), ["lpn", "l/min"]),
     "unit of something else": (lambda rows: None, replace(COLUMNS, flow_unit="bar"), ["pressure", "flow"]),
     "no unit": (lambda rows: rows[0].__setitem__(1, "x"), replace(COLUMNS, signal="x"), ["--signal-unit"]),
-    "text for a number": (lambda rows: rows[9].__setitem__(2, "open"), COLUMNS, ["row 10", "flow (l/min)", "open"]),
+    "text for a number": (
+        lambda rows: rows[9].__setitem__(2, "open"),
+        COLUMNS,
+        ["row 10", "flow (l/min)", "open"],
+    ),
     "mostly holes": (lambda rows: [row.__setitem__(2, "") for row in rows[30:]], COLUMNS, ["lack a number"]),
-    "flow stands still": (lambda rows: [row.__setitem__(2, "1.0") for row in rows[1:]], COLUMNS, ["all the time"]),
+    "flow stands still": (
+        lambda rows: [row.__setitem__(2, "1.0") for row in rows[1:]],
+        COLUMNS,
+        ["all the time"],
+    ),
     "signal stands still": (lambda rows: [row.__setitem__(1, "1.0") for row in rows[1:]], COLUMNS, ["range"]),
     "three rows": (lambda rows: rows.__delitem__(slice(4, None)), COLUMNS, ["3 samples"]),
     "header only": (lambda rows: rows.__delitem__(slice(1, None)), COLUMNS, ["no rows"]),
@@ -451,7 +472,11 @@ def test_models_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert status == 0
     data = json.loads((out / "valve_test.json").read_text())
     assert data["schema"] == "hydro_env/valve_test/1"
-    assert [valve["name"] for valve in data["valves"]] == ["paper_dead_zone:1", "paper_dead_zone:2", "servo:1"]
+    assert [valve["name"] for valve in data["valves"]] == [
+        "paper_dead_zone:1",
+        "paper_dead_zone:2",
+        "servo:1",
+    ]
     for valve in data["valves"]:
         assert valve["rate_check"]["verdict"] in ("hysteresis", "lag", "both")
         for side in ("positive", "negative"):
@@ -459,7 +484,7 @@ def test_models_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert data["valves"][0]["positive"]["dead_zone_travel_m"] == pytest.approx(68.4e-6, abs=2e-6)
     assert len(data["pairs"]) == 3 and data["most_alike"] == data["pairs"][0]["valves"]
     synchronisation = data["synchronisation"]
-    assert len(synchronisation["pairs"]) == 3
+    assert len(synchronisation["pairs"]) == 3 and len(synchronisation["twins"]) == 3
     (gain,) = synchronisation["most_alike"]
     own = next(row for row in synchronisation["pairs"] if row["valves"] == data["most_alike"])
     others = [row["max_speed_difference_rpm"] for row in synchronisation["pairs"] if row is not own]

@@ -74,49 +74,58 @@ def synchronisation(
 ) -> dict[str, Any]:
     """Drives all pairs under all controllers and says by how much the pair `alike` wins.
 
+    Every valve is paired with its like as well (`twins`): what is left there is the controller's, not the valves'.
     InputError for an unknown controller or scenario.
     """
     if len(valves) < 2:
         raise InputError("synchronisation needs two valves at least")
     ready = {name: make_controller(name) for name in dict.fromkeys(controllers)}
-    pairs = list(itertools.combinations(valves, 2))
-    rows: list[dict[str, Any]] = []
-    with tqdm(total=len(ready) * len(pairs), desc="pairs", disable=not progress, leave=False) as bar:
+    couples = list(itertools.combinations_with_replacement(valves, 2))
+    pairs: list[dict[str, Any]] = []
+    twins: list[dict[str, Any]] = []
+    with tqdm(total=len(ready) * len(couples), desc="pairs", disable=not progress, leave=False) as bar:
         for name, controller in ready.items():
-            for pair in pairs:
-                values: dict[str, list[float]] = {metric: [] for metric in METRICS}
-                for first, second in (pair, pair[::-1]):
-                    model = pair_model(first, second, valves[0].model)
-                    own = roll_out(controller, list(seeds), plant=model, mismatch=None, scenario=scenario)
-                    for metric, scores in own.metrics(METRICS).items():
-                        values[metric] += scores.tolist()
-                means = {metric: float(np.mean(each)) for metric, each in values.items()}
-                low_high = {
-                    metric: [float(np.min(each)), float(np.max(each))] for metric, each in values.items()
-                }
-                rows.append(
+            for first, second in couples:
+                orders = [(first, second)] if first is second else [(first, second), (second, first)]
+                scores: dict[str, list[float]] = {metric: [] for metric in METRICS}
+                for order in orders:
+                    model = pair_model(*order, valves[0].model)
+                    driven = roll_out(controller, list(seeds), plant=model, mismatch=None, scenario=scenario)
+                    for metric, values in driven.metrics(METRICS).items():
+                        scores[metric] += values.tolist()
+                (twins if first is second else pairs).append(
                     {
                         "controller": name,
-                        "valves": [valve.name for valve in pair],
-                        **means,
-                        "range": low_high,
-                        "episodes": 2 * len(seeds),
+                        "valves": [first.name, second.name],
+                        **{metric: float(np.mean(values)) for metric, values in scores.items()},
+                        "range": {metric: [min(values), max(values)] for metric, values in scores.items()},
+                        "episodes": len(orders) * len(seeds),
                     }
                 )
                 bar.update()
     return {
         "scenario": scenario,
-        "pairs": rows,
-        "most_alike": [_gain([row for row in rows if row["controller"] == name], alike) for name in ready],
+        "pairs": pairs,
+        "twins": twins,
+        "most_alike": [_gain(name, pairs, twins, alike) for name in ready],
     }
 
 
-def _gain(rows: list[dict[str, Any]], alike: tuple[str, str]) -> dict[str, Any]:
+def _gain(
+    name: str, pairs: list[dict[str, Any]], twins: list[dict[str, Any]], alike: tuple[str, str]
+) -> dict[str, Any]:
     """How the pair that is most alike does against the others under one controller."""
     metric = METRICS[0]
+    rows = [row for row in pairs if row["controller"] == name]
     own = next(row for row in rows if set(row["valves"]) == set(alike))
     others = [row for row in rows if row is not own]
-    gain: dict[str, Any] = {"controller": own["controller"], "valves": list(alike), metric: own[metric]}
+    like = [row[metric] for row in twins if row["controller"] == name and row["valves"][0] in alike]
+    gain: dict[str, Any] = {
+        "controller": name,
+        "valves": list(alike),
+        metric: own[metric],
+        "twins_rpm": float(np.mean(like)),
+    }
     if others:
         mean = float(np.mean([row[metric] for row in others]))
         best = min(others, key=lambda row: row[metric])

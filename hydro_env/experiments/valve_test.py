@@ -34,8 +34,9 @@ SCHEMA = "hydro_env/valve_test/1"
 VALVES = ("paper_dead_zone",)
 #: Lengths of the sweeps of a modelled valve, s.
 SECONDS = (5.0, 20.0, 80.0)
-#: Controllers under which pairs are compared: the paper's, the simplest good one, and the best classical one.
-CONTROLLERS = ("pid_paper", "cross_coupled", "adaptive_flow")
+#: Controllers under which pairs are compared: the paper's, with gains of its own for each channel; the same law with
+#: equal gains, which leaves the difference to the valves; and the best classical one, which learns it.
+CONTROLLERS = ("pid_paper", "pid_tuned", "adaptive_flow")
 
 
 @dataclass(frozen=True)
@@ -321,7 +322,8 @@ def summary(data: dict[str, Any]) -> str:
                 share = gain["max_speed_difference_rpm"] / gain["mean_of_others_rpm"]
                 lines.append(
                     f"  {gain['controller']}: the most alike pair {word}: {abs(gain['rpm_less_than_best_other']):.1f} rpm "
-                    f"{less} than the best other pair, {100.0 * share:.0f} % of the others' mean"
+                    f"{less} than the best other pair, {100.0 * share:.0f} % of the others' mean; the same valve twice: "
+                    f"{gain['twins_rpm']:.1f} rpm"
                 )
     return "\n".join(lines)
 

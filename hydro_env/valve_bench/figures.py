@@ -231,7 +231,9 @@ def _side(
             f"{curve.name}: the branches share too little of the {word} flow; sweep both over the same range"
         )
     if not np.ptp(middle[use]) > 1e-6 * curve.rated:
-        raise InputError(f"{curve.name}: the {word} flow jumps at one signal; record samples between, more slowly")
+        raise InputError(
+            f"{curve.name}: the {word} flow jumps at one signal; record samples between, more slowly"
+        )
     slope, start = np.polyfit(levels[use] * top, middle[use], 1)
     if not slope > 0.0:
         raise InputError(f"{curve.name}: the {word} flow does not grow with the signal; is a column wrong?")

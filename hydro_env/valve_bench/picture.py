@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.pages import COLOURS, figure
+from hydro_env.pages import COLOURS, figure, legend
 from hydro_env.units import LPM
 from hydro_env.valve_bench.curve import Curve, Loop, Monotone, loop_of
 from hydro_env.valve_bench.figures import Figures
@@ -117,5 +117,5 @@ def draw_rates(names: Sequence[str], checks: Sequence[RateCheck]) -> Any:
     )
     axis.set_xticks(shown, [f"{rate:g}" for rate in shown])
     axis.set_xticks([], minor=True)
-    axis.legend(loc="upper left", frameon=False)
+    legend(axis)
     return drawing
