@@ -51,7 +51,7 @@ def floors_from(machine: Machine, problems: dict[int, Problem]) -> Floors:
     return floors
 
 
-def calibrate(machine: Machine, floors: Floors, iterations: int = 12) -> dict[int, Problem]:
+def calibrate(machine: Machine, floors: Floors, iterations: int = 18) -> dict[int, Problem]:
     """Adjusts the base parameters of every channel, with priors about the model as given."""
     problems = {}
     for channel in machine.channels:

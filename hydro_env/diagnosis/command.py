@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..files import write_json, write_text
 from ..plant import PlantModel, load_model
 from .calibrate import as_given, calibrate, floors_from
-from .fit import Floors, Problem
+from .fit import Floors, Problem, rescored
 from .machine import Machine
 from .motor import MotorRig
 from .parts import Part, overlap, read_parts
@@ -88,6 +88,7 @@ def _workflow(
     say("calibrating known parameters")
     calibrated = calibrate(machine, floors)
     floors = _lower(floors, floors_from(machine, calibrated))
+    rescored(machine, list(calibrated.values()), floors)
     say("looking at every effect")
     looks = first_look(machine, calibrated, floors, machine.candidates(), seconds)
     selection = select(machine, calibrated, looks, floors, seconds, say)

@@ -18,14 +18,25 @@ from .machine import Machine, Request, Segment
 from .noise import effective_samples
 from .unknowns import Unknown
 
-__all__ = ["Floors", "Problem", "channels_of", "differentiate", "evaluate", "gain", "rms", "solve"]
+__all__ = [
+    "Floors",
+    "Problem",
+    "channels_of",
+    "differentiate",
+    "evaluate",
+    "gain",
+    "rescored",
+    "rms",
+    "solve",
+]
 
 Vector = np.ndarray
 #: Standard deviations of the noise by (channel, signal), in SI.
 Floors = dict[tuple[int, str], float]
 #: Steps of q for finite differences, in turn: stiction makes the data a rough function of its parameters.
 _STEPS = (0.15, 0.04, 0.4)
-_TRIALS = (1.0, 0.5, 0.2, 0.05)
+#: Parts and multiples of a step that are tried: weights that follow the residual make single steps too short.
+_TRIALS = (4.0, 2.0, 1.0, 0.4, 0.1)
 #: Length of the blocks that have a variance of their own, s.
 BLOCK_S = 0.1
 
@@ -141,6 +152,20 @@ def evaluate(machine: Machine, problems: Sequence[Problem], floors: Floors) -> N
         problem.cost = _cost(machine, problem, result, problem.q, floors)
 
 
+def rescored(machine: Machine, problems: Sequence[Problem], floors: Floors) -> None:
+    """Sets `cost` anew, for other floors."""
+    for problem in problems:
+        problem.cost = _cost(machine, problem, problem.simulated, problem.q, floors)
+
+
+def _at_noise(machine: Machine, problem: Problem, floors: Floors) -> bool:
+    return all(
+        value < 1.02 * floors[channel, signal]
+        for channel in channels_of(problem, machine)
+        for (_, signal), value in rms(machine, problem.simulated[channel], channel).items()
+    )
+
+
 def differentiate(
     machine: Machine,
     problems: Sequence[Problem],
@@ -216,7 +241,8 @@ def solve(
 ) -> None:
     """Improves the estimates of all problems.
 
-    A problem ends early once no step size of the differences lowers its cost by `tolerance`. One that brings `columns`
+    A problem ends early once no step size of the differences lowers its cost by `tolerance`, or one does not and the
+    problem is at the noise already. One that brings `columns`
     along (from a smaller problem) uses them in its first step.
     """
     fresh = [p for p in problems if not p.simulated]
@@ -247,7 +273,9 @@ def solve(
             if cost < problem.cost:
                 problem.cost, problem.q, problem.simulated = cost, q, result
         for p in live:
-            stalled[id(p)] = stalled[id(p)] + 1 if before[id(p)] - p.cost < tolerance else 0
+            idle = before[id(p)] - p.cost < tolerance
+            quiet = idle and _at_noise(machine, p, floors)
+            stalled[id(p)] = len(_STEPS) if quiet else stalled[id(p)] + 1 if idle else 0
         live = [p for p in live if stalled[id(p)] < len(_STEPS)]
     for problem in problems:
         if problem.unknowns and problem.columns:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
-from ..plant import CATALOGUE, Parameter, PlantModel, load_effects, loaded_files, simulate
+from ..plant import CATALOGUE, Effect, Parameter, PlantModel, load_effects, loaded_files, simulate
 from .machine import Request, Segment, measured_segments
 from .parts import Part
 
@@ -20,8 +19,8 @@ __all__ = ["MotorRig"]
 SUBSTEP = 100e-6
 #: Lanes of one call, so that memory stays small and progress visible.
 LANES = 32
-#: Requests for the same effects from which a kernel of their own is worth its compilation, which is kept on disk.
-OWN_KERNEL = 12
+#: Functions that make an effect's law too slow to be carried along by every candidate.
+_SLOW = frozenset({"exp", "tanh", "cos", "sin"})
 #: Base parameters that calibration may adjust. V is left out (never told from beta), u_rated and x_max are settings.
 BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
 _RECORDED = {
@@ -72,14 +71,13 @@ class MotorRig:
         return list(BASE)
 
     def candidates(self) -> list[str]:
-        """Effects to try. Those of a family, such as the loss models of the motor, only if the model lists them."""
         both = len(self.channels) == 2
         return [
             e.name
             for e in CATALOGUE.values()
             if (both or e.name != "supply_droop")
-            and (not e.family or e.name in self.model.declared)
             and not self._present(e.name)
+            and (not getattr(e, "family", "") or e.name in self.model.declared)
         ]
 
     def _present(self, effect: str) -> bool:
@@ -95,11 +93,9 @@ class MotorRig:
         if self.jobs > 1 and len(requests) >= 16:
             return self._shared_out(requests)
         results: list[dict[int, np.ndarray]] = [{} for _ in requests]
-        count = Counter(request.effects for request in requests)
         by_kernel: dict[tuple[str, ...], list[int]] = {}
         for number, request in enumerate(requests):
-            alone = count[request.effects] >= OWN_KERNEL
-            by_kernel.setdefault(_kernel(request.effects, alone), []).append(number)
+            by_kernel.setdefault(self._kernel(request.effects), []).append(number)
         for effects, numbers in by_kernel.items():
             rows = self._pack([(n, requests[n]) for n in numbers])
             for start in range(0, len(rows), LANES):
@@ -120,6 +116,18 @@ class MotorRig:
             if self.progress is not None:
                 self.progress(len(answers) // 2)
         return results
+
+    def _kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
+        """The effects to compile in. There are four kernels in all, so that few are compiled and all candidates share them:
+        none; the light effects; all but those that tie the channels together; everything."""
+        if not effects:
+            return ()
+        library = {*self.candidates(), *effects}
+        light = [n for n in CATALOGUE if n in library and _light(CATALOGUE[n])]
+        if effects <= {*light}:
+            return tuple(light)
+        apart = [n for n in CATALOGUE if n in library and CATALOGUE[n].scope == "channel"]
+        return tuple(apart) if effects <= {*apart} else tuple(n for n in CATALOGUE if n in library)
 
     def close(self) -> None:
         """Ends the processes, if there are any."""
@@ -201,14 +209,8 @@ def _answer(requests: list[Request]) -> list[dict[int, np.ndarray]]:
     return _RIG[0].predict(requests)
 
 
-def _kernel(effects: frozenset[str], alone: bool) -> tuple[str, ...]:
-    """The effects to compile in: none, all at once, or, for many requests alike (`alone`), just these.
-
-    A kernel with all effects is compiled once for every candidate but is some three times as slow. The supply, which ties
-    the two channels together and slows the kernel down, is never among them.
-    """
-    if alone or not effects or "supply_droop" in effects:
-        return tuple(sorted(effects))
-    return tuple(
-        e.name for e in CATALOGUE.values() if e.name != "supply_droop" and (not e.family or e.name in effects)
-    )
+def _light(effect: Effect) -> bool:
+    """Whether the effect costs next to nothing where it is compiled in but neutral."""
+    words = {word for law in effect.laws.values() for word in law.__code__.co_names}
+    memory = len(effect.states) > 1 or effect.corner is not None or effect.name == "command_delay"
+    return effect.scope == "channel" and not memory and not words & _SLOW

@@ -31,6 +31,8 @@ CHEAP, FULL = 9, 3
 LATER_CHEAP, LATER_FULL = 5, 2
 #: Effects on a channel at most.
 MOST = 3
+#: Candidates whose cheap refit reached less than this share of the best one's are not refitted in full.
+FAR = 0.5
 #: An effect must explain this share of what is left above the noise, in the signal where it explains most.
 SHARE = 0.05
 #: What stays of the gap after an effect is looked into if it is a larger share; no effect has exactly its law.
@@ -184,8 +186,9 @@ def _round(
     best: list[tuple[int, Look, Problem]] = []
     for c in channels:
         own_batch = sorted((b for b in batch if b[0] == c), key=lambda b: b[2].cost)
-        best += own_batch[:full]
-        for _, look, problem in own_batch[full:]:
+        worthwhile = _worthwhile(present[c], [b[2] for b in own_batch], full)
+        best += own_batch[:worthwhile]
+        for _, look, problem in own_batch[worthwhile:]:
             found = gain(machine, present[c], problem, floors)
             trials.append(
                 Trial(
@@ -237,6 +240,13 @@ def _round(
     return taken
 
 
+def _worthwhile(present: Problem, ranked: Sequence[Problem], most: int) -> int:
+    """How many of the candidates, best first, are worth a full refit: those within reach of the best, and one more."""
+    best = present.cost - ranked[0].cost
+    near = sum(present.cost - p.cost > FAR * best for p in ranked[:most])
+    return max(min(near, most), min(2, len(ranked)))
+
+
 def _polish(
     machine: Machine,
     present: dict[int, Problem],
@@ -254,8 +264,11 @@ def _polish(
         if own is not None:
             size = len(present[c].unknowns)
             restarts[c] = Problem(c, present[c].unknowns, own.q[:size].copy(), present[c].label)
-    solve(machine, list(restarts.values()), floors, 5)
-    for c, problem in restarts.items():
+    solve(machine, list(restarts.values()), floors, 2)
+    # Where the base parameters alone get nowhere from there, the effect was no crutch for them.
+    going = {c: p for c, p in restarts.items() if p.cost < present[c].cost}
+    solve(machine, list(going.values()), floors, 6)
+    for c, problem in going.items():
         if problem.cost < present[c].cost:
             present[c].q, present[c].cost, present[c].spread = problem.q, problem.cost, problem.spread
             present[c].simulated, present[c].columns = problem.simulated, problem.columns

@@ -89,8 +89,12 @@ def starts(effect: Effect, seconds: float) -> list[dict[str, float]]:
     if len({p.unit for p in sizes}) == 1 and len(sizes) == 2 and all(math.isfinite(p.nominal) for p in sizes):
         # Two sizes of a kind, such as the overlaps of the two directions, may be unequal.
         rows += [{p.name: _sized(p, 1.0 if p is alone else 0.0) for p in sizes} for alone in sizes]
+    variants: list[dict[str, float]] = [{}]
     for p in shapes:
-        rows = [{**row, p.name: value} for row in rows for value in _shapes(p, seconds)]
+        variants = [{**v, p.name: value} for v in variants for value in _shapes(p, seconds)]
+    if len(variants) > 3:
+        rows = rows[1:2]  # what comes in many shapes is looked at in one size
+    rows = [{**row, **shape} for row in rows for shape in variants]
     return rows  # type: ignore[return-value]
 
 
