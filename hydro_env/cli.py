@@ -237,7 +237,7 @@ def valve_test(
             work.summary(
                 work.run(
                     folder,
-                    valves or work.VALVES,
+                    valves or work.default_valves(),
                     signal=signal,
                     seconds=_numbers("--seconds", seconds),
                     columns=Columns(

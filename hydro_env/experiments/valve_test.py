@@ -27,11 +27,9 @@ from hydro_env.valve_bench.rates import RateCheck, check_rates
 from hydro_env.valve_bench.read import Columns, read_curve
 from hydro_env.valve_bench.record import own_channels, record_rates
 
-__all__ = ["CONTROLLERS", "VALVES", "Tested", "bench", "run", "summary"]
+__all__ = ["CONTROLLERS", "Tested", "bench", "default_valves", "run", "summary"]
 
 SCHEMA = "hydro_env/valve_test/1"
-#: Valves that are tested when none is named.
-VALVES = ("paper_dead_zone",)
 #: Lengths of the sweeps of a modelled valve, s.
 SECONDS = (5.0, 20.0, 80.0)
 #: Controllers under which pairs are compared: the paper's, with gains of its own for each channel; the same law with
@@ -106,6 +104,7 @@ def run(
         "pairs": pairs,
         "most_alike": pairs[0]["valves"] if pairs else None,
         "synchronisation": None,
+        "findings": [],
     }
     models = [each.model for each in tested if each.model is not None]
     if pairs and controllers and len(models) == len(tested):
@@ -115,6 +114,10 @@ def run(
             alike=(pairs[0]["valves"][0], pairs[0]["valves"][1]),
             seeds=range(seeds),
             progress=progress,
+        )
+    elif pairs and controllers:
+        data["findings"].append(
+            "pairs are not driven: a measured curve says nothing of a valve's motion, only models can drive a motor"
         )
     write_text(out / "curves.csv", _table(tested))
     if pictures:
@@ -130,6 +133,11 @@ def run(
             png(drawing, out / "valve_rates.png")
     write_json(out / "valve_test.json", data)
     return data
+
+
+def default_valves() -> list[str]:
+    """Valves that are tested when none is named: the presets of single valves, or else the paper's pair."""
+    return [name for name in preset_names() if name.startswith("valve_")] or ["paper_dead_zone"]
 
 
 def bench(
@@ -303,6 +311,7 @@ def summary(data: dict[str, Any]) -> str:
         check = valve["rate_check"]
         lines.append(f"{valve['name']}: {check['verdict']}: {check['reason']}")
         lines += [f"note: {finding}" for finding in [*valve["findings"], *check["findings"]]]
+    lines += [f"note: {finding}" for finding in data["findings"]]
     for pair in data["pairs"][:3]:
         mark = "most alike: " if pair is data["pairs"][0] else "            "
         lines.append(
