@@ -255,8 +255,12 @@ def _in_processes(
                 worker.ready, worker.place, failed_starts = True, None, 0
     finally:
         for worker in workers:
-            worker.process.kill()
+            worker.pipe.close()  # which ends those that have nothing to do
+            if worker.place is not None or not worker.ready:
+                worker.process.kill()
         for worker in workers:
+            worker.process.join(5.0)
+            worker.process.kill()
             _end(worker)
 
 
