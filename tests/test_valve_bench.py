@@ -534,6 +534,15 @@ def test_bad_arguments(
     assert not (tmp_path / "out").exists()
 
 
+def test_what_a_curve_lacks_is_said_of_its_file(tmp_path: Path) -> None:
+    rows = rows_of(made(rows=400))
+    for row in rows[1:]:
+        row[2] = "1.0"
+    path = write(tmp_path / "still.csv", rows)
+    with pytest.raises(InputError, match=r"still\.csv: the flow is 1 l/min all the time"):
+        valve_test.bench([str(path)], columns=COLUMNS, progress=False)
+
+
 def test_valves_of_one_name_are_told_apart() -> None:
     tested = valve_test.bench(["paper:1", "paper:1"], seconds=(2.0,), progress=False)
     assert [each.curve.name for each in tested] == ["paper:1 (1)", "paper:1 (2)"]

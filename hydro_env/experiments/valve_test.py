@@ -232,13 +232,15 @@ def _model_valves(text: str) -> list[Valve]:
 def _tested(source: str, sweeps: list[Curve], model: Valve | None) -> Tested:
     """The figures come from the slowest sweep, which is the steadiest."""
     slowest = max(sweeps, key=lambda curve: 0.0 if curve.time is None else float(np.ptp(curve.time)))
-    figures = identify(slowest)
-    if figures.hysteresis_percent is None:
-        check = RateCheck(
-            "undecided", "the curve has branches of one direction only: no loop", rated=slowest.rated
-        )
-    else:
-        check = check_rates(sweeps)
+    try:
+        figures = identify(slowest)
+        if figures.hysteresis_percent is None:
+            why = "the curve has branches of one direction only: no loop"
+            check = RateCheck("undecided", why, rated=slowest.rated)
+        else:
+            check = check_rates(sweeps)
+    except InputError as problem:
+        raise InputError(f"{source}: {str(problem).removeprefix(f'{slowest.name}: ')}") from None
     return Tested(source, tuple(sweeps), slowest, figures, check, model)
 
 

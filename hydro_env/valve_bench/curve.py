@@ -15,6 +15,7 @@ from scipy.optimize import isotonic_regression
 from scipy.stats import spearmanr
 
 from hydro_env.errors import InputError
+from hydro_env.units import LPM
 
 __all__ = ["FLOW", "LEAKAGE", "Branch", "Curve", "Loop", "Monotone", "branches_of", "loop_of", "resolution"]
 
@@ -236,7 +237,7 @@ def _kind(curve: Curve, found: list[Branch]) -> tuple[str, int]:
     signal, flow = curve.signal[index], curve.flow[index]
     if float(np.ptp(flow)) == 0.0:
         raise InputError(
-            f"{curve.name}: the flow is {flow[0]:g} m3/s all the time; name the column of the flow"
+            f"{curve.name}: the flow is {flow[0] / LPM:g} l/min all the time; name the column of the flow"
         )
     rank = float(spearmanr(signal, flow).statistic)
     if abs(rank) > 0.8:

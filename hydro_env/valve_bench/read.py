@@ -85,7 +85,8 @@ def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | 
     """Reads a measured curve. InputError, naming file, row or column, for whatever cannot be used."""
     path, columns = Path(path), columns or Columns()
     if not path.is_file():
-        raise InputError(f"{path}: no such file, and no preset of that name")
+        what = "not a file" if path.exists() else "no such file, and no preset of that name"
+        raise InputError(f"{path}: {what}")
     choice = _Choice(path, columns)
     suffixed = False
     if path.suffix.lower() in BINARY:
