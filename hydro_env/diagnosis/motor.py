@@ -77,7 +77,7 @@ class MotorRig:
             for e in CATALOGUE.values()
             if (both or e.name != "supply_droop")
             and not self._present(e.name)
-            and (not getattr(e, "family", "") or e.name in self.model.declared)
+            and (not e.family or e.name in self.model.declared)
         ]
 
     def _present(self, effect: str) -> bool:
