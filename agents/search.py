@@ -51,11 +51,11 @@ def suggest(trial: optuna.Trial, data: dict[str, Any]) -> dict[str, Any]:
 
 def search(config: Path, out: Path, *, trials: int, steps: int, seed: int = 0) -> optuna.Study:
     """Runs `trials` more trials of `steps` control periods each; returns the study with all there are."""
+    read_config(config)  # what is wrong with the file is better said at once
     try:
         import optuna
     except ImportError:
         raise InputError("the search needs Optuna: pip install optuna") from None
-    read_config(config)  # what is wrong with the file is better said at once
     data = yaml.safe_load(config.read_text(encoding="utf-8"))
     data[ENV_ID]["n_timesteps"] = steps
     data["training"]["evaluate_every"] = max(1, steps // 8)

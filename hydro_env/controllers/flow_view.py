@@ -82,7 +82,8 @@ class FlowView:
         known: standard deviation of an edge below which it needs no search.
         blend: flow below which the jump over the dead zone is a ramp.
         reach, shift, pace: what outputs of 1 do: flow added, command shifted, logarithm of the reference's quickness.
-        calm: what is left of the outputs at the set-point; they have their full effect from 100 rpm of error on.
+        calm: what is left of the outputs at the set-point; they have their full effect from 100 rpm of error on and while
+            the view probes.
         frames: how many past samples are among the inputs.
     """
 
@@ -91,8 +92,8 @@ class FlowView:
 
     def __init__(
         self,
-        rate: float = 54.0,
-        slew: float = 24.0,
+        rate: float = 60.0,
+        slew: float = 27.0,
         fall: float = 2.7,
         doubt: float = 3.0,
         most: float = 1.0,
@@ -110,15 +111,15 @@ class FlowView:
         jump: float = 0.15,
         bolt: float = 1.0,
         probe: float = 1.0,
-        sweep: float = 3.4,
+        sweep: float = 3.0,
         search: float = 9.3,
         detect: float = 0.0085,
-        pulse: float = 0.088,
+        pulse: float = 0.08,
         pulse_time: float = 0.03,
         known: float = 0.0235,
         blend: float = 0.01,
-        reach: float = 0.15,
-        shift: float = 0.05,
+        reach: float = 0.25,
+        shift: float = 0.1,
         pace: float = 0.5,
         calm: float = 0.1,
         frames: float = 2,
@@ -236,7 +237,7 @@ class FlowView:
         )
         self._apart, self._behind = apart, behind
         worst = np.max(np.abs(seen.setpoint[:, None] - seen.speed), axis=1) / (100.0 * RPM)
-        self._effect = self.calm + (1.0 - self.calm) * np.minimum(worst, 1.0)
+        self._effect = np.where(self.probing, 1.0, self.calm + (1.0 - self.calm) * np.minimum(worst, 1.0))
 
     def _probe(self) -> None:
         """Sweeps go on; a spool at whose motor flow shows turns to the other side; pulses when both are done."""

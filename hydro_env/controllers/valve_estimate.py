@@ -126,7 +126,8 @@ class ValveEstimate:
 
     def learn(self, spool: SpoolModel, flow: Floats) -> None:
         """Takes in the measured flows (num_rigs, 2) with the spools where the model has them."""
-        negative = spool.position < self.middle
+        # where flow tells nothing, the side of the dead zone's middle on which the spool stands
+        negative = np.where(np.abs(flow) > FLOWING, flow < 0.0, spool.position < self.middle)
         sign = np.where(negative, -1.0, 1.0)
         here = np.stack([~negative, negative], axis=-1)  # the direction in which each spool stands
         position, seen = sign * spool.position, sign * flow

@@ -1,0 +1,63 @@
+"""What surrounds training: robustness study, search, pictures, scores of the law alone."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from pathlib import Path
+
+from agents import robustness
+from agents.evaluate import LawAlone
+from agents.robustness import CONDITIONS, as_table, drive, study
+from hydro_env.controllers.rollout import roll_out
+from hydro_env.errors import InputError
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_study_drives_as_the_benchmark_does():
+    """Under no special condition the study's own loop gives the scores of `roll_out`."""
+    cases = [3, 4, 5]
+    ours = drive(LawAlone(), cases, CONDITIONS[0])
+    theirs = roll_out(LawAlone(), cases, mismatch="test_interp").metrics(robustness.METRICS)
+    for name in robustness.METRICS:
+        np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-9)
+
+
+@pytest.mark.parametrize("condition", CONDITIONS[1:3] + CONDITIONS[5:], ids=lambda condition: condition.name)
+def test_every_condition_changes_the_scores(condition):
+    usual = drive(LawAlone(), [3, 4], CONDITIONS[0])
+    other = drive(LawAlone(), [3, 4], condition)
+    assert not np.allclose(usual["max_speed_difference_rpm"], other["max_speed_difference_rpm"])
+
+
+def test_the_study_writes_a_table():
+    rows = study(["pid_tuned"], [0, 1], CONDITIONS[:1])
+    assert json.loads(json.dumps(rows)) == rows
+    assert as_table(rows).splitlines()[-1].startswith("| as trained | ")
+
+
+def test_the_search_tries_values_and_goes_on(tmp_path):
+    pytest.importorskip("optuna")
+    from agents.config import read_config
+    from agents.search import search
+
+    text = (ROOT / "configs" / "ppo_quick.yml").read_text()
+    config = tmp_path / "quick.yml"
+    config.write_text(text)
+    study = search(config, tmp_path / "out", trials=1, steps=512)
+    assert len(study.trials) == 1 and np.isfinite(study.best_value)
+    study = search(config, tmp_path / "out", trials=1, steps=512)
+    assert len(study.trials) == 2
+    tried = read_config(tmp_path / "out" / "trial_0001" / "config.yml")
+    assert tried.training.peak > 0.0 and tried.num_steps == 512
+
+
+def test_the_search_says_what_it_needs(tmp_path):
+    from agents.search import search
+
+    with pytest.raises(InputError, match=r"absent\.yml"):
+        search(tmp_path / "absent.yml", tmp_path / "out", trials=1, steps=512)
