@@ -507,6 +507,11 @@ def test_measured_curve_on_the_command_line(tmp_path: Path) -> None:
     assert data["synchronisation"] is None and data["most_alike"] is None
     assert command(*files, *options, "--out", tmp_path / "apart") == 0
     assert len(json.loads((tmp_path / "apart" / "valve_test.json").read_text())["pairs"]) == 1
+    mixed = [files[1], "paper", *options, "--seconds", "5", "--controllers", "pid_tuned", "--seeds", 1]
+    assert command(*mixed, "--out", tmp_path / "mixed") == 0
+    data = json.loads((tmp_path / "mixed" / "valve_test.json").read_text())
+    assert len(data["pairs"]) == 3 and "measured curves drive no pair" in data["findings"][0]
+    assert data["synchronisation"]["most_alike"][0]["valves"] == ["paper:1", "paper:2"]
 
 
 @pytest.mark.parametrize(

@@ -107,17 +107,15 @@ def run(
         "findings": [],
     }
     models = [each.model for each in tested if each.model is not None]
-    if pairs and controllers and len(models) == len(tested):
-        data["synchronisation"] = synchronisation(
-            models,
-            controllers,
-            alike=(pairs[0]["valves"][0], pairs[0]["valves"][1]),
-            seeds=range(seeds),
-            progress=progress,
-        )
-    elif pairs and controllers:
+    if pairs and controllers and len(models) < len(tested):
         data["findings"].append(
-            "pairs are not driven: a measured curve says nothing of a valve's motion, only models can drive a motor"
+            "measured curves drive no pair: they say nothing of a valve's motion, only models can drive a motor"
+        )
+    if len(models) > 1 and controllers:
+        names = {valve.name for valve in models}
+        alike = next(pair["valves"] for pair in pairs if names.issuperset(pair["valves"]))
+        data["synchronisation"] = synchronisation(
+            models, controllers, alike=(alike[0], alike[1]), seeds=range(seeds), progress=progress
         )
     write_text(out / "curves.csv", _table(tested))
     if pictures:

@@ -231,7 +231,7 @@ def _decide(sweeps: list[Sweep], rates: Floats, rated: float, base: dict[str, An
     if means.min() > 0.0:
         exponent = float(np.polyfit(np.log(rates), np.log(means), 1)[0])
     notes = []
-    if free > 0 and np.max(np.abs(rest)) > 0.1 * widest:
+    if free > 0 and np.max(np.abs(rest) / np.maximum(means, 0.05 * widest)) > 0.15:
         notes.append(
             f"the loop grows as the rate to the power {exponent:.2f}, not along a straight line: the intervals allow for it"
         )
