@@ -50,7 +50,7 @@ def test_the_training_files_are_valid(name):
         ("HydraulicSync-v0:", "Pendulum-v1:", "unknown key 'Pendulum-v1'"),
         ("algorithm: ppo", "algorithm: dqn", "algorithm is 'dqn'"),
         ("evaluate_pairs: 2", "evaluate_scenarios: [sin]", "unknown key 'sin': did you mean 'sine'?"),
-        ("kind: valves", "kind: eyes", "view: kind 'eyes' is unknown"),
+        ("kind: flow", "kind: eyes", "view: kind 'eyes' is unknown"),
         ("n_timesteps: 2048", "n_timesteps: 1e6", "n_timesteps is '1e6'"),
         ("learning_rate: lin_1e-3", "learning_rate: 1e-3", "learning_rate is '1e-3'"),
         ("dict(net_arch", "exec(net_arch", "policy_kwargs"),
