@@ -51,12 +51,13 @@ class Diagnosis:
 
 def diagnose(
     fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], *, model: str | Path | PlantModel = "paper",
-    mapping: str | Path | None = None, jobs: int = 1, seed: int = 0, steady: bool = False,
+    mapping: str | Path | None = None, jobs: int = 1, seed: int = 0, steady: bool = False, without: Sequence[str] = (),
     say: Callable[[str], None] = lambda text: None, count: Callable[[int], None] | None = None,
 ) -> Diagnosis:  # fmt: skip
     """The whole workflow. `say` is told each stage in words, `count` the number of simulations done.
 
-    InputError for anything that cannot be used. `seed` is kept for reproducible resampling; the result is deterministic.
+    `without` names effects that are not to be candidates. InputError for anything that cannot be used. `seed` is kept for
+    reproducible resampling; the result is deterministic.
     """
     begin = time.perf_counter()
     if not fit_logs:
@@ -68,7 +69,7 @@ def diagnose(
     parts, proofs = read_parts(fit_logs, mapping), read_parts(sealed, mapping)
     overlap(parts, proofs)
     _check_channels(parts, proofs)
-    machine = _machine(given_model, parts, steady, jobs, count)
+    machine = _machine(given_model, parts, steady, jobs, count, frozenset(without))
     seconds = max(len(p.log) * p.log.period for p in parts)
 
     try:
@@ -123,14 +124,15 @@ def _workflow(
 
 
 def _machine(
-    model: PlantModel, parts: list[Part], steady: bool, jobs: int, count: Callable[[int], None] | None
-) -> Machine:
+    model: PlantModel, parts: list[Part], steady: bool, jobs: int, count: Callable[[int], None] | None,
+    without: frozenset[str],
+) -> Machine:  # fmt: skip
     kinds = {part.log.kinds[c] for part in parts for c in part.log.channels}
     if len(kinds) > 1:
         raise InputError("the mapping mixes motors and cylinders; diagnose one kind at a time")
     if steady or kinds == {"cylinder"}:
-        return SteadyValve(model, parts, progress=count)
-    return MotorRig(model, parts, jobs=jobs, progress=count)
+        return SteadyValve(model, parts, progress=count, without=without)
+    return MotorRig(model, parts, jobs=jobs, progress=count, without=without)
 
 
 def _check_channels(parts: list[Part], proofs: list[Part]) -> None:

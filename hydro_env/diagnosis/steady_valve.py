@@ -47,8 +47,9 @@ class SteadyValve:
 
     def __init__(
         self, model: PlantModel, parts: list[Part], *, every_row: bool = False, progress: Callable[[int], None] | None = None,
-        flow_gain: dict[int, float] | None = None,
+        flow_gain: dict[int, float] | None = None, without: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
+        self.without = without
         self.model, self.parts, self.progress = model, parts, progress
         self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
         self.segments: dict[int, list[Segment]] = measured_segments(
@@ -71,7 +72,12 @@ class SteadyValve:
 
     def with_parts(self, parts: list[Part], every_row: bool) -> SteadyValve:
         return SteadyValve(
-            self.model, parts, every_row=every_row, progress=self.progress, flow_gain=self.flow_gain
+            self.model,
+            parts,
+            every_row=every_row,
+            progress=self.progress,
+            flow_gain=self.flow_gain,
+            without=self.without,
         )
 
     def close(self) -> None:
@@ -86,7 +92,11 @@ class SteadyValve:
 
     def candidates(self) -> list[str]:
         pressure = all(part.log.has("pressure", c) for part in self.parts for c in self.channels)
-        return [n for n in SUPPORTED if n in CATALOGUE and (pressure or n != "pressure_dependent_flow")]
+        return [
+            n
+            for n in SUPPORTED
+            if n in CATALOGUE and n not in self.without and (pressure or n != "pressure_dependent_flow")
+        ]
 
     def given(self, name: str, channel: int) -> float:
         if name == "Kq":

@@ -1,46 +1,144 @@
-"""How often the diagnosis is right: practice logs of the independent simulator, one hidden effect at a time.
+"""How often the diagnosis is right: blind trials on practice logs of the independent simulator, and the table of them.
 
-    python -m hydro_env.diagnosis.trials --out DIR [--effects dead_zone load_bias ...] [--severity medium] [--base-error 10]
+    python -m hydro_env.diagnosis.trials --out DIR [--groups medium two ...] [--seed N] [--minutes M] [--slice K/N]
+    python -m hydro_env.diagnosis.trials --out DIR --write docs         # the table of what is in DIR, no new trial
 
-Every effect is hidden on one channel (alternately 1 and 2) of a rig whose base parameters differ from the given model's by up
-to `base-error` percent; beside them come rigs with nothing hidden and rigs with wrong parameters only. The effects act in
-the reference simulator's "different" forms, which are not the ones that are fitted. Writes trials.json after every case.
+A trial hides effects in a rig whose base parameters are up to 15 % off the given model's, each channel alone, with noise and
+quantisation. The rig is `plant.reference` with the "different" forms: SciPy's stiff solver, no line of physics in common
+with what is fitted, and every effect in another shape than the catalogue's where one exists. Groups of trials:
+
+    nothing     nothing hidden and the model right
+    parameters  nothing hidden, only parameters wrong
+    medium      every effect at medium severity on one channel (alternately 1 and 2)
+    small, large  the same at half and twice the size
+    two         two effects at once
+    unlisted    every effect hidden at medium severity and taken out of the candidates
+    speed_only, current_too   every effect, only command and speed (and current) in the log, no load applied
+    quiet, noisy  every effect with a tenth of the noise and ten times the noise
+
+Trials that DIR/trials.json holds already are not run again, so a run may be interrupted and continued.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import math
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ..files import write_json
-from ..plant import CATALOGUE
+from ..files import write_json, write_text
+from ..plant import BUILT_IN, CATALOGUE
 from .command import diagnose
 from .hide import make_practice
 
-__all__ = ["run_case", "run_trials", "table"]
+__all__ = ["BARS", "GROUPS", "Case", "cases", "run_case", "run_trials", "summary", "table"]
+
+SCHEMA = "hydro_env/trials/2"
+#: Largest error of a base parameter.
+BASE_ERROR = 0.15
+EVERYTHING = ("setpoint", "current", "pressure", "load")
+PAIRS = (
+    ("dead_zone:1", "load_bias:1"), ("magnetic_hysteresis:1", "line_loss:1"), ("sensor_lag:1", "null_offset:2"),
+    ("supply_droop", "dead_zone:2"), ("flow_saturation:1", "motor_coulomb_friction:1"), ("dead_zone:1", "dead_zone:2"),
+    ("coil_heating:2", "directional_gain:2"), ("pressure_dependent_flow:1", "eccentric_load:2"),
+    ("spring_preload:2", "quadratic_drag:2"), ("command_delay:1", "flow_gain_nonlinearity:1"),
+)  # fmt: skip
+#: group: (settings of the log, whether the effect is taken out of the candidates)
+GROUPS: dict[str, dict[str, Any]] = {
+    "nothing": {"base_error": 0.0},
+    "parameters": {},
+    "medium": {},
+    "two": {},
+    "unlisted": {"unlisted": True},
+    "small": {"severity": "small"},
+    "large": {"severity": "large"},
+    "speed_only": {"record": ("setpoint",)},
+    "current_too": {"record": ("setpoint", "current")},
+    "quiet": {"noise": 0.1},
+    "noisy": {"noise": 10.0},
+}
+#: Trials of the groups that hide nothing.
+EMPTY = 10
+#: What is asked for: (what, counted by, over the groups, at least or at most this share).
+BARS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
+    ("right name or right declared set", "set", ("medium",), 0.95),
+    ("right name", "right", ("medium",), 0.0),
+    ("right channel", "channel", ("medium",), 0.95),
+    ("an effect named though there is none (at most)", "alarm", ("nothing", "parameters"), 0.02),
+    ("`unknown` where the effect is not among the candidates", "right", ("unlisted",), 0.90),
+    ("both of two effects", "both", ("two",), 0.85),
+    ("sealed speed within 1.3 times the noise", "sealed", ("medium",), 0.90),
+    ("the placebo wins (at most)", "placebo", ("medium", "two"), 0.0),
+)
 
 
-def run_case(
-    effects: Sequence[str],
-    *,
-    severity: str = "medium",
-    base_error: float = 0.1,
-    seed: int = 0,
-    duration: float = 12.0,
-) -> dict[str, Any]:
-    """Hides, diagnoses and compares. `right`: verdict and the set of (effect, channel) are the truth's; `rivals`: they are
-    once every named effect may stand for the ones it is said to be indistinguishable from."""
-    practice = make_practice(effects, severity=severity, base_error=base_error, seed=seed, duration=duration)
-    begin = time.process_time()
+@dataclass(frozen=True)
+class Case:
+    """One trial: what is hidden and how it is logged."""
+
+    group: str
+    hidden: tuple[str, ...]
+    seed: int
+    severity: str = "medium"
+    base_error: float = BASE_ERROR
+    noise: float = 1.0
+    record: tuple[str, ...] = EVERYTHING
+    unlisted: bool = False
+
+
+def cases(groups: Sequence[str], seed: int) -> list[Case]:
+    """The trials of these groups; each has a seed of its own, and another `seed` gives other rigs, sizes and manoeuvres."""
+    found = []
+    for group in groups:
+        first = seed + 1000 * list(GROUPS).index(group)
+        sets: list[tuple[str, ...]]
+        if group in ("nothing", "parameters"):
+            sets = [()] * EMPTY
+        elif group == "two":
+            sets = list(PAIRS)
+        else:
+            names = [n for n in BUILT_IN if not getattr(CATALOGUE[n], "family", "")]
+            sets = [
+                (n if CATALOGUE[n].scope == "rig" else f"{n}:{1 + number % 2}",)
+                for number, n in enumerate(names)
+            ]
+        found += [Case(group, hidden, first + number, **GROUPS[group]) for number, hidden in enumerate(sets)]
+    return found
+
+
+def run_case(case: Case, *, duration: float = 12.0, rate: float = 1000.0, jobs: int = 1) -> dict[str, Any]:
+    """Hides, diagnoses and judges; one row of trials.json."""
+    practice = make_practice(
+        case.hidden, severity=case.severity, base_error=case.base_error, noise=case.noise, record=case.record,
+        seed=case.seed, duration=duration, rate=rate,
+    )  # fmt: skip
+    begin, cpu = time.perf_counter(), time.process_time()
+    without = tuple(h.name for h in practice.hidden) if case.unlisted else ()
     with tempfile.TemporaryDirectory() as folder:
         practice.write(Path(folder))
         logs = [Path(folder) / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
-        data = diagnose(logs[:2], logs[2:], model=Path(folder) / "model.yaml").data
+        data = diagnose(
+            logs[:2], logs[2:], model=Path(folder) / "model.yaml", without=without, jobs=jobs
+        ).data
+    sizes = {f"{h.name}.{n}": v for h in practice.hidden for n, v in h.parameters.items() if math.isfinite(v)}
     truth = {(h.name, c) for h in practice.hidden for c in _sides(h.channel)}
+    row = {**asdict(case), "sizes": sizes, **judge(data, truth, practice.truth["verdict"], case.unlisted)}
+    return {
+        **row, "seconds": round(time.perf_counter() - begin, 1), "cpu_s": round(time.process_time() - cpu, 1),
+        "gap": data["gap"]["sealed"], "effects": data["effects"],
+    }  # fmt: skip
+
+
+def judge(
+    data: dict[str, Any], truth: set[tuple[str, str]], expected: str, unlisted: bool = False
+) -> dict[str, Any]:
+    """Compares a diagnosis (the content of diagnosis.json) with the set of hidden (effect, channel)."""
+    expected = "unknown" if unlisted else expected
     named = {(e["name"], c) for e in data["effects"] for c in _sides(e["channel"])}
     tied = {
         (n, c)
@@ -48,20 +146,26 @@ def run_case(
         for n in (e["name"], *e["indistinguishable_from"])
         for c in _sides(e["channel"])
     }
-    speeds = {k: v for k, v in data["gap"]["sealed"].items() if k.startswith("speed")}
-    worst = max(speeds, key=lambda k: speeds[k]["before"])
+    word = data["verdict"]
+    names = word == "effects" and truth <= tied and len(named) <= len(truth)
+    speeds = [v for k, v in data["gap"]["sealed"].items() if k.startswith("speed")]
+    score = {
+        m: sum(math.log(max(v[m] / v["noise"], 1.0)) for v in data["gap"]["sealed"].values())
+        for m in ("after", "placebo")
+    }
     return {
-        "hidden": sorted(f"{n}:{c}" for n, c in truth),
-        "verdict": data["verdict"],
-        "expected": practice.truth["verdict"],
+        "verdict": word,
+        "expected": expected,
         "named": sorted(f"{n}:{c}" for n, c in named),
-        "right": data["verdict"] == practice.truth["verdict"] and named == truth,
-        "rivals": truth <= tied and len(named) <= len(truth),
-        "found": truth <= named,
-        "sealed": {worst: speeds[worst]},
-        "cpu_s": round(time.process_time() - begin, 1),
-        "severity": severity, "base_error": base_error, "seed": seed,
-    }  # fmt: skip
+        "right": word == "unknown" if unlisted else word == expected and named == truth,
+        "set": names,
+        "channel": bool(named) and {c for _, c in named} == {c for _, c in truth},
+        "alarm": bool(named) and not truth,
+        "both": word == "effects" and truth <= tied,
+        "sealed": all(v["after"] <= 1.3 * v["noise"] for v in speeds),
+        "placebo": score["placebo"] < score["after"] - 0.05,
+        "worst": max((v["after"] / v["noise"] for v in speeds), default=math.nan),
+    }
 
 
 def _sides(channel: str) -> tuple[str, ...]:
@@ -69,64 +173,132 @@ def _sides(channel: str) -> tuple[str, ...]:
 
 
 def run_trials(
-    out: Path, effects: Sequence[str], *, severity: str = "medium", base_error: float = 0.1, seed: int = 100
-) -> list[dict[str, Any]]:
-    """All cases one after the other; trials.json holds what is done so far."""
-    from tqdm import tqdm
-
+    out: Path, wanted: Sequence[Case], *, minutes: float = math.inf, jobs: int = 1, say: Callable[[str], None] = print,
+    duration: float = 12.0, rate: float = 1000.0,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Runs the trials that DIR/trials.json lacks, for `minutes` at most; the file holds what is done so far."""
     out.mkdir(parents=True, exist_ok=True)
-    cases: list[tuple[list[str], float]] = [([], 0.0), ([], base_error)]
-    for number, name in enumerate(effects):
-        cases.append(([name if CATALOGUE[name].scope == "rig" else f"{name}:{1 + number % 2}"], base_error))
-    rows: list[dict[str, Any]] = []
-    for number, (hidden, wrong) in enumerate(tqdm(cases, unit="case")):
-        rows.append(run_case(hidden, severity=severity, base_error=wrong, seed=seed + number))
-        write_json(out / "trials.json", {"schema": "hydro_env/trials/1", "rows": rows})
+    path = out / "trials.json"
+    rows: list[dict[str, Any]] = json.loads(path.read_text())["rows"] if path.exists() else []
+    done = {(r["group"], tuple(r["hidden"]), r["seed"]) for r in rows}
+    end = time.monotonic() + 60.0 * minutes
+    for case in wanted:
+        if (case.group, case.hidden, case.seed) in done:
+            continue
+        if time.monotonic() > end:
+            break
+        rows.append(run_case(case, duration=duration, rate=rate, jobs=jobs))
+        write_json(path, {"schema": SCHEMA, "rows": rows})
+        say(line(rows[-1]))
     return rows
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """One line for each case and a line of totals."""
-    lines = []
-    for row in rows:
-        mark = (
-            "right"
-            if row["right"]
-            else "tied"
-            if row["rivals"] and row["hidden"]
-            else "and more"
-            if row["found"] and row["hidden"]
-            else "wrong"
+def line(row: dict[str, Any]) -> str:
+    """One trial in a line."""
+    mark = "right" if row["right"] else "set" if row["set"] else "WRONG"
+    hidden = ", ".join(row["hidden"]) or "nothing"
+    return (
+        f"{row['group']:<12}{hidden:<44}{mark:<7}{row['verdict']:<12}{', '.join(row['named']) or '-':<60}"
+        f"{row['worst']:6.2f} x noise {row['seconds']:6.0f} s"
+    )
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What was reached beside each bar: counts over the trials of its groups that were run."""
+    found = []
+    for what, key, groups, bar in BARS:
+        own = [r for r in rows if r["group"] in groups]
+        found.append(
+            {
+                "what": what,
+                "groups": list(groups),
+                "bar": bar,
+                "count": sum(bool(r[key]) for r in own),
+                "trials": len(own),
+            }
         )
-        key, gap = next(iter(row["sealed"].items()))
-        hidden = ", ".join(row["hidden"]) or f"nothing ({row['expected']})"
+    return found
+
+
+def table(rows: Sequence[dict[str, Any]], command: str) -> str:
+    """The table in Markdown: bars, counts by group, and every trial that went wrong."""
+    lines = ["| asked for | trials | bar | reached |", "|---|---|---|---|"]
+    for s in summary(rows):
+        if s["trials"]:
+            bar = "" if s["bar"] == 0.0 and "most" not in s["what"] else f"{100 * s['bar']:.0f} %"
+            lines.append(
+                f"| {s['what']} | {', '.join(s['groups'])} | {bar} | "
+                f"{s['count']} of {s['trials']} ({100 * s['count'] / s['trials']:.0f} %) |"
+            )
+    lines += [
+        "",
+        "| group | trials | right | right or in the declared set | median CPU, s |",
+        "|---|---|---|---|---|",
+    ]
+    for group in GROUPS:
+        own = [r for r in rows if r["group"] == group]
+        if own:
+            times = sorted(r["cpu_s"] for r in own)
+            lines.append(
+                f"| {group} | {len(own)} | {sum(r['right'] for r in own)} | "
+                f"{sum(r['right'] or r['set'] for r in own)} | {times[len(times) // 2]:.0f} |"
+            )
+    wrong = [r for r in rows if not r["right"]]
+    lines += [
+        "",
+        "Trials that were not simply right:",
+        "",
+        "| group | hidden | verdict | named | seed |",
+        "|---|---|---|---|---|",
+    ]
+    for r in wrong:
+        names = ", ".join(
+            f"{e['name']}:{e['channel']}"
+            + (f" (or {', '.join(e['indistinguishable_from'])})" if e["indistinguishable_from"] else "")
+            for e in r["effects"]
+        )
         lines.append(
-            f"{hidden:<34}{mark:<10}{row['verdict']:<13}{', '.join(row['named']) or '-':<60}"
-            f"{key}: {gap['before']:.3g} -> {gap['after']:.3g} (noise {gap['noise']:.2g})"
+            f"| {r['group']} | {', '.join(r['hidden']) or 'nothing'} | {r['verdict']} | {names or '-'} | {r['seed']} |"
         )
-    lines.append(f"{sum(r['right'] for r in rows)} of {len(rows)} right")
-    return "\n".join(lines)
+    return "\n".join([f"Made by `{command}`; {len(rows)} trials.", "", *lines, ""])
+
+
+_BEGIN, _END = "<!-- trials -->", "<!-- end of trials -->"
+
+
+def publish(rows: Sequence[dict[str, Any]], folder: Path, command: str) -> None:
+    """Writes FOLDER/trials.json with all counts, and the table into FOLDER/diagnosis.md between its two marks."""
+    short = [{k: v for k, v in r.items() if k != "gap"} for r in rows]
+    write_json(folder / "trials.json", {"schema": SCHEMA, "summary": summary(rows), "rows": short})
+    page = folder / "diagnosis.md"
+    text = page.read_text() if page.exists() else f"# How often the diagnosis is right\n\n{_BEGIN}\n{_END}\n"
+    before, _, rest = text.partition(_BEGIN)
+    _, _, after = rest.partition(_END)
+    write_text(page, f"{before}{_BEGIN}\n{table(rows, command)}{_END}{after}")
 
 
 def _main() -> None:
     parser = argparse.ArgumentParser(description="How often the diagnosis is right.")
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--effects", nargs="*", default=[e.name for e in CATALOGUE.values() if not e.family])
-    parser.add_argument("--severity", default="medium")
-    parser.add_argument("--base-error", type=float, default=10.0, help="percent")
-    parser.add_argument("--seed", type=int, default=100)
-    given = parser.parse_args()
-    print(
-        table(
-            run_trials(
-                given.out,
-                given.effects,
-                severity=given.severity,
-                base_error=given.base_error / 100.0,
-                seed=given.seed,
-            )
-        )
+    parser.add_argument(
+        "--groups", nargs="*", default=["nothing", "parameters", "medium", "two", "unlisted"], choices=GROUPS
     )
+    parser.add_argument("--seed", type=int, default=20000)
+    parser.add_argument("--minutes", type=float, default=math.inf)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--slice", default="1/1", help="K/N: every N-th trial from the K-th")
+    parser.add_argument("--write", type=Path, help="folder of documents to write the table to; runs nothing")
+    given = parser.parse_args()
+    if given.write is not None:
+        rows = json.loads((given.out / "trials.json").read_text())["rows"]
+        publish(rows, given.write, f"python -m hydro_env.diagnosis.trials --seed {given.seed} --out DIR")
+        return
+    part, of = map(int, given.slice.split("/"))
+    wanted = cases(given.groups, given.seed)[part - 1 :: of]
+    rows = run_trials(given.out, wanted, minutes=given.minutes, jobs=given.jobs)
+    for s in summary(rows):
+        if s["trials"]:
+            print(f"{s['what']:<60}{s['count']:4} of {s['trials']}")
 
 
 if __name__ == "__main__":
