@@ -159,6 +159,41 @@ def test_a_modelled_valve(overlaps: tuple[float, float], offset: float) -> None:
     assert data["gain_asymmetry_percent"] == pytest.approx(20.0, abs=0.3)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_valves_drawn_at_random(noise: float) -> None:
+    """Edges within 3 um and gains within 0.5 %, with noise of 1 % too; the loop lies where friction and magnet put it."""
+    rng = np.random.default_rng(7)
+    for _ in range(8):
+        friction = rng.uniform(0.1, 0.4)
+        valve = {
+            "Fs": friction,
+            "Fc": rng.uniform(0.1, min(friction, 0.3)),
+            "vs": 10.0 ** rng.uniform(-4.0, -2.0),
+            "Kq": 0.476106 * rng.uniform(0.65, 1.0),
+            "null_offset.offset": rng.uniform(-3e-5, 3e-5),
+            "dead_zone.overlap_positive": rng.uniform(0.0, 2e-4),
+            "dead_zone.overlap_negative": rng.uniform(0.0, 2e-4),
+            "magnetic_hysteresis.amplitude": rng.uniform(0.0, 0.3),
+        }
+        curve = record(PAPER.with_values(valve), 0)
+        added = noise * np.abs(curve.flow).max() * rng.standard_normal(len(curve.flow))
+        found = identify(replace(curve, flow=curve.flow + added))
+        travel, offset = curve.travel_per_signal, valve["null_offset.offset"]
+        assert travel is not None and found.positive is not None and found.negative is not None
+        for side, word, shift in (
+            (found.positive, "positive", -offset),
+            (found.negative, "negative", offset),
+        ):
+            edge = valve[f"dead_zone.overlap_{word}"] + shift
+            assert side.dead_zone * travel == pytest.approx(edge, abs=3e-6)
+            assert side.gain / travel == pytest.approx(valve["Kq"], rel=0.005)
+        # A spool that creeps is held by something between Coulomb and static friction.
+        low, high = (
+            200.0 * (valve[f] + valve["magnetic_hysteresis.amplitude"]) / (20.0 * 0.73) for f in ("Fc", "Fs")
+        )
+        assert found.mean_loop_percent is not None and low - 0.1 < found.mean_loop_percent < high + 0.1
+
+
 def test_a_curved_and_saturated_edge() -> None:
     model = SMOOTH.with_values(
         {
