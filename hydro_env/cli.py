@@ -207,7 +207,8 @@ def valve_test(
     flow_unit: Annotated[str | None, typer.Option(help="lpm, GPM, ... Default: the header's.")] = None,
     time_unit: Annotated[str | None, typer.Option(help="s, ms, ... Default: the header's, or s.")] = None,
     rated: Annotated[
-        float | None, typer.Option(help="Rated signal of a measured valve, in its unit. Default: the largest.")
+        float | None,
+        typer.Option(help="Rated signal of a measured valve, in its unit. Default: the largest."),
     ] = None,
     row_period: Annotated[
         float | None, typer.Option(help="Time between rows, s, where no column tells it.")
@@ -252,7 +253,9 @@ def valve_test(
                     ),
                     sweep_periods=_numbers("--sweep-period", sweep_period),
                     one_valve=one_valve,
-                    controllers=[] if controllers == "none" else [each.strip() for each in controllers.split(",")],
+                    controllers=[]
+                    if controllers == "none"
+                    else [each.strip() for each in controllers.split(",")],
                     seeds=seeds,
                     pictures=pictures,
                 )
@@ -428,8 +431,9 @@ def hide(
 def diagnose(
     out: Out,
     fit_logs: Annotated[
-        list[str], typer.Argument(metavar="FIT_LOG...", help="Logs to learn from; LOG@FROM:TO: a part, s.")
-    ],
+        list[str] | None,
+        typer.Argument(metavar="FIT_LOG...", help="Logs to learn from; LOG@FROM:TO: a part, s."),
+    ] = None,
     sealed: Annotated[
         list[str] | None, typer.Option(metavar="LOG...", help="Logs that are kept for the proof.")
     ] = None,
@@ -440,19 +444,38 @@ def diagnose(
     steady: Annotated[
         bool, typer.Option("--steady", help="Use the reduced model of a slow cylinder axis.")
     ] = False,
+    inspect: Annotated[
+        str | None,
+        typer.Option("--inspect", metavar="LOG", help="Show what would be read of a log; propose a mapping."),
+    ] = None,
     effect_files: EffectFiles = None,
     jobs: Jobs = 1,
     seed: Seed = 0,
 ) -> None:
     """Find out from logs what a model lacks.
 
-    Writes diagnosis.json, report.html and model.yaml.
+    Writes diagnosis.json, report.html and model.yaml; with --inspect only mapping.yaml, where one is needed.
     """
     with _writing(out) as folder:
+        if inspect is not None:
+            from hydro_env.measured.inspect import shown
+
+            text, proposal = shown(inspect, mapping)
+            print(text)
+            if proposal:
+                (folder / "mapping.yaml").write_text(proposal)
+            return
         from hydro_env.diagnosis import command
         from hydro_env.plant import load_effects
 
         load_effects(effect_files or [])
         command.run(
-            fit_logs, sealed or [], folder, model=model, mapping=mapping, jobs=jobs, seed=seed, steady=steady
+            fit_logs or [],
+            sealed or [],
+            folder,
+            model=model,
+            mapping=mapping,
+            jobs=jobs,
+            seed=seed,
+            steady=steady,
         )

@@ -1,0 +1,254 @@
+"""A first mapping for a foreign log: which column is likely to be what, in which unit, and what would then be read.
+
+`propose` goes by names ("Drehzahl_1 [1/min]", "p_A2_bar", "cmd left") and, where a name gives no unit, by magnitudes; every
+guess says why it was made. The text is a mapping file to be read by a person and corrected, not to be trusted.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ..errors import InputError
+from ..units import UNITS, unit
+from .formats import BINARY, read_binary
+from .log import RigLog, read_log
+from .mapping import Mapping, contract_columns, load_mapping
+from .table import CsvStyle, read_csv
+
+__all__ = ["Proposal", "propose", "shown"]
+
+#: Words of a column's name, by signal; the first signal that has one wins.
+_WORDS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("time", ("time", "zeit", "timestamp", "t", "clock", "temps")),
+    ("supply", ("ps", "supply", "psupply", "psys", "versorgung", "pumpe", "pump")),
+    ("temperature", ("temp", "temperature", "temperatur", "toil", "oel", "degc")),
+    ("setpoint", ("setpoint", "ref", "reference", "soll", "sollwert", "solldrehzahl", "desired", "target", "nref")),
+    ("command", ("cmd", "command", "u", "volt", "voltage", "spannung", "stell", "stellgroesse", "valve", "ventil", "drive")),
+    ("current", ("i", "current", "strom", "coil", "amp", "ampere")),
+    ("spool", ("spool", "schieber", "xv", "lvdt")),
+    ("load", ("load", "torque", "moment", "last", "lastmoment", "force", "kraft")),
+    ("flow", ("flow", "q", "durchfluss", "volumenstrom")),
+    ("pressure", ("p", "pressure", "druck", "dp", "pl", "pa", "pb", "differenzdruck")),
+    ("speed", ("speed", "rpm", "n", "vel", "velocity", "drehzahl", "omega", "w", "v", "xdot", "geschwindigkeit")),
+)  # fmt: skip
+_QUANTITIES = {
+    "time": ("time",), "supply": ("pressure",), "temperature": ("temperature",), "setpoint": ("angular speed", "linear speed"),
+    "command": ("voltage", "fraction"), "current": ("current",), "spool": ("length",), "load": ("torque", "force"),
+    "flow": ("flow",), "pressure": ("pressure",), "speed": ("angular speed", "linear speed"),
+}  # fmt: skip
+_RIG = ("time", "supply", "temperature", "setpoint")
+_SIDES = {"1": 1, "2": 2, "left": 1, "right": 2, "links": 1, "rechts": 2, "l": 1, "r": 2, "main": 1, "jib": 2}
+_SHOWN = {
+    "angular speed": "rpm", "linear speed": "mm/s", "pressure": "bar", "voltage": "V", "current": "A", "length": "mm",
+    "torque": "N m", "force": "N", "flow": "l/min", "temperature": "degC", "time": "s",
+}  # fmt: skip
+
+_PLAIN = {
+    ord(a): b for a, b in (("ö", "oe"), ("ü", "ue"), ("ä", "ae"), ("Ö", "Oe"), ("Ü", "Ue"), ("Ä", "Ae"))
+}
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """`text` is the mapping file; `notes` say why; `log` is what it reads, or None with the reason in `problem`."""
+
+    text: str
+    notes: tuple[str, ...]
+    log: RigLog | None
+    problem: str
+
+
+def _columns(path: Path) -> dict[str, np.ndarray]:
+    """Every column of numbers of a file."""
+
+    def read(wanted: tuple[str, ...] | None) -> tuple[tuple[str, ...], dict[str, np.ndarray]]:
+        def choose(names: tuple[str, ...]) -> tuple[str, ...]:
+            return tuple(n for n in names if n) if wanted is None else wanted
+
+        suffix = path.with_suffix("").suffix if path.suffix == ".gz" else path.suffix
+        if suffix.lower() in BINARY:
+            table = read_binary(path, choose)
+        else:
+            table = read_csv(path, choose, CsvStyle(header=None))
+        return table.names, table.columns
+
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give the path of a log")
+    try:
+        return read(None)[1]
+    except InputError:
+        names, found = read(())[0], {}
+        for name in names:  # some columns are text, or on another clock
+            try:
+                found[name] = read((name,))[1][name]
+            except InputError:
+                continue
+        longest = max((len(v) for v in found.values()), default=0)
+        return {n: v for n, v in found.items() if len(v) == longest}
+
+
+def _words(name: str) -> list[str]:
+    """`motorSpeed_1 [1/min]` -> motor, speed, 1, without what stands in brackets."""
+    bare = re.sub(r"[\[(].*?[\])]", " ", name)
+    bare = re.sub(r"([a-zäöü])([A-Z])", r"\1 \2", bare)
+    bare = re.sub(r"([A-Za-zäöü])(\d)", r"\1 \2", bare)
+    plain = bare.translate(_PLAIN)
+    return [w.lower() for w in re.split(r"[^0-9A-Za-z]+", plain) if w]
+
+
+def _unit_of(name: str, quantities: tuple[str, ...]) -> str | None:
+    """The unit that a name gives, in brackets or as its last word."""
+    texts = re.findall(r"[\[(](.*?)[\])]", name) + re.split(r"[_\s]", name)[1:][::-1]
+    for text in texts:
+        try:
+            found = unit(text.strip())
+        except InputError:
+            continue
+        if text.strip() and found.quantity in quantities and not text.strip().isdigit():
+            return found.name
+    return None
+
+
+def _guessed_unit(signal: str, values: np.ndarray) -> str:
+    """The unit in which the magnitudes make sense."""
+    finite = np.abs(values[np.isfinite(values)])
+    size = float(np.quantile(finite, 0.99)) if finite.size else 0.0
+    if signal == "time":
+        step = float(np.median(np.diff(values[np.isfinite(values)]))) if values.size > 2 else 0.0
+        return "us" if step >= 500.0 else "ms" if step >= 0.9 else "s"
+    if signal in ("pressure", "supply"):
+        return "Pa" if size > 5e4 else "kPa" if size > 1500.0 else "bar" if size > 1.0 else "MPa"
+    if signal == "command":
+        return "fraction" if size <= 1.05 else "V" if size <= 80.0 else "percent" if size <= 101.0 else "mV"
+    if signal in ("speed", "setpoint"):
+        return "rpm" if size > 5.0 else "m/s" if size < 1.0 else "rad/s"
+    if signal == "flow":
+        return "m3/s" if size < 0.01 else "l/min"
+    if signal == "current":
+        return "mA" if size > 10.0 else "A"
+    return {"spool": "mm", "load": "N m", "temperature": "degC"}[signal]
+
+
+def _signal_of(name: str) -> str | None:
+    words = _words(name)
+    for signal, known in _WORDS:
+        if any(w in known for w in words):
+            return signal
+    joined = " ".join(words)
+    for signal, known in _WORDS:
+        if any(len(k) > 3 and k in joined for k in known):
+            return signal
+    return None
+
+
+def propose(path: str | Path) -> Proposal:
+    """Looks at a log and proposes a mapping. InputError if it cannot be read at all."""
+    path = Path(path)
+    columns = _columns(path)
+    if {"time_s"} <= set(columns) and sum(n in contract_columns() for n in columns) >= 3:
+        try:
+            return Proposal(
+                "", ("the header is the rig log's own: no mapping is needed",), read_log(path), ""
+            )
+        except InputError as error:
+            return Proposal("", ("the header is the rig log's own",), None, str(error))
+    notes: list[str] = []
+    content: dict[str, Any] = {
+        "schema": "hydro_env/mapping/1",
+        "name": re.sub(r"\W+", "_", path.name.split(".")[0]),
+    }
+    channels: dict[int, dict[str, Any]] = {1: {}, 2: {}}
+    for name, values in columns.items():
+        signal = _signal_of(name)
+        if signal is None:
+            notes.append(f"{name!r}: not recognised, left out")
+            continue
+        given = _unit_of(name, _QUANTITIES[signal])
+        chosen = given or _guessed_unit(signal, values)
+        why = "unit from the name" if given else "unit guessed from the size of the numbers"
+        source: dict[str, Any] = {"column": name, "unit": chosen}
+        if UNITS[chosen].quantity == "fraction":
+            source["full_scale"] = 10.0
+            why += "; full_scale is a guess: the volts at 100 %"
+        if not np.isfinite(values).any() or np.ptp(values[np.isfinite(values)]) == 0.0:
+            notes.append(f"{name!r}: constant, left out")
+            continue
+        if signal in _RIG:
+            where, target = "the rig", content
+        else:
+            number = next((_SIDES[w] for w in _words(name) if w in _SIDES), 1)
+            where, target = f"channel {number}", channels[number]
+        if signal in target:
+            notes.append(f"{name!r}: looks like another {signal} of {where}, left out")
+            continue
+        target[signal] = source
+        notes.append(f"{name!r}: {signal} of {where} in {chosen} ({why})")
+    if "time" not in content:
+        content["time"] = {"sample_rate": 1000}
+        notes.append("no clock found: 1000 rows per second is a placeholder, put the true rate")
+    for number, channel in channels.items():
+        speed = channel.get("speed")
+        if isinstance(speed, dict) and UNITS[str(speed["unit"])].quantity == "linear speed":
+            channel["actuator"] = "cylinder"
+            notes.append(
+                f"channel {number}: a linear speed, so taken for a cylinder; add its displacement (piston area)"
+            )
+        if "command" in channel and "speed" in channel:
+            content[f"channel_{number}"] = channel
+        elif channel:
+            lacking = " and ".join(s for s in ("command", "speed") if s not in channel)
+            notes.append(f"channel {number}: no {lacking} found, left out")
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    if not any(f"channel_{n}" in content for n in (1, 2)):
+        return Proposal(
+            text, tuple(notes), None, "no channel with a command and a speed was found; name them by hand"
+        )
+    try:
+        return Proposal(text, tuple(notes), read_log(path, Mapping.model_validate(yaml.safe_load(text))), "")
+    except (InputError, ValueError) as error:
+        return Proposal(text, tuple(notes), None, str(error).splitlines()[0])
+
+
+def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str]:
+    """What would be read of a log, as text for a terminal, and the proposed mapping file ("" where none is needed)."""
+    if mapping is not None:
+        proposal = Proposal("", (f"read with {mapping}",), read_log(path, load_mapping(mapping)), "")
+    else:
+        proposal = propose(path)
+    lines = [str(path), *(f"  {note}" for note in proposal.notes)]
+    log = proposal.log
+    if log is None:
+        return "\n".join([*lines, f"not readable yet: {proposal.problem}"]), proposal.text
+    lines.append(
+        f"{len(log)} rows, {log.time_s[-1] - log.time_s[0]:.6g} s at {1.0 / log.period:.6g} Hz"
+        + ("" if log.uniform else ", unevenly spaced: it would be put on an even grid")
+    )
+    lines.append(f"  {'signal':<14}{'unit':<7}{'least':>11}{'median':>11}{'most':>11}")
+    for signal in log.signals:
+        values = log.get(signal)
+        assert values is not None
+        for c in log.channels if values.ndim == 2 else (None,):
+            if c is not None and not log.has(signal, c):
+                continue
+            name = _shown_unit(signal, log, c)
+            one = values if c is None else values[:, c]
+            low, middle, high = (np.nanquantile(one, q) for q in (0.0, 0.5, 1.0))
+            offset, scale = UNITS[name].offset, UNITS[name].scale
+            numbers = "".join(f"{(v - offset) / scale:11.4g}" for v in (low, middle, high))
+            lines.append(f"  {signal + ('' if c is None else f' {c + 1}'):<14}{name:<7}{numbers}")
+    lines += [f"  {f.message}" + (f"; {f.suggestion}" if f.suggestion else "") for f in log.findings]
+    if not log.findings:
+        lines.append("  nothing suspicious found")
+    return "\n".join(lines), proposal.text
+
+
+def _shown_unit(signal: str, log: RigLog, channel: int | None) -> str:
+    quantities = _QUANTITIES[signal]
+    linear = log.kinds[log.channels[0] if channel is None else channel] == "cylinder"
+    return _SHOWN[quantities[1] if linear and len(quantities) == 2 and signal != "command" else quantities[0]]
