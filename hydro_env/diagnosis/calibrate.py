@@ -15,6 +15,10 @@ from .unknowns import Unknown, base_unknown, limited_by_effects
 __all__ = ["as_given", "base_unknowns", "calibrate", "floors_from"]
 
 
+#: Parameters that act on the current alone of all signals before the spool.
+COIL = ("R", "L")
+
+
 def base_unknowns(machine: Machine, channel: int) -> list[Unknown]:
     """The parameters that calibration may adjust, about their values in the model as given.
 
@@ -52,10 +56,32 @@ def floors_from(machine: Machine, problems: dict[int, Problem]) -> Floors:
 
 
 def calibrate(machine: Machine, floors: Floors, iterations: int = 18) -> dict[int, Problem]:
-    """Adjusts the base parameters of every channel, with priors about the model as given."""
+    """Adjusts the base parameters of every channel, with priors about the model as given.
+
+    The coil comes first, by the current alone: nothing behind it acts back, so that no missing effect can pull it away.
+    """
     problems = {}
     for channel in machine.channels:
         unknowns = base_unknowns(machine, channel)
         problems[channel] = Problem(channel, unknowns, np.zeros(len(unknowns)), "calibrated")
+    _coil_first(machine, problems, floors)
     solve(machine, list(problems.values()), floors, iterations)
     return problems
+
+
+def _coil_first(machine: Machine, problems: dict[int, Problem], floors: Floors) -> None:
+    """Starts the coil's parameters where they explain the measured current best."""
+    coils = {}
+    for channel, problem in problems.items():
+        own = [j for j, u in enumerate(problem.unknowns) if u.name in COIL]
+        if own and any(s.signal == "current" for s in machine.segments[channel]):
+            coils[channel] = own
+    # Signals behind the coil are given so much noise that they do not count.
+    deaf = {key: floor if key[1] == "current" else 1e6 * floor for key, floor in floors.items()}
+    alone = {
+        c: Problem(c, [problems[c].unknowns[j] for j in own], np.zeros(len(own)), "coil")
+        for c, own in coils.items()
+    }
+    solve(machine, list(alone.values()), deaf, 6)
+    for channel, own in coils.items():
+        problems[channel].q[own] = alone[channel].q

@@ -24,7 +24,7 @@ from .machine import Machine
 from .motor import MotorRig
 from .parts import Part, overlap, read_parts
 from .prove import Proof, prove
-from .result import Named, at_bounds, diagnosis_dict, estimated_model, named_effects, verdict
+from .result import Named, at_bounds, diagnosis_dict, estimated_model, make_sure, named_effects, verdict
 from .select import Selection, select
 from .signatures import Look, first_look
 from .steady_valve import SteadyValve
@@ -56,8 +56,8 @@ def diagnose(
 ) -> Diagnosis:  # fmt: skip
     """The whole workflow. `say` is told each stage in words, `count` the number of simulations done.
 
-    `without` names effects that are not to be candidates. InputError for anything that cannot be used. `seed` is kept for
-    reproducible resampling; the result is deterministic.
+    `without` names effects that are not to be candidates. InputError for anything that cannot be used. `seed` is that of
+    the bootstrap; the same seed gives the same result.
     """
     begin = time.perf_counter()
     if not fit_logs:
@@ -73,14 +73,14 @@ def diagnose(
     seconds = max(len(p.log) * p.log.period for p in parts)
 
     try:
-        return _workflow(machine, given_model, parts, proofs, seconds, say, begin)
+        return _workflow(machine, given_model, parts, proofs, seconds, say, begin, seed)
     finally:
         machine.close()
 
 
 def _workflow(
     machine: Machine, given_model: PlantModel, parts: list[Part], proofs: list[Part], seconds: float,
-    say: Callable[[str], None], begin: float,
+    say: Callable[[str], None], begin: float, seed: int,
 ) -> Diagnosis:  # fmt: skip
     """The stages."""
     say("model as given")
@@ -108,7 +108,9 @@ def _workflow(
     fit_proof = prove(machine, models)
     sealed_proof = prove(machine.with_parts(proofs, True), models)
 
-    named = named_effects(machine, selection, looks)
+    say("how sure")
+    make_sure(machine, [*selection.problems.values(), *calibrated.values()], floors, seed)
+    named = named_effects(machine, selection, looks, floors, seed)
     warnings = _warnings(machine, parts, proofs, final, sealed_proof)
     hashes = {Path(str(p.label).split("@")[0]).name: p.log.sha256 for p in (*parts, *proofs)}
     data = diagnosis_dict(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -18,6 +19,9 @@ from .machine import Machine, Request, Segment
 from .noise import effective_samples
 from .unknowns import Unknown
 
+if TYPE_CHECKING:
+    from .certainty import Certainty
+
 __all__ = [
     "Floors",
     "Problem",
@@ -25,8 +29,11 @@ __all__ = [
     "differentiate",
     "evaluate",
     "gain",
+    "levels",
+    "normal_parts",
     "rescored",
     "rms",
+    "saved_by_stretch",
     "solve",
 ]
 
@@ -57,6 +64,7 @@ class Problem:
     columns: dict[int, Vector] = field(default_factory=dict)
     spread: Vector | None = None
     cost: float = np.inf
+    certainty: Certainty | None = None
 
     def request(self, q: Vector | None = None) -> Request:
         """The simulation at q (default: at the estimate)."""
@@ -117,6 +125,19 @@ def _powers(
             np.add.reduceat(error * error, first) / np.maximum(count, 1.0) + floors[channel, s.signal] ** 2
         )
         yield s, first, count, power
+
+
+def levels(machine: Machine, simulated: Vector, channel: int, floors: Floors) -> dict[str, float]:
+    """By signal: how far the errors are above the noise, as the mean over blocks of log(power), 0 at the noise.
+
+    Unlike an RMS it is not a matter of a few events, such as a spool that meets its end stop a millisecond late.
+    """
+    sums: dict[str, list[float]] = {}
+    for s, _, count, power in _powers(machine, simulated, channel, floors):
+        entry = sums.setdefault(s.signal, [0.0, 0.0])
+        entry[0] += float(count @ np.log(power / floors[channel, s.signal] ** 2))
+        entry[1] += float(count.sum())
+    return {name: max(total / max(n, 1.0) - float(np.log(2.0)), 0.0) for name, (total, n) in sums.items()}
 
 
 def _cost(
@@ -296,6 +317,61 @@ def _spread(machine: Machine, problem: Problem, floors: Floors) -> Vector:
             columns = problem.columns[channel][s.place] * weights[s.place, None]
             matrix = matrix + share * (columns.T @ columns)
     return np.sqrt(np.maximum(np.diag(np.linalg.pinv(matrix, hermitian=True)), 0.0))
+
+
+def _stretches(segment: Segment, stretch_s: float) -> Vector:
+    """Number of the stretch of each row of a segment."""
+    return (np.arange(segment.rows.size) * segment.period / stretch_s).astype(int)
+
+
+def normal_parts(
+    machine: Machine, problem: Problem, floors: Floors, stretch_s: float
+) -> tuple[Vector, Vector]:
+    """Normal matrices (m, k, k) and right-hand sides (m, k), without priors, of m stretches of time of all logs.
+
+    Samples count by the share of them that is independent.
+    """
+    size = len(problem.unknowns)
+    found: dict[tuple[int, int], tuple[Vector, Vector]] = {}
+    for channel in channels_of(problem, machine):
+        weights = _weights(machine, problem.simulated[channel], channel, floors)
+        for s in machine.segments[channel]:
+            if s.used.sum() < 8:
+                continue
+            error = np.where(s.used, np.nan_to_num(s.measured) - problem.simulated[channel][s.place], 0.0)
+            share = effective_samples(error[s.used]) / float(s.used.sum())
+            columns = problem.columns[channel][s.place] * weights[s.place, None]
+            number = _stretches(s, stretch_s)
+            for n in range(number[-1] + 1):
+                rows = number == n
+                matrix, side = found.setdefault((s.log, n), (np.zeros((size, size)), np.zeros(size)))
+                part = columns[rows]
+                matrix += share * (part.T @ part)
+                side += share * (part.T @ (error[rows] * weights[s.place][rows]))
+    ordered = [found[key] for key in sorted(found)]
+    return np.array([m for m, _ in ordered]), np.array([v for _, v in ordered])
+
+
+def saved_by_stretch(
+    machine: Machine, smaller: Problem, larger: Problem, channel: int, floors: Floors, stretch_s: float
+) -> Vector:
+    """Fall of the deviance from `smaller` to `larger` (m,) in every stretch of a channel's logs, in independent samples."""
+    found: dict[tuple[int, int], float] = {}
+    for s in machine.segments[channel]:
+        floor = floors[channel, s.signal] ** 2
+        number = _stretches(s, stretch_s)
+        errors = [
+            np.where(s.used, np.nan_to_num(s.measured) - p.simulated[channel][s.place], 0.0)
+            for p in (smaller, larger)
+        ]
+        if s.used.sum() < 8:
+            continue
+        share = effective_samples(errors[1][s.used]) / float(s.used.sum())
+        counts = np.bincount(number, s.used.astype(float))
+        powers = [np.bincount(number, e * e) / np.maximum(counts, 1.0) + floor for e in errors]
+        for n, value in enumerate(share * counts * np.log(powers[0] / powers[1])):
+            found[s.log, n] = found.get((s.log, n), 0.0) + float(value)
+    return np.array([found[key] for key in sorted(found)])
 
 
 def gain(

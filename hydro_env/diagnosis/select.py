@@ -19,7 +19,7 @@ from .fit import Floors, Problem, channels_of, differentiate, evaluate, gain, so
 from .machine import Machine
 from .noise import effective_samples
 from .signatures import Look, first_look
-from .unknowns import effect_unknowns
+from .unknowns import bases_of, effect_unknowns, less_taken
 
 __all__ = ["Choice", "Selection", "Trial", "penalty", "select"]
 
@@ -31,6 +31,10 @@ CHEAP, FULL = 9, 3
 LATER_CHEAP, LATER_FULL = 5, 2
 #: Effects on a channel at most.
 MOST = 3
+#: A rival whose gain is less than this share behind counts as not told apart.
+NEAR = 0.1
+#: Most iterations of the joint refit of what was taken.
+SETTLE = 12
 #: Candidates whose cheap refit reached less than this share of the best one's are not refitted in full.
 FAR = 0.5
 #: An effect must explain this share of what is left above the noise, in the signal where it explains most.
@@ -54,13 +58,14 @@ class Trial:
 
 @dataclass
 class Choice:
-    """An effect that was taken, its gain over leaving it out, and rivals that did nearly as well in its place."""
+    """An effect that was taken, its gain over leaving it out (`without`), and rivals that did nearly as well in its place."""
 
     effect: str
     channel: int | None
     gain: float
     needed: float
     rivals: dict[str, float] = field(default_factory=dict)  # name -> deficit of deviance
+    without: Problem | None = None
 
 
 @dataclass
@@ -83,7 +88,13 @@ def extended(problem: Problem, look: Look) -> Problem:
     """The problem with an effect more, at the size of the first look; derivatives are taken along, new ones zero."""
     added = effect_unknowns(CATALOGUE[look.effect], look.start)
     unknowns = [*problem.unknowns, *added]
-    twin = Problem(problem.channel, unknowns, np.concatenate([problem.q, np.zeros(len(added))]), look.effect)
+    q = np.concatenate([problem.q, np.zeros(len(added))])
+    if look.channel is not None:
+        taken = less_taken(problem.values(look.channel), look.effect, look.start)
+        for j, u in enumerate(problem.unknowns):
+            if u.name in taken:
+                q[j] = np.clip(u.q(taken[u.name]), *u.bounds)
+    twin = Problem(problem.channel, unknowns, q, look.effect)
     twin.columns = {c: np.hstack([m, np.zeros((m.shape[0], len(added)))]) for c, m in problem.columns.items()}
     return twin
 
@@ -141,6 +152,7 @@ def select(
     if any(len([k for k in choices if k.channel == c]) > 1 for c in machine.channels):
         say("can any of them be left out?")
         _backward(machine, present, choices, floors, trials)
+        _rivals_again(machine, present, choices, looks, floors)
     return Selection(present, choices, trials, placebo)
 
 
@@ -225,7 +237,8 @@ def _round(
                         c,
                         found,
                         needed,
-                        {n: d for n, d in rivals.items() if d < 0.1 * found or d < needed},
+                        {n: d for n, d in rivals.items() if d < NEAR * found or d < needed},
+                        present[c],
                     )
                 )
                 taken.append(c)
@@ -237,6 +250,8 @@ def _round(
             placebo[c] = wrong[1]
         if c in taken:
             present[c] = own_best[0][1]
+    # The winners are taken as far as they go: what is left afterwards decides on further effects.
+    solve(machine, [present[c] for c in taken], floors, SETTLE)
     return taken
 
 
@@ -284,7 +299,14 @@ def _cheap(machine: Machine, problems: Sequence[Problem], floors: Floors) -> Non
         differentiate(machine, problems, floors)
         solve(machine, problems, floors, 10)
         return
-    fresh = [[j for j, u in enumerate(p.unknowns) if u.name.startswith(f"{p.label}.")] for p in problems]
+    fresh = [
+        [
+            j
+            for j, u in enumerate(p.unknowns)
+            if u.name.startswith(f"{p.label}.") or u.name in bases_of(p.label)
+        ]
+        for p in problems
+    ]
     for _ in range(2):
         differentiate(machine, problems, floors, fresh)
         solve(machine, problems, floors, 1)
@@ -395,7 +417,7 @@ def _rig(
         fate = _verdict(machine, before, problem, look, 0, found, needed, floors)
         if fate == "taken" and reached > best_score:
             best, best_score = problem, reached
-            best_choices = [*kept, Choice(look.effect, None, found, needed)]
+            best_choices = [*kept, Choice(look.effect, None, found, needed, {}, before)]
         trials.append(
             Trial(
                 look.effect,
@@ -409,6 +431,7 @@ def _rig(
         )
     if best is full:
         return present, choices
+    solve(machine, [best], floors, SETTLE)
     for trial in trials:
         if trial.problem is best:
             trial.fate = "taken"
@@ -441,8 +464,8 @@ def _backward(
             for k, p in without
             if k.channel is not None
         ]
-        for worth, choice, _ in missed:
-            choice.gain = worth + choice.needed
+        for worth, choice, less in missed:
+            choice.gain, choice.without = worth + choice.needed, less
         worth, choice, less = min(missed, key=lambda m: m[0])
         if worth > 0.0 or choice.channel is None:
             return
@@ -459,3 +482,31 @@ def _backward(
                 less,
             )
         )
+
+
+def _rivals_again(
+    machine: Machine,
+    present: dict[int, Problem],
+    choices: list[Choice],
+    looks: Sequence[Look],
+    floors: Floors,
+) -> None:
+    """Rivals that were near while another effect was still missing are put in the place of theirs once more."""
+    starts = {(k.effect, k.channel): k for k in looks}
+    swaps: list[tuple[Choice, str, Problem]] = []
+    for choice in choices:
+        c = choice.channel
+        if c is None or choice.without is None or present[c].channel is None:
+            continue
+        for rival in choice.rivals:
+            if (rival, c) in starts and sum(k.channel == c for k in choices) > 1:
+                swaps.append((choice, rival, extended(choice.without, starts[rival, c])))
+    solve(machine, [p for _, _, p in swaps], floors, 5)
+    for choice, rival, problem in swaps:
+        assert choice.without is not None and choice.channel is not None
+        own = gain(machine, choice.without, present[choice.channel], floors)
+        behind = own - gain(machine, choice.without, problem, floors)
+        if behind < max(NEAR * own, choice.needed):
+            choice.rivals[rival] = max(behind, 0.0)
+        else:
+            del choice.rivals[rival]

@@ -16,7 +16,7 @@ import numpy as np
 from ..plant import CATALOGUE
 from .fit import Floors, Problem
 from .machine import Machine, Request
-from .unknowns import starts
+from .unknowns import less_taken, starts
 
 __all__ = ["Look", "alike", "detectable", "first_look"]
 
@@ -112,13 +112,14 @@ def _beside(
 ) -> Request:
     extra = {f"{effect}.{name}": value for name, value in start.items()}
     if channel is not None:
-        return Request(channel, {**problems[channel].values(channel), **extra})
-    values: dict[str, tuple[float, float]] = {}
+        values = problems[channel].values(channel)
+        return Request(channel, {**values, **less_taken(values, effect, start), **extra})
+    pairs: dict[str, tuple[float, float]] = {}
     sides = [problems[c].values(c) if c in problems else {} for c in (0, 1)]
     for name in {*sides[0], *sides[1]}:
         pair = [side.get(name) for side in sides]
-        values[name] = tuple(v if v is not None else next(w for w in pair if w is not None) for v in pair)  # type: ignore[assignment]
-    return Request(None, {**values, **{name: (value, value) for name, value in extra.items()}})
+        pairs[name] = tuple(v if v is not None else next(w for w in pair if w is not None) for v in pair)  # type: ignore[assignment]
+    return Request(None, {**pairs, **{name: (value, value) for name, value in extra.items()}})
 
 
 def _is_medium(effect: str, start: dict[str, float]) -> bool:

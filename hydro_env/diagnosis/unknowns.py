@@ -12,12 +12,37 @@ from dataclasses import dataclass
 
 from ..plant import CATALOGUE, Effect, Parameter
 
-__all__ = ["Unknown", "base_unknown", "effect_unknowns", "limited_by_effects", "starts"]
+__all__ = [
+    "Unknown",
+    "base_unknown",
+    "bases_of",
+    "effect_unknowns",
+    "less_taken",
+    "limited_by_effects",
+    "starts",
+]
 
 #: Largest standard deviation of the prior of a base parameter, relative (or share of its range).
 PRIOR_SPREAD = 0.3
 #: Base parameters that an effect of the catalogue adds to may be calibrated by this factor only: more has a name there.
 BASE_OF_EFFECT_FACTOR = 1.35
+
+#: Effect parameters that take their amount from a base parameter: the inertia behind a coupling is part of the calibrated J.
+TAKEN_FROM = {"shaft_backlash.inertia": "J"}
+
+
+def bases_of(effect: str) -> set[str]:
+    """The base parameters that an effect takes from."""
+    return {base for name, base in TAKEN_FROM.items() if name.split(".")[0] == effect}
+
+
+def less_taken(values: dict[str, float], effect: str, start: dict[str, float]) -> dict[str, float]:
+    """The base parameters in `values` that an effect with the values `start` {own name: value} takes from, reduced by that."""
+    return {
+        base: max(values[base] - start[name.split(".")[1]], 0.25 * values[base])
+        for name, base in TAKEN_FROM.items()
+        if name.split(".")[0] == effect and base in values
+    }
 
 
 @dataclass(frozen=True)

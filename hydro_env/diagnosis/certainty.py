@@ -1,0 +1,86 @@
+"""How sure: block bootstrap and leave-one-manoeuvre-out, on the derivatives at the estimate, without a new simulation.
+
+The logs are cut into stretches of `STRETCH_S`; each holds all signals of that time. A replica draws as many stretches with
+replacement, solves the linearised normal equations and counts the deviance that an effect saves. Stretches are much longer
+than the residual's memory, so what is correlated inside one stays together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .fit import Floors, Problem, channels_of, normal_parts, saved_by_stretch
+from .machine import Machine
+
+__all__ = ["Certainty", "certainty", "chance"]
+
+#: Length of a stretch that is drawn or left out as a whole, s.
+STRETCH_S = 0.5
+#: Length of a manoeuvre that is left out as a whole, s.
+MANOEUVRE_S = 2.0
+REPLICAS = 200
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """`low` and `high` (k,) hold 95 % of the replicas' estimates of q; `without` (k,) is the largest move of q when one
+    manoeuvre is left out."""
+
+    low: np.ndarray
+    high: np.ndarray
+    without: np.ndarray
+
+
+def certainty(machine: Machine, problem: Problem, floors: Floors, seed: int = 0) -> Certainty:
+    """Intervals of all unknowns of a problem whose `columns` are at the estimate, never narrower than its `spread` says."""
+    prior = np.diag([1.0 if u.prior else 0.0 for u in problem.unknowns]) + 1e-9 * np.eye(
+        len(problem.unknowns)
+    )
+    matrices, sides = normal_parts(machine, problem, floors, STRETCH_S)
+    moves = _bootstrap(matrices, sides, prior, problem.q, np.random.default_rng(seed))
+    low, high = np.quantile(moves, [0.025, 0.975], axis=0)
+    spread = np.zeros(len(low)) if problem.spread is None else 1.96 * problem.spread
+    bounds = problem.bounds
+    low = np.clip(problem.q + np.minimum(low, -spread), *bounds)
+    high = np.clip(problem.q + np.maximum(high, spread), *bounds)
+    whole, right = matrices.sum(axis=0) + prior, sides.sum(axis=0) - prior @ problem.q
+    start = np.linalg.lstsq(whole, right, rcond=None)[0]
+    width = round(MANOEUVRE_S / STRETCH_S)
+    without = np.zeros(len(low))
+    for first in range(0, len(matrices), width):
+        gone = slice(first, first + width)
+        less = np.linalg.lstsq(
+            whole - matrices[gone].sum(axis=0), right - sides[gone].sum(axis=0), rcond=None
+        )[0]
+        without = np.maximum(without, np.abs(less - start))
+    return Certainty(low, high, without)
+
+
+def _bootstrap(
+    matrices: np.ndarray, sides: np.ndarray, prior: np.ndarray, q: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Moves of q (REPLICAS, k) about their middle."""
+    count = len(matrices)
+    moves = np.empty((REPLICAS, len(q)))
+    for n in range(REPLICAS):
+        times = np.bincount(rng.integers(count, size=count), minlength=count).astype(float)
+        whole = np.tensordot(times, matrices, 1) + prior
+        moves[n] = np.linalg.lstsq(whole, times @ sides - prior @ q, rcond=None)[0]
+    return moves - np.median(moves, axis=0)
+
+
+def chance(
+    machine: Machine, smaller: Problem, larger: Problem, needed: float, floors: Floors, seed: int = 0
+) -> float:
+    """Share of the replicas in which `larger` saves more deviance than the `needed` one, as (n + 1/2) / (N + 1)."""
+    saved = np.concatenate(
+        [
+            saved_by_stretch(machine, smaller, larger, c, floors, STRETCH_S)
+            for c in channels_of(larger, machine)
+        ]
+    )
+    rng = np.random.default_rng(seed)
+    drawn = saved[rng.integers(len(saved), size=(REPLICAS, len(saved)))].sum(axis=1)
+    return float((np.sum(drawn > needed) + 0.5) / (REPLICAS + 1.0))
