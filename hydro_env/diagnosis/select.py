@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..plant import CATALOGUE
-from .fit import Floors, Problem, channels_of, differentiate, evaluate, gain, solve
+from .fit import Floors, Problem, channels_of, differentiate, evaluate, gain, levels, solve
 from .machine import Machine
 from .noise import effective_samples
 from .signatures import Look, first_look
@@ -364,16 +364,11 @@ def _explained(machine: Machine, before: Problem, after: Problem, channel: int, 
 def _share(
     machine: Machine, before: Problem, after: Problem, channels: Sequence[int], floors: Floors
 ) -> float:
-    """Share of the variance above the noise that is explained, in the signal and log where it is largest."""
+    """Share of the gap (in `levels`) that is explained, in the signal where it is largest."""
     best = 0.0
     for c in channels:
-        for s in machine.segments[c]:
-            old, new = (
-                float(np.mean((s.measured - p.simulated[c][s.place])[s.used] ** 2)) for p in (before, after)
-            )
-            excess = old - floors[c, s.signal] ** 2
-            if excess > 0.02 * floors[c, s.signal] ** 2:
-                best = max(best, (old - new) / excess)
+        old, new = (levels(machine, p.simulated[c], c, floors) for p in (before, after))
+        best = max([best, *(1.0 - new[s] / old[s] for s in old if old[s] > 0.01)])
     return best
 
 
