@@ -1,58 +1,113 @@
-"""Scores of a finished policy on test pairs, as the table of its card: `python -m agents.card ppo`.
+"""Scores on test pairs, as the tables of cards and docs: `python -m agents.card ppo` or several at once.
 
 While an agent is developed its makers look at some test pairs, and what they see there steers what they try next. So the
-card is filled from cases that nobody looks at before: by default 700 to 899 of each split. `python -m agents.card law`
-scores the control law beneath the network alone.
+tables are filled from cases that nobody looks at before: by default 700 to 899 of each split. `law` stands for the control
+law beneath the networks alone, `seeds:FOLDER` for all policies `FOLDER/*/policy.npz`, whose scores are pooled: their
+interval is over pairs and over training seeds.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hydro_env.benchmark.statistics import bootstrap_interval, cvar, iqm
+from hydro_env.benchmark.statistics import cvar, iqm
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
+from hydro_env.errors import InputError
 
 from .evaluate import METRICS, LawAlone
+from .train import cleanly
 
-__all__ = ["ROWS", "card_rows"]
+__all__ = ["ROWS", "card_rows", "interval"]
 
 ROWS = (
     *(("test_interp", name) for name in ("setpoint_steps", "load_step", "staircase", "sine", "unequal_load")),
     ("test_extrap", "setpoint_steps"),
     ("paper_pair", "setpoint_steps"),
 )
+HEAD = [
+    "| controller | split | scenario | largest difference [95 % interval] | its 95th percentile | mean of the worst 5 %"
+    " | RMS difference | tracking error | command variation, 1/s |",
+    "|---|---|---|---|---|---|---|---|---|",
+]
+
+Floats = NDArray[np.float64]
 
 
-def card_rows(policy: str, first: int = 700, cases: int = 200) -> list[str]:
-    """Lines of the card's table (Markdown) for a shipped policy's name or the path of one."""
-    rows = [
-        "| split | scenario | largest difference [95 % interval] | its 95th percentile | mean of the worst 5 %"
-        " | RMS difference | tracking error | command variation, 1/s |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for split, scenario in ROWS:
+def interval(values: Floats, resamples: int = 2000, seed: int = 0) -> tuple[float, float]:
+    """95 % percentile bootstrap interval of the interquartile mean of values (policies, pairs): both are drawn anew."""
+    stream = np.random.default_rng(seed)
+    policies, pairs = values.shape
+    means = []
+    for _ in range(resamples):
+        drawn = values[stream.integers(policies, size=policies)][:, stream.integers(pairs, size=pairs)]
+        means.append(float(iqm(drawn.ravel())))
+    low, high = np.percentile(means, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _drivers(name: str) -> list[Any]:
+    """The controllers that a name stands for."""
+    if name == "law":
+        return [LawAlone()]
+    if name.startswith("seeds:"):
+        found = sorted(Path(name.removeprefix("seeds:")).glob("*/policy.npz"))
+        if not found:
+            raise InputError(f"{name}: there is no */policy.npz")
+        return [make_controller(str(path)) for path in found]
+    return [make_controller(name)]
+
+
+def card_rows(
+    name: str, first: int = 700, cases: int = 200, rows: Sequence[tuple[str, str]] = ROWS
+) -> list[str]:
+    """Lines of a table (Markdown) for one controller."""
+    drivers = _drivers(name)
+    # what belongs to another plant is driven on that plant's own pair
+    plant = getattr(drivers[0], "plant", None)
+    lines = []
+    for split, scenario in rows:
         count = min(cases, 20) if split == "paper_pair" else cases  # one pair, 20 times other noise
-        controller = LawAlone() if policy == "law" else make_controller(policy)
-        episodes = roll_out(controller, range(first, first + count), mismatch=split, scenario=scenario)
-        scores = episodes.metrics(METRICS)
+        where: dict[str, Any] = {"plant": plant, "mismatch": None} if plant else {"mismatch": split}
+        seeds = range(first, first + count)
+        runs = [roll_out(driver, seeds, scenario=scenario, **where).metrics(METRICS) for driver in drivers]
+        scores = {metric: np.array([run[metric] for run in runs]) for metric in METRICS}
         largest = scores[METRICS[0]]
-        low, high = bootstrap_interval(largest)
-        means = [float(iqm(scores[name])) for name in METRICS]
-        rows.append(
-            f"| {split} | {scenario} | {means[0]:.1f} [{low:.1f}, {high:.1f}] | {np.percentile(largest, 95):.1f}"
-            f" | {cvar(largest):.1f}"
+        low, high = interval(largest)
+        means = [float(iqm(scores[metric].ravel())) for metric in METRICS]
+        lines.append(
+            f"| {name} | {split} | {scenario} | {means[0]:.1f} [{low:.1f}, {high:.1f}]"
+            f" | {np.percentile(largest, 95):.1f} | {cvar(largest):.1f}"
             f" | {means[1]:.1f} | {means[2]:.1f} | {means[3]:.2f} |"
         )
-    return rows
+        if len(drivers) > 1:
+            each = ", ".join(f"{float(iqm(row)):.1f}" for row in largest)
+            lines[-1] += f" each: {each}"
+    return lines
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("policy", help="name of a shipped controller, or the path of a policy (.npz)")
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m agents.card", description=__doc__)
+    parser.add_argument(
+        "controllers", nargs="+", help="shipped controllers, policy files, law, or seeds:FOLDER"
+    )
     parser.add_argument("--first", type=int, default=700, help="first case of each split")
     parser.add_argument("--cases", type=int, default=200, help="pairs of valves in each split")
     chosen = parser.parse_args()
-    print("\n".join(card_rows(chosen.policy, chosen.first, chosen.cases)))
+
+    def run() -> None:
+        print("\n".join(HEAD), flush=True)
+        for name in chosen.controllers:
+            print("\n".join(card_rows(name, chosen.first, chosen.cases)), flush=True)
+
+    cleanly(run)
+
+
+if __name__ == "__main__":
+    main()
