@@ -24,7 +24,16 @@ from .machine import Machine
 from .motor import MotorRig
 from .parts import Part, overlap, read_parts
 from .prove import Proof, prove
-from .result import Named, at_bounds, diagnosis_dict, estimated_model, make_sure, named_effects, verdict
+from .result import (
+    Named,
+    at_bounds,
+    confirmed,
+    diagnosis_dict,
+    estimated_model,
+    make_sure,
+    named_effects,
+    verdict,
+)
 from .select import Selection, select
 from .signatures import Look, first_look
 from .steady_valve import SteadyValve
@@ -108,10 +117,19 @@ def _workflow(
     fit_proof = prove(machine, models)
     sealed_proof = prove(machine.with_parts(proofs, True), models)
 
+    refuted = word == "effects" and not confirmed(machine, selection, sealed_proof)
+    if refuted:
+        word = "unknown"
+        places = places or locate(machine, calibrated)
     say("how sure")
     make_sure(machine, [*selection.problems.values(), *calibrated.values()], floors, seed)
     named = named_effects(machine, selection, looks, floors, seed)
     warnings = _warnings(machine, parts, proofs, final, sealed_proof)
+    if refuted:
+        warnings.insert(
+            0,
+            "the effects that explain the fit logs explain next to nothing of the sealed ones, so none is vouched for",
+        )
     hashes = {Path(str(p.label).split("@")[0]).name: p.log.sha256 for p in (*parts, *proofs)}
     data = diagnosis_dict(
         machine, word, named, places, final if word != "none" else calibrated, fit_proof, sealed_proof, looks, selection,

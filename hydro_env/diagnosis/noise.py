@@ -25,6 +25,8 @@ def noise_floor(residual: np.ndarray, inside: np.ndarray, period: float, window_
             piece = residual[start : start + width]
             rest = piece - basis @ (basis.T @ piece)
             found.append(rest @ rest / (width - 3))
+    # Windows without any noise are standstill or a computed signal; they say nothing of the rest.
+    found = [value for value in found if value > 1e-9 * max(found)]
     if len(found) >= 5:
         # The low quantile of a mean of squares of white noise, by its normal approximation.
         share = 1.0 - 0.385 * np.sqrt(2.0 / (width - 3))

@@ -23,6 +23,7 @@ __all__ = [
     "SCHEMA",
     "Named",
     "calibrated_values",
+    "confirmed",
     "diagnosis_dict",
     "estimated_model",
     "make_sure",
@@ -33,8 +34,10 @@ __all__ = [
 SCHEMA = "hydro_env/diagnosis/1"
 #: A deviance by which rivals fall behind counts as this fraction: models are never exact.
 TEMPER = 0.1
-#: Share of the gap (in `levels`) that the named effects must explain, or else the verdict is `unknown`.
-MOST = 0.5
+#: Share of the gap that the named effects must explain, in `levels` or in power, or else the verdict is `unknown`.
+MOST, MOST_POWER = 0.5, 0.8
+#: Share of the power above the noise that they must explain on the sealed logs, or else the verdict is `unknown`.
+CONFIRMED = 0.25
 #: A gap (in `levels`, summed over the signals) that is too small to speak of something unknown.
 SMALL_LEVEL = 0.15
 #: Values of the two channels that differ by less (relative) are one effect of both.
@@ -97,14 +100,38 @@ def _unexplained(machine: Machine, before: Problem, after: Problem, channel: int
 
 
 def _mostly(machine: Machine, calibrated: dict[int, Problem], selection: Selection, floors: Floors) -> bool:
-    """Whether what was found explains most of the gap in every channel that has one left.
+    """Whether what was found explains most of the gap in every channel that has one left, by level or by power.
 
-    Counted in `levels`: an effect of another functional form than the rig's leaves events that spoil any RMS.
+    By level a few events count little, such as a spool that meets its end stop late in a model of another functional form;
+    by power what is small everywhere counts little, such as the ripple that a steady model leaves.
     """
     for c in machine.channels:
-        old = sum(levels(machine, calibrated[c].simulated[c], c, floors).values())
-        new = sum(levels(machine, selection.problems[c].simulated[c], c, floors).values())
-        if new > SMALL_LEVEL and new > (1.0 - MOST) * old:
+        before, after = calibrated[c].simulated[c], selection.problems[c].simulated[c]
+        old = sum(levels(machine, before, c, floors).values())
+        new = sum(levels(machine, after, c, floors).values())
+        by_level = new < SMALL_LEVEL or new < (1.0 - MOST) * old
+        was, left = rms(machine, before, c), rms(machine, after, c)
+        excess = {k: left[k] ** 2 - floors[c, k[1]] ** 2 for k in left if left[k] > 2.0 * floors[c, k[1]]}
+        by_power = all(
+            e < (1.0 - MOST_POWER) * (was[k] ** 2 - floors[c, k[1]] ** 2) for k, e in excess.items()
+        )
+        if not (by_level or by_power):
+            return False
+    return True
+
+
+def confirmed(machine: Machine, selection: Selection, sealed: Proof) -> bool:
+    """Whether the named effects explain a share of what the calibrated model leaves of the sealed logs, where there is a gap.
+
+    The signal that they explain best counts, on every channel with an effect of its own.
+    """
+    for c in {k.channel for k in selection.choices if k.channel is not None}:
+        shares = []
+        for key, entry in sealed.gap.items():
+            if key.split("_")[1] == str(c + 1) and entry["calibrated"] > 1.3 * entry["noise"]:
+                excess = entry["calibrated"] ** 2 - entry["noise"] ** 2
+                shares.append((entry["calibrated"] ** 2 - entry["after"] ** 2) / excess)
+        if shares and max(shares) < CONFIRMED:
             return False
     return True
 

@@ -328,7 +328,26 @@ def _verdict(
         return "explains no noticeable share of the gap"
     if _neutral(after, look.effect):
         return "vanishes when refitted"
+    if _at_edge(after, look.effect):
+        return "only at the edge of its plausible range"
     return "taken"
+
+
+def _at_edge(problem: Problem, effect: str) -> bool:
+    """Whether a size of an effect ends at a bound of its range that is not its neutral value."""
+    for u, q in zip(problem.unknowns, problem.q, strict=True):
+        own, _, name = u.name.partition(".")
+        if own != effect or u.prior or not u.at_bound(float(q)):
+            continue
+        parameter = CATALOGUE[effect].parameter(name)
+        near = u.low if u.value(float(q)) < 0.5 * (u.low + u.high) else u.high
+        if (
+            parameter.typical != parameter.nominal
+            and near != parameter.nominal
+            and np.isfinite(parameter.nominal)
+        ):
+            return True
+    return False
 
 
 def _neutral(problem: Problem, effect: str) -> bool:

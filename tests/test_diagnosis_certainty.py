@@ -1,0 +1,131 @@
+"""Bootstrap, verdict by sealed logs, and the judging of blind trials."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env.diagnosis import trials
+from hydro_env.diagnosis.certainty import _bootstrap
+from hydro_env.diagnosis.hide import make_practice
+from hydro_env.diagnosis.machine import Request
+from hydro_env.diagnosis.motor import MotorRig
+from hydro_env.diagnosis.noise import noise_floor
+from hydro_env.diagnosis.parts import read_parts
+from hydro_env.diagnosis.unknowns import less_taken
+from hydro_env.plant import load_model
+
+
+def test_bootstrap_has_the_spread_of_the_mean() -> None:
+    rng = np.random.default_rng(0)
+    truth, count = 2.0, 400
+    noise = rng.standard_normal(count)
+    matrices, sides = np.ones((count, 1, 1)), (truth + noise)[:, None]
+    moves = _bootstrap(matrices, sides, np.zeros((1, 1)), np.zeros(1), rng)
+    assert np.std(moves) == pytest.approx(1.0 / np.sqrt(count), rel=0.2)
+
+
+def test_noise_floor_of_a_signal_that_stands_still_most_of_the_time() -> None:
+    rng = np.random.default_rng(1)
+    value = np.zeros(6000)
+    value[4000:] = 0.5 * rng.standard_normal(2000)
+    assert noise_floor(value, np.ones(6000, bool), 1e-3) == pytest.approx(0.5, rel=0.15)
+
+
+def test_inertia_behind_a_coupling_comes_out_of_the_calibrated_one() -> None:
+    assert less_taken({"J": 5e-3, "B": 1.0}, "shaft_backlash", {"inertia": 2e-3, "gap": 0.05}) == {
+        "J": pytest.approx(3e-3)
+    }
+    assert less_taken({"J": 5e-3}, "dead_zone", {"overlap_positive": 1e-4}) == {}
+
+
+def test_either_side_of_a_rig_serves_either_channel(tmp_path: Path) -> None:
+    make_practice([], duration=3.0, rate=200.0, runs=("fit_1",), base_error=0.1, seed=3).write(tmp_path)
+    model = load_model("paper").with_values({"Kq": (4e-4, 3e-4), "J": (3e-3, 2e-3)})
+    rig = MotorRig(model, read_parts([tmp_path / "fit_1.csv"], None))
+    requests = [Request(0, {"R": 100.0 + n}) for n in range(3)] + [
+        Request(1, {"load_bias.bias": 0.1}),
+        Request(1, {}),
+    ]
+    together = rig.predict(requests)
+    whole = rig.predict([Request(None, {"R": (102.0, model.value("R", 1))}), Request(None, {})])
+    np.testing.assert_array_equal(together[2][0], whole[0][0])
+    np.testing.assert_array_equal(together[4][1], whole[1][1])
+    for request, answer in zip(requests, together, strict=True):
+        np.testing.assert_array_equal(answer[request.channel], rig.predict([request])[0][request.channel])
+
+
+def test_trials_are_judged_by_name_channel_and_verdict() -> None:
+    gap = {"speed_1_rpm": {"noise": 1.0, "before": 90.0, "calibrated": 40.0, "after": 1.2, "placebo": 30.0}}
+    named = [{"name": "quadratic_drag", "channel": "1", "indistinguishable_from": ["line_loss"]}]
+    data = {"verdict": "effects", "effects": named, "gap": {"sealed": gap}}
+    row = trials.judge(data, {("line_loss", "1")}, "effects")
+    assert not row["right"] and row["set"] and row["channel"] and row["sealed"] and not row["placebo"]
+    row = trials.judge(data, {("line_loss", "2")}, "effects")
+    assert not row["set"] and not row["channel"]
+    row = trials.judge(data, set(), "calibration")
+    assert row["alarm"] and not row["right"]
+    unknown = {"verdict": "unknown", "effects": named, "gap": {"sealed": gap}}
+    assert trials.judge(unknown, {("dead_zone", "1")}, "effects", unlisted=True)["right"]
+    assert not trials.judge(unknown, {("quadratic_drag", "1")}, "effects")["set"]
+
+
+def test_cases_have_seeds_of_their_own_and_loss_models_are_none() -> None:
+    found = trials.cases(list(trials.GROUPS), 100)
+    assert len({c.seed for c in found}) == len(found)
+    assert not any("losses" in name or "wilson" in name for c in found for name in c.hidden)
+
+
+@dataclass
+class _Fake:
+    """In place of `run_case`: a row without a simulation."""
+
+    runs: int = 0
+
+    def __call__(self, case: trials.Case, **_: object) -> dict[str, object]:
+        self.runs += 1
+        row = {
+            "group": case.group,
+            "hidden": list(case.hidden),
+            "seed": case.seed,
+            "effects": [],
+            "cpu_s": 1.0,
+            "seconds": 1.0,
+        }
+        judged = {
+            "right": True,
+            "set": True,
+            "channel": True,
+            "alarm": False,
+            "both": True,
+            "sealed": True,
+            "placebo": False,
+        }
+        return {**row, **judged, "verdict": "none", "named": [], "worst": 1.0, "gap": {}}
+
+
+def test_interrupted_trials_go_on_where_they_were(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = _Fake()
+    monkeypatch.setattr(trials, "run_case", fake)
+    wanted = trials.cases(["nothing", "two"], 5)
+    trials.run_trials(tmp_path, wanted[:4], say=lambda text: None)
+    rows = trials.run_trials(tmp_path, wanted, say=lambda text: None)
+    assert fake.runs == len(wanted) == len(rows)
+    trials.publish(rows, tmp_path, "command")
+    trials.publish(rows, tmp_path, "command")  # twice leaves one table
+    text = (tmp_path / "diagnosis.md").read_text()
+    assert text.count("| asked for |") == 1 and "10 of 10 (100 %)" in text
+    assert json.loads((tmp_path / "trials.json").read_text())["summary"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("group", ["medium", "unlisted"])
+def test_a_blind_trial(group: str) -> None:
+    case = next(
+        c
+        for c in trials.cases([group], 7)
+        if c.hidden == ("null_offset:2",) or c.hidden == ("null_offset:1",)
+    )
+    assert trials.run_case(case)["right"]
