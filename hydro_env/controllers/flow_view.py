@@ -52,6 +52,8 @@ FRICTION = NOMINAL["Fs"] / (NOMINAL["k"] * RATED_TRAVEL)
 """Friction of the nominal spool as a share of the rated command."""
 
 SPEED, PRESSURE = 600.0 * RPM, 10e5  # scales of the inputs
+TUNED_PERIOD = 0.01
+"""The control period that rates and gains were tuned at, s."""
 AT_REST = 5.0 * RPM
 SWEEP_FROM = -0.02
 PAUSE = 0.15  # s between two answers to sudden loads
@@ -70,7 +72,7 @@ class FlowView:
         most: share of the weaker valve's capacity that the reference may use.
         track, couple: acceleration per error to the reference, and per half of the speed difference, 1/s.
         delay: from a flow asked for to the speed it gives, s.
-        lead: how far ahead the speed difference is predicted, in periods.
+        lead: how far ahead the speed difference is predicted, in periods of 10 ms.
         friction: of the modelled spool, relative to the nominal one.
         drift, gain_drift, still, moving, first: of the `ValveEstimate`.
         share, jump: of the `LoadEstimate`.
@@ -153,10 +155,14 @@ class FlowView:
             n, period, drift=self.drift, gain_drift=self.gain_drift,
             doubt=(self.still, self.moving), first=self.first,
         )  # fmt: skip
-        self.loads = LoadEstimate(n, period, NOMINAL["J"], self.share, self.jump)
+        # a difference of speeds over half the time is twice as noisy; slower sampling allows less feedback
+        self._jump = self.jump * max(1.0, TUNED_PERIOD / period)
+        self._feedback = min(1.0, TUNED_PERIOD / period)
+        self.loads = LoadEstimate(n, period, NOMINAL["J"], self.share, self._jump)
         # weights a, 1 - 2 a, a have no response at the mode's angle per sample if 2 a cos(angle) + 1 - 2 a = 0
-        self._outer = min(0.5 / (1.0 - cos(min(SPOOL_RATE * period, pi))), 0.4)
-        self.sent, self.asked = np.zeros(pair), np.zeros((2, *pair))
+        self._spacing = max(1, round(2.0 * pi / 3.0 / SPOOL_RATE / period))
+        self._outer = min(0.5 / (1.0 - cos(min(SPOOL_RATE * period * self._spacing, pi))), 0.4)
+        self.sent, self.asked = np.zeros(pair), np.zeros((2 * self._spacing, *pair))
         self.flow: Floats = np.zeros(pair)
         self.wanted = np.zeros(pair)
         # the reference: speed, acceleration, and the speeds it had, newest first
@@ -219,17 +225,19 @@ class FlowView:
         asked = self._move_reference(motors)
         self._watch_direction(asked)
         unequal = np.abs(self.loads.miss[:, 0] - self.loads.miss[:, 1])
-        sudden = np.clip((unequal - 2.0 * self.jump) / self.jump, 0.0, 1.0)
+        sudden = np.clip((unequal - 2.0 * self._jump) / self._jump, 0.0, 1.0)
         self.bolting = self.bolt * np.where((self.pausing <= 0) & ~self.probing, sudden, 0.0)
         self.pausing = np.where(self.bolting > 0.0, round(PAUSE / self.period), self.pausing - 1)
 
         # speed difference one period ahead, under the flows asked for last
         torque = self.loads.torque
         rate = (self.wanted - FLOW_PER_SPEED * seen.speed - FLOW_PER_TORQUE * torque) / FLOW_PER_ACCELERATION
-        ahead = seen.speed + self.lead * self.period * (1.0 - 0.5 * MOTOR_RATE * self.period) * rate
+        lead = self.lead * TUNED_PERIOD
+        ahead = seen.speed + lead * (1.0 - 0.5 * MOTOR_RATE * TUNED_PERIOD) * rate
         apart = 0.5 * (ahead - ahead[:, ::-1])
         behind = self._reference_then() - motors
-        acceleration = self.acceleration[:, None] + self.track * behind[:, None] - self.couple * apart
+        correction = self.track * behind[:, None] - self.couple * apart
+        acceleration = self.acceleration[:, None] + self._feedback * correction
         self._law = (
             FLOW_PER_SPEED * self.speed[:, None]
             + FLOW_PER_ACCELERATION * acceleration
@@ -322,7 +330,7 @@ class FlowView:
         own = np.stack(
             [
                 error / SPEED, np.clip(error / (60.0 * RPM), -1.0, 1.0), 2.0 * _flow(seen), seen.pressure / PRESSURE,
-                sent, position, self.spool.speed[rows] / SPOOL_RATE, self.asked[1, rows], self.asked[0, rows],
+                sent, position, self.spool.speed[rows] / SPOOL_RATE, self.asked[-1, rows], self.asked[0, rows],
                 2.0 * self._law[rows], 2.0 * self.wanted[rows], self.loads.torque[rows], self.loads.miss[rows],
                 4.0 * valves.edge[rows, :, 0], 4.0 * valves.edge[rows, :, 1], valves.gain[rows],
                 10.0 * deviation[..., 0], 10.0 * deviation[..., 1], 8.0 * np.sqrt(valves.gain_variance[rows]),
@@ -365,9 +373,11 @@ class FlowView:
         asked, open_loop = self._probing_command(asked)
         self.wanted = np.where((free & ~open_loop)[:, None], flow, 0.0)
         asked = np.clip(asked + self.shift * given[..., 1], -1.0, 1.0)
-        smooth = self._outer * (asked + self.asked[0]) + (1.0 - 2.0 * self._outer) * self.asked[1]
+        middle = self.asked[self._spacing]
+        smooth = self._outer * (asked + self.asked[0]) + (1.0 - 2.0 * self._outer) * middle
         bolting = self.bolting[:, None]
-        self.asked = np.stack([self.asked[1] + bolting * (asked - self.asked[1]), asked])
+        kept = self.asked[1:]
+        self.asked = np.concatenate([kept + bolting * (asked - kept), asked[None]])
         self.sent = np.clip(smooth + bolting * (asked - smooth), -1.0, 1.0)
         return self.sent.copy()
 
