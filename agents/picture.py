@@ -48,14 +48,14 @@ def course(name: str, case: int, seconds: float = 3.0) -> dict[str, NDArray[np.f
             view.valves.edge[0].copy() if isinstance(view, FlowView) else np.full((2, 2), np.nan)
         )
         rows["command"].append(np.array(action[0]))
-        observation, _, _, _, info = env.step(action.astype(np.float32))
         rows["setpoint"].append(float(info["setpoint_rpm"][0]))
+        observation, _, _, _, info = env.step(action.astype(np.float32))
     made = {key: np.array(values) for key, values in rows.items()}
     made["true_edge"] = np.full((2, 2), np.nan) if truth is None else truth
     return made
 
 
-def draw(out: Path, agent: str = "ppo", case: int = 3) -> None:
+def draw(out: Path, agent: str = "ppo", case: int = 37) -> None:
     """Writes the picture (PNG)."""
     import io
 
@@ -116,7 +116,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m agents.picture", description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--agent", default="ppo", help="name of a shipped agent, or a policy file")
-    parser.add_argument("--case", type=int, default=3, help="pair of val")
+    parser.add_argument("--case", type=int, default=37, help="pair of val; 37 is a typical one")
     chosen = parser.parse_args()
     draw(chosen.out, chosen.agent, chosen.case)
 
