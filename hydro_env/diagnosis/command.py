@@ -185,7 +185,7 @@ def _lower(old: Floors, new: Floors) -> Floors:
 def _warnings(
     machine: Machine, parts: list[Part], proofs: list[Part], final: dict[int, Problem], proof: Proof
 ) -> list[str]:
-    found = list(machine.notes)
+    found = [*machine.notes, *(p.note for p in (*parts, *proofs) if p.note)]
     for part in {p.log.sha256: p for p in (*parts, *proofs)}.values():
         found += [
             f"{part.log.name}: {f.message}" + (f"; {f.suggestion}" if f.suggestion else "")

@@ -1,32 +1,36 @@
 """Logs and parts of logs: which rows a diagnosis may fit to, and which stay sealed.
 
 A log is named by its path; `PATH@FROM:TO` (seconds of the log's own clock, either may be left out) names a part of
-it. `PATH@0:13,23:34` names two windows of one run. A run is always simulated from its beginning with all logged
+it. `PATH@0:13,23:34` names two windows of one run. A run is simulated from its beginning with all logged
 commands, so that the state at a window's beginning is the simulated one; only the measurements inside the windows count.
+A log of more than a minute is taken in windows instead, chosen where none are named (`windows`), each a run of its own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
 from ..measured import Mapping, RigLog, load_mapping, read_log
+from .windows import LONG_S, WARM_S, choose, rest_starts
 
 __all__ = ["Part", "overlap", "read_parts"]
 
 
 @dataclass(frozen=True)
 class Part:
-    """A run on an even grid, cut at the end of the last window; `inside` (T,) marks the rows that count."""
+    """A run on an even grid, cut at the end of the last window; `inside` (T,) marks the rows that count; `note` says what was
+    chosen for the user."""
 
     label: str
     log: RigLog
     inside: np.ndarray
     windows: tuple[tuple[float, float], ...]
+    note: str = ""
 
     @property
     def seconds(self) -> float:
@@ -43,7 +47,35 @@ def read_parts(words: Iterable[str | Path], mapping: Mapping | str | Path | None
         path, windows = _split(str(word))
         if path not in read:
             read[path] = _even(_whole(path, read_log(path, mapping)))
-        parts.append(_cut(str(word), read[path], windows))
+        parts += _parts(str(word), read[path], windows)
+    return parts
+
+
+def _parts(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[Part]:
+    """One run, or several of a long log."""
+    ends = [min(end, float(log.time_s[-1]) + log.period) for _, end in windows]
+    if max(ends) - log.time_s[0] <= LONG_S:
+        return [_cut(word, log, windows)]
+    resting = log.time_s[rest_starts(log)]
+    parts = []
+    for (start, _), end in zip(windows, ends, strict=True):
+        start = max(start, float(log.time_s[0]))
+        if end - start > LONG_S:
+            chosen = choose(log, start, end)
+            shown = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b, _ in chosen)
+            note = f"{word}: {end - start:.6g} s are too long to simulate; looked at {shown}, where the commands move most"
+        else:
+            chosen, note = [(start, end, False)], ""
+        for a, b, at_rest in chosen:
+            before = resting[(resting <= a) & (resting >= a - LONG_S)]
+            begin = a if at_rest or not before.size else float(before[-1])
+            known = at_rest or bool(before.size) or a <= log.time_s[0]
+            counts = a if known else a + WARM_S
+            if not known:
+                note += "; " if note else f"{word}: "
+                note += f"nothing rests before {a:.6g} s, so the first {WARM_S:g} s there do not count"
+            parts.append(replace(_cut(word, log.window(begin, b), [(counts, b)]), note=note))
+            note = ""
     return parts
 
 
@@ -102,8 +134,8 @@ def overlap(fit: Iterable[Part], sealed: Iterable[Part]) -> None:
     for a in fit:
         for b in sealed:
             if a.log.sha256 == b.log.sha256:
-                n = min(len(a.inside), len(b.inside))
-                if (a.inside[:n] & b.inside[:n]).any():
+                mine, other = (np.round(p.log.time_s[p.inside] / p.log.period) for p in (a, b))
+                if np.intersect1d(mine, other).size:
                     raise InputError(
                         f"{b.label} is sealed but shares rows with {a.label}, which is fitted; name parts that are apart"
                     )
