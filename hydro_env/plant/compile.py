@@ -7,8 +7,9 @@ operations.
 
 Layout: a block is `half` rigs side by side; lanes 0..half-1 are their first channels, lanes half..2*half-1 their second
 ones. All rows of a block (states, parameters, stages) lie in one flat array with constant offsets, the loop over
-substeps is outside and the loop over lanes inside, so that the compiler emits vector instructions. Fused multiply-add is
-not allowed to it, so every lane gets the same bits whatever its neighbours, its place or the width of the block.
+substeps is outside and the loop over lanes inside, so that the compiler emits vector instructions. It may not fuse a
+product and a sum on its own; the text names each `fma` itself, so every lane gets the same bits whatever its neighbours,
+its place, the width of the block and the neutral effects that are compiled in.
 
 Source text: `rates` (rhs.py), the laws of the effects and the functions of lanemath are pasted into one generated
 module, which is kept in the user's cache under a hash of its own text: compiled once for a set of effects, and never
@@ -46,7 +47,7 @@ __all__ = ["STATES", "Kernel", "compile_kernel", "rosenbrock_coefficients"]
 STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
 #: Beyond these magnitudes (SI) a state counts as diverged.
 STATE_CAPS = (1e2, 1e-2, 1e3, 1e-2, 1e10, 1e5, 1e12)
-#: A lane at an end stop or a sharp bend of an effect takes a substep in so many parts.
+#: A lane at an end stop takes a substep in so many parts; at a sharp bend of an effect, as many as the effect asks for.
 STOP_PARTS = 5
 #: Longest delay that the delay line of `command_delay` holds, s.
 LONGEST_DELAY = 0.05
@@ -176,12 +177,15 @@ def _slopes(effects: tuple[Effect, ...]) -> list[str]:
         lines += ["stiffness = stiffness + positive((force - force__d) * 1e7)"]
     lines += ["pressure__d = pressure + 1e3", "leakage_slope = leakage_coefficient"]
     if _depends("leakage", effects, "pressure"):
-        lines += ["leakage__d = leakage_coefficient * pressure__d"]
+        lines += [
+            "laminar__d = leakage_coefficient * pressure__d",
+            "laminar = leakage_coefficient * pressure",
+        ]
+        lines += ["leakage__d = laminar__d"]
         lines += _chain("leakage", effects, {"leakage": "leakage__d", "pressure": "pressure__d"})
         # Only what the effects add, so that a neutral one changes no bit.
         lines += [
-            "leakage_slope = leakage_slope + positive(((leakage__d - leakage_coefficient * pressure__d)"
-            " - (leakage - leakage_coefficient * pressure)) * 1e-3)"
+            "leakage_slope = leakage_slope + positive(((leakage__d - laminar__d) - (leakage - laminar)) * 1e-3)"
         ]
     if _depends("drive", effects, "pressure"):
         lines += ["drive__d = 1.0"]
@@ -220,6 +224,40 @@ _FACTORS = [
 ]
 
 
+# --- fused multiply-add ---------------------------------------------------------------------------------------------
+class _Fuse(ast.NodeTransformer):
+    """Writes a * b + c, c + a * b, a * b - c and c - a * b as one fused operation.
+
+    The compiler may not fuse on its own: what it fuses would depend on the effects compiled in and on the width of the
+    block. Fused here, statement by statement, a statement gives the same bits wherever it stands.
+    """
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        node = self.generic_visit(node)  # type: ignore[assignment]
+        if not isinstance(node.op, ast.Add | ast.Sub):
+            return node
+        minus = isinstance(node.op, ast.Sub)
+        left, right = node.left, node.right
+        if isinstance(right, ast.BinOp) and isinstance(right.op, ast.Mult):
+            factor = ast.UnaryOp(ast.USub(), right.left) if minus else right.left
+            return _call("fma", factor, right.right, left)
+        if isinstance(left, ast.BinOp) and isinstance(left.op, ast.Mult):
+            term = ast.UnaryOp(ast.USub(), right) if minus else right
+            return _call("fma", left.left, left.right, term)
+        return node
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+        return node  # an index is whole numbers
+
+
+def _call(name: str, *arguments: ast.expr) -> ast.Call:
+    return ast.Call(ast.Name(name, ast.Load()), list(arguments), [])
+
+
+def _fused(text: str) -> str:
+    return ast.unparse(ast.fix_missing_locations(_Fuse().visit(ast.parse(textwrap.dedent(text)))))
+
+
 # --- the generated module ---------------------------------------------------------------------------------------------
 class _Rows:
     """Row numbers of a block, handed out in order."""
@@ -252,7 +290,12 @@ def _needed(wanted: set[str], lines: Iterable[str]) -> list[str]:
 
 
 def _indent(lines: Iterable[str], depth: int) -> str:
-    return "\n".join("    " * depth + line for line in lines)
+    return textwrap.indent("\n".join(lines), "    " * depth)
+
+
+def _sweep(lines: Iterable[str]) -> str:
+    """A loop over all lanes of a block that runs these statements."""
+    return "    for l in range(LANES):\n" + _indent(_fused("\n".join(lines)).splitlines(), 2)
 
 
 def _uses(name: str, text: str) -> bool:
@@ -271,7 +314,7 @@ def _paste(function: Callable[..., Any], name: str) -> str:
         raise ValueError(
             f"law {function.__name__!r} must be a plain function (def), not a lambda or decorated"
         )
-    return "@lane\n" + re.sub(r"^def \w+\(", f"def {name}(", source)
+    return "@lane\n" + _fused(re.sub(r"^def \w+\(", f"def {name}(", source))
 
 
 def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str, int], int]:
@@ -288,13 +331,15 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     factors = ("e_current", "e_bristle", "e_spool_speed", "w_spool", "w_bristle", "w_current", "w_back", "w_slope",
                "e_speed", "e_pressure", "w_flow", "w_pump", "w_drive")  # fmt: skip
     rows.add(*(f"f__{name}" for name in factors), *(f"f__{name}" for name in states[len(STATES) :]))
-    rows.add(*(f"u{stage}__{name}" for stage in range(3) for name in states), "applied", "next_flow")
+    rows.add(
+        *(f"u{stage}__{name}" for stage in range(3) for name in states), "applied", "next_flow", "other_flow"
+    )
     rows.add(*(f"per_{name}" for name in _DIVISORS))
-    rows.add("near", *(f"{copy}{r}" for copy in ("before", "whole") for r in range(saved)))
+    rows.add("parts", *(f"{copy}{r}" for copy in ("before", "after") for r in range(saved)))
     at = rows.number
 
     def row(name: str) -> str:
-        return f"lanes[{at[name] * 2 * half} + l]"
+        return f"cells[{at[name] * 2 * half} + l]"
 
     reciprocals = [f"per_{name}" for name in _DIVISORS]
 
@@ -310,7 +355,7 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
         effect_rates.append(
             f"{effect.name}__{state.name}_rate = {_law_name(effect, state.name + '_rate')}({call})"
         )
-    own_flow = ["own_flow = " + row("flow"), f"other_flow = others[{at['flow'] * 2 * half} + l]"]
+    own_flow = ["own_flow = " + row("flow"), "other_flow = " + row("other_flow")]
     body_text = "\n".join(body + effect_rates)
     flows = own_flow if _uses("other_flow", body_text) or _uses("own_flow", body_text) else []
     inputs = ["command = " + row("applied"), *load(["load", "time"], body_text), *flows]
@@ -399,15 +444,18 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     guard += [f"{row(name)} = {row(name)} if ok else 0.0" for name in states]
 
     corners: list[str] = []
+    part_numbers = {STOP_PARTS}
     for effect in effects:
         if effect.corner is not None:
             names = _Names(effect)
             called = [names(a, {}) for a in _arguments(effect.corner)]
-            corners += [
-                f"{name} = {row(name)}".replace("lanes", "cells") for name in called if name != "substep"
-            ]
+            corners += [f"{name} = {row(name)}" for name in called if name != "substep"]
             call = ", ".join("h" if name == "substep" else name for name in called)
-            corners.append(f"bend = bend | {_law_name(effect, 'corner')}({call})")
+            wanted = float(effect.corner_parts)
+            part_numbers.add(effect.corner_parts)
+            corners.append(
+                f"parts = {wanted} if {_law_name(effect, 'corner')}({call}) and parts < {wanted} else parts"
+            )
 
     additions = [
         (at[base], at[f"{e.name}__{own}"]) for e in effects for base, own in e.adds_to.items()
@@ -436,7 +484,8 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
             if state.decay is not None:
                 pasted.append(_paste(state.decay, _law_name(effect, state.name + "_decay")))
 
-    keep_flow = f"{row('flow')} = {row('next_flow')}".replace("lanes", "cells") if flows else "pass"
+    keep_flow = f"{row('flow')} = {row('next_flow')}" if flows else "pass"
+    exchange = _EXCHANGE.format(flow=at["flow"], other=at["other_flow"]) if flows else ""
     delay = at.get("command_delay__delay")
     if delay is None:
         apply = "cells[APPLIED * LANES + l] = cells[COMMAND * LANES + l]"
@@ -447,11 +496,12 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     text = _MODULE.format(
         functions="\n\n".join(pasted), half=half, moving=moving, kept=kept, total=len(at),
         command=at["command"], load=at["load"], applied=at["applied"], time=at["time"], rated=at["u_rated"],
-        spool=at["spool"], spool_speed=at["spool_speed"], x_max=at["x_max"], near=at["near"],
-        saved=saved, before=at["before0"], whole=at["whole0"], parts=STOP_PARTS,
+        spool=at["spool"], spool_speed=at["spool_speed"], x_max=at["x_max"], parts=at["parts"],
+        saved=saved, before=at["before0"], after=at["after0"],
+        stop_parts=float(STOP_PARTS), part_numbers=tuple(float(n) for n in sorted(part_numbers)),
         gamma=repr(method["gamma"]), coefficients=_indent(coefficients, 1),
-        first=_indent(first, 3), second=_indent(stage(1), 3), third=_indent(stage(2), 3), fourth=_indent(stage(3), 3),
-        corners=_indent(corners, 5), watch=_indent(watch, 3), guard=_indent(guard, 2),
+        first=_sweep(first), second=_sweep(stage(1)), third=_sweep(stage(2)), fourth=_sweep(stage(3)),
+        corners=_indent(corners, 5), watch=_sweep(watch), guard=_indent(guard, 2), exchange=exchange,
         apply=apply, ring=ring, keep_flow=keep_flow, **base_rows,
     )  # fmt: skip
     visible = {name.replace("__", ".", 1) if name in parameters and "__" in name else name: n
@@ -472,6 +522,11 @@ _DELAY = """\
                     )
 """
 
+_EXCHANGE = """\
+    for l in range(HALF):
+        cells[{other} * LANES + l] = cells[{flow} * LANES + HALF + l]
+        cells[{other} * LANES + HALF + l] = cells[{flow} * LANES + l]"""
+
 _MODULE = '''\
 """Generated by hydro_env.plant.compile; the name of this file is the hash of its text."""
 
@@ -479,6 +534,8 @@ from math import floor, sqrt
 
 import numpy as np
 from numba import njit
+from numba.core import types
+from numba.extending import intrinsic
 
 lane = njit(forceinline=True, error_model="numpy")
 block = njit(error_model="numpy", cache=True)
@@ -489,8 +546,19 @@ MOVING = {moving}
 KEPT = {kept}
 TOTAL = {total}
 COMMAND, LOAD, APPLIED, TIME, RATED = {command}, {load}, {applied}, {time}, {rated}
-SPOOL, SPOOL_SPEED, X_MAX, NEAR = {spool}, {spool_speed}, {x_max}, {near}
-SAVED, BEFORE, WHOLE = {saved}, {before}, {whole}
+SPOOL, SPOOL_SPEED, X_MAX, PARTS = {spool}, {spool_speed}, {x_max}, {parts}
+SAVED, BEFORE, AFTER = {saved}, {before}, {after}
+
+
+@intrinsic
+def fma(typing, a, b, c):
+    """a * b + c with one rounding."""
+
+    def emit(context, builder, signature, arguments):
+        pairs = zip(arguments, signature.args)
+        return builder.fma(*(context.cast(builder, value, kind, types.float64) for value, kind in pairs))
+
+    return types.float64(a, b, c), emit
 
 
 @lane
@@ -513,18 +581,32 @@ def look(cells):
     """Outputs (flow, measured speed) of a block from its states."""
     for l in range(LANES):
         cells[APPLIED * LANES + l] = cells[COMMAND * LANES + l]
-    for side in range(2):
-        lanes = cells[side * HALF :]
-        others = cells[HALF - side * HALF :]
-        for l in range(HALF):
+{exchange}
 {watch}
 
 
 @block
-def protect(lanes):
+def protect(cells):
     """Puts lanes that left the bounds of sense to rest and marks them."""
     for l in range(LANES):
 {guard}
+
+
+@block
+def keep(cells, copy, parts):
+    """Copies what a step changes: of all lanes, or of those that take the substep in so many parts."""
+    for r in range(SAVED):
+        for l in range(LANES):
+            if parts < 0.0 or cells[PARTS * LANES + l] == parts:
+                cells[(copy + r) * LANES + l] = cells[r * LANES + l]
+
+
+@block
+def back(cells, copy):
+    """Brings a copy back."""
+    for r in range(SAVED):
+        for l in range(LANES):
+            cells[r * LANES + l] = cells[(copy + r) * LANES + l]
 
 
 @block
@@ -533,25 +615,10 @@ def step(cells, h):
     ig = 1.0 / ({gamma} * h)
     gh = {gamma} * h
 {coefficients}
-    for side in range(2):
-        lanes = cells[side * HALF :]
-        others = cells[HALF - side * HALF :]
-        for l in range(HALF):
+{exchange}
 {first}
-    for side in range(2):
-        lanes = cells[side * HALF :]
-        others = cells[HALF - side * HALF :]
-        for l in range(HALF):
 {second}
-    for side in range(2):
-        lanes = cells[side * HALF :]
-        others = cells[HALF - side * HALF :]
-        for l in range(HALF):
 {third}
-    for side in range(2):
-        lanes = cells[side * HALF :]
-        others = cells[HALF - side * HALF :]
-        for l in range(HALF):
 {fourth}
     for l in range(LANES):
         cells[TIME * LANES + l] = cells[TIME * LANES + l] + h
@@ -602,33 +669,28 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
                 {apply}
             for n in range(substeps):
 {ring}
-                near = 0
+                most = 0.0
                 for l in range(LANES):
                     reach = abs(cells[SPOOL * LANES + l]) + h * abs(cells[SPOOL_SPEED * LANES + l])
-                    bend = reach > cells[X_MAX * LANES + l]
+                    parts = {stop_parts} if reach > cells[X_MAX * LANES + l] else 0.0
 {corners}
-                    cells[NEAR * LANES + l] = 1.0 if bend else 0.0
-                    near += 1 if bend else 0
-                if near == 0:
+                    cells[PARTS * LANES + l] = parts
+                    most = parts if parts > most else most
+                if most == 0.0:
                     step(cells, h)
                 else:
                     # Lanes at an end stop or a sharp bend of an effect take the substep in parts; the others keep
                     # the result of the whole one.
-                    for r in range(SAVED):
-                        for l in range(LANES):
-                            cells[(BEFORE + r) * LANES + l] = cells[r * LANES + l]
+                    keep(cells, BEFORE, -1.0)
                     step(cells, h)
-                    for r in range(SAVED):
-                        for l in range(LANES):
-                            cells[(WHOLE + r) * LANES + l] = cells[r * LANES + l]
-                            cells[r * LANES + l] = cells[(BEFORE + r) * LANES + l]
-                    for part in range({parts}):
-                        step(cells, h / {parts})
-                    for r in range(SAVED):
-                        for l in range(LANES):
-                            kept = cells[(WHOLE + r) * LANES + l]
-                            inside = cells[NEAR * LANES + l] == 0.0
-                            cells[r * LANES + l] = kept if inside else cells[r * LANES + l]
+                    keep(cells, AFTER, -1.0)
+                    for parts in {part_numbers}:
+                        if parts <= most:
+                            back(cells, BEFORE)
+                            for part in range(int(parts)):
+                                step(cells, h / parts)
+                            keep(cells, AFTER, parts)
+                    back(cells, AFTER)
             protect(cells)
         look(cells)
         for r in range(MOVING):

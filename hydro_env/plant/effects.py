@@ -52,7 +52,8 @@ class Effect:
     """One effect of the catalogue; see the module's text for what laws and states are.
 
     `corner` says, by a law that may also ask for `substep` (s), whether a channel is about to pass a bend of the effect that
-    is too sharp for a whole substep; it then takes the substep in parts. It must be false when the effect is neutral.
+    is too sharp for a whole substep, or wants short ones everywhere; it then takes the substep in
+    `corner_parts` parts. It must be false when the effect is neutral.
     `adds_to` names base parameters of the channel that one of the effect's parameters is simply added to.
     `scope` is "channel" (each valve and motor has its own) or "rig" (both share the same values).
     `indistinguishable_from` lists effects that no data of the usual channels separate from this one.
@@ -70,6 +71,7 @@ class Effect:
     states: tuple[State, ...] = ()
     adds_to: Mapping[str, str] = field(default_factory=dict)
     corner: Callable[..., bool] | None = None
+    corner_parts: int = 5
     scope: str = "channel"
     indistinguishable_from: tuple[str, ...] = ()
     family: str = ""
@@ -269,8 +271,9 @@ def _preload_force(force, spool, preload):
     return force - preload * tanh(spool * 5e4)
 
 
-def _preload_corner(spool, spool_speed, preload, substep):
-    return preload > 0.0 and abs(spool) < 6e-5 + substep * abs(spool_speed)
+def _preload_corner(preload):
+    # Everywhere: a preloaded spool that is pushed over its centre magnifies errors made long before.
+    return preload > 0.0
 
 
 register(
@@ -287,6 +290,7 @@ register(
         ),
         laws={"force": _preload_force},
         corner=_preload_corner,
+        corner_parts=10,
         indistinguishable_from=("dead_zone",),
     )
 )
@@ -758,10 +762,9 @@ def _load_speed_rate(load_speed, twist, speed, gap, stiffness, damping, load, in
     return (contact - load) / inertia if inertia > 0.0 else 0.0
 
 
-def _backlash_corner(twist, speed, load_speed, gap, inertia, substep):
-    # From just before a contact until the damper has grown to its full size.
-    reach = abs(twist) + substep * abs(speed - load_speed)
-    return inertia > 0.0 and reach > 0.5 * gap and abs(twist) < 0.5 * gap + 0.02
+def _backlash_corner(inertia):
+    # Everywhere: when the coupling strikes next depends on all that came before.
+    return inertia > 0.0
 
 
 register(
@@ -792,6 +795,7 @@ register(
         laws={"torque": _backlash_torque},
         states=(State("twist", _twist_rate), State("load_speed", _load_speed_rate)),
         corner=_backlash_corner,
+        corner_parts=10,
     )
 )
 

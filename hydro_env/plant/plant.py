@@ -20,13 +20,17 @@ from .parameters import PARAMETERS
 __all__ = ["SIGNALS", "SUBSTEP", "Plant", "simulate"]
 
 #: Longest substep of the integrator, s.
-SUBSTEP = 100e-6
+SUBSTEP = 125e-6
 #: Signals that can be read and recorded.
 SIGNALS = (*STATES, "flow", "measured_speed")
 
 Array = NDArray[np.float64]
 _NO_RECORD = np.zeros(0, np.int64)
-HALF = 8
+
+
+def _half(num_rigs: int) -> int:
+    """Rigs to a block: two vectors of channels for a batch, no idle lanes for one or two rigs. Either gives the same bits."""
+    return 1 if num_rigs <= 2 else 16
 
 
 class Plant:
@@ -55,7 +59,7 @@ class Plant:
         for name in effects:
             if name not in CATALOGUE:
                 parameter_of(f"{name}.")  # raises the line that names the nearest effect
-        self._kernel: Kernel = compile_kernel((*self.model.declared, *effects), HALF)
+        self._kernel: Kernel = compile_kernel((*self.model.declared, *effects), _half(self.num_rigs))
         kernel = self._kernel
         blocks = -(-self.num_rigs // kernel.half)
         self._memory = np.zeros((blocks, kernel.num_rows, 2 * kernel.half))
@@ -263,7 +267,7 @@ class Plant:
     def __setstate__(self, state: dict[str, Any]) -> None:
         effects = state.pop("_effects")
         self.__dict__.update(state)
-        self._kernel = compile_kernel(effects, HALF)
+        self._kernel = compile_kernel(effects, _half(self.num_rigs))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Plant:
         twin = object.__new__(type(self))
