@@ -9,6 +9,7 @@ from scipy import stats
 from hydro_env.benchmark.statistics import (
     bootstrap_interval,
     cvar,
+    gap_closed,
     iqm,
     probability_of_improvement,
     summarise,
@@ -101,3 +102,11 @@ def test_summary():
     assert summary.iqm == pytest.approx(50.5)
     assert summary.ci95[0] < 50.5 < summary.ci95[1]
     assert (summary.cvar95, summary.n) == (pytest.approx(98.0), 100)
+
+
+def test_share_of_the_gap_closed():
+    baseline, bound, ours = (summarise(np.linspace(m - 1.0, m + 1.0, 101)) for m in (60.0, 10.0, 20.0))
+    assert gap_closed(ours, baseline, bound) == pytest.approx(0.8)
+    assert gap_closed(baseline, baseline, bound) == 0.0
+    assert gap_closed(bound, baseline, bound) == 1.0
+    assert gap_closed(ours, baseline, baseline) is None

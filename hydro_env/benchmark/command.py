@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from hydro_env.benchmark.report import scores_page, scores_table
-from hydro_env.benchmark.statistics import probability_of_improvement, summarise
+from hydro_env.benchmark.statistics import Summary, gap_closed, probability_of_improvement, summarise
 from hydro_env.benchmark.suite import Suite, check_suite, load_suite
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
@@ -36,6 +36,8 @@ __all__ = ["SCHEMA", "run"]
 SCHEMA = "hydro_env/scores/1"
 BASELINE = "pid_tuned"
 """Against whom the probability of improvement is given (the first controller where it does not take part)."""
+BOUND = "oracle"
+"""Who says how much there is to gain on the baseline."""
 
 TRACE_EVERY = 2
 """The page keeps every so many samples of a trace."""
@@ -200,9 +202,11 @@ def _scores(
     baseline = BASELINE if BASELINE in names else names[0]
     theirs = {(cell.split, cell.scenario): cell for cell in cells if cell.name == baseline}
     rows, better = [], []
+    summaries: dict[tuple[str, str, str, str], Summary] = {}
     for cell in cells:
         for metric in suite.metrics if cell.metrics else ():
             summary = summarise(cell.metrics[metric], strata=cell.strata, seed=seed)
+            summaries[cell.name, cell.split, cell.scenario, metric] = summary
             where = {
                 "controller": cell.name,
                 "split": cell.split,
@@ -222,6 +226,23 @@ def _scores(
             if cell.name != baseline and other.metrics:
                 chance = probability_of_improvement(cell.metrics[metric], other.metrics[metric])
                 better.append({**where, "over": baseline, "probability": chance})
+    closed = []
+    for (name, *place), summary in summaries.items():
+        split, scenario, metric = place
+        ends = [summaries.get((end, split, scenario, metric)) for end in (baseline, BOUND)]
+        share = None if ends[0] is None or ends[1] is None else gap_closed(summary, ends[0], ends[1])
+        if name not in (baseline, BOUND) and share is not None:
+            closed.append(
+                {
+                    "controller": name,
+                    "split": split,
+                    "scenario": scenario,
+                    "metric": metric,
+                    "over": baseline,
+                    "bound": BOUND,
+                    "share": share,
+                }
+            )
     failed = [
         {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, "reason": cell.failure}
         for cell in cells
@@ -240,6 +261,7 @@ def _scores(
         "rows": rows,
         "failed": failed,
         "improvement": better,
+        "gap_closed": closed,
     }
 
 

@@ -22,6 +22,7 @@ def scores_table(scores: dict[str, Any]) -> str:
     failed = {(f["split"], f["scenario"], f["controller"]): f["reason"] for f in scores["failed"]}
     done = [(r["split"], r["scenario"]) for r in scores["rows"]]
     blocks = list(dict.fromkeys(done + [(f["split"], f["scenario"]) for f in scores["failed"]]))
+    extras = _extras(scores)
     width = max([len(name) for name in scores["controllers"]] + [len("controller")])
     lines = []
     for split, scenario in blocks:
@@ -31,10 +32,11 @@ def scores_table(scores: dict[str, Any]) -> str:
         lines.append(f"\n{split} / {scenario}, {n} cases: interquartile mean and its 95 % interval")
         texts = {
             name: [_cell(cells.get((split, scenario, name, metric))) for metric in columns]
+            + [extras.get((split, scenario, name, what), "-") for what in EXTRAS]
             for name in scores["controllers"]
             if (split, scenario, name) not in failed
         }
-        heads = [_short(metric) for metric in columns]
+        heads = [_short(metric) for metric in columns] + list(EXTRAS)
         columns_of = zip(heads, *texts.values(), strict=True)
         wide = [2 + max(len(text) for text in column) for column in columns_of]
         lines.append("  " + "controller".ljust(width) + _row(heads, wide))
@@ -42,6 +44,20 @@ def scores_table(scores: dict[str, Any]) -> str:
             told = _row(texts[name], wide) if name in texts else f"  failed: {failed[split, scenario, name]}"
             lines.append("  " + name.ljust(width) + told)
     return "\n".join(lines).lstrip("\n")
+
+
+EXTRAS = ("better", "gap closed")
+"""Of the largest speed difference: the probability of improvement, and the share of the oracle's gap closed."""
+
+
+def _extras(scores: dict[str, Any]) -> dict[tuple[str, str, str, str], str]:
+    shares = [("better", entry, entry["probability"]) for entry in scores.get("improvement", ())]
+    shares += [("gap closed", entry, entry["share"]) for entry in scores.get("gap_closed", ())]
+    return {
+        (entry["split"], entry["scenario"], entry["controller"], what): f"{share:.0%}"
+        for what, entry, share in shares
+        if entry["metric"] == "max_speed_difference_rpm"
+    }
 
 
 def _row(texts: list[str], widths: list[int]) -> str:

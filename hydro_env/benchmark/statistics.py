@@ -13,7 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Summary", "bootstrap_interval", "cvar", "iqm", "probability_of_improvement", "summarise"]
+__all__ = [
+    "Summary",
+    "bootstrap_interval",
+    "cvar",
+    "gap_closed",
+    "iqm",
+    "probability_of_improvement",
+    "summarise",
+]
 
 Floats = NDArray[np.float64]
 
@@ -108,3 +116,15 @@ def summarise(
     sample = np.asarray(values, dtype=float).ravel()
     interval = bootstrap_interval(sample, strata=strata, resamples=resamples, seed=seed)
     return Summary(float(iqm(sample)), interval, cvar(sample), sample.size)
+
+
+def gap_closed(ours: Summary, baseline: Summary, bound: Summary) -> float | None:
+    """Share of the way from the baseline to the bound that `ours` has gone, of interquartile means: 0 at the
+    baseline, 1 at the bound, negative if worse than the baseline.
+
+    None where the interval of the bound does not lie wholly below the baseline's: then there is no gap that
+    the number of cases can tell from nothing, and a share of it would be noise.
+    """
+    if bound.ci95[1] >= baseline.ci95[0]:
+        return None
+    return (baseline.iqm - ours.iqm) / (baseline.iqm - bound.iqm)
