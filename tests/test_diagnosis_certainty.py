@@ -15,6 +15,7 @@ from hydro_env.diagnosis.motor import MotorRig
 from hydro_env.diagnosis.noise import noise_floor
 from hydro_env.diagnosis.parts import read_parts
 from hydro_env.diagnosis.unknowns import less_taken
+from hydro_env.diagnosis.where import shape
 from hydro_env.plant import load_model
 
 
@@ -129,3 +130,13 @@ def test_a_blind_trial(group: str) -> None:
         if c.hidden == ("null_offset:2",) or c.hidden == ("null_offset:1",)
     )
     assert trials.run_case(case)["right"]
+
+
+def test_the_shape_of_a_gap_tells_a_curve_from_memory() -> None:
+    t = np.arange(6000) * 1e-3
+    command = 40.0 * np.sin(2.0 * np.pi * t)
+    overlap = shape(command, -np.clip(command, -10.0, 10.0), "command, V", "flow", 1.0)
+    assert overlap["explains"] > 0.95
+    assert next(p[1] for p in overlap["points"]) == pytest.approx(10.0, rel=0.01)
+    loop = shape(command, np.sign(np.cos(2.0 * np.pi * t)), "command, V", "flow", 1.0)
+    assert loop["explains"] < 0.1 and loop["with_direction"] > 0.95

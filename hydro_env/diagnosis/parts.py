@@ -3,7 +3,7 @@
 A log is named by its path; `PATH@FROM:TO` (seconds of the log's own clock, either may be left out) names a part of
 it. `PATH@0:13,23:34` names two windows of one run. A run is simulated from its beginning with all logged
 commands, so that the state at a window's beginning is the simulated one; only the measurements inside the windows count.
-A log of more than a minute is taken in windows instead, chosen where none are named (`windows`), each a run of its own.
+A log of more than two minutes is taken in windows instead, chosen where none are named (`windows`), each a run of its own.
 """
 
 from __future__ import annotations

@@ -108,6 +108,13 @@ def terminal_text(found: Diagnosis) -> str:
     if hidden:
         text = ", ".join(hidden[:8]) + (f" and {len(hidden) - 8} more" if len(hidden) > 8 else "")
         lines.append(f"could not be seen in these logs at medium size: {text}")
+    if data["verdict"] == "unknown":
+        for place in data["where"][:2]:
+            form = place["shape"]
+            lines.append(
+                f"{_plain(place['equation'])} of channel {place['channel']}: a curve over {form['over']} holds "
+                f"{100 * form['explains']:.0f} % of the error, {100 * form['with_direction']:.0f} % rising and falling apart"
+            )
     if data["next_experiment"]:
         lines.append(f"next experiment: {data['next_experiment']['description']}")
     lines += [f"warning: {text}" for text in found.warnings[:4]]

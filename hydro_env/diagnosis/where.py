@@ -11,21 +11,26 @@ speed alone the whole gap is the valve's and motor's together.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
 from .fit import Problem
 from .machine import Machine, Segment
-from .noise import noise_floor
+from .noise import effective_samples, noise_floor
 from .parts import Part
 
-__all__ = ["Place", "locate"]
+__all__ = ["Place", "locate", "shape"]
+
+RPM = np.pi / 30.0
+_FLOW = ("command, V", "flow over displacement, rpm", RPM)
 
 
 @dataclass(frozen=True)
 class Place:
-    """An equation that errs on a channel: its share of the gap, in which regime, and the windows that hold most of it."""
+    """An equation that errs on a channel: its share of the gap, in which regime, with what shape, and the windows that hold
+    most of it."""
 
     equation: str
     channel: int
@@ -33,12 +38,14 @@ class Place:
     regime: str
     windows: list[tuple[float, float]]
     ratio: float
+    shape: dict[str, Any]
 
     def as_dict(self) -> dict[str, object]:
         return {
             "equation": self.equation, "channel": str(self.channel + 1), "share_of_gap": round(self.share, 3),
             "regime": self.regime,
             "windows_s": [[round(a, 3), round(b, 3)] for a, b in self.windows],
+            "shape": self.shape,
         }  # fmt: skip
 
 
@@ -49,6 +56,8 @@ class _Replay:
     noise: float
     time: np.ndarray
     regimes: dict[str, np.ndarray]
+    over: np.ndarray
+    units: tuple[str, str, float]  # of `over`, of `error`, size of the latter in SI
 
     @property
     def ratio(self) -> float:
@@ -65,7 +74,15 @@ def locate(machine: Machine, problems: dict[int, Problem]) -> list[Place]:
         for r in replays:
             if whole > 0.0 and excess[r.equation] > 0.02 * whole and r.ratio > 1.1:
                 places.append(
-                    Place(r.equation, channel, excess[r.equation] / whole, _regime(r), _windows(r), r.ratio)
+                    Place(
+                        r.equation,
+                        channel,
+                        excess[r.equation] / whole,
+                        _regime(r),
+                        _windows(r),
+                        r.ratio,
+                        shape(r.over, r.error, *r.units),
+                    )
                 )
     return sorted(places, key=lambda p: (p.channel, -p.share))
 
@@ -97,17 +114,39 @@ def _replays(machine: Machine, problem: Problem, channel: int) -> list[_Replay]:
             error = mine["current"].measured - simulated["current"]
             late = time > time[0] + 0.6 * (time[-1] - time[0])
             regimes = {"large current": np.abs(command) > 0.6 * rated, "late in the log": late}
-            found.append(_replay("coil", error, speed.period, time, regimes, used))
+            found.append(
+                _replay(
+                    "coil",
+                    error,
+                    speed.period,
+                    time,
+                    regimes,
+                    used,
+                    command,
+                    ("command, V", "current, A", 1.0),
+                )
+            )
         if "pressure" in mine and not machine.quick:
             value = problem.values(channel)
             names = ("J", "B", "D", "Km", "V", "beta")
             numbers = {n: value.get(n, machine.model.value(n, channel)) for n in names}
-            found += _hydraulic(part, speed, mine["pressure"].measured, simulated, numbers, base, opening)
+            found += _hydraulic(
+                part, speed, mine["pressure"].measured, simulated, numbers, base, opening, command
+            )
         elif "pressure" not in mine or machine.quick:
             name = "valve_flow" if machine.quick else "valve and motor"
             found.append(
                 _replay(
-                    name, speed.measured - simulated["speed"], speed.period, time, {**opening, **base}, used
+                    name,
+                    speed.measured - simulated["speed"],
+                    speed.period,
+                    time,
+                    {**opening, **base},
+                    used,
+                    command,
+                    _FLOW
+                    if machine.parts[0].log.kinds[channel] == "motor"
+                    else ("command, V", "speed, mm/s", 1e-3),
                 )
             )
         for replay in found:
@@ -117,7 +156,7 @@ def _replays(machine: Machine, problem: Problem, channel: int) -> list[_Replay]:
 
 def _hydraulic(
     part: Part, segment: Segment, pressure: np.ndarray, simulated: dict[str, np.ndarray], numbers: dict[str, float],
-    speeds: dict[str, np.ndarray], openings: dict[str, np.ndarray],
+    speeds: dict[str, np.ndarray], openings: dict[str, np.ndarray], command: np.ndarray,
 ) -> list[_Replay]:  # fmt: skip
     """Shaft from the measured pressure; valve from the flow that measured speed and pressure need."""
     h, used, time = segment.period, segment.used, part.log.time_s[segment.rows]
@@ -131,7 +170,8 @@ def _hydraulic(
     # Only what the shaft loses against measurement within a second counts: errors do not pile up.
     forget = float(np.exp(-h / 1.0))
     error = lfilter([(1.0 + forget) / 2.0, -(1.0 + forget) / 2.0], [1.0, -forget], speed - replayed)
-    found = [_replay("shaft", error, h, time, speeds, used)]
+    shaft = ("speed, rpm", "speed lost or gained within a second, rpm", RPM)
+    found = [_replay("shaft", error, h, time, speeds, used, speed / RPM, shaft)]
 
     width = max(5, 2 * round(0.01 / h) + 1)
 
@@ -142,7 +182,7 @@ def _hydraulic(
         )
 
     missing = flow(speed, pressure) - flow(simulated["speed"], simulated["pressure"])
-    found.append(_replay("valve_flow", missing / numbers["D"], h, time, openings, used))
+    found.append(_replay("valve_flow", missing / numbers["D"], h, time, openings, used, command, _FLOW))
     return found
 
 
@@ -153,9 +193,13 @@ def _replay(
     time: np.ndarray,
     regimes: dict[str, np.ndarray],
     used: np.ndarray,
+    over: np.ndarray,
+    units: tuple[str, str, float],
 ) -> _Replay:
     noise = noise_floor(error, used, period)
-    return _Replay(equation, error[used], noise, time[used], {n: m[used] for n, m in regimes.items()})
+    return _Replay(
+        equation, error[used], noise, time[used], {n: m[used] for n, m in regimes.items()}, over[used], units
+    )
 
 
 def _joined(replays: list[_Replay]) -> _Replay:
@@ -163,7 +207,43 @@ def _joined(replays: list[_Replay]) -> _Replay:
     return _Replay(
         first.equation, np.concatenate([r.error for r in replays]), float(np.nanmin([r.noise for r in replays])),
         np.concatenate([r.time for r in replays]), {n: np.concatenate([r.regimes[n] for r in replays]) for n in first.regimes},
+        np.concatenate([r.over for r in replays]), first.units,
     )  # fmt: skip
+
+
+def shape(
+    over: np.ndarray, error: np.ndarray, over_unit: str, error_unit: str, size: float, bins: int = 15
+) -> dict[str, Any]:
+    """The error as a curve over the quantity that its equation depends on: not physics, but what physics would have to give.
+
+    `points` are [middle, mean, standard error] of bins with equally many rows; `explains` is the share of the error's
+    power that the curve holds, `with_direction` the share that two curves hold, one for a rising and one for a falling quantity:
+    much more means memory (hysteresis, play, lag). A small share of both means time, angle or another channel.
+    """
+    edges = np.unique(np.quantile(over, np.linspace(0.0, 1.0, bins + 1)))
+    number = np.clip(np.searchsorted(edges, over, side="right") - 1, 0, max(len(edges) - 2, 0))
+    # Whether the quantity rises, by its last change: commands come in steps.
+    change = np.sign(np.diff(over, prepend=over[:1]))
+    last = np.maximum.accumulate(np.where(change != 0.0, np.arange(change.size), 0))
+    rising = change[last] > 0.0
+    power = max(float(np.mean(error**2)), 1e-300)
+
+    def held(groups: np.ndarray) -> float:
+        counts = np.maximum(np.bincount(groups), 1)
+        means = np.bincount(groups, error) / counts
+        return float(np.sum(counts * means**2) / error.size / power)
+
+    points = []
+    for n in range(number.max() + 1 if number.size else 0):
+        rows = number == n
+        if rows.sum() > 1:
+            mean, spread = float(np.mean(error[rows])), float(np.std(error[rows]))
+            apart = spread / np.sqrt(effective_samples(error[rows]))
+            points.append([float(f"{v:.4g}") for v in (np.mean(over[rows]), mean / size, apart / size)])
+    return {
+        "over": over_unit, "error": error_unit, "points": points, "explains": round(held(number), 3),
+        "with_direction": round(held(2 * number + rising), 3),
+    }  # fmt: skip
 
 
 def _regime(replay: _Replay) -> str:

@@ -13,8 +13,8 @@ from ..measured import RigLog
 
 __all__ = ["LONG_S", "WARM_S", "choose", "rest_starts"]
 
-#: From this length on a log is looked at in windows, s; length and number of the windows.
-LONG_S = 60.0
+#: Beyond this length a log is looked at in windows, s; length and number of the windows.
+LONG_S = 120.0
 WINDOW_S, WINDOWS = 12.0, 2
 #: How long a rig must have been quiet to be at rest, s, and what does not count where it was not.
 QUIET_S, WARM_S = 0.3, 1.0
