@@ -96,6 +96,7 @@ class Kernel:
     half: int
     rows: dict[str, int]
     num_rows: int
+    dtype: np.dtype[Any]
     advance: Callable[..., None]
     observe: Callable[..., None]
     source: str
@@ -232,6 +233,9 @@ class _Fuse(ast.NodeTransformer):
     block. Fused here, statement by statement, a statement gives the same bits wherever it stands.
     """
 
+    def __init__(self, single: bool) -> None:
+        self.single = single
+
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         node = self.generic_visit(node)  # type: ignore[assignment]
         if not isinstance(node.op, ast.Add | ast.Sub):
@@ -246,6 +250,10 @@ class _Fuse(ast.NodeTransformer):
             return _call("fma", left.left, left.right, term)
         return node
 
+    def visit_Constant(self, node: ast.Constant) -> ast.AST:
+        # In single precision a plain constant would drag the whole expression to double.
+        return _call("real", node) if self.single and isinstance(node.value, float) else node
+
     def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
         return node  # an index is whole numbers
 
@@ -254,8 +262,8 @@ def _call(name: str, *arguments: ast.expr) -> ast.Call:
     return ast.Call(ast.Name(name, ast.Load()), list(arguments), [])
 
 
-def _fused(text: str) -> str:
-    return ast.unparse(ast.fix_missing_locations(_Fuse().visit(ast.parse(textwrap.dedent(text)))))
+def _fused(text: str, single: bool) -> str:
+    return ast.unparse(ast.fix_missing_locations(_Fuse(single).visit(ast.parse(textwrap.dedent(text)))))
 
 
 # --- the generated module ---------------------------------------------------------------------------------------------
@@ -293,16 +301,16 @@ def _indent(lines: Iterable[str], depth: int) -> str:
     return textwrap.indent("\n".join(lines), "    " * depth)
 
 
-def _sweep(lines: Iterable[str]) -> str:
+def _sweep(lines: Iterable[str], single: bool) -> str:
     """A loop over all lanes of a block that runs these statements."""
-    return "    for l in range(LANES):\n" + _indent(_fused("\n".join(lines)).splitlines(), 2)
+    return "    for l in range(LANES):\n" + _indent(_fused("\n".join(lines), single).splitlines(), 2)
 
 
 def _uses(name: str, text: str) -> bool:
     return re.search(rf"\b{name}\b", text) is not None
 
 
-def _paste(function: Callable[..., Any], name: str) -> str:
+def _paste(function: Callable[..., Any], name: str, single: bool) -> str:
     """Source of a plain function under another name, as an inlined compiled one."""
     try:
         source = textwrap.dedent(inspect.getsource(function))
@@ -314,10 +322,10 @@ def _paste(function: Callable[..., Any], name: str) -> str:
         raise ValueError(
             f"law {function.__name__!r} must be a plain function (def), not a lambda or decorated"
         )
-    return "@lane\n" + _fused(re.sub(r"^def \w+\(", f"def {name}(", source))
+    return "@lane\n" + _fused(re.sub(r"^def \w+\(", f"def {name}(", source), single)
 
 
-def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str, int], int]:
+def _module_text(effects: tuple[Effect, ...], half: int, single: bool) -> tuple[str, dict[str, int], int]:
     parameters = list(PARAMETERS) + [f"{e.name}__{p.name}" for e in effects for p in e.parameters]
     extra = [(e, s) for e in effects for s in e.states]
     states = list(STATES) + [f"{e.name}__{s.name}" for e, s in extra]
@@ -374,7 +382,7 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
     for effect, state in extra:
         name = f"{effect.name}__{state.name}"
         if state.decay is None:
-            first.append(f"f__{name} = 1.0 / ig")
+            first.append(f"f__{name} = real(1.0) / ig")
         else:
             names = _Names(effect)
             call = ", ".join(names(a, {}) for a in _arguments(state.decay))
@@ -419,6 +427,8 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
                 terms = "".join(f" + m{j} * u{j}__{name}" for j in range(3))
                 lines.append(f"y__{name} = y__{name}{terms} + m3 * u__{name}")
             # Stored only after everything is loaded: the compiler gives up on vectors otherwise.
+            lines += [f"{row('time')} = {row('time')} + h"]
+            lines += [f"{row('flow')} = {row('next_flow')}"] if flows else []
             lines += [f"{row(name)} = y__{name}" for name in states]
         return lines
 
@@ -454,7 +464,7 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
             wanted = float(effect.corner_parts)
             part_numbers.add(effect.corner_parts)
             corners.append(
-                f"parts = {wanted} if {_law_name(effect, 'corner')}({call}) and parts < {wanted} else parts"
+                f"parts = real({wanted}) if {_law_name(effect, 'corner')}({call}) and parts < real({wanted}) else parts"
             )
 
     additions = [
@@ -468,23 +478,22 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
         ),
         "reciprocals": "\n".join(
             f"        for l in range(LANES):\n            cells[{at['per_' + name]} * LANES + l]"
-            f" = 1.0 / cells[{at[name]} * LANES + l]"
+            f" = real(1.0) / cells[{at[name]} * LANES + l]"
             for name in _DIVISORS
         ),
     }
 
     helpers = [getattr(lanemath, name) for name in ("clip", "sign", "exp", "tanh", "cos", "sin")]
-    pasted = [_paste(f, f.__name__) for f in helpers]
+    pasted = [_paste(f, f.__name__, single) for f in helpers]
     for effect in effects:
-        pasted += [_paste(law, _law_name(effect, quantity)) for quantity, law in effect.laws.items()]
+        pasted += [_paste(law, _law_name(effect, quantity), single) for quantity, law in effect.laws.items()]
         if effect.corner is not None:
-            pasted.append(_paste(effect.corner, _law_name(effect, "corner")))
+            pasted.append(_paste(effect.corner, _law_name(effect, "corner"), single))
         for state in effect.states:
-            pasted.append(_paste(state.rate, _law_name(effect, state.name + "_rate")))
+            pasted.append(_paste(state.rate, _law_name(effect, state.name + "_rate"), single))
             if state.decay is not None:
-                pasted.append(_paste(state.decay, _law_name(effect, state.name + "_decay")))
+                pasted.append(_paste(state.decay, _law_name(effect, state.name + "_decay"), single))
 
-    keep_flow = f"{row('flow')} = {row('next_flow')}" if flows else "pass"
     exchange = _EXCHANGE.format(flow=at["flow"], other=at["other_flow"]) if flows else ""
     delay = at.get("command_delay__delay")
     if delay is None:
@@ -499,10 +508,11 @@ def _module_text(effects: tuple[Effect, ...], half: int) -> tuple[str, dict[str,
         spool=at["spool"], spool_speed=at["spool_speed"], x_max=at["x_max"], parts=at["parts"],
         saved=saved, before=at["before0"], after=at["after0"],
         stop_parts=float(STOP_PARTS), part_numbers=tuple(float(n) for n in sorted(part_numbers)),
-        gamma=repr(method["gamma"]), coefficients=_indent(coefficients, 1),
-        first=_sweep(first), second=_sweep(stage(1)), third=_sweep(stage(2)), fourth=_sweep(stage(3)),
-        corners=_indent(corners, 5), watch=_sweep(watch), guard=_indent(guard, 2), exchange=exchange,
-        apply=apply, ring=ring, keep_flow=keep_flow, **base_rows,
+        gamma=repr(method["gamma"]), coefficients=_indent(_fused("\n".join(coefficients), single).splitlines(), 1),
+        first=_sweep(first, single), second=_sweep(stage(1), single), third=_sweep(stage(2), single),
+        fourth=_sweep(stage(3), single), real="np.float32" if single else "np.float64", align=16 if single else 8,
+        corners=_indent(corners, 5), watch=_sweep(watch, single), guard=_indent(guard, 2), exchange=exchange,
+        apply=apply, ring=ring, **base_rows,
     )  # fmt: skip
     visible = {name.replace("__", ".", 1) if name in parameters and "__" in name else name: n
                for name, n in at.items() if n < kept}  # fmt: skip
@@ -537,6 +547,7 @@ from numba import njit
 from numba.core import types
 from numba.extending import intrinsic
 
+real = {real}
 lane = njit(forceinline=True, error_model="numpy")
 block = njit(error_model="numpy", cache=True)
 
@@ -553,17 +564,18 @@ SAVED, BEFORE, AFTER = {saved}, {before}, {after}
 @intrinsic
 def fma(typing, a, b, c):
     """a * b + c with one rounding."""
+    kind = types.float32 if a == b == c == types.float32 else types.float64
 
     def emit(context, builder, signature, arguments):
         pairs = zip(arguments, signature.args)
-        return builder.fma(*(context.cast(builder, value, kind, types.float64) for value, kind in pairs))
+        return builder.fma(*(context.cast(builder, value, given, kind) for value, given in pairs))
 
-    return types.float64(a, b, c), emit
+    return kind(a, b, c), emit
 
 
 @lane
 def positive(value):
-    return value if value > 0.0 else 0.0
+    return value if value > real(0.0) else real(0.0)
 
 
 {functions}
@@ -571,8 +583,8 @@ def positive(value):
 
 @lane
 def aligned(size):
-    room = np.zeros(size + 8)
-    skip = (64 - room.ctypes.data % 64) % 64 // 8
+    room = np.zeros(size + {align}, real)
+    skip = (64 - room.ctypes.data % 64) % 64 // (64 // {align})
     return room[skip : skip + size]
 
 
@@ -602,6 +614,15 @@ def keep(cells, copy, parts):
 
 
 @block
+def asked(cells, parts):
+    """Whether a lane takes the substep in so many parts."""
+    for l in range(LANES):
+        if cells[PARTS * LANES + l] == parts:
+            return True
+    return False
+
+
+@block
 def back(cells, copy):
     """Brings a copy back."""
     for r in range(SAVED):
@@ -612,17 +633,14 @@ def back(cells, copy):
 @block
 def step(cells, h):
     """One step of h seconds of a block."""
-    ig = 1.0 / ({gamma} * h)
-    gh = {gamma} * h
+    gh = real({gamma}) * h
+    ig = real(1.0) / gh
 {coefficients}
 {exchange}
 {first}
 {second}
 {third}
 {fourth}
-    for l in range(LANES):
-        cells[TIME * LANES + l] = cells[TIME * LANES + l] + h
-        {keep_flow}
 
 
 @block
@@ -634,6 +652,7 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
     out (len(record), T // every, rigs, 2) at the instant of each row, before its command acts.
     """
     cells = aligned(TOTAL * LANES)
+    h = real(h)
     rigs = out.shape[2]
     slots = ring.shape[1]
     for b in range(memory.shape[0]):
@@ -669,14 +688,14 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
                 {apply}
             for n in range(substeps):
 {ring}
-                most = 0.0
+                near = 0
                 for l in range(LANES):
                     reach = abs(cells[SPOOL * LANES + l]) + h * abs(cells[SPOOL_SPEED * LANES + l])
-                    parts = {stop_parts} if reach > cells[X_MAX * LANES + l] else 0.0
+                    parts = real({stop_parts}) if reach > cells[X_MAX * LANES + l] else real(0.0)
 {corners}
                     cells[PARTS * LANES + l] = parts
-                    most = parts if parts > most else most
-                if most == 0.0:
+                    near += 1 if parts > real(0.0) else 0
+                if near == 0:
                     step(cells, h)
                 else:
                     # Lanes at an end stop or a sharp bend of an effect take the substep in parts; the others keep
@@ -685,10 +704,10 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
                     step(cells, h)
                     keep(cells, AFTER, -1.0)
                     for parts in {part_numbers}:
-                        if parts <= most:
+                        if asked(cells, parts):
                             back(cells, BEFORE)
                             for part in range(int(parts)):
-                                step(cells, h / parts)
+                                step(cells, h / real(parts))
                             keep(cells, AFTER, parts)
                     back(cells, AFTER)
             protect(cells)
@@ -750,19 +769,23 @@ def _import_text(text: str) -> ModuleType:
 
 
 @lru_cache(maxsize=64)
-def _compiled(effects: tuple[Effect, ...], half: int) -> Kernel:
-    text, rows, kept = _module_text(effects, half)
+def _compiled(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
+    text, rows, kept = _module_text(effects, half, single)
     module = _import_text(text)
     names = tuple(e.name for e in effects)
-    return Kernel(names, half, rows, kept, module.advance, module.observe, text)
+    dtype = np.dtype(np.float32 if single else np.float64)
+    return Kernel(names, half, rows, kept, dtype, module.advance, module.observe, text)
 
 
-def compile_kernel(effects: Iterable[str] = (), half: int = 8) -> Kernel:
+def compile_kernel(effects: Iterable[str] = (), half: int = 8, dtype: Any = np.float64) -> Kernel:
     """The kernel for these effects, compiled on its first call. KeyError for an effect the catalogue lacks.
+
+    `dtype` is float64, or float32 for twice the lanes to a vector.
 
     The effects act in the order of the catalogue, whatever order they are named in.
     """
     wanted = set(effects)
     for name in wanted:
         CATALOGUE[name]
-    return _compiled(tuple(e for e in CATALOGUE.values() if e.name in wanted), half)
+    single = np.dtype(dtype) == np.float32
+    return _compiled(tuple(e for e in CATALOGUE.values() if e.name in wanted), half, single)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from .compile import LONGEST_DELAY, STATES, Kernel, compile_kernel
 from .effects import CATALOGUE
@@ -38,9 +38,10 @@ class Plant:
 
     Row i behaves bit for bit like the same row alone. `effects` names further effects whose parameters may be set by
     row; those of the model are always there. `substep` is the longest step of the integrator in s: a period is divided
-    into the fewest equal substeps that are not longer.
+    into the fewest equal substeps that are not longer. `dtype` is float64, or float32 for about twice the speed: it resolves
+    the angle and the time of an episode to seven digits only.
 
-    InputError for an unknown model, ValueError for a number of rigs below one.
+    InputError for an unknown model, ValueError for a number of rigs below one or another dtype.
     """
 
     def __init__(
@@ -50,19 +51,22 @@ class Plant:
         *,
         effects: Iterable[str] = (),
         substep: float = SUBSTEP,
+        dtype: DTypeLike = np.float64,
     ) -> None:
         if num_rigs < 1:
             raise ValueError(f"num_rigs is {num_rigs}, expected at least 1")
+        if np.dtype(dtype) not in (np.float32, np.float64):
+            raise ValueError(f"dtype is {np.dtype(dtype)}, expected float64 or float32")
         self.model = load_model(model)
         self.num_rigs = int(num_rigs)
         self.substep = float(substep)
         for name in effects:
             if name not in CATALOGUE:
                 parameter_of(f"{name}.")  # raises the line that names the nearest effect
-        self._kernel: Kernel = compile_kernel((*self.model.declared, *effects), _half(self.num_rigs))
+        self._kernel: Kernel = compile_kernel((*self.model.declared, *effects), _half(self.num_rigs), dtype)
         kernel = self._kernel
         blocks = -(-self.num_rigs // kernel.half)
-        self._memory = np.zeros((blocks, kernel.num_rows, 2 * kernel.half))
+        self._memory = np.zeros((blocks, kernel.num_rows, 2 * kernel.half), kernel.dtype)
         self._slots = int(LONGEST_DELAY / self.substep) + 3  # a slot of the delay line is a substep
         self._ring = np.zeros((blocks, self._slots if kernel.has_delay else 1, 2 * kernel.half))
         self._head = 0
@@ -267,7 +271,7 @@ class Plant:
     def __setstate__(self, state: dict[str, Any]) -> None:
         effects = state.pop("_effects")
         self.__dict__.update(state)
-        self._kernel = compile_kernel(effects, _half(self.num_rigs))
+        self._kernel = compile_kernel(effects, _half(self.num_rigs), self._memory.dtype)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Plant:
         twin = object.__new__(type(self))
