@@ -101,7 +101,7 @@ class MotorRig:
         results: list[dict[int, np.ndarray]] = [{} for _ in requests]
         by_kernel: dict[tuple[str, ...], list[int]] = {}
         for number, request in enumerate(requests):
-            by_kernel.setdefault(self._kernel(request.effects), []).append(number)
+            by_kernel.setdefault(self.kernel(request.effects), []).append(number)
         for effects, numbers in by_kernel.items():
             rows = self._pack([(n, requests[n]) for n in numbers])
             for start in range(0, len(rows), LANES):
@@ -123,7 +123,7 @@ class MotorRig:
                 self.progress(len(answers) // 2)
         return results
 
-    def _kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
+    def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
         """The effects to compile in. There are four kernels in all, so that few are compiled and all candidates share them:
         none; the light effects; all but those that tie the channels together; everything."""
         if not effects:

@@ -295,7 +295,7 @@ def diagnosis_dict(
         "where": [p.as_dict() for p in places],
         "calibrated": calibrated_values(machine, calibrated),
         "gap": {"sealed": sealed.gap, "fit": fit.gap},
-        "next_experiment": next_experiment(named, machine),
+        "next_experiment": next_experiment(named, machine, selection),
         "detectable": visible,
         "seconds": round(seconds, 1),
         "log_sha256": hashes,
