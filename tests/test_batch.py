@@ -190,7 +190,9 @@ def test_options():
     _, info = batch.reset(options={"case": [5, 1, 5]})
     assert info["case"].tolist() == [5, 1, 5]
     np.testing.assert_array_equal(info["mismatch"]["Kq"][0], info["mismatch"]["Kq"][2])
-    _, info = batch.reset(options={"mismatch": {"sensor_lag.time_constant": 0.02, "spool_stiction.static": 0.1}})
+    _, info = batch.reset(
+        options={"mismatch": {"sensor_lag.time_constant": 0.02, "spool_stiction.static": 0.1}}
+    )
     assert (batch.plant.get("sensor_lag.time_constant") == 0.02).all()
     np.testing.assert_array_equal(batch.pairs["Kq"], np.tile(batch.model.pair("Kq"), (3, 1)))
     for options in ({"case": [1, 2]}, {"case": "x"}, {"seed": 1}, {"reset_mask": np.ones(2, bool)}):
@@ -248,3 +250,12 @@ def test_wrong_use_is_named():
         batch.step(np.array([[0, 0], [np.nan, 0]]))
     with pytest.raises(InputError, match="num_envs"):
         HydraulicSyncVectorEnv(0)
+
+
+def test_a_batch_that_cannot_fit_is_refused_in_a_line(monkeypatch):
+    from hydro_env.envs import batch
+
+    monkeypatch.setattr(batch, "_memory_bytes", lambda: 2e6)
+    envs = HydraulicSyncVectorEnv(100)
+    with pytest.raises(InputError, match=r"num_envs is 100: episodes of \d+ steps need .* GiB"):
+        envs.reset(seed=0)

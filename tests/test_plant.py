@@ -346,3 +346,16 @@ def test_a_wrong_effect_is_refused() -> None:
         register(wrong)
     with pytest.raises(ValueError, match="catalogue already"):
         register(CATALOGUE["dead_zone"])
+
+
+def test_single_precision_agrees_and_a_row_equals_the_rig_alone():
+    rng = np.random.default_rng(3)
+    command = rng.uniform(-73.0, 73.0, (40, 20, 2))
+    double, single = (Plant("paper_dead_zone", 20, dtype=t) for t in ("float64", "float32"))
+    runs = [plant.run(command, None, 0.01)["speed"] for plant in (double, single)]
+    assert single.memory.dtype == np.float32
+    assert 0.0 < np.abs(runs[0] - runs[1]).max() * 30 / np.pi < 0.1
+    alone = Plant("paper_dead_zone", dtype="float32").run(command[:, 17], None, 0.01)["speed"]
+    np.testing.assert_array_equal(alone[:, 0], runs[1][:, 17])
+    with pytest.raises(ValueError, match="float64 or float32"):
+        Plant("paper", dtype="float16")

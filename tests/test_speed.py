@@ -18,11 +18,13 @@ def test_speed_writes_rates_and_the_error_at_that_speed(
     )
     result = speed.run(tmp_path, num_envs=[3], seconds=0.05)
     assert json.loads((tmp_path / "speed.json").read_text()) == result
-    (row,) = result["batch"]
+    row, single = result["batch"]
+    assert (row["dtype"], single["dtype"]) == ("float64", "float32")
     assert row["num_envs"] == 3 and row["env_steps_per_s"] > 0
     assert row["channel_substeps_per_s"] == pytest.approx(
         row["plant_steps_per_s"] * 2 * 0.01 / result["substep_s"]
     )
     assert row["times_real_time"] == pytest.approx(row["env_steps_per_s"] * 0.01)
     assert 0 < result["error_rpm"]["worst_against_reference"] < 0.1
+    assert 0 < result["error_float32_rpm"]["worst_against_reference"] < 0.1
     assert "rpm" in speed.summary(result)

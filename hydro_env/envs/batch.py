@@ -5,6 +5,7 @@ Everything the task does is written here, once; the single environment is a batc
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from math import inf
 from pathlib import Path
@@ -40,7 +41,17 @@ OPTIONS = ("mismatch", "scenario", "case", "reset_mask")
 DIVERGED = "diverged: a state of the plant left the bounds of sense"
 
 _NEVER = np.iinfo(np.int64).max
+#: What a row keeps of every step of its episode: set-point (8), loads (16), noise (24 bytes).
+_BYTES_A_STEP = 48
 _AT_RESET = [key for key in COLUMNS if not key.startswith("reward")]
+
+
+def _memory_bytes() -> float:
+    """Memory of this machine, inf where it does not say."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, ValueError, OSError):
+        return inf
 
 
 class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -57,6 +68,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     * `options` of `reset` hold for all rows that it resets; `case=k` means case k + i for row i, a list one for each.
     * `info` holds arrays with one row per rig and masks `_key` as Gymnasium has them; `pairs` the values of the valves.
     * `max_episode_steps` ends episodes early (truncation).
+    * `dtype`: "float64" (default), or "float32" for a faster plant (see `Plant`).
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012 (Gymnasium's way)
@@ -75,6 +87,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         reward: Mapping[str, float] | Reward | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
+        dtype: str = "float64",
     ) -> None:
         super().__init__()
         if num_envs < 1:
@@ -87,7 +100,10 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             raise InputError(f"max_episode_steps is {max_episode_steps}, expected at least 1")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"render_mode is {render_mode!r}, expected None or 'rgb_array'")
+        if dtype not in ("float64", "float32"):
+            raise InputError(f"dtype is {dtype!r}, expected 'float64' or 'float32'")
         self.num_envs = int(num_envs)
+        self.dtype = np.dtype(dtype)
         self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
         self.scenario = load_scenario(scenario)
         self.mismatch = load_mismatch(mismatch)
@@ -246,7 +262,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     def _build(self, mismatch: Mismatch | None) -> None:
         """Makes the plant anew with the effects that a mismatch needs beside those it had."""
         self._effects += () if mismatch is None else mismatch.effects
-        self.plant = Plant(self.model, self.num_envs, effects=self._effects)
+        self.plant = Plant(self.model, self.num_envs, effects=self._effects, dtype=self.dtype)
         self._where = np.array([self.plant.row_of(name) for name in SIGNALS], np.int64)
         self._half = self.plant.memory.shape[2] // 2
         self._rated = self.plant.get("u_rated")
@@ -392,6 +408,13 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     def _make_room(self, length: int) -> None:
         have = self._setpoint.shape[1]
         if length > have:
+            need = self.num_envs * length * _BYTES_A_STEP + self.plant.memory.nbytes
+            if need > (most := _memory_bytes()):
+                raise InputError(
+                    f"num_envs is {self.num_envs}: episodes of {length - 1} steps need {need / 2**30:.1f} GiB, this machine"
+                    f" has {most / 2**30:.1f} GiB, enough for about {int(self.num_envs * most / need)}; take fewer, or a"
+                    " shorter scenario"
+                )
             self._setpoint = np.pad(self._setpoint, ((0, 0), (0, length - have)))
             self._load = np.pad(self._load, ((0, 0), (0, length - have), (0, 0)))
             self._noise = np.pad(self._noise, ((0, 0), (0, length - have), (0, 0)))

@@ -16,7 +16,7 @@ import numpy as np
 from tqdm import tqdm
 
 from hydro_env.files import write_json
-from hydro_env.plant import Plant, load_model, simulate
+from hydro_env.plant import Plant, load_model
 from hydro_env.plant.plant import SUBSTEP
 from hydro_env.units import RPM
 
@@ -70,12 +70,12 @@ def measure_single(seconds: float = 1.0) -> dict[str, float]:
     return {"env_steps_per_s": _rate(steps, seconds), "plant_steps_per_s": _rate(plant_steps, seconds)}
 
 
-def measure_batch(num_envs: int, seconds: float = 1.0) -> dict[str, Any]:
+def measure_batch(num_envs: int, seconds: float = 1.0, dtype: str = "float64") -> dict[str, Any]:
     """Steps a second of a native batch, summed over its environments, with the kernel's share."""
     from hydro_env.envs.batch import HydraulicSyncVectorEnv
 
     rows = max(5, min(500, 20_000 // num_envs))
-    envs = HydraulicSyncVectorEnv(num_envs)
+    envs = HydraulicSyncVectorEnv(num_envs, dtype=dtype)
     commands = _commands(rows, num_envs, np.random.default_rng(0))
     actions = (commands / 73.0).astype(np.float32)
     envs.reset(seed=0)
@@ -85,7 +85,7 @@ def measure_batch(num_envs: int, seconds: float = 1.0) -> dict[str, Any]:
             envs.step(action)
         return rows * num_envs
 
-    plant = Plant("paper_dead_zone", num_envs)
+    plant = Plant("paper_dead_zone", num_envs, dtype=dtype)
 
     def plant_steps() -> int:
         plant.run(commands, None, PERIOD, (), 1)
@@ -95,7 +95,7 @@ def measure_batch(num_envs: int, seconds: float = 1.0) -> dict[str, Any]:
     substeps = 2 * plant.substeps(PERIOD)
     return {
         "num_envs": num_envs,
-        "dtype": "float64",
+        "dtype": dtype,
         "threads": 1,
         "env_steps_per_s": rate,
         "plant_steps_per_s": kernel,
@@ -104,7 +104,7 @@ def measure_batch(num_envs: int, seconds: float = 1.0) -> dict[str, Any]:
     }
 
 
-def measure_error() -> dict[str, float]:
+def measure_error(dtype: str = "float64") -> dict[str, float]:
     """Largest error of the speed in rpm against the reference, for the paper's rig with its calibrated dead zone."""
     from hydro_env.plant.reference import simulate_reference
 
@@ -120,7 +120,7 @@ def measure_error() -> dict[str, float]:
     for name, commands in kinds.items():
         fine = np.repeat(commands, 5, axis=0)
         truth = simulate_reference(model, fine, np.zeros_like(fine), PERIOD / 5, tolerance=1e-8)
-        ours = simulate(model, fine, None, PERIOD / 5, record=("speed",))["speed"][:, 0]
+        ours = Plant(model, dtype=dtype).run(fine, None, PERIOD / 5, ("speed",))["speed"][:, 0]
         errors[name] = float(np.abs(ours - truth["speed"]).max() / RPM)
     return {"worst_against_reference": max(errors.values()), **errors}
 
@@ -138,7 +138,8 @@ def run(out: str | Path, *, num_envs: Sequence[int] = NUM_ENVS, seconds: float =
     start = time.perf_counter()
     Plant("paper_dead_zone").step(0.0, 0.0, PERIOD)
     first = time.perf_counter() - start
-    batch = [measure_batch(n, seconds) for n in tqdm(num_envs, desc="batch", leave=False)]
+    sizes = [(n, "float64") for n in num_envs] + [(max(num_envs), "float32")]
+    batch = [measure_batch(n, seconds, dtype) for n, dtype in tqdm(sizes, desc="batch", leave=False)]
     plant = Plant("paper_dead_zone", 1024)
     result = {
         "schema": "hydro_env/speed/1",
@@ -152,6 +153,7 @@ def run(out: str | Path, *, num_envs: Sequence[int] = NUM_ENVS, seconds: float =
         "single": measure_single(seconds),
         "batch": batch,
         "error_rpm": measure_error(),
+        "error_float32_rpm": measure_error("float32"),
         "memory_bytes_per_env": plant.memory.nbytes / 1024,
     }
     write_json(Path(out) / "speed.json", result)
@@ -160,13 +162,16 @@ def run(out: str | Path, *, num_envs: Sequence[int] = NUM_ENVS, seconds: float =
 
 def summary(result: dict[str, Any]) -> str:
     """The result as a small table for the terminal."""
-    lines = ["environments   env steps/s   plant alone   ns per channel substep   times real time"]
+    lines = ["environments           env steps/s   plant alone   ns per channel substep   times real time"]
     for row in result["batch"]:
         lines.append(
-            f"{row['num_envs']:12d}{row['env_steps_per_s']:14.0f}{row['plant_steps_per_s']:14.0f}"
+            f"{row['num_envs']:12d} {row['dtype']}{row['env_steps_per_s']:14.0f}{row['plant_steps_per_s']:14.0f}"
             f"{1e9 / row['channel_substeps_per_s']:25.1f}{row['times_real_time']:18.0f}"
         )
     single, error = result["single"], result["error_rpm"]
+    lines.append(
+        f"float32: largest error against the reference {result['error_float32_rpm']['worst_against_reference']:.3f} rpm"
+    )
     lines.append(
         f"single environment: {1e6 / single['env_steps_per_s']:.0f} us a step,"
         f" plant alone {1e6 / single['plant_steps_per_s']:.0f} us"
