@@ -112,7 +112,10 @@ def take(path: Path) -> None:
         results["scores"] = {"controllers": data["controllers"], "seed": data["seed"], "rows": rows}
     elif data["schema"] == "hydro_env/speed/1":
         results["speed"] = {
-            key: data[key] for key in ("machine", "single", "batch", "error_rpm", "substep_s")
+            key: data[key]
+            for key in (
+                "machine", "single", "batch", "error_rpm", "error_float32_rpm", "substep_s", "memory_bytes_per_env",
+            )  # fmt: skip
         }
     else:
         raise SystemExit(f"{path}: schema {data['schema']!r}; scores.json and speed.json are right")
@@ -147,6 +150,7 @@ def speed() -> str:
     rows = [
         [
             f"{r['num_envs']}",
+            r["dtype"],
             f"{r['env_steps_per_s']:,.0f}",
             f"{r['channel_substeps_per_s'] / 1e6:.1f}",
             f"{r['times_real_time']:,.0f}",
@@ -154,15 +158,17 @@ def speed() -> str:
         for r in found["batch"]
     ]
     return _table(
-        ["rigs", "environment steps per s", "million channel substeps per s", "times real time"], rows
+        ["rigs", "numbers", "environment steps per s", "million channel substeps per s", "times real time"], rows
     )
 
 
 def error() -> str:
     found = _results()["speed"]
     return (
-        f"The largest error of a speed against SciPy's stiff solver on the plain equations is "
-        f"{found['error_rpm']['worst_against_reference']:.2g} rpm, with substeps of {found['substep_s'] * 1e6:.0f} us."
+        f"One environment takes {1e6 / found['single']['env_steps_per_s']:.0f} us a step. The largest error of a speed "
+        f"against SciPy's stiff solver on the plain equations is {found['error_rpm']['worst_against_reference']:.2g} rpm "
+        f"({found['error_float32_rpm']['worst_against_reference']:.2g} in float32), with substeps of "
+        f"{found['substep_s'] * 1e6:.0f} us. A rig's plant takes {found['memory_bytes_per_env']:.0f} bytes."
     )
 
 
