@@ -51,7 +51,7 @@ def test_infos_of_the_end_only():
 def test_divergence_is_no_time_limit():
     env = HydraulicSyncVecEnv(2, **MORE)
     env.reset()
-    env.batch.plant.memory[0, env.batch.plant.row_of("diverged"), 1] = 1.0
+    env.batch.plant.memory[1, env.batch.plant.row_of("diverged"), 0] = 1.0
     _, _, ended, infos = env.step(np.zeros((2, 2)))
     assert ended.tolist() == [False, True]
     assert infos[1]["TimeLimit.truncated"] is False

@@ -252,7 +252,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             self._torque,
         ):  # fmt: skip
             raise ValueError("an action is not finite")
-        self.plant.step(self._command, self._torque, self.control_period)
+        self.plant.hold(self._command, self._torque, self._substeps, self.control_period)
         self._step += 1
         result = self._outputs()
         self._look(self._all, result)
@@ -265,6 +265,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.plant = Plant(self.model, self.num_envs, effects=self._effects, dtype=self.dtype)
         self._where = np.array([self.plant.row_of(name) for name in SIGNALS], np.int64)
         self._half = self.plant.memory.shape[2] // 2
+        self._substeps = self.plant.substeps(self.control_period)
         self._rated = self.plant.get("u_rated")
 
     def _next(

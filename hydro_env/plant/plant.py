@@ -176,11 +176,15 @@ class Plant:
         load[0] = load_Nm
         if not (np.isfinite(command).all() and np.isfinite(load).all()):
             raise ValueError("a command or load is not finite")
-        n = self.substeps(period)
+        self.hold(command[0], load[0], self.substeps(period), period)
+
+    def hold(self, command_V: Array, load_Nm: Array, substeps: int, period: float) -> None:
+        """`step` for callers in a hurry: finite float64 arrays (num_rigs, 2), and `substeps(period)` counted before."""
         self._kernel.advance(
-            self._memory, self._ring, self._head, command, load, n, period / n, _NO_RECORD, 1, self._empty
-        )
-        self._head = (self._head + n) % self._slots
+            self._memory, self._ring, self._head, command_V[None], load_Nm[None], substeps, period / substeps,
+            _NO_RECORD, 1, self._empty,
+        )  # fmt: skip
+        self._head = (self._head + substeps) % self._slots
 
     def run(
         self,
