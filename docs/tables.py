@@ -99,6 +99,7 @@ SCORES = (
     ("test_interp", "sine", "sine"),
     ("test_extrap", "setpoint_steps", "steps, valves beyond the training ranges"),
 )
+SPEED = ("machine", "single", "batch", "error_rpm", "error_float32_rpm", "substep_s", "memory_bytes_per_env")
 METRICS = ("max_speed_difference_rpm", "tracking_mae_rpm")
 
 
@@ -111,12 +112,7 @@ def take(path: Path) -> None:
         rows = [r for r in data["rows"] if (r["split"], r["scenario"]) in places and r["metric"] in METRICS]
         results["scores"] = {"controllers": data["controllers"], "seed": data["seed"], "rows": rows}
     elif data["schema"] == "hydro_env/speed/1":
-        results["speed"] = {
-            key: data[key]
-            for key in (
-                "machine", "single", "batch", "error_rpm", "error_float32_rpm", "substep_s", "memory_bytes_per_env",
-            )  # fmt: skip
-        }
+        results["speed"] = {key: data[key] for key in SPEED}
     else:
         raise SystemExit(f"{path}: schema {data['schema']!r}; scores.json and speed.json are right")
     text = json.dumps(results, indent=1, ensure_ascii=False)
@@ -158,7 +154,8 @@ def speed() -> str:
         for r in found["batch"]
     ]
     return _table(
-        ["rigs", "numbers", "environment steps per s", "million channel substeps per s", "times real time"], rows
+        ["rigs", "numbers", "environment steps per s", "million channel substeps per s", "times real time"],
+        rows,
     )
 
 
