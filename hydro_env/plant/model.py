@@ -7,11 +7,15 @@ Models are YAML files or presets of the package:
     base: paper                       # optional: start from a preset
     both: {J: 0.0031}                 # base parameters of both channels
     channel_1: {Kq: 0.476}            # of one channel
+    channel_2: {valve: valve_2}       # the valve of a preset or model file: its coil, spool and edges, with their effects
     effects:
       dead_zone:
         channel_1: {overlap_positive: 7.0e-5, overlap_negative: 7.0e-5}
       supply_droop:
         rig: {relative_drop: 0.3}     # `rig` (or `both`) stands for both channels
+
+A valve is put in before the values of the same file, which may then change it. What belongs to a valve are the base
+parameters `VALVE_PARAMETERS` and the effects of the ports `VALVE_PORTS`, as the named model has them on its channel 1.
 
 Values are SI. Anything unknown is refused with a line that names the file and the key.
 """
@@ -34,9 +38,15 @@ from ..files import write_text
 from .effects import CATALOGUE
 from .parameters import PARAMETERS, Parameter
 
-__all__ = ["PlantModel", "load_model", "parameter_of", "preset_names"]
+__all__ = ["VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "load_model", "parameter_of", "preset_names"]
 
 SCHEMA = "hydro_env/model/1"
+#: Base parameters that belong to a valve rather than to motor and line.
+VALVE_PARAMETERS = (
+    "m", "R", "L", "alpha", "k", "C", "Kq", "Fc", "Fs", "vs", "s0", "s1", "s2", "x_max", "k_stop", "v_stop", "u_rated",
+)  # fmt: skip
+#: Ports whose effects belong to a valve. Driver, supply and orifice law (its supply pressure) are the rig's.
+VALVE_PORTS = ("coil", "force", "opening")
 _SIDES = {"channel_1": (0,), "channel_2": (1,), "both": (0, 1), "rig": (0, 1)}
 
 
@@ -226,7 +236,14 @@ def _from_dict(data: object, where: str) -> PlantModel:
     values = {name: list(pair) for name, pair in base.values.items()}
     declared = list(base.declared)
     for side in ("both", "channel_1", "channel_2"):
+        if "valve" in (own_values := _mapping(data.get(side, {}), f"{where}: {side}")):
+            valve = _valve(own_values["valve"], f"{where}: {side}.valve")
+            for channel in _SIDES[side]:
+                _put_in(valve, channel, values, declared)
+    for side in ("both", "channel_1", "channel_2"):
         for name, value in _mapping(data.get(side, {}), f"{where}: {side}").items():
+            if name == "valve":
+                continue
             if name not in PARAMETERS:
                 raise InputError(f"{where}: {side}: unknown parameter {name!r}: {_nearest(name, PARAMETERS)}")
             for channel in _SIDES[side]:
@@ -255,6 +272,24 @@ def _from_dict(data: object, where: str) -> PlantModel:
         )
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
+
+
+def _valve(source: object, where: str) -> PlantModel:
+    if not isinstance(source, str):
+        raise InputError(f"{where}: expected the name of a preset or of a model file, found {source!r}")
+    try:
+        return load_model(source)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _put_in(valve: PlantModel, channel: int, values: dict[str, list[float]], declared: list[str]) -> None:
+    """Gives a channel the valve of another model's channel 1; effects that it lacks become neutral there."""
+    declared += [name for name in valve.declared if CATALOGUE[name].port in VALVE_PORTS]
+    for name in dict.fromkeys((*values, *valve.values)):
+        effect = name.split(".", 1)[0]
+        if name in VALVE_PARAMETERS or ("." in name and CATALOGUE[effect].port in VALVE_PORTS):
+            values.setdefault(name, [parameter_of(name).nominal] * 2)[channel] = valve.value(name, 0)
 
 
 def _read(text: str, where: str) -> PlantModel:

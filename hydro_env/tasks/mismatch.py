@@ -4,6 +4,9 @@ A mismatch is a named split or pair of `splits.yaml`, a YAML file, or a mapping 
 
     {"Kq": {"loguniform": [0.31, 0.476]}, "dead_zone.overlap_positive": [70e-6, 0.0], "R": 100.0}
 
+A range may name the plant it is meant for, {"R": {"uniform": [90, 110], "meant_for": 100}}: on a plant whose own R is
+31.2 Ohm it then is 28.1 to 34.3 Ohm.
+
 Parameters are those of the plant ("Kq", "dead_zone.overlap_positive", ...) and of the speed sensors, see
 `SENSOR_PARAMETERS`; values are SI.
 """
@@ -68,6 +71,8 @@ class Range:
     """What one parameter may be: per channel from `low` to `high`, evenly or (`log`) evenly in its logarithm.
 
     `at_most` names a parameter drawn before that lowers the upper end; `shared` gives both channels the same value.
+    `meant_for` says for which value of the plant's own parameter the range holds: on a plant with another one, such as
+    a coil of another voltage, what is drawn is scaled by the plant's own value over `meant_for`.
     """
 
     low: tuple[float, float]
@@ -75,6 +80,7 @@ class Range:
     log: bool = False
     at_most: str | None = None
     shared: bool = False
+    meant_for: float | None = None
 
     def value(self, share: Floats, drawn: Mapping[str, Floats]) -> Floats:
         """Values (n, 2) for shares (n, 2) in [0, 1) of the range, given the parameters `drawn` before."""
@@ -88,6 +94,10 @@ class Range:
         if self.log:
             return low * np.exp(share * np.log(high / low))
         return low + share * (high - low)
+
+    def scaled(self, name: str, drawn: Floats, model: PlantModel) -> Floats:
+        """What was drawn (n, 2), as it is on a plant of this model."""
+        return drawn if self.meant_for is None else drawn * (np.array(model.pair(name)) / self.meant_for)
 
 
 @dataclass(frozen=True)
@@ -145,7 +155,8 @@ class Mismatch:
         count = len(seeds)
         if not self.random:
             still = np.zeros((count, 2))
-            return Pairs({name: r.value(still, {}) for name, r in self.ranges.items()}, ("",) * count)
+            fixed = {name: r.scaled(name, r.value(still, {}), model) for name, r in self.ranges.items()}
+            return Pairs(fixed, ("",) * count)
         sources = map(self._seed, seeds, episodes, cases)
         streams = [np.random.Generator(np.random.PCG64(source)) for source in sources]
         values = self._draw(streams)
@@ -155,6 +166,7 @@ class Mismatch:
             for name, redrawn in self._draw([streams[i] for i in rows]).items():
                 values[name][rows] = redrawn
             again[rows] = self._inside({name: value[rows] for name, value in values.items()})
+        values = {name: self.ranges[name].scaled(name, drawn, model) for name, drawn in values.items()}
         if not self.faults:
             return Pairs(values, ("",) * count)
         return self._with_faults(values, streams, cases, model)
@@ -195,7 +207,7 @@ class Mismatch:
             sick: dict[str, Floats] = {}
             for name, each in self.faults[fault].items():
                 sick[name] = each.value(stream.random((1, 2)), sick)
-                values[name][row, channel] = sick[name][0, channel]
+                values[name][row, channel] = each.scaled(name, sick[name], model)[0, channel]
             told.append(fault)
         return Pairs(values, tuple(told))
 
@@ -322,7 +334,7 @@ def _read_range(name: str, what: Any, where: str, before: Mapping[str, Range]) -
             raise InputError(f"{at}: both channels share this value; one number expected")
         _check_bounds(name, fixed, at)
         return Range(fixed, fixed)
-    rest = {key: value for key, value in what.items() if key != "at_most"}
+    rest = {key: value for key, value in what.items() if key not in ("at_most", "meant_for")}
     if len(rest) != 1 or next(iter(rest)) not in ("uniform", "loguniform"):
         raise InputError(
             f"{at}: expected a number, a pair, or uniform or loguniform: [low, high], found {what!r}"
@@ -341,8 +353,14 @@ def _read_range(name: str, what: Any, where: str, before: Mapping[str, Range]) -
             raise InputError(f"{at}: at_most: {at_most!r} is not among the parameters above it")
         if min(before[at_most].low) < low:
             raise InputError(f"{at}: at_most: {at_most} may be lower than the low end {low:g}")
+    on = what.get("meant_for")
+    if on is not None:
+        if name in SENSOR_PARAMETERS:
+            raise InputError(f"{at}: meant_for: a sensor's fault does not depend on the plant")
+        if isinstance(on, bool) or not isinstance(on, (int, float)) or not 0.0 < on < inf:
+            raise InputError(f"{at}: meant_for is {on!r}, expected the plant's value the range is meant for")
     _check_bounds(name, (low, high), at)
-    return Range((low, low), (high, high), log=kind == "loguniform", at_most=at_most, shared=shared)
+    return Range((low, low), (high, high), kind == "loguniform", at_most, shared, on)
 
 
 def _pair(what: Any, at: str) -> tuple[float, float]:
