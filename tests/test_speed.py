@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
-from hydro_env.experiments import speed
+from hydro_env.experiments import near_limit, speed
 
 
 def test_speed_writes_rates_and_the_error_at_that_speed(
@@ -28,3 +29,10 @@ def test_speed_writes_rates_and_the_error_at_that_speed(
     assert 0 < result["error_rpm"]["worst_against_reference"] < 0.1
     assert 0 < result["error_float32_rpm"]["worst_against_reference"] < 0.1
     assert "rpm" in speed.summary(result)
+
+
+@pytest.mark.skipif(shutil.which("c++") is None, reason="needs a C++ compiler")
+def test_the_kernel_in_cpp_gives_the_same_bits() -> None:
+    twin = near_limit.measure_ratio(0.05)
+    assert twin is not None and twin["largest_relative_difference"] == 0.0
+    assert twin["ratio"] > 0.0

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from hydro_env.experiments.near_limit import measure_ratio
 from hydro_env.files import write_json
 from hydro_env.plant import Plant, load_model
 from hydro_env.plant.plant import SUBSTEP
@@ -154,6 +155,7 @@ def run(out: str | Path, *, num_envs: Sequence[int] = NUM_ENVS, seconds: float =
         "batch": batch,
         "error_rpm": measure_error(),
         "error_float32_rpm": measure_error("float32"),
+        "near_limit": measure_ratio(seconds),
         "memory_bytes_per_env": plant.memory.nbytes / 1024,
     }
     write_json(Path(out) / "speed.json", result)
@@ -180,6 +182,11 @@ def summary(result: dict[str, Any]) -> str:
         f"largest error against the reference: {error['worst_against_reference']:.3f} rpm"
         f" (steps {error['steps']:.3f}, random {error['random']:.3f}, bang-bang {error['bang_bang']:.3f})"
     )
+    if twin := result["near_limit"]:
+        lines.append(
+            f"a channel substep in C++, same statements, same bits: {twin['cpp_ns']:.1f} ns, ours {twin['kernel_ns']:.1f} ns,"
+            f" {twin['ratio']:.2f} times its speed"
+        )
     lines.append(
         f"first step after {result['first_step_s']:.1f} s, {result['memory_bytes_per_env']:.0f} bytes of plant per environment"
     )
