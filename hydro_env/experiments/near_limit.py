@@ -1,0 +1,178 @@
+"""The kernel's substep once more, in C++: how much speed does the Python tool chain cost?
+
+The statements of the generated substep (see `hydro_env.plant.compile`) are translated one by one to C++ and compiled by
+the machine's own compiler with vector instructions for this processor. Both run the same block from the same state, so
+both the time and the result can be compared: the states must agree to the last bits.
+"""
+
+from __future__ import annotations
+
+import ast
+import ctypes
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_env.plant.compile import STATES, compile_kernel
+from hydro_env.plant.plant import SUBSTEP, Plant
+
+__all__ = ["measure_ratio", "to_cpp"]
+
+FLAGS = (
+    "-O3", "-march=native", "-mprefer-vector-width=512", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
+    "-fopenmp-simd", "-shared", "-fPIC",
+)  # fmt: skip
+_OPERATORS = {
+    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Lt: "<", ast.Gt: ">", ast.LtE: "<=", ast.GtE: ">=",
+    ast.Eq: "==", ast.And: "&&", ast.Or: "||", ast.BitAnd: "&&", ast.BitOr: "||",
+}  # fmt: skip
+_FUNCTIONS = {"abs": "std::fabs", "sqrt": "std::sqrt", "floor": "std::floor", "fma": "std::fma"}
+
+
+def _expression(node: ast.expr) -> str:
+    match node:
+        case ast.Constant(value):
+            return repr(float(value)) if isinstance(value, float) else repr(value)
+        case ast.Name(name):
+            return name
+        case ast.BinOp(left, operator, right):
+            return f"({_expression(left)} {_OPERATORS[type(operator)]} {_expression(right)})"
+        case ast.UnaryOp(_, operand):
+            return f"(-{_expression(operand)})"
+        case ast.BoolOp(operator, values):
+            return "(" + f" {_OPERATORS[type(operator)]} ".join(map(_expression, values)) + ")"
+        case ast.Compare(left, [operator], [right]):
+            return f"({_expression(left)} {_OPERATORS[type(operator)]} {_expression(right)})"
+        case ast.IfExp(test, body, orelse):
+            return f"({_expression(test)} ? {_expression(body)} : {_expression(orelse)})"
+        case ast.Call(ast.Name("real"), [value]):
+            return _expression(value)
+        case ast.Call(ast.Name(name), arguments):
+            # A name of their own: C++ has an exp and a sign already.
+            return f"{_FUNCTIONS.get(name, 'lane_' + name)}({', '.join(map(_expression, arguments))})"
+        case ast.Subscript(ast.Name(name), index):
+            return f"{name}[{_expression(index)}]"
+    raise NotImplementedError(ast.unparse(node))
+
+
+def _statements(body: list[ast.stmt], known: set[str]) -> list[str]:
+    lines = []
+    for node in body:
+        match node:
+            case ast.Expr():  # a docstring
+                continue
+            case ast.Assign([ast.Name(name)], value):
+                lines.append(f"{'' if name in known else 'double '}{name} = {_expression(value)};")
+                known.add(name)
+            case ast.Assign([target], value):
+                lines.append(f"{_expression(target)} = {_expression(value)};")
+            case ast.Return(ast.expr() as value):
+                lines.append(f"return {_expression(value)};")
+            case ast.For(ast.Name(name), ast.Call(_, [bound]), inner):
+                lines.append("#pragma omp simd")
+                lines.append(f"for (int {name} = 0; {name} < {_expression(bound)}; {name}++) {{")
+                lines += [*_statements(inner, set(known)), "}"]
+            case _:
+                raise NotImplementedError(ast.unparse(node))
+    return lines
+
+
+def to_cpp(source: str) -> str:
+    """The substep of a generated kernel as C++: `run(cells, steps, h)`. NotImplementedError for what it cannot say."""
+    functions = {node.name: node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)}
+    half = int(source.split("\nHALF = ")[1].split("\n")[0])
+    wanted: list[str] = []
+
+    def need(name: str) -> None:
+        for call in ast.walk(functions[name]):
+            if isinstance(call, ast.Call) and isinstance(call.func, ast.Name):
+                called = call.func.id
+                if called in functions and called not in _FUNCTIONS and called not in wanted:
+                    need(called)
+        wanted.append(name)
+
+    need("step")
+    text = ["#include <cmath>", f"static const int HALF = {half}, LANES = {2 * half};"]
+    for name in wanted:
+        node = functions[name]
+        arguments = [a.arg for a in node.args.args]
+        head = "static void step(double *__restrict cells, double h)" if name == "step" else (
+            f"static inline double lane_{name}({', '.join('double ' + a for a in arguments)})"
+        )  # fmt: skip
+        text += [head + " {", *_statements(node.body, set(arguments)), "}"]
+    text.append(
+        'extern "C" void run(double *cells, long steps, double h) { for (long n = 0; n < steps; n++) step(cells, h); }'
+    )
+    return "\n".join(text) + "\n"
+
+
+def measure_ratio(seconds: float = 1.0) -> dict[str, Any] | None:
+    """Time of a channel substep of our kernel and of its C++ twin, ns, and their ratio; None without a C++ compiler."""
+    from numba import njit
+
+    compiler = next((found for name in ("c++", "g++", "clang++") if (found := shutil.which(name))), None)
+    if compiler is None:
+        return None
+    kernel = compile_kernel(("dead_zone",), 16)
+    module = sys.modules[kernel.advance.py_func.__module__]  # type: ignore[attr-defined]
+    step = module.step
+
+    @njit(error_model="numpy")
+    def ours(cells: Any, steps: int, h: float) -> None:
+        for _ in range(steps):
+            step(cells, h)
+
+    plant = Plant("paper_dead_zone", 16)
+    plant.run(np.full((30, 2), 40.0), None, 0.01)
+    start = np.zeros(module.TOTAL * module.LANES + 8)
+    start = start[(64 - start.ctypes.data % 64) % 64 // 8 :][: module.TOTAL * module.LANES]
+    for name, number in kernel.rows.items():
+        if name in plant._kernel.rows:
+            start[number * 32 : number * 32 + 32] = plant.memory[0, plant.row_of(name)]
+    start[module.APPLIED * 32 : module.APPLIED * 32 + 32] = 42.0
+    for name in ("L", "m", "V", "J", "vs", "v_stop"):
+        start[_reciprocal(kernel.source, name)] = 1.0 / plant.memory[0, plant.row_of(name)]
+    with tempfile.TemporaryDirectory() as folder:
+        code, library = Path(folder) / "step.cpp", Path(folder) / "step.so"
+        code.write_text(to_cpp(kernel.source))
+        subprocess.run([compiler, *FLAGS, str(code), "-o", str(library)], check=True, capture_output=True)
+        run = ctypes.CDLL(str(library)).run
+        run.argtypes = (ctypes.c_void_p, ctypes.c_long, ctypes.c_double)
+
+        def theirs(cells: Any, steps: int, h: float) -> None:
+            run(cells.ctypes.data, steps, h)
+
+        best: dict[str, float] = {}
+        last: dict[str, Any] = {}
+        end = time.perf_counter() + seconds
+        room = np.zeros(start.size + 8)
+        cells = room[(64 - room.ctypes.data % 64) % 64 // 8 :][: start.size]
+        while time.perf_counter() < end or not best:
+            for name, function in (("kernel", ours), ("cpp", theirs)):
+                cells[:] = start
+                function(cells, 10, SUBSTEP)
+                begin = time.perf_counter()
+                function(cells, 400, SUBSTEP)
+                passed = (time.perf_counter() - begin) / (400 * 32) * 1e9
+                best[name] = min(best.get(name, np.inf), passed)
+                last[name] = cells[: len(STATES) * 32].copy()
+    scale = np.abs(last["cpp"]).reshape(len(STATES), -1).max(1).repeat(32) + 1e-300
+    return {
+        "kernel_ns": best["kernel"],
+        "cpp_ns": best["cpp"],
+        "ratio": best["cpp"] / best["kernel"],
+        "largest_relative_difference": float((np.abs(last["kernel"] - last["cpp"]) / scale).max()),
+    }
+
+
+def _reciprocal(source: str, name: str) -> slice:
+    """Where the generated kernel keeps 1 / parameter."""
+    row = next(line for line in source.splitlines() if line.strip().startswith(f"per_{name} = cells["))
+    first = int(row.split("[")[1].split(" ")[0])
+    return slice(first, first + 32)
