@@ -41,6 +41,15 @@ def test_any_command(kind):
     assert _error_rpm("paper", command, np.zeros(size), 0.01) < 0.1
 
 
+@pytest.mark.parametrize("preset", ["paper_dead_zone", "rig", "servo", "valve_1", "valve_2"])
+def test_presets_under_hard_commands(preset):
+    model = load_model(preset)
+    rated, rng = model.value("u_rated", 0), np.random.default_rng(1)
+    levels = np.concatenate([rng.uniform(-1.0, 1.0, (60, 2)), rng.choice([-1.0, 1.0], (60, 2))])
+    command = np.repeat(rated * levels, 5, axis=0)
+    assert _error_rpm(model, command, np.zeros_like(command), 0.002) < 0.1
+
+
 #: The default run takes these, `pytest -m slow` the others.
 QUICK = (
     "dead_zone",

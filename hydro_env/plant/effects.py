@@ -521,6 +521,11 @@ def _entrained_air(bulk_modulus, pressure, fraction):
     return bulk_modulus / (1.0 + fraction * bulk_modulus * 101325.0 / (absolute * absolute))
 
 
+def _entrained_air_corner(pressure, fraction):
+    # The fluid is soft within some bar of zero only, which a hard-driven line crosses in a tenth of a millisecond.
+    return fraction > 0.0 and abs(pressure) < 4e5
+
+
 register(
     Effect(
         name="entrained_air",
@@ -541,6 +546,7 @@ register(
             ),
         ),
         laws={"bulk_modulus": _entrained_air},
+        corner=_entrained_air_corner,
     )
 )
 
@@ -571,6 +577,11 @@ def _crossport_relief(leakage, pressure, relief_pressure, conductance):
     return leakage + sign(pressure) * conductance * (excess if excess > 0.0 else 0.0)
 
 
+def _crossport_relief_corner(pressure, relief_pressure):
+    # About to open or to close.
+    return abs(abs(pressure) - relief_pressure) < 4e5
+
+
 register(
     Effect(
         name="crossport_relief",
@@ -593,6 +604,7 @@ register(
             ),
         ),
         laws={"leakage": _crossport_relief},
+        corner=_crossport_relief_corner,
     )
 )
 

@@ -20,7 +20,7 @@ from .parameters import PARAMETERS
 __all__ = ["SIGNALS", "SUBSTEP", "Plant", "simulate"]
 
 #: Longest substep of the integrator, s.
-SUBSTEP = 125e-6
+SUBSTEP = 100e-6
 #: Signals that can be read and recorded.
 SIGNALS = (*STATES, "flow", "measured_speed")
 
