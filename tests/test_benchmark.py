@@ -90,6 +90,39 @@ def test_page_is_one_file_and_harmless(scores):
     assert "</script><script>alert" not in scores_page(nasty, None)
 
 
+def _embedded(page, name):
+    text = page.split(f" {name} = ", 1)[1]
+    return json.JSONDecoder().raw_decode(text)[0]
+
+
+def test_page_keeps_the_typical_and_the_worst_case_behind_each_row(scores):
+    """Chosen by the largest speed difference, with the peak kept, and small: the pair drawn again gives the same."""
+    _, out = scores
+    traces = _embedded((out / "scores.html").read_text(), "T")
+    cell = traces["splits"]["test_interp"]["setpoint_steps"]
+    assert set(cell) == {"pid_paper", "cross_coupled"}
+    for name, kept in cell.items():
+        again = roll_out(make_controller(name), range(4), mismatch="test_interp", scenario="setpoint_steps")
+        value = again.metrics()["max_speed_difference_rpm"]
+        assert kept["worst"]["case"] == int(np.argmax(value))
+        assert np.sum(value < value[kept["typical"]["case"]]) == 1  # the lower median of four
+        for each in kept.values():
+            case, rows = each["case"], each["sample"]
+            assert np.max(np.abs(each["ahead_drpm"])) / 10 == pytest.approx(value[case], abs=0.051)
+            np.testing.assert_allclose(each["speed_rpm"], again.trace.speed_rpm[rows, case, 0], atol=0.51)
+            assert len(rows) <= 130 and rows == sorted(rows)
+    assert len(json.dumps(traces)) < 20_000
+
+
+def test_legend_names_the_actual_baseline(scores):
+    """Without pid_tuned the first controller is the baseline, and without the oracle there is no bound."""
+    got, out = scores
+    assert got["baseline"] == "pid_paper" and got["bound"] is None
+    assert {entry["over"] for entry in got["improvement"]} == {got["baseline"]}
+    page = (out / "scores.html").read_text()
+    assert "beats pid_tuned" not in page and "${S.baseline}" in page
+
+
 def test_scores_are_deterministic_and_paired():
     """Alone or beside others, in one process: the same cases, the same scores; another seed, other cases."""
     first = run(None, controllers=["pid_paper"], **SMALL)
@@ -189,6 +222,8 @@ PINNED = {
     # controller: (tracking_mae_rpm, max_speed_difference_rpm) on the first 12 pairs of test_interp
     "pid_paper": (200.65, 186.87),
     "cross_coupled": (40.45, 19.15),
+    "relative_coupling": (43.79, 22.35),
+    "disturbance_observer": (42.17, 18.41),
     "adaptive_flow": (34.49, 16.67),
 }
 

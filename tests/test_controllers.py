@@ -172,10 +172,109 @@ def test_controller_takes_over_without_a_bump():
     observation = np.zeros((1, 9), np.float32)
     observation[0, :3] = 0.5  # set-point and both speeds: 300 rpm
     observation[0, 7:] = 0.25, 0.375
-    for name in ("pid", "cross_coupled", "virtual_leader", "master_slave"):
+    for name in (
+        "pid",
+        "cross_coupled",
+        "relative_coupling",
+        "virtual_leader",
+        "master_slave",
+        "disturbance_observer",
+    ):
         controller = LAWS[name](**{gain.name: np.sqrt(gain.low * gain.high) for gain in LAWS[name].GAINS})
         controller.reset(1, 0.01)
         np.testing.assert_allclose(controller.act(observation), [[0.25, 0.375]], atol=1e-6, err_msg=name)
+
+
+def _observation(setpoint, speed, command=(0.0, 0.0)):
+    """One rig; set-point and speeds in rpm."""
+    row = np.zeros((1, 9), np.float32)
+    row[0, :3] = np.array([setpoint, *speed]) / 600.0
+    row[0, 7:] = command
+    return row
+
+
+SHIPPED_LINEAR = ["cross_coupled", "relative_coupling", "disturbance_observer"]
+
+
+@pytest.mark.parametrize("name", SHIPPED_LINEAR)
+@pytest.mark.parametrize("speed", [(300.0, 300.0), (-450.0, -450.0), (310.0, 290.0)])
+def test_reset_on_turning_motors_makes_no_jump(name, speed):
+    """Taken over at the mean speed: motors apart by 20 rpm are worth a correction, not a jump; and a second
+    episode begins as the first did, whatever happened before.
+    """
+    controller = make_controller(name)
+    sign = np.sign(speed[0])
+    seen = _observation(np.mean(speed), speed, 0.3 * sign * np.ones(2))
+    first = []
+    for _ in range(2):
+        controller.reset(1, 0.01)
+        first.append(controller.act(seen))
+        for _ in range(50):
+            controller.act(_observation(-600.0, (600.0, -600.0), (1.0, -1.0)))
+    np.testing.assert_array_equal(first[0], first[1])
+    apart = abs(speed[0] - speed[1])
+    np.testing.assert_allclose(first[0], np.full((1, 2), 0.3 * sign), atol=1e-6 + 0.005 * apart)
+
+
+@pytest.mark.parametrize("name", SHIPPED_LINEAR)
+def test_saturation_does_not_wind_up(name):
+    """Ten seconds in the limit cost no more time to leave it than one second does."""
+    left = []
+    for seconds in (1, 10):
+        controller = make_controller(name)
+        controller.reset(1, 0.01)
+        command = np.zeros((1, 2))
+        for _ in range(100 * seconds):  # blocked motors
+            command = controller.act(_observation(600.0, (0.0, 0.0), command[0]))
+            assert np.all(np.abs(command) <= 1.0)
+        assert np.all(command == 1.0)
+        steps = 0
+        while np.any(command > 0.0) and steps < 500:
+            command = controller.act(_observation(0.0, (300.0, 300.0), command[0]))
+            steps += 1
+        left.append(steps)
+    assert left[0] == left[1] <= 40, left
+
+
+@pytest.mark.parametrize("name", SHIPPED_LINEAR)
+def test_whatever_is_measured_the_command_is_finite(name):
+    """Signals at the ends of the observation's range, thrown about at random for two seconds."""
+    rng = np.random.default_rng(0)
+    controller = make_controller(name)
+    controller.reset(20, 0.01)
+    for _ in range(200):
+        command = controller.act(rng.uniform(-10.0, 10.0, (20, 9)).astype(np.float32))
+        assert command.shape == (20, 2) and np.all(np.abs(command) <= 1.0)
+
+
+def test_relative_coupling_is_cross_coupling_with_a_shared_integral_time():
+    """What its text says of two motors, in the linear range; with a weight of its own it is not."""
+    common = {"Kp": 0.02, "Ti": 0.2, "filter": 0.05}
+    relative = LAWS["relative_coupling"](coupling=2.0, **common)
+    cross = LAWS["cross_coupled"](Kc=0.04, Tic=0.2, **common)
+    rng = np.random.default_rng(1)
+    relative.reset(1, 0.01), cross.reset(1, 0.01)
+    for _ in range(50):
+        seen = _observation(60.0, rng.uniform(30.0, 90.0, 2))
+        np.testing.assert_allclose(relative.act(seen), cross.act(seen), atol=1e-9)
+
+
+def test_disturbance_observer_finds_a_constant_disturbance():
+    """The rated motor with a constant offset at the valve's input: found, and no error is left."""
+    controller = LAWS["disturbance_observer"](rate=20.0, Kp=5.0, Ks=5.0, observer=20.0)
+    controller.reset(1, 0.01)
+    offset = np.array([[-0.12, -0.05]])
+    per_flow = (1.0 - np.exp(-MOTOR_RATE * 0.01)) / flow_for(np.ones(()), np.zeros(()), np.zeros(()))
+    speed, command = np.zeros((1, 2)), np.zeros((1, 2))
+    spool = Spool(command, 0.01)
+    for _ in range(400):
+        command = controller.act(_observation(300.0, speed[0] / RPM, command[0]))
+        before = spool.position
+        spool.step(command)
+        opening = 0.5 * (before + spool.position) + offset
+        speed = np.exp(-MOTOR_RATE * 0.01) * speed + per_flow * opening
+    np.testing.assert_allclose(controller.disturbance, offset, atol=1e-3)
+    np.testing.assert_allclose(speed, 300.0 * RPM, rtol=2e-3)
 
 
 def test_tuning_improves_on_its_first_guess_and_can_be_read_back(tmp_path):

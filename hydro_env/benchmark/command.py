@@ -39,8 +39,10 @@ BASELINE = "pid_tuned"
 BOUND = "oracle"
 """Who says how much there is to gain on the baseline."""
 
-TRACE_EVERY = 2
-"""The page keeps every so many samples of a trace."""
+TRACE_METRIC = "max_speed_difference_rpm"
+"""By which a cell's typical (median) and worst case are chosen, whose traces the page shows."""
+TRACE_SAMPLES = 120
+"""The page keeps about so many samples of a trace, those with the largest difference."""
 
 
 @dataclass
@@ -54,7 +56,7 @@ class Cell:
     cases: int
     metrics: dict[str, Floats] = field(default_factory=dict)
     strata: tuple[str, ...] | None = None
-    trace: dict[str, list[Any]] = field(default_factory=dict)
+    traces: dict[str, Any] = field(default_factory=dict)
     failure: str | None = None
 
 
@@ -115,7 +117,7 @@ def run(
         scores = _scores(done, chosen, seed=seed, plant=plant, control_period=control_period)
         if folder is not None:
             write_json(folder / "scores.json", scores)
-            write_text(folder / "scores.html", scores_page(scores, _traces(done, chosen)))
+            write_text(folder / "scores.html", scores_page(scores, _traces(done, control_period)))
     return scores
 
 
@@ -181,17 +183,33 @@ def _run_cell(cell: Cell, *, seed: int, plant: Any, control_period: float) -> Ce
     for name, values in metrics.items():
         if not np.all(np.isfinite(values)):
             raise ValueError(f"{name} of case {int(np.argmin(np.isfinite(values)))} is not finite")
-    return replace(cell, metrics=metrics, strata=done.faults, trace=_thinned(done.trace))
+    return replace(cell, metrics=metrics, strata=done.faults, traces=_kept(done.trace, metrics[TRACE_METRIC]))
 
 
-def _thinned(trace: Trace) -> dict[str, list[Any]]:
-    """The first case of a trace, with the samples and digits that a picture needs."""
-    rows = slice(None, None, TRACE_EVERY)
-    time = np.arange(len(trace.setpoint_rpm)) * trace.period
+def _kept(trace: Trace, difference: Floats) -> dict[str, Any]:
+    """The typical and the worst case of a cell by their largest speed difference (N,), for the page."""
+    order = np.argsort(difference, kind="stable")
+    chosen = {"typical": int(order[(len(order) - 1) // 2]), "worst": int(order[-1])}
     return {
-        "time_s": np.round(time[rows], 4).tolist(),
-        "setpoint_rpm": np.round(trace.setpoint_rpm[rows, 0], 1).tolist(),
-        "speeds_rpm": np.round(trace.speed_rpm[rows, 0].T, 1).tolist(),
+        which: {"case": case, "value": round(float(difference[case]), 1), **_thinned(trace, case)}
+        for which, case in chosen.items()
+    }
+
+
+def _thinned(trace: Trace, case: int) -> dict[str, Any]:
+    """One case of a trace with the samples and digits that a picture needs: the speed of motor 1 in rpm, and
+    by how much it is ahead of motor 2 in tenths of an rpm. Of every few samples the one with the largest
+    difference is kept, so that no peak is lost.
+    """
+    total = len(trace.setpoint_rpm)
+    every = max(1, total // TRACE_SAMPLES)
+    apart = trace.difference_rpm[:, case]
+    rows = [n + int(np.argmax(np.abs(apart[n : n + every]))) for n in range(0, total, every)]
+    return {
+        "sample": rows,
+        "setpoint_rpm": np.rint(trace.setpoint_rpm[rows, case]).astype(int).tolist(),
+        "speed_rpm": np.rint(trace.speed_rpm[rows, case, 0]).astype(int).tolist(),
+        "ahead_drpm": np.rint(10.0 * apart[rows]).astype(int).tolist(),
     }
 
 
@@ -258,6 +276,8 @@ def _scores(
         "control_period_s": control_period,
         "splits": suite.splits,
         "controllers": names,
+        "baseline": baseline,
+        "bound": BOUND if BOUND in names else None,
         "rows": rows,
         "failed": failed,
         "improvement": better,
@@ -265,22 +285,14 @@ def _scores(
     }
 
 
-def _traces(cells: list[Cell], suite: Suite) -> dict[str, Any] | None:
-    """Case 0 of the suite's first split, for the page."""
-    split = next(iter(suite.splits))
-    scenarios: dict[str, Any] = {}
+def _traces(cells: list[Cell], control_period: float) -> dict[str, Any] | None:
+    """The typical and the worst case behind every row, by split, scenario and controller, for the page."""
+    places: dict[str, Any] = {}
     for cell in cells:
-        if cell.split == split and cell.trace:
-            entry = scenarios.setdefault(
-                cell.scenario,
-                {
-                    "time_s": cell.trace["time_s"],
-                    "setpoint_rpm": cell.trace["setpoint_rpm"],
-                    "speeds_rpm": {},
-                },
-            )
-            entry["speeds_rpm"][cell.name] = cell.trace["speeds_rpm"]
-    return {"split": split, "scenarios": scenarios} if scenarios else None
+        if cell.traces:
+            of_split = places.setdefault(cell.split, {})
+            of_split.setdefault(cell.scenario, {})[cell.name] = cell.traces
+    return {"period_s": control_period, "metric": TRACE_METRIC, "splits": places} if places else None
 
 
 def report(scores: dict[str, Any]) -> str:

@@ -1,7 +1,7 @@
 """The score board as a table for the terminal and as one page of HTML that needs no network.
 
 The page carries its data as JSON and draws with a few lines of JavaScript into SVG: a table that sorts, the
-front (speed difference over tracking error) and, for one pair of valves, how every controller drove it.
+front (speed difference over tracking error) and the typical and the worst case behind every row.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def _cell(row: dict[str, Any] | None) -> str:
 
 
 def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
-    """The HTML page. `traces`: {"split", "time_s", "scenarios": {name: {"setpoint_rpm": [...], "speeds_rpm":
-    {controller: [[...], [...]]}}}}, one pair of valves."""
+    """The HTML page. `traces`: {"period_s", "metric", "splits": {split: {scenario: {controller: {"typical": case,
+    "worst": case}}}}}, each case as `hydro_env.benchmark.command` thins it."""
     template = files("hydro_env.benchmark").joinpath("scores_page.html").read_text(encoding="utf-8")
     style = files("hydro_env.pages").joinpath("style.css").read_text(encoding="utf-8")
     page = template.replace("/*STYLE*/", style).replace("/*TRACES*/null", _embedded(traces))

@@ -9,6 +9,7 @@ a cost: smaller is better.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -74,15 +75,19 @@ def bootstrap_interval(
     labels = np.zeros(sample.size) if strata is None else np.asarray(strata).ravel()
     if labels.size != sample.size:
         raise ValueError(f"{labels.size} strata for {sample.size} values")
-    rng = np.random.default_rng(seed)
-    drawn = []
-    for label in np.unique(labels):
-        members = np.flatnonzero(labels == label)
-        drawn.append(members[rng.integers(0, members.size, (resamples, members.size))])
-    means = iqm(sample[np.concatenate(drawn, axis=1)])
+    members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
+    means = iqm(sample[_drawn(tuple(tuple(each.tolist()) for each in members), resamples, seed)])
     tail = (1.0 - confidence) / 2.0
     low, high = np.quantile(means, [tail, 1.0 - tail])
     return float(low), float(high)
+
+
+@lru_cache(maxsize=8)
+def _drawn(strata: tuple[tuple[int, ...], ...], resamples: int, seed: int) -> NDArray[np.int64]:
+    """Which values make up every resample (resamples, n). Kept, since every metric of a suite asks for the same."""
+    rng = np.random.default_rng(seed)
+    drawn = [np.array(each)[rng.integers(0, len(each), (resamples, len(each)))] for each in strata]
+    return np.concatenate(drawn, axis=1)
 
 
 def probability_of_improvement(ours: ArrayLike, theirs: ArrayLike, *, paired: bool = True) -> float:

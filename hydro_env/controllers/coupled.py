@@ -1,4 +1,4 @@
-"""Controllers that couple the two motors: cross coupling, virtual leader, master and slave.
+"""Controllers that couple the two motors: cross and relative coupling, virtual leader, master and slave.
 
 All build on PI laws on the speeds and need nothing but the speed signals.
 """
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from hydro_env.controllers.base import RPM, Controller, Floats, Gain, Measurements
 from hydro_env.controllers.pid import KP, TI, Pid, per_rpm
 
-__all__ = ["CrossCoupled", "MasterSlave", "Smoothed", "VirtualLeader"]
+__all__ = ["CrossCoupled", "MasterSlave", "RelativeCoupled", "Smoothed", "VirtualLeader"]
 
 SIDES = np.array([1.0, -1.0])
 """How channels 1 and 2 enter the speed difference."""
@@ -58,6 +58,36 @@ class CrossCoupled(Controller):
     def _follow(self, reference: Floats, measured: Measurements) -> Floats:
         behind = measured.speed[:, 1:] - measured.speed[:, :1]  # how far motor 1 is behind motor 2
         return self._track.step(reference[:, None] - measured.speed, SIDES * self._couple.step(behind))
+
+
+class RelativeCoupled(Controller):
+    """PI on each motor's error to the smoothed set-point plus its weighted lag behind the other motor.
+
+    With many motors, relative coupling feeds every motor its differences to all others, where cross coupling
+    knows but one difference (or that to the next motor). With two motors there is only one difference left, and
+    what still sets the two apart is where it enters: here it is part of the error that the motor's own PI works
+    on, there it has a PI of its own. In the linear range this is cross coupling with Tic = Ti and
+    Kc = coupling * Kp: one gain less to tune, and the speed difference cannot be integrated faster than the error
+    to the set-point. At a limit of the command it behaves differently, because one integrator holds both parts.
+    (The weights are usually set by the ratio of the inertias; those of the two motors are equal.)
+    """
+
+    GAINS = (
+        KP,
+        TI,
+        Gain("coupling", "1", 0.1, 20.0, summary="weight of the lag behind the other motor in the error"),
+        FILTER,
+    )
+
+    def start(self, measured: Measurements) -> None:
+        self._reference = Smoothed(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
+        self._pid = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"])
+        self._pid.start(self.period, measured.command)
+
+    def command(self, measured: Measurements) -> Floats:
+        lag = measured.speed[:, ::-1] - measured.speed
+        error = self._reference.step(measured.setpoint)[:, None] - measured.speed
+        return self._pid.step(error + self.gains["coupling"] * lag)
 
 
 class VirtualLeader(CrossCoupled):

@@ -15,8 +15,9 @@ from typing import Any
 from hydro_env.controllers.adaptive import AdaptiveFlow, Oracle
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.compensated import Compensated
-from hydro_env.controllers.coupled import CrossCoupled, MasterSlave, VirtualLeader
+from hydro_env.controllers.coupled import CrossCoupled, MasterSlave, RelativeCoupled, VirtualLeader
 from hydro_env.controllers.gains import read_gains
+from hydro_env.controllers.observer import DisturbanceObserver
 from hydro_env.controllers.pid import TABLE_III, PidController
 from hydro_env.errors import InputError
 
@@ -27,8 +28,10 @@ HERE = Path(__file__).parent
 LAWS: dict[str, type[Controller]] = {
     "pid": PidController,
     "cross_coupled": CrossCoupled,
+    "relative_coupling": RelativeCoupled,
     "virtual_leader": VirtualLeader,
     "master_slave": MasterSlave,
+    "disturbance_observer": DisturbanceObserver,
     "compensated": Compensated,
     "adaptive_flow": AdaptiveFlow,
     "oracle": Oracle,
@@ -74,7 +77,9 @@ CONTROLLERS: dict[str, Entry] = {
         _tuned("pid_tuned", "the same law, gains found by search"),
         _tuned("master_slave", "motor 2 follows motor 1"),
         _tuned("cross_coupled", "PI with a PI on the speed difference"),
+        _tuned("relative_coupling", "PI on the error plus the weighted lag behind the other motor"),
         _tuned("virtual_leader", "cross coupling behind a leader that waits for the slower motor"),
+        _tuned("disturbance_observer", "takes off what a rated motor would not show"),
         _tuned("compensated", "dead-zone inverse from a valve bench, with cross coupling"),
         _tuned("adaptive_flow", "learns the valves while it drives them"),
         _tuned("servo_pid", "PID on the same motors behind servo valves", plant="servo"),
