@@ -288,6 +288,7 @@ def test_losses_may_differ_from_motor_to_motor_and_rig_to_rig():
 def test_diagnosis_tries_them_only_when_the_model_lists_them():
     rig = object.__new__(MotorRig)
     rig.channels = (0, 1)
+    rig.without = ()
     rig.model = load_model("paper")
     assert not set(rig.candidates()) & set(MODELS) and "quadratic_drag" in rig.candidates()
     rig.model = load_model({"schema": "hydro_env/model/1", "base": "paper", "effects": {"wilson_losses": {}}})
