@@ -15,7 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, preset_names
+from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, parameter_of, preset_names
+from hydro_env.plant.model import sources_of
 
 HERE = Path(__file__).parent
 
@@ -50,6 +51,31 @@ def presets() -> str:
         model = load_model(name)
         rows.append([f"`{name}`", ", ".join(f"`{effect}`" for effect in model.effects) or "none"])
     return _table(["preset", "effects beyond the paper's equations"], rows)
+
+
+def preset_values() -> str:
+    """Every value that a preset gives or takes from its base or valve; both channels in one row where they agree."""
+    rows = []
+    for name in preset_names():
+        model, sources = load_model(name), sources_of(name)
+        first = True
+        for value, pair in model.values.items():
+            texts = [sources[value, channel] for channel in (0, 1)]
+            same = pair[0] == pair[1] and texts[0] == texts[1]
+            unit = parameter_of(value).unit
+            for channel in (0,) if same else (0, 1):
+                rows.append(
+                    [
+                        f"`{name}`" if first else "",
+                        f"`{value}`",
+                        "both" if same else str(channel + 1),
+                        f"{pair[channel]:.6g}",
+                        "" if unit == "1" else unit,
+                        texts[channel],
+                    ]
+                )
+                first = False
+    return _table(["preset", "value", "channel", "", "unit", "source"], rows)
 
 
 def effects() -> str:
@@ -185,6 +211,7 @@ RESULTS = HERE / "results.json"
 TABLES: dict[str, Callable[[], str]] = {
     "parameters": parameters,
     "presets": presets,
+    "preset_values": preset_values,
     "effects": effects,
     "losses": losses,
     "scores": scores,

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+import yaml
 
 from hydro_env.errors import InputError
-from hydro_env.plant import load_model
-from hydro_env.tasks.mismatch import SPLITS, draw_pairs, load_mismatch
+from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, preset_names
+from hydro_env.tasks import SCENARIOS
+from hydro_env.tasks.mismatch import NAMED_PAIRS, SENSOR_PARAMETERS, SPLITS, draw_pairs, load_mismatch
 
 KQ = 476106e-6
 NARROW = {
@@ -171,6 +173,40 @@ def test_refused(source, told):
     with pytest.raises(InputError, match=told) as caught:
         load_mismatch(source)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("R: 100.0\nKq: 0.3\nR: 101.0\n", "mine.yaml line 3: .*'R' is given twice"),
+        ("Kq: {uniform: [0.3, 0.4], on: 0.5}\n", "mine.yaml line 1: .*'on' is a truth value in YAML"),
+        ("no: 1.0\n", "'no' is a truth value"),
+        ("Kq: yes\n", "neither a number"),
+        ("Kq: [0.3\n", "mine.yaml line"),
+    ],
+)
+def test_the_traps_of_yaml_are_one_line(text, told, tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=told) as caught:
+        load_mismatch(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_name_of_ours_means_something_else_to_yaml():
+    """YAML 1.1 reads on, off, yes, no as truth values, 1:30 as a number, and more; our names stay words."""
+    names = [*PARAMETERS, *CATALOGUE, *(p.name for e in CATALOGUE.values() for p in e.parameters)]
+    names += [
+        *SPLITS,
+        *NAMED_PAIRS,
+        *SENSOR_PARAMETERS,
+        *SPLITS["faulted"].faults,
+        *SCENARIOS,
+        *preset_names(),
+    ]
+    names += ["uniform", "loguniform", "at_most", "meant_for", "outside", "valve", "both", "rig", "sources"]
+    for name in names:
+        assert yaml.safe_load(f"{name}: 1") == {name: 1}
 
 
 def test_none_is_the_plants_own_pair():

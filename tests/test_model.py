@@ -82,6 +82,8 @@ GOOD = "schema: hydro_env/model/1\n"
         (GOOD + "effects: {dead_zone: {both: {overlap: 1}}}\n", "overlap"),
         (GOOD + "base: nothing\n", "unknown plant"),
         ("{unbalanced", "not YAML"),
+        (GOOD + "both: {R: 100.0, R: 101.0}\n", "'R' is given twice"),
+        (GOOD + "effects: {dead_zone: {on: {overlap_positive: 1.0e-4}}}\n", "'on' is a truth value"),
         ("", "name: value"),
     ],
 )

@@ -13,6 +13,7 @@ Models are YAML files or presets of the package:
         channel_1: {overlap_positive: 7.0e-5, overlap_negative: 7.0e-5}
       supply_droop:
         rig: {relative_drop: 0.3}     # `rig` (or `both`) stands for both channels
+    sources: {J: drawing, dead_zone: valve bench}   # optional: where values are from, one by one or by effect
 
 A valve is put in before the values of the same file, which may then change it. What belongs to a valve are the base
 parameters `VALVE_PARAMETERS` and the effects of the ports `VALVE_PORTS`, as the named model has them on its channel 1.
@@ -38,7 +39,10 @@ from ..files import write_text
 from .effects import CATALOGUE
 from .parameters import PARAMETERS, Parameter
 
-__all__ = ["VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "load_model", "parameter_of", "preset_names"]
+__all__ = [
+    "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "load_model", "parameter_of", "preset_names", "read_yaml",
+    "sources_of",
+]  # fmt: skip
 
 SCHEMA = "hydro_env/model/1"
 #: Base parameters that belong to a valve rather than to motor and line.
@@ -226,7 +230,7 @@ def _mapping(value: object, where: str) -> dict[Any, Any]:
 
 def _from_dict(data: object, where: str) -> PlantModel:
     data = _mapping(data, where)
-    known = {"schema", "name", "base", "both", "channel_1", "channel_2", "effects"}
+    known = {"schema", "name", "base", "both", "channel_1", "channel_2", "effects", "sources"}
     for key in data:
         if key not in known:
             raise InputError(f"{where}: unknown key {key!r}: {_nearest(key, known)}")
@@ -264,6 +268,14 @@ def _from_dict(data: object, where: str) -> PlantModel:
                 for channel in _SIDES[side]:
                     pair = values.setdefault(f"{name}.{own}", [known_parameters[own].nominal] * 2)
                     pair[channel] = _number(value, f"{at}.{own}")
+    for name, text in _mapping(data.get("sources", {}), f"{where}: sources").items():
+        if name not in CATALOGUE:
+            try:
+                parameter_of(str(name))
+            except InputError as error:
+                raise InputError(f"{where}: sources: {error}") from None
+        if not isinstance(text, str):
+            raise InputError(f"{where}: sources.{name}: expected text, found {text!r}")
     try:
         return PlantModel(
             name=str(data.get("name", base.name)),
@@ -292,14 +304,77 @@ def _put_in(valve: PlantModel, channel: int, values: dict[str, list[float]], dec
             values.setdefault(name, [parameter_of(name).nominal] * 2)[channel] = valve.value(name, 0)
 
 
-def _read(text: str, where: str) -> PlantModel:
+# --- where values are from --------------------------------------------------------------------------------------------
+def sources_of(source: str | Path | Mapping[str, Any]) -> dict[tuple[str, int], str]:
+    """Where the values of a model come from, by name of the value and channel (0, 1): for all of `values`.
+
+    What a file gives has its text under `sources`; what it takes from its base or a valve has theirs. `source` and errors
+    as in `load_model`.
+    """
+    data, where = _data(source)
+    model = _from_dict(data, where)
+    given = _given(data)
+    told = data.get("sources", {})
+    base = sources_of(data["base"]) if "base" in data else {}
+    valves: dict[int, Any] = {}
+    for side in ("both", "channel_1", "channel_2"):
+        for channel in _SIDES[side]:
+            valves[channel] = data.get(side, {}).get("valve", valves.get(channel))
+    found = {}
+    for name in model.values:
+        effect = name.split(".", 1)[0]
+        of_valve = name in VALVE_PARAMETERS or ("." in name and CATALOGUE[effect].port in VALVE_PORTS)
+        for channel in (0, 1):
+            text = base.get((name, channel))
+            if of_valve and valves[channel] is not None:
+                text = sources_of(valves[channel]).get((name, 0))
+            if (name, channel) in given:
+                text = told.get(name, told.get(effect, f"{where}, which does not say"))
+            if text is None:
+                text = "neutral" if "." in name else PARAMETERS[name].source
+            found[name, channel] = text
+    return found
+
+
+def _given(data: Mapping[str, Any]) -> set[tuple[str, int]]:
+    """What a file gives itself: names of values and channels."""
+    given = {
+        (name, channel)
+        for side in ("both", "channel_1", "channel_2")
+        for name in data.get(side, {})
+        for channel in _SIDES[side]
+    }
+    for effect, sides in data.get("effects", {}).items():
+        given |= {
+            (f"{effect}.{own}", channel) for side in sides for own in sides[side] for channel in _SIDES[side]
+        }
+    return given
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+class _Loader(yaml.SafeLoader):
+    """YAML, without its two silent traps: of a key given twice the last wins, and on, off, yes and no are truth values."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]  # type: ignore[no-untyped-call]
+        for n, ((key_node, _), key) in enumerate(zip(node.value, keys, strict=True)):
+            mark = key_node.start_mark
+            if isinstance(key, bool):
+                problem = f"the key {key_node.value!r} is a truth value in YAML; in quotes it is a name"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
+            if key in keys[:n]:
+                raise yaml.MarkedYAMLError(problem=f"the key {key!r} is given twice", problem_mark=mark)
+        return super().construct_mapping(node, deep)
+
+
+def read_yaml(text: str, where: str) -> Any:
+    """The content of a YAML text. InputError, naming `where` and the line, for what is none, and for a key given twice."""
     try:
-        data = yaml.safe_load(text)
+        return yaml.load(text, _Loader)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" line {mark.line + 1}" if mark is not None else ""
         raise InputError(f"{where}{line}: not YAML: {getattr(error, 'problem', None) or error}") from None
-    return _from_dict(data, where)
 
 
 def preset_names() -> list[str]:
@@ -312,7 +387,7 @@ def preset_names() -> list[str]:
 
 @cache
 def _preset(name: str) -> PlantModel:
-    return _read((resources.files(__package__) / "presets" / f"{name}.yaml").read_text(), f"preset {name}")
+    return _from_dict(*_data(name))
 
 
 def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantModel:
@@ -322,15 +397,23 @@ def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantMode
     """
     if isinstance(source, PlantModel):
         return source
+    if not isinstance(source, Mapping) and str(source) in preset_names():
+        return _preset(str(source))
+    return _from_dict(*_data(source))
+
+
+def _data(source: str | Path | Mapping[str, Any]) -> tuple[Any, str]:
+    """The content of a model file as it stands, and what to call it in errors."""
     if isinstance(source, Mapping):
-        return _from_dict(dict(source), "model")
+        return dict(source), "model"
     text = str(source)
     if text in preset_names():
-        return _preset(text)
+        file = resources.files(__package__) / "presets" / f"{text}.yaml"
+        return read_yaml(file.read_text(encoding="utf-8"), f"preset {text}"), f"preset {text}"
     path = Path(source)
     if path.suffix in (".yaml", ".yml") or path.exists():
         try:
-            return _read(path.read_text(), str(path))
+            return read_yaml(path.read_text(encoding="utf-8"), str(path)), str(path)
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
         except UnicodeDecodeError:

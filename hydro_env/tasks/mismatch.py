@@ -23,11 +23,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..plant import CATALOGUE, PARAMETERS, Parameter, PlantModel, parameter_of
+from ..plant.model import read_yaml
 
 __all__ = [
     "NAMED_PAIRS",
@@ -257,8 +257,8 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
     path = Path(source)
     if path.suffix in (".yaml", ".yml"):
         try:
-            data = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as problem:
+            data = read_yaml(path.read_text(encoding="utf-8"), str(path))
+        except (OSError, UnicodeDecodeError) as problem:
             raise InputError(f"{path}: cannot be read as YAML ({' '.join(str(problem).split())})") from None
         if not isinstance(data, dict):
             raise InputError(f"{path}: expected `parameter: value` lines")
@@ -396,7 +396,8 @@ def _rig_parameters() -> frozenset[str]:
 
 
 def _read_package() -> tuple[dict[str, Mismatch], dict[str, Mismatch]]:
-    data = yaml.safe_load((resources.files(__package__) / "splits.yaml").read_text(encoding="utf-8"))
+    text = (resources.files(__package__) / "splits.yaml").read_text(encoding="utf-8")
+    data = read_yaml(text, "splits.yaml")
     splits: dict[str, Mismatch] = {}
     for name, what in data["splits"].items():
         splits[name] = _read_split(name, what, f"splits.yaml: {name}", splits)
