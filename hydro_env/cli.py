@@ -448,13 +448,19 @@ def diagnose(
         str | None,
         typer.Option("--inspect", metavar="LOG", help="Show what would be read of a log; propose a mapping."),
     ] = None,
+    accept: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CODE", help="Go on in spite of a finding that says the log is wrong: sign, swapped, unit."
+        ),
+    ] = None,
     effect_files: EffectFiles = None,
     jobs: Jobs = 1,
     seed: Seed = 0,
 ) -> None:
     """Find out from logs what a model lacks.
 
-    Writes diagnosis.json, report.html and model.yaml; with --inspect only mapping.yaml, where one is needed.
+    Writes diagnosis.json, report.html and model.yaml; with --inspect only mapping.yaml, a proposal.
     """
     with _writing(out) as folder:
         if inspect is not None:
@@ -478,4 +484,5 @@ def diagnose(
             jobs=jobs,
             seed=seed,
             steady=steady,
+            accept=accept or [],
         )

@@ -53,6 +53,19 @@ def logs(draw: st.DrawFn) -> RigLog:
     )
 
 
+def expected(log: RigLog, signal: str) -> np.ndarray:
+    """What reading gives: holes of what is held until the next row are filled with the value before."""
+    values = log.get(signal)
+    assert values is not None
+    values = values.copy()
+    if signal in ("command", "load"):
+        for channel in log.channels:
+            for row in range(1, len(values)):
+                if np.isnan(values[row, channel]):
+                    values[row, channel] = values[row - 1, channel]
+    return values
+
+
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(log=logs(), packed=st.booleans())
 def test_a_written_log_reads_back(tmp_path: Path, log: RigLog, packed: bool) -> None:
@@ -62,7 +75,7 @@ def test_a_written_log_reads_back(tmp_path: Path, log: RigLog, packed: bool) -> 
     assert back.signals == log.signals and back.channels == log.channels
     np.testing.assert_allclose(back.time_s, log.time_s, rtol=1e-11, atol=1e-15)
     for signal in log.signals:
-        np.testing.assert_allclose(back.get(signal), log.get(signal), rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(back.get(signal), expected(log, signal), rtol=1e-10, atol=1e-12)
     assert list(tmp_path.iterdir()) == [path] or {p.name for p in tmp_path.iterdir()} <= {
         "log.csv",
         "log.csv.gz",
@@ -263,7 +276,8 @@ def test_the_crane_logs(run: str, axis: str) -> None:
     log = read_log(folder / f"{run}.csv.gz", MAPPINGS / f"crane_{axis}.yaml")
     assert log.channels == (0,) and log.kinds[0] == "cylinder" and log.period == 0.01
     assert log.signals == ("command", "pressure", "speed", "supply")
-    assert not log.findings  # a clean recording raises no alarm
+    # A clean recording raises no alarm; the jib's position sensor was disturbed for nine seconds of one run.
+    assert [f.code for f in log.findings] == (["disturbed"] if axis == "jib" else [])
     # The cylinder's flow at full speed stays below what such a crane's pump delivers.
     assert np.abs(log.speed[:, 0]).max() * log.displacement[0] < 100 * LPM
 

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..errors import InputError
 from ..files import write_json, write_text
 from ..plant import PlantModel, load_model
@@ -23,6 +25,7 @@ from .fit import Floors, Problem, rescored
 from .machine import Machine
 from .motor import MotorRig
 from .parts import Part, overlap, read_parts
+from .plausible import implausible, stop_if_sure
 from .prove import Proof, prove
 from .result import (
     Named,
@@ -61,11 +64,12 @@ class Diagnosis:
 def diagnose(
     fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], *, model: str | Path | PlantModel = "paper",
     mapping: str | Path | None = None, jobs: int = 1, seed: int = 0, steady: bool = False, without: Sequence[str] = (),
-    say: Callable[[str], None] = lambda text: None, count: Callable[[int], None] | None = None,
+    accept: Sequence[str] = (), say: Callable[[str], None] = lambda text: None, count: Callable[[int], None] | None = None,
 ) -> Diagnosis:  # fmt: skip
     """The whole workflow. `say` is told each stage in words, `count` the number of simulations done.
 
-    `without` names effects that are not to be candidates. InputError for anything that cannot be used. `seed` is that of
+    `without` names effects that are not to be candidates; `accept` codes of findings (`sign`, `swapped`, `unit`, ...) that
+    would otherwise stop a diagnosis. InputError for anything that cannot be used. `seed` is that of
     the bootstrap; the same seed gives the same result.
     """
     begin = time.perf_counter()
@@ -75,25 +79,27 @@ def diagnose(
         raise InputError("no sealed log; name at least one with --sealed (or a part of a run, LOG@FROM:TO)")
     given_model = load_model(model)
     say("reading logs")
-    parts, proofs = read_parts(fit_logs, mapping), read_parts(sealed, mapping)
+    parts, proofs = read_parts(fit_logs, mapping, accept), read_parts(sealed, mapping, accept)
     overlap(parts, proofs)
     _check_channels(parts, proofs)
     machine = _machine(given_model, parts, steady, jobs, count, frozenset(without))
     seconds = max(len(p.log) * p.log.period for p in parts)
 
     try:
-        return _workflow(machine, given_model, parts, proofs, seconds, say, begin, seed)
+        return _workflow(machine, given_model, parts, proofs, seconds, say, begin, seed, accept)
     finally:
         machine.close()
 
 
 def _workflow(
     machine: Machine, given_model: PlantModel, parts: list[Part], proofs: list[Part], seconds: float,
-    say: Callable[[str], None], begin: float, seed: int,
+    say: Callable[[str], None], begin: float, seed: int, accept: Sequence[str],
 ) -> Diagnosis:  # fmt: skip
     """The stages."""
     say("model as given")
     given = as_given(machine, {(c, s.signal): 1e-9 for c in machine.channels for s in machine.segments[c]})
+    odd = implausible(machine, given)
+    stop_if_sure(odd, ", ".join(p.label for p in parts), accept)
     floors = floors_from(machine, given)
     say("calibrating known parameters")
     calibrated = calibrate(machine, floors)
@@ -124,7 +130,7 @@ def _workflow(
     say("how sure")
     make_sure(machine, [*selection.problems.values(), *calibrated.values()], floors, seed)
     named = named_effects(machine, selection, looks, floors, seed)
-    warnings = _warnings(machine, parts, proofs, final, sealed_proof)
+    warnings = [*(f.text for f in odd), *_warnings(machine, parts, proofs, final, sealed_proof)]
     if refuted:
         warnings.insert(
             0,
@@ -170,8 +176,15 @@ def _check_channels(parts: list[Part], proofs: list[Part]) -> None:
                 )
         if not any(abs(part.log.command_V[:, c]).max() > 0.0 for part in parts):
             raise InputError(
-                f"{parts[0].label}: the command of channel {c + 1} is zero throughout; a diagnosis needs a rig that is driven"
+                f"{parts[0].label}: the command of channel {c + 1} is zero throughout{_yet_moves(parts, c)}; "
+                "record the signal that drives the valve"
             )
+
+
+def _yet_moves(parts: list[Part], c: int) -> str:
+    peaks = [float(np.nanmax(np.abs(p.log.speed[p.inside, c]), initial=0.0)) for p in parts]
+    moves = max(peaks) > 0.0 and max(peaks) >= 0.01
+    return " though the axis moves: something else drove it" if moves else ""
 
 
 def _listed(part: Part) -> str:
@@ -187,10 +200,7 @@ def _warnings(
 ) -> list[str]:
     found = [*machine.notes, *(p.note for p in (*parts, *proofs) if p.note)]
     for part in {p.log.sha256: p for p in (*parts, *proofs)}.values():
-        found += [
-            f"{part.log.name}: {f.message}" + (f"; {f.suggestion}" if f.suggestion else "")
-            for f in part.log.findings
-        ]
+        found += [f"{part.log.name}: {f.text}" for f in part.log.findings]
     found += [f"{text} ends at the edge of its plausible range" for text in at_bounds(final)]
     for key, entry in proof.gap.items():
         if entry["after"] > 1.02 * entry["calibrated"] and entry["after"] > 1.2 * entry["noise"]:
@@ -202,7 +212,8 @@ def _warnings(
 
 def run(
     fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], out: str | Path, *, model: str | Path = "paper",
-    mapping: str | Path | None = None, jobs: int = 1, seed: int = 0, steady: bool = False, quiet: bool = False,
+    mapping: str | Path | None = None, jobs: int = 1, seed: int = 0, steady: bool = False,
+    accept: Sequence[str] = (), quiet: bool = False,
 ) -> Diagnosis:  # fmt: skip
     """The command: diagnoses, prints about twenty lines, writes diagnosis.json, report.html and model.yaml to `out`."""
     from tqdm import tqdm
@@ -212,7 +223,7 @@ def run(
     with tqdm(unit=" simulations", disable=quiet or None, leave=False) as bar:
         found = diagnose(
             fit_logs, sealed, model=model, mapping=mapping, jobs=jobs, seed=seed, steady=steady,
-            say=lambda text: bar.set_description(text), count=bar.update,
+            accept=accept, say=lambda text: bar.set_description(text), count=bar.update,
         )  # fmt: skip
         bar.set_description("writing the report")
         page = report_page(found)

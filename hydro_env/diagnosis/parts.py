@@ -8,7 +8,8 @@ A log of more than two minutes is taken in windows instead, chosen where none ar
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..measured import Mapping, RigLog, load_mapping, read_log
+from ..measured.gate import jump_size
 from .windows import LONG_S, WARM_S, choose, rest_starts
 
 __all__ = ["Part", "overlap", "read_parts"]
@@ -37,8 +39,11 @@ class Part:
         return float(self.inside.sum()) * self.log.period
 
 
-def read_parts(words: Iterable[str | Path], mapping: Mapping | str | Path | None) -> list[Part]:
-    """Reads `PATH[@FROM:TO[,FROM:TO...]]` words. InputError for a bad log, window or clock."""
+def read_parts(
+    words: Iterable[str | Path], mapping: Mapping | str | Path | None, accept: Collection[str] = ()
+) -> list[Part]:
+    """Reads `PATH[@FROM:TO[,FROM:TO...]]` words. InputError for a bad log, window or clock, and for a log that is surely
+    wrong unless the code of that finding is in `accept`."""
     if mapping is not None and not isinstance(mapping, Mapping):
         mapping = load_mapping(mapping)
     read: dict[str, RigLog] = {}
@@ -46,8 +51,8 @@ def read_parts(words: Iterable[str | Path], mapping: Mapping | str | Path | None
     for word in words:
         path, windows = _split(str(word))
         if path not in read:
-            read[path] = _even(_whole(path, read_log(path, mapping)))
-        parts += _parts(str(word), read[path], windows)
+            read[path] = read_log(path, mapping)
+        parts += _parts(str(word), _even(_usable(path, read[path], windows, accept)), windows)
     return parts
 
 
@@ -96,14 +101,29 @@ def _split(word: str) -> tuple[str, list[tuple[float, float]]]:
     return path, windows
 
 
-def _whole(path: str, log: RigLog) -> RigLog:
-    """The log, if its clock does not jump: nobody knows what the rig did meanwhile, so nothing after it can be simulated."""
+def _usable(path: str, log: RigLog, windows: list[tuple[float, float]], accept: Collection[str]) -> RigLog:
+    """The log, if nothing is surely wrong with it: what a diagnosis finds would be that mistake.
+
+    Nobody knows what the rig did while the clock jumped: only the stretch without a jump that holds all windows is given.
+    """
     for finding in log.findings:
+        if not finding.sure or finding.code in accept:
+            continue
         if finding.code == "clock_jump":
-            row = "" if finding.row is None else f"row {finding.row}, "
-            raise InputError(
-                f"{path}: {row}column {finding.column!r}: {finding.message}; {finding.suggestion}"
-            )
+            steps = np.diff(log.time_s)
+            jumps = np.flatnonzero(steps > jump_size(log.time_s))
+            edges = [-np.inf, *(0.5 * (log.time_s[jumps] + log.time_s[jumps + 1])), np.inf]
+            first, last = min(w[0] for w in windows), max(w[1] for w in windows)
+            for start, end in itertools.pairwise(edges):
+                if start <= first and last <= end:
+                    return log.window(start, end)
+        row = "" if finding.row is None else f"row {finding.row}"
+        named = finding.column is None or repr(finding.column) in finding.message
+        column = "" if named else f"column {finding.column!r}"
+        place = ", ".join(word for word in (row, column) if word)
+        place += ": " if place else ""
+        way_out = "" if finding.code == "clock_jump" else f"; if it is right, --accept {finding.code}"
+        raise InputError(f"{path}: {place}{finding.text}{way_out}")
     return log
 
 

@@ -10,10 +10,12 @@ __all__ = ["Finding"]
 
 @dataclass(frozen=True)
 class Finding:
-    """A warning about a log, for the report; what cannot be used at all is an `InputError` instead.
+    """A warning about a log, for the report; what cannot be read at all is an `InputError` instead.
 
     `code` is a stable name; `message` says what was seen, `suggestion` what would be right; `signal` and `channel`
-    (1 or 2) say where in the rig, `column` and `row` (line of the file) where in the file, as far as known.
+    (1 or 2) say where in the rig, `column` and `row` (line of the file) where in the file, as far as known. `sure`: no
+    rig records such a thing rightly, so a diagnosis of the log would be one of the mistake. `fix` says what a mapping
+    would have to say instead, by channel and signal, where that is known: {"channel_2": {"speed": {"sign": -1}}}.
     """
 
     code: str
@@ -23,6 +25,20 @@ class Finding:
     channel: int | None = None
     column: str | None = None
     row: int | None = None
+    sure: bool = False
+    fix: dict[str, Any] | None = None
+
+    @property
+    def text(self) -> str:
+        """Message and suggestion in one line."""
+        if not self.suggestion:
+            return self.message
+        # After a question comes a new sentence.
+        return (
+            f"{self.message} {self.suggestion}"
+            if self.message.endswith("?")
+            else f"{self.message}; {self.suggestion}"
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

@@ -1,9 +1,10 @@
 """Binary log formats: Parquet, MAT 5 and 7.3, MDF 4 and TDMS, each as a table of named columns.
 
 MAT 5 needs nothing beyond the core; the others need the libraries of the extra `measured`, imported on first use.
-In MAT files a column is a numeric vector (structures are named with dots, `log.speed`), in TDMS files a channel
-(its name, or `group/channel` where that is ambiguous), in MDF files a channel (all put on the fastest clock, as
-column `time_s` where the file has no such channel).
+In MAT files a column is a numeric vector (structures are named with dots, `log.speed`; the columns of a matrix are
+`data(:,1)`, ...), in TDMS files a channel (its name, or `group/channel` where that is ambiguous), in MDF files a channel
+(all put on the fastest clock, as column `time_s` where the file has no such channel). Units that MDF and TDMS files carry
+are in the table's `units`.
 """
 
 from __future__ import annotations
@@ -26,8 +27,11 @@ Choose = Callable[[tuple[str, ...]], Sequence[str]]
 def read_binary(path: Path, choose: Choose) -> Table:
     """Reads the columns that `choose(names)` asks for; `InputError` names the file and what would be right."""
     reader, what = BINARY[path.suffix.lower()]
+    units: dict[str, str] = {}
+    if not path.stat().st_size:
+        raise InputError(f"{path}: the file is empty; a log needs columns and rows")
     try:
-        available = reader(path)
+        available = reader(path, units)
     except (InputError, MemoryError):
         raise
     except Exception as error:  # each library has its own family of errors
@@ -35,15 +39,24 @@ def read_binary(path: Path, choose: Choose) -> Table:
         raise InputError(
             f"{path}: not readable as {what} ({reason}); export it again or save it as CSV"
         ) from None
+    if not available:
+        raise InputError(f"{path}: not readable as {what} (no columns); export it again or save it as CSV")
     columns: dict[str, np.ndarray] = {}
     for name in choose(tuple(available)):
         try:
             values = np.asarray(available[name]())
+            if values.dtype.kind in "mM":  # dates and durations, as seconds
+                values = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64) / 1e9
             columns[name] = values.astype(float).ravel()
         except (TypeError, ValueError):
             raise InputError(
                 f"{path}: column {name!r} holds no numbers; a log's columns are plain numbers"
             ) from None
+        infinite = np.flatnonzero(np.isinf(columns[name]))
+        if len(infinite):
+            raise InputError(
+                f"{path}: row {infinite[0] + 1}, column {name!r}: infinite; put NaN where nothing was measured"
+            )
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         shown = ", ".join(f"{name!r} {count}" for name, count in lengths.items())
@@ -53,7 +66,7 @@ def read_binary(path: Path, choose: Choose) -> Table:
     count = next(iter(lengths.values()), 0)
     if count == 0:
         raise InputError(f"{path}: no rows; a log needs at least two samples")
-    return Table(path, tuple(available), columns, np.arange(1, count + 1))
+    return Table(path, tuple(available), columns, np.arange(1, count + 1), units=units)
 
 
 def _library(name: str, path: Path) -> Any:
@@ -66,7 +79,7 @@ def _library(name: str, path: Path) -> Any:
         ) from None
 
 
-def _parquet(path: Path) -> dict[str, Callable[[], Any]]:
+def _parquet(path: Path, units: dict[str, str]) -> dict[str, Callable[[], Any]]:
     parquet = _library("pyarrow.parquet", path)
     file = parquet.ParquetFile(path)
 
@@ -76,7 +89,7 @@ def _parquet(path: Path) -> dict[str, Callable[[], Any]]:
     return {name: column(name) for name in file.schema_arrow.names}
 
 
-def _mat(path: Path) -> dict[str, Callable[[], Any]]:
+def _mat(path: Path, units: dict[str, str]) -> dict[str, Callable[[], Any]]:
     with open(path, "rb") as file:
         is_hdf = b"MATLAB 7.3" in file.read(128)
     if is_hdf:
@@ -97,6 +110,9 @@ def _vectors(content: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, A
             yield from _vectors({field: getattr(value, field) for field in fields}, f"{prefix}{key}.")
         elif isinstance(value, np.ndarray) and value.ndim == 1:
             yield prefix + key, value
+        elif isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "biuf":
+            for number in range(value.shape[1] if value.shape[1] <= 64 < value.shape[0] else 0):
+                yield f"{prefix}{key}(:,{number + 1})", value[:, number]
 
 
 def _mat73(path: Path) -> dict[str, Callable[[], Any]]:
@@ -112,12 +128,16 @@ def _mat73(path: Path) -> dict[str, Callable[[], Any]]:
             ):
                 values = item[()]
                 columns[name.replace("/", ".")] = lambda: values
+            elif isinstance(item, h5py.Dataset) and not name.startswith("#") and item.ndim == 2:
+                matrix = item[()]  # MATLAB writes column by column, so a matrix lies on its side here
+                for number in range(matrix.shape[0] if matrix.shape[0] <= 64 < matrix.shape[1] else 0):
+                    columns[f"{name.replace('/', '.')}(:,{number + 1})"] = lambda row=matrix[number]: row  # type: ignore[misc]
 
         file.visititems(visit)
     return columns
 
 
-def _mdf(path: Path) -> dict[str, Callable[[], Any]]:
+def _mdf(path: Path, units: dict[str, str]) -> dict[str, Callable[[], Any]]:
     asammdf = _library("asammdf", path)
     with asammdf.MDF(path) as file:
         signals = {
@@ -139,11 +159,13 @@ def _mdf(path: Path) -> dict[str, Callable[[], Any]]:
             return np.where(last >= 0, signal.samples[np.maximum(last, 0)].astype(float), np.nan)
 
         columns[name] = values
+        if signal.unit:
+            units[name] = str(signal.unit)
     columns.setdefault("time_s", lambda: clock)
     return columns
 
 
-def _tdms(path: Path) -> dict[str, Callable[[], Any]]:
+def _tdms(path: Path, units: dict[str, str]) -> dict[str, Callable[[], Any]]:
     tdms = _library("nptdms", path)
     file = tdms.TdmsFile.read(path)
     channels = [channel for group in file.groups() for channel in group.channels()]
@@ -152,12 +174,14 @@ def _tdms(path: Path) -> dict[str, Callable[[], Any]]:
     for channel in channels:
         name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
         columns[name] = lambda channel=channel: channel[:]  # type: ignore[misc]
+        if channel.properties.get("unit_string"):
+            units[name] = str(channel.properties["unit_string"])
     if "time_s" not in columns and channels and "wf_increment" in channels[0].properties:
         columns["time_s"] = lambda: channels[0].time_track()
     return columns
 
 
-BINARY: dict[str, tuple[Callable[[Path], dict[str, Callable[[], Any]]], str]] = {
+BINARY: dict[str, tuple[Callable[[Path, dict[str, str]], dict[str, Callable[[], Any]]], str]] = {
     ".parquet": (_parquet, "Parquet"),
     ".mat": (_mat, "a MAT file"),
     ".mf4": (_mdf, "MDF 4"),

@@ -1,12 +1,15 @@
 """A first mapping for a foreign log: which column is likely to be what, in which unit, and what would then be read.
 
-`propose` goes by names ("Drehzahl_1 [1/min]", "p_A2_bar", "cmd left") and, where a name gives no unit, by magnitudes; every
-guess says why it was made. The text is a mapping file to be read by a person and corrected, not to be trusted.
+`propose` goes by names ("Drehzahl_1 [1/min]", "p_A2_bar", "cmd left"), by the units that the file gives and, where it gives
+none, by magnitudes; every guess says why it was made. What the data gate then finds surely wrong (a sign, a unit, motors
+exchanged) is corrected in the proposal and said. The text is a mapping file to be read by a person and corrected, not to be
+trusted.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping as Table
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +21,7 @@ from ..errors import InputError
 from ..units import UNITS, unit
 from .formats import BINARY, read_binary
 from .log import RigLog, read_log
-from .mapping import Mapping, contract_columns, load_mapping
+from .mapping import Mapping, contract_columns, contract_mapping, load_mapping
 from .table import CsvStyle, read_csv
 
 __all__ = ["Proposal", "propose", "shown"]
@@ -64,33 +67,49 @@ class Proposal:
     problem: str
 
 
-def _columns(path: Path) -> dict[str, np.ndarray]:
-    """Every column of numbers of a file."""
+def _columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Every column of numbers of a file, and the units that the file gives."""
 
-    def read(wanted: tuple[str, ...] | None) -> tuple[tuple[str, ...], dict[str, np.ndarray]]:
+    def read(wanted: tuple[str, ...] | None) -> Any:
         def choose(names: tuple[str, ...]) -> tuple[str, ...]:
             return tuple(n for n in names if n) if wanted is None else wanted
 
         suffix = path.with_suffix("").suffix if path.suffix == ".gz" else path.suffix
         if suffix.lower() in BINARY:
-            table = read_binary(path, choose)
-        else:
-            table = read_csv(path, choose, CsvStyle(header=None))
-        return table.names, table.columns
+            return read_binary(path, choose)
+        return read_csv(path, choose, CsvStyle(header=None))
 
     if not path.is_file():
         raise InputError(f"{path}: no such file; give the path of a log")
     try:
-        return read(None)[1]
-    except InputError:
-        names, found = read(())[0], {}
+        table = read(None)
+        return table.columns, table.units
+    except InputError as error:
+        names: tuple[str, ...] = ()
+
+        def remember(found: tuple[str, ...]) -> tuple[str, ...]:
+            nonlocal names
+            names = found
+            return found[:0]
+
+        try:
+            suffix = path.with_suffix("").suffix if path.suffix == ".gz" else path.suffix
+            if suffix.lower() in BINARY:
+                read_binary(path, remember)
+            else:
+                read_csv(path, remember, CsvStyle(header=None))
+        except InputError:
+            if not names:
+                raise error from None
+        columns, units = {}, {}
         for name in names:  # some columns are text, or on another clock
             try:
-                found[name] = read((name,))[1][name]
+                table = read((name,))
             except InputError:
                 continue
-        longest = max((len(v) for v in found.values()), default=0)
-        return {n: v for n, v in found.items() if len(v) == longest}
+            columns[name], units = table.columns[name], table.units
+        longest = max((len(v) for v in columns.values()), default=0)
+        return {n: v for n, v in columns.items() if len(v) == longest}, units
 
 
 def _words(name: str) -> list[str]:
@@ -150,15 +169,23 @@ def _signal_of(name: str) -> str | None:
 def propose(path: str | Path) -> Proposal:
     """Looks at a log and proposes a mapping. InputError if it cannot be read at all."""
     path = Path(path)
-    columns = _columns(path)
+    columns, units = _columns(path)
     if {"time_s"} <= set(columns) and sum(n in contract_columns() for n in columns) >= 3:
         try:
-            return Proposal(
-                "", ("the header is the rig log's own: no mapping is needed",), read_log(path), ""
-            )
+            mapping = contract_mapping(tuple(columns), path)
         except InputError as error:
             return Proposal("", ("the header is the rig log's own",), None, str(error))
+        content = mapping.model_dump(by_alias=True, exclude_defaults=True, exclude_none=True)
+        content = {"schema": content.pop("schema_", None) or content.pop("schema"), **content}
+        return _tried(path, content, ["the header is the rig log's own: no mapping is needed"])
     notes: list[str] = []
+    return _tried(path, _guessed(path, columns, units, notes), notes)
+
+
+def _guessed(
+    path: Path, columns: Table[str, np.ndarray], units: Table[str, str], notes: list[str]
+) -> dict[str, Any]:
+    """The content of a mapping file by names, units and magnitudes; `notes` are added to."""
     content: dict[str, Any] = {
         "schema": "hydro_env/mapping/1",
         "name": re.sub(r"\W+", "_", path.name.split(".")[0]),
@@ -169,9 +196,10 @@ def propose(path: str | Path) -> Proposal:
         if signal is None:
             notes.append(f"{name!r}: not recognised, left out")
             continue
-        given = _unit_of(name, _QUANTITIES[signal])
+        said = units.get(name)
+        given = (_known(said, _QUANTITIES[signal]) if said else None) or _unit_of(name, _QUANTITIES[signal])
         chosen = given or _guessed_unit(signal, values)
-        why = "unit from the name" if given else "unit guessed from the size of the numbers"
+        why = "unit from the file" if given else "unit guessed from the size of the numbers"
         source: dict[str, Any] = {"column": name, "unit": chosen}
         if UNITS[chosen].quantity == "fraction":
             source["full_scale"] = 10.0
@@ -185,7 +213,19 @@ def propose(path: str | Path) -> Proposal:
             number = next((_SIDES[w] for w in _words(name) if w in _SIDES), 1)
             where, target = f"channel {number}", channels[number]
         if signal in target:
-            notes.append(f"{name!r}: looks like another {signal} of {where}, left out")
+            first = target[signal]
+            if (
+                signal == "pressure"
+                and "minus" not in first
+                and _port(name) == "b"
+                and _port(first["column"]) == "a"
+            ):
+                first["minus"] = source
+                notes.append(
+                    f"{name!r}: the other port's pressure, subtracted from {first['column']!r}; unequal areas need a scale"
+                )
+            else:
+                notes.append(f"{name!r}: looks like another {signal} of {where}, left out")
             continue
         target[signal] = source
         notes.append(f"{name!r}: {signal} of {where} in {chosen} ({why})")
@@ -204,19 +244,61 @@ def propose(path: str | Path) -> Proposal:
         elif channel:
             lacking = " and ".join(s for s in ("command", "speed") if s not in channel)
             notes.append(f"channel {number}: no {lacking} found, left out")
-    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    return content
+
+
+def _tried(path: Path, content: dict[str, Any], notes: list[str]) -> Proposal:
+    """The proposal with what it reads; what the gate finds surely wrong is corrected once."""
     if not any(f"channel_{n}" in content for n in (1, 2)):
-        return Proposal(
-            text, tuple(notes), None, "no channel with a command and a speed was found; name them by hand"
-        )
+        reason = "no channel with a command and a speed was found; name them by hand"
+        return Proposal(_as_text(content), tuple(notes), None, reason)
+    log: RigLog | None = None
+    problem = ""
+    for attempt in (1, 2):
+        try:
+            log = read_log(path, Mapping.model_validate(yaml.safe_load(_as_text(content))))
+        except (InputError, ValueError) as error:
+            problem = str(error).splitlines()[0]
+            break
+        fixes = [f for f in log.findings if f.sure and f.fix]
+        if attempt == 2 or not fixes:
+            break
+        for finding in fixes:
+            _merge(content, finding.fix or {})
+            notes.append(f"corrected in the proposal: {finding.text}")
+    return Proposal(_as_text(content), tuple(notes), log, problem)
+
+
+def _merge(content: dict[str, Any], fix: Table[str, Any]) -> None:
+    for key, value in fix.items():
+        if isinstance(value, dict):
+            _merge(content.setdefault(key, {}), value)
+        else:
+            content[key] = value
+
+
+def _as_text(content: dict[str, Any]) -> str:
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+
+
+def _port(name: str) -> str:
+    """The port (a, b) that a pressure's name gives, or nothing."""
+    for word in _words(name):
+        if word in ("a", "b", "pa", "pb"):
+            return word[-1]
+    return ""
+
+
+def _known(text: str, quantities: tuple[str, ...]) -> str | None:
     try:
-        return Proposal(text, tuple(notes), read_log(path, Mapping.model_validate(yaml.safe_load(text))), "")
-    except (InputError, ValueError) as error:
-        return Proposal(text, tuple(notes), None, str(error).splitlines()[0])
+        found = unit(text)
+    except InputError:
+        return None
+    return found.name if found.quantity in quantities else None
 
 
 def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str]:
-    """What would be read of a log, as text for a terminal, and the proposed mapping file ("" where none is needed)."""
+    """What would be read of a log, as text for a terminal, and the proposed mapping file ("" where one was given)."""
     if mapping is not None:
         proposal = Proposal("", (f"read with {mapping}",), read_log(path, load_mapping(mapping)), "")
     else:
@@ -226,10 +308,12 @@ def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str
     if log is None:
         return "\n".join([*lines, f"not readable yet: {proposal.problem}"]), proposal.text
     lines.append(
-        f"{len(log)} rows, {log.time_s[-1] - log.time_s[0]:.6g} s at {1.0 / log.period:.6g} Hz"
+        f"{len(log)} rows, {log.time_s[0]:.6g} to {log.time_s[-1]:.6g} s at {1.0 / log.period:.6g} Hz"
         + ("" if log.uniform else ", unevenly spaced: it would be put on an even grid")
     )
-    lines.append(f"  {'signal':<14}{'unit':<7}{'least':>11}{'median':>11}{'most':>11}")
+    numbers = [0, 1, len(log) // 2]
+    rows = "".join(f"{f'at {log.time_s[n]:.3g} s':>13}" for n in numbers)
+    lines.append(f"  {'signal':<14}{'unit':<7}{'least':>11}{'median':>11}{'most':>11}{rows}")
     for signal in log.signals:
         values = log.get(signal)
         assert values is not None
@@ -238,11 +322,12 @@ def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str
                 continue
             name = _shown_unit(signal, log, c)
             one = values if c is None else values[:, c]
-            low, middle, high = (np.nanquantile(one, q) for q in (0.0, 0.5, 1.0))
             offset, scale = UNITS[name].offset, UNITS[name].scale
-            numbers = "".join(f"{(v - offset) / scale:11.4g}" for v in (low, middle, high))
-            lines.append(f"  {signal + ('' if c is None else f' {c + 1}'):<14}{name:<7}{numbers}")
-    lines += [f"  {f.message}" + (f"; {f.suggestion}" if f.suggestion else "") for f in log.findings]
+            quantiles = [(np.nanquantile(one, q) - offset) / scale for q in (0.0, 0.5, 1.0)]
+            examples = "".join(f"{(one[n] - offset) / scale:13.4g}" for n in numbers)
+            text = "".join(f"{v:11.4g}" for v in quantiles) + examples
+            lines.append(f"  {signal + ('' if c is None else f' {c + 1}'):<14}{name:<7}{text}")
+    lines += [f"  {'wrong' if f.sure else 'note'}: {f.text}" for f in log.findings]
     if not log.findings:
         lines.append("  nothing suspicious found")
     return "\n".join(lines), proposal.text

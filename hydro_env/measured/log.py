@@ -14,7 +14,7 @@ import numpy as np
 from hydro_env.errors import InputError
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.formats import BINARY, read_binary
-from hydro_env.measured.gate import check_clock, check_log
+from hydro_env.measured.gate import Spoilt, after_gaps, check_clock, check_log, check_units
 from hydro_env.measured.mapping import (
     CHANNEL_SIGNALS,
     CONTRACT,
@@ -26,6 +26,7 @@ from hydro_env.measured.mapping import (
     contract_mapping,
     load_mapping,
 )
+from hydro_env.measured.samples import MEASURED
 from hydro_env.measured.table import CsvStyle, Table, digest, nearest, read_csv
 from hydro_env.units import from_si
 
@@ -109,7 +110,8 @@ class RigLog:
         return self._with_rows(lambda values, _: values[keep[0] : keep[-1] + 1])
 
     def resample(self, period: float) -> RigLog:
-        """The log on an even grid of `period` s: commands, loads and set-points held, measurements interpolated.
+        """The log on an even grid of `period` s: commands, loads and set-points held, measurements interpolated, and
+        NaN inside gaps (steps of more than 1.75 median ones).
 
         No filter is applied: noise above the new rate folds back.
         """
@@ -119,6 +121,9 @@ class RigLog:
         grid = self.time_s[0] + period * np.arange(int(np.floor(span / period + 1e-6)) + 1)
         # A grid point that misses a row by rounding alone must see that row's command.
         held = np.searchsorted(self.time_s, grid + 1e-6 * period, side="right") - 1
+        steps = np.diff(self.time_s)
+        wide = np.append(steps > 1.75 * float(np.median(steps)), False)
+        gap = wide[held] & (grid > self.time_s[held] + 1e-6 * period)
 
         def put(values: np.ndarray, signal: str) -> np.ndarray:
             if signal == "time":
@@ -127,7 +132,9 @@ class RigLog:
                 return values[held]
             if values.ndim == 1:
                 return np.interp(grid, self.time_s, values)
-            return np.column_stack([np.interp(grid, self.time_s, column) for column in values.T])
+            columns = np.column_stack([np.interp(grid, self.time_s, column) for column in values.T])
+            columns[gap] = np.nan
+            return columns
 
         return self._with_rows(put)
 
@@ -238,8 +245,10 @@ def _from_table(table: Table, mapping: Mapping, native: bool) -> RigLog:
                         "unknown_column", f"column {name!r} is not understood and ignored{hint}", column=name
                     )
                 )
+    rows = table.lines if keep is None else table.lines[keep]
+    start = _hold(table, mapping, signals, rows, findings)
     log = RigLog(
-        time_s=time_s,
+        time_s=time_s[start:],
         name=table.path.name,
         sha256=digest(table.path),
         kinds=tuple(channel.actuator if channel else "motor" for channel in mapping.channels),  # type: ignore[arg-type]
@@ -247,10 +256,62 @@ def _from_table(table: Table, mapping: Mapping, native: bool) -> RigLog:
             channel.displacement.si if channel and channel.displacement else None
             for channel in mapping.channels
         ),
-        **signals,
+        **{name: None if values is None else values[start:] for name, values in signals.items()},  # type: ignore[arg-type]
     )
-    rows = table.lines if keep is None else table.lines[keep]
-    return replace(log, findings=tuple(findings) + tuple(check_log(log, mapping, rows)))
+    if len(log) < 2:
+        raise InputError(f"{table.path}: no two rows hold a command; a log needs at least two samples")
+    findings += check_units(table, mapping)
+    found, spoilt = check_log(log, mapping, rows[start:])
+    return replace(_without(log, spoilt), findings=(*findings, *found))
+
+
+def _hold(
+    table: Table, mapping: Mapping, signals: dict[str, Any], rows: np.ndarray, findings: list[Finding]
+) -> int:
+    """Fills holes of commands, loads and set-points (in place) with the last value; the first row in which all commands
+    are known. A load before its first value is zero, and a set-point its first value."""
+    start = 0
+    for signal in _HELD:
+        values = signals.get(_FIELD.get(signal, signal))
+        if values is None:
+            continue
+        for channel in range(values.shape[1]) if values.ndim == 2 else (None,):
+            one = values if channel is None else values[:, channel]
+            known = np.isfinite(one)
+            if known.all() or not known.any():
+                continue
+            named = mapping.channels[channel] if channel is not None else mapping
+            column = getattr(named, signal).column
+            last = np.maximum.accumulate(np.where(known, np.arange(len(one)), -1))
+            first = int(np.argmax(known))
+            one[:] = np.where(last >= 0, one[np.maximum(last, 0)], 0.0 if signal == "load" else one[first])
+            hint = "the value before is held"
+            if signal == "command" and first > 0:
+                start = max(start, first)
+                hint += f", and the log begins with row {rows[first]}, the first that holds one"
+            hole = int(np.argmax(~known))
+            message = f"{np.sum(~known)} of {len(one)} cells of {column!r} hold no value, the first in row {rows[hole]}"
+            place = {"channel": None if channel is None else channel + 1, "column": column}
+            findings.append(Finding("missing_values", message, hint, signal, row=int(rows[hole]), **place))  # type: ignore[arg-type]
+    return start
+
+
+def _without(log: RigLog, spoilt: Spoilt) -> RigLog:
+    """The log with NaN in place of spoilt samples, and of what follows a long gap unless that were most of the log."""
+    late = after_gaps(log.time_s)
+    late &= late.mean() < 0.5
+    changed: dict[str, np.ndarray] = {}
+    for signal in MEASURED:
+        values = log.get(signal)
+        if values is None or not (late.any() or any(name == signal for name, _ in spoilt)):
+            continue
+        values = values.copy()
+        values[late] = np.nan
+        for channel in (0, 1):
+            if (signal, channel) in spoilt:
+                values[spoilt[signal, channel], channel] = np.nan
+        changed[_FIELD.get(signal, signal)] = values
+    return replace(log, **changed) if changed else log  # type: ignore[arg-type]
 
 
 def write_log(path: str | Path, log: RigLog) -> None:

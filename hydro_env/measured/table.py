@@ -24,6 +24,7 @@ import numpy as np
 
 from hydro_env.errors import InputError
 from hydro_env.measured.finding import Finding
+from hydro_env.units import unit
 
 __all__ = ["CsvStyle", "Table", "digest", "nearest", "read_csv"]
 
@@ -50,13 +51,15 @@ class CsvStyle:
 
 @dataclass
 class Table:
-    """Columns (T,) of float64 by name, NaN where a cell is empty; `lines` are the file's line numbers (T,)."""
+    """Columns (T,) of float64 by name, NaN where a cell is empty; `lines` are the file's line numbers (T,); `units` what
+    the file itself says of a column's unit."""
 
     path: Path
     names: tuple[str, ...]
     columns: dict[str, np.ndarray]
     lines: np.ndarray
     findings: list[Finding] = field(default_factory=list)
+    units: dict[str, str] = field(default_factory=dict)
 
     def row(self, index: int) -> int:
         """The line of the file that holds sample `index` (the header is line 1)."""
@@ -182,6 +185,11 @@ def _read(
             raise InputError(
                 f"{path}: column {name!r} appears {len(found)} times (columns {', '.join(found)}); keep one of them"
             )
+    lines_left, units = _units_row(lines_left, names, delimiter, style.si_suffixes)
+    if units:
+        findings.append(Finding("units_row", f"row {start + 1} holds units, read so", row=start + 1))
+        start += 1
+    units = {**_units_in_names(names), **units}
     parse = _Cells(path, names, style, delimiter, findings)
     places = [names.index(name) for name in wanted]
     parts: list[np.ndarray] = []
@@ -205,7 +213,47 @@ def _read(
     columns = {
         name: np.concatenate([block[:, place] for block in parts]) for place, name in enumerate(wanted)
     }
-    return Table(path, names, columns, np.concatenate(lines), findings)
+    return Table(path, names, columns, np.concatenate(lines), findings, units)
+
+
+def _units_row(
+    lines: Iterator[str], names: tuple[str, ...], delimiter: str, si_suffixes: bool
+) -> tuple[Iterator[str], dict[str, str]]:
+    """The lines after the header, without a row of units where there is one, and the units by column."""
+    first = next(lines, None)
+    if first is None:
+        return lines, {}
+    back = itertools.chain([first], lines)
+    try:
+        cells = [cell.strip().strip("[]()") for cell in next(csv.reader([first], delimiter=delimiter))]
+    except (csv.Error, StopIteration):
+        return back, {}
+    if any(_is_value(cell, si_suffixes) for cell in cells) or len(cells) < len(names):
+        return back, {}
+    units = {
+        name: cell
+        for name, cell in zip(names, cells, strict=False)
+        if cell and cell.lower() not in _MISSING and _is_unit(cell)
+    }
+    return (lines, units) if len(units) >= 2 else (back, {})
+
+
+def _units_in_names(names: tuple[str, ...]) -> dict[str, str]:
+    """`p1 [kPa]` gives kPa."""
+    found = {}
+    for name in names:
+        match = re.search(r"[\[(]([^\])]*)[\])]\s*$", name)
+        if match and match[1].strip() and not _is_number(match[1]) and _is_unit(match[1].strip()):
+            found[name] = match[1].strip()
+    return found
+
+
+def _is_unit(text: str) -> bool:
+    try:
+        unit(text)
+    except InputError:
+        return False
+    return True
 
 
 def _delimiter(header: str) -> str:

@@ -1,0 +1,261 @@
+"""What the signals of a log say about each other: sign, motors exchanged, one column twice, units by size and by set-point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hydro_env.measured.finding import Finding
+from hydro_env.measured.mapping import ChannelMapping, Mapping, Source
+from hydro_env.measured.samples import MEASURED
+from hydro_env.units import BAR, RPM
+
+if TYPE_CHECKING:
+    from hydro_env.measured.log import RigLog
+
+__all__ = ["check_channels", "check_sizes"]
+
+_CORRELATE = 20_000  # rows that suffice for a correlation
+_IN_MAPPING = "give the right unit in a mapping"
+
+
+def check_sizes(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
+    """Magnitudes that point to a wrong unit."""
+    for channel in (0, 1):
+        named = mapping.channels[channel]
+        for signal in ("command", "current", "pressure", "speed"):
+            source = getattr(named, signal) if named else None
+            values = log.get(signal)
+            if source is not None and values is not None and log.has(signal, channel):
+                place = {"signal": signal, "channel": channel + 1, "column": source.column}
+                yield from _size(values[:, channel], log, channel, place, source)
+    for signal in ("supply", "temperature"):
+        source, values = getattr(mapping, signal), log.get(signal)
+        if source is not None and values is not None:
+            yield from _size(values, log, 0, {"signal": signal, "column": source.column}, source)
+    yield from _setpoint(log, mapping)
+    yield from _supply(log, mapping)
+
+
+def _size(
+    values: np.ndarray, log: RigLog, channel: int, place: dict[str, Any], source: Source
+) -> Iterator[Finding]:
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return
+    peak = float(np.max(np.abs(finite)))
+    signal, column = place["signal"], place["column"]
+
+    def odd(seen: str, guess: str, sure: bool = False, unit: str = "") -> Finding:
+        fix: dict[str, Any] | None = None
+        if unit and "channel" in place:
+            fix = {f"channel_{place['channel']}": {signal: {"unit": unit}}}
+        elif unit:
+            fix = {signal: {"unit": unit}}
+        return Finding(
+            "unit", f"{column!r} peaks at {seen}: {guess}?", _IN_MAPPING, sure=sure, fix=fix, **place
+        )
+
+    if peak == 0.0:
+        return
+    # What the file's numbers would be in another unit: the reading so far undone.
+    if signal in ("pressure", "supply"):
+        raw = peak / BAR if source.unit == "bar" else None
+        if peak > 700 * BAR:
+            unit = "" if raw is None else "kPa" if raw < 60_000.0 else "Pa"
+            yield odd(f"{peak / BAR:.4g} bar", "is it in kPa, psi or Pa", peak > 2000 * BAR, unit)
+        elif signal == "supply" and peak < 5 * BAR:
+            yield odd(f"{peak / BAR:.4g} bar", "is it in MPa", unit="" if raw is None else "MPa")
+        elif signal == "pressure" and peak < 0.7 * BAR and _moves(log, channel):
+            guess = "is it in bar" if source.unit in ("kPa", "mbar", "Pa") else "is it in MPa or 1000 psi"
+            yield odd(f"{peak / BAR:.3g} bar though the axis moves", guess)
+    elif signal == "speed":
+        if log.kinds[channel] == "motor":
+            if peak > 6000 * RPM:
+                guess = "is it in rpm" if source.unit in ("rad/s", "Hz") else "is it in deg/s"
+                yield odd(f"{peak / RPM:.4g} rpm", guess)
+            elif peak < 80 * RPM and (log.setpoint is None or not np.ptp(np.nan_to_num(log.setpoint)) > 0.0):
+                shown = f"{peak / RPM:.4g} rpm"
+                yield odd(shown, f"slow motion, or {peak / RPM:.3g} rad/s")
+        elif peak > 5.0:
+            yield odd(f"{peak:.4g} m/s", "is it in mm/s", peak > 50.0, "mm/s" if source.unit == "m/s" else "")
+    elif signal == "command" and peak > 200.0:
+        yield odd(f"{peak:.4g} V", "is it in mV", peak > 2000.0, "mV" if source.unit == "V" else "")
+    elif signal == "command" and 99.5 < peak < 100.5 and source.unit == "V":
+        yield odd(f"{peak:.4g} V", "is it in percent of full scale")
+    elif signal == "command" and peak <= 1.05 and source.unit == "V":
+        yield odd(f"{peak:.4g} V", "is it a fraction of full scale")
+    elif signal == "current" and peak > 20.0:
+        yield odd(f"{peak:.4g} A", "is it in mA", peak > 100.0, "mA" if source.unit == "A" else "")
+    elif signal == "current" and peak < 0.005 and _moves(log, channel):
+        yield odd(
+            f"{1e3 * peak:.3g} mA though the axis moves",
+            "is it in A",
+            unit="A" if source.unit == "mA" else "",
+        )
+    elif signal == "temperature" and not 230.0 < float(np.median(finite)) < 430.0:
+        yield odd(f"{peak - 273.15:.4g} degC", "is it in K or degF")
+
+
+def _moves(log: RigLog, channel: int) -> bool:
+    speed = log.speed[:, channel]
+    return bool(np.isfinite(speed).any() and np.nanmax(speed) - np.nanmin(speed) > 0.0)
+
+
+def _setpoint(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
+    """A speed that follows the set-point in another unit."""
+    if log.setpoint is None:
+        return
+    for channel in log.channels:
+        speed, setpoint = _clean(log.speed[:, channel], log.setpoint)
+        if len(speed) < 20 or np.std(speed) == 0 or np.std(setpoint) == 0:
+            continue
+        if np.corrcoef(speed, setpoint)[0, 1] < 0.5:
+            continue
+        slope = float(np.std(speed) / np.std(setpoint))
+        for factor, guess, unit in (
+            (RPM, "is the speed in rad/s", "rad/s"),
+            (1.0 / RPM, "is the set-point in rad/s, or the speed in rpm", ""),
+            (6.0, "is the speed in deg/s", "deg/s"),
+        ):
+            if log.kinds[channel] == "motor" and 0.75 < slope / factor < 1.33:
+                source = mapping.channels[channel]
+                yield Finding(
+                    "unit",
+                    f"the speed of channel {channel + 1} follows the set-point with a factor of {slope:.3g}: {guess}?",
+                    _IN_MAPPING,
+                    "speed",
+                    channel + 1,
+                    source.speed.column if source else None,
+                    sure=True,
+                    fix={f"channel_{channel + 1}": {"speed": {"unit": unit}}} if unit else None,
+                )
+
+
+def _supply(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
+    if log.supply is None or log.pressure is None:
+        return
+    for channel in log.channels:
+        source = mapping.channels[channel]
+        if source is None or source.pressure is None or not log.has("pressure", channel):
+            continue
+        pressure, supply = _clean(np.abs(log.pressure[:, channel]), log.supply)
+        if not len(pressure):
+            continue
+        ratio = float(np.quantile(pressure, 0.99) / max(float(np.median(supply)), 1.0))
+        if ratio > 3.0:
+            message = f"{source.pressure.column!r} is {ratio:.3g} times the supply pressure: another unit?"
+            place = ("pressure", channel + 1, source.pressure.column)
+            yield Finding("unit", message, _IN_MAPPING, *place)
+
+
+def check_channels(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
+    """Sign of each channel, channels exchanged, the same data twice."""
+    both = [mapping.channels[channel] for channel in (0, 1)]
+    for channel in log.channels:
+        source = both[channel]
+        if source is not None:
+            yield from _sign(log, channel, source)
+    if log.channels != (0, 1):
+        return
+    own = [_follow(log.command_V[:, c], log.speed[:, c], log.period) ** 2 for c in (0, 1)]
+    crossed = [_follow(log.command_V[:, 1 - c], log.speed[:, c], log.period) ** 2 for c in (0, 1)]
+    if all(crossed[c] > own[c] + 0.1 for c in (0, 1)):
+        message = (
+            f"each speed follows the other channel's command (correlation {min(crossed) ** 0.5:.2f} or better) "
+            f"rather than its own ({max(own) ** 0.5:.2f} at best): are the motors swapped?"
+        )
+        sure = min(crossed) > 0.6 and all(crossed[c] > own[c] + 0.3 for c in (0, 1))
+        fix = None
+        if both[0] is not None and both[1] is not None:
+            fix = {f"channel_{c + 1}": {"speed": {"column": both[1 - c].speed.column}} for c in (0, 1)}  # type: ignore[union-attr]
+        yield Finding(
+            "swapped", message, "exchange the speed columns in a mapping", "speed", sure=sure, fix=fix
+        )
+    for signal in MEASURED:
+        values = log.get(signal)
+        sources = [getattr(source, signal) if source else None for source in both]
+        if values is None or sources[0] is None or sources[1] is None:
+            continue
+        first, second = _clean(values[:, 0], values[:, 1])
+        if len(first) > 10 and np.ptp(first) > 0 and np.array_equal(first, second):
+            # Two simulated channels may really agree; then their commands do, too.
+            if signal == "speed" and np.array_equal(log.command_V[:, 0], log.command_V[:, 1], equal_nan=True):
+                continue
+            if signal != "speed" and np.array_equal(log.speed[:, 0], log.speed[:, 1], equal_nan=True):
+                continue
+            message = f"{sources[0].column!r} and {sources[1].column!r} hold the same values"
+            yield Finding(
+                "duplicate_column",
+                message,
+                "record each channel's own sensor",
+                signal,
+                column=sources[1].column,
+            )
+
+
+def _sign(log: RigLog, channel: int, source: ChannelMapping) -> Iterator[Finding]:
+    """A speed or a current that falls when its command rises."""
+    key = f"channel_{channel + 1}"
+    command = log.command_V[:, channel]
+    current = None
+    if log.current is not None and source.current is not None and log.has("current", channel):
+        current = _follow(command, log.current[:, channel], log.period)
+    speed = _follow(command, log.speed[:, channel], log.period)
+    if speed < -0.4 and current is not None and current < -0.8:
+        # Both at once: it is the command that is upside down.
+        message = f"current and speed of channel {channel + 1} fall when its command rises (correlation {speed:.2f})"
+        hint = f"give `sign: {-source.command.sign}` for the command in a mapping"
+        fix = {key: {"command": {"sign": -source.command.sign}}}
+        yield Finding(
+            "sign", message, hint, "command", channel + 1, source.command.column, sure=True, fix=fix
+        )
+        return
+    if speed < -0.4:
+        message = f"the speed of channel {channel + 1} falls when its command rises (correlation {speed:.2f})"
+        which = "the speed" if current is not None else "the speed or the command"
+        hint = f"give `sign: {-source.speed.sign}` for {which} in a mapping"
+        fix = {key: {"speed": {"sign": -source.speed.sign}}}
+        place = ("speed", channel + 1, source.speed.column)
+        yield Finding("sign", message, hint, *place, sure=speed < -0.7, fix=fix)
+    if current is not None and source.current is not None and current < -0.6:
+        message = (
+            f"the current of channel {channel + 1} falls when its command rises (correlation {current:.2f})"
+        )
+        hint = f"give `sign: {-source.current.sign}` for the current in a mapping"
+        fix = {key: {"current": {"sign": -source.current.sign}}}
+        place = ("current", channel + 1, source.current.column)
+        yield Finding("sign", message, hint, *place, sure=current < -0.8, fix=fix)
+
+
+def _clean(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    keep = np.isfinite(first) & np.isfinite(second)
+    return first[keep], second[keep]
+
+
+def _follow(command: np.ndarray, values: np.ndarray, period: float) -> float:
+    """The correlation of a signal (T,) with a command (T,) at the shortest lag (0 to 0.5 s) at which it is near its
+    strongest: of a fast sine the next extreme has the other sign. 0 where undefined."""
+    lags = np.unique(np.round(np.linspace(0.0, 0.5, 26) / period).astype(int))
+    stride = max(1, len(values) // _CORRELATE)
+    found = []
+    for lag in lags:
+        if len(values) - lag < 50:
+            break
+        before = command[: len(command) - lag : stride]
+        after = values[lag::stride]
+        before, after = _clean(before[: len(after)], after[: len(before)])
+        if len(before) < 50 or np.std(before) == 0.0 or np.std(after) == 0.0:
+            found.append(0.0)
+            continue
+        found.append(float(np.corrcoef(before, after)[0, 1]))
+    if not found:
+        return 0.0
+    size = np.abs(found)
+    for n, value in enumerate(found):
+        peak = (n == 0 or size[n] >= size[n - 1]) and (n + 1 == len(found) or size[n] >= size[n + 1])
+        if peak and size[n] >= 0.75 * size.max():
+            return value
+    return found[int(np.argmax(size))]

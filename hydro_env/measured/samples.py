@@ -1,0 +1,280 @@
+"""The samples of one signal: missing, constant, stuck, clipped, coarse, and a sensor that is disturbed for a while.
+
+Samples that are not measurements of the rig (a sensor that stuck, a converter at its end, a disturbed sensor) are given
+back as spoilt; who reads the log leaves them out of every comparison.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hydro_env.measured.finding import Finding
+
+if TYPE_CHECKING:
+    from hydro_env.measured.log import RigLog
+
+__all__ = ["MEASURED", "check_samples"]
+
+MEASURED = ("current", "pressure", "speed", "spool", "flow")
+_STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
+_MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse
+_BURST_S = 0.5  # windows in which a disturbance is looked for
+_BURST_RATIO = 6.0  # the fast part of a disturbed signal stands out of its usual one by more
+_LEFT_OUT = "left out of every comparison"
+
+
+def check_samples(
+    log: RigLog, signal: str, channel: int, rows: np.ndarray, column: str
+) -> tuple[list[Finding], np.ndarray]:
+    """Findings about a signal of a channel (0, 1), and which samples (T,) are spoilt; `rows` (T,) are lines of the file."""
+    values = log.get(signal)
+    assert values is not None
+    values = values[:, channel]
+    place: dict[str, Any] = {"signal": signal, "channel": channel + 1, "column": column}
+    findings: list[Finding] = []
+    spoilt = np.zeros(len(values), bool)
+    missing = np.flatnonzero(~np.isfinite(values))
+    if len(missing):
+        message = f"{len(missing)} of {len(values)} cells of {column!r} hold no value, the first in row {rows[missing[0]]}"
+        findings.append(Finding("missing_values", message, _LEFT_OUT, row=int(rows[missing[0]]), **place))
+    finite = values[np.isfinite(values)]
+    if not len(finite) or signal == "load":
+        return findings, spoilt
+    low, high = float(finite.min()), float(finite.max())
+    if high == low:
+        if len(finite) > 10:
+            message = f"{column!r} is constant"
+            hint = "a log says nothing about what does not move: excite the rig, or look at the sensor"
+            findings.append(Finding("constant", message, hint, **place))
+        return findings, spoilt
+    if signal not in MEASURED:
+        return findings, spoilt
+    starts, lengths = _runs(values)
+    for check in (_stuck, _clipped):
+        for finding, bad in check(log, values, channel, rows, starts, lengths, place):
+            findings.append(finding)
+            spoilt |= bad
+    if signal == "speed":
+        for finding, bad in _disturbed(log, np.where(spoilt, np.nan, values), channel, rows, place):
+            findings.append(finding)
+            spoilt |= bad
+    levels = np.unique(finite)
+    step = float(np.min(np.diff(levels))) if len(levels) > 1 else 0.0
+    # Few levels over many rows: the steps of the converter show. A clean signal has nearly as many values as rows.
+    if (
+        len(finite) > 500
+        and len(levels) < _MANY_STEPS
+        and len(levels) < len(finite) / 10
+        and step > 1e-9 * (high - low)
+    ):
+        message = f"{column!r} has only {len(levels)} different values (step {step / (high - low):.2%} of its range)"
+        findings.append(Finding("coarse", message, "record with finer resolution where possible", **place))
+    return findings, spoilt
+
+
+def _runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and lengths of the runs of equal values."""
+    starts = np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1])
+    return starts, np.diff(np.concatenate([starts, [len(values)]]))
+
+
+def _stuck(
+    log: RigLog,
+    values: np.ndarray,
+    channel: int,
+    rows: np.ndarray,
+    starts: np.ndarray,
+    lengths: np.ndarray,
+    place: dict[str, Any],
+) -> Iterator[tuple[Finding, np.ndarray]]:
+    """Runs of one value: of a noisy signal any, else where the command moves and the same commands move it elsewhere."""
+    command = log.command_V[:, channel]
+    swing = float(np.nanmax(command) - np.nanmin(command)) if log.has("command", channel) else 0.0
+    least = max(20, int(_STUCK_S / log.period))
+    long = lengths >= least
+    if swing == 0.0 or not long.any():
+        return
+    repeated = np.zeros(len(values), bool)
+    for start, length in zip(starts[long], lengths[long], strict=True):
+        repeated[start : start + length] = True
+    low, high = np.nanmin(values), np.nanmax(values)
+    noisy = _is_noisy(values[~repeated])
+    usual = _by_command(command[~repeated], values[~repeated], swing)
+    bad, first, longest = np.zeros(len(values), bool), -1, 0
+    for start, length in zip(starts[long], lengths[long], strict=True):
+        run = slice(start, start + length)
+        if noisy and values[start] not in (0.0, low, high):  # noise never repeats itself
+            bad[run] = True
+            if length > longest:
+                first, longest = int(start), int(length)
+            continue
+        early = command[start : start + length * 2 // 3]
+        if np.nanmax(early) - np.nanmin(early) <= 0.1 * swing:
+            continue
+        elsewhere = usual(command[run])
+        known = np.isfinite(elsewhere)
+        if known.mean() > 0.2:
+            is_stuck = np.median(np.abs(elsewhere[known] - values[start])) > 0.1 * (high - low)
+        else:  # nothing to compare with: a plateau at full scale, or a computed zero, is no fault
+            is_stuck = values[start] not in (0.0, low, high)
+        if is_stuck:
+            bad[run] = True
+            if length > longest:
+                first, longest = int(start), int(length)
+    if first >= 0:
+        message = (
+            f"{place['column']!r} repeats the value {_cell(values[first], place)} for {longest * log.period:.3g} s "
+            f"from {log.time_s[first]:.6g} s (row {rows[first]})"
+        )
+        if bad.sum() > longest:
+            message += f", and more such stretches: {bad.sum() * log.period:.3g} s in all"
+        hint = f"a stuck sensor or a frozen recorder: {_LEFT_OUT}"
+        yield Finding("stuck", message, hint, row=int(rows[first]), **place), bad
+
+
+def _is_noisy(values: np.ndarray) -> bool:
+    """Whether a signal turns as often as noise does (two rows of three), not as seldom as a smooth curve."""
+    steps = np.diff(values[np.isfinite(values)])
+    steps = steps[steps != 0.0]
+    return len(steps) > 100 and float(np.mean(steps[1:] * steps[:-1] < 0.0)) > 0.3
+
+
+def _cell(value: float, place: dict[str, Any]) -> str:
+    sizes = {"speed": (np.pi / 30.0, "rpm"), "pressure": (1e5, "bar"), "current": (1.0, "A")}
+    size, unit = sizes.get(place["signal"], (1.0, "in SI"))
+    return f"{value / size:.4g} {unit}"
+
+
+def _by_command(command: np.ndarray, values: np.ndarray, swing: float) -> Any:
+    """A function that gives, for commands, the median of the values at the same command (within 2.5 % of the swing)."""
+    low = np.nanmin(command) if len(command) else 0.0
+    width = 0.05 * swing
+    number = np.where(np.isfinite(command), (command - low) / width, -1.0).astype(int)
+    medians = np.full(int(number.max(initial=0)) + 2, np.nan)
+    for n in np.unique(number[number >= 0]):
+        here = values[(number == n) & np.isfinite(values)]
+        if len(here) >= 10:
+            medians[n] = np.median(here)
+
+    def at(wanted: np.ndarray) -> np.ndarray:
+        place = np.where(np.isfinite(wanted), (wanted - low) / width, -1.0).astype(int)
+        return np.where(
+            (place >= 0) & (place < len(medians)), medians[np.clip(place, 0, len(medians) - 1)], np.nan
+        )
+
+    return at
+
+
+def _clipped(
+    log: RigLog,
+    values: np.ndarray,
+    channel: int,
+    rows: np.ndarray,
+    starts: np.ndarray,
+    lengths: np.ndarray,
+    place: dict[str, Any],
+) -> Iterator[tuple[Finding, np.ndarray]]:
+    """Runs at the largest or smallest value that the signal reached while it was moving."""
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    typical = float(np.median(lengths))
+    for limit, name in ((low, "smallest"), (high, "largest")):
+        if limit == 0.0:
+            continue
+        long = (values[starts] == limit) & (lengths >= max(5.0, 5.0 * typical))
+        share = float(lengths[long].sum()) / len(values)
+        if not long.any() or share < 0.002:
+            continue
+        # A limit is run into: the signal still moves when it gets there, unlike one that settles at a steady value.
+        entries = starts[long]
+        entries = entries[entries > 0]
+        if len(entries) == 0:
+            continue
+        arrival = np.abs(values[entries] - values[entries - 1])
+        if np.median(arrival) > 2e-4 * (high - low):
+            bad = np.zeros(len(values), bool)
+            for start, length in zip(starts[long], lengths[long], strict=True):
+                bad[start : start + length] = True
+            message = (
+                f"{place['column']!r} stays at its {name} value, {_cell(limit, place)}, in {share:.1%} of the rows, "
+                f"first in row {rows[entries[0]]}"
+            )
+            hint = f"a sensor or converter at its limit: {_LEFT_OUT}; widen its range"
+            yield Finding("clipped", message, hint, row=int(rows[entries[0]]), **place), bad
+
+
+def _disturbed(
+    log: RigLog, values: np.ndarray, channel: int, rows: np.ndarray, place: dict[str, Any]
+) -> Iterator[tuple[Finding, np.ndarray]]:
+    """Stretches in which the speed shakes much faster and wider than usual though nothing asks for it.
+
+    A machine that truly shook would need the pressure for it. Where the pressure is logged and stays as quiet as usual, the
+    stretch is the sensor's doing and spoilt; where the pressure shakes too, it is the machine and nothing is said.
+    """
+    width = round(_BURST_S / log.period)
+    if width < 20 or len(values) < 12 * width or not log.has("command", channel):
+        return
+    fast = _fast(values, width)
+    size = np.sqrt(np.nanmean(fast**2, axis=1))
+    usual = float(np.nanmedian(size))
+    command = log.command_V[: len(fast) * width, channel]
+    swing = float(np.nanmax(command) - np.nanmin(command))
+    if not usual > 0.0 or swing == 0.0:
+        return
+    quiet_command = np.ptp(np.nan_to_num(command.reshape(len(fast), width)), axis=1) < 0.1 * swing
+    turns = np.sum(np.diff(np.sign(np.nan_to_num(fast)), axis=1) != 0, axis=1)
+    much = (size > _BURST_RATIO * usual) & quiet_command & (turns >= 8)
+    pressure = log.pressure[:, channel] if log.pressure is not None and log.has("pressure", channel) else None
+    if pressure is not None:
+        shakes = np.sqrt(np.nanmean(_fast(pressure, width) ** 2, axis=1))
+        # Against the ordinary shaking of the pressure where the command rests as well.
+        calm = float(np.nanmedian(shakes[quiet_command])) if quiet_command.any() else np.inf
+        if much.any() and np.mean(shakes[much] > 0.5 * _BURST_RATIO * calm) > 0.3:
+            return
+    if much.sum() * _BURST_S < 2.0:
+        return
+    # What lies next to such a stretch and is half as strong belongs to it.
+    wide = much.copy()
+    for _ in range(8):
+        near = np.zeros_like(wide)
+        near[1:] |= wide[:-1]
+        near[:-1] |= wide[1:]
+        wide |= near & (size > 0.4 * _BURST_RATIO * usual)
+    wide |= _between(wide)
+    bad = np.zeros(len(values), bool)
+    bad[: len(fast) * width] = np.repeat(wide, width)
+    first, last = np.flatnonzero(bad)[[0, -1]]
+    worst = int(np.argmax(np.where(wide, size, 0.0)))
+    rate = float(turns[worst]) / (2.0 * _BURST_S)
+    linear = log.kinds[channel] == "cylinder"
+    shown = f"{size[worst] / 1e-3:.3g} mm/s" if linear else f"{size[worst] / (np.pi / 30.0):.3g} rpm"
+    message = (
+        f"{place['column']!r} shakes at about {rate:.0f} Hz from {log.time_s[first]:.4g} to {log.time_s[last]:.4g} s "
+        f"(rows {rows[first]} to {rows[last]}; up to {shown} RMS, {size[worst] / usual:.0f} times its usual noise) while "
+        "the command hardly moves"
+    )
+    if pressure is None:
+        hint = (
+            "without a pressure it cannot be told whether the machine shook or its sensor; the stretch counts"
+        )
+        yield Finding("disturbed", message, hint, row=int(rows[first]), **place), np.zeros(len(values), bool)
+        return
+    hint = f"the pressure stays quiet, so the sensor is disturbed, not the machine: {_LEFT_OUT}"
+    yield Finding("disturbed", message, hint, row=int(rows[first]), **place), bad
+
+
+def _fast(values: np.ndarray, width: int) -> np.ndarray:
+    """What no cubic explains in windows of `width` rows, (windows, width); NaN where a window has holes."""
+    count = len(values) // width
+    pieces = values[: count * width].reshape(count, width)
+    basis, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), 4))
+    return pieces - pieces @ basis @ basis.T
+
+
+def _between(marks: np.ndarray) -> np.ndarray:
+    """Single unmarked windows between marked ones."""
+    out = np.zeros_like(marks)
+    out[1:-1] = ~marks[1:-1] & marks[:-2] & marks[2:]
+    return out
