@@ -451,7 +451,8 @@ def diagnose(
     accept: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="CODE", help="Go on in spite of a finding that says the log is wrong: sign, swapped, unit."
+            metavar="CODE",
+            help="Go on in spite of a finding that says the log is wrong: sign, swapped, unit.",
         ),
     ] = None,
     effect_files: EffectFiles = None,
@@ -485,4 +486,42 @@ def diagnose(
             seed=seed,
             steady=steady,
             accept=accept or [],
+        )
+
+
+@app.command(name="close-loop")
+def close_loop(
+    out: Out,
+    case: Annotated[list[str] | None, typer.Option(help="Only this case; may be repeated.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Hidden rigs per case.")] = 2,
+    engine: Annotated[str, typer.Option(help="local: --jobs processes; ray: a Ray cluster.")] = "local",
+    jobs: Jobs = 1,
+    cells: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Keep what is done here; a run that was stopped goes on."),
+    ] = None,
+    pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw the picture too.")] = True,
+    seed: Seed = 0,
+) -> None:
+    """Show what a repaired model is worth to a controller.
+
+    Hides effects, diagnoses, tunes controllers on the wrong and on the repaired model and scores them on the hidden
+    rigs; writes close_loop.json, close_loop.md, a picture and the rigs' models.
+    """
+    with _writing(out) as folder:
+        from hydro_env.experiments import close_loop as work
+
+        print(
+            work.summary(
+                work.run(
+                    folder,
+                    cases=case,
+                    seeds=seeds,
+                    seed=seed,
+                    cells=cells,
+                    jobs=jobs,
+                    engine=engine,
+                    pictures=pictures,
+                )
+            )
         )

@@ -1,0 +1,142 @@
+"""The agent's part of closing the loop: `python -m agents.close_loop --rigs DIR --out DIR`.
+
+`hydro-env close-loop --out DIR` has hidden effects in rigs, diagnosed them and left three models of each: wrong, repaired
+and true. Here a PPO agent is trained from nothing on each of them, with the same training file, number of steps and seed,
+and drives the hidden rigs, which the independent reference simulator plays, on scenarios it has not been trained on. Its
+network sees the last measurements as they are (view `frames`): what it knows of the valves it has from its model.
+
+DIR receives what the command wrote (close_loop.json, close_loop.md, the picture) with the agent beside the other
+controllers, `runs/` with all trainings, and `drives/` with the scores. The same command again goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from agents.config import Config, read_config
+from agents.train import cleanly, train
+from hydro_env.controllers.policy import NumpyPolicy
+from hydro_env.errors import InputError
+from hydro_env.experiments import close_loop
+from hydro_env.experiments.truth_drive import drive
+from hydro_env.files import write_json
+from hydro_env.plant import load_model
+
+__all__ = ["main", "run"]
+
+CONFIG = Path(__file__).parent.parent / "configs" / "close_loop.yml"
+NAME = "ppo"
+
+
+@dataclass(frozen=True)
+class Work:
+    """A training and the hidden rig its policy drives; all rigs of a seed share the training on the wrong model."""
+
+    rig: str
+    case: str
+    seed: int
+    forms: str
+    source: str
+
+    @property
+    def training(self) -> str:
+        return f"wrong_{self.seed}" if self.source == "wrong" else f"{self.rig}_{self.source}"
+
+
+def work_of(data: Mapping[str, Any]) -> Iterator[Work]:
+    """What is to be done for the result of `hydro-env close-loop`."""
+    for row in data["rigs"]:
+        for source in close_loop.SOURCES:
+            yield Work(row["rig"], row["case"], row["seed"], row["forms"], source)
+
+
+def run(
+    rigs: Path, out: Path, config: Config, *, command: str = "", pictures: bool = True, progress: bool = True
+) -> dict[str, Any]:
+    """Trains and scores what is not done yet, writes the result to `out` and returns it.
+
+    `rigs` is the folder that `hydro-env close-loop` wrote. InputError if it is not, or if `out` holds trainings of another
+    training file or other models.
+    """
+    data = close_loop.read(rigs)
+    (out / "drives").mkdir(parents=True, exist_ok=True)
+    rows = []
+    for work in work_of(data):
+        kept = out / "drives" / f"{work.rig}_{work.source}.json"
+        model = rigs / "rigs" / work.rig / f"{work.source}.yaml"
+        told = {"config": config.text, "model": model.read_text(encoding="utf-8")}
+        if not kept.is_file():
+            if progress:
+                print(f"{work.rig}: agent of the {work.source} model", flush=True)
+            policy = _trained(work, model, out / "runs" / work.training, config, command, progress)
+            truth = load_model(rigs / "rigs" / work.rig / "true.yaml")
+            drives = {
+                name: close_loop.scored(drive(NumpyPolicy(policy), truth, name, work.seed, forms=work.forms))
+                for name in close_loop.SCENARIOS
+            }
+            write_json(kept, {**told, "drives": drives}, indent=None)
+        done = json.loads(kept.read_text(encoding="utf-8"))
+        if {key: done[key] for key in told} != told:
+            raise InputError(f"{kept}: is of another training file or model; name another --out")
+        about = {
+            "controller": NAME,
+            "tuned_on": work.source,
+            "rig": work.rig,
+            "case": work.case,
+            "seed": work.seed,
+        }
+        rows += [{**about, "scenario": name, **result} for name, result in done["drives"].items()]
+    scores = [s for s in data["scores"] if (s["controller"], s["tuned_on"] != "none") != (NAME, True)] + rows
+    training = {
+        "config": config.path.name,
+        "text": config.text,
+        "steps": config.num_steps,
+        "command": command,
+    }
+    data = {**data, "agent": training, "scores": scores, "summary": close_loop.collect(scores)}
+    close_loop.write(out, data, pictures)
+    return data
+
+
+def _trained(work: Work, model: Path, folder: Path, config: Config, command: str, bar: bool) -> Path:
+    """The policy trained on a model; what has been trained already is not trained again."""
+    own = replace(
+        config,
+        env_kwargs={**config.env_kwargs, "plant": str(model), "mismatch": None},
+        training=replace(config.training, seed=work.seed),
+    )
+    train(own, folder, resume=(folder / "config.yml").is_file(), command=command, bar=bar)
+    return folder / "policy.npz"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m agents.close_loop",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--rigs", type=Path, required=True, help="folder that `hydro-env close-loop` wrote")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write to; may be the same")
+    parser.add_argument("--config", type=Path, default=CONFIG, help="training file; its plant is replaced")
+    parser.add_argument("--no-pictures", action="store_true", help="draw nothing")
+    parser.add_argument("--quiet", action="store_true", help="no progress bars")
+    given = parser.parse_args()
+
+    def work() -> None:
+        command = f"python -m agents.close_loop --config {given.config.name}"
+        data = run(
+            given.rigs, given.out, read_config(given.config), command=command, pictures=not given.no_pictures,
+            progress=not given.quiet,
+        )  # fmt: skip
+        print(close_loop.summary(data))
+
+    cleanly(work)
+
+
+if __name__ == "__main__":
+    main()

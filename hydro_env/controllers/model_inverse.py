@@ -1,0 +1,150 @@
+"""A controller made from a plant model: flow feed-forward and the inverse of the valves' curves, both as the model has them.
+
+What `Compensated` measures on a valve bench and `AdaptiveFlow` learns on line, this one reads off a model: give it the
+model that `hydro-env diagnose` wrote, and it drives the rig with what the diagnosis found. It learns nothing, so a wrong
+model shows: feedback has to make up for it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
+from hydro_env.plant import Plant, PlantModel
+
+__all__ = ["ModelInverse", "flow_curve"]
+
+#: Part of a valve's largest flow that the reference may ask for; the rest is left to feedback.
+RESERVE = 0.9
+#: Control periods between a command and the speed that it makes, about: filter, hold, coil and spool.
+LAG = 2
+
+
+def flow_curve(model: PlantModel, *, points: int = 201, seconds: float = 8.0) -> tuple[Floats, Floats]:
+    """Steady flow of a model's valves: commands (points,) in [-1, 1] and flows (points, 2) in m3/s, not falling.
+
+    As on a valve bench: one slow triangle over the whole range, whose rising and falling branches are averaged, with the
+    motors running free.
+    """
+    period = 0.01
+    steps = round(seconds / period)
+    triangle = np.interp(np.arange(steps) / steps, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
+    command = triangle[:, None] * np.array(model.pair("u_rated"))
+    flow = Plant(model).run(command, None, period, ["flow"])["flow"][1:, 0]
+    triangle = triangle[:-1]  # a row of the run is the state before its command acts
+    falls = np.gradient(triangle) < 0.0
+    grid = np.linspace(-1.0, 1.0, points)
+    branches = []
+    for branch in (falls, ~falls):
+        order = np.argsort(triangle[branch], kind="stable")
+        at, of = triangle[branch][order], flow[branch][order]
+        branches.append(np.stack([np.interp(grid, at, of[:, c]) for c in (0, 1)], axis=1))
+    return grid, np.maximum.accumulate(np.mean(branches, axis=0), axis=0)
+
+
+class ModelInverse(Controller):
+    """Both motors follow one reference; the flow this takes by the model's motors goes through the model's valves, inverted.
+
+    The reference is the set-point through a double pole at `rate`, no faster than the weaker valve of the model allows.
+    Feedback asks for acceleration: a PI on each motor's error to the reference, and a proportional part on its distance to
+    the mean of both. Three successive commands are averaged so that the spool's lightly damped mode stays at rest.
+    """
+
+    GAINS = (
+        Gain("rate", "1/s", 10.0, 60.0, summary="double pole of the reference: 2 / rate is its mean delay"),
+        Gain("Kp", "1/s", 2.0, 40.0, summary="acceleration per error to the reference speed"),
+        Gain("Ti", "s", 0.03, 1.0, summary="integral time on that error"),
+        Gain("Ks", "1/s", 2.0, 80.0, summary="acceleration per distance to the mean of both motors"),
+        Gain(
+            "blend",
+            "1",
+            1e-3,
+            0.1,
+            summary="flow, as a share of the largest, below which the inverse is a ramp",
+        ),
+    )
+
+    def __init__(self, name: str | None = None, *, model: PlantModel, **gains: Any) -> None:
+        super().__init__(name, **gains)
+        self.model = model
+        self._motor = {key: np.array(model.pair(key)) for key in ("D", "Km", "J", "B", "k", "m")}
+        self._commands, self._flows = flow_curve(model)
+        self._largest = np.stack([self._flows[-1], -self._flows[0]], axis=1)  # (2 channels, 2 directions)
+        # Where the flow begins in either direction, (2 directions, 2 channels).
+        small = 2e-3 * self._largest.max()
+        self._edges = np.array(
+            [
+                [self._commands[np.argmax(self._flows[:, c] > small)] for c in (0, 1)],
+                [self._commands[::-1][np.argmax(self._flows[::-1, c] < -small)] for c in (0, 1)],
+            ]
+        )
+
+    def start(self, measured: Measurements) -> None:
+        n = len(measured.speed)
+        self._speed, self._acceleration = np.mean(measured.speed, axis=1), np.zeros(n)
+        self._past = [self._speed] * (LAG + 1)
+        self._sum = np.zeros((n, 2))
+        self._asked = [measured.command.astype(float)] * 3
+        angle = np.minimum(np.sqrt(self._motor["k"] / self._motor["m"]) * self.period, np.pi)
+        self._outer = np.minimum(0.5 / (1.0 - np.cos(angle)), 0.4)
+
+    def command(self, measured: Measurements) -> Floats:
+        kp, ti, ks, blend = (_column(self.gains[key]) for key in ("Kp", "Ti", "Ks", "blend"))
+        self._move_reference(measured.setpoint)
+        error = self._past[0][:, None] - measured.speed
+        apart = np.mean(measured.speed, axis=1, keepdims=True) - measured.speed
+        grown = self._sum + self.period / ti * kp * error
+        asked = self._acceleration[:, None] + kp * error + ks * apart
+        flow = self._flow(self._speed[:, None], asked + grown)
+        beyond = np.where(flow > 0.0, flow > self._largest[:, 0], -flow > self._largest[:, 1])
+        self._sum = np.where(beyond & (error * flow > 0.0), self._sum, grown)  # no further into a limit
+        command = self._inverse(flow, blend)
+        self._asked = [*self._asked[1:], command]
+        return self._outer * (self._asked[0] + self._asked[2]) + (1.0 - 2.0 * self._outer) * self._asked[1]
+
+    def _flow(self, speed: Floats, acceleration: Floats) -> Floats:
+        """What the model's motors take without load, m3/s: eq. (1) and (3)."""
+        p = self._motor
+        return p["D"] * speed + p["Km"] / p["D"] * (p["J"] * acceleration + p["B"] * speed)
+
+    def _move_reference(self, setpoint: Floats) -> None:
+        """One period of the reference: a critically damped lag of second order, sampled exactly."""
+        rate, step = np.ravel(self.gains["rate"]), self.period
+        gap = setpoint - self._speed
+        slope = rate * gap - self._acceleration
+        next_gap = (gap + slope * step) * np.exp(-rate * step)
+        wanted = (rate * (gap + slope * step) - slope) * np.exp(-rate * step)
+        p = self._motor
+        held, growth = self._flow(self._speed[:, None], np.zeros(2)), p["Km"] * p["J"] / p["D"]
+        upper = np.min((RESERVE * self._largest[:, 0] - held) / growth, axis=1)
+        lower = np.max((-RESERVE * self._largest[:, 1] - held) / growth, axis=1)
+        limited = np.clip(wanted, np.minimum(lower, 0.0), np.maximum(upper, 0.0))
+        free = limited == wanted
+        self._speed = np.where(free, setpoint - next_gap, self._speed + step * limited)
+        self._acceleration = limited
+        self._past = [*self._past[1:], self._speed]
+
+    def _inverse(self, flow: Floats, blend: Floats) -> Floats:
+        """Commands for flows, both (num_rigs, 2); the jump over the dead zone is a ramp for flows below `blend`."""
+        command = np.stack(
+            [np.interp(flow[:, c], *_rising(self._flows[:, c], self._commands)) for c in (0, 1)], axis=1
+        )
+        share = np.clip(np.abs(flow) / (blend * self._largest.max()), 0.0, 1.0)
+        middle = 0.5 * (self._edges[0] + self._edges[1])
+        edge = np.where(flow < 0.0, self._edges[1], self._edges[0])
+        return command + (share - 1.0) * (edge - middle)
+
+
+def _column(gain: NDArray[np.float64]) -> Floats:
+    """A gain as a number or a column with one row per rig."""
+    return np.reshape(gain, (-1, 1))
+
+
+def _rising(flow: ArrayLike, command: Floats) -> tuple[Floats, Floats]:
+    """The rows of a curve at which the flow rises, so that it can be read the other way round."""
+    values = np.asarray(flow, dtype=float)
+    rises = np.concatenate([[True], np.diff(values) > 1e-9 * np.ptp(values)])
+    return values[rises], command[rises]

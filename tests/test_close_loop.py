@@ -1,0 +1,264 @@
+"""Closing the loop: the drive on the reference simulator, the controller made from a model, tuning, scores and table."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hydro_env.controllers import make_controller
+from hydro_env.controllers.model_inverse import ModelInverse, flow_curve
+from hydro_env.controllers.rollout import roll_out
+from hydro_env.errors import InputError
+from hydro_env.experiments import close_loop
+from hydro_env.experiments.close_loop import LAWS, METRICS, SCENARIOS, SOURCES, RigTask, Score, Tuning
+from hydro_env.experiments.truth_drive import drive
+from hydro_env.plant import PlantModel, load_model
+from hydro_env.tasks import load_scenario
+
+GAINS = {"rate": 30.0, "Kp": 10.0, "Ti": 0.15, "Ks": 25.0, "blend": 0.01}
+SHORT = load_scenario({"name": "short", "duration": 1.2, "setpoint_rpm": [[0.1, 500.0], [0.7, -150.0]]})
+DEAD_ZONE = {"dead_zone.overlap_positive": (9e-5, 0.0), "dead_zone.overlap_negative": (11e-5, 0.0)}
+
+
+@pytest.fixture(scope="module")
+def truth() -> PlantModel:
+    return load_model("paper").with_values(DEAD_ZONE)
+
+
+def test_the_drive_agrees_with_the_plant(truth: PlantModel) -> None:
+    """Without noise and with the same forms of the effects, both simulators give the same closed loop."""
+    found = drive(make_controller("cross_coupled"), truth, SHORT, 0, forms="same", noise=0.0)
+    from hydro_env.envs.batch import HydraulicSyncVectorEnv
+
+    env = HydraulicSyncVectorEnv(1, truth, SHORT, None, noise=0.0)
+    observation, info = env.reset(seed=0)
+    controller = make_controller("cross_coupled")
+    controller.reset(1, env.control_period)
+    speeds = [info["speed_rpm"][0].copy()]
+    for _ in range(len(found.speed_rpm) - 1):
+        observation, _, _, _, info = env.step(controller.act(observation).astype(np.float32))
+        speeds.append(info["speed_rpm"][0].copy())
+    assert np.abs(found.speed_rpm[:, 0] - np.array(speeds)).max() < 0.5
+    assert found.command.shape == (120, 1, 2) and found.load_Nm is not None
+
+
+def test_the_drive_has_noise_of_its_seed(truth: PlantModel) -> None:
+    runs = [drive(make_controller("pid_tuned"), truth, SHORT, seed).speed_rpm for seed in (1, 1, 2)]
+    assert np.array_equal(runs[0], runs[1])
+    assert not np.array_equal(runs[0], runs[2])
+
+
+def test_flow_curve_has_the_dead_zone(truth: PlantModel) -> None:
+    command, flow = flow_curve(truth)
+    travel = truth.value("alpha", 0) * truth.value("u_rated", 0) / (truth.value("R", 0) * truth.value("k", 0))
+    positive, negative = 9e-5 / travel, -11e-5 / travel
+    assert (np.diff(flow, axis=0) >= 0.0).all()
+    still = (command > negative + 0.01) & (command < positive - 0.01)
+    assert np.abs(flow[still, 0]).max() < 0.005 * flow.max()
+    assert np.interp(positive + 0.03, command, flow[:, 0]) > 0.01 * flow.max()
+    assert np.interp(negative - 0.03, command, flow[:, 0]) < -0.01 * flow.max()
+    assert flow[-1, 0] == pytest.approx(
+        truth.value("Kq", 0) * (travel - 9e-5), rel=0.02
+    )  # branches that lag are averaged
+
+
+def test_the_inverse_of_the_right_model_keeps_the_motors_in_step(truth: PlantModel) -> None:
+    """Told the dead zone it keeps together what the model without it drives apart, and the other way round."""
+
+    def largest(model: PlantModel, plant: PlantModel) -> float:
+        controller = ModelInverse(model=model, **GAINS)
+        done = roll_out(controller, [0, 1], plant=plant, mismatch=None, scenario=SHORT)
+        return float(done.metrics([METRICS[0]])[METRICS[0]].max())
+
+    plain = load_model("paper")
+    assert largest(truth, truth) < 12.0
+    assert largest(plain, plain) < 12.0
+    assert largest(plain, truth) > 3.0 * largest(truth, truth)
+    assert largest(truth, plain) > 3.0 * largest(plain, plain)
+
+
+def test_the_inverse_drives_rows_alike(truth: PlantModel) -> None:
+    """A row of a batch with gains by row is what that row is alone."""
+    kp = np.array([[8.0], [16.0]])
+    both = roll_out(
+        ModelInverse(model=truth, **{**GAINS, "Kp": kp}), [3, 3], plant=truth, mismatch=None, scenario=SHORT
+    )
+    for row in (0, 1):
+        alone = roll_out(
+            ModelInverse(model=truth, **{**GAINS, "Kp": kp[row, 0]}),
+            [3],
+            plant=truth,
+            mismatch=None,
+            scenario=SHORT,
+        )
+        np.testing.assert_array_equal(both.trace.speed_rpm[:, row], alone.trace.speed_rpm[:, 0])
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_tuning_repeats_and_stays_in_range(
+    law: str, truth: PlantModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(close_loop, "POPULATION", 6)
+    monkeypatch.setattr(close_loop, "TUNING_EPISODES", 1)
+    monkeypatch.setattr(close_loop, "TUNED_ON", SHORT)
+    task = Tuning(law, "true", "rig", truth, seed=3, generations=2)
+    found = close_loop.tune(task)
+    assert found == close_loop.tune(task)
+    for gain, channel in LAWS[law].genes():
+        value = found["gains"][gain.name]
+        assert gain.low * 0.999 <= (value if channel is None else value[channel]) <= gain.high * 1.001
+    assert set(LAWS[law].fixed).isdisjoint(found["gains"])
+    LAWS[law].build(law, truth, found["gains"])  # they are what the law takes
+
+
+def rows(changes: dict[str, float]) -> list[dict[str, Any]]:
+    """Scores of two cases with two seeds: 10, 20, 30, 40 rpm, times what each model changes."""
+    return [
+        {"controller": "pid", "tuned_on": source, "rig": f"{case}_{seed}", "case": case, "seed": seed, "scenario": name,
+         "metrics": dict.fromkeys(METRICS, 10.0 * (1 + 2 * place + seed) * factor)}
+        for source, factor in changes.items() for place, case in enumerate("ab") for seed in (0, 1) for name in SCENARIOS
+    ]  # fmt: skip
+
+
+def test_collect_says_what_the_repair_changed() -> None:
+    found = close_loop.collect(rows({"wrong": 1.0, "repaired": 0.25, "true": 0.2}))
+    assert len(found) == len(SCENARIOS) * len(METRICS)
+    first = found[0]
+    assert first["wrong"]["mean"] == 25.0 and first["repaired"]["mean"] == 6.25 and first["n"] == 4
+    low, high = first["wrong"]["ci95"]
+    assert 10.0 <= low < 25.0 < high <= 40.0
+    # the same factor on every rig: no doubt about the change, however different the rigs are
+    np.testing.assert_allclose([first["change"]["mean"], *first["change"]["ci95"]], -0.75)
+    assert first["better"] == 4
+
+
+def test_collect_counts_only_rigs_that_all_models_have() -> None:
+    scores = [
+        s for s in rows({"wrong": 1.0, "repaired": 2.0}) if (s["rig"], s["tuned_on"]) != ("a_0", "repaired")
+    ]
+    first = close_loop.collect(scores)[0]
+    assert first["n"] == 3 and first["wrong"]["mean"] == 30.0
+    assert first["better"] == 0 and first["change"]["mean"] == pytest.approx(1.0)
+
+
+def test_table_and_picture(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    scores = rows({"wrong": 1.0, "repaired": 0.25, "true": 0.2})
+    shipped = [{**s, "tuned_on": "none"} for s in rows({"wrong": 0.5})]
+    for s in (*scores, *shipped):
+        s["difference_rpm"] = [0.0, 1.0, 2.0]
+    rigs = [{"rig": f"{c}_{n}", "case": c, "seed": n, "right": True,
+             "hidden": [{"name": "dead_zone", "channel": "1"}]} for c in "ab" for n in (0, 1)]  # fmt: skip
+    data = {"schema": close_loop.SCHEMA, "rigs": rigs, "scores": [*scores, *shipped], "failed": [],
+            "summary": close_loop.collect([*scores, *shipped])}  # fmt: skip
+    close_loop.write(tmp_path, data)
+    assert (tmp_path / "close_loop.png").stat().st_size > 10_000
+    text = (tmp_path / "close_loop.md").read_text()
+    assert "-75 %" in text and "told nothing" in text
+    assert len({line.count("|") for line in text.splitlines()}) == 1
+    assert "4 named rightly" in close_loop.summary(data)
+    back = close_loop.read(tmp_path)
+    assert back["summary"] == json.loads(json.dumps(data["summary"]))
+    assert back["scores"][0]["difference_rpm"] == [0.0, 1.0, 2.0]
+
+
+def test_bad_input(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="unknown case 'dead'"):
+        close_loop.run(tmp_path, cases=["dead"])
+    with pytest.raises(InputError, match="seeds"):
+        close_loop.run(tmp_path, seeds=0)
+    with pytest.raises(InputError, match="no result"):
+        close_loop.read(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch, truth: PlantModel) -> list[Any]:
+    """The whole chain without the diagnosis, whose place a stub takes, and with short searches. Tells what was done."""
+    done: list[Any] = []
+
+    def made(task: RigTask) -> close_loop.Rig:
+        if task.seed == 9:
+            raise RuntimeError("no such rig")
+        models = {"wrong": load_model("paper"), "repaired": truth, "true": truth}
+        effects = [{"name": "dead_zone", "channel": "1", "parameters": {}}]
+        gap = {"speed_1_rpm": {"noise": 1.0, "before": 90.0, "after": 1.0, "placebo": 50.0}}
+        diagnosis = {"verdict": "effects", "gap": {"sealed": gap},
+                     "effects": [{"name": "dead_zone", "channel": "1", "indistinguishable_from": []}]}  # fmt: skip
+        return close_loop.Rig(
+            task.case, task.seed, "same", models, {"verdict": "effects", "effects": effects}, diagnosis
+        )
+
+    def noted(task: Any) -> Any:
+        done.append(task)
+        return work(task)
+
+    work = close_loop._work
+    monkeypatch.setattr(close_loop, "make_rig", made)
+    monkeypatch.setattr(close_loop, "_work", noted)
+    monkeypatch.setattr(close_loop, "POPULATION", 5)
+    monkeypatch.setattr(close_loop, "TUNING_EPISODES", 1)
+    monkeypatch.setattr(close_loop, "TUNED_ON", SHORT)
+    monkeypatch.setattr(close_loop, "SCENARIOS", ("short",))
+    monkeypatch.setattr(close_loop, "LAWS", {"model_inverse": LAWS["model_inverse"]})
+    monkeypatch.setattr(close_loop, "SHIPPED", ())
+    monkeypatch.setattr("hydro_env.experiments.truth_drive.load_scenario", lambda name: SHORT)
+    return done
+
+
+def test_the_chain_goes_on_where_it_stopped(quick: list[Any], tmp_path: Path) -> None:
+    def go() -> dict[str, Any]:
+        return close_loop.run(
+            tmp_path, cases=["dead_zone"], seeds=1, cells=tmp_path / "cells", generations=2, pictures=False,
+            progress=False,
+        )  # fmt: skip
+
+    first = go()
+    assert [type(task) for task in quick] == [RigTask, *[Tuning] * 3, *[Score] * 3]
+    assert first["rigs"][0]["right"] and first["failed"] == []
+    assert {s["tuned_on"] for s in first["scores"]} == set(SOURCES)
+    assert first["summary"][0]["repaired"]["mean"] < first["summary"][0]["wrong"]["mean"]
+    assert (
+        load_model(tmp_path / "rigs" / "dead_zone_0" / "repaired.yaml").values
+        == load_model("paper").with_values(DEAD_ZONE).values
+    )
+    quick.clear()
+    assert go() == first
+    assert quick == []
+    for path in (tmp_path / "cells").iterdir():  # half of it lost
+        if path.name < "8":
+            path.unlink()
+    assert go() == first
+
+
+def test_a_rig_that_fails_is_told(quick: list[Any], tmp_path: Path) -> None:
+    found = close_loop.run(
+        tmp_path, cases=["dead_zone"], seeds=2, seed=8, generations=2, pictures=False, progress=False
+    )
+    assert [row["rig"] for row in found["rigs"]] == ["dead_zone_8"]
+    assert found["failed"] == [{"task": "dead_zone_9", "reason": "RuntimeError: no such rig"}]
+    with pytest.raises(InputError, match="no such rig"):
+        close_loop.run(tmp_path, cases=["dead_zone"], seeds=1, seed=9, pictures=False, progress=False)
+
+
+def test_rigs_share_the_wrong_model_and_no_seed() -> None:
+    tasks = [RigTask(case, seed) for case in close_loop.CASES for seed in (0, 1, 2)]
+    assert len({task.number for task in tasks}) == len(tasks)
+    wrong = Tuning("pid", "wrong", "", load_model("paper"), 0)
+    assert wrong.key == replace(wrong, rig="").key != replace(wrong, seed=1).key
+
+
+@pytest.mark.slow
+def test_a_hidden_dead_zone_is_repaired(tmp_path: Path) -> None:
+    """The whole chain on one rig: what was named is right, and the controller made from the model gains by it."""
+    found = close_loop.run(
+        tmp_path, cases=["dead_zone"], seeds=1, seed=7, generations=3, pictures=False, progress=False
+    )
+    assert found["rigs"][0]["right"]
+    row = next(r for r in found["summary"] if r["controller"] == "model_inverse")
+    assert row["repaired"]["mean"] < 0.5 * row["wrong"]["mean"]
