@@ -66,7 +66,17 @@ def test_version(run: Run) -> None:
 def test_help_lists_the_commands(run: Run) -> None:
     status, out, _ = run("--help")
     assert status == 0
-    for command in ("benchmark", "demo", "diagnose", "hide", "reproduce", "speed", "tune", "valve-test"):
+    for command in (
+        "benchmark",
+        "close-loop",
+        "demo",
+        "diagnose",
+        "hide",
+        "reproduce",
+        "speed",
+        "tune",
+        "valve-test",
+    ):
         assert f"\n  {command} " in out
         assert run(command, "--help")[0] == 0
 
@@ -88,7 +98,9 @@ def test_usage_errors(run: Run, tmp_path: Path, arguments: list[str]) -> None:
 
 
 @pytest.mark.parametrize("out", ["file", "file/out", "/proc/hydro_env/out"])
-@pytest.mark.parametrize("command", ["benchmark", "demo", "hide", "reproduce", "speed", "tune", "valve-test"])
+@pytest.mark.parametrize(
+    "command", ["benchmark", "close-loop", "demo", "hide", "reproduce", "speed", "tune", "valve-test"]
+)
 def test_folder_that_cannot_be_written(run: Run, tmp_path: Path, command: str, out: str) -> None:
     (tmp_path / "file").write_text("x")
     status, _, err = run(command, "--out", out)

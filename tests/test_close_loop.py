@@ -246,6 +246,46 @@ def test_a_rig_that_fails_is_told(quick: list[Any], tmp_path: Path) -> None:
         close_loop.run(tmp_path, cases=["dead_zone"], seeds=1, seed=9, pictures=False, progress=False)
 
 
+def test_the_agent_beside_the_controllers(
+    quick: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Trains for a moment on each model, drives the hidden rig, and does nothing twice."""
+    pytest.importorskip("stable_baselines3")
+    from agents import close_loop as agent
+    from agents.config import read_config
+
+    (tmp_path / "rigs").mkdir()
+    close_loop.run(
+        tmp_path / "rigs", cases=["dead_zone"], seeds=1, generations=2, pictures=False, progress=False
+    )
+    whole = read_config(agent.CONFIG)
+    config = replace(
+        whole, num_envs=4, num_steps=64, hyper={**whole.hyper, "n_steps": 8, "batch_size": 32, "n_epochs": 1},
+        env_kwargs={**whole.env_kwargs, "max_episode_steps": 20},
+        training=replace(whole.training, evaluate_pairs=1),
+    )  # fmt: skip
+
+    def go(config: Any) -> dict[str, Any]:
+        return agent.run(tmp_path / "rigs", tmp_path / "out", config, pictures=False, progress=False)
+
+    first = go(config)
+    trained = {path.parent.name for path in (tmp_path / "out" / "runs").glob("*/policy.npz")}
+    assert trained == {"wrong_0", "dead_zone_0_repaired", "dead_zone_0_true"}
+    row = next(r for r in first["summary"] if r["controller"] == "ppo")
+    assert set(SOURCES) < row.keys() and row["n"] == 1
+    assert {r["controller"] for r in first["summary"]} == {"model_inverse", "ppo"}
+    about = make_controller(tmp_path / "out" / "runs" / "dead_zone_0_repaired" / "policy.npz").metadata
+    assert about["env_kwargs"]["plant"].endswith("repaired.yaml") and about["env_kwargs"]["mismatch"] is None
+
+    def fail(*args: Any, **kwargs: Any) -> None:
+        raise AssertionError("it has been trained")
+
+    monkeypatch.setattr(agent, "train", fail)
+    assert go(config) == first
+    with pytest.raises(InputError, match="another training file"):
+        go(replace(config, text="other"))
+
+
 def test_rigs_share_the_wrong_model_and_no_seed() -> None:
     tasks = [RigTask(case, seed) for case in close_loop.CASES for seed in (0, 1, 2)]
     assert len({task.number for task in tasks}) == len(tasks)
