@@ -6,7 +6,7 @@ from math import inf
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hydro_env.errors import InputError
@@ -38,6 +38,7 @@ def _positive(pair: tuple[float, float]) -> tuple[float, float]:
     return abs(pair[0]) or 1.0, abs(pair[1]) or 1.0
 
 
+@settings(suppress_health_check=[HealthCheck.too_slow])
 @given(base=st.dictionaries(st.sampled_from(list(PARAMETERS)), st.tuples(_NUMBER, _NUMBER)), effects=_EFFECTS)
 def test_any_model_survives_a_round_trip(
     tmp_path_factory: pytest.TempPathFactory, base: dict, effects: dict

@@ -11,7 +11,6 @@ import ast
 import ctypes
 import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -19,8 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.plant.compile import STATES, compile_kernel
-from hydro_env.plant.plant import SUBSTEP, Plant
+from hydro_env.plant.compile import STATES
+from hydro_env.plant.model import SUBSTEP
+from hydro_env.plant.plant import Plant
 
 __all__ = ["measure_ratio", "to_cpp"]
 
@@ -67,15 +67,24 @@ def _statements(body: list[ast.stmt], known: set[str]) -> list[str]:
         match node:
             case ast.Expr():  # a docstring
                 continue
+            case ast.Assign([ast.Name(name)], ast.Constant(bool() as value)):
+                lines.append(f"int {name} = {int(value)};")
+                known.add(name)
             case ast.Assign([ast.Name(name)], value):
                 lines.append(f"{'' if name in known else 'double '}{name} = {_expression(value)};")
                 known.add(name)
             case ast.Assign([target], value):
                 lines.append(f"{_expression(target)} = {_expression(value)};")
+            case ast.AugAssign(ast.Name(name), _, value):
+                lines.append(f"{name} = {name} || {_expression(value)};")
+            case ast.Return(ast.Name("near")):
+                continue
             case ast.Return(ast.expr() as value):
                 lines.append(f"return {_expression(value)};")
             case ast.For(ast.Name(name), ast.Call(_, [bound]), inner):
-                lines.append("#pragma omp simd")
+                marked = [n.target for n in inner if isinstance(n, ast.AugAssign)]
+                reduced = "".join(f" reduction(||:{ast.unparse(target)})" for target in marked)
+                lines.append(f"#pragma omp simd{reduced}")
                 lines.append(f"for (int {name} = 0; {name} < {_expression(bound)}; {name}++) {{")
                 lines += [*_statements(inner, set(known)), "}"]
             case _:
@@ -97,47 +106,42 @@ def to_cpp(source: str) -> str:
                     need(called)
         wanted.append(name)
 
-    need("step")
+    entries = ("begin", "finish")
+    for name in entries:
+        need(name)
     text = ["#include <cmath>", f"static const int HALF = {half}, LANES = {2 * half};"]
     for name in wanted:
         node = functions[name]
         arguments = [a.arg for a in node.args.args]
-        head = "static void step(double *__restrict cells, double h)" if name == "step" else (
+        head = f"static void {name}(double *__restrict cells, double h)" if name in entries else (
             f"static inline double lane_{name}({', '.join('double ' + a for a in arguments)})"
         )  # fmt: skip
         text += [head + " {", *_statements(node.body, set(arguments)), "}"]
     text.append(
-        'extern "C" void run(double *cells, long steps, double h) { for (long n = 0; n < steps; n++) step(cells, h); }'
+        'extern "C" void run(double *cells, long steps, double h)'
+        " { for (long n = 0; n < steps; n++) { begin(cells, h); finish(cells, h); } }"
     )
     return "\n".join(text) + "\n"
 
 
 def measure_ratio(seconds: float = 1.0) -> dict[str, Any] | None:
     """Time of a channel substep of our kernel and of its C++ twin, ns, and their ratio; None without a C++ compiler."""
-    from numba import njit
-
     compiler = next((found for name in ("c++", "g++", "clang++") if (found := shutil.which(name))), None)
     if compiler is None:
         return None
-    kernel = compile_kernel(("dead_zone",), 16)
-    module = sys.modules[kernel.advance.py_func.__module__]  # type: ignore[attr-defined]
-    step = module.step
-
-    @njit(error_model="numpy")
-    def ours(cells: Any, steps: int, h: float) -> None:
-        for _ in range(steps):
-            step(cells, h)
-
     plant = Plant("paper_dead_zone", 16)
     plant.run(np.full((30, 2), 40.0), None, 0.01)
-    start = np.zeros(module.TOTAL * module.LANES + 8)
-    start = start[(64 - start.ctypes.data % 64) % 64 // 8 :][: module.TOTAL * module.LANES]
-    for name, number in kernel.rows.items():
-        if name in plant._kernel.rows:
-            start[number * 32 : number * 32 + 32] = plant.memory[0, plant.row_of(name)]
-    start[module.APPLIED * 32 : module.APPLIED * 32 + 32] = 42.0
-    for name in ("L", "m", "V", "J", "vs", "v_stop"):
-        start[_reciprocal(kernel.source, name)] = 1.0 / plant.memory[0, plant.row_of(name)]
+    kernel, command, load = plant.kernel, np.full((1, 1, 2), 42.0), np.zeros((1, 1, 2))
+    memory = start = plant.memory.copy()
+    room = np.zeros(kernel.num_cells + 8)
+    cells = room[-room.ctypes.data % 64 // 8 :][: kernel.num_cells]
+    twin_room = room.copy()
+    twin_cells = twin_room[-twin_room.ctypes.data % 64 // 8 :][: kernel.num_cells]
+    ring, nothing, out = np.zeros((1, 1, 32)), np.zeros(0, np.int64), np.zeros((0, 1, 16, 2))
+
+    def ours(steps: int) -> None:
+        kernel.advance(memory, cells, ring, 0, command, load, steps, SUBSTEP, nothing, 1, out)
+
     with tempfile.TemporaryDirectory() as folder:
         code, library = Path(folder) / "step.cpp", Path(folder) / "step.so"
         code.write_text(to_cpp(kernel.source))
@@ -145,23 +149,23 @@ def measure_ratio(seconds: float = 1.0) -> dict[str, Any] | None:
         run = ctypes.CDLL(str(library)).run
         run.argtypes = (ctypes.c_void_p, ctypes.c_long, ctypes.c_double)
 
-        def theirs(cells: Any, steps: int, h: float) -> None:
-            run(cells.ctypes.data, steps, h)
+        def theirs(steps: int) -> None:
+            run(twin_cells.ctypes.data, steps, SUBSTEP)
 
         best: dict[str, float] = {}
-        last: dict[str, Any] = {}
         end = time.perf_counter() + seconds
-        room = np.zeros(start.size + 8)
-        cells = room[(64 - room.ctypes.data % 64) % 64 // 8 :][: start.size]
         while time.perf_counter() < end or not best:
+            memory = start.copy()
+            ours(1)  # leaves in the cells all that the parameters settle
+            twin_cells[:] = cells
             for name, function in (("kernel", ours), ("cpp", theirs)):
-                cells[:] = start
-                function(cells, 10, SUBSTEP)
+                function(10)
                 begin = time.perf_counter()
-                function(cells, 400, SUBSTEP)
+                function(400)
                 passed = (time.perf_counter() - begin) / (400 * 32) * 1e9
                 best[name] = min(best.get(name, np.inf), passed)
-                last[name] = cells[: len(STATES) * 32].copy()
+    moved = slice(0, len(STATES) * 32)
+    last = {"kernel": cells[moved], "cpp": twin_cells[moved]}
     scale = np.abs(last["cpp"]).reshape(len(STATES), -1).max(1).repeat(32) + 1e-300
     return {
         "kernel_ns": best["kernel"],
@@ -169,10 +173,3 @@ def measure_ratio(seconds: float = 1.0) -> dict[str, Any] | None:
         "ratio": best["cpp"] / best["kernel"],
         "largest_relative_difference": float((np.abs(last["kernel"] - last["cpp"]) / scale).max()),
     }
-
-
-def _reciprocal(source: str, name: str) -> slice:
-    """Where the generated kernel keeps 1 / parameter."""
-    row = next(line for line in source.splitlines() if line.strip().startswith(f"per_{name} = cells["))
-    first = int(row.split("[")[1].split(" ")[0])
-    return slice(first, first + 32)

@@ -18,7 +18,7 @@ from tqdm import tqdm
 from hydro_env.experiments.near_limit import measure_ratio
 from hydro_env.files import write_json
 from hydro_env.plant import Plant, load_model
-from hydro_env.plant.plant import SUBSTEP
+from hydro_env.plant.model import SUBSTEP
 from hydro_env.units import RPM
 
 __all__ = ["NUM_ENVS", "measure_batch", "measure_error", "measure_single", "run", "summary"]

@@ -4,6 +4,7 @@ parameters  the base parameters with unit, plausible range, source and reading
 effects     the catalogue of effects: what a real rig does that the base equations leave out
 rhs         the one right-hand side
 compile     turns right-hand side and effects into the vectorised kernel
+lanes       writes its statements as vector instructions
 model       a rig as data: presets and model files
 plant       many rigs side by side
 reference   an independent simulator on the plain equations, which checks the kernel

@@ -2,14 +2,18 @@
 
 Method: ROS34PW2 of Rang and Angermann (BIT 45, 2005): four stages, order 3, L-stable, stiffly accurate, and a
 W-method, that is, of full order with *any* matrix W in place of the Jacobian. W here holds the stiff loops of a channel
-(coil, spool, bristle; pressure, speed) and every effect's own decay; its arrow structure solves in some thirty
-operations.
+(coil, spool, bristle; pressure, speed), as far as they damp, and every effect's own decay; its arrow structure solves in
+some thirty operations. The angle, an integral of the speed, needs no stages of its own.
 
 Layout: a block is `half` rigs side by side; lanes 0..half-1 are their first channels, lanes half..2*half-1 their second
 ones. All rows of a block (states, parameters, stages) lie in one flat array with constant offsets, the loop over
-substeps is outside and the loop over lanes inside, so that the compiler emits vector instructions. It may not fuse a
-product and a sum on its own; the text names each `fma` itself, so every lane gets the same bits whatever its neighbours,
-its place, the width of the block and the neutral effects that are compiled in.
+substeps is outside and the loops over lanes inside; lanes.py writes these as vector instructions. Nothing is fused or
+reordered on the way: the text names each `fma` itself, so every lane gets the same bits whatever its neighbours, its
+place, the width of the block and the neutral effects that are compiled in.
+
+Speed: what the parameters and the length of the step settle is computed once, not in every stage; sums over earlier
+stages come before the rates they are added to, so that little waits for the friction's long chain of operations; W
+leaves out the falling slope of the Stribeck curve, which would cost work and, when steep, stability.
 
 Source text: `rates` (rhs.py), the laws of the effects and the functions of lanemath are pasted into one generated
 module, which is kept in the user's cache under a hash of its own text: compiled once for a set of effects, and never
@@ -38,11 +42,14 @@ import numpy as np
 
 from . import lanemath
 from .effects import CATALOGUE, Effect
+from .lanes import check
 from .parameters import PARAMETERS
 from .rhs import rates
 
 __all__ = ["STATES", "Kernel", "compile_kernel", "rosenbrock_coefficients"]
 
+#: Functions of lanemath that laws may call.
+_HELPERS = ("clip", "sign", "exp", "bell", "tanh", "cos", "sin")
 #: States of a channel, in the order of `rates`.
 STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
 #: Beyond these magnitudes (SI) a state counts as diverged.
@@ -51,6 +58,9 @@ STATE_CAPS = (1e2, 1e-2, 1e3, 1e-2, 1e10, 1e5, 1e12)
 STOP_PARTS = 5
 #: Longest delay that the delay line of `command_delay` holds, s.
 LONGEST_DELAY = 0.05
+
+#: A state that nothing acts on but another one, of which it is the integral.
+INTEGRAL = {"angle": "speed"}
 
 _OUTPUTS = ("time", "flow", "measured_speed", "diverged", "command", "load")
 
@@ -84,11 +94,25 @@ def rosenbrock_coefficients() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _integral_coefficients(method: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """What the method makes of a state whose rate is another state v, in closed form.
+
+    Such a state needs no stages of its own: at stage i (row 4: at the end of the step) it is
+    y + h (p[i] v + sum over j of q[i, j] u_j), with u_j the stages of v. Returns p (5,) and q (5, 4).
+    """
+    a, c, gamma = np.vstack([method["a"], method["m"]]), method["c"], method["gamma"]
+    own, stages = np.zeros(4), np.zeros((4, 4))  # its stages w_i = h (own[i] v + sum of stages[i, j] u_j)
+    for i in range(4):
+        own[i] = gamma * (1.0 + c[i, :i] @ own[:i])
+        stages[i] = gamma * (a[i] + np.eye(4)[i] + c[i, :i] @ stages[:i])
+    return a @ own, a @ stages
+
+
 @dataclass(frozen=True)
 class Kernel:
     """A compiled step for a set of effects.
 
-    `advance(memory, ring, head, commands, loads, substeps, h, record, every, out)` runs every block through all rows of
+    `advance(memory, cells, ring, head, commands, loads, substeps, h, record, every, out)` runs every block through all rows of
     `commands`; see the generated text. `rows` maps names of states, parameters and outputs to rows of the memory.
     """
 
@@ -97,8 +121,8 @@ class Kernel:
     rows: dict[str, int]
     num_rows: int
     dtype: np.dtype[Any]
+    num_cells: int
     advance: Callable[..., None]
-    observe: Callable[..., None]
     source: str
 
     @property
@@ -163,11 +187,10 @@ def _rates_body(effects: tuple[Effect, ...]) -> list[str]:
 def _slopes(effects: tuple[Effect, ...]) -> list[str]:
     """Statements for the entries of W that close a loop; by differences where an effect changes them."""
     lines = [
-        # LuGre
+        # LuGre, without the slope of the Stribeck curve
         "bristle_decay = s0 * abs(spool_speed) / breakaway",
-        "breakaway_slope = -2.0 * (breakaway - Fc) * slip * sign(spool_speed) / vs",
-        "decay_slope = (sign(spool_speed) * s0 - bristle_decay * breakaway_slope) / breakaway",
-        "bristle_slope = 1.0 - decay_slope * bristle",
+        "decay_slope = sign(spool_speed) * s0 / breakaway",
+        "bristle_slope = clip(1.0 - decay_slope * bristle, 0.0, 2.0)",
         "friction_bristle = s0 - s1 * bristle_decay",
         "friction_slope = s1 * bristle_slope + s2 + C + (k_stop * past / v_stop if contact > 0.0 else 0.0)",
         "stiffness = k + (k_stop * grip if contact > 0.0 else 0.0)",
@@ -215,13 +238,13 @@ _FACTORS = [
     "w_current = alpha * inertia * e_current",
     "w_back = alpha * per_L",
     "w_slope = bristle_slope",
-    "e_spool_speed = 1.0 / (ig + friction_slope * inertia + w_spool * gh + w_bristle * w_slope + w_current * w_back)",
+    "e_spool_speed = 1.0 / (ig + positive(friction_slope * inertia + w_spool * gh + w_bristle * w_slope + w_current * w_back))",
     "softness = bulk_modulus * per_V",
     "w_flow = softness * Kq",
     "w_pump = softness * displacement",
-    "w_drive = displacement * per_J",
     "e_pressure = 1.0 / (ig + softness * leakage_slope)",
-    "e_speed = 1.0 / (ig + shaft_slope * per_J + w_drive * w_pump * e_pressure)",
+    "w_lift = displacement * per_J * e_pressure",
+    "e_speed = 1.0 / (ig + shaft_slope * per_J + w_lift * w_pump)",
 ]
 
 
@@ -232,9 +255,6 @@ class _Fuse(ast.NodeTransformer):
     The compiler may not fuse on its own: what it fuses would depend on the effects compiled in and on the width of the
     block. Fused here, statement by statement, a statement gives the same bits wherever it stands.
     """
-
-    def __init__(self, single: bool) -> None:
-        self.single = single
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         node = self.generic_visit(node)  # type: ignore[assignment]
@@ -250,10 +270,6 @@ class _Fuse(ast.NodeTransformer):
             return _call("fma", left.left, left.right, term)
         return node
 
-    def visit_Constant(self, node: ast.Constant) -> ast.AST:
-        # In single precision a plain constant would drag the whole expression to double.
-        return _call("real", node) if self.single and isinstance(node.value, float) else node
-
     def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
         return node  # an index is whole numbers
 
@@ -262,8 +278,8 @@ def _call(name: str, *arguments: ast.expr) -> ast.Call:
     return ast.Call(ast.Name(name, ast.Load()), list(arguments), [])
 
 
-def _fused(text: str, single: bool) -> str:
-    return ast.unparse(ast.fix_missing_locations(_Fuse(single).visit(ast.parse(textwrap.dedent(text)))))
+def _fused(text: str) -> str:
+    return ast.unparse(ast.fix_missing_locations(_Fuse().visit(ast.parse(textwrap.dedent(text)))))
 
 
 # --- the generated module ---------------------------------------------------------------------------------------------
@@ -297,21 +313,69 @@ def _needed(wanted: set[str], lines: Iterable[str]) -> list[str]:
     return kept[::-1]
 
 
+class _Hoist(ast.NodeTransformer):
+    """Takes what depends on the parameters and the length of the step alone out of the statements of a sweep.
+
+    `constant` names what is known beforehand. `take(lines)` gives the lines back with a name `k__n` in place of each
+    constant part; `lines` then holds the assignments that make these names, in order.
+    """
+
+    def __init__(self, constant: Iterable[str]) -> None:
+        self.constant = set(constant)
+        self.lines: list[str] = []
+        self.names: dict[str, str] = {}
+
+    def _is_constant(self, node: ast.AST) -> bool:
+        called = {n.func for n in ast.walk(node) if isinstance(n, ast.Call)}
+        names = {n for n in ast.walk(node) if isinstance(n, ast.Name)} - called
+        return bool(names) and all(n.id in self.constant for n in names)
+
+    def _name(self, node: ast.AST) -> str:
+        text = ast.unparse(node)
+        # A variable may be assigned several times, so the same text need not mean the same.
+        name = f"k__{len(self.names)}"
+        self.lines.append(f"{name} = {text}")
+        self.names[name] = text
+        return name
+
+    def visit(self, node: ast.AST) -> Any:
+        if isinstance(node, ast.BinOp | ast.Call | ast.IfExp) and self._is_constant(node):
+            return ast.Name(self._name(node), ast.Load())
+        return super().visit(node)
+
+    def take(self, lines: Iterable[str]) -> list[str]:
+        taken = []
+        for line in lines:
+            target, expression = line.split(" = ", 1)
+            node = ast.parse(expression, mode="eval").body
+            if self._is_constant(node) or isinstance(node, ast.Constant):
+                self.constant.add(target)
+                self.lines.append(line)
+                if not isinstance(node, ast.Name | ast.Constant):
+                    line = f"{target} = {self._name(ast.Name(target, ast.Load()))}"
+            else:
+                self.constant.discard(target)
+                line = f"{target} = {ast.unparse(self.visit(node))}"
+            taken.append(line)
+        return taken
+
+
 def _indent(lines: Iterable[str], depth: int) -> str:
     return textwrap.indent("\n".join(lines), "    " * depth)
 
 
-def _sweep(lines: Iterable[str], single: bool) -> str:
+def _sweep(lines: Iterable[str], depth: int) -> str:
     """A loop over all lanes of a block that runs these statements."""
-    return "    for l in range(LANES):\n" + _indent(_fused("\n".join(lines), single).splitlines(), 2)
+    body = _fused("\n".join(lines)).splitlines()
+    return _indent(["for l in range(LANES):", *("    " + line for line in body)], depth)
 
 
 def _uses(name: str, text: str) -> bool:
     return re.search(rf"\b{name}\b", text) is not None
 
 
-def _paste(function: Callable[..., Any], name: str, single: bool) -> str:
-    """Source of a plain function under another name, as an inlined compiled one."""
+def _paste(function: Callable[..., Any], name: str) -> str:
+    """Source of a plain function under another name. ValueError if it cannot run on many lanes at once."""
     try:
         source = textwrap.dedent(inspect.getsource(function))
     except OSError:
@@ -322,7 +386,9 @@ def _paste(function: Callable[..., Any], name: str, single: bool) -> str:
         raise ValueError(
             f"law {function.__name__!r} must be a plain function (def), not a lambda or decorated"
         )
-    return "@lane\n" + _fused(re.sub(r"^def \w+\(", f"def {name}(", source), single)
+    text = re.sub(r"^def \w+\(", f"def {name}(", source)
+    check(ast.parse(source).body[0], _HELPERS)  # type: ignore[arg-type]
+    return _fused(text)
 
 
 def _module_text(effects: tuple[Effect, ...], half: int, single: bool) -> tuple[str, dict[str, int], int]:
@@ -333,17 +399,18 @@ def _module_text(effects: tuple[Effect, ...], half: int, single: bool) -> tuple[
     rows = _Rows()
     rows.add(*states, *_OUTPUTS)
     saved = len(states) + 2  # states, time and flow: all that a step changes
+    staged = [name for name in states if name not in INTEGRAL]  # states with stages of their own
     moving = len(rows.number)
     rows.add(*parameters)
     kept = len(rows.number)
     factors = ("e_current", "e_bristle", "e_spool_speed", "w_spool", "w_bristle", "w_current", "w_back", "w_slope",
-               "e_speed", "e_pressure", "w_flow", "w_pump", "w_drive")  # fmt: skip
+               "e_speed", "e_pressure", "w_flow", "w_pump", "w_lift")  # fmt: skip
     rows.add(*(f"f__{name}" for name in factors), *(f"f__{name}" for name in states[len(STATES) :]))
     rows.add(
-        *(f"u{stage}__{name}" for stage in range(3) for name in states), "applied", "next_flow", "other_flow"
+        *(f"u{stage}__{name}" for stage in range(3) for name in staged), "applied", "next_flow", "other_flow"
     )
     rows.add(*(f"per_{name}" for name in _DIVISORS))
-    rows.add("parts", *(f"{copy}{r}" for copy in ("before", "after") for r in range(saved)))
+    rows.add("asked", *(f"{copy}{r}" for copy in ("before", "after") for r in range(saved)))
     at = rows.number
 
     def row(name: str) -> str:
@@ -369,78 +436,113 @@ def _module_text(effects: tuple[Effect, ...], half: int, single: bool) -> tuple[
     inputs = ["command = " + row("applied"), *load(["load", "time"], body_text), *flows]
     slopes = _by_reciprocals(_slopes(effects))
 
+    # What the parameters and the length of the step settle is computed once, by `settle`.
+    hoist = _Hoist({*parameters, *reciprocals, "ig", "gh"})
+    watch_body, body = body, hoist.take(body)
+    slopes = hoist.take(slopes)
+    made = hoist.take(_FACTORS)
+    settled = {line.split(" = ")[0]: line.split(" = ")[1] for line in made if re.search(r" = k__\d+$", line)}
+    kept_rows = [n for n in hoist.names if _uses(n, "\n".join([*body, *slopes, *made]))]
+    rows.add(*kept_rows)
+    at_factor = {name: settled.get(name, f"f__{name}") for name in factors}
+    constants = [*parameters, *reciprocals, *kept_rows]
+
+    # Which lanes take the substep in parts: those about to meet an end stop, or a sharp bend of an effect.
+    bends = ["abs(spool) + h * abs(spool_speed) > x_max"]
+    number_of_parts = [STOP_PARTS]
+    for effect in effects:
+        if effect.corner is not None:
+            names = _Names(effect)
+            call = ", ".join("h" if a == "substep" else names(a, {}) for a in _arguments(effect.corner))
+            bends.append(f"{_law_name(effect, 'corner')}({call})")
+            number_of_parts.append(effect.corner_parts)
+    near = [f"near |= ({') | ('.join(bends)})"]
+    ask = [*load([*states, *parameters], "\n".join(bends)), "parts = 0.0"]
+    for bend, parts in sorted(zip(bends, number_of_parts, strict=True), key=lambda pair: pair[1]):
+        ask.append(f"parts = {float(parts)} if {bend} else parts")
+    ask.append(f"{row('asked')} = parts")
+
     # First stage: rates, matrix, its factors, and the solution u0, all in one sweep.
+    body_text = "\n".join(body + effect_rates)
     first = load(states, body_text + " ".join(states)) + inputs
     first += (
-        load([*parameters, *reciprocals], body_text + "\n".join(slopes) + "\n".join(_FACTORS))
-        + body
-        + effect_rates
-        + slopes
+        load(constants, "\n".join([body_text, *slopes, *made, *near])) + body + effect_rates + slopes + made
     )
-    first += _FACTORS
-    first += [f"{row('f__' + name)} = {name}" for name in factors]
+    first += [f"{row('f__' + name)} = {name}" for name in factors if name not in settled]
     for effect, state in extra:
         name = f"{effect.name}__{state.name}"
         if state.decay is None:
-            first.append(f"f__{name} = real(1.0) / ig")
+            first.append(f"f__{name} = 1.0 / ig")
         else:
             names = _Names(effect)
             call = ", ".join(names(a, {}) for a in _arguments(state.decay))
             first.append(f"f__{name} = 1.0 / (ig + {_law_name(effect, state.name + '_decay')}({call}))")
         first.append(f"{row('f__' + name)} = f__{name}")
+    prepare = _needed(set(kept_rows), hoist.lines)
+    divided = [f"per_{name} = 1.0 / {name}" for name in _DIVISORS]
+    prepare = load(parameters, "\n".join([*divided, *prepare])) + divided + prepare
+    prepare += [f"{row(name)} = {name}" for name in reciprocals]
+    prepare += [f"{row(name)} = {name}" for name in kept_rows]
 
     def solve(sums: Callable[[str], str]) -> list[str]:
         """(ig - W) u = r, where r is the rate plus a combination of earlier stages."""
-        lines = [f"r__{name} = {name}_rate{sums(name)}" for name in states]
+        lines = [f"r__{name} = {sums(name)}{name}_rate" for name in staged]
         lines += [
-            "u__spool_speed = (r__spool_speed - w_spool * r__spool - w_bristle * r__bristle + w_current * r__current)"
+            "u__spool_speed = ((w_current * r__current - w_spool * r__spool - w_bristle * r__bristle) + r__spool_speed)"
             " * e_spool_speed",
             "u__current = (r__current - w_back * u__spool_speed) * e_current",
             "u__spool = (r__spool + u__spool_speed) * gh",
             "u__bristle = (r__bristle + w_slope * u__spool_speed) * e_bristle",
             "q__pressure = r__pressure + w_flow * u__spool",
-            "u__speed = (r__speed + w_drive * e_pressure * q__pressure) * e_speed",
+            "u__speed = (r__speed + w_lift * q__pressure) * e_speed",
             "u__pressure = (q__pressure - w_pump * u__speed) * e_pressure",
-            "u__angle = (r__angle + u__speed) * gh",
         ]
         return lines + [f"u__{name} = r__{name} * f__{name}" for name in states[len(STATES) :]]
 
     first += [f"{row('next_flow')} = flow"] if flows else []
-    first += solve(lambda name: "") + [f"{row('u0__' + name)} = u__{name}" for name in states]
+    first += near + solve(lambda name: "") + [f"{row('u0__' + name)} = u__{name}" for name in staged]
 
     def stage(number: int) -> list[str]:
         lines = []
-        for name in states:
+        for name in staged:
             for j in range(number):
                 lines.append(f"u{j}__{name} = {row(f'u{j}__{name}')}")
-            terms = "".join(f" + a{number}{j} * u{j}__{name}" for j in range(number) if A[number, j] != 0.0)
-            lines += [f"y__{name} = {row(name)}", f"{name} = y__{name}{terms}"]
-        lines += inputs + load([*parameters, *reciprocals], body_text)
-        lines += body + effect_rates
-        lines += [f"{name} = {row('f__' + name)}" for name in factors]
+            terms = "".join(f" + a{number}{j} * u{j}__{name}" for j in range(number))
+            lines += [f"{name} = {row(name)}{terms}"]
+            lines += [f"sum__{name} = " + " + ".join(f"c{number}{j} * u{j}__{name}" for j in range(number))]
+        for name, rate in INTEGRAL.items():
+            if number == 3 or _uses(name, body_text):
+                terms = "".join(f" + q{number}{j} * u{j}__{rate}" for j in range(number))
+                lines += [f"begin__{rate} = {row(rate)}", f"begin__{name} = {row(name)}"]
+                lines += [f"{name} = begin__{name} + p{number} * begin__{rate}{terms}"]
+        lines += inputs + load(constants, body_text) + body + effect_rates
+        lines += [f"{name} = {row(at_factor[name])}" for name in factors]
         lines += [f"f__{name} = {row('f__' + name)}" for name in states[len(STATES) :]]
-        lines += solve(lambda name: "".join(f" + c{number}{j} * u{j}__{name}" for j in range(number)))
+        lines += solve(lambda name: f"sum__{name} + ")
         if number < 3:
-            lines += [f"{row(f'u{number}__{name}')} = u__{name}" for name in states]
-        else:
-            for name in states:
-                terms = "".join(f" + m{j} * u{j}__{name}" for j in range(3))
-                lines.append(f"y__{name} = y__{name}{terms} + m3 * u__{name}")
-            # Stored only after everything is loaded: the compiler gives up on vectors otherwise.
-            lines += [f"{row('time')} = {row('time')} + h"]
-            lines += [f"{row('flow')} = {row('next_flow')}"] if flows else []
-            lines += [f"{row(name)} = y__{name}" for name in states]
-        return lines
+            return lines + [f"{row(f'u{number}__{name}')} = u__{name}" for name in staged]
+        # Stiffly accurate: the step ends where the last stage stands, plus its u.
+        lines += [f"{name} = {name} + u__{name}" for name in staged]
+        for name, rate in INTEGRAL.items():
+            terms = "".join(f" + q4{j} * u{j}__{rate}" for j in range(3))
+            lines += [f"{name} = begin__{name} + p4 * begin__{rate}{terms} + q43 * u__{rate}"]
+        # Stored only after everything is loaded: the compiler gives up on vectors otherwise.
+        lines += [f"{row('time')} = {row('time')} + h"]
+        lines += [f"{row('flow')} = {row('next_flow')}"] if flows else []
+        return lines + [f"{row(name)} = {name}" for name in states]
 
     method = rosenbrock_coefficients()
-    A, coefficients = method["a"], []
+    p, q = _integral_coefficients(method)
+    coefficients = []
     for i in range(1, 4):
         for j in range(i):
             coefficients.append(f"a{i}{j} = {float(method['a'][i, j])!r}")
-            coefficients.append(f"c{i}{j} = {float(method['c'][i, j])!r} / h")
-    coefficients += [f"m{j} = {float(method['m'][j])!r}" for j in range(4)]
+            coefficients.append(f"c{i}{j} = {float(method['c'][i, j])!r} * ih")
+    for i in range(1, 5):
+        coefficients += [f"p{i} = {float(p[i])!r} * h"]
+        coefficients += [f"q{i}{j} = {float(q[i, j])!r} * h" for j in range(min(i, 4))]
 
-    watch = [*body, "measured_speed = speed", *_chain("measured_speed", effects)]
+    watch = [*watch_body, "measured_speed = speed", *_chain("measured_speed", effects)]
     watch = _needed({"flow", "measured_speed"}, watch)
     watch = (
         load(states, " ".join(states)) + inputs + load([*parameters, *reciprocals], "\n".join(watch)) + watch
@@ -453,20 +555,6 @@ def _module_text(effects: tuple[Effect, ...], half: int, single: bool) -> tuple[
     guard += [f"{row('diverged')} = {row('diverged')} if ok else 1.0"]
     guard += [f"{row(name)} = {row(name)} if ok else 0.0" for name in states]
 
-    corners: list[str] = []
-    part_numbers = {STOP_PARTS}
-    for effect in effects:
-        if effect.corner is not None:
-            names = _Names(effect)
-            called = [names(a, {}) for a in _arguments(effect.corner)]
-            corners += [f"{name} = {row(name)}" for name in called if name != "substep"]
-            call = ", ".join("h" if name == "substep" else name for name in called)
-            wanted = float(effect.corner_parts)
-            part_numbers.add(effect.corner_parts)
-            corners.append(
-                f"parts = real({wanted}) if {_law_name(effect, 'corner')}({call}) and parts < real({wanted}) else parts"
-            )
-
     additions = [
         (at[base], at[f"{e.name}__{own}"]) for e in effects for base, own in e.adds_to.items()
     ]  # fmt: skip
@@ -476,42 +564,38 @@ def _module_text(effects: tuple[Effect, ...], half: int, single: bool) -> tuple[
             f"            cells[{b} * LANES + l] = cells[{b} * LANES + l] + cells[{p} * LANES + l]"
             for b, p in additions
         ),
-        "reciprocals": "\n".join(
-            f"        for l in range(LANES):\n            cells[{at['per_' + name]} * LANES + l]"
-            f" = real(1.0) / cells[{at[name]} * LANES + l]"
-            for name in _DIVISORS
-        ),
     }
 
-    helpers = [getattr(lanemath, name) for name in ("clip", "sign", "exp", "tanh", "cos", "sin")]
-    pasted = [_paste(f, f.__name__, single) for f in helpers]
+    helpers = [getattr(lanemath, name) for name in _HELPERS]
+    pasted = [_paste(f, f.__name__) for f in helpers]
     for effect in effects:
-        pasted += [_paste(law, _law_name(effect, quantity), single) for quantity, law in effect.laws.items()]
+        pasted += [_paste(law, _law_name(effect, quantity)) for quantity, law in effect.laws.items()]
         if effect.corner is not None:
-            pasted.append(_paste(effect.corner, _law_name(effect, "corner"), single))
+            pasted.append(_paste(effect.corner, _law_name(effect, "corner")))
         for state in effect.states:
-            pasted.append(_paste(state.rate, _law_name(effect, state.name + "_rate"), single))
+            pasted.append(_paste(state.rate, _law_name(effect, state.name + "_rate")))
             if state.decay is not None:
-                pasted.append(_paste(state.decay, _law_name(effect, state.name + "_decay"), single))
+                pasted.append(_paste(state.decay, _law_name(effect, state.name + "_decay")))
 
     exchange = _EXCHANGE.format(flow=at["flow"], other=at["other_flow"]) if flows else ""
     delay = at.get("command_delay__delay")
     if delay is None:
         apply = "cells[APPLIED * LANES + l] = cells[COMMAND * LANES + l]"
-        ring = "                pass"
+        ring = ""
     else:
         apply = "pass"
         ring = _DELAY.format(delay=delay)
     text = _MODULE.format(
         functions="\n\n".join(pasted), half=half, moving=moving, kept=kept, total=len(at),
         command=at["command"], load=at["load"], applied=at["applied"], time=at["time"], rated=at["u_rated"],
-        spool=at["spool"], spool_speed=at["spool_speed"], x_max=at["x_max"], parts=at["parts"],
+        asked=at["asked"],
         saved=saved, before=at["before0"], after=at["after0"],
-        stop_parts=float(STOP_PARTS), part_numbers=tuple(float(n) for n in sorted(part_numbers)),
-        gamma=repr(method["gamma"]), coefficients=_indent(_fused("\n".join(coefficients), single).splitlines(), 1),
-        first=_sweep(first, single), second=_sweep(stage(1), single), third=_sweep(stage(2), single),
-        fourth=_sweep(stage(3), single), real="np.float32" if single else "np.float64", align=16 if single else 8,
-        corners=_indent(corners, 5), watch=_sweep(watch, single), guard=_indent(guard, 2), exchange=exchange,
+        part_numbers=(1, *sorted(set(number_of_parts))),
+        ask=_sweep(ask, 1),
+        gamma=repr(method["gamma"]), coefficients=_indent(_fused("\n".join(coefficients)).splitlines(), 1),
+        prepare=_sweep(prepare, 1), first=_sweep(first, 1), second=_sweep(stage(1), 1),
+        third=_sweep(stage(2), 1), fourth=_sweep(stage(3), 1), real="np.float32" if single else "np.float64",
+        watch=_sweep(watch, 1), guard=_sweep(guard, 1), exchange=_indent(exchange.splitlines(), 1),
         apply=apply, ring=ring, **base_rows,
     )  # fmt: skip
     visible = {name.replace("__", ".", 1) if name in parameters and "__" in name else name: n
@@ -523,7 +607,7 @@ _DELAY = """\
                 slot = (head + t * substeps + n) % slots
                 for l in range(LANES):
                     ring[b, slot, l] = cells[COMMAND * LANES + l]
-                    late = cells[{delay} * LANES + l] / h
+                    late = cells[{delay} * LANES + l] / whole_step
                     late = late if late < slots - 2.0 else slots - 2.0
                     whole = int(late)
                     share = late - whole
@@ -533,9 +617,9 @@ _DELAY = """\
 """
 
 _EXCHANGE = """\
-    for l in range(HALF):
-        cells[{other} * LANES + l] = cells[{flow} * LANES + HALF + l]
-        cells[{other} * LANES + HALF + l] = cells[{flow} * LANES + l]"""
+for l in range(HALF):
+    cells[{other} * LANES + l] = cells[{flow} * LANES + HALF + l]
+    cells[{other} * LANES + HALF + l] = cells[{flow} * LANES + l]"""
 
 _MODULE = '''\
 """Generated by hydro_env.plant.compile; the name of this file is the hash of its text."""
@@ -543,12 +627,10 @@ _MODULE = '''\
 from math import floor, sqrt
 
 import numpy as np
+from hydro_env.plant.lanes import vectors
 from numba import njit
-from numba.core import types
-from numba.extending import intrinsic
 
 real = {real}
-lane = njit(forceinline=True, error_model="numpy")
 block = njit(error_model="numpy", cache=True)
 
 HALF = {half}
@@ -557,38 +639,19 @@ MOVING = {moving}
 KEPT = {kept}
 TOTAL = {total}
 COMMAND, LOAD, APPLIED, TIME, RATED = {command}, {load}, {applied}, {time}, {rated}
-SPOOL, SPOOL_SPEED, X_MAX, PARTS = {spool}, {spool_speed}, {x_max}, {parts}
-SAVED, BEFORE, AFTER = {saved}, {before}, {after}
+ASKED, SAVED, BEFORE, AFTER = {asked}, {saved}, {before}, {after}
+PART_NUMBERS = {part_numbers}
+KINDS = len(PART_NUMBERS)
 
 
-@intrinsic
-def fma(typing, a, b, c):
-    """a * b + c with one rounding."""
-    kind = types.float32 if a == b == c == types.float32 else types.float64
-
-    def emit(context, builder, signature, arguments):
-        pairs = zip(arguments, signature.args)
-        return builder.fma(*(context.cast(builder, value, given, kind) for value, given in pairs))
-
-    return kind(a, b, c), emit
-
-
-@lane
 def positive(value):
-    return value if value > real(0.0) else real(0.0)
+    return value if value > 0.0 else 0.0
 
 
 {functions}
 
 
-@lane
-def aligned(size):
-    room = np.zeros(size + {align}, real)
-    skip = (64 - room.ctypes.data % 64) % 64 // (64 // {align})
-    return room[skip : skip + size]
-
-
-@block
+@vectors
 def look(cells):
     """Outputs (flow, measured speed) of a block from its states."""
     for l in range(LANES):
@@ -597,62 +660,57 @@ def look(cells):
 {watch}
 
 
-@block
-def protect(cells):
+@vectors
+def guard(cells):
     """Puts lanes that left the bounds of sense to rest and marks them."""
-    for l in range(LANES):
 {guard}
 
 
-@block
-def keep(cells, copy, parts):
-    """Copies what a step changes: of all lanes, or of those that take the substep in so many parts."""
-    for r in range(SAVED):
-        for l in range(LANES):
-            if parts < 0.0 or cells[PARTS * LANES + l] == parts:
-                cells[(copy + r) * LANES + l] = cells[r * LANES + l]
+@vectors
+def settle(cells, h):
+    """Once for all substeps of a length: reciprocals, and what depends on the parameters and that length alone."""
+    gh = {gamma} * h
+    ig = 1.0 / gh
+{prepare}
 
 
-@block
-def asked(cells, parts):
-    """Whether a lane takes the substep in so many parts."""
-    for l in range(LANES):
-        if cells[PARTS * LANES + l] == parts:
-            return True
-    return False
+@vectors
+def ask(cells, h):
+    """In how many parts each lane should take a step of h seconds; 0 for the whole one."""
+{ask}
 
 
-@block
-def back(cells, copy):
-    """Brings a copy back."""
-    for r in range(SAVED):
-        for l in range(LANES):
-            cells[r * LANES + l] = cells[(copy + r) * LANES + l]
-
-
-@block
-def step(cells, h):
-    """One step of h seconds of a block."""
-    gh = real({gamma}) * h
-    ig = real(1.0) / gh
-{coefficients}
+@vectors
+def begin(cells, h) -> bool:
+    """The first stage of a step of h seconds; whether there are lanes that should take it in parts."""
+    near = False
+    gh = {gamma} * h
+    ig = 1.0 / gh
 {exchange}
 {first}
+    return near
+
+
+@vectors
+def finish(cells, h):
+    """The other three stages; the states move."""
+    gh = {gamma} * h
+    ih = 1.0 / h
+{coefficients}
 {second}
 {third}
 {fourth}
 
 
 @block
-def advance(memory, ring, head, commands, loads, substeps, h, record, every, out):
+def advance(memory, cells, ring, head, commands, loads, substeps, h, record, every, out):
     """Runs every block through all rows of `commands`, `substeps` steps of `h` seconds to a row.
 
-    memory (blocks, KEPT, LANES); ring (blocks, slots, LANES) and head: the delay line; commands, loads
-    (T, rigs or 1, 2): one row for all rigs where the middle is 1; record: rows of the memory that go to
-    out (len(record), T // every, rigs, 2) at the instant of each row, before its command acts.
+    memory (blocks, KEPT, LANES); cells (TOTAL * LANES,), aligned: room to work in; ring (blocks, slots, LANES) and head:
+    the delay line; commands, loads (T, rigs or 1, 2): one row for all rigs where the middle is 1; record: rows of the
+    memory that go to out (len(record), T // every, rigs, 2) at the instant of each row, before its command acts.
     """
-    cells = aligned(TOTAL * LANES)
-    h = real(h)
+    whole_step = real(h)
     rigs = out.shape[2]
     slots = ring.shape[1]
     for b in range(memory.shape[0]):
@@ -660,7 +718,8 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
             for l in range(LANES):
                 cells[r * LANES + l] = memory[b, r, l]
 {additions}
-{reciprocals}
+        settled = whole_step
+        settle(cells, settled)
         for t in range(commands.shape[0]):
             if record.size > 0 and t % every == 0:
                 look(cells)
@@ -688,45 +747,42 @@ def advance(memory, ring, head, commands, loads, substeps, h, record, every, out
                 {apply}
             for n in range(substeps):
 {ring}
-                near = 0
-                for l in range(LANES):
-                    reach = abs(cells[SPOOL * LANES + l]) + h * abs(cells[SPOOL_SPEED * LANES + l])
-                    parts = real({stop_parts}) if reach > cells[X_MAX * LANES + l] else real(0.0)
-{corners}
-                    cells[PARTS * LANES + l] = parts
-                    near += 1 if parts > real(0.0) else 0
-                if near == 0:
-                    step(cells, h)
-                else:
-                    # Lanes at an end stop or a sharp bend of an effect take the substep in parts; the others keep
-                    # the result of the whole one.
-                    keep(cells, BEFORE, -1.0)
-                    step(cells, h)
-                    keep(cells, AFTER, -1.0)
-                    for parts in {part_numbers}:
-                        if asked(cells, parts):
-                            back(cells, BEFORE)
-                            for part in range(int(parts)):
-                                step(cells, h / real(parts))
-                            keep(cells, AFTER, parts)
-                    back(cells, AFTER)
-            protect(cells)
-        look(cells)
-        for r in range(MOVING):
-            for l in range(LANES):
-                memory[b, r, l] = cells[r * LANES + l]
-
-
-@block
-def observe(memory):
-    """Outputs of every block from its states as they are."""
-    cells = aligned(TOTAL * LANES)
-    for b in range(memory.shape[0]):
-        for r in range(KEPT):
-            for l in range(LANES):
-                cells[r * LANES + l] = memory[b, r, l]
-{additions}
-{reciprocals}
+                # Lanes at an end stop or a sharp bend of an effect take the step in parts. A step is made for all lanes
+                # whole, and if there are such lanes once more for each number of parts they ask for; AFTER collects
+                # for each lane the result that is meant for it.
+                split = False
+                for kind in range(KINDS):
+                    parts = PART_NUMBERS[kind]
+                    if kind > 0:
+                        asked = False
+                        for l in range(LANES):
+                            asked = asked or cells[ASKED * LANES + l] == parts
+                        if not asked:
+                            continue
+                        for i in range(SAVED * LANES):
+                            cells[i] = cells[BEFORE * LANES + i]
+                    h = whole_step / real(parts)
+                    if h != settled:
+                        settle(cells, h)
+                        settled = h
+                    for _ in range(parts):
+                        near = begin(cells, h)
+                        if near and kind == 0:
+                            split = True
+                            ask(cells, h)
+                            for i in range(SAVED * LANES):
+                                cells[BEFORE * LANES + i] = cells[i]
+                        finish(cells, h)
+                    if not split:
+                        break
+                    for r in range(SAVED):
+                        for l in range(LANES):
+                            if kind == 0 or cells[ASKED * LANES + l] == parts:
+                                cells[(AFTER + r) * LANES + l] = cells[r * LANES + l]
+                if split:
+                    for i in range(SAVED * LANES):
+                        cells[i] = cells[AFTER * LANES + i]
+            guard(cells)
         look(cells)
         for r in range(MOVING):
             for l in range(LANES):
@@ -774,7 +830,7 @@ def _compiled(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
     module = _import_text(text)
     names = tuple(e.name for e in effects)
     dtype = np.dtype(np.float32 if single else np.float64)
-    return Kernel(names, half, rows, kept, dtype, module.advance, module.observe, text)
+    return Kernel(names, half, rows, kept, dtype, module.TOTAL * module.LANES, module.advance, text)
 
 
 def compile_kernel(effects: Iterable[str] = (), half: int = 8, dtype: Any = np.float64) -> Kernel:

@@ -17,10 +17,8 @@ from .effects import CATALOGUE
 from .model import PlantModel, load_model, parameter_of
 from .parameters import PARAMETERS
 
-__all__ = ["SIGNALS", "SUBSTEP", "Plant", "simulate"]
+__all__ = ["SIGNALS", "Plant", "simulate"]
 
-#: Longest substep of the integrator, s.
-SUBSTEP = 100e-6
 #: Signals that can be read and recorded.
 SIGNALS = (*STATES, "flow", "measured_speed")
 
@@ -33,13 +31,20 @@ def _half(num_rigs: int) -> int:
     return 1 if num_rigs <= 2 else 16
 
 
+def _room(kernel: Kernel) -> NDArray[Any]:
+    """Room for a block to be worked on, from a cache line's beginning."""
+    item = kernel.dtype.itemsize
+    room = np.zeros(kernel.num_cells + 64 // item, kernel.dtype)
+    return room[-room.ctypes.data % 64 // item :][: kernel.num_cells]
+
+
 class Plant:
     """`num_rigs` rigs of two channels each.
 
     Row i behaves bit for bit like the same row alone. `effects` names further effects whose parameters may be set by
-    row; those of the model are always there. `substep` is the longest step of the integrator in s: a period is divided
-    into the fewest equal substeps that are not longer. `dtype` is float64, or float32 for about twice the speed: it resolves
-    the angle and the time of an episode to seven digits only.
+    row; those of the model are always there. `substep` is the longest step of the integrator in s, the model's own unless
+    given: a period is divided into the fewest equal substeps that are not longer. `dtype` is float64, or float32 for
+    about twice the speed: it resolves the angle and the time of an episode to seven digits only.
 
     InputError for an unknown model, ValueError for a number of rigs below one or another dtype.
     """
@@ -50,7 +55,7 @@ class Plant:
         num_rigs: int = 1,
         *,
         effects: Iterable[str] = (),
-        substep: float = SUBSTEP,
+        substep: float | None = None,
         dtype: DTypeLike = np.float64,
     ) -> None:
         if num_rigs < 1:
@@ -59,7 +64,7 @@ class Plant:
             raise ValueError(f"dtype is {np.dtype(dtype)}, expected float64 or float32")
         self.model = load_model(model)
         self.num_rigs = int(num_rigs)
-        self.substep = float(substep)
+        self.substep = float(self.model.substep if substep is None else substep)
         for name in effects:
             if name not in CATALOGUE:
                 parameter_of(f"{name}.")  # raises the line that names the nearest effect
@@ -76,7 +81,13 @@ class Plant:
         for effect in kernel.effects:
             for parameter in CATALOGUE[effect].parameters:
                 self._fill(f"{effect}.{parameter.name}", self.model.pair(f"{effect}.{parameter.name}"))
-        kernel.observe(self._memory)
+        self._cells = _room(kernel)
+        self._observe()
+
+    @property
+    def kernel(self) -> Kernel:
+        """The compiled step."""
+        return self._kernel
 
     # --- rows of the memory ---------------------------------------------------------------------------------------
     @property
@@ -155,7 +166,15 @@ class Plant:
             for lane in (index % half, index % half + half):
                 self._memory[index // half, :moving, lane] = 0.0
                 self._ring[index // half, :, lane] = 0.0
-        self._kernel.observe(self._memory)
+        self._observe()
+
+    def _observe(self) -> None:
+        """Flow and measured speed from the states as they are: a run through no rows."""
+        nothing = self._empty[:, 0]
+        self._kernel.advance(
+            self._memory, self._cells, self._ring, self._head, nothing, nothing, 1, self.substep, _NO_RECORD, 1,
+            self._empty,
+        )  # fmt: skip
 
     def substeps(self, period: float) -> int:
         """How many substeps a period takes. ValueError if it is not positive."""
@@ -181,7 +200,7 @@ class Plant:
     def hold(self, command_V: Array, load_Nm: Array, substeps: int, period: float) -> None:
         """`step` for callers in a hurry: finite float64 arrays (num_rigs, 2), and `substeps(period)` counted before."""
         self._kernel.advance(
-            self._memory, self._ring, self._head, command_V[None], load_Nm[None], substeps, period / substeps,
+            self._memory, self._cells, self._ring, self._head, command_V[None], load_Nm[None], substeps, period / substeps,
             _NO_RECORD, 1, self._empty,
         )  # fmt: skip
         self._head = (self._head + substeps) % self._slots
@@ -208,7 +227,7 @@ class Plant:
         out = np.empty((len(record), -(-command.shape[0] // every), self.num_rigs, 2))
         n = self.substeps(period)
         self._kernel.advance(
-            self._memory, self._ring, self._head, command, load, n, period / n, rows, every, out
+            self._memory, self._cells, self._ring, self._head, command, load, n, period / n, rows, every, out
         )
         self._head = (self._head + n * command.shape[0]) % self._slots
         return dict(zip(record, out, strict=True))
@@ -268,7 +287,7 @@ class Plant:
     # --- copies ---------------------------------------------------------------------------------------------------
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
-        del state["_kernel"]
+        del state["_kernel"], state["_cells"]
         state["_effects"] = self.effects
         return state
 
@@ -276,6 +295,7 @@ class Plant:
         effects = state.pop("_effects")
         self.__dict__.update(state)
         self._kernel = compile_kernel(effects, _half(self.num_rigs), self._memory.dtype)
+        self._cells = _room(self._kernel)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Plant:
         twin = object.__new__(type(self))
@@ -308,7 +328,7 @@ def simulate(
     effects: Iterable[str] = (),
     record: Sequence[str] = ("speed",),
     every: int = 1,
-    substep: float = SUBSTEP,
+    substep: float | None = None,
 ) -> dict[str, Array]:
     """Simulates a command sequence from rest for `num_rigs` variants of a model.
 

@@ -7,7 +7,7 @@ kernel that the environments, the benchmark and the diagnosis run. Equation numb
 
 from __future__ import annotations
 
-from .lanemath import exp, sqrt
+from .lanemath import bell, sqrt
 
 __all__ = ["rates"]
 
@@ -29,21 +29,22 @@ def rates(
 
     # Friction of the spool: LuGre, (9)-(11); (10) is printed without the factor z.
     slip = abs(spool_speed) / vs
-    breakaway = Fc + (Fs - Fc) * exp(-slip * slip)
+    breakaway = Fc + (Fs - Fc) * bell(slip)
     bristle_rate = spool_speed - s0 * abs(spool_speed) / breakaway * bristle
     friction = s0 * bristle + s1 * bristle_rate + s2 * spool_speed
 
     # End stops: a stiff spring that damps on the way in and never pulls (Hunt and Crossley 1975), so that a blow is
     # nearly plastic: the spool leaves no faster than v_stop.
-    side = 1.0 if spool > 0.0 else -1.0
-    past = side * spool - x_max
-    grip = 1.0 + side * spool_speed / v_stop
+    past = abs(spool) - x_max
+    outward = spool_speed if spool > 0.0 else -spool_speed
+    grip = 1.0 + outward / v_stop
     contact = k_stop * past * grip if past > 0.0 and grip > 0.0 else 0.0
+    stop = contact if spool > 0.0 else -contact
 
     # Spool, (5).
     force = alpha * current
     # effects on force
-    spool_speed_rate = (force - k * spool - C * spool_speed - friction - side * contact) / m
+    spool_speed_rate = (force - k * spool - C * spool_speed - friction - stop) / m
     spool_rate = spool_speed
 
     # Flow through the valve, (8); `drive` is the share of the supply pressure that drives it.

@@ -1,0 +1,134 @@
+"""Vector instructions for statements on lanes: what they compute is what Python computes, bit for bit."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import inspect
+import sys
+import textwrap
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numba import njit
+
+from hydro_env.plant import lanemath
+from hydro_env.plant.lanes import check
+
+LANES = 12  # three vectors of four, or six of two: not a power of two
+
+TEXT = '''
+from math import floor, sqrt
+from hydro_env.plant.lanes import vectors
+
+LANES = 12
+
+
+def branchy(a, b):
+    """If and return, one after the other."""
+    c = a * 2.0
+    if a > b:
+        c = c - b
+        if b > 0.0:
+            return c ** 2
+    elif not (a < -1.0 or b == 0.0):
+        return -c / b if b != 0.0 else 7
+    return c + (1.0 if -1.0 < a <= b and b > 0.5 else 0.25)
+
+
+def rooted(a):
+    return sqrt(abs(a)) + floor(a) - abs(-a)
+
+
+def plain(a, b, h):
+    return branchy(a, b) + h * rooted(a)
+
+
+@vectors
+def work(cells, h) -> bool:
+    found = False
+    twice = 2.0 * h
+    for l in range(LANES):
+        a = cells[0 * LANES + l]
+        b = cells[1 * LANES + l]
+        cells[2 * LANES + l] = branchy(a, b) + h * rooted(a)
+        found |= a > 3.0
+    for l in range(LANES):
+        cells[3 * LANES + l] = cells[2 * LANES + l] * twice
+    return found
+'''
+
+
+@pytest.fixture(scope="module")
+def module(tmp_path_factory):
+    path = tmp_path_factory.mktemp("lanes") / "statements_on_lanes.py"
+    path.write_text(TEXT)
+    specification = importlib.util.spec_from_file_location("statements_on_lanes", path)
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[module.__name__] = module
+    specification.loader.exec_module(module)
+    work = module.work
+
+    @njit(error_model="numpy")
+    def run(cells, h):
+        return work(cells, h)
+
+    module.run = run
+    yield module
+    del sys.modules[module.__name__]
+
+
+_NUMBER = st.one_of(st.sampled_from([0.0, -0.0, 1.0, -1.0, 0.5]), st.floats(-1e3, 1e3))
+_ROW = st.lists(_NUMBER, min_size=LANES, max_size=LANES)
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@given(a=_ROW, b=_ROW, h=st.floats(1e-6, 1e3))
+def test_same_bits_as_python(module, a, b, h):
+    cells = np.zeros(4 * LANES)
+    cells[:LANES], cells[LANES : 2 * LANES] = a, b
+    found = module.run(cells, h)
+    expected = np.array([module.plain(x, y, h) for x, y in zip(a, b, strict=True)])
+    np.testing.assert_array_equal(cells[2 * LANES : 3 * LANES], expected)
+    np.testing.assert_array_equal(cells[3 * LANES :], expected * (2.0 * h))
+    assert found == any(x > 3.0 for x in a)
+
+
+def test_single_precision_stays_single(module):
+    cells = np.zeros(4 * LANES, np.float32)
+    cells[:LANES] = 0.1
+    module.run(cells, np.float32(0.5))
+    assert cells[2 * LANES] == pytest.approx(module.plain(np.float32(0.1), np.float32(0.0), 0.5), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("law", "named"),
+    [
+        ("def law(a):\n    for i in range(3):\n        a = a + 1\n    return a", "for"),
+        ("def law(a):\n    return max(a, 0.0)", "max"),
+        ("def law(a):\n    return math.exp(a)", "math.exp"),
+        ("def law(a):\n    return a + offset", "offset"),
+        ("def law(a):\n    return [a][0]", "[a]"),
+        ("def law(a):\n    return a % 2.0", "%"),
+    ],
+)
+def test_what_cannot_run_on_lanes_is_named(law, named):
+    with pytest.raises(ValueError, match="law: ") as problem:
+        check(ast.parse(law).body[0], ("exp", "tanh"))
+    assert named in str(problem.value)
+    assert "\n" not in str(problem.value)
+
+
+@pytest.mark.parametrize("name", ["clip", "sign", "exp", "bell", "tanh", "cos", "sin"])
+def test_helpers_of_laws_can_run_on_lanes(name):
+    source = textwrap.dedent(inspect.getsource(getattr(lanemath, name)))
+    check(ast.parse(source).body[0], lanemath.__all__)
+
+
+def test_bell_is_the_bell():
+    x = np.linspace(-6.0, 6.0, 2001)
+    error = np.abs([lanemath.bell(value) - np.exp(-value * value) for value in x])
+    assert error.max() < 2e-6
+    assert error[np.abs(x) < 1.0].max() < 1e-9
