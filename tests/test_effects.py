@@ -1,0 +1,444 @@
+"""What defines each effect, seen from outside: how signals answer, not how the law is written.
+
+Loss models of the motor have a file of their own, test_losses.py, and every effect is also in the balances of
+test_balances.py, in the golden trajectories and, at its strongest, in test_plant_accuracy.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hydro_env.plant import BUILT_IN, CATALOGUE, Plant
+from hydro_env.plant.losses import FAMILY
+
+PERIOD = 0.01
+K, ALPHA, R = 17000.0, 20.0, 100.0  # spring, force per current, resistance of the paper's valves
+
+Array = NDArray[np.float64]
+_TESTED: set[str] = set()
+
+
+def defines(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Says which effects a test defines."""
+
+    def mark(test: Callable[..., None]) -> Callable[..., None]:
+        _TESTED.update(names)
+        return test
+
+    return mark
+
+
+def test_every_effect_has_such_a_test() -> None:
+    assert {name for name in BUILT_IN if CATALOGUE[name].family != FAMILY} == _TESTED
+
+
+@pytest.fixture(scope="module")
+def everything() -> Plant:
+    """Nine rigs with every effect compiled in, all neutral."""
+    return Plant("paper", 9, effects=BUILT_IN)
+
+
+@pytest.fixture
+def rigs(everything: Plant) -> Callable[..., Plant]:
+    """A plant at rest with these values: numbers for all rigs, lists for one after the other; "__" stands for a dot."""
+    nominal = everything.memory.copy()
+
+    def make(**values: float | list[float]) -> Plant:
+        everything.memory[:] = nominal
+        for name, value in values.items():
+            each = np.atleast_1d(value)
+            column = np.resize(each, everything.num_rigs)[:, None]
+            everything.set(name.replace("__", "."), column)
+        everything.reset()
+        return everything
+
+    return make
+
+
+@pytest.fixture(autouse=True)
+def _clean(everything: Plant):  # type: ignore[no-untyped-def]
+    """Leaves the shared plant as it was."""
+    before = everything.memory.copy()
+    yield
+    everything.memory[:] = before
+    everything.reset()
+
+
+def hold(plant: Plant, command: object, load: object = 0.0, seconds: float = 3.0) -> Plant:
+    for _ in range(round(seconds / PERIOD)):
+        plant.step(command, load, PERIOD)  # type: ignore[arg-type]
+    return plant
+
+
+def column(*values: float) -> Array:
+    """Commands or loads (9, 2): these for the first rigs, the last one for all others."""
+    return np.tile(np.resize(np.r_[values, [values[-1]] * 9][:9], 9)[:, None], 2)
+
+
+# --- driver and coil --------------------------------------------------------------------------------------------------
+@defines("command_delay")
+def test_a_delay_shifts_everything(rigs: Callable[..., Plant]) -> None:
+    delay = 0.00537
+    commands = np.full((400, 2), 40.0)
+    late = rigs(command_delay__delay=delay).run(commands, None, 1e-4, ("speed",))["speed"][:, 0, 0]
+    early = rigs().run(commands, None, 1e-4, ("speed",))["speed"][:, 0, 0]
+    time = np.arange(400) * 1e-4
+    assert np.allclose(np.interp(time - delay, time, early)[60:], late[60:], atol=2e-3 * early.max())
+
+
+@defines("driver_saturation")
+def test_a_driver_clips_the_current_at_its_voltage_and_not_before(rigs: Callable[..., Plant]) -> None:
+    plant = hold(rigs(driver_saturation__voltage_limit=45.0), column(40.0, -44.0, 50.0, -73.0), seconds=0.5)
+    assert plant.current[:4, 0] * R == pytest.approx([40.0, -44.0, 45.0, -45.0], rel=1e-6)
+
+
+@defines("coil_heating")
+def test_a_hot_coil_loses_current_in_its_own_time(rigs: Callable[..., Plant]) -> None:
+    rise, tau, volts = 0.3, 2.0, 60.0
+    plant = rigs(coil_heating__rise=rise, coil_heating__time_constant=tau)
+    current = plant.run(np.full((1500, 2), volts), None, PERIOD, ("current",))["current"][:, 0, 0]
+    assert current[10] == pytest.approx(volts / R, rel=0.02)  # hardly warm
+    hot = current[-1]
+    assert volts / hot == pytest.approx(
+        R * (1.0 + rise * (hot / 0.73) ** 2), rel=1e-3
+    )  # rated power warms by `rise`
+    heat, expected = 0.0, []
+    for _ in range(1500):  # less current, less power: a little faster than `tau`
+        expected.append(volts / (R * (1.0 + rise * heat)))
+        heat += PERIOD / tau * ((expected[-1] / 0.73) ** 2 - heat)
+    assert current[40:] == pytest.approx(expected[40:], rel=1e-3)  # the spool is at rest
+
+
+# --- force ------------------------------------------------------------------------------------------------------------
+@defines("magnetic_hysteresis")
+def test_a_magnetic_loop_is_as_wide_at_any_rate(rigs: Callable[..., Plant]) -> None:
+    values = {
+        "magnetic_hysteresis__amplitude": 1.0,
+        "magnetic_hysteresis__width": 0.1,
+        "Fc": 0.02,
+        "Fs": 0.02,
+    }
+    widths = []
+    for seconds in (4.0, 16.0):
+        rows = int(seconds / PERIOD)
+        share = np.interp(np.linspace(0, 1, rows), [0, 0.2, 0.6, 1.0], [0, 1, -1, 1])
+        out = rigs(**values).run(60 * share[:, None] * np.ones((1, 2)), None, PERIOD, ("current", "spool"))
+        current, spool = out["current"][:, 0, 0], out["spool"][:, 0, 0]
+        falling, rising = slice(int(0.25 * rows), int(0.55 * rows)), slice(int(0.65 * rows), None)
+        down = np.interp(0.0, current[falling][::-1], spool[falling][::-1])
+        widths.append((down - np.interp(0.0, current[rising], spool[rising])) * K)
+    assert widths[1] == pytest.approx(2.0, rel=0.1)  # twice the amplitude, with a little friction
+    assert widths[0] == pytest.approx(widths[1], rel=0.05)
+
+
+@defines("spool_stiction")
+def test_a_sticky_spool_ignores_small_forces_and_then_jumps(rigs: Callable[..., Plant]) -> None:
+    """Static friction 0.2 + 0.6 N: 0.6 N of the coil only bend the bristles, 1.2 N tear the spool off."""
+    force = np.array([0.6, 1.2])
+    for static, moves in (([0.0], [True, True]), ([0.6], [False, True])):
+        plant = rigs(spool_stiction__static=static * 9, spool_stiction__coulomb=0.3)
+        spool = hold(plant, column(*(force / ALPHA * R)), seconds=1.0).spool[:2, 0]
+        assert list(spool > 15e-6) == moves
+        assert spool[1] == pytest.approx(force[1] / K, abs=0.9 / K)
+    ramp = np.linspace(0.0, 8.0, 2667)[:, None] * np.ones(2)  # 3 V/s
+    plant = rigs(spool_stiction__static=[0.6, 0.0], spool_stiction__coulomb=[0.1, 0.0], vs=1e-4)
+    travel = np.diff(plant.run(ramp, None, 1e-3, ("spool",))["spool"][:, :2, 0], axis=0)
+    assert (
+        travel[:, 0].max() > 5e-6 > 2.0 * travel[:, 1].max()
+    )  # in a millisecond, in which the springs ask for 0.04 um
+    assert np.median(travel[:, 0]) < 0.02e-6
+
+
+@defines("spring_preload")
+def test_a_preload_is_a_threshold_of_current_and_none_of_opening(rigs: Callable[..., Plant]) -> None:
+    preload = 2.0
+    plant = hold(
+        rigs(spring_preload__preload=preload, Fc=0.02, Fs=0.02), column(5.0, 9.0, 30.0, -30.0), seconds=1.0
+    )
+    force = ALPHA * plant.current[:4, 0]
+    assert np.all(np.abs(plant.spool[:2, 0]) < 20e-6)  # 1.0 and 1.8 N: below the preload
+    assert plant.spool[2:4, 0] * K == pytest.approx((np.abs(force[2:]) - preload) * [1.0, -1.0], abs=0.05)
+    assert plant.flow[:4, 0] == pytest.approx(plant.get("Kq")[:4, 0] * plant.spool[:4, 0], rel=1e-12)
+
+
+@defines("flow_force")
+def test_flow_force_closes_the_valve_the_more_the_greater_its_pressure_drop(
+    rigs: Callable[..., Plant],
+) -> None:
+    supply, coefficient = 100e5, 3e-4
+    values = {
+        "flow_force__coefficient": coefficient,
+        "flow_force__supply_pressure": supply,
+        "Fc": 0.02,
+        "Fs": 0.02,
+    }
+    plant = hold(rigs(**values), column(50.0, 50.0, 50.0, -50.0), column(0.0, 0.6, -0.6, 0.0), 4.0)
+    spool, pressure = plant.spool[:4, 0], plant.pressure[:4, 0]
+    drop = supply - np.sign(spool) * pressure
+    assert spool * (K + coefficient * drop) == pytest.approx(ALPHA * plant.current[:4, 0], abs=0.06)
+    assert (
+        spool[2] < spool[0] < spool[1] < ALPHA * 0.5 / K
+    )  # a driven motor leaves more of the pressure to the valve
+
+
+# --- opening ----------------------------------------------------------------------------------------------------------
+@defines("null_offset")
+def test_an_offset_opens_the_centred_valve_and_shifts_both_directions(rigs: Callable[..., Plant]) -> None:
+    offset = 4e-5
+    plant = hold(rigs(null_offset__offset=offset, Fc=0.02, Fs=0.02), column(0.0, 30.0, -30.0), seconds=1.0)
+    kq, flow = plant.get("Kq")[0, 0], plant.flow[:3, 0]
+    assert flow[0] == pytest.approx(kq * offset, rel=1e-9)
+    assert flow[1] + flow[2] == pytest.approx(2.0 * kq * offset, rel=1e-3)
+
+
+@defines("dead_zone")
+def test_a_dead_zone_takes_its_own_overlap_each_way(rigs: Callable[..., Plant]) -> None:
+    values = {"dead_zone__overlap_positive": 1e-4, "dead_zone__overlap_negative": 2e-4}
+    plant = hold(rigs(**values), column(40.0, -40.0, 5.0, -15.0), seconds=1.0)
+    opening = (plant.flow / plant.get("Kq"))[:4, 0]
+    assert opening[:2] == pytest.approx(plant.spool[:2, 0] - [1e-4, -2e-4], abs=1e-9)
+    assert -2e-4 < plant.spool[3, 0] < -1.5e-4 and np.all(opening[2:] == 0.0)  # spools inside the overlaps
+
+
+@defines("flow_saturation")
+def test_a_saturated_valve_gives_no_more(rigs: Callable[..., Plant]) -> None:
+    limit = 3e-4
+    plant = hold(rigs(flow_saturation__opening_limit=limit), column(20.0, 40.0, 70.0, -70.0), seconds=1.0)
+    flow, most = plant.flow[:4, 0], plant.get("Kq")[0, 0] * limit
+    assert flow[0] == pytest.approx(plant.get("Kq")[0, 0] * plant.spool[0, 0], rel=1e-12) and flow[0] < most
+    assert flow[1:] == pytest.approx([most, most, -most], rel=1e-12)
+    assert plant.spool[2, 0] > 1.5 * plant.spool[1, 0] > 1.5 * limit  # the spool does go on
+
+
+@defines("directional_gain")
+def test_directions_of_different_gain(rigs: Callable[..., Plant]) -> None:
+    plant = hold(rigs(directional_gain__ratio=0.7), column(35.0, -35.0, 60.0, -60.0), seconds=1.0)
+    flow, spool = plant.flow[:4, 0], plant.spool[:4, 0]
+    assert spool[1::2] == pytest.approx(-spool[::2], rel=1e-9)
+    assert flow[1::2] / flow[::2] == pytest.approx([-0.7, -0.7], rel=1e-9)
+    assert flow[::2] == pytest.approx(plant.get("Kq")[0, 0] * spool[::2], rel=1e-12)
+
+
+@defines("flow_gain_nonlinearity")
+def test_a_progressive_edge_gives_little_at_first_and_the_rated_flow_in_the_end(
+    rigs: Callable[..., Plant],
+) -> None:
+    plant = hold(
+        rigs(flow_gain_nonlinearity__curvature=0.6), column(4.0, 30.0, 50.0, 73.0, -50.0), seconds=1.0
+    )
+    gain = (plant.flow / plant.spool)[:5, 0] / plant.get("Kq")[0, 0]
+    assert gain[0] == pytest.approx(0.4, abs=0.05) and gain[3] == pytest.approx(1.0, abs=0.02)
+    assert np.all(np.diff(gain[:4]) > 0.0) and gain[4] == pytest.approx(gain[2], rel=1e-6)
+
+
+# --- flow and supply --------------------------------------------------------------------------------------------------
+@defines("pressure_dependent_flow")
+def test_flow_follows_the_root_of_what_the_load_leaves_of_the_supply(rigs: Callable[..., Plant]) -> None:
+    supply = 20e5
+    plant = rigs(pressure_dependent_flow__supply_pressure=supply)
+    hold(plant, column(50.0, 50.0, 50.0, -50.0), column(0.0, 0.8, -0.8, 0.0), 4.0)
+    share = (plant.flow / (plant.get("Kq") * plant.spool))[:4, 0]
+    taken = (np.sign(plant.spool) * plant.pressure)[:4, 0] / supply
+    assert share**2 == pytest.approx(1.0 - taken, rel=1e-9)
+    assert share[1] < share[0] - 0.1 < share[2] - 0.2 and share[3] == pytest.approx(share[0], rel=1e-6)
+
+
+@defines("supply_droop")
+def test_a_weak_supply_couples_the_channels_with_memory(rigs: Callable[..., Plant]) -> None:
+    plant = rigs(supply_droop__relative_drop=0.5, supply_droop__time_constant=0.2)
+    command = np.zeros((400, 1, 2))
+    command[:, :, 0] = 50.0
+    command[200:, :, 1] = 60.0
+    flow = plant.run(command, None, PERIOD, ("flow",))["flow"][:, 0]
+    before, after = flow[199], flow[-1]
+    assert after[0] < 0.97 * before[0]
+    # Share of the supply that is left: its fall is proportional to the flow of both, 49 l/min taking half of it.
+    left = (after / (plant.get("Kq") * plant.spool)[0]) ** 2
+    assert left == pytest.approx([1.0 - 0.5 * after.sum() / 8.178e-4] * 2, rel=1e-3)
+    gone = (before[0] - flow[200:, 0]) / (before[0] - after[0])
+    assert gone[2] < 0.1 and 0.5 < gone[22] < 0.85  # two tenths of a second, and the spool's own time
+
+
+# --- line -------------------------------------------------------------------------------------------------------------
+@defines("entrained_air")
+def test_air_yields_as_boyle_says(rigs: Callable[..., Plant]) -> None:
+    """Oil pumped into a closed line: its volume against the pressure is that of the oil and of an isothermal gas."""
+    fraction = 0.02
+    plant = rigs(entrained_air__fraction=[fraction, 0.0], J=1e6, Km=1e-18)
+    out = plant.run(np.full((400, 2), 2.5), None, 1e-3, ("flow", "pressure"))
+    flow, pressure = out["flow"][:, :2, 0], out["pressure"][:, :2, 0]
+    pumped = np.concatenate([np.zeros((1, 2)), np.cumsum(0.5e-3 * (flow[1:] + flow[:-1]), axis=0)])
+    gas = fraction * (1.0 - 101325.0 / (101325.0 + pressure[:, 0]))
+    assert pumped[20:, 0] == pytest.approx(1e-4 * (pressure[20:, 0] / 1.267e9 + gas[20:]), rel=2e-3)
+    at = [np.argmax(pressure[:, rig] > 1e5) for rig in (0, 1)]
+    assert at[0] > 3 * at[1] > 0  # the slow first rise
+    assert pressure[-1, 0] > 20e5
+    slope = pumped[-1] - pumped[-20]
+    assert slope / (pressure[-1] - pressure[-20]) == pytest.approx(
+        1e-4 / 1.267e9, rel=0.1
+    )  # and hard in the end
+
+
+@defines("line_loss")
+def test_a_line_takes_pressure_with_the_square_of_the_flow(rigs: Callable[..., Plant]) -> None:
+    plant = hold(rigs(line_loss__coefficient=4e13), column(25.0, 50.0, -50.0), seconds=4.0)
+    D, speed = plant.get("D")[:3, 0], plant.speed[:3, 0]
+    lost = plant.pressure[:3, 0] - plant.get("B")[:3, 0] * speed / D  # what does not reach the shaft
+    assert lost == pytest.approx(4e13 * (D * speed) * np.abs(D * speed), rel=1e-5)
+    assert lost[1] > 2.5 * lost[0] > 0.0 and lost[2] == pytest.approx(-lost[1], rel=1e-3)
+
+
+@defines("crossport_relief")
+def test_relief_valves_clip_the_pressure_both_ways(rigs: Callable[..., Plant]) -> None:
+    setting, slope = 10e5, 1e-9
+    values = {"crossport_relief__relief_pressure": [setting, np.inf], "crossport_relief__conductance": slope}
+    for sign in (1.0, -1.0):
+        plant = hold(rigs(**values, J=1e6, Km=1e-11), column(*[sign * 30.0] * 2), seconds=3.0)
+        pressure, flow = sign * plant.pressure[:2, 0], sign * plant.flow[:2, 0]
+        assert flow[0] == pytest.approx(1e-11 * pressure[0] + slope * (pressure[0] - setting), rel=1e-6)
+        assert setting < pressure[0] < 12e5 < 100e5 < pressure[1]
+    below = hold(rigs(**values), column(10.0), seconds=1.0)
+    assert (
+        below.pressure[0, 0] == pytest.approx(below.pressure[1, 0], rel=1e-4)
+        and 0.0 < below.pressure[0, 0] < setting
+    )
+
+
+# --- motor ------------------------------------------------------------------------------------------------------------
+def friction(plant: Plant) -> Array:
+    """Torque that the oil gives and neither the bearing's drag nor inertia takes, at steady speed."""
+    return (plant.get("D") * plant.pressure - plant.get("B") * plant.speed)[:, 0]
+
+
+@defines("speed_dependent_leakage")
+def test_leakage_by_speed_shows_in_the_flow_balance_without_load(rigs: Callable[..., Plant]) -> None:
+    plant = hold(
+        rigs(speed_dependent_leakage__coefficient=2e-7),
+        column(30.0, 60.0, -60.0, 60.0),
+        column(0, 0, 0, 0.5),
+        4.0,
+    )
+    missing = (plant.flow - plant.get("D") * plant.speed - plant.get("Km") * plant.pressure)[:4, 0]
+    assert missing == pytest.approx(2e-7 * plant.speed[:4, 0], rel=1e-6)
+
+
+@defines("motor_coulomb_friction")
+def test_dry_friction_opposes_motion_and_holds_the_shaft(rigs: Callable[..., Plant]) -> None:
+    values = {"motor_coulomb_friction__coulomb": 0.2, "motor_coulomb_friction__static": 0.4}
+    plant = hold(rigs(**values), column(60.0, 30.0, -60.0), seconds=5.0)
+    assert friction(plant)[:3] == pytest.approx([0.2, 0.2, -0.2], rel=1e-6)
+    # Closed valves leak (Km), so a load turns the shaft slowly, unless friction holds it.
+    plant = hold(rigs(**values), 0.0, column(0.3, 0.6, -0.3), 2.0)
+    assert np.all(np.abs(plant.speed[[0, 2], 0]) < 0.15) and plant.speed[1, 0] < -1.0
+    free = hold(rigs(), 0.0, column(0.3), 2.0)
+    assert free.speed[0, 0] < -1.0
+
+
+@defines("quadratic_drag")
+def test_drag_grows_with_the_square_of_speed(rigs: Callable[..., Plant]) -> None:
+    plant = hold(rigs(quadratic_drag__coefficient=2e-4), column(25.0, 50.0, -50.0), seconds=4.0)
+    speed = plant.speed[:3, 0]
+    assert friction(plant)[:3] == pytest.approx(2e-4 * speed * np.abs(speed), rel=1e-6)
+
+
+@defines("displacement_ripple")
+def test_ripple_is_a_line_at_the_order_of_the_shafts_speed(rigs: Callable[..., Plant]) -> None:
+    plant = rigs(displacement_ripple__amplitude=[0.04, 0.0], displacement_ripple__order=7.0)
+    out = plant.run(np.full((3000, 2), 25.0), None, 1e-3, ("speed", "angle"))
+    for rig, there in ((0, True), (1, False)):
+        angle, speed = out["angle"][1500:, rig, 0], out["speed"][1500:, rig, 0]
+        turns = np.arange(angle[0], angle[-1], 2 * np.pi / 128)
+        turns = turns[: 128 * (len(turns) // 128)]
+        lines = 2 * np.abs(np.fft.rfft(np.interp(turns, angle, speed))) / len(turns)
+        per_turn = lines[:: len(turns) // 128][1:30]  # lines at 1, 2, ... times the shaft's speed
+        if there:
+            assert np.argmax(per_turn) + 1 == 7 and per_turn[6] > 5e-3
+            assert per_turn[6] > 10.0 * np.delete(per_turn, [6, 13]).max()
+        else:
+            assert per_turn.max() < 1e-3
+
+
+# --- load -------------------------------------------------------------------------------------------------------------
+@defines("load_bias")
+def test_a_bias_has_one_sign_in_both_directions(rigs: Callable[..., Plant]) -> None:
+    plant = hold(rigs(load_bias__bias=0.4), column(60.0, -60.0, 30.0), seconds=5.0)
+    assert friction(plant)[:3] == pytest.approx([0.4] * 3, rel=1e-6)
+
+
+@defines("eccentric_load")
+def test_an_unbalanced_weight_turns_with_the_shaft(rigs: Callable[..., Plant]) -> None:
+    plant = rigs(eccentric_load__amplitude=0.3, eccentric_load__phase=0.7)
+    out = plant.run(np.full((2000, 2), 40.0), None, 1e-3, ("speed", "angle", "pressure"))
+    angle, speed, pressure = (out[name][:, 0, 0] for name in ("angle", "speed", "pressure"))
+    inertia = plant.get("J")[0, 0] * np.gradient(speed, 1e-3)
+    torque = (plant.get("D")[0, 0] * pressure - plant.get("B")[0, 0] * speed - inertia)[200:-2]
+    parts = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=1)[200:-2]
+    found = np.linalg.lstsq(parts, torque, rcond=None)[0]
+    assert found == pytest.approx([0.3 * np.cos(0.7), 0.3 * np.sin(0.7), 0.0], abs=3e-3)
+
+
+@defines("shaft_backlash")
+def test_behind_a_gap_the_load_waits_until_the_gap_is_closed(rigs: Callable[..., Plant]) -> None:
+    gap, stiffness, inertia = 0.08, 300.0, 0.004
+    values = {
+        "shaft_backlash__gap": gap,
+        "shaft_backlash__stiffness": stiffness,
+        "shaft_backlash__inertia": inertia,
+    }
+    plant = rigs(**values)
+    names = ("speed", "pressure", "angle", "shaft_backlash__load_speed")
+    out = plant.run(np.full((600, 2), 30.0), None, 2e-4, names)
+    speed, pressure, angle, load_speed = (out[name][:, 0, 0] for name in names)
+    free = np.argmax(angle > 0.5 * gap)  # from the middle of the gap
+    assert 20 < free < 300
+    assert np.all(load_speed[:free] == 0.0) and load_speed[free + 20] > 0.0
+    # Until then the motor drives its own inertia alone, and afterwards both gain what the oil and the bearing give.
+    D, B, J = (plant.get(name)[0, 0] for name in ("D", "B", "J"))
+    torque = D * pressure - B * speed
+    impulse = np.concatenate([[0.0], np.cumsum(1e-4 * (torque[1:] + torque[:-1]))])
+    assert J * speed[10:free] == pytest.approx(impulse[10:free], rel=1e-3, abs=2e-6)
+    assert (J * speed + inertia * load_speed)[free:] == pytest.approx(impulse[free:], rel=2e-3, abs=5e-6)
+    # A standing load winds the coupling beyond the gap.
+    wound = hold(rigs(**values), 40.0, 0.5, 6.0).get("shaft_backlash__twist")[0, 0]
+    assert wound == pytest.approx(0.5 * gap + 0.5 / stiffness, rel=1e-3)
+
+
+# --- fluid ------------------------------------------------------------------------------------------------------------
+@defines("viscosity_drift")
+def test_a_warmer_fluid_leaks_more_and_drags_less(rigs: Callable[..., Plant]) -> None:
+    change, tau = -0.6, 0.5  # log of the viscosity's ratio
+    plant = rigs(viscosity_drift__change=change, viscosity_drift__time_constant=tau)
+
+    def ratios() -> tuple[float, float]:
+        D, leak = plant.get("D")[0, 0], (plant.flow - plant.get("D") * plant.speed)[0, 0]
+        return leak / plant.pressure[0, 0] / 1.592e-10, D * plant.pressure[0, 0] / plant.speed[
+            0, 0
+        ] / 0.0042972
+
+    leakage, drag = hold_ratio = (hold(plant, 50.0, 0.0, 6.0), ratios())[1]
+    assert hold_ratio == pytest.approx((np.exp(-change), np.exp(change)), rel=1e-3)
+    assert leakage > 1.7 > 0.6 > drag
+
+
+# --- sensor -----------------------------------------------------------------------------------------------------------
+@defines("sensor_lag", "sensor_gain", "sensor_offset")
+def test_sensors_change_what_is_measured_and_nothing_else(rigs: Callable[..., Plant]) -> None:
+    time = np.arange(300) * 2e-3
+    commands = (40.0 + 20.0 * np.sin(6.0 * time))[:, None] * np.ones(2)
+    values = {
+        "sensor_lag__time_constant": [0.0, 0.02, 0.0, 0.0],
+        "sensor_gain__gain": [1.0, 1.0, 1.1, 1.0],
+        "sensor_offset__offset": [0.0, 0.0, 0.0, 1.5],
+    }
+    plant = rigs(**{name: each + [each[0]] * 5 for name, each in values.items()})
+    out = plant.run(commands, None, 2e-3, ("speed", "measured_speed"))
+    true, shown = out["speed"][:, :4, 0], out["measured_speed"][:, :4, 0]
+    assert np.all(true == true[:, :1]) and np.all(shown[:, 0] == true[:, 0])
+    lag = shown[:, 1] + 0.02 * np.gradient(shown[:, 1], 2e-3)  # a filter of first order, undone
+    assert lag[2:-2] == pytest.approx(true[2:-2, 1], abs=5e-3 * true.max())
+    assert shown[:, 2] == pytest.approx(1.1 * true[:, 2], rel=1e-12)
+    assert shown[:, 3] == pytest.approx(true[:, 3] + 1.5, rel=1e-12)
