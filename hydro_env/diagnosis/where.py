@@ -30,7 +30,7 @@ _FLOW = ("command, V", "flow over displacement, rpm", RPM)
 @dataclass(frozen=True)
 class Place:
     """An equation that errs on a channel: its share of the gap, in which regime, with what shape, and the windows that hold
-    most of it."""
+    most of it, `logs` the number of the fit log that each window is in."""
 
     equation: str
     channel: int
@@ -39,12 +39,13 @@ class Place:
     windows: list[tuple[float, float]]
     ratio: float
     shape: dict[str, Any]
+    logs: list[int]
 
     def as_dict(self) -> dict[str, object]:
         return {
             "equation": self.equation, "channel": str(self.channel + 1), "share_of_gap": round(self.share, 3),
             "regime": self.regime,
-            "windows_s": [[round(a, 3), round(b, 3)] for a, b in self.windows],
+            "windows_s": [[round(a, 3), round(b, 3)] for a, b in self.windows], "windows_log": self.logs,
             "shape": self.shape,
         }  # fmt: skip
 
@@ -55,6 +56,7 @@ class _Replay:
     error: np.ndarray
     noise: float
     time: np.ndarray
+    log: np.ndarray
     regimes: dict[str, np.ndarray]
     over: np.ndarray
     units: tuple[str, str, float]  # of `over`, of `error`, size of the latter in SI
@@ -73,15 +75,17 @@ def locate(machine: Machine, problems: dict[int, Problem]) -> list[Place]:
         whole = sum(excess.values())
         for r in replays:
             if whole > 0.0 and excess[r.equation] > 0.02 * whole and r.ratio > 1.1:
+                windows, logs = _windows(r)
                 places.append(
                     Place(
                         r.equation,
                         channel,
                         excess[r.equation] / whole,
                         _regime(r),
-                        _windows(r),
+                        windows,
                         r.ratio,
                         shape(r.over, r.error, *r.units),
+                        logs,
                     )
                 )
     return sorted(places, key=lambda p: (p.channel, -p.share))
@@ -150,6 +154,7 @@ def _replays(machine: Machine, problem: Problem, channel: int) -> list[_Replay]:
                 )
             )
         for replay in found:
+            replay.log[:] = number
             parts.setdefault(replay.equation, []).append(replay)
     return [_joined(list_) for list_ in parts.values()]
 
@@ -198,17 +203,25 @@ def _replay(
 ) -> _Replay:
     noise = noise_floor(error, used, period)
     return _Replay(
-        equation, error[used], noise, time[used], {n: m[used] for n, m in regimes.items()}, over[used], units
+        equation,
+        error[used],
+        noise,
+        time[used],
+        np.zeros(int(used.sum()), int),
+        {n: m[used] for n, m in regimes.items()},
+        over[used],
+        units,
     )
 
 
 def _joined(replays: list[_Replay]) -> _Replay:
     first = replays[0]
-    return _Replay(
-        first.equation, np.concatenate([r.error for r in replays]), float(np.nanmin([r.noise for r in replays])),
-        np.concatenate([r.time for r in replays]), {n: np.concatenate([r.regimes[n] for r in replays]) for n in first.regimes},
-        np.concatenate([r.over for r in replays]), first.units,
-    )  # fmt: skip
+    error, time, log, over = (
+        np.concatenate([getattr(r, name) for r in replays]) for name in ("error", "time", "log", "over")
+    )
+    regimes = {n: np.concatenate([r.regimes[n] for r in replays]) for n in first.regimes}
+    noise = float(np.nanmin([r.noise for r in replays]))
+    return _Replay(first.equation, error, noise, time, log, regimes, over, first.units)
 
 
 def shape(
@@ -259,12 +272,29 @@ def _regime(replay: _Replay) -> str:
     return best
 
 
-def _windows(replay: _Replay, most: int = 3) -> list[tuple[float, float]]:
-    """Up to `most` windows of a fortieth of the logs with the largest error."""
+def _windows(replay: _Replay, most: int = 3) -> tuple[list[tuple[float, float]], list[int]]:
+    """Up to `most` windows of a fortieth of the logs with the largest error, and the log that each is in; neighbours are
+    joined."""
     width = max(10, replay.error.size // 40)
     count = replay.error.size // width
-    if count == 0:
-        return []
     power = (replay.error[: count * width] ** 2).reshape(count, width).mean(axis=1)
-    worst = sorted(np.argsort(power)[::-1][:most])
-    return [(float(replay.time[i * width]), float(replay.time[(i + 1) * width - 1])) for i in worst]
+    found: list[tuple[float, float]] = []
+    logs: list[int] = []
+    last = -2
+    for i in sorted(np.argsort(power)[::-1][:most]):
+        rows = slice(i * width, (i + 1) * width)
+        number = int(replay.log[rows.start])
+        rows = slice(rows.start, rows.start + int((replay.log[rows] == number).sum()))
+        start, end = float(replay.time[rows.start]), float(replay.time[rows.stop - 1])
+        if (
+            i == last + 1
+            and logs
+            and logs[-1] == number
+            and start - found[-1][1] < 0.5 * (end - start) + 1e-9
+        ):
+            found[-1] = (found[-1][0], end)
+        else:
+            found.append((start, end))
+            logs.append(number)
+        last = i
+    return found, logs

@@ -1,0 +1,125 @@
+"""The report's words: units of the bench, shares of the command, what is left, and about twenty lines for a terminal."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env.diagnosis import words
+from hydro_env.diagnosis.command import Diagnosis, diagnose
+from hydro_env.diagnosis.report import left_over, report_page, sentence, terminal_text
+from hydro_env.plant import CATALOGUE, load_model
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "unit", "text"),
+    [
+        (4.7e-5, 4.02e-5, 5.37e-5, "m", "47.0 um (40.2 to 53.7)"),
+        (1.14e-4, 1.1391e-4, 1.1409e-4, "m", "114.0 um (113.9 to 114.1)"),
+        (0.0, -2e-3, 2e-3, "m", "0 mm (-2.00 to 2.00)"),
+        (0.0125, 0.012, 0.013, "s", "12.5 ms (12.0 to 13.0)"),
+        (1.5e7, 1.4e7, float("inf"), "Pa", "150 bar (140 to none)"),
+        (0.85, 0.8, 0.9, "1", "0.850 (0.800 to 0.900)"),
+        (3.2e-11, 3e-11, 3.4e-11, "m3/(s Pa)", "3.2e-11 m3/(s Pa) (3e-11 to 3.4e-11)"),
+    ],
+)
+def test_values_are_told_in_units_of_the_bench(
+    value: float, low: float, high: float, unit: str, text: str
+) -> None:
+    assert words.interval({"value": value, "low": low, "high": high, "unit": unit}) == text
+
+
+def test_spool_positions_and_forces_are_shares_of_the_command() -> None:
+    model = load_model("paper")
+    full = model.value("alpha", 0) * model.value("u_rated", 0) / model.value("R", 0)
+    overlap = 0.1 * full / model.value("k", 0)
+    assert words.of_command("dead_zone.overlap_positive", overlap, model, 0) == "10 % of full command"
+    assert words.of_command("magnetic_hysteresis.amplitude", 0.05 * full, model, 0) == "5 % of full command"
+    assert words.of_command("sensor_gain.gain", 1.1, model, 0) == ""
+
+
+def test_every_effect_has_a_name_in_words() -> None:
+    for name, effect in CATALOGUE.items():
+        if not getattr(effect, "family", ""):
+            assert name in words._TITLES, name
+
+
+def _log(path: Path, overlap: float, seed: int) -> Path:
+    """20 s of one motor at 100 Hz behind a valve with a dead zone of `overlap` V."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(2000) * 0.01
+    command = (
+        25 * np.sin(0.7 * time) + 18 * np.sin(1.7 * time + seed) + 6 * np.repeat(rng.uniform(-1, 1, 20), 100)
+    )
+    command[:100] = 0.0
+    speed, state = np.empty(2000), 0.0
+    for n, target in enumerate(12.0 * (command - np.clip(command, -overlap, overlap))):
+        speed[n] = state
+        state += (target - state) * (1.0 - np.exp(-0.01 / 0.1))
+    rows = np.column_stack([time, command, speed + rng.normal(size=2000)])
+    np.savetxt(path, rows, delimiter=",", header="time_s,command_1_V,speed_1_rpm", comments="", fmt="%.5f")
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    folder = tmp_path_factory.mktemp("report")
+    return diagnose([_log(folder / "fit.csv", 6.0, 1)], [_log(folder / "sealed.csv", 6.0, 2)], steady=True)
+
+
+def test_the_terminal_says_it_all_in_about_twenty_lines(found: Diagnosis) -> None:
+    text = terminal_text(found)
+    lines = text.splitlines()
+    assert len(lines) <= 22
+    assert lines[0] == "verdict: effects"
+    assert "spool overlap (dead zone) on channel 1" in lines[1] and "the noise is" in lines[1]
+    for word in (
+        "% of full command",
+        "where:",
+        "placebo",
+        "rejected",
+        "known parameters",
+        "medium size",
+        "warning:",
+    ):
+        assert word in text, word
+
+
+def test_the_page_has_every_part_and_needs_no_network(found: Diagnosis) -> None:
+    page = report_page(found)
+    for heading in (
+        "What the model lacks", "Where the calibrated model errs", "Proof on logs", "Next experiment", "Warnings",
+        "why it was rejected", "Known parameters", "What could be seen",
+    ):  # fmt: skip
+        assert heading in page, heading
+    assert page.count("<svg") >= 3
+    assert not re.search(r"(src|href)=[\"']?(https?:)?//", page)
+    assert "noise, 2 standard deviations" in page and "largest gap" in page
+
+
+def test_what_is_left_is_told_slow_from_fast(found: Diagnosis) -> None:
+    assert left_over(found) == "" or "slower than 4 Hz" in left_over(found)
+    data = {
+        **found.data,
+        "gap": {"sealed": {"speed_1_rpm": dict(found.data["gap"]["sealed"]["speed_1_rpm"], noise=0.1)}},
+    }
+    noisy = dataclasses.replace(found, data=data)
+    assert "as fast as noise" in left_over(noisy)
+    traces = {**found.sealed.traces, "after": {0: found.sealed.traces["after"][0] + 3.0}}
+    shifted = dataclasses.replace(noisy, sealed=dataclasses.replace(found.sealed, traces=traces))
+    assert "something is still missing" in left_over(shifted)
+
+
+def test_an_unlikely_name_is_put_as_a_perhaps(found: Diagnosis) -> None:
+    extra = dataclasses.replace(
+        found.named[0], name="directional_gain", probability=0.3, indistinguishable_from=["flow_saturation"]
+    )
+    text = sentence(dataclasses.replace(found, named=[*found.named, extra]))
+    assert (
+        "Perhaps also different flow gains" in text
+        and "(or saturation of the flow: these logs cannot tell)" in text
+    )
