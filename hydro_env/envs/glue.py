@@ -10,7 +10,6 @@ from collections.abc import Callable
 from math import isfinite, pi
 from typing import Any
 
-import numpy as np
 from numba import njit
 
 __all__ = ["COLUMNS", "SIGNALS", "apply", "look"]
@@ -78,40 +77,39 @@ def look(
     terminated, truncated (N,).
     """
     frame = scales.shape[0]
-    width = frames.shape[1]
-    now = np.empty(frame)
+    new = frames.shape[1] - frame  # where the newest frame begins
     for i in rows:
         block = i // half
         lane = i - block * half
         cells = memory[block]
-        t = min(step[i], last[i])
+        t = step[i] if step[i] < last[i] else last[i]
         target = setpoint[i, t]
-        now[0] = target / scales[0]
+        for j in range(new):
+            frames[i, j] = frames[i, j + frame]
+        frames[i, new] = target / scales[0]
         for c in range(2):
             at = lane + c * half
             speed = cells[where[2], at] / scales[1 + c] + noise[i, t, c] * levels[c] * factor[i, c]
             if step[i] >= stuck[i, c]:
                 speed = held[i, c]
             held[i, c] = speed
-            now[1 + c] = speed
-            now[3 + c] = cells[where[3], at] / scales[3 + c] + noise[i, t, 2 + c] * levels[2 + c]
-            now[5 + c] = cells[where[4], at] / scales[5 + c] + noise[i, t, 4 + c] * levels[4 + c]
-            now[7 + c] = fraction[i, c]
-        first = step[i] == 0
-        for j in range(width - frame):
-            frames[i, j] = frames[i, j + frame]
+            frames[i, new + 1 + c] = speed
+            frames[i, new + 3 + c] = cells[where[3], at] / scales[3 + c] + noise[i, t, 2 + c] * levels[2 + c]
+            frames[i, new + 5 + c] = cells[where[4], at] / scales[5 + c] + noise[i, t, 4 + c] * levels[4 + c]
+            frames[i, new + 7 + c] = fraction[i, c]
         for j in range(frame):
-            now[j] = min(max(now[j], -limit), limit)
-            frames[i, width - frame + j] = now[j]
-        if first:
-            for j in range(width):
-                frames[i, j] = now[j % frame]
-        for j in range(width):
+            value = frames[i, new + j]
+            value = value if value < limit else limit
+            frames[i, new + j] = value if value > -limit else -limit
+        if step[i] == 0:
+            for j in range(new):
+                frames[i, j] = frames[i, new + j % frame]
+        for j in range(new + frame):
             observation[i, j] = frames[i, j]
 
         one = cells[where[0], lane] * _TO_RPM
         two = cells[where[0], lane + half] * _TO_RPM
-        aim = setpoint[i, max(t - 1, 0)] * _TO_RPM  # the set-point that was in force
+        aim = setpoint[i, t - 1 if t > 0 else 0] * _TO_RPM  # the set-point that was in force
         true[i, 0] = one
         true[i, 1] = two
         true[i, 2] = target * _TO_RPM

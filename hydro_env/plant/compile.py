@@ -706,17 +706,17 @@ def finish(cells, h):
 def advance(memory, cells, ring, head, commands, loads, substeps, h, record, every, out):
     """Runs every block through all rows of `commands`, `substeps` steps of `h` seconds to a row.
 
-    memory (blocks, KEPT, LANES); cells (TOTAL * LANES,), aligned: room to work in; ring (blocks, slots, LANES) and head:
+    memory (blocks * KEPT * LANES,); cells (TOTAL * LANES,), aligned: room to work in; ring (blocks, slots, LANES) and head:
     the delay line; commands, loads (T, rigs or 1, 2): one row for all rigs where the middle is 1; record: rows of the
     memory that go to out (len(record), T // every, rigs, 2) at the instant of each row, before its command acts.
     """
     whole_step = real(h)
     rigs = out.shape[2]
     slots = ring.shape[1]
-    for b in range(memory.shape[0]):
-        for r in range(KEPT):
-            for l in range(LANES):
-                cells[r * LANES + l] = memory[b, r, l]
+    for b in range(memory.size // (KEPT * LANES)):
+        start = b * KEPT * LANES
+        for i in range(KEPT * LANES):
+            cells[i] = memory[start + i]
 {additions}
         settled = whole_step
         settle(cells, settled)
@@ -784,9 +784,8 @@ def advance(memory, cells, ring, head, commands, loads, substeps, h, record, eve
                         cells[i] = cells[AFTER * LANES + i]
             guard(cells)
         look(cells)
-        for r in range(MOVING):
-            for l in range(LANES):
-                memory[b, r, l] = cells[r * LANES + l]
+        for i in range(MOVING * LANES):
+            memory[start + i] = cells[i]
 '''
 
 

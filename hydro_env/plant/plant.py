@@ -81,7 +81,7 @@ class Plant:
         for effect in kernel.effects:
             for parameter in CATALOGUE[effect].parameters:
                 self._fill(f"{effect}.{parameter.name}", self.model.pair(f"{effect}.{parameter.name}"))
-        self._cells = _room(kernel)
+        self._flat, self._cells = self._memory.reshape(-1), _room(kernel)
         self._observe()
 
     @property
@@ -172,7 +172,7 @@ class Plant:
         """Flow and measured speed from the states as they are: a run through no rows."""
         nothing = self._empty[:, 0]
         self._kernel.advance(
-            self._memory, self._cells, self._ring, self._head, nothing, nothing, 1, self.substep, _NO_RECORD, 1,
+            self._flat, self._cells, self._ring, self._head, nothing, nothing, 1, self.substep, _NO_RECORD, 1,
             self._empty,
         )  # fmt: skip
 
@@ -200,7 +200,7 @@ class Plant:
     def hold(self, command_V: Array, load_Nm: Array, substeps: int, period: float) -> None:
         """`step` for callers in a hurry: finite float64 arrays (num_rigs, 2), and `substeps(period)` counted before."""
         self._kernel.advance(
-            self._memory, self._cells, self._ring, self._head, command_V[None], load_Nm[None], substeps, period / substeps,
+            self._flat, self._cells, self._ring, self._head, command_V[None], load_Nm[None], substeps, period / substeps,
             _NO_RECORD, 1, self._empty,
         )  # fmt: skip
         self._head = (self._head + substeps) % self._slots
@@ -227,7 +227,7 @@ class Plant:
         out = np.empty((len(record), -(-command.shape[0] // every), self.num_rigs, 2))
         n = self.substeps(period)
         self._kernel.advance(
-            self._memory, self._cells, self._ring, self._head, command, load, n, period / n, rows, every, out
+            self._flat, self._cells, self._ring, self._head, command, load, n, period / n, rows, every, out
         )
         self._head = (self._head + n * command.shape[0]) % self._slots
         return dict(zip(record, out, strict=True))
@@ -287,7 +287,7 @@ class Plant:
     # --- copies ---------------------------------------------------------------------------------------------------
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
-        del state["_kernel"], state["_cells"]
+        del state["_kernel"], state["_flat"], state["_cells"]
         state["_effects"] = self.effects
         return state
 
@@ -295,7 +295,7 @@ class Plant:
         effects = state.pop("_effects")
         self.__dict__.update(state)
         self._kernel = compile_kernel(effects, _half(self.num_rigs), self._memory.dtype)
-        self._cells = _room(self._kernel)
+        self._flat, self._cells = self._memory.reshape(-1), _room(self._kernel)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Plant:
         twin = object.__new__(type(self))
