@@ -9,6 +9,7 @@ import io
 import json
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -202,6 +203,11 @@ def speed_never_recorded(columns: Columns) -> None:
     columns["speed_1_rpm"][:] = np.nan
 
 
+@mistake("'speed_2_rpm' is constant", "look at the sensor")
+def speed_frozen(columns: Columns) -> None:
+    columns["speed_2_rpm"][:] = 120.0
+
+
 @mistake("the command of channel 1 is zero throughout", "record the signal that drives the valve")
 def command_never_recorded(columns: Columns) -> None:
     columns["command_1_V"][:] = 0.0
@@ -249,6 +255,18 @@ def test_a_part_on_one_side_of_a_clock_jump_can_be_used(
         "diagnose", f"{path}@0:2", "--sealed", f"{path}@602.5:604.5", "--steady", "--out", tmp_path / "out"
     )
     assert status == 0, text
+
+
+def test_a_channel_that_rests_is_left_out(tmp_path: Path, recorded: tuple[Columns, Columns]) -> None:
+    """Many test one axis at a time, with the other one's columns in the log."""
+    logs = [_coarse(log) for log in recorded]
+    for log in logs:
+        log["command_2_V"][:] = 0.0
+        log["speed_2_rpm"] = np.random.default_rng(0).normal(size=len(log["time_s"]))
+    path, sealed = (_save(tmp_path / f"{n}.csv", log) for n, log in enumerate(logs))
+    status, text = _hydro_env("diagnose", path, "--sealed", sealed, "--steady", "--out", tmp_path / "out")
+    assert status == 0 and "channel 2 was neither driven nor did it move" in text, text
+    assert list(_diagnosis(tmp_path / "out")["gap"]["sealed"]) == ["speed_1_rpm"]
 
 
 # --- what is handled, and said
@@ -320,6 +338,10 @@ def disturbed_speed(columns: Columns) -> Columns:
     return columns | {"time_s": 2.0 * time}
 
 
+def clock_of_dates(columns: Columns) -> Columns:
+    return columns  # written by the test
+
+
 def coarse_speed(columns: Columns) -> Columns:
     return columns | {"speed_1_rpm": 25.0 * np.round(columns["speed_1_rpm"] / 25.0)}
 
@@ -340,7 +362,8 @@ def percent_commands(columns: Columns) -> Columns:
         (stuck_speed, ["'speed_1_rpm' repeats the value", "for 0.8 s from 2.1 s", "row 2102", "left out"]),
         (dead_speed, ["'speed_1_rpm' repeats the value 0 rpm for 0.8 s", "left out of every comparison"]),
         (saturated_pressure, ["'pressure_2_bar' stays at its largest value", "left out of every comparison"]),
-        (constant_current, ["'current_2_A' is constant"]),
+        (constant_current, ["'current_2_A' is constant (0.25 A)", "taken as absent"]),
+        (clock_of_dates, ["read as seconds", "counted from the first row", "at 1000 Hz"]),
         (blank_cells, ["556 of 5000 cells of 'speed_2_rpm' hold no value", "row 2", "left out"]),
         (blank_commands, ["4500 of 5000 cells of 'command_1_V' hold no value", "the value before is held"]),
         (disturbed_speed, ["'speed_1_rpm' shakes at about 12 Hz", "the sensor is disturbed", "left out"]),
@@ -352,7 +375,16 @@ def percent_commands(columns: Columns) -> Columns:
 def test_what_is_handled_is_said(
     tmp_path: Path, recorded: tuple[Columns, Columns], spoil: Callable[[Columns], Columns], words: list[str]
 ) -> None:
-    text = _inspected(_save(tmp_path / "log.csv", spoil(_copy(recorded[0]))))
+    path = _save(tmp_path / "log.csv", spoil(_copy(recorded[0])))
+    if spoil is clock_of_dates:
+        start = datetime(2024, 2, 29, 23, 59, 58)
+        head, *lines = path.read_text().splitlines()
+        rows = [
+            (start + timedelta(milliseconds=n)).isoformat(" ", "milliseconds") + line[line.index(",") :]
+            for n, line in enumerate(lines)
+        ]
+        path.write_text("\n".join([head, *rows]) + "\n")
+    text = _inspected(path)
     for word in words:
         assert word in text, text
     assert "wrong:" not in text

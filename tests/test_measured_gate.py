@@ -198,7 +198,7 @@ def test_rows_are_named_as_in_the_file(tmp_path: Path) -> None:
         ("time_s,command_1_V,speed_1_rpm\n0,0,0\n0,01,1,1\n", "decimal commas need another delimiter"),
         ("time_s;command_1_V;speed_1_rpm\n0;0;0\n0,01;1;1.234,5\n", "thousands separators"),
         ("time_s;command_1_V;speed_1_rpm\n0;0;0\n0,01;1;1.234\n", "write all numbers alike"),
-        ("time_s,command_1_V,speed_1_rpm\n12:00:01,0,0\n12:00:02,1,1\n", "seconds as a plain number"),
+        ("time_s,command_1_V,speed_1_rpm\n12h,0,0\n12:61:02,1,1\n", "'12h' is not a number"),
         ("time_s,command_1_V,speed_1_rpm,speed_1_rpm\n0,0,0,0\n1,1,1,1\n", "appears 2 times (columns 3, 4)"),
         ("time_s,command_1_V,speed_1_rpm\n0,0,\n0.01,1,\n", "column 'speed_1_rpm' is empty"),
         ("time_s,command_1_V,speed_1_rpm\n0,0,inf\n0.01,1,1\n", "row 2, column 'speed_1_rpm'"),

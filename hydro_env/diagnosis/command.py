@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +81,7 @@ def diagnose(
     say("reading logs")
     parts, proofs = read_parts(fit_logs, mapping, accept), read_parts(sealed, mapping, accept)
     overlap(parts, proofs)
+    parts, proofs = _without_idle(parts, proofs)
     _check_channels(parts, proofs)
     machine = _machine(given_model, parts, steady, jobs, count, frozenset(without))
     seconds = max(len(p.log) * p.log.period for p in parts)
@@ -159,6 +160,36 @@ def _machine(
     if steady or kinds == {"cylinder"}:
         return SteadyValve(model, parts, progress=count, without=without)
     return MotorRig(model, parts, jobs=jobs, progress=count, without=without)
+
+
+def _without_idle(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], list[Part]]:
+    """The logs without a channel that was never driven and never moved, while the other one was."""
+    idle = []
+    for c in parts[0].log.channels:
+        others = [o for o in parts[0].log.channels if o != c]
+        peak = max(
+            (float(np.nanmax(np.abs(p.log.speed[:, others]), initial=0.0)) for p in parts), default=0.0
+        )
+        still = all(
+            c in p.log.channels
+            and not p.log.command_V[:, c].any()
+            and np.sqrt(np.nanmean(p.log.speed[:, c] ** 2)) < 0.02 * peak
+            for p in parts
+        )
+        if still and others:
+            idle.append(c)
+    if len(idle) != 1:
+        return parts, proofs
+    text = f"channel {idle[0] + 1} was neither driven nor did it move: only the other one is diagnosed"
+    found = [[_without_channel(p, idle[0]) for p in each] for each in (parts, proofs)]
+    found[0][0] = replace(found[0][0], note="; ".join(t for t in (found[0][0].note, text) if t))
+    return found[0], found[1]
+
+
+def _without_channel(part: Part, channel: int) -> Part:
+    command, speed = part.log.command_V.copy(), part.log.speed.copy()
+    command[:, channel] = speed[:, channel] = np.nan
+    return replace(part, log=replace(part.log, command_V=command, speed=speed))
 
 
 def _check_channels(parts: list[Part], proofs: list[Part]) -> None:

@@ -43,13 +43,11 @@ def check_clock(
         raise InputError(
             f"{table.path}: row {table.row(bad[0])}, column {column!r}: no time; every row needs one, so delete the row"
         )
-    if abs(time[0]) > 1e6:
-        findings.append(
-            Finding(
-                "epoch_time", f"time starts at {time[0]:.0f} s; counted from the first row", column=column
-            )
-        )
-        time = time - time[0]
+    if abs(time[0]) > 1e6 or any(f.code == "time_stamps" for f in table.findings):
+        message = f"time starts at {time[0]:.0f} s; counted from the first row"
+        findings.append(Finding("epoch_time", message, column=column))
+        # Seconds since 1970 have about seven digits after the point: enough for a clock in microseconds.
+        time = np.round(time - time[0], 6)
     steps = np.diff(time)
     back = np.flatnonzero(steps < 0)
     if len(back):

@@ -300,7 +300,7 @@ def _without(log: RigLog, spoilt: Spoilt) -> RigLog:
     """The log with NaN in place of spoilt samples, and of what follows a long gap unless that were most of the log."""
     late = after_gaps(log.time_s)
     late &= late.mean() < 0.5
-    changed: dict[str, np.ndarray] = {}
+    changed: dict[str, np.ndarray | None] = {}
     for signal in MEASURED:
         values = log.get(signal)
         if values is None or not (late.any() or any(name == signal for name, _ in spoilt)):
@@ -310,7 +310,7 @@ def _without(log: RigLog, spoilt: Spoilt) -> RigLog:
         for channel in (0, 1):
             if (signal, channel) in spoilt:
                 values[spoilt[signal, channel], channel] = np.nan
-        changed[_FIELD.get(signal, signal)] = values
+        changed[_FIELD.get(signal, signal)] = None if signal != "speed" and np.isnan(values).all() else values
     return replace(log, **changed) if changed else log  # type: ignore[arg-type]
 
 

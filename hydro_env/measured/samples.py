@@ -46,9 +46,16 @@ def check_samples(
     low, high = float(finite.min()), float(finite.max())
     if high == low:
         if len(finite) > 10:
-            message = f"{column!r} is constant"
+            message = f"{column!r} is constant ({_cell(high, place)})"
             hint = "a log says nothing about what does not move: excite the rig, or look at the sensor"
-            findings.append(Finding("constant", message, hint, **place))
+            command = log.command_V[:, channel]
+            driven = log.has("command", channel) and np.nanmax(command) > np.nanmin(command)
+            if signal in MEASURED and signal != "speed" and driven:
+                hint = "no sensor is so quiet while the command moves: taken as absent"
+                spoilt[:] = True
+            findings.append(
+                Finding("constant", message, hint, sure=signal == "speed" and bool(driven), **place)
+            )
         return findings, spoilt
     if signal not in MEASURED:
         return findings, spoilt
@@ -143,7 +150,10 @@ def _is_noisy(values: np.ndarray) -> bool:
 
 
 def _cell(value: float, place: dict[str, Any]) -> str:
-    sizes = {"speed": (np.pi / 30.0, "rpm"), "pressure": (1e5, "bar"), "current": (1.0, "A")}
+    sizes = {
+        "speed": (np.pi / 30.0, "rpm"), "pressure": (1e5, "bar"), "current": (1.0, "A"), "command": (1.0, "V"),
+        "spool": (1e-3, "mm"), "flow": (1e-3 / 60.0, "l/min"),
+    }  # fmt: skip
     size, unit = sizes.get(place["signal"], (1.0, "in SI"))
     return f"{value / size:.4g} {unit}"
 
@@ -217,7 +227,9 @@ def _disturbed(
     if width < 20 or len(values) < 12 * width or not log.has("command", channel):
         return
     fast = _fast(values, width)
-    size = np.sqrt(np.nanmean(fast**2, axis=1))
+    size = np.sqrt(np.mean(fast**2, axis=1))
+    if not np.isfinite(size).any():
+        return
     usual = float(np.nanmedian(size))
     command = log.command_V[: len(fast) * width, channel]
     swing = float(np.nanmax(command) - np.nanmin(command))
@@ -228,10 +240,10 @@ def _disturbed(
     much = (size > _BURST_RATIO * usual) & quiet_command & (turns >= 8)
     pressure = log.pressure[:, channel] if log.pressure is not None and log.has("pressure", channel) else None
     if pressure is not None:
-        shakes = np.sqrt(np.nanmean(_fast(pressure, width) ** 2, axis=1))
+        shakes = np.sqrt(np.mean(_fast(pressure, width) ** 2, axis=1))
         # Against the ordinary shaking of the pressure where the command rests as well.
-        calm = float(np.nanmedian(shakes[quiet_command])) if quiet_command.any() else np.inf
-        if much.any() and np.mean(shakes[much] > 0.5 * _BURST_RATIO * calm) > 0.3:
+        calm = shakes[quiet_command & np.isfinite(shakes)]
+        if much.any() and calm.size and np.mean(shakes[much] > 0.5 * _BURST_RATIO * np.median(calm)) > 0.3:
             return
     if much.sum() * _BURST_S < 2.0:
         return

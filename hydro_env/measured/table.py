@@ -17,6 +17,7 @@ import zlib
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO
 
@@ -228,7 +229,9 @@ def _units_row(
         cells = [cell.strip().strip("[]()") for cell in next(csv.reader([first], delimiter=delimiter))]
     except (csv.Error, StopIteration):
         return back, {}
-    if any(_is_value(cell, si_suffixes) for cell in cells) or len(cells) < len(names):
+    if any(_is_value(cell, si_suffixes) or _seconds(cell) is not None for cell in cells) or len(cells) < len(
+        names
+    ):
         return back, {}
     units = {
         name: cell
@@ -334,6 +337,12 @@ class _Cells:
                 )
                 self.decimal_comma = True
             return float(text.replace(",", "."))
+        stamp = _seconds(text)
+        if stamp is not None:
+            if not any(f.code == "time_stamps" for f in self.findings):
+                message = f"times are written as dates or hours ({text!r} in row {line}), read as seconds"
+                self.findings.append(Finding("time_stamps", message, column=name, row=line))
+            return stamp
         if self.style.si_suffixes and text[-1:] in _SI_SUFFIX and _is_number(text[:-1]):
             return float(text[:-1]) * _SI_SUFFIX[text[-1]]
         hint = "write a number, or leave the cell empty where nothing was measured"
@@ -344,8 +353,32 @@ class _Cells:
         elif text[-1:] in _SI_SUFFIX and _is_number(text[:-1]):
             hint = "for suffixes such as m and k say `si_suffixes: true` under `table` in the mapping"
         elif text.count(":") >= 1:
-            hint = "time stamps must be seconds as a plain number"
+            hint = "time stamps are seconds as a plain number, hh:mm:ss.sss, or yyyy-mm-dd hh:mm:ss.sss"
         raise InputError(f"{self.path}: row {line}, column {name!r}: {text!r} is not a number; {hint}")
+
+
+_HOURS = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
+
+
+def _seconds(text: str) -> float | None:
+    """The seconds of a time of day (since midnight) or of a date and time in ISO 8601 (since 1970), or None."""
+    match = _HOURS.fullmatch(text)
+    if match:
+        return 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3].replace(",", "."))
+    if text[4:5] != "-" or text[7:8] != "-":
+        return None
+    day, _, time = text.replace("T", " ").partition(" ")
+    zone = time.rstrip("Z")
+    match = _HOURS.fullmatch(zone)
+    try:
+        midnight = datetime.fromisoformat(day).replace(tzinfo=UTC).timestamp()
+    except ValueError:
+        return None
+    return (
+        midnight + 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3].replace(",", "."))
+        if match
+        else None
+    )
 
 
 def _is_value(text: str, si_suffixes: bool) -> bool:
