@@ -71,7 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 def _run(arguments: Sequence[str] | None) -> int:
     try:
         given = sys.argv[1:] if arguments is None else list(arguments)
-        status = app(args=_spread(given, "--sealed"), prog_name="hydro-env", standalone_mode=False)
+        many = "--controllers" if given[:1] == ["benchmark"] else "--sealed"
+        status = app(args=_spread(given, many), prog_name="hydro-env", standalone_mode=False)
     except InputError as problem:
         return _fail(problem)
     except (KeyboardInterrupt, typer.Abort):
@@ -330,8 +331,13 @@ def benchmark(
         list[str] | None,
         typer.Argument(
             metavar="[CONTROLLER]...",
-            help="Names, gains files (.json), policies (.npz), module:Class or file.py:Class. Default: all that ship.",
+            help="Names, gains files (.json), policies (.npz), module:Class or file.py:Class; all: those that ship, "
+            "which is the default.",
         ),
+    ] = None,
+    more: Annotated[
+        list[str] | None,
+        typer.Option("--controllers", metavar="CONTROLLER...", help="The same, as an option."),
     ] = None,
     suite: Annotated[str, typer.Option(help="quick, full or a YAML file.")] = "full",
     split: Annotated[list[str] | None, typer.Option(help="Only this split; may be repeated.")] = None,
@@ -342,6 +348,9 @@ def benchmark(
     plant: Plant = "paper_dead_zone",
     control_period: ControlPeriod = 0.01,
     seed: Seed = 0,
+    limit: Annotated[
+        float, typer.Option(help="Longest that a controller may take for one split and scenario, s.")
+    ] = 600.0,
     engine: Annotated[
         str,
         typer.Option(help="local: --jobs processes; ray: the Ray cluster at RAY_ADDRESS or on this machine."),
@@ -361,7 +370,7 @@ def benchmark(
 
         scores = command.run(
             folder,
-            controllers=controllers,
+            controllers=[*(controllers or []), *(more or [])],
             suite=suite,
             splits=split,
             scenarios=scenario,
@@ -369,6 +378,7 @@ def benchmark(
             plant=plant,
             control_period=control_period,
             seed=seed,
+            limit=limit,
             engine=engine,
             jobs=jobs,
             cells_folder=cells,

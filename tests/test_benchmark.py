@@ -223,7 +223,7 @@ PINNED = {
     "pid_paper": (200.65, 186.87),
     "cross_coupled": (40.45, 19.15),
     "relative_coupling": (43.79, 22.35),
-    "disturbance_observer": (42.17, 18.41),
+    "disturbance_observer": (42.17, 16.78),
     "adaptive_flow": (34.49, 16.67),
 }
 

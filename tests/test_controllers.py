@@ -11,9 +11,10 @@ from scipy import signal
 from hydro_env.controllers import CONTROLLERS, LAWS, make_controller, tune
 from hydro_env.controllers.adaptive import Spool, ValveLearner, shaper
 from hydro_env.controllers.base import FRACTION_PER_V, RPM
+from hydro_env.controllers.compensated import on_the_bench
 from hydro_env.controllers.gains import read_gains
 from hydro_env.controllers.pid import Pid, per_rpm
-from hydro_env.controllers.valve_map import MOTOR_RATE, ValveMap, flow_for, on_the_bench, true_map
+from hydro_env.controllers.valve_map import MOTOR_RATE, ValveMap, flow_for, true_map
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant
 

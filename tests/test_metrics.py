@@ -7,7 +7,7 @@ from hydro_env.errors import InputError
 from hydro_env.tasks.metrics import METRICS, Trace, compute
 
 
-def trace(speeds, *, setpoint=100.0, period=0.5, angle=None, command=None, load=None):
+def trace(speeds, *, setpoint=100.0, period=0.5, angle=None, command=None):
     """One rig; speeds is a list of (motor 1, motor 2)."""
     speed = np.array(speeds, dtype=float)[:, None, :]
     rows = speed.shape[0]
@@ -17,7 +17,6 @@ def trace(speeds, *, setpoint=100.0, period=0.5, angle=None, command=None, load=
         speed_rpm=speed,
         angle_difference_deg=np.zeros((rows, 1)) if angle is None else np.array(angle, dtype=float)[:, None],
         command=np.zeros((rows, 1, 2)) if command is None else np.array(command, dtype=float)[:, None, :],
-        load_Nm=None if load is None else np.array(load, dtype=float)[:, None, :],
     )
 
 
@@ -36,23 +35,36 @@ def test_command_variation_counts_the_first_move():
 
 
 def test_settling_time():
+    """Rows 0.05 s apart, so that two rows together are back in step."""
     apart, together = (100, 80), (100, 95)
-    value = lambda *rows, **more: compute(trace(rows, **more))["sync_settling_time_s"]  # noqa: E731
+    value = lambda *rows, **more: compute(trace(rows, period=0.05, **more))["sync_settling_time_s"]  # noqa: E731
     assert value(together, together) == 0.0
     # apart in rows 1 and 2: in step again from row 3 on
-    assert value(together, apart, apart, together, together) == pytest.approx(1.5)
-    # out of step once more: only the last time counts
-    assert value(apart, together, apart, together) == pytest.approx(1.5)
-    # never in step: the time up to the end
-    assert value(apart, apart, apart) == pytest.approx(1.5)
-    # a new step at row 3 starts the clock again: 1 row before it, 2 after
-    twice = (apart, together, together, apart, apart, together)
-    assert value(*twice, setpoint=[0, 0, 0, 400, 400, 400]) == pytest.approx(1.0)
-    # so does a step of load, and one of either motor
-    loads = [(0, 0)] * 3 + [(0, 1)] * 3
-    assert value(*twice, load=loads) == pytest.approx(1.0)
-    # a slow ramp is no step
-    assert value(*twice, setpoint=[0, 40, 80, 120, 160, 200]) == pytest.approx(2.5)
+    assert value(together, apart, apart, together, together) == pytest.approx(0.10)
+    # together for one row only, while ringing: it all counts
+    assert value(apart, together, apart, together, together) == pytest.approx(0.15)
+    assert value(apart, together, (80, 100), together, apart, together) == pytest.approx(0.25)
+    # together for two: the longer one of two times counts, whatever it was that disturbed
+    twice = (apart, together, together, apart, apart, apart, together, together)
+    assert value(*twice) == value(*twice, setpoint=[0, 0, 0, 400, 400, 400, 0, 0]) == pytest.approx(0.15)
+    # never in step: all of the episode; out of step at its end: up to the end
+    assert value(apart, apart, apart) == pytest.approx(0.15)
+    assert value(together, together, apart, apart) == pytest.approx(0.10)
+
+
+def test_settling_time_tells_controllers_apart_where_loads_never_rest():
+    """A difference that swings for ever is out of step for part of each half wave, or, if large enough, always."""
+    time = np.arange(500) * 0.01
+    half_waves = []
+    for size in (9.0, 12.0, 15.0, 60.0):
+        swing = size * np.sin(2 * np.pi * 1.5 * time + 0.01)
+        speed = np.stack([100 + swing, np.full(500, 100.0)], axis=1)
+        half_waves.append(float(compute(trace(speed, period=0.01))["sync_settling_time_s"][0]))
+    none, short, longer, always = half_waves
+    assert none == 0.0 and always > 4.9
+    # arccos(10 / size) / (pi 1.5 Hz)
+    assert short == pytest.approx(np.arccos(10 / 12) / (np.pi * 1.5), abs=0.011)
+    assert longer == pytest.approx(np.arccos(10 / 15) / (np.pi * 1.5), abs=0.011)
 
 
 def test_rigs_are_scored_apart():

@@ -8,6 +8,7 @@ did so; the rest go on.
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import importlib.util
 from collections.abc import Iterable, Iterator, Sequence
@@ -27,8 +28,9 @@ from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.engine import Failure, Store, check_engine
 from hydro_env.engine import run as run_tasks
+from hydro_env.envs.batch import HydraulicSyncVectorEnv
+from hydro_env.errors import InputError
 from hydro_env.files import output_folder, write_json, write_text
-from hydro_env.plant import load_model
 from hydro_env.tasks import METRICS, SCENARIOS, SPLITS, Trace
 
 __all__ = ["SCHEMA", "run"]
@@ -38,6 +40,9 @@ BASELINE = "pid_tuned"
 """Against whom the probability of improvement is given (the first controller where it does not take part)."""
 BOUND = "oracle"
 """Who says how much there is to gain on the baseline."""
+
+LIMIT = 600.0
+"""S that a controller may take for one split and scenario, by default: 200 rigs for 8 s are 160,000 commands to each valve."""
 
 TRACE_METRIC = "max_speed_difference_rpm"
 """By which a cell's typical (median) and worst case are chosen, whose traces the page shows."""
@@ -56,6 +61,8 @@ class Cell:
     cases: int
     metrics: dict[str, Floats] = field(default_factory=dict)
     strata: tuple[str, ...] | None = None
+    needs: str = "measurements"
+    plant: str | None = None
     traces: dict[str, Any] = field(default_factory=dict)
     failure: str | None = None
 
@@ -71,6 +78,7 @@ def run(
     seed: int = 0,
     plant: Any = "paper_dead_zone",
     control_period: float = 0.01,
+    limit: float = LIMIT,
     engine: str = "local",
     jobs: int = 1,
     cells_folder: str | Path | None = None,
@@ -81,12 +89,13 @@ def run(
     Args:
         out: folder to write to, made if need be; None writes nothing.
         controllers: names of `CONTROLLERS`, gains or policy files, `module:Class`, `file.py:Class` or
-            objects with `reset` and `act`. By default all that ship and whose files are there.
+            objects with `reset` and `act`; "all" stands for all that ship. By default those.
         suite: "quick", "full" or a YAML file (see suite.yaml).
         splits, scenarios, cases: narrow or widen the suite.
         seed: case i has the seed `seed + i`.
         plant: preset or model file under test.
         control_period: s.
+        limit: s that a controller may take by itself for one split and scenario; one that takes longer has failed there.
         engine, jobs: where the cells run, see `hydro_env.engine`; makes no difference to the scores.
         cells_folder: keeps finished cells, and gives back those that are still the same.
         progress: whether to show a progress bar.
@@ -95,14 +104,16 @@ def run(
     """
     chosen = _suite(suite, splits, scenarios, cases)
     check_engine(engine, jobs)
-    load_model(plant)  # a plant that is not there is no controller's failure
-    specs = list(controllers) if controllers else [n for n, entry in CONTROLLERS.items() if entry.available]
+    _check_place(chosen, seed, plant, control_period)
+    if not limit > 0.0:
+        raise InputError(f"limit must be more than 0 s, not {limit:g}")
+    specs = _specs(controllers or ["all"])
     cells = list(_cells(specs, chosen))
     with nullcontext() if out is None else output_folder(out) as folder:
         where = {"seed": seed, "plant": plant, "control_period": control_period}
         done = run_tasks(
             cells,
-            partial(_run_cell, **where),
+            partial(_run_cell, **where, limit=limit),
             engine=engine,
             jobs=jobs,
             progress=progress,
@@ -123,7 +134,36 @@ def run(
 
 def _suite(suite: str | Path, splits: Any, scenarios: Any, cases: int | None) -> Suite:
     known: dict[str, Iterable[str]] = {"splits": SPLITS, "scenarios": SCENARIOS, "metrics": METRICS}
-    return check_suite(load_suite(suite, **known).narrowed(splits, scenarios, cases), known, "benchmark")
+    chosen = check_suite(load_suite(suite, **known).narrowed(splits, scenarios, cases), known, "benchmark")
+    for split, wanted in chosen.splits.items():
+        listed = SPLITS[split].cases
+        if listed is not None and wanted > listed:
+            raise InputError(
+                f"split {split!r}: {wanted} cases are asked for, there are {listed} pairs of valves"
+            )
+    return chosen
+
+
+def _check_place(suite: Suite, seed: int, plant: Any, control_period: float) -> None:
+    """InputError for what every controller would fail by: a plant, a control period or a seed that cannot be."""
+    if seed < 0:
+        raise InputError(f"seed is {seed}, expected a whole number of at least 0")
+    HydraulicSyncVectorEnv(
+        1,
+        plant=plant,
+        mismatch=next(iter(suite.splits)),
+        scenario=suite.scenarios[0],
+        control_period=control_period,
+    )
+
+
+def _specs(controllers: Sequence[Any]) -> list[Any]:
+    """The controllers with "all" spelt out; one that is also named by itself comes once."""
+    own = [entry for entry in CONTROLLERS.values() if entry.available]
+    if not any(isinstance(spec, str) and spec == "all" for spec in controllers):
+        return list(controllers)
+    names = [entry.name for entry in own]
+    return names + [spec for spec in controllers if not isinstance(spec, str) or spec not in ("all", *names)]
 
 
 def _cells(specs: Sequence[Any], suite: Suite) -> Iterator[Cell]:
@@ -138,9 +178,10 @@ def _cells(specs: Sequence[Any], suite: Suite) -> Iterator[Cell]:
             name = f"{first}_{len(taken)}"
         taken.add(name)
         portable = str(spec) if isinstance(spec, str | Path) else made
+        needs, plant = str(getattr(made, "needs", "measurements")), getattr(made, "plant", None)
         for split, cases in suite.splits.items():
             for scenario in suite.scenarios:
-                yield Cell(portable, name, split, scenario, cases)
+                yield Cell(portable, name, split, scenario, cases, needs=needs, plant=plant)
 
 
 def _key(cell: Cell, **where: Any) -> str | None:
@@ -167,9 +208,11 @@ def _content(spec: Any) -> str:
     return f"{spec} {hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ''}"
 
 
-def _run_cell(cell: Cell, *, seed: int, plant: Any, control_period: float) -> Cell:
-    """The cell with its scores. Whatever a controller raises is the failure of its cell alone."""
-    controller = make_controller(cell.controller)
+def _run_cell(cell: Cell, *, seed: int, plant: Any, control_period: float, limit: float) -> Cell:
+    """The cell with its scores. Whatever a controller raises is the failure of its cell alone, and nothing that it keeps
+    from one cell reaches another: every cell has a controller of its own.
+    """
+    controller = make_controller(copy.deepcopy(cell.controller))
     own = getattr(controller, "plant", None)
     done = roll_out(
         controller,
@@ -178,6 +221,7 @@ def _run_cell(cell: Cell, *, seed: int, plant: Any, control_period: float) -> Ce
         mismatch=None if own else cell.split,
         scenario=cell.scenario,
         control_period=control_period,
+        limit=limit,
     )
     metrics = done.metrics(METRICS)
     for name, values in metrics.items():
@@ -276,6 +320,8 @@ def _scores(
         "control_period_s": control_period,
         "splits": suite.splits,
         "controllers": names,
+        "needs": {cell.name: cell.needs for cell in cells},
+        "own_plant": {cell.name: cell.plant for cell in cells if cell.plant is not None},
         "baseline": baseline,
         "bound": BOUND if BOUND in names else None,
         "rows": rows,

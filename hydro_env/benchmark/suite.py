@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from hydro_env.errors import InputError
+from hydro_env.plant.model import read_yaml
 
 __all__ = ["Suite", "load_suite", "nearest"]
 
@@ -70,20 +71,24 @@ def load_suite(
     if path.suffix not in (".yaml", ".yml"):
         raise InputError(f"unknown suite {str(spec)!r}: {nearest(spec, own)}, or the path of a .yaml file")
     try:
-        table = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise InputError(f"{path}: no such suite file") from None
-    except (yaml.YAMLError, UnicodeDecodeError, OSError) as problem:
+    except (UnicodeDecodeError, OSError) as problem:
         raise InputError(f"{path}: not readable as YAML ({' '.join(str(problem).split())})") from None
+    table = read_yaml(text, str(path))
     return _checked(path.stem, table, known, str(path))
 
 
 def check_suite(suite: Suite, known: Mapping[str, Iterable[str]], where: str) -> Suite:
     """The suite itself, or an InputError that names the first thing in it that does not exist."""
     for key in KEYS:
-        for name in getattr(suite, key):
+        names = list(getattr(suite, key))
+        for name in names:
             if name not in known[key]:
                 raise InputError(f"{where}: unknown {key[:-1]} {name!r}: {nearest(name, known[key])}")
+            if names.count(name) > 1:
+                raise InputError(f"{where}: {key[:-1]} {name!r} is named more than once")
     for split, cases in suite.splits.items():
         if not isinstance(cases, int) or isinstance(cases, bool) or cases < 1:
             raise InputError(f"{where}: split {split!r} needs a number of cases of at least 1, not {cases!r}")

@@ -25,11 +25,9 @@ from hydro_env.controllers.valve_map import (
     ValveMap,
     flow_for,
     measured_flow,
-    true_map,
 )
-from hydro_env.plant import Plant
 
-__all__ = ["AdaptiveFlow", "Oracle", "Spool", "ValveLearner", "shaper"]
+__all__ = ["AdaptiveFlow", "Spool", "ValveLearner", "shaper"]
 
 FLOWING = 0.008
 """Share of the rated flow that counts as flowing: four standard deviations of the measured flow's noise."""
@@ -258,24 +256,3 @@ class AdaptiveFlow(Controller):
         self._creep = np.where(flowing, self._creep, self._creep + pace)
         self._crossing = self._crossing & ~np.all(flowing, axis=1)
         return sign * np.where(flowing, edge + FLOWING / gain, self._creep)
-
-
-class Oracle(AdaptiveFlow):
-    """The adaptive flow controller told the true parameters of every rig: what knowing them would give."""
-
-    needs = "parameters"
-    truth: ValveMap | None = None
-
-    def prepare(self, plant: Plant) -> None:
-        self.truth = true_map(plant)
-
-    def _first_estimate(self, num_rigs: int) -> ValveLearner:
-        if self.truth is None:
-            raise RuntimeError(
-                f"{self.name} needs prepare(plant) before the episode: it is told the true parameters"
-            )
-        learner = super()._first_estimate(num_rigs)
-        learner.map = ValveMap(self.truth.edge.copy(), self.truth.gain.copy())
-        learner.edge_variance[:] = 0.01**2
-        learner.gain_variance[:] = 0.01**2
-        return learner

@@ -47,8 +47,9 @@ class Controller:
     Class attributes:
         GAINS: the gains the constructor takes, by name.
         needs: "measurements" for a controller that knows nothing of the drawn valves; "bench" for one that
-            had each pair on a valve bench beforehand and "parameters" for one that is told the truth. The
-            latter two get `prepare` called with a copy of the plant.
+            had each pair on a valve bench beforehand, "parameters" for one that is told the truth about the
+            valves, "everything" for one that is told the loads to come as well. All but the first get `prepare`
+            called with a copy of the plant, the last one `foresee` too. Score boards name what a controller needs.
         plant: the plant the controller belongs to where that is another one than the plant under test.
     """
 
@@ -71,6 +72,11 @@ class Controller:
 
     def prepare(self, plant: Plant) -> None:
         """Gets to know the rigs (rows of `plant`) before the episode; only where `needs` asks for it."""
+
+    def foresee(self, load: Floats) -> None:
+        """Gets to know the loads of the episode, (rows, num_rigs, 2) in N m, row n in force from n periods on; only
+        where `needs` is "everything".
+        """
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode. `control_period` in s."""

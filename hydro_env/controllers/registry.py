@@ -12,12 +12,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from hydro_env.controllers.adaptive import AdaptiveFlow, Oracle
+from hydro_env.controllers.adaptive import AdaptiveFlow
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.compensated import Compensated
 from hydro_env.controllers.coupled import CrossCoupled, MasterSlave, RelativeCoupled, VirtualLeader
 from hydro_env.controllers.gains import read_gains
 from hydro_env.controllers.observer import DisturbanceObserver
+from hydro_env.controllers.oracle import Oracle
 from hydro_env.controllers.pid import TABLE_III, PidController
 from hydro_env.errors import InputError
 
@@ -83,7 +84,7 @@ CONTROLLERS: dict[str, Entry] = {
         _tuned("compensated", "dead-zone inverse from a valve bench, with cross coupling"),
         _tuned("adaptive_flow", "learns the valves while it drives them"),
         _tuned("servo_pid", "PID on the same motors behind servo valves", plant="servo"),
-        _tuned("oracle", "told the true parameters of every valve"),
+        _tuned("oracle", "told everything but the set-point to come: model-predictive"),
         _policy("ppo", "neural policy trained with PPO"),
         _policy("sac", "neural policy trained with SAC"),
     )
@@ -114,9 +115,11 @@ def make_controller(spec: Any, **overrides: Any) -> Any:
         return _from_python(text, overrides)
     else:
         near = get_close_matches(text, CONTROLLERS, n=1, cutoff=0.4)
-        meant = f"; did you mean {near[0]!r}?" if near else ""
+        meant = f"did you mean {near[0]!r}? " if near else ""
+        if text.endswith(".py"):
+            meant = f"name its class too, as in {text}:MyController. "
         others = "or a .json gains file, a .npz policy, module:Class or file.py:Class"
-        raise InputError(f"unknown controller {text!r}{meant} There are {', '.join(CONTROLLERS)}, {others}")
+        raise InputError(f"unknown controller {text!r}: {meant}There are {', '.join(CONTROLLERS)}, {others}")
     if overrides:
         again = type(controller)(controller.name, **{**controller.gains, **overrides})
         again.plant = controller.plant

@@ -5,9 +5,12 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from math import inf
+from time import perf_counter
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
@@ -36,11 +39,13 @@ def roll_out(
     mismatch: Any = "val",
     scenario: Any = "setpoint_steps",
     control_period: float = 0.01,
+    limit: float = inf,
 ) -> Episodes:
     """Lets a controller drive one episode per seed, all at once. Row i is what a reset with `seeds[i]` draws.
 
-    A controller whose `needs` is "bench" or "parameters" is shown a copy of the plant beforehand. What the
-    controller raises is passed on; ValueError if it returns something that is no command, or if a rig diverges.
+    A controller whose `needs` is not "measurements" is shown a copy of the plant beforehand, and the loads to come if
+    it is "everything". What the controller raises is passed on; ValueError if it returns something that is no command,
+    or if a rig diverges; TimeoutError if it has taken more than `limit` s by itself, looked at after every `act`.
     """
     env = HydraulicSyncVectorEnv(
         len(seeds), plant=plant, mismatch=mismatch, scenario=scenario, control_period=control_period
@@ -48,13 +53,22 @@ def roll_out(
     observation, info = env.reset(seed=[int(seed) for seed in seeds])
     if getattr(controller, "needs", "measurements") != "measurements":
         controller.prepare(copy.deepcopy(env.plant))
+    if getattr(controller, "needs", "measurements") == "everything":
+        controller.foresee(np.stack([env.course(row).load for row in range(len(seeds))], axis=1))
     controller.reset(len(seeds), control_period)
     faults = tuple(str(fault) for fault in info["fault"])
     signals = {key: [np.array(info[key])] for key in ("setpoint_rpm", "speed_rpm", "angle_difference_deg")}
-    commands = []
+    commands: list[Floats] = []
+    spent = 0.0
     done = np.zeros(len(seeds), dtype=bool)
     while not done.all():
+        began = perf_counter()
         action = _checked(controller.act(observation), len(seeds))
+        spent += perf_counter() - began
+        if spent > limit:
+            raise TimeoutError(
+                f"took more than {limit:g} s for {len(commands) + 1} steps of {len(seeds)} rigs"
+            )
         observation, _, terminated, truncated, info = env.step(action.astype(np.float32))
         if np.any(terminated):
             raise ValueError(f"the plant of case {int(np.argmax(terminated))} diverged")
@@ -62,11 +76,9 @@ def roll_out(
         commands.append(action)
         for key, rows in signals.items():
             rows.append(np.array(info[key]))
-    load = None if env.scenario.random else env.scenario.reference(control_period).load[:, None, :]
     trace = Trace(
         period=control_period,
         command=np.array(commands),
-        load_Nm=load,
         **{key: np.array(rows) for key, rows in signals.items()},
     )
     return Episodes(trace, faults)
@@ -74,10 +86,23 @@ def roll_out(
 
 def _checked(action: Any, num_rigs: int) -> Floats:
     """The action as commands (num_rigs, 2) in [-1, 1]; ValueError if it is none."""
-    command = np.asarray(action, dtype=float)
-    if command.shape != (num_rigs, 2):
-        raise ValueError(f"act returned the shape {command.shape}, expected ({num_rigs}, 2)")
-    if not np.all(np.isfinite(command)):
-        case = int(np.argmin(np.isfinite(command).all(axis=1)))
-        raise ValueError(f"act returned a command that is not finite for case {case}")
+    try:
+        given = np.asarray(action)
+    except ValueError:
+        raise ValueError(
+            f"act returned rows of different lengths, expected the shape ({num_rigs}, 2)"
+        ) from None
+    if given.dtype.kind not in "fiub":
+        raise ValueError(f"act returned {_kind(action, given)}, expected an array ({num_rigs}, 2) of numbers")
+    if given.shape != (num_rigs, 2):
+        raise ValueError(f"act returned the shape {given.shape}, expected ({num_rigs}, 2)")
+    command = given.astype(float)
+    finite = np.isfinite(command).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"act returned a command that is not finite for case {int(np.argmin(finite))}")
     return np.clip(command, -1.0, 1.0)
+
+
+def _kind(action: Any, given: NDArray[Any]) -> str:
+    words = {"c": "complex numbers", "U": "text", "S": "text", "O": "objects"}
+    return "None" if action is None else words.get(given.dtype.kind, str(given.dtype))

@@ -13,7 +13,7 @@ import numpy as np
 from hydro_env.controllers.base import Floats
 from hydro_env.plant import PARAMETERS, Plant
 
-__all__ = ["MOTOR_RATE", "RATED_FLOW", "ValveMap", "flow_for", "measured_flow", "on_the_bench", "true_map"]
+__all__ = ["MOTOR_RATE", "RATED_FLOW", "ValveMap", "flow_for", "measured_flow", "true_map"]
 
 NOMINAL = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
 RATED_TRAVEL = NOMINAL["alpha"] * NOMINAL["u_rated"] / (NOMINAL["R"] * NOMINAL["k"])
@@ -29,8 +29,6 @@ FLOW_PER_ACCELERATION = NOMINAL["J"] * LEAK_PER_TORQUE
 FLOW_PER_SPEED = NOMINAL["D"] / RATED_FLOW + NOMINAL["B"] * LEAK_PER_TORQUE
 MOTOR_RATE = FLOW_PER_SPEED / FLOW_PER_ACCELERATION
 """Rate at which a motor without flow coasts down, 1/s: (B + D^2/Km) / J."""
-
-SIGNS = np.array([1.0, -1.0])
 
 
 def flow_for(speed: Floats, acceleration: Floats | float, load: Floats | float) -> Floats:
@@ -80,36 +78,3 @@ def true_map(plant: Plant) -> ValveMap:
     edge = np.stack([value / travel for value in overlap], axis=-1)
     gain = plant.get("Kq") * travel / RATED_FLOW
     return ValveMap(edge, np.stack([gain, gain], axis=-1))
-
-
-def on_the_bench(plant: Plant, *, seconds: float = 8.0, period: float = 0.01) -> ValveMap:
-    """Identifies every valve of a plant as one does on a valve bench: a slow triangle of the command, flow
-    measured.
-
-    Straight lines through the branches between 5 and 50 % of the rated flow, rising and falling ones
-    averaged, so that the hysteresis is halved. The plant's state is used up; pass a copy.
-    """
-    plant.reset()
-    steps = round(seconds / period)
-    phase = np.arange(steps) / steps
-    triangle = np.interp(phase, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
-    rated = NOMINAL["u_rated"]
-    still = np.zeros_like(plant.flow)
-    flow = np.empty((steps, *still.shape))
-    for n, fraction in enumerate(triangle):
-        plant.step(np.full_like(still, fraction * rated), still, period)
-        flow[n] = plant.flow / RATED_FLOW
-    command = triangle[:, None, None]
-    edges, gains = [], []
-    for sign in SIGNS:
-        use = ((sign * flow > 0.05) & (sign * flow < 0.5)).astype(float)
-        count = np.maximum(np.sum(use, axis=0), 1.0)
-        x = sign * command
-        y = sign * flow
-        mean_x, mean_y = np.sum(use * x, axis=0) / count, np.sum(use * y, axis=0) / count
-        spread = np.maximum(np.sum(use * (x - mean_x) ** 2, axis=0), 1e-9)
-        slope = np.sum(use * (x - mean_x) * (y - mean_y), axis=0) / spread
-        slope = np.clip(slope, 0.1, 3.0)
-        gains.append(slope)
-        edges.append(mean_x - mean_y / slope)
-    return ValveMap(np.stack(edges, axis=-1), np.stack(gains, axis=-1))

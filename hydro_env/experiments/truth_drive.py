@@ -71,6 +71,4 @@ def drive(
         command[n, 0] = last = np.clip(action, -1.0, 1.0)
         part = rig.advance(last * rated, course.load[n], control_period, 1)
         now = {name: values[-1] for name, values in part.items()}
-    return Trace(
-        control_period, course.setpoint[:, None] / RPM, speed, angle, command[:-1], course.load[:, None, :]
-    )
+    return Trace(control_period, course.setpoint[:, None] / RPM, speed, angle, command[:-1])

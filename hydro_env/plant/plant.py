@@ -176,6 +176,24 @@ class Plant:
             self._empty,
         )  # fmt: skip
 
+    def take_state(self, other: Plant) -> None:
+        """Puts all rigs into the state of another plant's, which may have another substep and dtype.
+
+        ValueError if it has another number of rigs or other effects, or if commands are delayed and the substeps differ.
+        """
+        kernel = self._kernel
+        if (self.num_rigs, self.effects) != (other.num_rigs, other.effects):
+            raise ValueError("take_state needs a plant with as many rigs and the same effects")
+        if kernel.has_delay:
+            if self.substep != other.substep:
+                raise ValueError(
+                    "take_state: commands are delayed by slots of a substep, so the substeps have to be alike"
+                )
+            self._ring[:] = other._ring
+            self._head = other._head
+        moving = kernel.rows["load"] + 1
+        self._memory[:, :moving, :] = other._memory[:, :moving, :]
+
     def substeps(self, period: float) -> int:
         """How many substeps a period takes. ValueError if it is not positive."""
         if not period > 0.0:

@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 
-__all__ = ["METRICS", "SETTLED_RPM", "Metric", "Trace", "compute"]
+__all__ = ["METRICS", "SETTLED_RPM", "SETTLED_S", "Metric", "Trace", "compute"]
 
 Floats = NDArray[np.float64]
 
 #: The motors count as in step while their speeds differ by no more than this, rpm.
 SETTLED_RPM = 10.0
-#: Changes between two rows from which on a change of set-point (rpm) or load (N m) starts a new settling.
-EVENT_RPM, EVENT_NM = 50.0, 0.1
+#: For so long (s) they have to, or they were not back in step: three periods of the spools' mode, so that passing through
+#: zero while ringing does not count.
+SETTLED_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,6 @@ class Trace:
     angle_difference_deg: (T, N), shaft 1 ahead of shaft 2 is positive
     command: (T, N, 2), fraction of the rated command, row n in force from row n on (a last row without effect may be
         missing: (T - 1, N, 2))
-    load_Nm: (T, N, 2), or None for no load
     """
 
     period: float
@@ -42,7 +42,6 @@ class Trace:
     speed_rpm: Floats
     angle_difference_deg: Floats
     command: Floats
-    load_Nm: Floats | None = None
 
     @property
     def difference_rpm(self) -> Floats:
@@ -70,16 +69,16 @@ def _rms_difference(trace: Trace) -> Floats:
 
 def _settling_time(trace: Trace) -> Floats:
     apart = np.abs(trace.difference_rpm) > SETTLED_RPM
-    rows = np.arange(apart.shape[0])[:, None]
-    event = np.zeros(apart.shape, dtype=bool)
-    event[0] = True
-    event[1:] |= np.abs(np.diff(trace.setpoint_rpm, axis=0)) > EVENT_RPM
-    if trace.load_Nm is not None:
-        event[1:] |= (np.abs(np.diff(trace.load_Nm, axis=0)) > EVENT_NM).any(axis=2)
-    # For every row, the event it follows; the longest way from an event to the last row before the next one with the
-    # motors apart, plus the row after it, in which they are together.
-    since = rows - np.maximum.accumulate(np.where(event, rows, 0), axis=0)
-    return np.where(apart, since + 1, 0).max(axis=0) * trace.period
+    enough = max(1, round(SETTLED_S / trace.period))  # rows together that end a time out of step
+    rigs = apart.shape[1]
+    first = np.zeros(rigs, dtype=int)  # row in which the present time out of step began
+    last = np.full(rigs, -enough - 1)  # last row with the motors apart
+    longest = np.zeros(rigs, dtype=int)
+    for row in range(apart.shape[0]):
+        first = np.where(row - last > enough, row, first)
+        last = np.where(apart[row], row, last)
+        longest = np.maximum(longest, np.where(apart[row], row + 1 - first, 0))
+    return longest * trace.period
 
 
 def _angle_difference(trace: Trace) -> Floats:
@@ -111,9 +110,8 @@ _ALL = (
     Metric(
         "sync_settling_time_s",
         "s",
-        "longest time that passes after a step (the start, or a change between two rows of the set-point by more than "
-        f"{EVENT_RPM:g} rpm or of a load by more than {EVENT_NM:g} N m) until the speeds differ by no more than "
-        f"{SETTLED_RPM:g} rpm and stay so up to the next step; if they never do, the time up to the next step",
+        f"longest time out of step: from when the speeds differ by more than {SETTLED_RPM:g} rpm until they differ by no "
+        f"more for at least {SETTLED_S:g} s, or the episode ends",
         _settling_time,
     ),
     Metric(

@@ -16,7 +16,7 @@ from hydro_env.valve_bench.curve import Curve, Loop, loop_of
 from hydro_env.valve_bench.figures import Figures, Side, identify
 from hydro_env.valve_bench.rates import RateCheck, check_rates
 from hydro_env.valve_bench.read import Columns, read_curve
-from hydro_env.valve_bench.record import record, record_rates
+from hydro_env.valve_bench.record import record, record_rates, record_rigs
 
 __all__ = [
     "Columns",
@@ -33,4 +33,5 @@ __all__ = [
     "read_curve",
     "record",
     "record_rates",
+    "record_rigs",
 ]

@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant, PlantModel
 from hydro_env.valve_bench.curve import Curve
 
-__all__ = ["SIGNALS", "own_channels", "record", "record_rates"]
+__all__ = ["SIGNALS", "own_channels", "record", "record_rates", "record_rigs"]
 
 #: What can be taken as the valve's input, and its unit.
 SIGNALS = {"current": "A", "command": "V"}
@@ -47,9 +48,7 @@ def record(
     if not seconds > 0.1:
         raise InputError(f"a sweep of {seconds:g} s: too short for a steady curve, 5 s and more are right")
     period = max(SHORTEST, round(seconds * SHARE / SHORTEST) * SHORTEST)
-    quarter = max(1, round(seconds / 4.0 / period))
-    knots = np.array([0, 1, 3, 5]) * quarter
-    share = np.interp(np.arange(5 * quarter + 1), knots, [0.0, 1.0, -1.0, 1.0])
+    share, quarter = _triangle(seconds, period)
     rated = model.value("u_rated", channel)
     command = np.zeros((len(share), 2))
     command[:, channel] = rated * share
@@ -69,6 +68,42 @@ def record(
         time=np.asarray(np.arange(len(share))[keep] * period, dtype=float),
         travel_per_signal=travel * (1.0 if signal == "current" else per_volt),
     )
+
+
+def record_rigs(plant: Plant, *, seconds: float = 8.0, period: float = 0.01) -> list[tuple[Curve, Curve]]:
+    """Both valves of every rig of a batch, swept once in `seconds` and read over the command every `period` s.
+
+    Both valves of a rig are swept at once, as on two benches, unless they share a supply that droops. The plant's state is
+    used up: pass a copy.
+    """
+    share, quarter = _triangle(seconds, period)
+    rated = plant.get("u_rated")
+    flow = np.empty((len(share), plant.num_rigs, 2))
+    for channels in ((0,), (1,)) if "supply_droop" in plant.effects else ((0, 1),):
+        plant.reset()
+        command = np.zeros_like(flow)
+        for channel in channels:
+            command[..., channel] = share[:, None] * rated[:, channel]
+        swept = plant.run(command, None, period, ("flow",))["flow"]
+        for channel in channels:
+            flow[..., channel] = swept[..., channel]
+    keep = slice(quarter, None)
+    answered = np.concatenate([[0.0], share[:-1]])[keep]  # as in `record`
+    time = np.asarray(np.arange(len(share))[keep] * period, dtype=float)
+
+    def curve(rig: int, channel: int) -> Curve:
+        volts = float(rated[rig, channel])
+        name = f"{plant.model.name} {rig}:{channel + 1}"
+        return Curve(name, answered * volts, flow[keep, rig, channel], SIGNALS["command"], volts, time)
+
+    return [(curve(rig, 0), curve(rig, 1)) for rig in range(plant.num_rigs)]
+
+
+def _triangle(seconds: float, period: float) -> tuple[NDArray[np.float64], int]:
+    """A sweep as shares of the rated signal, after a quarter that conditions the valve; rows of that quarter."""
+    quarter = max(1, round(seconds / 4.0 / period))
+    knots = np.array([0, 1, 3, 5]) * quarter
+    return np.interp(np.arange(5 * quarter + 1), knots, [0.0, 1.0, -1.0, 1.0]), quarter
 
 
 def record_rates(

@@ -1,0 +1,183 @@
+"""The oracle: model-predictive control with the plant itself as its model. What it leaves is what no knowledge removes.
+
+It is told everything that a controller on a rig has to do without: the parameters of both valves and motors, the true
+state, and the loads, now and to come. It may not foresee the set-point, which it sees as everyone does; where that
+changes smoothly it expects it to go on as it does. So it bounds what can be gained by knowing valves, state and loads,
+at this control period and with these valves; a controller that has learnt by heart when a set-point will step is not
+bounded in its tracking.
+
+In each control period copies of the rigs drive the plan of the next `HORIZON` periods, and the plan is improved by what
+they show (`hydro_env.controllers.shooting`), some more times where the set-point has just stepped. Then its first
+command is sent. The state needs no measurement: a twin of the plant, given the same commands and loads, is in the same
+state bit for bit, as the noise is in the sensors alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
+from hydro_env.controllers.shooting import DAMPING, cost, improve
+from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
+from hydro_env.units import RPM
+
+__all__ = ["Oracle"]
+
+HORIZON = 5
+"""Control periods that are planned."""
+SAMPLES = 10
+"""Samples of a period at which the planned motion is looked at."""
+TURNS, AFTER_A_STEP = 3, 30
+"""How often a plan is driven, and then improved, in every period, and when the set-point has just stepped."""
+FREE = 0.6
+"""Share of the turns in which a plan is taken whatever it costs."""
+STEP = 50.0 * RPM
+"""Change of the set-point from one period to the next that is a step, rad/s."""
+SUBSTEP = 250e-6
+"""Substep in which plans are simulated, s: wrong by about 0.1 rpm at worst, for less than half the time."""
+TRAVEL, MARGIN = 0.95, 0.96
+"""Shares of the stroke: where the largest command lets a spool rest, and how far it should swing."""
+
+
+class Oracle(Controller):
+    """See the module's text. `prepare` and `foresee` have to be called before the episode."""
+
+    needs = "everything"
+    GAINS = (
+        Gain("difference", "1", 30.0, 3000.0, summary="weight of the squared speed difference"),
+        Gain("smooth", "rad2/s2", 30.0, 1000.0, summary="weight of the squared moves of a command"),
+        Gain("stops", "rad2/(s2 mm2)", 100.0, 1e4, summary="weight of the squared travel beyond the margin"),
+    )
+    _twin: Plant | None = None
+    _load: Floats | None = None
+
+    def prepare(self, plant: Plant) -> None:
+        self._twin = plant
+
+    def foresee(self, load: Floats) -> None:
+        self._load = load
+
+    def start(self, measured: Measurements) -> None:
+        if self._twin is None or self._load is None:
+            raise RuntimeError(
+                f"{self.name} needs prepare(plant) and foresee(load) before the episode: it is told everything"
+            )
+        twin, n = self._twin, len(measured.speed)
+        get = twin.get
+        self._rated = get("u_rated")
+        self._weights = [np.broadcast_to(np.ravel(self.gains[g.name]), (n,)).copy() for g in self.GAINS]
+        self._plan = np.zeros((n, HORIZON, 2))
+        self._sent = np.zeros((n, 2))
+        self._row = 0
+        self._setpoint = measured.setpoint
+        self._step = self.period / SAMPLES
+        self._travel = _travel(twin, self.period)
+        self._motor = _motor(twin, self._step)
+        self._copies = _copies(twin)
+        stroke = get("x_max")
+        self._margin = MARGIN * stroke
+        self._most = np.minimum(1.0, TRAVEL * stroke * get("k") * get("R") / (get("alpha") * self._rated))
+
+    def command(self, measured: Measurements) -> Floats:
+        assert self._twin is not None and self._load is not None
+        change = measured.setpoint - self._setpoint
+        self._setpoint = measured.setpoint
+        stepped = np.abs(change) > STEP
+        slope = np.where(stepped, 0.0, change)
+        ahead = measured.setpoint[:, None] + slope[:, None] * np.arange(HORIZON + 1)
+        # The last load stays, as the samples after the last period do.
+        rows = np.minimum(np.arange(self._row, self._row + HORIZON + 1), len(self._load) - 1)
+        load = np.repeat(self._load[rows], SAMPLES, axis=0)[: HORIZON * SAMPLES + 1]
+        self._search(np.where(stepped | (self._row == 0), AFTER_A_STEP, TURNS), ahead, load)
+        sent = self._plan[:, 0].astype(np.float32).astype(float)  # as actions are passed on
+        self._twin.step(sent * self._rated, self._load[rows[0]], self.period)
+        self._sent = sent
+        self._row += 1
+        self._plan[:, :-1] = self._plan[:, 1:].copy()
+        return sent
+
+    def _search(self, turns: NDArray[np.int64], ahead: Floats, load: Floats) -> None:
+        """Improves every plan as long as its `turns` (N,) last (Levenberg and Marquardt): copies of the rigs drive it, and a
+        change that did not help is taken back and tried smaller.
+        """
+        best, lowest = self._plan.copy(), np.full(len(self._plan), np.inf)
+        damping = np.full(len(self._plan), DAMPING)
+        kept: tuple[Floats, ...] = ()
+        for turn in range(turns.max()):
+            seen = self._drive(load)
+            reached = cost(
+                self._plan, self._sent, ahead, seen[0], seen[2], SAMPLES, self._margin, *self._weights
+            )
+            # Out of standstill the way leads over a ridge: at first a plan need not be better than the one before.
+            better = ((reached < lowest) | (turn < FREE * turns)) & (turn < turns)
+            lowest = np.where(better, reached, lowest)
+            best[better] = self._plan[better]
+            damping = np.where(better, np.maximum(DAMPING, damping / 4.0), 8.0 * damping)
+            if not kept:
+                kept = seen
+            for signal, new in zip(kept, seen, strict=True):
+                signal[:, better] = new[:, better]
+            self._plan = best.copy()
+            if turn < turns.max() - 1:
+                improve(
+                    self._plan, damping, self._most, self._sent, ahead, *kept, self._travel, self._motor, SAMPLES, self._margin,
+                    *self._weights,
+                )  # fmt: skip
+
+    def _drive(self, load: Floats) -> tuple[Floats, ...]:
+        """Speeds, flows and travels of the spools, each (HORIZON SAMPLES + 1, N, 2), that the plans lead to."""
+        assert self._twin is not None
+        self._copies.take_state(self._twin)
+        volts = np.repeat((self._plan * self._rated[:, None]).transpose(1, 0, 2), SAMPLES, axis=0)
+        volts = np.concatenate([volts, volts[-1:]])
+        seen = self._copies.run(volts, load, self._step, ("speed", "flow", "spool"))
+        return seen["speed"], seen["flow"], seen["spool"]
+
+
+def _copies(plant: Plant) -> Plant:
+    """As many rigs with the same parameters, simulated as coarsely as plans need."""
+    delayed = "command_delay" in plant.effects  # its delay line has a slot for every substep
+    substep = plant.substep if delayed else max(SUBSTEP, plant.substep)
+    copies = Plant(plant.model, plant.num_rigs, effects=plant.effects, substep=substep, dtype=np.float32)
+    for name in (*PARAMETERS, *(f"{e}.{p.name}" for e in plant.effects for p in CATALOGUE[e].parameters)):
+        copies.set(name, plant.get(name))
+    return copies
+
+
+def _travel(plant: Plant, period: float) -> Floats:
+    """Travel of every spool in m, (N, 2, HORIZON SAMPLES + 1), at the samples after a command of 1 that lasts one period:
+    coil, back-EMF, mass and spring, (5) and (6), without friction and stops.
+    """
+    get = plant.get
+    mass = get("m")
+    rates = np.zeros((plant.num_rigs, 2, 4, 4))  # current, travel, speed, command
+    rates[..., 0, 0], rates[..., 0, 2] = -get("R") / get("L"), -get("alpha") / get("L")
+    rates[..., 0, 3] = get("u_rated") / get("L")
+    rates[..., 1, 2] = 1.0
+    rates[..., 2, 0], rates[..., 2, 1] = get("alpha") / mass, -get("k") / mass
+    rates[..., 2, 2] = -(get("C") + get("s2")) / mass
+    held = expm(rates * (period / SAMPLES))
+    state = np.zeros((plant.num_rigs, 2, 4))
+    state[..., 3] = 1.0
+    travel = np.zeros((plant.num_rigs, 2, HORIZON * SAMPLES + 1))
+    for sample in range(1, travel.shape[2]):
+        state = np.sum(held * state[..., None, :], axis=-1)
+        if sample == SAMPLES:
+            state[..., 3] = 0.0
+        travel[..., sample] = state[..., 1]
+    return travel
+
+
+def _motor(plant: Plant, step: float) -> Floats:
+    """Pressure and speed of every motor a step later, (N, 2, 2, 3): from pressure, speed and the travel of the spool, (1),
+    (2) and (8), without what effects add.
+    """
+    get = plant.get
+    stiffness = get("beta") / get("V")
+    rates = np.zeros((plant.num_rigs, 2, 3, 3))
+    rates[..., 0, 0], rates[..., 0, 1] = -stiffness * get("Km"), -stiffness * get("D")
+    rates[..., 0, 2] = stiffness * get("Kq")
+    rates[..., 1, 0], rates[..., 1, 1] = get("D") / get("J"), -get("B") / get("J")
+    return np.ascontiguousarray(expm(rates * step)[..., :2, :])
