@@ -530,6 +530,34 @@ def test_a_file_that_cannot_be_read_is_one_line(
         assert word in line, line
 
 
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    at=st.floats(0, 1), what=st.sampled_from(["cut", "drop", "swap", "junk", "nul", "twice", "zeros", "quote"]),
+    junk=st.text(max_size=6), binary=st.binary(min_size=1, max_size=6),
+)  # fmt: skip
+def test_a_damaged_file_is_read_or_refused_in_one_line(
+    tmp_path: Path, recorded: tuple[Columns, Columns], at: float, what: str, junk: str, binary: bytes
+) -> None:
+    columns = {name: values[:100] for name, values in recorded[0].items()}
+    path = _save(tmp_path / "log.csv", columns)
+    data = path.read_bytes()
+    n = int(at * (len(data) - 1))
+    piece = {
+        "cut": b"", "drop": data[n + 1 :], "swap": data[n + 1 : n + 2] + data[n : n + 1] + data[n + 2 :],
+        "junk": junk.encode("utf-8", "replace") + data[n:], "nul": b"\0" + data[n:], "twice": data[n:] + data[:n],
+        "zeros": b"\0" * 64, "quote": b'"' + binary + data[n:],
+    }[what]  # fmt: skip
+    path.write_bytes(data[:n] + piece)
+    try:
+        log = read_log(path)
+    except InputError as error:
+        assert str(error).startswith(str(path)) and "\n" not in str(error)
+    else:
+        assert np.isfinite(log.time_s).all() and np.isfinite(log.command_V[:, list(log.channels)]).all()
+    status, text = _hydro_env("diagnose", "--inspect", path, "--out", tmp_path / "inspected")
+    assert status in (0, 2) and "Traceback" not in text
+
+
 # --- foreign formats with a mapping and other units
 
 

@@ -94,7 +94,7 @@ def left_over(found: Diagnosis) -> str:
     _, channel, unit = words.signal(key)
     proof, c = found.sealed, int(channel) - 1
     size = shown_unit(proof.machine, "speed", c)[1]
-    power, slow, count = 0.0, 0.0, 0
+    power = slow = 0.0
     for s in proof.machine.segments[c]:
         if s.signal != "speed":
             continue
@@ -104,12 +104,11 @@ def left_over(found: Diagnosis) -> str:
         whole = np.isfinite(pieces).all(axis=1)
         power += float(np.sum(pieces[whole] ** 2))
         slow += float(np.sum(width * pieces[whole].mean(axis=1) ** 2))
-        count += width * int(whole.sum())
-    if not count or power <= 0.0:
+    if power <= 0.0:
         return ""
     share = slow / power
     text = (
-        f"Of the {np.sqrt(power / count):.3g} {unit} that are left, {np.sqrt(slow / count):.2g} {unit} are slower than "
+        f"Of the {entry['after']:.3g} {unit} that are left, {np.sqrt(share) * entry['after']:.2g} {unit} are slower than "
         f"{1.0 / SLOW_S:g} Hz, where a model could follow"
     )
     if share < 0.25:
