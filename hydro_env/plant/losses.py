@@ -9,7 +9,8 @@ All models act in all four quadrants. Leakage has the sign of the pressure diffe
 that none ever gives power. Where a publication has a jump at standstill there is a steep line here, as in
 `motor_coulomb_friction`: sign(w) is tanh(10 w), full from 0.3 rad/s; and the square root of turbulent leakage is smooth
 within 0.1 bar. docs/losses.md has equations, sources, published coefficients, and what is missing of the models that are
-not here.
+not here. Where a publication lets a coefficient depend on the operating point and its formula is not known here, a
+growth that is ours stands for it; it is zero unless given.
 """
 
 from __future__ import annotations
@@ -138,17 +139,18 @@ _loss_model(
     name="dorey_losses",
     summary="Dorey's losses: Wilson's linear model with coefficients that depend on pressure and speed, and compression",
     signature="slip grows faster than pressure, friction falls with speed",
-    source="McCandlish and Dorey, Proc. IMechE 198B, 1984; Dorey, Bath Fluid Power Workshop, 1988; the dependences "
-    "themselves, which are measured for each machine, are the simplest ones here",
+    source="McCandlish and Dorey, Proc. IMechE 198B, 1984; Dorey, Bath Fluid Power Workshop, 1988; linear part and "
+    "compression as OpenHydraulics has them after the former. How the coefficients depend on pressure and speed is measured "
+    "for each machine: slip_growth and boundary are the simplest such dependences and ours",
     parameters=(
         _SLIP,
-        Parameter("slip_growth", "1/Pa", 1e-7, 0.0, 1e-6, "assumed", "relative growth of Cs with pressure", 1e-7),
+        Parameter("slip_growth", "1/Pa", 0.0, 0.0, 1e-6, "assumed", "relative growth of Cs with pressure", 1e-7),
         Parameter(
             "compression", "1", 0.0, 0.0, 10.0, "1 + Vr; a public library after McCandlish and Dorey has Vr = 0.54",
             "volume that is compressed in every turn over the displacement", 1.54,
         ),
         _DRAG, _FRICTION,
-        Parameter("boundary", "1", 2.0, 0.0, 10.0, "assumed", "Cf at standstill over Cf at speed, less one", 2.0),
+        Parameter("boundary", "1", 0.0, 0.0, 10.0, "assumed", "Cf at standstill over Cf at speed, less one", 2.0),
         Parameter("boundary_speed", "rad/s", 10.0, 1.0, 100.0, "assumed", "speed over which Cf falls", 10.0, log=True),
         _VISCOSITY,
     ),
@@ -179,9 +181,9 @@ _loss_model(
     source="Jeong, J. Mech. Sci. Technol. 21, 2007 (two papers, with Kim); gap equations of Ivantysyn and Ivantysynova 2001",
     parameters=(
         _SLIP,
-        Parameter("gap_growth", "1/Pa", 3e-8, 0.0, 3e-7, "assumed", "relative widening of the gaps with pressure", 3e-8),
+        Parameter("gap_growth", "1/Pa", 0.0, 0.0, 3e-7, "assumed", "relative widening of the gaps with pressure", 3e-8),
         _DRAG, _FRICTION, _CONSTANT,
-        Parameter("stribeck", "1", 1.0, 0.0, 5.0, "assumed", "friction at standstill over friction at speed, less one", 1.0),
+        Parameter("stribeck", "1", 0.0, 0.0, 5.0, "assumed", "friction at standstill over friction at speed, less one", 1.0),
         Parameter(
             "stribeck_speed", "rad/s", 10.0, 1.0, 100.0, "assumed", "speed over which friction falls", 10.0, log=True
         ),
