@@ -23,13 +23,15 @@ outputs add flow, shift the command, and (their mean over both valves) quicken o
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from math import cos, pi, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.valve_estimate import FLOWING, LoadEstimate, SpoolModel, ValveEstimate
+from hydro_env.controllers.sensor_check import MOST_DELAY, DelayEstimate, SensorCheck
+from hydro_env.controllers.valve_estimate import FLOWING, NOISE, LoadEstimate, SpoolModel, ValveEstimate
 from hydro_env.envs.observation import Measurements, decode
 from hydro_env.plant import PARAMETERS
 from hydro_env.units import RPM
@@ -57,6 +59,9 @@ TUNED_PERIOD = 0.01
 AT_REST = 5.0 * RPM
 SWEEP_FROM = -0.02
 PAUSE = 0.15  # s between two answers to sudden loads
+LEAK_NOISE = NOMINAL["Km"] * 0.05e5 / RATED_FLOW
+TURN_NOISE = NOMINAL["D"] * 1.0 * RPM / RATED_FLOW
+"""Usual noise of the measured flow that comes from the pressure and from the speed."""
 SIGNS = np.array([1.0, -1.0])
 OWN, BOTH, FRAME = 24, 12, 3
 """Numbers of inputs: of each channel, of the rig, and of each remembered sample."""
@@ -86,6 +91,8 @@ class FlowView:
         reach, shift, pace: what outputs of 1 do: flow added, command shifted, logarithm of the reference's quickness.
         calm: what is left of the outputs at the set-point; they have their full effect from 100 rpm of error on and while
             the view probes.
+        watch: 1 for watching sensors and delay, 0 for taking both as they should be.
+        late: by how much a delay of one period lowers the feedback: divided by 1 + late.
         frames: how many past samples are among the inputs.
     """
 
@@ -124,6 +131,8 @@ class FlowView:
         shift: float = 0.1,
         pace: float = 0.5,
         calm: float = 0.1,
+        watch: float = 1.0,
+        late: float = 0.8,
         frames: float = 2,
     ) -> None:
         self._given = {
@@ -139,7 +148,7 @@ class FlowView:
         self.probe, self.sweep, self.search, self.detect = probe, sweep, search, detect
         self.pulse, self.pulse_time, self.known, self.blend = pulse, pulse_time, known, blend
         self.reach, self.shift, self.pace, self.calm = reach, shift, pace, calm
-        self.frames = int(frames)
+        self.watch, self.late, self.frames = watch, late, int(frames)
         self.num_features = 2 * OWN + BOTH + FRAME * self.frames
 
     def settings(self) -> dict[str, Any]:
@@ -151,6 +160,12 @@ class FlowView:
         self.period = period
         pair = (n, 2)
         self.spool = SpoolModel(n, period, SPOOL_RATE, 0.03, self.friction * FRICTION)
+        self.sensors, self.delays = SensorCheck(n, period), DelayEstimate(n)
+        self.noisier = np.ones(pair)
+        # a spool that hears every command at once, and where it was; the commands sent and flows asked for, newest first
+        self.prompt = SpoolModel(n, period, SPOOL_RATE, 0.03, self.friction * FRICTION)
+        self._places = np.zeros((MOST_DELAY + 1, 2, *pair))
+        self._sent, self._wanted = np.zeros((MOST_DELAY + 1, *pair)), np.zeros((MOST_DELAY + 1, *pair))
         self.valves = ValveEstimate(
             n, period, drift=self.drift, gain_drift=self.gain_drift,
             doubt=(self.still, self.moving), first=self.first,
@@ -167,7 +182,7 @@ class FlowView:
         self.wanted = np.zeros(pair)
         # the reference: speed, acceleration, and the speeds it had, newest first
         self.speed, self.acceleration = np.zeros(n), np.zeros(n)
-        self.before = np.zeros((int(self.delay / period) + 2, n))
+        self.before = np.zeros((int(self.delay / period) + 2 + MOST_DELAY, n))
         self.quick = np.ones(n)
         # crossing: direction of the flow, where the spools have crept to
         self.direction, self.crossing, self.crept = np.zeros(n), np.zeros(n, bool), np.zeros(pair)
@@ -189,6 +204,12 @@ class FlowView:
     def restart(self, rows: Rows, observation: Floats) -> Floats:
         seen = decode(np.asarray(observation))
         self.spool.place(rows, seen.command)
+        self.prompt.place(rows, seen.command)
+        self._places[:, 0, rows], self._places[:, 1, rows] = seen.command, 0.0
+        self._sent[:, rows], self._wanted[:, rows] = seen.command, 0.0
+        self.sensors.forget(rows, seen)
+        self.delays.forget(rows, seen.command, _flow(seen))
+        self.noisier[rows] = 1.0
         self.valves.forget(rows)
         self.loads.forget(rows, seen.speed, _shaft_torque(seen))
         self.sent[rows], self.asked[:, rows] = seen.command, seen.command
@@ -206,15 +227,55 @@ class FlowView:
 
     def see(self, observation: Floats) -> Floats:
         seen = decode(np.asarray(observation))
-        self.spool.move(self.sent)
+        self._sent = np.concatenate([self.sent[None], self._sent[:-1]])
+        self._wanted = np.concatenate([self.wanted[None], self._wanted[:-1]])
+        self.spool.move(self._delayed(self._sent))
+        if self.watch:
+            seen = self._watch(seen)
         self.flow = _flow(seen)
-        self.valves.learn(self.spool, self.flow)
-        self.loads.step(seen.speed, _shaft_torque(seen))
+        self.valves.learn(self.spool, self.flow, self.noisier)
+        self.loads.step(seen.speed, _shaft_torque(seen), self.sensors.noise, self.sensors.unsound)
         self._think(seen)
         inputs = self._inputs(seen, slice(None))
         if self.frames:
             self.past = np.concatenate([self._frame(seen)[None], self.past[:-1]])
         return inputs.reshape(-1, self.num_features)
+
+    def _delayed(self, history: Floats, more: int = 0) -> Floats:
+        """From a history (periods, num_rigs, 2), what now comes into effect in each rig."""
+        at: Floats = history[np.maximum(self.delays.periods - more, 0), np.arange(len(self.sent))]
+        return at
+
+    def _watch(self, seen: Measurements) -> Measurements:
+        """The measurements with speeds to go by; a delay of the commands, once it is seen, is taken into account."""
+        sensors, valves = self.sensors, self.valves
+        signed = np.sign(self.spool.position - valves.middle)
+        edge = np.where(signed < 0.0, valves.edge[..., 1], valves.edge[..., 0])
+        passed = signed * valves.gain * np.maximum(signed * self.spool.position - edge, 0.0)
+        steady = ~(self.crossing | self.probing) & (np.abs(self.acceleration) < 1.0)
+        speed = sensors.step(seen, self.loads.torque, RATED_FLOW * passed, steady)
+        self.loads.torque = np.where(sensors.lagging, 0.0, self.loads.torque)
+        seen = replace(seen, speed=np.asarray(speed, dtype=np.float64))
+        heard = np.hypot(LEAK_NOISE * sensors.pressure_noise, TURN_NOISE * np.minimum(sensors.noise, 5.0))
+        self.noisier = np.where((sensors.noise > 1.0) | (sensors.pressure_noise > 1.0), heard / NOISE, 1.0)
+
+        self.prompt.move(self.sent)
+        now = np.stack([self.prompt.position, self.prompt.speed])
+        self._places = np.concatenate([now[None], self._places[:-1]])
+        changed = self.delays.step(
+            self.prompt.position, _flow(seen), valves.gain, FLOWING * self.noisier, NOISE * self.noisier
+        )
+        if changed.any():
+            rows = np.flatnonzero(changed)
+            late = self.delays.periods[rows]
+            place = self._places[late, :, rows]
+            self.spool.position[rows], self.spool.speed[rows] = place[:, 0], place[:, 1]
+            # edges found by a sweep lie nearer by what the sweep went on before the spool followed
+            shift = self.sweep * self.period * late[:, None, None]
+            valves.edge[rows] -= shift
+            valves.nearest[rows] -= shift
+            valves.edge_variance[rows] += (0.5 * shift) ** 2
+        return seen
 
     # ---- the law --------------------------------------------------------------------------------------------------
     def _think(self, seen: Measurements) -> None:
@@ -225,19 +286,25 @@ class FlowView:
         asked = self._move_reference(motors)
         self._watch_direction(asked)
         unequal = np.abs(self.loads.miss[:, 0] - self.loads.miss[:, 1])
-        sudden = np.clip((unequal - 2.0 * self._jump) / self._jump, 0.0, 1.0)
+        jump = self._jump * np.max(self.sensors.noise, axis=1)
+        sudden = np.clip((unequal - 2.0 * jump) / jump, 0.0, 1.0)
         self.bolting = self.bolt * np.where((self.pausing <= 0) & ~self.probing, sudden, 0.0)
         self.pausing = np.where(self.bolting > 0.0, round(PAUSE / self.period), self.pausing - 1)
 
         # speed difference one period ahead, under the flows asked for last
         torque = self.loads.torque
-        rate = (self.wanted - FLOW_PER_SPEED * seen.speed - FLOW_PER_TORQUE * torque) / FLOW_PER_ACCELERATION
-        lead = self.lead * TUNED_PERIOD
-        ahead = seen.speed + lead * (1.0 - 0.5 * MOTOR_RATE * TUNED_PERIOD) * rate
+        ahead, late = seen.speed, self.delays.periods
+        for more in range(int(np.max(late)) + 1):
+            flow = self._delayed(self._wanted, more)
+            rate = (flow - FLOW_PER_SPEED * ahead - FLOW_PER_TORQUE * torque) / FLOW_PER_ACCELERATION
+            # whole periods until the last command comes into effect, then what the spool takes
+            span = np.where(more < late, self.period, np.where(more == late, self.lead * TUNED_PERIOD, 0.0))
+            ahead = ahead + (span * (1.0 - 0.5 * MOTOR_RATE * TUNED_PERIOD))[:, None] * rate
         apart = 0.5 * (ahead - ahead[:, ::-1])
         behind = self._reference_then() - motors
         correction = self.track * behind[:, None] - self.couple * apart
-        acceleration = self.acceleration[:, None] + self._feedback * correction
+        feedback = self._feedback / (1.0 + self.late * late)
+        acceleration = self.acceleration[:, None] + feedback[:, None] * correction
         self._law = (
             FLOW_PER_SPEED * self.speed[:, None]
             + FLOW_PER_ACCELERATION * acceleration
@@ -253,7 +320,7 @@ class FlowView:
         if not self.probing.any():
             return
         sign = np.where(self.sides == 0, 1.0, -1.0)
-        found = (sign * self.flow > self.detect) | (self.swept > 0.5)
+        found = (sign * self.flow > self.detect * self.noisier) | (self.swept > 0.5)
         turns = found & (self.sides < 2) & self.probing[:, None]
         self.sides = self.sides + turns
         self.swept = np.where(turns, SWEEP_FROM, self.swept + self.sweep * self.period)
@@ -292,7 +359,8 @@ class FlowView:
         """The reference `delay` ago."""
         whole = int(self.delay / self.period)
         share = self.delay / self.period - whole
-        then: Floats = (1.0 - share) * self.before[whole] + share * self.before[whole + 1]
+        rows, at = np.arange(len(self.speed)), whole + self.delays.periods
+        then: Floats = (1.0 - share) * self.before[at, rows] + share * self.before[at + 1, rows]
         return then
 
     def _watch_direction(self, asked: Floats) -> None:
@@ -386,7 +454,7 @@ class FlowView:
         sign = self.direction[:, None]
         edge, deviation = self._facing(self.valves.edge), self._facing(self.valves.edge_deviation)
         # an edge too far away: no flow is seen, a sick sensor
-        there = (sign * self.flow > FLOWING) | (deviation < self.known) | (self.crept > 0.6)
+        there = (sign * self.flow > FLOWING * self.noisier) | (deviation < self.known) | (self.crept > 0.6)
         self.crept = np.where(there, self.crept, self.crept + self.search * self.period)
         self.crossing = self.crossing & ~np.all(there, axis=1)
         creeping = sign * np.where(there, edge + FLOWING / self.valves.gain, self.crept)

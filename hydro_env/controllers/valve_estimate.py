@@ -124,14 +124,18 @@ class ValveEstimate:
         command: Floats = middle + np.minimum(np.abs(flow) / blend, 1.0) * (beyond - middle)
         return command
 
-    def learn(self, spool: SpoolModel, flow: Floats) -> None:
-        """Takes in the measured flows (num_rigs, 2) with the spools where the model has them."""
+    def learn(self, spool: SpoolModel, flow: Floats, noisier: Floats | float = 1.0) -> None:
+        """Takes in the measured flows (num_rigs, 2) with the spools where the model has them.
+
+        `noisier`: their noise as a multiple of `NOISE`, (num_rigs, 2).
+        """
+        flowing = FLOWING * noisier
         # where flow tells nothing, the side of the dead zone's middle on which the spool stands
-        negative = np.where(np.abs(flow) > FLOWING, flow < 0.0, spool.position < self.middle)
+        negative = np.where(np.abs(flow) > flowing, flow < 0.0, spool.position < self.middle)
         sign = np.where(negative, -1.0, 1.0)
         here = np.stack([~negative, negative], axis=-1)  # the direction in which each spool stands
         position, seen = sign * spool.position, sign * flow
-        flows = seen > FLOWING
+        flows = seen > flowing
         unknown = np.any(self.unknown & here, axis=-1)
         self._search(here & unknown[..., None], position, seen, flows)
 
@@ -150,7 +154,7 @@ class ValveEstimate:
         along_other = beyond * other + by_edge * self.between
         still, moving = self._doubt
         misplaced = still**2 + moving**2 * spool.ringing
-        noise = NOISE**2 + self.gain**2 * misplaced
+        noise = (NOISE * noisier) ** 2 + self.gain**2 * misplaced
         total = beyond * along_gain + by_edge * along_edge + noise
         miss = np.where(active, seen - self.gain * beyond, 0.0)
         weight = np.where(active, 1.0 / total, 0.0)
@@ -203,10 +207,14 @@ class LoadEstimate:
         self.torque[rows], self.miss[rows] = 0.0, 0.0
         self._speed[rows], self._shaft[rows] = speed, shaft
 
-    def step(self, speed: Floats, shaft: Floats) -> None:
-        """Takes in the speeds (rad/s) and what the shafts give after friction (N m)."""
+    def step(self, speed: Floats, shaft: Floats, noisier: Floats | float = 1.0, blind: Any = False) -> None:
+        """Takes in the speeds (rad/s) and what the shafts give after friction (N m).
+
+        `noisier`: the speeds' noise as a multiple of the usual. Where `blind`, the torque stays as it is.
+        """
         load = 0.5 * (shaft + self._shaft) - self._per_speed * (speed - self._speed)
-        self.miss = load - self.torque
-        jumps = np.clip((np.abs(self.miss) - self._jump) / (0.7 * self._jump), 0.0, 1.0)
+        self.miss = np.where(blind, 0.0, load - self.torque)
+        jump = self._jump * noisier
+        jumps = np.clip((np.abs(self.miss) - jump) / (0.7 * jump), 0.0, 1.0)
         self.torque = self.torque + (self._share + (1.0 - self._share) * jumps) * self.miss
         self._speed, self._shaft = np.array(speed, dtype=float), np.array(shaft)

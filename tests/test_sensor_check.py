@@ -1,0 +1,74 @@
+"""What the agents' law finds out about sensors and delay while it drives, and that it finds nothing where all is well."""
+
+import numpy as np
+import pytest
+
+from hydro_env.controllers.flow_view import FlowView
+from hydro_env.envs import HydraulicSyncVectorEnv
+from hydro_env.plant import load_model
+from hydro_env.units import RPM
+
+RIGS = 12
+
+
+def drive(seconds=1.0, plant="paper_dead_zone", mismatch="val", noise=1.0, watch=1.0, at_step=None):
+    """Drives the law alone; returns the view and the largest speed difference of every rig."""
+    env = HydraulicSyncVectorEnv(RIGS, plant=plant, mismatch=mismatch, scenario="setpoint_steps", noise=noise)
+    observation, _ = env.reset(seed=list(range(RIGS)))
+    view, largest = FlowView(watch=watch), np.zeros(RIGS)
+    view.start(observation, 0.01)
+    for step in range(round(seconds / 0.01)):
+        observation, *_, info = env.step(view.command(np.zeros((2 * RIGS, 3))))
+        if at_step is not None:
+            observation = at_step(step, observation)
+        view.see(observation)
+        largest = np.maximum(largest, np.abs(info["speed_difference_rpm"]))
+    return view, largest, env
+
+
+def test_nothing_is_found_where_all_is_well():
+    view, _, _ = drive(seconds=3.0)
+    assert not view.delays.periods.any()
+    assert not view.sensors.unsound.any()
+    assert np.mean(view.sensors.noise > 1.0) < 0.2
+
+
+@pytest.mark.parametrize("late", [1, 2])
+def test_a_delay_of_the_commands_is_found_and_allowed_for(late):
+    model = load_model("paper_dead_zone").with_values({"command_delay.delay": 0.01 * late})
+    view, largest, _ = drive(plant=model)
+    assert np.mean(view.delays.periods == late) > 0.9
+    _, careless, _ = drive(plant=model, watch=0.0)
+    assert np.median(largest) < 0.6 * np.median(careless)
+
+
+def test_noise_is_measured_at_rest():
+    view, largest, _ = drive(noise=5.0)
+    assert np.all((view.sensors.noise > 2.0) & (view.sensors.noise < 12.0), axis=1).mean() > 0.7
+    _, careless, _ = drive(noise=5.0, watch=0.0)
+    assert np.median(largest) < 0.6 * np.median(careless)
+
+
+def test_a_speed_sensor_that_stands_still_is_replaced():
+    """From 0.5 s on the first sensor of every rig shows what it showed last, then the set-point falls at 2 s."""
+    held = {}
+
+    def freeze(step, observation):
+        if step == 50:
+            held["reading"] = observation[:, 1].copy()
+        if step >= 50:
+            observation = observation.copy()
+            observation[:, 1] = held["reading"]
+        return observation
+
+    view, _, env = drive(seconds=2.6, at_step=freeze)
+    assert view.sensors.stuck[:, 0].all() and not view.sensors.stuck[:, 1].any()
+    assert np.median(np.abs(view.sensors.speed[:, 0] - env.plant.speed[:, 0])) < 40.0 * RPM
+
+
+def test_a_lagging_speed_sensor_is_noticed():
+    model = load_model("paper_dead_zone").with_values({"sensor_lag.time_constant": (0.05, 0.0)})
+    view, largest, _ = drive(plant=model, seconds=3.0)
+    assert np.mean(view.sensors.lagging[:, 0]) > 0.8 and not view.sensors.lagging[:, 1].any()
+    _, careless, _ = drive(plant=model, seconds=3.0, watch=0.0)
+    assert np.median(largest) < 0.6 * np.median(careless)
