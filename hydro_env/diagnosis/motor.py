@@ -99,10 +99,12 @@ class MotorRig:
         if self.jobs > 1 and len(requests) >= 16:
             return self._shared_out(requests)
         results: list[dict[int, np.ndarray]] = [{} for _ in requests]
-        by_kernel: dict[tuple[str, ...], list[int]] = {}
+        by_kernel: dict[tuple[tuple[str, ...], int], list[int]] = {}
         for number, request in enumerate(requests):
-            by_kernel.setdefault(self.kernel(request.effects), []).append(number)
-        for effects, numbers in by_kernel.items():
+            # Rigs are simulated in step: one that takes its substeps in parts holds up those beside it.
+            parts = max((_parts(CATALOGUE[e]) for e in request.effects), default=1)
+            by_kernel.setdefault((self.kernel(request.effects), parts), []).append(number)
+        for (effects, _), numbers in by_kernel.items():
             rows = self._pack([(n, requests[n]) for n in numbers])
             for start in range(0, len(rows), LANES):
                 self._run(effects, rows[start : start + LANES], requests, results)
@@ -237,6 +239,10 @@ def _begin(
 
 def _answer(requests: list[Request]) -> list[dict[int, np.ndarray]]:
     return _RIG[0].predict(requests)
+
+
+def _parts(effect: Effect) -> int:
+    return effect.corner_parts if effect.corner is not None else 1
 
 
 def _light(effect: Effect) -> bool:

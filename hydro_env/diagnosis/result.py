@@ -150,7 +150,10 @@ def named_effects(
             for n in same.get((choice.effect, choice.channel), [])
             if n not in rivals and _tied(selection, choice, n)
         ]
-        weight = 1.0 + sum(math.exp(-0.5 * TEMPER * choice.rivals.get(n, 0.0)) for n in rivals)
+        # Between names that are declared alike the law's exact form decides, which no machine keeps: they weigh the same.
+        declared = CATALOGUE[choice.effect].indistinguishable_from
+        behind = {n: 0.0 if n in declared else choice.rivals.get(n, 0.0) for n in rivals}
+        weight = 1.0 + sum(math.exp(-0.5 * TEMPER * deficit) for deficit in behind.values())
         channel = choice.channel
         c = machine.channels[0] if channel is None else channel
         likely = 1.0 / (1.0 + math.exp(-0.5 * TEMPER * (choice.gain - choice.needed)))

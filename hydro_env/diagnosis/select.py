@@ -18,7 +18,7 @@ from ..plant import CATALOGUE
 from .fit import Floors, Problem, channels_of, differentiate, evaluate, gain, levels, solve
 from .machine import Machine
 from .noise import effective_samples
-from .signatures import Look, first_look
+from .signatures import Look, alike, first_look
 from .unknowns import bases_of, effect_unknowns, less_taken
 
 __all__ = ["Choice", "Selection", "Trial", "penalty", "select"]
@@ -35,6 +35,8 @@ MOST = 3
 NEAR = 0.1
 #: Most iterations of the joint refit of what was taken.
 SETTLE = 12
+#: Iterations of the refit of a rival in the place of what was taken.
+AGAIN = 5
 #: Candidates whose cheap refit reached less than this share of the best one's are not refitted in full.
 FAR = 0.5
 #: An effect must explain this share of what is left above the noise, in the signal where it explains most.
@@ -136,7 +138,7 @@ def select(
         if number > 1:
             say(f"round {number}: looking at what is left")
             names = [n for n in candidates if CATALOGUE[n].scope == "channel"]
-            now = first_look(machine, {c: present[c] for c in open_channels}, floors, names, seconds)
+            now = first_look(machine, {c: present[c] for c in open_channels}, floors, names, seconds, looks)
         say(f"round {number}: refitting candidates")
         taken = _round(machine, present, open_channels, now, floors, number, trials, choices, placebo)
         open_channels = [
@@ -152,6 +154,8 @@ def select(
     if any(len([k for k in choices if k.channel == c]) > 1 for c in machine.channels):
         say("can any of them be left out?")
         _backward(machine, present, choices, floors, trials)
+    if choices:
+        say("what else would do as well?")
         _rivals_again(machine, present, choices, looks, floors)
     return Selection(present, choices, trials, placebo)
 
@@ -505,22 +509,49 @@ def _rivals_again(
     looks: Sequence[Look],
     floors: Floors,
 ) -> None:
-    """Rivals that were near while another effect was still missing are put in the place of theirs once more."""
-    starts = {(k.effect, k.channel): k for k in looks}
+    """Puts rivals in the place of what was taken, once everything else is there.
+
+    They are those that were near while another effect was still missing, those whose signature has the same direction, and
+    those that the catalogue declares to be hardly told apart: a rival that a screening passed over must still be listed.
+    Each starts from the base parameters found. One that does better than the effect it stands for takes its place.
+    """
+    starts, same = {(k.effect, k.channel): k for k in looks}, alike(looks)
     swaps: list[tuple[Choice, str, Problem]] = []
     for choice in choices:
         c = choice.channel
         if c is None or choice.without is None or present[c].channel is None:
             continue
-        for rival in choice.rivals:
-            if (rival, c) in starts and sum(k.channel == c for k in choices) > 1:
-                swaps.append((choice, rival, extended(choice.without, starts[rival, c])))
-    solve(machine, [p for _, _, p in swaps], floors, 5)
-    for choice, rival, problem in swaps:
+        own = {k.effect for k in choices if k.channel == c}
+        declared = CATALOGUE[choice.effect].indistinguishable_from
+        again = (
+            *sorted(choice.rivals, key=lambda n: choice.rivals[n])[:4],
+            *declared,
+            *same.get((choice.effect, c), [])[:2],
+        )
+        for rival in dict.fromkeys(again):
+            if (rival, c) in starts and rival not in own:
+                swaps.append((choice, rival, extended(_less(present[c], choice.effect), starts[rival, c])))
+    solve(machine, [p for _, _, p in swaps], floors, AGAIN)
+    for choice, rival, problem in sorted(swaps, key=lambda s: s[2].cost):
         assert choice.without is not None and choice.channel is not None
-        own = gain(machine, choice.without, present[choice.channel], floors)
-        behind = own - gain(machine, choice.without, problem, floors)
-        if behind < max(NEAR * own, choice.needed):
+        c = choice.channel
+        if {*problem.effects()} - {rival} != {*present[c].effects()} - {choice.effect}:
+            continue  # another effect of this channel was replaced meanwhile
+        own_gain = gain(machine, choice.without, present[c], floors)
+        behind = own_gain - gain(machine, choice.without, problem, floors)
+        better = behind < -0.5 * choice.needed and problem.cost < present[c].cost
+        if better and not (_neutral(problem, rival) or _at_edge(problem, rival)):
+            choice.rivals.pop(rival, None)
+            if -behind < max(NEAR * own_gain, choice.needed):
+                choice.rivals[choice.effect] = -behind
+            choice.effect, choice.gain, present[c] = rival, own_gain - behind, problem
+        elif behind < max(NEAR * own_gain, choice.needed):
             choice.rivals[rival] = max(behind, 0.0)
         else:
-            del choice.rivals[rival]
+            choice.rivals.pop(rival, None)
+
+
+def _less(problem: Problem, effect: str) -> Problem:
+    """The problem without an effect, at the same values of everything else."""
+    keep = [j for j, u in enumerate(problem.unknowns) if not u.name.startswith(f"{effect}.")]
+    return Problem(problem.channel, [problem.unknowns[j] for j in keep], problem.q[keep], f"without {effect}")

@@ -64,18 +64,21 @@ class _Projector:
 
 
 def first_look(
-    machine: Machine, problems: dict[int, Problem], floors: Floors, effects: Sequence[str], seconds: float
-) -> list[Look]:
+    machine: Machine, problems: dict[int, Problem], floors: Floors, effects: Sequence[str], seconds: float,
+    earlier: Sequence[Look] = (),
+) -> list[Look]:  # fmt: skip
     """One look at every effect on every channel, beside the present `problems`, best first.
 
-    Effects of the whole rig are looked at on both channels together.
+    Effects of the whole rig are looked at on both channels together. Effects that are slow to simulate are looked at only
+    in the size that did best in an `earlier` look, if there is one.
     """
     wanted: list[tuple[str, int | None, dict[str, float]]] = []
     for name in effects:
         effect = CATALOGUE[name]
-        for start in starts(effect, seconds):
-            for channel in problems if effect.scope == "channel" else (None,):
-                wanted.append((name, channel, start))
+        for channel in problems if effect.scope == "channel" else (None,):
+            known = [k.start for k in earlier if (k.effect, k.channel) == (name, channel)]
+            slow = effect.corner is not None and known
+            wanted += [(name, channel, start) for start in (known if slow else starts(effect, seconds))]
     requests = [_beside(problems, name, channel, start) for name, channel, start in wanted]
     results = machine.predict(requests)
     left = {c: _Projector(machine, p, c, _deviations(machine, p, c, floors)) for c, p in problems.items()}
@@ -94,16 +97,16 @@ def first_look(
         parts = [noise[c](changes[c]) for c in channels]
         signature = np.concatenate(parts)
         size = float(signature @ signature)
-        known = looks.get((name, channel))
+        look = looks.get((name, channel))
         medium = _is_medium(name, start)
-        if known is None:
-            known = looks[name, channel] = Look(
+        if look is None:
+            look = looks[name, channel] = Look(
                 name, channel, start, gained, size, signature / max(np.sqrt(size), 1e-30)
             )
         if medium:
-            known.visible, known.signature = size, signature / max(np.sqrt(size), 1e-30)
-        if gained > known.gain:
-            known.gain, known.start = gained, start
+            look.visible, look.signature = size, signature / max(np.sqrt(size), 1e-30)
+        if gained > look.gain:
+            look.gain, look.start = gained, start
     return sorted(looks.values(), key=lambda look: -look.gain)
 
 

@@ -62,6 +62,8 @@ GROUPS: dict[str, dict[str, Any]] = {
     "quiet": {"noise": 0.1},
     "noisy": {"noise": 10.0},
 }
+#: Groups in which something is hidden that may be named.
+_WITH_CHANNEL = frozenset(GROUPS) - {"nothing", "parameters", "unlisted"}
 #: Trials of the groups that hide nothing.
 EMPTY = 10
 #: What is asked for: (what, counted by, over the groups, at least or at most this share).
@@ -128,8 +130,10 @@ def run_case(case: Case, *, duration: float = 12.0, rate: float = 1000.0, jobs: 
     sizes = {f"{h.name}.{n}": v for h in practice.hidden for n, v in h.parameters.items() if math.isfinite(v)}
     truth = {(h.name, c) for h in practice.hidden for c in _sides(h.channel)}
     row = {**asdict(case), "sizes": sizes, **judge(data, truth, practice.truth["verdict"], case.unlisted)}
+    visible = [data["detectable"].get(name, {}).get(c) for name, c in truth]
     return {
-        **row, "seconds": round(time.perf_counter() - begin, 1), "cpu_s": round(time.process_time() - cpu, 1),
+        **row, "visible": all(v is not False for v in visible),
+        "seconds": round(time.perf_counter() - begin, 1), "cpu_s": round(time.process_time() - cpu, 1),
         "gap": data["gap"]["sealed"], "effects": data["effects"],
     }  # fmt: skip
 
@@ -232,8 +236,8 @@ def table(rows: Sequence[dict[str, Any]], command: str) -> str:
             )
     lines += [
         "",
-        "| group | trials | right | right or in the declared set | median CPU, s |",
-        "|---|---|---|---|---|",
+        "| group | trials | right | right or in the declared set | right channel | sealed within 1.3 | median CPU, s |",
+        "|---|---|---|---|---|---|---|",
     ]
     for group in GROUPS:
         own = [r for r in rows if r["group"] == group]
@@ -241,15 +245,17 @@ def table(rows: Sequence[dict[str, Any]], command: str) -> str:
             times = sorted(r["cpu_s"] for r in own)
             lines.append(
                 f"| {group} | {len(own)} | {sum(r['right'] for r in own)} | "
-                f"{sum(r['right'] or r['set'] for r in own)} | {times[len(times) // 2]:.0f} |"
+                f"{sum(r['right'] or r['set'] for r in own)} | "
+                f"{sum(r['channel'] for r in own) if group in _WITH_CHANNEL else '-'} | "
+                f"{sum(r['sealed'] for r in own)} | {times[len(times) // 2]:.0f} |"
             )
     wrong = [r for r in rows if not r["right"]]
     lines += [
         "",
         "Trials that were not simply right:",
         "",
-        "| group | hidden | verdict | named | seed |",
-        "|---|---|---|---|---|",
+        "| group | hidden | verdict | named | sealed speed, times the noise | seed |",
+        "|---|---|---|---|---|---|",
     ]
     for r in wrong:
         names = ", ".join(
@@ -257,9 +263,19 @@ def table(rows: Sequence[dict[str, Any]], command: str) -> str:
             + (f" (or {', '.join(e['indistinguishable_from'])})" if e["indistinguishable_from"] else "")
             for e in r["effects"]
         )
-        lines.append(
-            f"| {r['group']} | {', '.join(r['hidden']) or 'nothing'} | {r['verdict']} | {names or '-'} | {r['seed']} |"
+        hidden = (", ".join(r["hidden"]) or "nothing") + (
+            "" if r.get("visible", True) else " (said to be invisible here)"
         )
+        lines.append(
+            f"| {r['group']} | {hidden} | {r['verdict']} | {names or '-'} | {r['worst']:.2f} | {r['seed']} |"
+        )
+    rough = [r for r in rows if (r["right"] or r["set"]) and r["verdict"] == "effects" and not r["sealed"]]
+    lines += [
+        "",
+        "Rightly named, but the sealed speed stays above 1.3 times the noise: "
+        + ("; ".join(f"{', '.join(r['hidden'])} ({r['group']}) {r['worst']:.2f}" for r in rough) or "none")
+        + ".",
+    ]
     return "\n".join([f"Made by `{command}`; {len(rows)} trials.", "", *lines, ""])
 
 
