@@ -28,6 +28,8 @@ def test_speed_writes_rates_and_the_error_at_that_speed(
     assert row["times_real_time"] == pytest.approx(row["env_steps_per_s"] * 0.01)
     assert 0 < result["error_rpm"]["worst_against_reference"] < 0.1
     assert 0 < result["error_float32_rpm"]["worst_against_reference"] < 0.1
+    assert 0 < result["effects"]["base_ns"] < result["effects"]["all_neutral_ns"]
+    assert 0 < result["start"]["warm_s"] < result["start"]["cold_s"]
     assert "rpm" in speed.summary(result)
 
 

@@ -6,7 +6,11 @@ to the reference simulator (SciPy's stiff solver on the plain equations) under t
 
 from __future__ import annotations
 
+import os
 import platform
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,11 +21,20 @@ from tqdm import tqdm
 
 from hydro_env.experiments.near_limit import measure_ratio
 from hydro_env.files import write_json
-from hydro_env.plant import Plant, load_model
+from hydro_env.plant import CATALOGUE, Plant, load_model
 from hydro_env.plant.model import SUBSTEP
 from hydro_env.units import RPM
 
-__all__ = ["NUM_ENVS", "measure_batch", "measure_error", "measure_single", "run", "summary"]
+__all__ = [
+    "NUM_ENVS",
+    "measure_batch",
+    "measure_effects",
+    "measure_error",
+    "measure_single",
+    "measure_start",
+    "run",
+    "summary",
+]
 
 NUM_ENVS = (1, 16, 64, 256, 1024)
 PERIOD = 0.01
@@ -126,6 +139,43 @@ def measure_error(dtype: str = "float64") -> dict[str, float]:
     return {"worst_against_reference": max(errors.values()), **errors}
 
 
+def measure_effects(seconds: float = 1.0) -> dict[str, float]:
+    """Time of a channel substep, ns: of the base plant, with the dead zone, and with every effect compiled in, all neutral.
+
+    What a model does not name is not compiled in and costs nothing; the last figure is what naming all of them costs.
+    """
+    commands = _commands(20, 1024, np.random.default_rng(0))
+
+    def cost(plant: Plant) -> float:
+        def steps() -> int:
+            plant.run(commands, None, PERIOD, (), 1)
+            return commands.shape[0] * plant.num_rigs * 2 * plant.substeps(PERIOD)
+
+        return 1e9 / _rate(steps, seconds)
+
+    return {
+        "base_ns": cost(Plant("paper", 1024)),
+        "dead_zone_ns": cost(Plant("paper_dead_zone", 1024)),
+        "all_neutral_ns": cost(Plant("paper", 1024, effects=CATALOGUE)),
+    }
+
+
+def measure_start() -> dict[str, float]:
+    """Seconds from the start of Python to the first step of an environment: nothing compiled yet, and from the cache."""
+    code = (
+        "import gymnasium; env = gymnasium.make('hydro_env:HydraulicSync-v0');"
+        "env.reset(seed=0); env.step(env.action_space.sample())"
+    )
+    took = []
+    with tempfile.TemporaryDirectory() as cache:
+        own = {"HYDRO_ENV_CACHE": cache, "NUMBA_CACHE_DIR": str(Path(cache) / "numba")}
+        for _ in ("cold", "warm"):
+            begin = time.perf_counter()
+            subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, **own})
+            took.append(time.perf_counter() - begin)
+    return {"cold_s": took[0], "warm_s": took[1]}
+
+
 def run(out: str | Path, *, num_envs: Sequence[int] = NUM_ENVS, seconds: float = 1.0) -> dict[str, Any]:
     """Measures and writes speed.json.
 
@@ -136,9 +186,7 @@ def run(out: str | Path, *, num_envs: Sequence[int] = NUM_ENVS, seconds: float =
 
     Returns the content of speed.json.
     """
-    start = time.perf_counter()
-    Plant("paper_dead_zone").step(0.0, 0.0, PERIOD)
-    first = time.perf_counter() - start
+    start = measure_start()
     sizes = [(n, "float64") for n in num_envs] + [(max(num_envs), "float32")]
     batch = [measure_batch(n, seconds, dtype) for n, dtype in tqdm(sizes, desc="batch", leave=False)]
     plant = Plant("paper_dead_zone", 1024)
@@ -150,12 +198,13 @@ def run(out: str | Path, *, num_envs: Sequence[int] = NUM_ENVS, seconds: float =
         },
         "control_period_s": PERIOD,
         "substep_s": SUBSTEP,
-        "first_step_s": first,
+        "start": start,
         "single": measure_single(seconds),
         "batch": batch,
         "error_rpm": measure_error(),
         "error_float32_rpm": measure_error("float32"),
         "near_limit": measure_ratio(seconds),
+        "effects": measure_effects(seconds),
         "memory_bytes_per_env": plant.memory.nbytes / 1024,
     }
     write_json(Path(out) / "speed.json", result)
@@ -188,6 +237,12 @@ def summary(result: dict[str, Any]) -> str:
             f" {twin['ratio']:.2f} times its speed"
         )
     lines.append(
-        f"first step after {result['first_step_s']:.1f} s, {result['memory_bytes_per_env']:.0f} bytes of plant per environment"
+        "a channel substep of the base plant: {base_ns:.1f} ns, with a dead zone {dead_zone_ns:.1f} ns,"
+        " with all effects compiled in and neutral {all_neutral_ns:.0f} ns".format(**result["effects"])
     )
+    lines.append(
+        "from the start of Python to the first step of an environment: {cold_s:.1f} s with nothing compiled,"
+        " {warm_s:.1f} s from the cache".format(**result["start"])
+    )
+    lines.append(f"{result['memory_bytes_per_env']:.0f} bytes of plant per environment")
     return "\n".join(lines)
