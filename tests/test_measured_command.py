@@ -20,6 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hydro_env import cli
+from hydro_env.diagnosis.hide import make_practice
 from hydro_env.errors import InputError
 from hydro_env.measured import read_log
 from hydro_env.plant import load_model, simulate
@@ -145,7 +146,7 @@ def motors_swapped(columns: Columns) -> None:
     columns["speed_1_rpm"], columns["speed_2_rpm"] = columns["speed_2_rpm"], columns["speed_1_rpm"]
 
 
-@mistake("pressure", "swapped", "exchange the pressure columns")
+@mistake("drives the shaft of the other one", "swapped", "exchange the columns of")
 def pressures_swapped(columns: Columns) -> None:
     columns["pressure_1_bar"], columns["pressure_2_bar"] = (
         columns["pressure_2_bar"],
@@ -178,19 +179,31 @@ def kilopascal_called_bar(columns: Columns) -> None:
     columns["pressure_1_bar"] *= 100
 
 
-@mistake("pressure of channel 2", "psi that is read as bar")
+@mistake("'pressure_2_bar' (read as bar)", "pressure of channel 2", "is it in psi")
 def psi_called_bar(columns: Columns) -> None:
     columns["pressure_2_bar"] *= 14.504
 
 
-@mistake("speed of channel 1", "rad/s that are read as rpm")
+@mistake("'speed_1_rpm' (read as rpm)", "speed of channel 1", "is it in rad/s")
 def radians_called_rpm(columns: Columns) -> None:
     columns["speed_1_rpm"] *= RPM
 
 
-@mistake("speed of channel 1", "rpm that are read as rad/s")
-def rpm_called_radians(columns: Columns) -> None:
-    columns["speed_1_rpm"] /= RPM
+@mistake("'pressure_2_bar' (read as bar)", "is it in MPa")
+def megapascal_called_bar(columns: Columns) -> None:
+    columns["pressure_2_bar"] /= 10
+
+
+@mistake("the currents are 0.73 times", "in percent")
+def percent_called_volt(columns: Columns) -> None:
+    for c in (1, 2):
+        columns[f"command_{c}_V"] /= 0.73
+
+
+@mistake("the currents are 73 times", "a fraction of full command")
+def fraction_called_volt(columns: Columns) -> None:
+    for c in (1, 2):
+        columns[f"command_{c}_V"] /= 73
 
 
 @mistake("'current_1_A'", "is it in mA")
@@ -224,6 +237,29 @@ def test_a_log_that_is_surely_wrong_is_refused(
     line = _refused(path, sealed)
     for word in words:
         assert word in line, line
+
+
+def test_rpm_that_a_mapping_calls_radians(tmp_path: Path, recorded: tuple[Columns, Columns]) -> None:
+    mapping = _mapping(tmp_path)
+    logs = [_foreign(log) for log in recorded]
+    for log in logs:
+        log["n_left"] /= RPM
+    path, sealed = (_save(tmp_path / f"{n}.csv", log) for n, log in enumerate(logs))
+    line = _refused(path, sealed, "--mapping", mapping, "--model", "paper_dead_zone")
+    assert "'n_left' (read as rad/s) is 9.55 times the model's speed of channel 1: is it in rpm?" in line
+
+
+def test_sensors_exchanged_in_closed_loop(tmp_path: Path) -> None:
+    """Both motors follow one set-point, so each speed is like the other's: only the shaft tells."""
+    practice = make_practice(["dead_zone:1"], duration=6.0, runs=("fit_2",), seed=4)
+    sealed = tmp_path / "sealed.csv"
+    for signal in ("speed", "pressure", "current"):
+        columns = {name: values.copy() for name, values in practice.logs["fit_2"].items()}
+        _save(sealed, columns)
+        one, two = (next(n for n in columns if n.startswith(f"{signal}_{c}")) for c in (1, 2))
+        columns[one], columns[two] = columns[two], columns[one]
+        line = _refused(_save(tmp_path / "fit.csv", columns), sealed)
+        assert "swapped" in line and signal in line.split("exchange the")[1], line
 
 
 def test_a_refused_log_that_is_right_can_be_accepted(

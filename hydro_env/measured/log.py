@@ -64,6 +64,8 @@ class RigLog:
         None,
     )  # m3/rad, or m2 for a cylinder, where known
     findings: tuple[Finding, ...] = field(default=(), compare=False)
+    #: (column, unit) that a signal was read from and as, by "speed_1", ...
+    read_as: dict[str, tuple[str, str]] = field(default_factory=dict, compare=False)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -256,6 +258,13 @@ def _from_table(table: Table, mapping: Mapping, native: bool) -> RigLog:
             channel.displacement.si if channel and channel.displacement else None
             for channel in mapping.channels
         ),
+        read_as={
+            f"{signal}_{number + 1}": (source.column, source.unit)
+            for number, channel in enumerate(mapping.channels)
+            if channel
+            for signal in CHANNEL_SIGNALS
+            if (source := getattr(channel, signal)) is not None
+        },
         **{name: None if values is None else values[start:] for name, values in signals.items()},  # type: ignore[arg-type]
     )
     if len(log) < 2:
