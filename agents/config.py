@@ -58,6 +58,7 @@ class Training:
         tracking_weight: an evaluation's score is the interquartile mean of the largest speed difference plus this
             times the interquartile mean of the tracking error, both in rpm, averaged over the scenarios; the policy
             with the lowest score is exported.
+        tail_weight: of the 95th percentile of the largest difference in that score.
     """
 
     algorithm: str
@@ -69,6 +70,7 @@ class Training:
     evaluate_scenarios: tuple[str, ...] = ("setpoint_steps",)
     evaluate_pairs: int = 64
     tracking_weight: float = 0.5
+    tail_weight: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,11 @@ def _training(path: Path, table: dict[str, Any]) -> Training:
     for key in ("checkpoint_every", "evaluate_every", "evaluate_pairs"):
         if key in values:
             values[key] = _whole(where, key, values[key])
-    for key, kind in (("seed", int), ("tracking_weight", (int, float)), ("peak", (int, float))):
+    kinds: dict[str, Any] = {
+        "seed": int,
+        **dict.fromkeys(("tracking_weight", "tail_weight", "peak"), (int, float)),
+    }
+    for key, kind in kinds.items():
         if key in values and (
             isinstance(values[key], bool) or not isinstance(values[key], kind) or values[key] < 0
         ):

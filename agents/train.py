@@ -114,7 +114,8 @@ class Run(BaseCallback):
         }
         difference = np.mean([scores["max_speed_difference_rpm"] for scores in each.values()])
         tracking = np.mean([scores["tracking_mae_rpm"] for scores in each.values()])
-        score = float(difference + training.tracking_weight * tracking)
+        tail = np.mean([scores["max_speed_difference_rpm_p95"] for scores in each.values()])
+        score = float(difference + training.tracking_weight * tracking + training.tail_weight * tail)
         scores = each[training.evaluate_scenarios[0]]
         seconds = round(time.monotonic() - self._since, 1)
         self.progress["curve"].append({"steps": self.steps, "seconds": seconds, "score": score, **scores})

@@ -23,7 +23,7 @@ outputs add flow, shift the command, and (their mean over both valves) quicken o
 from __future__ import annotations
 
 import inspect
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import cos, pi, sqrt
 from typing import Any
 
@@ -44,14 +44,54 @@ Rows = NDArray[Any] | slice
 NOMINAL = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
 RATED_TRAVEL = NOMINAL["alpha"] * NOMINAL["u_rated"] / (NOMINAL["R"] * NOMINAL["k"])
 RATED_FLOW = NOMINAL["Kq"] * RATED_TRAVEL
-FLOW_PER_TORQUE = NOMINAL["Km"] / NOMINAL["D"] / RATED_FLOW
-FLOW_PER_SPEED = NOMINAL["D"] / RATED_FLOW + NOMINAL["B"] * FLOW_PER_TORQUE
-FLOW_PER_ACCELERATION = NOMINAL["J"] * FLOW_PER_TORQUE
-MOTOR_RATE = FLOW_PER_SPEED / FLOW_PER_ACCELERATION
-"""Rate at which a motor without flow coasts down, 1/s."""
 SPOOL_RATE = sqrt(NOMINAL["k"] / NOMINAL["m"])
 FRICTION = NOMINAL["Fs"] / (NOMINAL["k"] * RATED_TRAVEL)
 """Friction of the nominal spool as a share of the rated command."""
+
+
+@dataclass(frozen=True)
+class Motor:
+    """Flow, as a share of the rated one, that torque, speed and acceleration of a motor take (eq. 1 and 2).
+
+    leakage: relative to the paper's motor. compliance: flow into the lines per rate of the pressure, m3/Pa. mode: rate at
+    which the motor follows a flow where that is not the leakage's, 1/s; 0 for the leakage's.
+    """
+
+    leakage: float = 1.0
+    compliance: float = 0.0
+    mode: float = 0.0
+
+    @property
+    def per_torque(self) -> float:
+        return self.leakage * NOMINAL["Km"] / NOMINAL["D"] / RATED_FLOW
+
+    @property
+    def per_speed(self) -> float:
+        return NOMINAL["D"] / RATED_FLOW + NOMINAL["B"] * self.per_torque
+
+    @property
+    def per_acceleration(self) -> float:
+        return NOMINAL["J"] * self.per_torque
+
+    @property
+    def rate(self) -> float:
+        """Rate at which a motor without flow coasts down, 1/s."""
+        return self.per_speed / self.per_acceleration
+
+    def flow(self, seen: Measurements, rise: Floats | float = 0.0) -> Floats:
+        """Flow of each valve from its motor's speed and leakage (eq. 1) and the lines' swelling, (num_rigs, 2); `rise` is
+        the pressure's, Pa/s."""
+        leak = self.leakage * NOMINAL["Km"] * seen.pressure
+        return (NOMINAL["D"] * seen.speed + leak + self.compliance * rise) / RATED_FLOW
+
+    def ahead(self, speed: Floats, flow: Floats, torque: Floats, span: Floats) -> Floats:
+        """Speed after a span (num_rigs,) in s with that flow."""
+        if self.mode:
+            final = (flow - self.per_torque * torque) / self.per_speed
+            return speed + (1.0 - np.exp(-self.mode * span))[:, None] * (final - speed)
+        rate = (flow - self.per_speed * speed - self.per_torque * torque) / self.per_acceleration
+        return speed + (span * (1.0 - 0.5 * self.rate * TUNED_PERIOD))[:, None] * rate
+
 
 SPEED, PRESSURE = 600.0 * RPM, 10e5  # scales of the inputs
 TUNED_PERIOD = 0.01
@@ -93,6 +133,8 @@ class FlowView:
             the view probes.
         watch: 1 for watching sensors and delay, 0 for taking both as they should be.
         late: by how much a delay of one period lowers the feedback: divided by 1 + late.
+        leakage, compliance, mode: of the `Motor`; compliance here in 1e-12 m3/Pa.
+        damping: damping ratio of the modelled spool.
         frames: how many past samples are among the inputs.
     """
 
@@ -133,6 +175,10 @@ class FlowView:
         calm: float = 0.1,
         watch: float = 1.0,
         late: float = 0.8,
+        leakage: float = 1.0,
+        compliance: float = 0.0,
+        mode: float = 0.0,
+        damping: float = 0.03,
         frames: float = 2,
     ) -> None:
         self._given = {
@@ -148,6 +194,7 @@ class FlowView:
         self.probe, self.sweep, self.search, self.detect = probe, sweep, search, detect
         self.pulse, self.pulse_time, self.known, self.blend = pulse, pulse_time, known, blend
         self.reach, self.shift, self.pace, self.calm = reach, shift, pace, calm
+        self.motor, self.damping = Motor(leakage, 1e-12 * compliance, mode), damping
         self.watch, self.late, self.frames = watch, late, int(frames)
         self.num_features = 2 * OWN + BOTH + FRAME * self.frames
 
@@ -159,11 +206,11 @@ class FlowView:
         n = len(observation)
         self.period = period
         pair = (n, 2)
-        self.spool = SpoolModel(n, period, SPOOL_RATE, 0.03, self.friction * FRICTION)
-        self.sensors, self.delays = SensorCheck(n, period), DelayEstimate(n)
+        self.spool = SpoolModel(n, period, SPOOL_RATE, self.damping, self.friction * FRICTION)
+        self.sensors, self.delays = SensorCheck(n, period, self.motor.leakage), DelayEstimate(n)
         self.noisier = np.ones(pair)
         # a spool that hears every command at once, and where it was; the commands sent and flows asked for, newest first
-        self.prompt = SpoolModel(n, period, SPOOL_RATE, 0.03, self.friction * FRICTION)
+        self.prompt = SpoolModel(n, period, SPOOL_RATE, self.damping, self.friction * FRICTION)
         self._places = np.zeros((MOST_DELAY + 1, 2, *pair))
         self._sent, self._wanted = np.zeros((MOST_DELAY + 1, *pair)), np.zeros((MOST_DELAY + 1, *pair))
         self.valves = ValveEstimate(
@@ -190,6 +237,7 @@ class FlowView:
         self.probing, self.sides = np.zeros(n, bool), np.zeros(pair, int)
         self.swept, self.pulsed = np.zeros(pair), np.zeros(n, int)
         self.bolting, self.pausing = np.zeros(n), np.zeros(n, int)
+        self._pressure = np.zeros(pair)
         self.past = np.zeros((self.frames, n, 2, FRAME))
         # of the inputs seen last: flow that the law asks for, effect of the outputs, set-point, mean load
         self._law, self._effect, self._setpoint, self._load = (
@@ -208,19 +256,20 @@ class FlowView:
         self._places[:, 0, rows], self._places[:, 1, rows] = seen.command, 0.0
         self._sent[:, rows], self._wanted[:, rows] = seen.command, 0.0
         self.sensors.forget(rows, seen)
-        self.delays.forget(rows, seen.command, _flow(seen))
+        self.delays.forget(rows, seen.command, self.motor.flow(seen))
         self.noisier[rows] = 1.0
         self.valves.forget(rows)
         self.loads.forget(rows, seen.speed, _shaft_torque(seen))
         self.sent[rows], self.asked[:, rows] = seen.command, seen.command
-        self.flow[rows], self.wanted[rows] = _flow(seen), 0.0
+        self.flow[rows], self.wanted[rows] = self.motor.flow(seen), 0.0
+        self._pressure[rows] = seen.pressure
         self.speed[rows], self.acceleration[rows] = np.mean(seen.speed, axis=1), 0.0
         self.before[:, rows], self.quick[rows] = self.speed[rows], 1.0
         self.direction[rows], self.crossing[rows], self.crept[rows] = 0.0, False, 0.0
         self.probing[rows], self.sides[rows], self.swept[rows] = self.probe > 0.0, 0, SWEEP_FROM
         self.pulsed[rows], self.bolting[rows], self.pausing[rows] = 0, 0.0, 0
         self._load[rows], self._setpoint[rows] = 0.0, seen.setpoint
-        self._law[rows], self._effect[rows] = FLOW_PER_SPEED * seen.speed, self.calm
+        self._law[rows], self._effect[rows] = self.motor.per_speed * seen.speed, self.calm
         self._apart[rows], self._behind[rows] = 0.0, 0.0
         self.past[:, rows] = self._frame(seen)
         return self._inputs(seen, rows).reshape(-1, self.num_features)
@@ -232,7 +281,8 @@ class FlowView:
         self.spool.move(self._delayed(self._sent))
         if self.watch:
             seen = self._watch(seen)
-        self.flow = _flow(seen)
+        self.flow = self._flow(seen)
+        self._pressure = seen.pressure
         self.valves.learn(self.spool, self.flow, self.noisier)
         self.loads.step(seen.speed, _shaft_torque(seen), self.sensors.noise, self.sensors.unsound)
         self._think(seen)
@@ -240,6 +290,9 @@ class FlowView:
         if self.frames:
             self.past = np.concatenate([self._frame(seen)[None], self.past[:-1]])
         return inputs.reshape(-1, self.num_features)
+
+    def _flow(self, seen: Measurements) -> Floats:
+        return self.motor.flow(seen, (seen.pressure - self._pressure) / self.period)
 
     def _delayed(self, history: Floats, more: int = 0) -> Floats:
         """From a history (periods, num_rigs, 2), what now comes into effect in each rig."""
@@ -263,7 +316,7 @@ class FlowView:
         now = np.stack([self.prompt.position, self.prompt.speed])
         self._places = np.concatenate([now[None], self._places[:-1]])
         changed = self.delays.step(
-            self.prompt.position, _flow(seen), valves.gain, FLOWING * self.noisier, NOISE * self.noisier
+            self.prompt.position, self._flow(seen), valves.gain, FLOWING * self.noisier, NOISE * self.noisier
         )
         if changed.any():
             rows = np.flatnonzero(changed)
@@ -293,22 +346,22 @@ class FlowView:
 
         # speed difference one period ahead, under the flows asked for last
         torque = self.loads.torque
-        ahead, late = seen.speed, self.delays.periods
+        ahead: Floats = seen.speed
+        late = self.delays.periods
         for more in range(int(np.max(late)) + 1):
             flow = self._delayed(self._wanted, more)
-            rate = (flow - FLOW_PER_SPEED * ahead - FLOW_PER_TORQUE * torque) / FLOW_PER_ACCELERATION
             # whole periods until the last command comes into effect, then what the spool takes
             span = np.where(more < late, self.period, np.where(more == late, self.lead * TUNED_PERIOD, 0.0))
-            ahead = ahead + (span * (1.0 - 0.5 * MOTOR_RATE * TUNED_PERIOD))[:, None] * rate
+            ahead = self.motor.ahead(ahead, flow, torque, span)
         apart = 0.5 * (ahead - ahead[:, ::-1])
         behind = self._reference_then() - motors
         correction = self.track * behind[:, None] - self.couple * apart
         feedback = self._feedback / (1.0 + self.late * late)
         acceleration = self.acceleration[:, None] + feedback[:, None] * correction
         self._law = (
-            FLOW_PER_SPEED * self.speed[:, None]
-            + FLOW_PER_ACCELERATION * acceleration
-            + FLOW_PER_TORQUE * torque
+            self.motor.per_speed * self.speed[:, None]
+            + self.motor.per_acceleration * acceleration
+            + self.motor.per_torque * torque
         )
         self._apart, self._behind = apart, behind
         worst = np.max(np.abs(seen.setpoint[:, None] - seen.speed), axis=1) / (100.0 * RPM)
@@ -335,24 +388,24 @@ class FlowView:
 
     def _move_reference(self, motors: Floats) -> Floats:
         """One period of the reference; returns the flow it asks for, (num_rigs,)."""
-        valves, load = self.valves, FLOW_PER_TORQUE * self._load
-        held = FLOW_PER_SPEED * self.speed + load
-        now = held + FLOW_PER_ACCELERATION * self.acceleration
+        valves, load = self.valves, self.motor.per_torque * self._load
+        held = self.motor.per_speed * self.speed + load
+        now = held + self.motor.per_acceleration * self.acceleration
         most = self.most * np.min(valves.capacity(), axis=1)
         unsure = np.sqrt(np.max(valves.gain_variance, axis=1)) / 0.12
         growth = self.slew * self.period * self.quick / (1.0 + self.doubt * unsure)
-        target = held + FLOW_PER_ACCELERATION * self.rate * self.quick * (self._setpoint - self.speed)
+        target = held + self.motor.per_acceleration * self.rate * self.quick * (self._setpoint - self.speed)
         upward = np.where(now >= 0.0, growth, self.fall * growth)
         downward = np.where(now <= 0.0, growth, self.fall * growth)
         flow = np.clip(np.clip(target, now - downward, now + upward), -most[:, 1], most[:, 0])
-        acceleration = (flow - held) / FLOW_PER_ACCELERATION
+        acceleration = (flow - held) / self.motor.per_acceleration
         waits = self.crossing | self.probing
-        coasting = np.where(self.probing, 0.0, -MOTOR_RATE * motors - self._load / NOMINAL["J"])
+        coasting = np.where(self.probing, 0.0, -self.motor.rate * motors - self._load / NOMINAL["J"])
         self.acceleration = np.where(waits, coasting, acceleration)
         self.speed = np.where(waits, motors, self.speed + self.period * acceleration)
         self.before = np.concatenate([self.speed[None], self.before[:-1]])
         self.before = np.where(waits, motors, self.before)
-        asked: Floats = FLOW_PER_SPEED * self.speed + load + FLOW_PER_ACCELERATION * acceleration
+        asked: Floats = self.motor.per_speed * self.speed + load + self.motor.per_acceleration * acceleration
         return asked
 
     def _reference_then(self) -> Floats:
@@ -384,7 +437,7 @@ class FlowView:
         """What is remembered of every sample, (rigs, 2, FRAME): error, being ahead of the other, flow."""
         error, apart = seen.setpoint[:, None] - seen.speed, seen.speed - seen.speed[:, ::-1]
         frame: Floats = np.stack(
-            [error / SPEED, np.clip(apart / (20.0 * RPM), -2.0, 2.0), 2.0 * _flow(seen)], axis=-1
+            [error / SPEED, np.clip(apart / (20.0 * RPM), -2.0, 2.0), 2.0 * self.motor.flow(seen)], axis=-1
         )
         return frame
 
@@ -397,7 +450,7 @@ class FlowView:
         deviation = np.minimum(valves.edge_deviation[rows], 0.1)
         own = np.stack(
             [
-                error / SPEED, np.clip(error / (60.0 * RPM), -1.0, 1.0), 2.0 * _flow(seen), seen.pressure / PRESSURE,
+                error / SPEED, np.clip(error / (60.0 * RPM), -1.0, 1.0), 2.0 * self.motor.flow(seen), seen.pressure / PRESSURE,
                 sent, position, self.spool.speed[rows] / SPOOL_RATE, self.asked[-1, rows], self.asked[0, rows],
                 2.0 * self._law[rows], 2.0 * self.wanted[rows], self.loads.torque[rows], self.loads.miss[rows],
                 4.0 * valves.edge[rows, :, 0], 4.0 * valves.edge[rows, :, 1], valves.gain[rows],
@@ -471,11 +524,6 @@ class FlowView:
         sweeps = np.where(self.sides == 0, 1.0, -1.0) * self.swept
         probing = np.where(self.sides < 2, sweeps, pulses)
         return np.where(self.probing[:, None], probing, asked), self.probing
-
-
-def _flow(seen: Measurements) -> Floats:
-    """Flow into each motor from its speed and leakage (eq. 1), as a share of the rated flow, (num_rigs, 2)."""
-    return (NOMINAL["D"] * seen.speed + NOMINAL["Km"] * seen.pressure) / RATED_FLOW
 
 
 def _shaft_torque(seen: Measurements) -> Floats:

@@ -42,9 +42,9 @@ MOST_DELAY = 2
 class SensorCheck:
     """Speeds (num_rigs, 2) to go by, `noise` of speeds and `pressure_noise` in multiples of the usual, (num_rigs, 2)."""
 
-    def __init__(self, num_rigs: int, period: float) -> None:
+    def __init__(self, num_rigs: int, period: float, leakage: float = 1.0) -> None:
         pair = (num_rigs, 2)
-        self.period = period
+        self.period, self._leak = period, leakage * NOMINAL["Km"]
         self.speed, self.noise, self.pressure_noise = np.zeros(pair), np.ones(pair), np.ones(pair)
         self.stuck, self.lagging, self.lag = np.zeros(pair, bool), np.zeros(pair, bool), np.zeros(pair)
         self._read, self._pressure = np.zeros((3, *pair)), np.zeros((3, *pair))
@@ -91,7 +91,7 @@ class SensorCheck:
         trusted = known / (known + noise)
         sound = ahead + trusted * (new - ahead)
         mended = new + self.lag * (new - old) / self.period
-        by_flow = (valve_flow - NOMINAL["Km"] * seen.pressure) / NOMINAL["D"]
+        by_flow = (valve_flow - self._leak * seen.pressure) / NOMINAL["D"]
         share = min(1.0, 3.0 * self.period)
         unsound = ahead + np.where(self.stuck, share * (by_flow - ahead), share * (mended - ahead))
         self.speed = np.where(self.unsound, unsound, np.where(self.noise > 1.0, sound, new))
