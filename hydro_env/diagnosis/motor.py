@@ -18,6 +18,8 @@ __all__ = ["MotorRig"]
 #: Longest substep of the fit and of the proof, s. With 200 us the speeds are off by less than 0.2 rpm; from 300 us on a spool
 #: that meets its end stop may be lost.
 SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
+#: The fit's substep where an effect has every substep taken in parts (of 20 to 50 us then), s.
+PARTED_SUBSTEP = 500e-6
 #: Lanes of one call, so that memory stays small and progress visible.
 LANES = 32
 #: Functions that make an effect's law too slow to be carried along by every candidate.
@@ -99,15 +101,16 @@ class MotorRig:
         if self.jobs > 1 and len(requests) >= 16:
             return self._shared_out(requests)
         results: list[dict[int, np.ndarray]] = [{} for _ in requests]
-        by_kernel: dict[tuple[tuple[str, ...], int], list[int]] = {}
+        by_kernel: dict[tuple[tuple[str, ...], int, float], list[int]] = {}
         for number, request in enumerate(requests):
             # Rigs are simulated in step: one that takes its substeps in parts holds up those beside it.
             parts = max((_parts(CATALOGUE[e]) for e in request.effects), default=1)
-            by_kernel.setdefault((self.kernel(request.effects), parts), []).append(number)
-        for (effects, _), numbers in by_kernel.items():
+            key = (self.kernel(request.effects), parts, self._step(request))
+            by_kernel.setdefault(key, []).append(number)
+        for (effects, _, step), numbers in by_kernel.items():
             rows = self._pack([(n, requests[n]) for n in numbers])
             for start in range(0, len(rows), LANES):
-                self._run(effects, rows[start : start + LANES], requests, results)
+                self._run(effects, step, rows[start : start + LANES], requests, results)
         return results
 
     def _shared_out(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
@@ -137,6 +140,17 @@ class MotorRig:
         apart = [n for n in CATALOGUE if n in library and CATALOGUE[n].scope == "channel"]
         return tuple(apart) if effects <= {*apart} else tuple(n for n in CATALOGUE if n in library)
 
+    def _step(self, request: Request) -> float:
+        """The substep of a request, which does not depend on what is simulated beside it."""
+        period = min(part.log.period for part in self.parts)
+        alone = request.channel is not None and not self.coupled
+        parted = (
+            alone
+            and self.substep == SUBSTEP
+            and any(_all_parted(CATALOGUE[e], request) for e in request.effects)
+        )
+        return PARTED_SUBSTEP if parted and period >= PARTED_SUBSTEP else self.substep
+
     def close(self) -> None:
         """Ends the processes, if there are any."""
         if self._pool is not None:
@@ -155,6 +169,7 @@ class MotorRig:
     def _run(
         self,
         effects: tuple[str, ...],
+        step: float,
         rigs: list[list[int]],
         requests: Sequence[Request],
         results: list[dict[int, np.ndarray]],
@@ -188,7 +203,7 @@ class MotorRig:
             for channel in answers:
                 results[n][channel] = np.empty(self._length(channel))
         for number, part in enumerate(self.parts):
-            out = self._simulate(part, values, plays if swapped else None, lanes, effects)
+            out = self._simulate(part, values, plays if swapped else None, lanes, effects, step)
             for channel in self.channels:
                 for segment in self.segments[channel]:
                     if segment.log != number:
@@ -213,6 +228,7 @@ class MotorRig:
         plays: np.ndarray | None,
         lanes: int,
         effects: tuple[str, ...],
+        step: float,
     ) -> dict[str, np.ndarray]:
         """`plays` (lanes, 2): the channel whose command and load each side has; None: its own."""
         command = np.nan_to_num(part.log.command_V)
@@ -223,7 +239,7 @@ class MotorRig:
         with np.errstate(all="ignore"):
             return simulate(
                 self.model, command, load, part.log.period, values=values, num_rigs=lanes, effects=effects,
-                record=[_RECORDED[s] for s in self.signals], substep=self.substep,
+                record=[_RECORDED[s] for s in self.signals], substep=step,
             )  # fmt: skip
 
 
@@ -243,6 +259,16 @@ def _answer(requests: list[Request]) -> list[dict[int, np.ndarray]]:
 
 def _parts(effect: Effect) -> int:
     return effect.corner_parts if effect.corner is not None else 1
+
+
+def _all_parted(effect: Effect, request: Request) -> bool:
+    """Whether the effect has every substep taken in parts, wherever the rig is: its corner asks for its parameters only."""
+    if effect.corner is None:
+        return False
+    code = effect.corner.__code__
+    names = code.co_varnames[: code.co_argcount]
+    own = {p.name: request.values.get(f"{effect.name}.{p.name}", p.nominal) for p in effect.parameters}
+    return {*names} <= {*own} and bool(effect.corner(**{name: own[name] for name in names}))
 
 
 def _light(effect: Effect) -> bool:
