@@ -49,8 +49,8 @@ class Work:
 
 
 def work_of(data: Mapping[str, Any]) -> Iterator[Work]:
-    """What is to be done for the result of `hydro-env close-loop`."""
-    for row in data["rigs"]:
+    """What is to be done for the result of `hydro-env close-loop`: one seed of all cases after the other."""
+    for row in sorted(data["rigs"], key=lambda row: int(row["seed"])):
         for source in close_loop.SOURCES:
             yield Work(row["rig"], row["case"], row["seed"], row["forms"], source)
 
@@ -58,14 +58,21 @@ def work_of(data: Mapping[str, Any]) -> Iterator[Work]:
 def run(
     rigs: Path, out: Path, config: Config, *, command: str = "", pictures: bool = True, progress: bool = True
 ) -> dict[str, Any]:
-    """Trains and scores what is not done yet, writes the result to `out` and returns it.
+    """Trains and scores what is not done yet; returns the result, which is written to `out` after every rig.
 
     `rigs` is the folder that `hydro-env close-loop` wrote. InputError if it is not, or if `out` holds trainings of another
     training file or other models.
     """
     data = close_loop.read(rigs)
     (out / "drives").mkdir(parents=True, exist_ok=True)
-    rows = []
+    others = [s for s in data["scores"] if s["controller"] != NAME or s["tuned_on"] == "none"]
+    training = {
+        "config": config.path.name,
+        "text": config.text,
+        "steps": config.num_steps,
+        "command": command,
+    }
+    rows: list[dict[str, Any]] = []
     for work in work_of(data):
         kept = out / "drives" / f"{work.rig}_{work.source}.json"
         model = rigs / "rigs" / work.rig / f"{work.source}.yaml"
@@ -91,15 +98,10 @@ def run(
             "seed": work.seed,
         }
         rows += [{**about, "scenario": name, **result} for name, result in done["drives"].items()]
-    scores = [s for s in data["scores"] if (s["controller"], s["tuned_on"] != "none") != (NAME, True)] + rows
-    training = {
-        "config": config.path.name,
-        "text": config.text,
-        "steps": config.num_steps,
-        "command": command,
-    }
-    data = {**data, "agent": training, "scores": scores, "summary": close_loop.collect(scores)}
-    close_loop.write(out, data, pictures)
+        if work.source == close_loop.SOURCES[-1]:
+            scores = others + rows
+            data = {**data, "agent": training, "scores": scores, "summary": close_loop.collect(scores)}
+            close_loop.write(out, data, pictures)
     return data
 
 
