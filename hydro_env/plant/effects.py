@@ -488,6 +488,11 @@ def _droop_rate(droop, own_flow, other_flow, relative_drop, time_constant):
     return (relative_drop * (abs(own_flow) + abs(other_flow)) / 8.1778e-4 - droop) / time_constant
 
 
+def _droop_corner(relative_drop):
+    # The other channel's flow is that of the substep before, which a supply as weak as this does not forgive.
+    return relative_drop > 0.5
+
+
 register(
     Effect(
         name="supply_droop",
@@ -511,6 +516,7 @@ register(
         ),
         laws={"drive": _supply_droop},
         states=(State("droop", _droop_rate),),
+        corner=_droop_corner,
     )
 )
 
@@ -643,6 +649,11 @@ def _motor_coulomb_friction(torque, speed, coulomb, static, stribeck_speed):
     return torque - (coulomb + (static - coulomb) * exp(-slip * slip)) * tanh(speed * 10.0)
 
 
+def _motor_coulomb_friction_corner(speed, coulomb, static):
+    # The step at standstill is passed within a substep, and where the shaft sticks depends on how.
+    return coulomb + static > 0.0 and abs(speed) < 1.0
+
+
 register(
     Effect(
         name="motor_coulomb_friction",
@@ -665,6 +676,7 @@ register(
             Parameter("stribeck_speed", "rad/s", 3.0, 0.2, 20.0, "assumed", "Stribeck speed", 3.0, log=True),
         ),
         laws={"torque": _motor_coulomb_friction},
+        corner=_motor_coulomb_friction_corner,
     )
 )
 
@@ -695,6 +707,11 @@ def _displacement_ripple(displacement, angle, amplitude, order):
     return displacement * (1.0 + amplitude * cos(order * angle))
 
 
+def _displacement_ripple_corner(amplitude):
+    # A ripple far beyond the usual nearly stalls the motor and magnifies errors a hundredfold there.
+    return amplitude > 0.1
+
+
 register(
     Effect(
         name="displacement_ripple",
@@ -707,6 +724,8 @@ register(
             Parameter("order", "1", 7.0, 3.0, 13.0, "number of chambers", "periods in a turn", 7.0),
         ),
         laws={"displacement": _displacement_ripple},
+        corner=_displacement_ripple_corner,
+        corner_parts=20,
     )
 )
 
