@@ -285,7 +285,12 @@ def speed(
 @app.command()
 def tune(
     out: Out,
-    controller: Annotated[str, typer.Option(help="Control law whose gains are searched.")] = "pid",
+    controller: Annotated[
+        str,
+        typer.Option(
+            help="Control law whose gains are searched; `all`: every controller that ships, each with the common budget."
+        ),
+    ] = "pid",
     plant: Plant = "paper_dead_zone",
     mismatch: Annotated[
         str, typer.Option(help="Split the pairs of valves come from, or `none`: the plant's own pair.")
@@ -294,21 +299,43 @@ def tune(
         str, typer.Option(help="What is driven; several with commas.")
     ] = "setpoint_steps,random_steps",
     cases: Annotated[int, typer.Option(min=1, help="Pairs of valves each candidate drives.")] = 12,
-    episodes: Annotated[int, typer.Option(min=1, help="Budget: how many episodes may be simulated.")] = 12288,
+    episodes: Annotated[int, typer.Option(min=1, help="Budget: how many episodes may be simulated.")] = 11520,
     weight: Annotated[
         float, typer.Option(help="Rpm of tracking error that one rpm of speed difference is worth.")
     ] = 2.0,
     control_period: ControlPeriod = 0.01,
     seed: Seed = 0,
     name: Annotated[str | None, typer.Option(help="The controller's name in score boards.")] = None,
+    only: Annotated[str | None, typer.Option(help="With `all`: these controllers, with commas.")] = None,
+    linear: Annotated[
+        bool,
+        typer.Option(
+            help="PID gains from the linearised plant, as a PID tuner finds them, beside Table III."
+        ),
+    ] = False,
+    max_sensitivity: Annotated[
+        float, typer.Option(help="With `--linear`: how near the loop may come to instability.")
+    ] = 1.3,
 ) -> None:
     """Search the gains of a controller.
 
-    Writes gains.json, which `benchmark` takes.
+    Writes gains.json, which `benchmark` takes. `--controller all` writes one file for each controller that ships, with gains
+    for all control periods; of the other options only --seed and --only matter then. `--linear` takes
+    --plant and --max-sensitivity.
     """
     with _writing(out) as folder:
+        if linear:
+            from hydro_env.controllers import linear as tuner
+
+            # The linearised plant has no dead zone: the paper's own is the one to be asked unless another one is named.
+            chosen = "paper" if plant == "paper_dead_zone" else plant
+            print(tuner.summary(tuner.run(folder, plant=chosen, max_sensitivity=max_sensitivity, name=name)))
+            return
         from hydro_env.controllers import tune as work
 
+        if controller == "all":
+            work.run_all(folder, names=only.split(",") if only else None, seed=seed)
+            return
         work.run(
             folder,
             controller=controller,

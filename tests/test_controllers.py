@@ -7,16 +7,19 @@ import json
 import numpy as np
 import pytest
 from scipy import signal
+from scipy.linalg import expm
 
-from hydro_env.controllers import CONTROLLERS, LAWS, make_controller, tune
-from hydro_env.controllers.adaptive import Spool, ValveLearner, shaper
+from hydro_env.controllers import CONTROLLERS, LAWS, linear, make_controller, tune
+from hydro_env.controllers.adaptive import ValveLearner
 from hydro_env.controllers.base import FRACTION_PER_V, RPM
 from hydro_env.controllers.compensated import on_the_bench
 from hydro_env.controllers.gains import read_gains
-from hydro_env.controllers.pid import Pid, per_rpm
+from hydro_env.controllers.linear import largest_sensitivity
+from hydro_env.controllers.pid import TABLE_III, Pid, per_rpm
+from hydro_env.controllers.spool import Spool, shaper
 from hydro_env.controllers.valve_map import MOTOR_RATE, ValveMap, flow_for, true_map
 from hydro_env.errors import InputError
-from hydro_env.plant import Plant
+from hydro_env.plant import Plant, load_model
 
 
 def test_pid_by_hand():
@@ -353,3 +356,156 @@ def test_shipped_gains_say_how_they_were_found():
         assert found.tuning["command"].startswith("hydro-env tune"), entry.name
         assert found.tuning["episodes"] > 0 and "seed" in found.tuning, entry.name
         json.dumps(found.tuning)
+
+
+CLASSICAL = [
+    "pid_paper", "pid_tuned", "master_slave", "cross_coupled", "relative_coupling", "virtual_leader", "disturbance_observer",
+    "adaptive_flow",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_no_command_changes_faster_than_the_rate_limit(name):
+    """730 V/s are a tenth of the rated command in 10 ms; also the first command, from the one in force."""
+    rng = np.random.default_rng(3)
+    controller = make_controller(name, slew=730.0)
+    controller.reset(20, 0.01)
+    last = rng.uniform(-1.0, 1.0, (20, 2))
+    for _ in range(60):
+        seen = rng.uniform(-1.0, 1.0, (20, 9)).astype(np.float32)
+        seen[:, 7:] = last
+        command = controller.act(seen)
+        assert np.max(np.abs(command - last)) <= 0.1 + 1e-6
+        last = command
+
+
+@pytest.mark.parametrize(
+    "name", [each for each in CLASSICAL if each not in ("disturbance_observer", "adaptive_flow")]
+)
+def test_the_integrator_does_not_wind_up_on_the_rate_limit(name):
+    """While the command climbs at its limit, the integral stands still where it would ask for more."""
+    fast = make_controller(name, slew=30000.0, shape=0.0)
+    slow = make_controller(name, slew=146.0, shape=0.0)  # a second and a half from end to end
+    integral = {}
+    for label, controller in (("fast", fast), ("slow", slow)):
+        controller.reset(1, 0.01)
+        command = np.zeros((1, 2))
+        for _ in range(4):
+            command = controller.act(_observation(600.0, (0.0, 0.0), command[0]))
+        law = next(v for k, v in vars(controller).items() if k in ("_pid", "_track"))
+        integral[label] = float(np.max(np.abs(law.integral)))
+    assert integral["slow"] == 0.0 or integral["slow"] <= integral["fast"]
+    assert np.max(np.abs(command)) <= 4 * 0.02 + 1e-9
+    # and it is left as fast as it was climbed, as soon as the error turns
+    assert slow.act(_observation(-600.0, (600.0, 600.0), command[0]))[0, 0] < command[0, 0]
+
+
+def test_the_rate_limit_is_none_if_left_out():
+    controller = make_controller("pid_paper")
+    controller.reset(1, 0.01)
+    assert np.isinf(controller.gains["slew"]) and controller.gains["shape"] == 0.0
+    np.testing.assert_array_equal(controller.act(_observation(1e4, (-1e4, -1e4))), [[1.0, 1.0]])
+
+
+def test_a_shaped_command_leaves_the_spool_at_rest():
+    """After a step of the command the spool rings; of the shaped step it is at rest after two control periods."""
+    swing = {}
+    for shape in (0.0, 1.0):
+        controller = LAWS["pid"](Kp=0.05, Ti=1e6, Td=0.0, shape=shape)
+        controller.reset(1, 0.01)
+        spool, command, seen = Spool(np.zeros((1, 2)), 0.01, damping=0.0), np.zeros((1, 2)), []
+        controller.act(_observation(0.0, (0.0, 0.0)))
+        for _ in range(20):
+            command = controller.act(_observation(300.0, (0.0, 0.0), command[0]))
+            spool.step(command)
+            seen.append(spool.position[0, 0])
+        swing[shape] = np.ptp(seen[4:])
+    assert swing[1.0] < 0.02 * swing[0.0]
+
+
+def test_gains_follow_the_control_period(tmp_path):
+    """The set whose period is nearest in ratio; single gains can be changed at all periods."""
+    one = {"Kp": 0.1, "Ti": 0.1, "Td": 0.0}
+    path = tmp_path / "gains.json"
+    sets = {"0.005": {"gains": one | {"Kp": 0.05}}, "0.02": {"gains": one | {"Kp": 0.2, "slew": 5000.0}}}
+    data = {
+        "schema": "hydro_env/gains/1",
+        "controller": "pid",
+        "gains": one,
+        "tuning": {"control_period_s": 0.01},
+    }
+    path.write_text(json.dumps(data | {"periods": sets}))
+    controller = make_controller(str(path))
+    for period, kp in (
+        (0.001, 0.05),
+        (0.005, 0.05),
+        (0.007, 0.05),
+        (0.0072, 0.1),
+        (0.01, 0.1),
+        (0.02, 0.2),
+        (0.01, 0.1),
+    ):
+        controller.reset(1, period)
+        assert controller.gains["Kp"] == kp, period
+    changed = make_controller(str(path), Ti=0.5)
+    changed.reset(1, 0.02)
+    assert (changed.gains["Kp"], changed.gains["Ti"], changed.gains["slew"]) == (0.2, 0.5, 5000.0)
+    for bad, message in (
+        ({"soon": sets["0.02"]}, "soon"),
+        ({"0.02": {}}, "gains"),
+        ({"0.02": {"gains": {"Kp": "x"}}}, "Kp"),
+    ):
+        path.write_text(json.dumps(data | {"periods": bad}))
+        with pytest.raises(InputError, match=message):
+            make_controller(str(path))
+
+
+def test_linear_tuning_comes_near_table_iii(tmp_path):
+    """What a PID tuner does on the linearised plant: Kp within 5 %, Ti within 20 % of what the paper's tuner found."""
+    found = linear.run(tmp_path)
+    for channel in (0, 1):
+        assert found["gains"]["Kp"][channel] == pytest.approx(TABLE_III["Kp"][channel], rel=0.05)
+        assert found["gains"]["Ti"][channel] == pytest.approx(TABLE_III["Ti"][channel], rel=0.20)
+    assert "valve 2: Kp 0.02405 V/rpm (0.023) +5 %" in linear.summary(found)
+    assert make_controller(str(tmp_path / "gains.json")).gains["Kp"].shape == (2,)
+    with pytest.raises(InputError, match="largest sensitivity must be"):
+        linear.run(tmp_path, max_sensitivity=0.5)
+
+
+def test_the_linearised_plant_is_the_plant():
+    """A step around an open valve: the kernel answers as the five linear states do where there is little friction."""
+    model = load_model("paper").with_values({"Fc": 0.01, "Fs": 0.01})
+    plant = Plant(model)
+    for _ in range(200):
+        plant.step(np.full((1, 2), 20.0), np.zeros((1, 2)), 0.01)
+    rest = plant.speed
+    a, b, c = linear.linear_plant(model, 0)
+    held = expm(np.block([[a, b[:, None]], [np.zeros((1, 6))]]) * 0.01)
+    state = np.zeros(6)
+    state[5] = 30.0
+    for _ in range(60):
+        plant.step(np.full((1, 2), 50.0), np.zeros((1, 2)), 0.01)
+        state = held @ state
+        assert (plant.speed - rest)[0, 0] / RPM == pytest.approx(c @ state[:5], abs=0.01 * 30 * 28.8)
+    assert c @ np.linalg.solve(-a, b) == pytest.approx(28.82, abs=0.01)  # rpm per volt
+
+
+def test_largest_sensitivity_by_hand():
+    """A loop that is unstable has none; with a vanishing gain it is one."""
+    plant = linear.linear_plant(load_model("paper"), 0)
+    assert largest_sensitivity(plant, 1e-6, 0.2) == pytest.approx(1.0, abs=1e-3)
+    assert largest_sensitivity(plant, 0.2, 0.2) == np.inf
+
+
+def test_gains_can_be_given_with_the_name():
+    controller = make_controller("adaptive_flow:caution=2.5,rate=20")
+    assert (controller.gains["caution"], controller.gains["rate"]) == (2.5, 20.0)
+    assert controller.name == "adaptive_flow:caution=2.5,rate=20"
+    for wrong, message in (
+        ("adaptive_flow:cautoin=2", "'cautoin' is missing or unknown"),
+        ("adaptive_flow:caution=much", "GAIN=NUMBER"),
+        ("adaptive_flow:", "GAIN=NUMBER"),
+        ("ppo:Kp=1", "no gains"),
+    ):
+        with pytest.raises(InputError, match=message):
+            make_controller(wrong)

@@ -12,12 +12,10 @@ set it ringing.
 
 from __future__ import annotations
 
-from math import cos, pi, sqrt
-
 import numpy as np
-from scipy.linalg import expm
 
-from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
+from hydro_env.controllers.base import SLEW, Controller, Floats, Gain, Measurements
+from hydro_env.controllers.spool import Spool
 from hydro_env.controllers.valve_map import (
     FLOW_PER_ACCELERATION,
     MOTOR_RATE,
@@ -27,7 +25,7 @@ from hydro_env.controllers.valve_map import (
     measured_flow,
 )
 
-__all__ = ["AdaptiveFlow", "Spool", "ValveLearner", "shaper"]
+__all__ = ["AdaptiveFlow", "ValveLearner"]
 
 FLOWING = 0.008
 """Share of the rated flow that counts as flowing: four standard deviations of the measured flow's noise."""
@@ -35,40 +33,6 @@ FLOWING = 0.008
 
 LARGEST_EDGE = 0.6
 """No dead zone reaches further than this share of the rated command; Fig. 2 shows 0.4."""
-
-
-class Spool:
-    """Where the nominal spool stands (share of its rated travel): mass, spring, damping, sampled exactly."""
-
-    def __init__(self, position: Floats, period: float, damping: float = 0.15) -> None:
-        rate = sqrt(NOMINAL["k"] / NOMINAL["m"])
-        continuous = np.array(
-            [[0.0, 1.0, 0.0], [-rate * rate, -2.0 * damping * rate, rate * rate], [0.0, 0.0, 0.0]]
-        )
-        self._held = expm(continuous * period)
-        self.position, self.speed = np.array(position, dtype=float), np.zeros_like(position, dtype=float)
-
-    def step(self, command: Floats) -> None:
-        """Moves on by one period under a held command."""
-        (a, b, c), (d, e, f), _ = self._held
-        self.position, self.speed = (
-            a * self.position + b * self.speed + c * command,
-            d * self.position + e * self.speed + f * command,
-        )
-
-
-def shaper(period: float) -> tuple[int, float]:
-    """Spacing (samples) and outer weight of the filter a, 1 - 2a, a that leaves the spool's mode at rest.
-
-    The filter's response at the mode's angle per spacing phi is 2 a cos(phi) + 1 - 2a, which
-    a = 1 / (2 (1 - cos phi)) makes zero; phi near 120 degrees gives three equal weights. Without a usable
-    spacing (slow sampling) no filter.
-    """
-    rate = sqrt(NOMINAL["k"] / NOMINAL["m"])
-    spacing = max(1, round(2.0 * pi / 3.0 / rate / period))
-    phi = rate * period * spacing
-    weight = 0.5 / (1.0 - cos(phi)) if cos(phi) < 0.0 and phi < 1.5 * pi else 0.0
-    return spacing, weight
 
 
 class ValveLearner:
@@ -134,9 +98,9 @@ class AdaptiveFlow(Controller):
     """See the module's text. The drawn valves are unknown to it."""
 
     GAINS = (
-        Gain("rate", "1/s", 15.0, 60.0, summary="double pole of the reference: 2 / rate is its mean delay"),
-        Gain("Kp", "1/s", 2.0, 20.0, summary="acceleration per error to the reference speed"),
-        Gain("Ks", "1/s", 5.0, 50.0, summary="acceleration per half of the speed difference"),
+        Gain("rate", "1/s", 8.0, 60.0, summary="double pole of the reference: 2 / rate is its mean delay"),
+        Gain("Kp", "1/s", 1.0, 20.0, summary="acceleration per error to the reference speed"),
+        Gain("Ks", "1/s", 5.0, 100.0, summary="acceleration per half of the speed difference"),
         Gain(
             "search",
             "1/s",
@@ -147,7 +111,9 @@ class AdaptiveFlow(Controller):
         Gain("caution", "1/s", 0.2, 5.0, summary="how fast flow may grow, times the doubt about the gain"),
         Gain("observer", "1/s", 30.0, 95.0, summary="double pole of the load observer"),
         Gain("drift", "1/sqrt(s)", 0.01, 0.15, summary="random walk of the edge in the valve estimate"),
+        SLEW,
     )
+    shape = 1.0
     known_within = 0.02
     """An edge with a standard deviation below this needs no search."""
 
@@ -156,9 +122,6 @@ class AdaptiveFlow(Controller):
         self._spool = Spool(measured.command, self.period)
         self._learner = self._first_estimate(n)
         self._load = LoadObserver(measured.speed, self.period, self.gains["observer"])
-        self._spacing, self._weight = shaper(self.period)
-        self._asked = [measured.command.astype(float)] * (2 * self._spacing + 1)
-        self._sent = measured.command.astype(float)
         self._speed = np.mean(measured.speed, axis=1)  # the reference: speed and acceleration
         self._acceleration = np.zeros(n)
         self._direction = np.zeros(n)
@@ -170,7 +133,7 @@ class AdaptiveFlow(Controller):
         return ValveLearner(num_rigs, self.period, self.gains["drift"])
 
     def command(self, measured: Measurements) -> Floats:
-        self._spool.step(self._sent)
+        self._spool.step(self.sent)
         flow = measured_flow(measured.speed, measured.pressure)
         self._learner.learn(self._spool.position, flow)
         load = self._load.step(measured.speed, measured.pressure)
@@ -180,13 +143,7 @@ class AdaptiveFlow(Controller):
 
         asked = self._drive(measured, load)
         creeping = self._creep_to_edge(measured, flow)
-        asked = np.where(self._crossing[:, None], creeping, asked)
-        self._asked = [*self._asked[1:], np.clip(asked, -1.0, 1.0)]
-        outer, middle = self._asked[0] + self._asked[-1], self._asked[self._spacing]
-        self._sent = (
-            self._weight * outer + (1.0 - 2.0 * self._weight) * middle if self._weight else self._asked[-1]
-        )
-        return self._sent
+        return np.where(self._crossing[:, None], creeping, asked)
 
     def _move_reference(self, measured: Measurements, load: Floats) -> None:
         """One period of the reference: a critically damped second-order lag; it coasts during a search."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf, log
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.controllers.spool import shaper
 from hydro_env.envs.observation import Measurements, decode
 from hydro_env.errors import InputError
 from hydro_env.plant import PARAMETERS
@@ -16,7 +19,7 @@ from hydro_env.units import RPM
 if TYPE_CHECKING:
     from hydro_env.plant import Plant
 
-__all__ = ["FRACTION_PER_V", "RPM", "Controller", "Floats", "Gain", "Measurements"]
+__all__ = ["FRACTION_PER_V", "OUTLET", "RPM", "SHAPE", "SLEW", "Controller", "Floats", "Gain", "Measurements"]
 
 Floats = NDArray[np.float64]
 
@@ -26,7 +29,10 @@ FRACTION_PER_V = 1.0 / PARAMETERS["u_rated"].nominal
 
 @dataclass(frozen=True)
 class Gain:
-    """A number of a controller that may be tuned: its unit, the range a tuner searches, and on what scale."""
+    """A number of a controller that may be tuned: its unit, the range a tuner searches, and on what scale.
+
+    One with a `default` may be left out.
+    """
 
     name: str
     unit: str
@@ -34,6 +40,21 @@ class Gain:
     high: float
     log: bool = True
     summary: str = ""
+    default: float | None = None
+
+
+SLEW = Gain("slew", "V/s", 300.0, 30000.0, summary="how fast a command may change", default=inf)
+SHAPE = Gain(
+    "shape",
+    "1",
+    0.0,
+    1.0,
+    log=False,
+    default=0.0,
+    summary="share of the command that is kept off the spool's mode",
+)
+OUTLET = (SLEW, SHAPE)
+"""Gains of the way out that all controllers share: none of both if left out."""
 
 
 class Controller:
@@ -44,31 +65,55 @@ class Controller:
     a value per channel, or an array (num_rigs, 1) with a value per rig; the latter is how a tuner tries
     many at once.
 
+    A command leaves by the same way in all of them: it may change no faster than the gain `slew` says, and the share
+    `shape` of it passes the filter that leaves the spool's lightly damped mode at rest. `limits` are what a command can
+    be in this sample; a law with an integrator gives them to it, so that it does not wind up on either limit.
+
     Class attributes:
         GAINS: the gains the constructor takes, by name.
         needs: "measurements" for a controller that knows nothing of the drawn valves; "bench" for one that
             had each pair on a valve bench beforehand, "parameters" for one that is told the truth about the
             valves, "everything" for one that is told the loads to come as well. All but the first get `prepare`
             called with a copy of the plant, the last one `foresee` too. Score boards name what a controller needs.
+        shape: the share `shape` of a law that has no such gain.
         plant: the plant the controller belongs to where that is another one than the plant under test.
     """
 
     GAINS: ClassVar[tuple[Gain, ...]] = ()
     needs: str = "measurements"
     plant: str | None = None
+    shape: float = 0.0
+    limits: tuple[Floats, Floats]
+    """Least and largest command of this sample, each (num_rigs, 2), while `command` works."""
+    sent: Floats
+    """The command in force, (num_rigs, 2)."""
 
     def __init__(self, name: str | None = None, **gains: Any) -> None:
         self.name = name or type(self).__name__
         known = [gain.name for gain in self.GAINS]
+        optional = {gain.name: gain.default for gain in self.GAINS if gain.default is not None}
+        gains = {**optional, **gains}
         wrong = sorted(set(gains) ^ set(known))
         if wrong:
             raise InputError(
                 f"{self.name}: gain {wrong[0]!r} is missing or unknown; needed are {', '.join(known)}"
             )
         self.gains: dict[str, Floats] = {key: np.asarray(value, dtype=float) for key, value in gains.items()}
+        self._sets: dict[float, dict[str, Floats]] = {}
         self.period = 0.0
         self._started = False
         self._num_rigs = 0
+
+    def for_periods(self, sets: Mapping[float, Mapping[str, Any]]) -> None:
+        """Gains for control periods (s): `reset` takes those whose period is nearest in ratio to its own."""
+        self._sets = {float(p): type(self)(self.name, **each).gains for p, each in sets.items()}
+
+    def with_gains(self, **changed: Any) -> Controller:
+        """The same controller with single gains changed, at whatever control period."""
+        again = type(self)(self.name, **{**self.gains, **changed})
+        again.plant = self.plant
+        again.for_periods({period: {**each, **changed} for period, each in self._sets.items()})
+        return again
 
     def prepare(self, plant: Plant) -> None:
         """Gets to know the rigs (rows of `plant`) before the episode; only where `needs` asks for it."""
@@ -81,6 +126,8 @@ class Controller:
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode. `control_period` in s."""
         self.period, self._num_rigs, self._started = float(control_period), int(num_rigs), False
+        if self._sets:
+            self.gains = self._sets[min(self._sets, key=lambda known: abs(log(known / self.period)))]
 
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
@@ -90,9 +137,20 @@ class Controller:
                 f"{self.name} was reset for {self._num_rigs} rigs, got {len(measured.speed)} observations"
             )
         if not self._started:
+            self.sent = np.clip(measured.command, -1.0, 1.0).astype(float)
+            self.__spacing, self.__outer = shaper(self.period)
+            self.__asked = [self.sent] * (2 * self.__spacing + 1)
             self.start(measured)
             self._started = True
-        return np.clip(self.command(measured), -1.0, 1.0)
+        most = self.gains.get("slew", inf) * FRACTION_PER_V * self.period
+        last = self.__asked[-1]
+        self.limits = np.maximum(last - most, -1.0), np.minimum(last + most, 1.0)
+        self.__asked = [*self.__asked[1:], np.clip(self.command(measured), *self.limits)]
+        share = self.gains.get("shape", self.shape) if self.__outer else 0.0
+        ends, middle = self.__asked[0] + self.__asked[-1], self.__asked[self.__spacing]
+        smooth = self.__outer * ends + (1.0 - 2.0 * self.__outer) * middle
+        self.sent = np.clip(self.__asked[-1] + share * (smooth - self.__asked[-1]), -1.0, 1.0)
+        return self.sent
 
     def start(self, measured: Measurements) -> None:
         """Sets the inner state from the first measurement, so that taking over causes no bump."""

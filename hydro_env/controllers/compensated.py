@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
+from hydro_env.controllers.base import OUTLET, Controller, Floats, Gain, Measurements
 from hydro_env.controllers.coupled import COUPLING, FILTER, SIDES, Smoothed
 from hydro_env.controllers.pid import KP, TI, Pid, per_rpm
 from hydro_env.controllers.valve_map import RATED_FLOW, ValveMap, flow_for
@@ -59,6 +59,7 @@ class Compensated(Controller):
             0.1,
             summary="flow, as a share of the rated, below which the inverse is a ramp",
         ),
+        *OUTLET,
     )
     valves: ValveMap | None = None
 
@@ -83,5 +84,13 @@ class Compensated(Controller):
         ahead = flow_for(reference, (reference - before) / self.period, np.zeros_like(reference))[:, None]
         behind = measured.speed[:, 1:] - measured.speed[:, :1]
         correction = SIDES * self._couple.step(behind)
+        integral = self._track.integral
         flow = self._track.step(reference[:, None] - measured.speed, ahead + correction)
-        return self.valves.command(flow, self.gains["blend"])
+        asked = self.valves.command(flow, self.gains["blend"])
+        # What would be integrated further into a limit of the command is not.
+        low, high = self.limits
+        grown = self._track.integral - integral
+        self._track.integral = np.where(
+            ((asked > high) & (grown > 0.0)) | ((asked < low) & (grown < 0.0)), integral, integral + grown
+        )
+        return asked

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hydro_env.controllers.base import RPM, Controller, Floats, Gain, Measurements
+from hydro_env.controllers.base import OUTLET, RPM, Controller, Floats, Gain, Measurements
 from hydro_env.controllers.pid import KP, TI, Pid, per_rpm
 
 __all__ = ["CrossCoupled", "MasterSlave", "RelativeCoupled", "Smoothed", "VirtualLeader"]
@@ -21,7 +21,7 @@ SIDES = np.array([1.0, -1.0])
 FILTER = Gain("filter", "s", 0.01, 0.2, summary="time constant of the set-point filter")
 COUPLING = (
     Gain("Kc", "V/rpm", 0.01, 0.4, summary="proportional gain on the speed difference"),
-    Gain("Tic", "s", 0.01, 1.0, summary="integral time on the speed difference"),
+    Gain("Tic", "s", 0.004, 1.0, summary="integral time on the speed difference"),
 )
 
 
@@ -43,7 +43,7 @@ class CrossCoupled(Controller):
     The motor that is ahead is held back as much as the other is pushed, so that they meet in the middle.
     """
 
-    GAINS: ClassVar[tuple[Gain, ...]] = (KP, TI, *COUPLING, FILTER)
+    GAINS: ClassVar[tuple[Gain, ...]] = (KP, TI, *COUPLING, FILTER, *OUTLET)
 
     def start(self, measured: Measurements) -> None:
         self._reference = Smoothed(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
@@ -57,7 +57,9 @@ class CrossCoupled(Controller):
 
     def _follow(self, reference: Floats, measured: Measurements) -> Floats:
         behind = measured.speed[:, 1:] - measured.speed[:, :1]  # how far motor 1 is behind motor 2
-        return self._track.step(reference[:, None] - measured.speed, SIDES * self._couple.step(behind))
+        return self._track.step(
+            reference[:, None] - measured.speed, SIDES * self._couple.step(behind), self.limits
+        )
 
 
 class RelativeCoupled(Controller):
@@ -77,6 +79,7 @@ class RelativeCoupled(Controller):
         TI,
         Gain("coupling", "1", 0.1, 20.0, summary="weight of the lag behind the other motor in the error"),
         FILTER,
+        *OUTLET,
     )
 
     def start(self, measured: Measurements) -> None:
@@ -87,7 +90,7 @@ class RelativeCoupled(Controller):
     def command(self, measured: Measurements) -> Floats:
         lag = measured.speed[:, ::-1] - measured.speed
         error = self._reference.step(measured.setpoint)[:, None] - measured.speed
-        return self._pid.step(error + self.gains["coupling"] * lag)
+        return self._pid.step(error + self.gains["coupling"] * lag, limits=self.limits)
 
 
 class VirtualLeader(CrossCoupled):
@@ -121,9 +124,10 @@ class MasterSlave(Controller):
     GAINS = (
         KP,
         TI,
-        Gain("Kp_slave", "V/rpm", 0.01, 0.4, summary="proportional gain of the slave"),
-        Gain("Ti_slave", "s", 0.03, 1.0, summary="integral time of the slave"),
+        Gain("Kp_slave", "V/rpm", 0.01, 0.8, summary="proportional gain of the slave"),
+        Gain("Ti_slave", "s", 0.01, 1.0, summary="integral time of the slave"),
         FILTER,
+        *OUTLET,
     )
 
     def start(self, measured: Measurements) -> None:
@@ -139,4 +143,4 @@ class MasterSlave(Controller):
 
     def command(self, measured: Measurements) -> Floats:
         aim = np.stack([self._reference.step(measured.setpoint), measured.speed[:, 0]], axis=1)
-        return self._pid.step(aim - measured.speed)
+        return self._pid.step(aim - measured.speed, limits=self.limits)

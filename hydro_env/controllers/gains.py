@@ -20,7 +20,8 @@ SCHEMA = "hydro_env/gains/1"
 @dataclass(frozen=True)
 class GainsFile:
     """`controller` names the control law, `gains` holds a number or a number per channel for each of its
-    gains.
+    gains. `periods` holds gains of other control periods, {"0.005": {"gains": {...}, "tuning": {...}}} in s; those of
+    `gains` belong to the period that `tuning` names.
     """
 
     controller: str
@@ -28,6 +29,14 @@ class GainsFile:
     units: dict[str, str] = field(default_factory=dict)
     tuning: dict[str, Any] = field(default_factory=dict)
     name: str = ""
+    periods: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def by_period(self) -> dict[float, dict[str, Any]]:
+        """Gains by control period in s; empty where there is but one set."""
+        if not self.periods:
+            return {}
+        own = {float(self.tuning.get("control_period_s", 0.01)): self.gains}
+        return own | {float(period): dict(entry["gains"]) for period, entry in self.periods.items()}
 
 
 def read_gains(path: str | Path) -> GainsFile:
@@ -43,29 +52,49 @@ def read_gains(path: str | Path) -> GainsFile:
         raise InputError(f'{path}: key "schema" must be "{SCHEMA}"')
     if not isinstance(data.get("controller"), str) or not isinstance(data.get("gains"), dict):
         raise InputError(f'{path}: keys "controller" (a name) and "gains" (a table) are needed')
-    for key, value in data["gains"].items():
+    _check(path, data["gains"], "")
+    periods = data.get("periods", {})
+    if not isinstance(periods, dict):
+        raise InputError(f'{path}: key "periods" must be a table from control periods in s to gains')
+    for period, entry in periods.items():
+        if not _is_period(period):
+            raise InputError(f'{path}: periods: "{period}" must be a control period in s, such as "0.005"')
+        if not isinstance(entry, dict) or not isinstance(entry.get("gains"), dict):
+            raise InputError(f'{path}: periods: "{period}" needs a table "gains"')
+        _check(path, entry["gains"], f'periods: "{period}": ')
+    known = {
+        key: data[key] for key in ("controller", "gains", "units", "tuning", "name", "periods") if key in data
+    }
+    return GainsFile(**known)
+
+
+def _check(path: Path, gains: dict[str, Any], where: str) -> None:
+    for key, value in gains.items():
         try:
             numbers = np.asarray(value, dtype=float)
         except (TypeError, ValueError):
             numbers = np.asarray(np.nan)
         if numbers.shape not in ((), (2,)) or not np.all(np.isfinite(numbers)):
             raise InputError(
-                f'{path}: gain "{key}" must be a number or a list of two (one per channel), not {value!r}'
+                f'{path}: {where}gain "{key}" must be a number or a list of two (one per channel), not {value!r}'
             )
-    known = {key: data[key] for key in ("controller", "gains", "units", "tuning", "name") if key in data}
-    return GainsFile(**known)
+
+
+def _is_period(text: str) -> bool:
+    try:
+        return 0.0 < float(text) < 10.0
+    except ValueError:
+        return False
 
 
 def write_gains(path: str | Path, found: GainsFile) -> None:
     """Writes a gains file atomically."""
-    write_json(
-        Path(path),
-        {
-            "schema": SCHEMA,
-            "name": found.name,
-            "controller": found.controller,
-            "gains": found.gains,
-            "units": found.units,
-            "tuning": found.tuning,
-        },
-    )
+    data = {
+        "schema": SCHEMA,
+        "name": found.name,
+        "controller": found.controller,
+        "gains": found.gains,
+        "units": found.units,
+        "tuning": found.tuning,
+    }
+    write_json(Path(path), data | ({"periods": found.periods} if found.periods else {}))

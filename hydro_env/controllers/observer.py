@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_env.controllers.adaptive import Spool
-from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
+from hydro_env.controllers.base import OUTLET, Controller, Floats, Gain, Measurements
+from hydro_env.controllers.spool import Spool
 from hydro_env.controllers.valve_map import MOTOR_RATE, flow_for
 
 __all__ = ["DisturbanceObserver"]
@@ -32,6 +32,7 @@ class DisturbanceObserver(Controller):
         Gain("Kp", "1/s", 1.0, 60.0, summary="acceleration per error to the reference speed"),
         Gain("Ks", "1/s", 1.0, 200.0, summary="acceleration per half of the speed difference"),
         Gain("observer", "1/s", 2.0, 200.0, summary="double pole of the disturbance observer"),
+        *OUTLET,
     )
 
     def start(self, measured: Measurements) -> None:

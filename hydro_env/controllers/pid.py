@@ -2,7 +2,7 @@
 
 Sampled as usual in practice: the integral by backward differences, the derivative through a first-order
 filter (`filter_rate` N, 100 1/s assumed since the paper gives none), and no further integration into a
-limit (conditional integration, which needs no parameter of its own).
+limit (conditional integration, which needs no parameter of its own), be it of the command or of its rate.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hydro_env.controllers.base import FRACTION_PER_V, RPM, Controller, Floats, Gain, Measurements
+from hydro_env.controllers.base import FRACTION_PER_V, OUTLET, RPM, Controller, Floats, Gain, Measurements
 
 __all__ = ["KP", "TABLE_III", "TI", "Pid", "PidController", "per_rpm"]
 
@@ -18,8 +18,8 @@ TABLE_III = {"Kp": (0.016, 0.023), "Ti": (0.156, 0.150), "Td": (0.005, 0.0)}
 """The paper's gains of valves V1 and V2: V/rpm, s, s."""
 
 KP = Gain("Kp", "V/rpm", 0.01, 0.4, summary="proportional gain")
-TI = Gain("Ti", "s", 0.03, 1.0, summary="integral time")
-TD = Gain("Td", "s", 1e-4, 0.03, summary="derivative time")
+TI = Gain("Ti", "s", 0.01, 1.0, summary="integral time")
+TD = Gain("Td", "s", 1e-4, 0.06, summary="derivative time")
 
 
 def per_rpm(gain: ArrayLike) -> Floats:
@@ -58,8 +58,13 @@ class Pid:
         self.derivative = np.zeros_like(self.integral)
         self._last_error = None
 
-    def step(self, error: Floats, feedforward: Floats | float = 0.0) -> Floats:
-        """The output for this sample's error; both have the shape of the output at the start."""
+    def step(
+        self, error: Floats, feedforward: Floats | float = 0.0, limits: tuple[Floats, Floats] | None = None
+    ) -> Floats:
+        """The output for this sample's error; both have the shape of the output at the start. `limits` hold for this
+        sample, instead of [low, high].
+        """
+        low, high = (self.low, self.high) if limits is None else limits
         change = error - (error if self._last_error is None else self._last_error)
         self._last_error = error
         rate = self.filter_rate * self.period
@@ -67,20 +72,20 @@ class Pid:
         grown = self.integral + self.kp * (self.period / self.ti) * error
         rest = self.kp * error + self.derivative + feedforward
         output = rest + grown
-        into_high = (output > self.high) & (grown > self.integral)
-        into_low = (output < self.low) & (grown < self.integral)
+        into_high = (output > high) & (grown > self.integral)
+        into_low = (output < low) & (grown < self.integral)
         self.integral = np.where(into_high | into_low, self.integral, grown)
-        return np.clip(rest + self.integral, self.low, self.high)
+        return np.clip(rest + self.integral, low, high)
 
 
 class PidController(Controller):
     """A PID on each motor's speed, which knows nothing of the other motor: the paper's own control concept."""
 
-    GAINS = (KP, TI, TD)
+    GAINS = (KP, TI, TD, *OUTLET)
 
     def start(self, measured: Measurements) -> None:
         self._pid = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"], self.gains["Td"])
         self._pid.start(self.period, measured.command)
 
     def command(self, measured: Measurements) -> Floats:
-        return self._pid.step(measured.setpoint[:, None] - measured.speed)
+        return self._pid.step(measured.setpoint[:, None] - measured.speed, limits=self.limits)

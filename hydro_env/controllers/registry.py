@@ -93,8 +93,8 @@ CONTROLLERS: dict[str, Entry] = {
 
 
 def make_controller(spec: Any, **overrides: Any) -> Any:
-    """A controller from a name of `CONTROLLERS`, a gains file (.json), a policy file (.npz), `module:Class`,
-    `path/to/file.py:Class`, a class or a ready object.
+    """A controller from a name of `CONTROLLERS` (`NAME:gain=1.5,other=2` changes gains of it), a gains file (.json), a policy
+    file (.npz), `module:Class`, `path/to/file.py:Class`, a class or a ready object.
 
     `overrides` replace single gains of a controller with gains, or are passed to a class. InputError says
     which names there are, and which one was probably meant.
@@ -111,6 +111,9 @@ def make_controller(spec: Any, **overrides: Any) -> Any:
         controller = _from_gains(Path(text), Path(text).stem)
     elif text.endswith(".npz"):
         controller = _from_policy(Path(text), Path(text).stem)
+    elif text.partition(":")[0] in CONTROLLERS:
+        controller = make_controller(text.partition(":")[0], **_overrides(text))
+        controller.name = text
     elif ":" in text:
         return _from_python(text, overrides)
     else:
@@ -121,10 +124,22 @@ def make_controller(spec: Any, **overrides: Any) -> Any:
         others = "or a .json gains file, a .npz policy, module:Class or file.py:Class"
         raise InputError(f"unknown controller {text!r}: {meant}There are {', '.join(CONTROLLERS)}, {others}")
     if overrides:
-        again = type(controller)(controller.name, **{**controller.gains, **overrides})
-        again.plant = controller.plant
-        return again
+        if not isinstance(controller, Controller):
+            raise InputError(f"controller {text!r}: has no gains that could be changed")
+        return controller.with_gains(**overrides)
     return controller
+
+
+def _overrides(text: str) -> dict[str, float]:
+    try:
+        return {
+            key: float(value)
+            for key, value in (each.split("=") for each in text.partition(":")[2].split(","))
+        }
+    except ValueError:
+        raise InputError(
+            f"controller {text!r}: after the colon GAIN=NUMBER is expected, several with commas"
+        ) from None
 
 
 def _from_gains(path: Path, name: str) -> Controller:
@@ -136,7 +151,9 @@ def _from_gains(path: Path, name: str) -> Controller:
             f"{path}: unknown control law {found.controller!r}{meant} There are {', '.join(LAWS)}"
         )
     try:
-        return LAWS[found.controller](found.name or name, **found.gains)
+        controller = LAWS[found.controller](found.name or name, **found.gains)
+        controller.for_periods(found.by_period())
+        return controller
     except InputError as problem:
         raise InputError(f"{path}: {problem}") from None
 

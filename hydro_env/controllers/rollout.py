@@ -40,15 +40,22 @@ def roll_out(
     scenario: Any = "setpoint_steps",
     control_period: float = 0.01,
     limit: float = inf,
+    dtype: str = "float64",
 ) -> Episodes:
     """Lets a controller drive one episode per seed, all at once. Row i is what a reset with `seeds[i]` draws.
 
     A controller whose `needs` is not "measurements" is shown a copy of the plant beforehand, and the loads to come if
     it is "everything". What the controller raises is passed on; ValueError if it returns something that is no command,
     or if a rig diverges; TimeoutError if it has taken more than `limit` s by itself, looked at after every `act`.
+    `dtype` is that of the plant.
     """
     env = HydraulicSyncVectorEnv(
-        len(seeds), plant=plant, mismatch=mismatch, scenario=scenario, control_period=control_period
+        len(seeds),
+        plant=plant,
+        mismatch=mismatch,
+        scenario=scenario,
+        control_period=control_period,
+        dtype=dtype,
     )
     observation, info = env.reset(seed=[int(seed) for seed in seeds])
     if getattr(controller, "needs", "measurements") != "measurements":

@@ -6,12 +6,20 @@ moving together is the task. The cost of a set of gains is its mean
 over pairs and scenarios. Differential evolution (SciPy) searches the gains on the scale their `Gain` names; a
 whole generation is one batch of rigs. All candidates drive the same pairs with the same noise. Only the split
 `train` may be used, or the plant's own pair.
+
+All controllers that ship have the same budget (`--controller all`): at `PERIOD` `TRIALS` sets of gains are tried, at each
+of `OTHER_PERIODS` `OTHER_TRIALS`, the first generation of which lies around the gains found before.
 """
 
 from __future__ import annotations
 
 import shlex
-from math import log
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import lru_cache
+from importlib.metadata import version
+from math import inf, log
 from pathlib import Path
 from typing import Any
 
@@ -19,24 +27,94 @@ import numpy as np
 from scipy.optimize import differential_evolution
 from tqdm import tqdm
 
-from hydro_env.controllers.base import Controller, Floats
+from hydro_env.controllers.base import FRACTION_PER_V, RPM, Controller, Floats, Gain
 from hydro_env.controllers.gains import GainsFile, write_gains
 from hydro_env.controllers.registry import LAWS
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
 from hydro_env.files import output_folder
-from hydro_env.plant import load_model
+from hydro_env.plant import load_model, simulate
 from hydro_env.tasks import load_scenario
 
-__all__ = ["cost", "run"]
+__all__ = ["COMMON", "Task", "cost", "drive", "run", "run_all"]
 
 POPULATION = 24
+TRIALS, OTHER_TRIALS = 480, 144
+"""Sets of gains that are tried at the period a controller is made for, and at each of the others."""
+CASES = 12
+"""Pairs of valves that each of them drives, in every scenario."""
+SCENARIOS = "setpoint_steps,random_steps"
+EPISODES, OTHER_EPISODES = 2 * CASES * TRIALS, 2 * CASES * OTHER_TRIALS
+PERIOD, OTHER_PERIODS = 0.01, (0.005, 0.02)
+AROUND = 0.15
+"""A search around known gains begins within this share of every range to both sides of them."""
 COSTS = ("tracking_mae_rpm", "max_speed_difference_rpm")
+
+
+@dataclass(frozen=True)
+class Task:
+    """What differs between the controllers that ship: the law, and what it is tuned for."""
+
+    law: str
+    weight: float = 2.0
+    plant: str = "paper_dead_zone"
+    mismatch: str | None = "train"
+
+
+COMMON: dict[str, Task] = {
+    "pid_tuned": Task("pid"),
+    "master_slave": Task("master_slave"),
+    "cross_coupled": Task("cross_coupled"),
+    "relative_coupling": Task("relative_coupling"),
+    "virtual_leader": Task("virtual_leader"),
+    "disturbance_observer": Task("disturbance_observer"),
+    "compensated": Task("compensated"),
+    "adaptive_flow": Task("adaptive_flow"),
+    "servo_pid": Task("pid", plant="servo", mismatch=None),
+}
+"""The controllers that are tuned with the common budget, by the name they ship under."""
 
 
 def cost(metrics: dict[str, Floats], weight: float) -> Floats:
     """Cost of every episode in rpm."""
     return metrics["tracking_mae_rpm"] + weight * metrics["max_speed_difference_rpm"]
+
+
+def run_all(
+    out: str | Path, *, names: list[str] | None = None, seed: int = 0, progress: bool = True
+) -> dict[str, GainsFile]:
+    """Tunes the controllers of `COMMON` (or those of them that are named) for all control periods with the common budget
+    and writes `out/NAME.json` for each.
+    """
+    for name in names or ():
+        if name not in COMMON:
+            near = get_close_matches(name, COMMON, n=1)
+            meant = f"did you mean {near[0]!r}? " if near else ""
+            raise InputError(f"--only {name!r}: {meant}There are {', '.join(COMMON)}")
+    found: dict[str, GainsFile] = {}
+    with output_folder(out) as folder:
+        for name in names or COMMON:
+            task = COMMON[name]
+            options: dict[str, Any] = {
+                "controller": task.law, "weight": task.weight, "plant": task.plant, "mismatch": task.mismatch, "seed": seed,
+                "progress": progress,
+            }  # fmt: skip
+            best = _search(**options, control_period=PERIOD, episodes=EPISODES)
+            others = {
+                f"{period:g}": _search(
+                    **options, control_period=period, episodes=OTHER_EPISODES, near=best["gains"]
+                )
+                for period in OTHER_PERIODS
+            }
+            command = f"hydro-env tune --controller all --only {name} --seed {seed}"
+            for each in (best, *others.values()):
+                each["tuning"] = {"command": command} | each["tuning"]
+            found[name] = GainsFile(
+                task.law, best["gains"], _units(LAWS[task.law]), best["tuning"], name,
+                {period: {key: each[key] for key in ("gains", "tuning")} for period, each in others.items()},
+            )  # fmt: skip
+            write_gains(folder / f"{name}.json", found[name])
+    return found
 
 
 def run(
@@ -45,9 +123,9 @@ def run(
     controller: str = "pid",
     plant: str = "paper_dead_zone",
     mismatch: str | None = "train",
-    scenario: str = "setpoint_steps,random_steps",
-    cases: int = 12,
-    episodes: int = 12288,
+    scenario: str = SCENARIOS,
+    cases: int = CASES,
+    episodes: int = EPISODES,
     weight: float = 2.0,
     control_period: float = 0.01,
     seed: int = 0,
@@ -72,6 +150,46 @@ def run(
 
     Returns what gains.json says. InputError for a control law or split that may not be tuned on.
     """
+    found = _search(
+        controller=controller, plant=plant, mismatch=mismatch, scenario=scenario, cases=cases, episodes=episodes,
+        weight=weight, control_period=control_period, seed=seed, progress=progress,
+    )  # fmt: skip
+    options = {
+        "controller": controller,
+        "plant": plant,
+        "mismatch": mismatch or "none",
+        "scenario": ",".join(found["tuning"]["scenarios"]),
+        "cases": cases,
+        "episodes": episodes,
+        "weight": f"{weight:g}",
+        "control-period": f"{control_period:g}",
+        "seed": seed,
+    }
+    told = " ".join(f"--{key} {shlex.quote(str(v))}" for key, v in options.items())
+    tuning = {"command": f"hydro-env tune {told}"} | found["tuning"]
+    units = _units(LAWS[controller])
+    with output_folder(out) as folder:
+        write_gains(
+            folder / "gains.json", GainsFile(controller, found["gains"], units, tuning, name or controller)
+        )
+    return {"controller": controller, "gains": found["gains"], "units": units, "tuning": tuning}
+
+
+def _search(
+    *,
+    controller: str,
+    plant: str,
+    mismatch: str | None,
+    scenario: str = SCENARIOS,
+    cases: int = CASES,
+    episodes: int,
+    weight: float,
+    control_period: float,
+    seed: int,
+    progress: bool,
+    near: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
+    """The search itself: {"gains", "tuning"}, where the first generation lies around the gains `near` if given."""
     if controller not in LAWS:
         raise InputError(f"unknown control law {controller!r}; there are {', '.join(LAWS)}")
     if mismatch not in ("train", None):
@@ -105,6 +223,7 @@ def run(
                 mismatch=mismatch,
                 scenario=each,
                 control_period=control_period,
+                dtype="float32",
             )
             total += cost(done.metrics(COSTS), weight).reshape(count, cases).mean(axis=1) / len(scenarios)
             spent += cases * count
@@ -113,44 +232,50 @@ def run(
 
     generations = episodes // generation - 1
     bounds = _bounds(law)
-    with tqdm(total=(generations + 1) * generation, unit="episode", disable=not progress) as bar:
+    first = _latin_hypercube(bounds, np.random.default_rng(seed), None if near is None else _genes(law, near))
+    label = f"{controller} {control_period:g} s"
+    with tqdm(total=(generations + 1) * generation, desc=label, unit="episode", disable=not progress) as bar:
         found = differential_evolution(
-            mean_costs, bounds, init=_latin_hypercube(bounds, np.random.default_rng(seed)), maxiter=generations,
+            mean_costs, bounds, init=first, maxiter=generations,
             rng=np.random.default_rng(seed), vectorized=True, updating="deferred", mutation=(0.4, 0.9),
             recombination=0.9, polish=False, tol=0.0,
         )  # fmt: skip
     gains = {key: float(f"{value:.4g}") for key, value in zip(names, _values(law, found.x), strict=True)}
-    options = {
-        "controller": controller,
-        "plant": plant,
-        "mismatch": mismatch or "none",
-        "scenario": ",".join(scenarios),
-        "cases": cases,
-        "episodes": episodes,
-        "weight": f"{weight:g}",
-        "control-period": f"{control_period:g}",
-        "seed": seed,
-    }
+    if gains.get("slew", 0.0) * FRACTION_PER_V * control_period >= 2.0:
+        del gains["slew"]  # the whole range within one period: no limit
     tuning = {
-        "command": "hydro-env tune "
-        + " ".join(f"--{key} {shlex.quote(str(v))}" for key, v in options.items()),
         "split": mismatch,
         "plant": str(plant),
         "scenarios": scenarios,
         "cases": cases,
+        "trials": POPULATION * (generations + 1),
         "episodes": spent,
         "seed": seed,
         "control_period_s": control_period,
         "objective": f"mean over pairs and scenarios of tracking_mae_rpm + {weight:g} max_speed_difference_rpm",
-        "optimiser": f"differential evolution, population {POPULATION}, {generations} generations",
+        "optimiser": f"differential evolution, population {POPULATION}, {generations + 1} generations"
+        + (", the first around the gains of another control period" if near else ""),
+        "plant_dtype": "float32",
         "cost_rpm": float(f"{found.fun:.5g}"),
+        "version": version("hydro_env"),
+        "plant_drive_rpm": list(drive(plant)),
     }
-    units = {gain.name: gain.unit for gain in law.GAINS}
-    with output_folder(out) as folder:
-        write_gains(
-            folder / "gains.json", GainsFile(controller, dict(gains), units, tuning, name or controller)
-        )
-    return {"controller": controller, "gains": gains, "units": units, "tuning": tuning}
+    return {"gains": gains, "tuning": tuning}
+
+
+@lru_cache
+def drive(plant: str) -> tuple[float, float]:
+    """Speeds (rpm) of both motors of a plant after a fixed drive of 0.65 s: gains belong to a plant that still drives so."""
+    levels = np.repeat([0.0, 0.4, -0.5, 0.6, 0.3], [10, 20, 15, 10, 11])
+    rated = np.array(load_model(plant).pair("u_rated"))
+    speed = simulate(load_model(plant), levels[:, None] * rated, None, 0.01, record=("speed",))["speed"][
+        -1, 0
+    ]
+    return round(float(speed[0] / RPM), 2), round(float(speed[1] / RPM), 2)
+
+
+def _units(law: type[Controller]) -> dict[str, str]:
+    return {gain.name: gain.unit for gain in law.GAINS}
 
 
 def _bounds(law: type[Controller]) -> Floats:
@@ -164,11 +289,30 @@ def _values(law: type[Controller], genes: Floats) -> Floats:
     return np.stack([np.exp(x) if gain.log else x for gain, x in zip(law.GAINS, genes, strict=True)])
 
 
-def _latin_hypercube(bounds: Floats, rng: np.random.Generator) -> Floats:
+def _genes(law: type[Controller], gains: Mapping[str, float]) -> Floats:
+    """What the search works with for known gains, (gains,); one that is left out at the end of its range next to its default."""
+
+    def of(gain: Gain) -> float:
+        value = gains.get(gain.name, gain.default)
+        value = min(max(inf if value is None else value, gain.low), gain.high)
+        return log(value) if gain.log else value
+
+    return np.array([of(gain) for gain in law.GAINS])
+
+
+def _latin_hypercube(bounds: Floats, rng: np.random.Generator, middle: Floats | None) -> Floats:
     """First generation (POPULATION, gains): every gain's range is cut into equal parts, each used once;
-    the first candidate is the middle of all ranges.
+    the first candidate is the middle of all ranges. With a `middle` (gains,), ranges are the part of `bounds` around it.
     """
+    if middle is not None:
+        reach = AROUND * (bounds[:, 1] - bounds[:, 0])
+        bounds = np.stack(
+            [np.maximum(bounds[:, 0], middle - reach), np.minimum(bounds[:, 1], middle + reach)], axis=1
+        )
     parts = np.stack([rng.permutation(POPULATION) for _ in bounds], axis=1)
     share = (parts + rng.random(parts.shape)) / POPULATION
     share[0] = 0.5
-    return bounds[:, 0] + share * (bounds[:, 1] - bounds[:, 0])
+    first = bounds[:, 0] + share * (bounds[:, 1] - bounds[:, 0])
+    if middle is not None:
+        first[0] = middle
+    return first

@@ -91,7 +91,7 @@ class Law:
 
     def genes(self) -> list[tuple[Gain, int | None]]:
         """What is searched: gains, twice those that each channel has of its own."""
-        free = [gain for gain in self.gains if gain.name not in self.fixed]
+        free = [gain for gain in self.gains if gain.default is None and gain.name not in self.fixed]
         return [(g, c) for g in free for c in ((0, 1) if g.name in self.each else (None,))]
 
 
