@@ -55,7 +55,7 @@ def search(config: Path, out: Path, *, trials: int, steps: int, seed: int = 0) -
     try:
         import optuna
     except ImportError:
-        raise InputError("the search needs Optuna: pip install optuna") from None
+        raise InputError("the search needs Optuna: pip install 'hydro_env[search]'") from None
     data = yaml.safe_load(config.read_text(encoding="utf-8"))
     data[ENV_ID]["n_timesteps"] = steps
     data["training"]["evaluate_every"] = max(1, steps // 8)

@@ -1,6 +1,8 @@
 """What surrounds training: robustness study, search, pictures, scores of the law alone."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -61,3 +63,13 @@ def test_the_search_says_what_it_needs(tmp_path):
 
     with pytest.raises(InputError, match=r"absent\.yml"):
         search(tmp_path / "absent.yml", tmp_path / "out", trials=1, steps=512)
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_rl_zoo_trains_from_the_same_file(tmp_path, algorithm):
+    pytest.importorskip("rl_zoo3")
+    zoo = [sys.executable, "-m", "rl_zoo3.train", "--algo", algorithm, "--env", "HydraulicSync-v0"]
+    file = ["--gym-packages", "hydro_env", "-conf", f"configs/{algorithm}_quick.yml", "-n", "256", "-f", str(tmp_path)]
+    done = subprocess.run([*zoo, *file, "--eval-freq", "-1"], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert list(tmp_path.rglob("HydraulicSync-v0.zip"))
