@@ -26,6 +26,7 @@ from hydro_env.plant.compile import STATES, rosenbrock_coefficients
 from hydro_env.plant.model import SUBSTEP
 from hydro_env.plant.plant import SIGNALS
 from hydro_env.plant.rhs import rates
+from tests.test_plant_accuracy import _strong
 
 PERIOD = 0.01
 
@@ -207,6 +208,37 @@ def test_half_the_substep_moves_nothing_visible(kind: str) -> None:
     moved = [np.abs(a - b).max(axis=(0, 2)) * 30.0 / np.pi for a, b in itertools.pairwise(speeds)]
     for name, first, second in zip(names, *moved, strict=True):
         assert first < 0.1 and second < 0.03, (name, first, second)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["random", "bang_bang", "levels"])
+@pytest.mark.parametrize("seed", [100, 105])
+def test_strongest_effects_against_a_quarter_of_the_substep(kind: str, seed: int) -> None:
+    """Every effect at its strongest, but for the gap that rattles, and every preset: 0.1 rpm, whatever the commands."""
+    names = [*preset_names(), *(name for name in BUILT_IN if name != "shaft_backlash")]
+    rng = np.random.default_rng(seed)
+    share = {
+        "random": lambda: rng.uniform(-1.0, 1.0, (60, 2)),
+        "bang_bang": lambda: np.repeat(rng.choice([-1.0, 1.0], (12, 2)), 5, axis=0),
+        "levels": lambda: np.repeat(rng.uniform(-1.0, 1.0, (6, 2)), 10, axis=0),
+    }[kind]()
+    loads = np.repeat(rng.uniform(-1.0, 1.0, (3, 2)), 20, axis=0)
+    speeds = []
+    for part in (1.0, 0.25):
+        plants = [crowd(part * step, names) for step in (SUBSTEP, load_model("rig").substep)]
+        for plant in plants:
+            for row, name in enumerate(names):
+                if name in CATALOGUE:
+                    plant.set_values(_strong(CATALOGUE[name]), rows=[row])
+            plant.reset()
+        runs = [
+            plant.run(share[:, None] * plant.get("u_rated"), loads, PERIOD, ("speed",))["speed"]
+            for plant in plants
+        ]
+        runs[0][:, names.index("rig")] = runs[1][:, names.index("rig")]
+        speeds.append(runs[0])
+    error = np.abs(speeds[0] - speeds[1]).max(axis=(0, 2)) * 30.0 / np.pi
+    assert error.max() < 0.1, {name: value for name, value in zip(names, error, strict=True) if value >= 0.1}
 
 
 def test_the_kernel_runs_the_right_hand_side_that_is_written_down() -> None:
