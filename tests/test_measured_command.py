@@ -305,6 +305,24 @@ def test_a_channel_that_rests_is_left_out(tmp_path: Path, recorded: tuple[Column
     assert list(_diagnosis(tmp_path / "out")["gap"]["sealed"]) == ["speed_1_rpm"]
 
 
+def test_a_signal_that_only_some_fit_logs_have_is_left_out(
+    tmp_path: Path, recorded: tuple[Columns, Columns]
+) -> None:
+    names = [n for n in recorded[0] if "_2" not in n]
+    one, two = ({n: v for n, v in _coarse(log).items() if n in names} for log in recorded)
+    sealed = _save(tmp_path / "sealed.csv", two)
+    first = _save(tmp_path / "first.csv", one)
+    del two["pressure_1_bar"]
+    two["speed_1_rpm"] = two["speed_1_rpm"] + 0.01  # another file than the sealed one
+    second = _save(tmp_path / "second.csv", two)
+    status, text = _hydro_env(
+        "diagnose", first, second, "--sealed", f"{sealed}@1:", "--steady", "--out", tmp_path / "out"
+    )
+    assert status == 0, text
+    said = _diagnosis(tmp_path / "out")["warnings"]
+    assert any("pressure of channel 1 is not in every fit log" in w and "second.csv" in w for w in said)
+
+
 # --- what is handled, and said
 
 

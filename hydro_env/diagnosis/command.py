@@ -19,6 +19,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..files import write_json, write_text
+from ..measured.finding import SPELLING
 from ..plant import PlantModel, load_model
 from .calibrate import as_given, calibrate, floors_from
 from .fit import Floors, Problem, rescored
@@ -81,7 +82,7 @@ def diagnose(
     say("reading logs")
     parts, proofs = read_parts(fit_logs, mapping, accept), read_parts(sealed, mapping, accept)
     overlap(parts, proofs)
-    parts, proofs = _without_idle(parts, proofs)
+    parts, proofs = _with_common_signals(*_without_idle(parts, proofs))
     _check_channels(parts, proofs)
     machine = _machine(given_model, parts, steady, jobs, count, frozenset(without))
     seconds = max(len(p.log) * p.log.period for p in parts)
@@ -186,6 +187,31 @@ def _without_idle(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], li
     return found[0], found[1]
 
 
+def _with_common_signals(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], list[Part]]:
+    """The logs without the signals that only some of the fit logs have."""
+    for signal in ("current", "pressure", "spool", "flow"):
+        for c in parts[0].log.channels:
+            having = [part.log.has(signal, c) for part in parts]
+            if any(having) and not all(having):
+                without = parts[having.index(False)].label
+                text = (
+                    f"{signal} of channel {c + 1} is not in every fit log (not in {without}): left out of all"
+                )
+                parts, proofs = ([_without_signal(p, signal, c) for p in each] for each in (parts, proofs))
+                parts[0] = replace(parts[0], note="; ".join(t for t in (parts[0].note, text) if t))
+    return parts, proofs
+
+
+def _without_signal(part: Part, signal: str, channel: int) -> Part:
+    if not part.log.has(signal, channel):
+        return part
+    values = part.log.get(signal)
+    assert values is not None
+    values = values.copy()
+    values[:, channel] = np.nan
+    return replace(part, log=replace(part.log, **{signal: None if np.isnan(values).all() else values}))  # type: ignore[arg-type]
+
+
 def _without_channel(part: Part, channel: int) -> Part:
     command, speed = part.log.command_V.copy(), part.log.speed.copy()
     command[:, channel] = speed[:, channel] = np.nan
@@ -200,11 +226,6 @@ def _check_channels(parts: list[Part], proofs: list[Part]) -> None:
                 "all logs need the same"
             )
     for c in parts[0].log.channels:
-        for signal in ("current", "pressure"):
-            if len({part.log.has(signal, c) for part in parts}) > 1:
-                raise InputError(
-                    f"{signal} of channel {c + 1} is in some fit logs only; record it in all or leave it out"
-                )
         if not any(abs(part.log.command_V[:, c]).max() > 0.0 for part in parts):
             raise InputError(
                 f"{parts[0].label}: the command of channel {c + 1} is zero throughout{_yet_moves(parts, c)}; "
@@ -231,7 +252,9 @@ def _warnings(
 ) -> list[str]:
     found = [*machine.notes, *(p.note for p in (*parts, *proofs) if p.note)]
     for part in {p.log.sha256: p for p in (*parts, *proofs)}.values():
-        found += [f"{part.log.name}: {f.text}" for f in part.log.findings]
+        # How a file is written matters least, so it is said last.
+        ordered = sorted(part.log.findings, key=lambda f: f.code in SPELLING)
+        found += [f"{part.log.name}: {f.text}" for f in ordered]
     found += [f"{text} ends at the edge of its plausible range" for text in at_bounds(final)]
     for key, entry in proof.gap.items():
         if entry["after"] > 1.02 * entry["calibrated"] and entry["after"] > 1.2 * entry["noise"]:

@@ -21,6 +21,7 @@ from ..plant import CATALOGUE, PARAMETERS, Parameter, PlantModel
 from .laws import apply_laws, argument, elementwise
 from .machine import Request, Segment, measured_segments
 from .parts import Part
+from .where import filled
 
 __all__ = ["SteadyValve"]
 
@@ -163,7 +164,7 @@ class SteadyValve:
             if log.has("pressure", channel) and log.pressure is not None
             else np.zeros(len(log))
         )
-        known["pressure"] = np.nan_to_num(pressure)[None, :]
+        known["pressure"] = filled(pressure)[None, :]
         drive = apply_laws("drive", np.ones_like(known["opening"]), effects, known)
         speed = known["Kq"] * known["opening"] * np.sqrt(np.maximum(drive, 0.0)) / self.displacement[channel]
         speed = _lagged(np.broadcast_to(speed, (values["Kq"].shape[0], len(log))), values["lag"], period)

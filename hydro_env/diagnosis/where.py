@@ -21,7 +21,7 @@ from .machine import Machine, Segment
 from .noise import effective_samples, noise_floor
 from .parts import Part
 
-__all__ = ["Place", "locate", "shape"]
+__all__ = ["Place", "filled", "locate", "shape"]
 
 RPM = np.pi / 30.0
 _FLOW = ("command, V", "flow over displacement, rpm", RPM)
@@ -165,7 +165,8 @@ def _hydraulic(
 ) -> list[_Replay]:  # fmt: skip
     """Shaft from the measured pressure; valve from the flow that measured speed and pressure need."""
     h, used, time = segment.period, segment.used, part.log.time_s[segment.rows]
-    speed, pressure = np.nan_to_num(segment.measured), np.nan_to_num(pressure)
+    used = used & np.isfinite(pressure)
+    speed, pressure = filled(segment.measured), filled(pressure)
     load = np.zeros(speed.size)
     if part.log.load is not None and part.log.has("load", segment.channel):
         load = np.nan_to_num(part.log.load[segment.rows, segment.channel])
@@ -189,6 +190,19 @@ def _hydraulic(
     missing = flow(speed, pressure) - flow(simulated["speed"], simulated["pressure"])
     found.append(_replay("valve_flow", missing / numbers["D"], h, time, openings, used, command, _FLOW))
     return found
+
+
+def filled(values: np.ndarray) -> np.ndarray:
+    """Holes filled along straight lines, so that a replay runs through them."""
+    known = np.isfinite(values)
+    rows = np.arange(values.size)
+    return (
+        values
+        if known.all()
+        else np.interp(rows, rows[known], values[known])
+        if known.any()
+        else np.zeros(values.size)
+    )
 
 
 def _replay(

@@ -5,7 +5,21 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-__all__ = ["Finding"]
+__all__ = ["SPELLING", "Finding"]
+
+#: Codes of findings about how a file is written, not about what it holds.
+SPELLING = frozenset(
+    {
+        "delimiter",
+        "decimal_comma",
+        "encoding",
+        "units_row",
+        "time_stamps",
+        "epoch_time",
+        "unknown_column",
+        "coarse",
+    }
+)
 
 
 @dataclass(frozen=True)
