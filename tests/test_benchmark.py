@@ -6,8 +6,9 @@ import re
 import numpy as np
 import pytest
 
-from hydro_env.benchmark.command import run
+from hydro_env.benchmark.command import _specs, run
 from hydro_env.benchmark.report import scores_page, scores_table
+from hydro_env.cli import main
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
@@ -153,6 +154,176 @@ def test_every_controller_is_vectorised_over_rigs(name):
     assert np.max(np.abs(batch.trace.command)) <= 1.0
 
 
+BROKEN = """
+import time
+import numpy as np
+
+class Good:
+    def reset(self, num_rigs, control_period): self.calls = 0
+    def act(self, observation):
+        self.calls += 1
+        return np.full((len(observation), 2), 0.2)
+class WholeNumbers(Good):
+    def act(self, observation): return [[0, 0]] * len(observation)
+class Spoils(Good):
+    def act(self, observation):
+        observation[:] = 7.0
+        return super().act(observation)
+class Keeps(Good):
+    seen = 0
+    def reset(self, num_rigs, control_period): pass
+    def act(self, observation):
+        Keeps.seen += 1
+        return np.full((len(observation), 2), min(1.0, 1e-3 * Keeps.seen))
+class Raises(Good):
+    def act(self, observation):
+        if super().act(observation) is not None and self.calls > 50: raise RuntimeError("out of\\noil")
+        return np.zeros((len(observation), 2))
+class NotANumber(Good):
+    def act(self, observation): return np.full((len(observation), 2), np.nan)
+class WrongShape(Good):
+    def act(self, observation): return np.zeros(2)
+class Text(Good):
+    def act(self, observation): return [["full", "ahead"]] * len(observation)
+class Nothing(Good):
+    def act(self, observation): pass
+class Ragged(Good):
+    def act(self, observation): return [[0.0, 0.0], [0.0]] * (len(observation) // 2)
+class Complex(Good):
+    def act(self, observation): return np.zeros((len(observation), 2), complex)
+class Slow(Good):
+    def act(self, observation):
+        time.sleep(0.3)
+        return super().act(observation)
+class Exits(Good):
+    def act(self, observation): raise SystemExit("enough")
+class CannotReset(Good):
+    def reset(self, num_rigs, control_period): raise KeyError("gain")
+class NoReset:
+    def act(self, observation): return np.zeros((len(observation), 2))
+class NeedsMore(Good):
+    def __init__(self, gain): pass
+"""
+REASONS = {
+    "Raises": "RuntimeError: out of oil",
+    "NotANumber": "not finite for case 0",
+    "WrongShape": r"shape \(2,\), expected \(4, 2\)",
+    "Text": "returned text",
+    "Nothing": "returned None",
+    "Ragged": "rows of different lengths",
+    "Complex": "complex numbers",
+    "Slow": "took more than 0.2 s",
+    "Exits": "SystemExit: enough",
+    "CannotReset": "KeyError: 'gain'",
+}
+
+
+@pytest.fixture
+def submissions(tmp_path, monkeypatch):
+    """A folder with nothing in it but a file of controllers, as the present one."""
+    (tmp_path / "mine.py").write_text(BROKEN)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_submission_is_scored_by_one_command(submissions, capsys):
+    """Whatever it does wrong is told in its row; the others are scored, and what one keeps reaches no other cell."""
+    names = [*REASONS, "Good", "WholeNumbers", "Spoils", "Keeps"]
+    suite = submissions / "suite.yaml"
+    suite.write_text(
+        "splits: {val: 4}\nscenarios: [load_step, setpoint_steps]\nmetrics: [tracking_mae_rpm, command_variation]\n"
+    )
+    given = [
+        "benchmark",
+        "--controllers",
+        *(f"mine.py:{name}" for name in names),
+        "--suite",
+        "suite.yaml",
+        "--limit",
+        "0.2",
+    ]
+    with pytest.raises(SystemExit) as ended:
+        main([*given, "--out", "scores"])
+    assert ended.value.code == 0
+    got = json.loads((submissions / "scores" / "scores.json").read_text())
+    assert got["controllers"] == names
+    reasons = {entry["controller"]: entry["reason"] for entry in got["failed"]}
+    assert set(reasons) == set(REASONS)
+    for name, expected in REASONS.items():
+        assert re.search(expected, reasons[name]), name
+        assert "\n" not in reasons[name]
+    rows = {(r["controller"], r["scenario"], r["metric"]): r["iqm"] for r in got["rows"]}
+    for scenario in ("load_step", "setpoint_steps"):
+        assert rows["Spoils", scenario, "tracking_mae_rpm"] == rows["Good", scenario, "tracking_mae_rpm"]
+        assert rows["WholeNumbers", scenario, "command_variation"] == 0.0
+    # Fresh in every cell: the same 600 steps, the same rise of the command.
+    assert (
+        rows["Keeps", "load_step", "command_variation"]
+        == rows["Keeps", "setpoint_steps", "command_variation"]
+    )
+    assert "Traceback" not in capsys.readouterr().err
+    assert "mine.py:Good".partition(":")[2] in (submissions / "scores" / "scores.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("mine.py:NoReset", "no method 'reset'"),
+        ("mine.py:NeedsMore", "could not be made: TypeError"),
+        ("mine.py:Godo", "did you mean 'Good'"),
+        ("mine.py", "mine.py:MyController"),
+        ("yours.py:Good", "no such file"),
+        ("pid_tund", "did you mean 'pid_tuned'"),
+    ],
+)
+def test_what_is_no_controller_is_refused_before_anything_runs(submissions, capsys, name, message):
+    with pytest.raises(SystemExit) as ended:
+        main(["benchmark", name, "--suite", "quick", "--out", "scores"])
+    told = capsys.readouterr().err
+    assert ended.value.code == 2 and told.count("\n") == 1
+    assert told.startswith("error: ") and message in told
+    assert [path.name for path in submissions.iterdir() if path.name != "__pycache__"] == ["mine.py"]
+
+
+def test_an_object_is_fresh_in_every_cell():
+    """Also one that keeps what it learnt when it is reset."""
+
+    class Keeps(Raises):
+        name = "keeps"
+        seen = 0
+
+        def reset(self, num_rigs, control_period):
+            pass
+
+        def act(self, observation):
+            self.seen += 1
+            return np.full((len(observation), 2), min(1.0, 1e-3 * self.seen))
+
+    got = run(
+        None,
+        controllers=[Keeps()],
+        splits=["val"],
+        scenarios=["setpoint_steps", "load_step"],
+        cases=2,
+        progress=False,
+    )
+    moves = [row["iqm"] for row in got["rows"] if row["metric"] == "command_variation"]
+    assert moves[0] == moves[1] > 0.0
+
+
+def test_all_stands_for_those_that_ship():
+    own = [name for name, entry in CONTROLLERS.items() if entry.available]
+    got = _specs(["pid_paper", "all", "mine.json"])
+    assert got == [*own, "mine.json"]
+    assert _specs(["sac", "mine.json"]) == ["sac", "mine.json"]
+
+
+def test_scores_say_what_a_controller_needs():
+    got = run(None, controllers=["pid_paper", "compensated", "servo_pid"], **SMALL)
+    assert got["needs"] == {"pid_paper": "measurements", "compensated": "bench", "servo_pid": "measurements"}
+    assert got["own_plant"] == {"servo_pid": "servo"}
+
+
 def test_jobs_change_nothing():
     one = run(None, controllers=["pid_paper", "cross_coupled"], jobs=1, **SMALL)
     two = run(None, controllers=["pid_paper", "cross_coupled"], jobs=2, **SMALL)
@@ -182,6 +353,10 @@ def test_third_party_controllers(tmp_path):
         ({"cases": 0}, "at least 1"),
         ({"jobs": 0}, "jobs"),
         ({"plant": "papr"}, "papr"),
+        ({"cases": 2000}, "there are 1000 pairs"),
+        ({"seed": -1}, "seed is -1"),
+        ({"control_period": 0.0}, "control_period"),
+        ({"limit": 0.0}, "limit"),
     ],
 )
 def test_bad_input_is_refused_with_one_line(tmp_path, changed, message):
@@ -199,6 +374,11 @@ def test_bad_input_is_refused_with_one_line(tmp_path, changed, message):
         ("splits: {val: two}\nscenarios: [sine]\nmetrics: [tracking_mae_rpm]", "number of cases"),
         ("splits: {val: 2}\nscenario: [sine]\nmetrics: [tracking_mae_rpm]", "did you mean 'scenarios'"),
         ("splits: [", "YAML"),
+        (
+            "splits: {val: 2}\nsplits: {train: 2}\nscenarios: [sine]\nmetrics: [tracking_mae_rpm]",
+            "given twice",
+        ),
+        ("splits: {val: 2}\nscenarios: [sine, sine]\nmetrics: [tracking_mae_rpm]", "more than once"),
     ],
 )
 def test_bad_suite_files_are_named(tmp_path, text, message):

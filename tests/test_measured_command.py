@@ -492,7 +492,7 @@ def _axis(path: Path, seed: int, spoilt: bool) -> Path:
     return path
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     start=st.integers(400, 3800), length=st.integers(500, 1000), channel=st.sampled_from([1, 2]),
     signal=st.sampled_from(["speed", "current", "pressure"]),
@@ -512,7 +512,7 @@ def test_a_sensor_that_sticks_anywhere_is_found_in_its_place(
     assert np.isfinite(values[: start - 2, channel - 1]).all()
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(at=st.integers(10, 4990), size=st.floats(0.002, 1e4), back=st.booleans())
 def test_a_jump_of_the_clock_is_named_in_its_row(
     tmp_path: Path, recorded: tuple[Columns, Columns], at: int, size: float, back: bool
@@ -584,7 +584,7 @@ def test_a_file_that_cannot_be_read_is_one_line(
         assert word in line, line
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     at=st.floats(0, 1), what=st.sampled_from(["cut", "drop", "swap", "junk", "nul", "twice", "zeros", "quote"]),
     junk=st.text(max_size=6), binary=st.binary(min_size=1, max_size=6),

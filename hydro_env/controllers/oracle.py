@@ -35,6 +35,10 @@ FREE = 0.6
 """Share of the turns in which a plan is taken whatever it costs."""
 STEP = 50.0 * RPM
 """Change of the set-point from one period to the next that is a step, rad/s."""
+APART = 4.0 * RPM
+"""Speed difference in a plan from which on another is looked for, rad/s."""
+RETRIES = (6, 30)
+"""Turns of those other plans, one after the other."""
 SUBSTEP = 250e-6
 """Substep in which plans are simulated, s: wrong by about 0.1 rpm at worst, for less than half the time."""
 TRAVEL, MARGIN = 0.95, 0.96
@@ -99,8 +103,30 @@ class Oracle(Controller):
         return sent
 
     def _search(self, turns: NDArray[np.int64], ahead: Floats, load: Floats) -> None:
-        """Improves every plan as long as its `turns` (N,) last (Levenberg and Marquardt): copies of the rigs drive it, and a
-        change that did not help is taken back and tried smaller.
+        """Improves every plan for its `turns` (N,); one that would still let the motors fall apart begins once more, for
+        longer: the way of a single descent is at times blocked by a stop or a spool that sticks.
+        """
+        start = self._plan.copy()
+        found, lowest, speed = self._descend(turns, ahead, load)
+        for attempt in RETRIES:
+            poor = np.abs(speed[:2, :, 0] - speed[:2, :, 1]).max(axis=0) > APART
+            if not poor.any():
+                break
+            self._plan = start.copy()
+            other, reached, instead = self._descend(np.where(poor, attempt, 1), ahead, load)
+            # Motors that stay at rest are in step too but get nowhere.
+            late, later = (np.abs(each[-1] - ahead[:, -1:]).sum(axis=1) for each in (speed, instead))
+            better = poor & (reached < lowest) & (later < late + APART)
+            found[better], lowest[better] = other[better], reached[better]
+            speed[:, better] = instead[:, better]
+        self._plan = found
+
+    def _descend(
+        self, turns: NDArray[np.int64], ahead: Floats, load: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Plans (N, HORIZON, 2), their costs (N,) and the speeds (HORIZON, N, 2) they lead to at control instants, after `turns`
+        of Levenberg and Marquardt: copies of the rigs drive the plan, and a change that did not help is taken back and tried
+        smaller.
         """
         best, lowest = self._plan.copy(), np.full(len(self._plan), np.inf)
         damping = np.full(len(self._plan), DAMPING)
@@ -125,6 +151,7 @@ class Oracle(Controller):
                     self._plan, damping, self._most, self._sent, ahead, *kept, self._travel, self._motor, SAMPLES, self._margin,
                     *self._weights,
                 )  # fmt: skip
+        return best, lowest, kept[0][SAMPLES::SAMPLES]
 
     def _drive(self, load: Floats) -> tuple[Floats, ...]:
         """Speeds, flows and travels of the spools, each (HORIZON SAMPLES + 1, N, 2), that the plans lead to."""

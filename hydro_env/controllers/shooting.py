@@ -5,7 +5,8 @@ with the plan is taken from the linear parts of valve and motor. A cost is to be
 
 * the tracking errors at the control instants, squared up to about `CORNER`, in proportion beyond: as the mean absolute
   error counts them
-* the speed differences squared, at the control instants and, much lighter (`BETWEEN`), between them
+* the speed differences squared, at the control instants and, lighter (`BETWEEN`), between them: left alone there, commands
+  that swing to and fro keep the motors in step at every instant and end at the stops
 * the moves of the commands squared
 * how far the spools go beyond a margin before their stops, squared: after a blow against a stop the linear parts say
   nothing true any more
@@ -25,7 +26,7 @@ __all__ = ["DAMPING", "cost", "improve", "minimise_in_box"]
 
 CORNER = 2.0
 """Tracking error from which on its cost grows no faster than in proportion, rad/s."""
-BETWEEN = 1.0
+BETWEEN = 100.0
 """Weight of a squared speed difference between the control instants."""
 DAMPING = 1.0
 """Least weight of the squared change of the plan, which keeps it where nothing else says what is better."""

@@ -36,14 +36,17 @@ def draw(data: Mapping[str, Any], path: Path, shown: str = "model_inverse") -> N
             _dots(left, data, name, 4.0 * place, colours)
         left.set_yscale("log")
         left.set_ylabel("largest speed difference, rpm")
-        left.set_title("Scored on the hidden rigs, set-point steps", loc="left", fontsize=10)
         places = [4.0 * p + i for p in range(len(tuned)) for i in range(3)]
         left.set_xticks(places, [s for _ in tuned for s in SOURCES], fontsize=8, rotation=30)
         left.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         left.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:.0e}"[0] in "25" else "")
         top = left.get_ylim()[1]
         for place, name in enumerate(tuned):
-            left.text(4.0 * place + 1.0, top, NAMES.get(name, name), ha="center", va="bottom", fontsize=9)
+            count = next(
+                r["n"] for r in data["summary"] if r["controller"] == name and "wrong" in r and _is(r)
+            )
+            said = NAMES.get(name, name) + ("" if count == len(data["rigs"]) else f", {count} rigs")
+            left.text(4.0 * place + 1.0, top, said, ha="center", va="bottom", fontsize=9)
         left.set_title(
             "Scored on the hidden rigs: set-point steps. Tuned on the ... model\n", loc="left", fontsize=10
         )
