@@ -36,7 +36,7 @@ _TO_DEG = 180.0 / pi
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     try:
-        return njit(cache=True, error_model="numpy")(function)
+        return njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)(function)
     except RuntimeError:  # Numba found no folder it may write to: compile in every process
         return njit(error_model="numpy")(function)
 
@@ -52,10 +52,12 @@ def apply(actions, rated, step, last, loads, fraction, moved, command, load):
         if not (isfinite(actions[i, 0]) and isfinite(actions[i, 1])):
             return False
     for i in range(actions.shape[0]):
-        row = min(step[i], last[i])
+        row = step[i] if step[i] < last[i] else last[i]
         moved[i] = 0.0
         for c in range(2):
-            action = min(max(actions[i, c], -1.0), 1.0)
+            action = actions[i, c]
+            action = action if action < 1.0 else 1.0
+            action = action if action > -1.0 else -1.0
             moved[i] += 0.5 * abs(action - fraction[i, c])
             fraction[i, c] = action
             command[i, c] = action * rated[i, c]
@@ -87,15 +89,18 @@ def look(
         for j in range(new):
             frames[i, j] = frames[i, j + frame]
         frames[i, new] = target / scales[0]
+        for j in range(6):
+            c = j % 2
+            noisy = noise[i, t, j] * levels[j]
+            if j < 2:
+                noisy *= factor[i, c]
+            value = cells[where[2 + j // 2], lane + c * half] / scales[1 + j] + noisy
+            if j < 2:
+                if step[i] >= stuck[i, c]:
+                    value = held[i, c]
+                held[i, c] = value
+            frames[i, new + 1 + j] = value
         for c in range(2):
-            at = lane + c * half
-            speed = cells[where[2], at] / scales[1 + c] + noise[i, t, c] * levels[c] * factor[i, c]
-            if step[i] >= stuck[i, c]:
-                speed = held[i, c]
-            held[i, c] = speed
-            frames[i, new + 1 + c] = speed
-            frames[i, new + 3 + c] = cells[where[3], at] / scales[3 + c] + noise[i, t, 2 + c] * levels[2 + c]
-            frames[i, new + 5 + c] = cells[where[4], at] / scales[5 + c] + noise[i, t, 4 + c] * levels[4 + c]
             frames[i, new + 7 + c] = fraction[i, c]
         for j in range(frame):
             value = frames[i, new + j]

@@ -635,7 +635,7 @@ from hydro_env.plant.lanes import vectors
 from numba import njit
 
 real = {real}
-block = njit(error_model="numpy", cache=True)
+block = njit(error_model="numpy", cache=True, no_cfunc_wrapper=True)
 
 HALF = {half}
 LANES = 2 * HALF
