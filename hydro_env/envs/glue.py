@@ -34,11 +34,14 @@ _TO_RPM = 60.0 / (2.0 * pi)
 _TO_DEG = 180.0 / pi
 
 
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
+
+
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     try:
-        return njit(cache=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+        return njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:  # Numba found no folder it may write to: compile in every process
-        return njit(error_model="numpy")(function)
+        return njit(**_OPTIONS)(function)
 
 
 @_compiled
