@@ -64,6 +64,7 @@ def run(
     training file or other models.
     """
     data = close_loop.read(rigs)
+    texts = {(w.rig, w.source): _text(rigs, w) for w in work_of(data)}
     (out / "drives").mkdir(parents=True, exist_ok=True)
     others = [s for s in data["scores"] if s["controller"] != NAME or s["tuned_on"] == "none"]
     training = {
@@ -76,7 +77,7 @@ def run(
     for work in work_of(data):
         kept = out / "drives" / f"{work.rig}_{work.source}.json"
         model = rigs / "rigs" / work.rig / f"{work.source}.yaml"
-        told = {"config": config.text, "model": model.read_text(encoding="utf-8")}
+        told = {"config": config.text, "model": texts[work.rig, work.source]}
         if not kept.is_file():
             if progress:
                 print(f"{work.rig}: agent of the {work.source} model", flush=True)
@@ -103,6 +104,17 @@ def run(
             data = {**data, "agent": training, "scores": scores, "summary": close_loop.collect(scores)}
             close_loop.write(out, data, pictures)
     return data
+
+
+def _text(rigs: Path, work: Work) -> str:
+    """The file of a model. InputError if it is not there, told before anything is trained."""
+    path = rigs / "rigs" / work.rig / f"{work.source}.yaml"
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as problem:
+        raise InputError(
+            f"{path}: {problem.strerror}; `hydro-env close-loop --out {rigs}` writes it"
+        ) from None
 
 
 def _trained(work: Work, model: Path, folder: Path, config: Config, command: str, bar: bool) -> Path:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hydro_env import cli
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.model_inverse import ModelInverse, flow_curve
 from hydro_env.controllers.rollout import roll_out
@@ -234,6 +235,86 @@ def test_the_chain_goes_on_where_it_stopped(quick: list[Any], tmp_path: Path) ->
         if path.name < "8":
             path.unlink()
     assert go() == first
+
+
+def test_the_command_goes_on_after_an_interruption(
+    quick: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`hydro-env close-loop` that is stopped leaves no folder; the same command again does only what is left."""
+
+    def command() -> tuple[int, str]:
+        quick.clear()
+        with pytest.raises(SystemExit) as end:
+            cli.main(
+                ["close-loop", "--case", "dead_zone", "--seeds", "1", "--no-pictures",
+                 "--cells", str(tmp_path / "cells"), "--out", str(tmp_path / "out")]
+            )  # fmt: skip
+        return int(end.value.code or 0), capsys.readouterr().err.splitlines()[-1]
+
+    working = close_loop._work
+
+    def stopped(task: Any) -> Any:
+        if isinstance(task, Tuning) and task.source == "repaired":
+            raise KeyboardInterrupt
+        return working(task)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(close_loop, "_work", stopped)
+        status, last = command()
+    assert (status, last) == (130, "error: interrupted; nothing was written to --out")
+    assert [type(task) for task in quick] == [RigTask, Tuning]
+    assert [path.name for path in tmp_path.iterdir()] == ["cells"]
+    assert command()[0] == 0
+    assert [type(task) for task in quick] == [Tuning, Tuning, *[Score] * 3]
+    written = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert written == ["close_loop.json", "close_loop.md", "rigs", "traces.json"]
+    assert command()[0] == 0 and quick == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ["--case", "dead_zones"],
+            "unknown case 'dead_zones': there are dead_zone, hysteresis, droop, mixed",
+        ),
+        (["--seeds", "0"], "Invalid value for '--seeds'"),
+        (["--seed", "99", "--seeds", "2"], "seeds 99 to 100: 0 to 99 are right"),
+        (["--engine", "slurm"], "unknown engine 'slurm'"),
+        (["--cells", "file"], "file"),
+    ],
+)
+def test_the_command_with_bad_input(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(SystemExit) as end:
+        cli.main(["close-loop", *arguments, "--out", "out"])
+    err = capsys.readouterr().err
+    assert end.value.code == 2 and err.startswith("error: ") and err.count("\n") == 1 and said in err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("missing", ["nothing", "traces", "schema", "rigs"])
+def test_the_agent_with_a_folder_that_is_no_result(quick: list[Any], tmp_path: Path, missing: str) -> None:
+    pytest.importorskip("stable_baselines3")
+    from agents import close_loop as agent
+    from agents.config import read_config
+
+    rigs = tmp_path / "rigs"
+    rigs.mkdir()
+    if missing != "nothing":
+        close_loop.run(rigs, cases=["dead_zone"], seeds=1, generations=2, pictures=False, progress=False)
+    if missing == "traces":
+        (rigs / "traces.json").unlink()
+    if missing == "schema":
+        (rigs / "close_loop.json").write_text('{"schema": "hydro_env/scores/1"}')
+    if missing == "rigs":
+        (rigs / "rigs" / "dead_zone_0" / "repaired.yaml").unlink()
+    with pytest.raises(InputError, match="repaired.yaml" if missing == "rigs" else str(rigs)):
+        agent.run(rigs, tmp_path / "out", read_config(agent.CONFIG), pictures=False, progress=False)
+    assert not (tmp_path / "out" / "runs").exists()
 
 
 def test_a_rig_that_fails_is_told(quick: list[Any], tmp_path: Path) -> None:
