@@ -38,3 +38,19 @@ def test_the_kernel_in_cpp_gives_the_same_bits() -> None:
     twin = near_limit.measure_ratio(0.05)
     assert twin is not None and twin["largest_relative_difference"] == 0.0
     assert twin["ratio"] > 0.0
+
+
+def test_arithmetic_is_counted_not_addresses() -> None:
+    source = """
+def line(x):
+    return fma(x, 2.0, 1.0)
+
+def begin(cells, h):
+    for l in range(LANES):
+        cells[3 * LANES + l] = line(cells[2 * LANES + l]) / h - 1.0
+
+def finish(cells, h):
+    for l in range(LANES):
+        cells[l] = sqrt(cells[l] * h) if cells[l] > 0.0 else 0.0
+"""
+    assert near_limit.operations(source) == 4 + 2

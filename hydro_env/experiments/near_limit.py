@@ -1,8 +1,13 @@
-"""The kernel's substep once more, in C++: how much speed does the Python tool chain cost?
+"""How near the kernel is to what the processor can do.
+
+Once more in C++: how much speed does the Python tool chain cost?
 
 The statements of the generated substep (see `hydro_env.plant.compile`) are translated one by one to C++ and compiled by
 the machine's own compiler with vector instructions for this processor. Both run the same block from the same state, so
 both the time and the result can be compared: the states must agree to the last bits.
+
+Arithmetic: the operations of a substep are counted in the same statements and set against what a loop of nothing but
+multiplications and additions reaches on the same thread. That tells a slow processor from a slow kernel.
 """
 
 from __future__ import annotations
@@ -124,8 +129,51 @@ def to_cpp(source: str) -> str:
     return "\n".join(text) + "\n"
 
 
+#: Nothing but fused multiplications and additions, on more registers than one of them takes cycles.
+_PEAK = """
+typedef double lanes __attribute__((vector_size(64)));
+extern "C" double peak(long turns, double a, double b) {
+    lanes x[12], scale, shift;
+    for (int l = 0; l < 8; l++) {
+        scale[l] = a;
+        shift[l] = b;
+        for (int n = 0; n < 12; n++) x[n][l] = n + l;
+    }
+    for (long t = 0; t < turns; t++)
+        for (int n = 0; n < 12; n++) for (int l = 0; l < 8; l++) x[n][l] = __builtin_fma(x[n][l], scale[l], shift[l]);
+    double sum = 0.0;
+    for (int n = 0; n < 12; n++)
+        for (int l = 0; l < 8; l++) sum += x[n][l];
+    return sum;
+}
+"""
+
+
+def operations(source: str) -> int:
+    """Additions, multiplications, divisions and roots of a generated substep, a channel; one fused operation counts two."""
+    functions = {node.name: node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)}
+
+    def count(node: ast.AST) -> int:
+        total = 0
+        for part in ast.walk(node):
+            if isinstance(part, ast.BinOp) and isinstance(part.op, ast.Add | ast.Sub | ast.Mult | ast.Div):
+                total += 1
+            elif isinstance(part, ast.Call) and isinstance(part.func, ast.Name):
+                name = part.func.id
+                total += {"fma": 2, "sqrt": 1}.get(name, 0)
+                total += count(functions[name]) if name in functions and name not in _FUNCTIONS else 0
+        # What only says where something lies is no arithmetic.
+        places = (part.slice for part in ast.walk(node) if isinstance(part, ast.Subscript))
+        return total - sum(isinstance(each, ast.BinOp) for place in places for each in ast.walk(place))
+
+    return count(functions["begin"]) + count(functions["finish"])
+
+
 def measure_ratio(seconds: float = 1.0) -> dict[str, Any] | None:
-    """Time of a channel substep of our kernel and of its C++ twin, ns, and their ratio; None without a C++ compiler."""
+    """Time of a channel substep of our kernel and of its C++ twin, ns, and their ratio; None without a C++ compiler.
+
+    Also the thread's peak of float64 arithmetic in GFLOP/s, and the kernel's share of it.
+    """
     compiler = next((found for name in ("c++", "g++", "clang++") if (found := shutil.which(name))), None)
     if compiler is None:
         return None
@@ -144,10 +192,12 @@ def measure_ratio(seconds: float = 1.0) -> dict[str, Any] | None:
 
     with tempfile.TemporaryDirectory() as folder:
         code, library = Path(folder) / "step.cpp", Path(folder) / "step.so"
-        code.write_text(to_cpp(kernel.source))
+        code.write_text(to_cpp(kernel.source) + _PEAK)
         subprocess.run([compiler, *FLAGS, str(code), "-o", str(library)], check=True, capture_output=True)
         run = ctypes.CDLL(str(library)).run
         run.argtypes = (ctypes.c_void_p, ctypes.c_long, ctypes.c_double)
+        peak = ctypes.CDLL(str(library)).peak
+        peak.argtypes, peak.restype = (ctypes.c_long, ctypes.c_double, ctypes.c_double), ctypes.c_double
 
         def theirs(steps: int) -> None:
             run(twin_cells.ctypes.data, steps, SUBSTEP)
@@ -164,6 +214,10 @@ def measure_ratio(seconds: float = 1.0) -> dict[str, Any] | None:
                 function(400)
                 passed = (time.perf_counter() - begin) / (400 * 32) * 1e9
                 best[name] = min(best.get(name, np.inf), passed)
+            begin = time.perf_counter()
+            peak(100_000, 0.999, 0.5)
+            passed = (time.perf_counter() - begin) / (100_000 * 12 * 8 * 2) * 1e9
+            best["flop"] = min(best.get("flop", np.inf), passed)
     moved = slice(0, len(STATES) * 32)
     last = {"kernel": cells[moved], "cpp": twin_cells[moved]}
     scale = np.abs(last["cpp"]).reshape(len(STATES), -1).max(1).repeat(32) + 1e-300
@@ -171,5 +225,8 @@ def measure_ratio(seconds: float = 1.0) -> dict[str, Any] | None:
         "kernel_ns": best["kernel"],
         "cpp_ns": best["cpp"],
         "ratio": best["cpp"] / best["kernel"],
+        "operations": operations(kernel.source),
+        "peak_gflops": 1.0 / best["flop"],
+        "share_of_peak": operations(kernel.source) * best["flop"] / best["kernel"],
         "largest_relative_difference": float((np.abs(last["kernel"] - last["cpp"]) / scale).max()),
     }

@@ -238,7 +238,8 @@ def summary(result: dict[str, Any]) -> str:
     if twin := result["near_limit"]:
         lines.append(
             f"a channel substep in C++, same statements, same bits: {twin['cpp_ns']:.1f} ns, ours {twin['kernel_ns']:.1f} ns,"
-            f" {twin['ratio']:.2f} times its speed"
+            f" {twin['ratio']:.2f} times its speed; {twin['operations']} operations,"
+            f" {100 * twin['share_of_peak']:.0f} % of this thread's {twin['peak_gflops']:.0f} GFLOP/s"
         )
     lines.append(
         "a channel substep of the base plant: {base_ns:.1f} ns, with a dead zone {dead_zone_ns:.1f} ns,"
