@@ -255,7 +255,9 @@ def test_wrong_use_is_named():
 def test_a_batch_that_cannot_fit_is_refused_in_a_line(monkeypatch):
     from hydro_env.envs import batch
 
-    monkeypatch.setattr(batch, "_memory_bytes", lambda: 2e6)
+    monkeypatch.setattr(batch, "machine_memory", lambda: 2e6)
     envs = HydraulicSyncVectorEnv(100)
     with pytest.raises(InputError, match=r"num_envs is 100: episodes of \d+ steps need .* GiB"):
         envs.reset(seed=0)
+    with pytest.raises(InputError, match=r"10{12} rigs need .* GiB for their plant alone"):
+        HydraulicSyncVectorEnv(10**12)

@@ -5,7 +5,6 @@ Everything the task does is written here, once; the single environment is a batc
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from math import inf
 from pathlib import Path
@@ -20,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from ..plant import Plant, PlantModel, load_model
+from ..plant.plant import machine_memory
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, load_mismatch, own_values
 from ..tasks.scenarios import Reference, Scenario, load_scenario
 from .glue import COLUMNS, SIGNALS, TRUE, apply, look
@@ -44,14 +44,6 @@ _NEVER = np.iinfo(np.int64).max
 #: What a row keeps of every step of its episode: set-point (8), loads (16), noise (24 bytes).
 _BYTES_A_STEP = 48
 _AT_RESET = [key for key in COLUMNS if not key.startswith("reward")]
-
-
-def _memory_bytes() -> float:
-    """Memory of this machine, inf where it does not say."""
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, ValueError, OSError):
-        return inf
 
 
 class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -119,6 +111,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             "autoreset_mode": self.autoreset_mode,
         }
 
+        # First of what takes room, so that a batch that cannot fit is refused in its words.
+        self._effects: tuple[str, ...] = ()
+        self._build(self.mismatch)
         width = FRAME * history
         self.single_observation_space = spaces.Box(-LIMIT, LIMIT, (width,), np.float32)
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -146,8 +141,6 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._course: tuple[Scenario, Reference] | None = None
         self._recorder = Recorder(n) if render_mode is not None else None
         self._settable: dict[str, tuple[float, float]] = {}
-        self._effects: tuple[str, ...] = ()
-        self._build(self.mismatch)
 
     # --- the interface of Gymnasium -------------------------------------------------------------------------------
     def reset(
@@ -410,7 +403,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         have = self._setpoint.shape[1]
         if length > have:
             need = self.num_envs * length * _BYTES_A_STEP + self.plant.memory.nbytes
-            if need > (most := _memory_bytes()):
+            if need > (most := machine_memory()):
                 raise InputError(
                     f"num_envs is {self.num_envs}: episodes of {length - 1} steps need {need / 2**30:.1f} GiB, this machine"
                     f" has {most / 2**30:.1f} GiB, enough for about {int(self.num_envs * most / need)}; take fewer, or a"

@@ -5,19 +5,22 @@ Arrays have the shape (num_rigs, 2), column 0 is channel 1, column 1 channel 2; 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from ..errors import InputError
 from .compile import LONGEST_DELAY, STATES, Kernel, compile_kernel
 from .effects import CATALOGUE
 from .model import PlantModel, load_model, parameter_of
 from .parameters import PARAMETERS
 
-__all__ = ["SIGNALS", "Plant", "simulate"]
+__all__ = ["SIGNALS", "Plant", "machine_memory", "simulate"]
 
 #: Signals that can be read and recorded.
 SIGNALS = (*STATES, "flow", "measured_speed")
@@ -38,6 +41,14 @@ def _room(kernel: Kernel) -> NDArray[Any]:
     return room[-room.ctypes.data % 64 // item :][: kernel.num_cells]
 
 
+def machine_memory() -> float:
+    """Memory of this machine in bytes, inf where it does not say."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, ValueError, OSError):
+        return inf
+
+
 class Plant:
     """`num_rigs` rigs of two channels each.
 
@@ -46,7 +57,8 @@ class Plant:
     given: a period is divided into the fewest equal substeps that are not longer. `dtype` is float64, or float32 for
     about twice the speed: it resolves the angle and the time of an episode to seven digits only.
 
-    InputError for an unknown model, ValueError for a number of rigs below one or another dtype.
+    InputError for an unknown model and for more rigs than this machine has memory for. ValueError for a number of rigs
+    below one or another dtype.
     """
 
     def __init__(
@@ -71,9 +83,16 @@ class Plant:
         self._kernel: Kernel = compile_kernel((*self.model.declared, *effects), _half(self.num_rigs), dtype)
         kernel = self._kernel
         blocks = -(-self.num_rigs // kernel.half)
-        self._memory = np.zeros((blocks, kernel.num_rows, 2 * kernel.half), kernel.dtype)
         self._slots = int(LONGEST_DELAY / self.substep) + 3  # a slot of the delay line is a substep
-        self._ring = np.zeros((blocks, self._slots if kernel.has_delay else 1, 2 * kernel.half))
+        slots = self._slots if kernel.has_delay else 1
+        need = blocks * 2.0 * kernel.half * (kernel.num_rows * kernel.dtype.itemsize + slots * 8)
+        if need > (most := machine_memory()):
+            raise InputError(
+                f"{self.num_rigs} rigs need {need / 2**30:.3g} GiB for their plant alone, this machine has"
+                f" {most / 2**30:.3g} GiB, enough for about {int(self.num_rigs * most / need)}"
+            )
+        self._memory = np.zeros((blocks, kernel.num_rows, 2 * kernel.half), kernel.dtype)
+        self._ring = np.zeros((blocks, slots, 2 * kernel.half))
         self._head = 0
         self._empty = np.zeros((0, 1, self.num_rigs, 2))
         for name in PARAMETERS:
