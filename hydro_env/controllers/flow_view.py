@@ -143,7 +143,7 @@ class FlowView:
 
     def __init__(
         self,
-        rate: float = 60.0,
+        rate: float = 40.0,
         slew: float = 27.0,
         fall: float = 4.0,
         doubt: float = 4.0,
@@ -220,6 +220,9 @@ class FlowView:
         # a difference of speeds over half the time is twice as noisy; slower sampling allows less feedback
         self._jump = self.jump * max(1.0, TUNED_PERIOD / period)
         self._feedback = min(1.0, TUNED_PERIOD / period)
+        # what goes wrong in one longer period before it is seen: spools creep as far as usual, flow rises by less
+        self._creep_pace = self.search * self._feedback
+        self._growth = self.slew * self._feedback**1.5 * period
         self.loads = LoadEstimate(n, period, NOMINAL["J"], self.share, self._jump)
         # weights a, 1 - 2 a, a have no response at the mode's angle per sample if 2 a cos(angle) + 1 - 2 a = 0
         self._spacing = max(1, round(2.0 * pi / 3.0 / SPOOL_RATE / period))
@@ -393,7 +396,7 @@ class FlowView:
         now = held + self.motor.per_acceleration * self.acceleration
         most = self.most * np.min(valves.capacity(), axis=1)
         unsure = np.sqrt(np.max(valves.gain_variance, axis=1)) / 0.12
-        growth = self.slew * self.period * self.quick / (1.0 + self.doubt * unsure)
+        growth = self._growth * self.quick / (1.0 + self.doubt * unsure)
         target = held + self.motor.per_acceleration * self.rate * self.quick * (self._setpoint - self.speed)
         upward = np.where(now >= 0.0, growth, self.fall * growth)
         downward = np.where(now <= 0.0, growth, self.fall * growth)
@@ -508,7 +511,7 @@ class FlowView:
         edge, deviation = self._facing(self.valves.edge), self._facing(self.valves.edge_deviation)
         # an edge too far away: no flow is seen, a sick sensor
         there = (sign * self.flow > FLOWING * self.noisier) | (deviation < self.known) | (self.crept > 0.6)
-        self.crept = np.where(there, self.crept, self.crept + self.search * self.period)
+        self.crept = np.where(there, self.crept, self.crept + self._creep_pace * self.period)
         self.crossing = self.crossing & ~np.all(there, axis=1)
         creeping = sign * np.where(there, edge + FLOWING / self.valves.gain, self.crept)
         return np.where(self.crossing[:, None], creeping, asked), ~self.crossing
