@@ -29,8 +29,9 @@ Rows = NDArray[Any] | slice
 
 NOMINAL = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
 SPEED_NOISE, PRESSURE_NOISE = SENSOR_NOISE["speed_rpm"] * RPM, SENSOR_NOISE["pressure_bar"] * 1e5
-USUAL = 1.7
-"""Multiple of the usual noise up to which nothing is changed; the estimate of three samples scatters so far."""
+USUAL, USUAL_PRESSURE = 1.7, 1.4
+"""Multiples of the usual noise up to which nothing is changed; estimates from three samples scatter so far, that of the
+pressures less as all four sensors tell of it."""
 MODEL_ERROR = 1.4 * RPM
 """Standard deviation of what the integrated torque misses in a period."""
 LAGGING = 0.014
@@ -98,13 +99,15 @@ class SensorCheck:
         return self.speed
 
     def _early(self, rows: Rows, speed: Floats, pressure: Floats) -> None:
-        """Takes in readings at rest, the first three. Two squares are believed beforehand: the usual ones of pressures,
-        the pressures' of speeds. Of pressures no sensor is suspected alone, but a valve open at rest moves its own; so the
-        quieter one counts, half as much again as it is the smaller of two."""
+        """Takes in readings at rest, the first three. Squares are believed beforehand: the usual ones of pressures, the
+        pressures' of speeds. What makes pressures noisy makes speeds noisy, so that both tell of it; but one speed sensor
+        may be worse alone, and a valve open at rest moves what its own sensors read. So of each kind the quieter one
+        counts, half as much again as it is the smaller of two."""
         squares = np.stack([speed / SPEED_NOISE, pressure / PRESSURE_NOISE]) ** 2
         self._sums[:, rows] += np.minimum(squares, 900.0)
         count = self._age[rows][:, None]
-        pressures = (2.0 + 1.5 * np.min(self._sums[1, rows], axis=1, keepdims=True)) / (2.0 + count)
+        quieter = np.sum(np.min(self._sums[:, rows], axis=-1, keepdims=True), axis=0)
+        pressures = (2.0 + 1.5 * quieter) / (2.0 + 2.0 * count)
         self._pressure_square[rows] = pressures
         self._speed_square[rows] = (2.0 * pressures + self._sums[0, rows]) / (2.0 + count)
 
@@ -125,7 +128,7 @@ class SensorCheck:
     def _rate(self) -> None:
         noise, pressure = np.sqrt(self._speed_square), np.sqrt(self._pressure_square)
         self.noise = np.where(noise > USUAL, noise, 1.0)
-        self.pressure_noise = np.where(pressure > USUAL, pressure, 1.0)
+        self.pressure_noise = np.where(pressure > USUAL_PRESSURE, pressure, 1.0)
 
     def _watch_lag(self, push: Floats) -> None:
         """What the torque gives more than the reading shows goes, for a lag, as the change of the reading's slope."""
