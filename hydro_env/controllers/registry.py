@@ -20,6 +20,7 @@ from hydro_env.controllers.gains import read_gains
 from hydro_env.controllers.observer import DisturbanceObserver
 from hydro_env.controllers.oracle import Oracle
 from hydro_env.controllers.pid import TABLE_III, PidController
+from hydro_env.controllers.probing import ProbingFlow
 from hydro_env.errors import InputError
 
 __all__ = ["CONTROLLERS", "LAWS", "Entry", "make_controller"]
@@ -83,6 +84,7 @@ CONTROLLERS: dict[str, Entry] = {
         _tuned("disturbance_observer", "takes off what a rated motor would not show"),
         _tuned("compensated", "dead-zone inverse from a valve bench, with cross coupling"),
         _tuned("adaptive_flow", "learns the valves while it drives them"),
+        Entry("probing_flow", "probes the valves at rest, then learns on", lambda: ProbingFlow("probing_flow")),
         _tuned("servo_pid", "PID on the same motors behind servo valves", plant="servo"),
         _tuned("oracle", "told everything but the set-point to come: model-predictive"),
         _policy("ppo", "neural policy trained with PPO"),

@@ -1,0 +1,45 @@
+"""The law that probes valves at rest: what its two settings are for, and that it forgets one rig before the next."""
+
+import numpy as np
+import pytest
+
+from hydro_env.controllers import make_controller
+from hydro_env.controllers.rollout import roll_out
+from hydro_env.errors import InputError
+
+
+def scores(spec, **changed):
+    given = {"plant": "paper_dead_zone", "mismatch": "val", "scenario": "setpoint_steps"} | changed
+    found = roll_out(make_controller(spec), range(24), **given).metrics()
+    return np.median(found["max_speed_difference_rpm"]), np.median(found["tracking_mae_rpm"])
+
+
+def test_slower_settings_keep_closer_together_and_track_worse():
+    fast, calm = scores("probing_flow"), scores("probing_flow:rate=20,rise=9")
+    assert calm[0] < fast[0] - 1.0
+    assert calm[1] > fast[1] + 5.0
+    assert fast[0] < 13.0 and fast[1] < 31.0
+
+
+def test_it_uses_the_rest_before_the_first_step():
+    """Without a rest there is nothing to probe in: edges are met on the way, as `adaptive_flow` does."""
+    steps = {"duration": 1.5, "setpoint_rpm": [[0.3, 400.0], [0.8, -300.0]]}
+    at_once = {"duration": 1.2, "setpoint_rpm": [[0.0, 400.0], [0.5, -300.0]]}
+    assert scores("probing_flow", scenario=steps)[0] < scores("probing_flow", scenario=at_once)[0] - 2.0
+
+
+def test_reset_forgets():
+    controller = make_controller("probing_flow")
+    first, again = (
+        roll_out(controller, range(3), mismatch="val", scenario="load_step").trace.command for _ in range(2)
+    )
+    np.testing.assert_array_equal(first, again)
+
+
+def test_wrong_settings_are_refused():
+    with pytest.raises(InputError, match="slew"):
+        make_controller("probing_flow:slew=9")
+    controller = make_controller("probing_flow")
+    controller.reset(2, 0.01)
+    with pytest.raises(ValueError, match="reset for 2 rigs, got 3"):
+        controller.act(np.zeros((3, 9), np.float32))
