@@ -7,13 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis import trials
+from hydro_env.diagnosis import restarts, trials
+from hydro_env.diagnosis.calibrate import as_given, base_unknowns, calibrate, floors_from
 from hydro_env.diagnosis.certainty import _bootstrap
+from hydro_env.diagnosis.fit import Problem, evaluate
 from hydro_env.diagnosis.hide import make_practice
 from hydro_env.diagnosis.machine import Request
 from hydro_env.diagnosis.motor import MotorRig
 from hydro_env.diagnosis.noise import noise_floor
 from hydro_env.diagnosis.parts import read_parts
+from hydro_env.diagnosis.signatures import absorb, first_look, hidden_by_calibration
 from hydro_env.diagnosis.unknowns import less_taken
 from hydro_env.diagnosis.where import shape
 from hydro_env.plant import load_model
@@ -71,6 +74,50 @@ def test_trials_are_judged_by_name_channel_and_verdict() -> None:
     unknown = {"verdict": "unknown", "effects": named, "gap": {"sealed": gap}}
     assert trials.judge(unknown, {("dead_zone", "1")}, "effects", unlisted=True)["right"]
     assert not trials.judge(unknown, {("quadratic_drag", "1")}, "effects")["set"]
+
+
+def test_what_calibration_hides_is_part_of_the_declared_set() -> None:
+    data = {
+        "verdict": "calibration", "effects": [], "gap": {"sealed": {}}, "hidden_by_calibration": {"sensor_gain": ["1"]},
+    }  # fmt: skip
+    row = trials.judge(data, {("sensor_gain", "1")}, "effects")
+    assert row["set"] and row["declared"] and not row["right"]
+    assert not trials.judge(data, {("sensor_gain", "2")}, "effects")["set"]
+    assert trials.judge(data, {("sensor_gain", "1")}, "effects", unlisted=True)["open"]
+
+
+def test_calibration_hides_a_wrong_scale_of_the_speed_and_not_a_dead_zone(tmp_path: Path) -> None:
+    make_practice([], duration=4.0, rate=500.0, runs=("fit_1",), seed=3).write(tmp_path)
+    rig = MotorRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+    floors = {(c, s.signal): 1e-3 for c in rig.channels for s in rig.segments[c]}
+    floors = floors_from(rig, as_given(rig, floors))
+    problems = calibrate(rig, floors, 2)
+    looks = first_look(rig, problems, floors, ["sensor_gain", "dead_zone", "speed_dependent_leakage"], 4.0)
+    linear = {(k.effect, k.channel): k.visible for k in looks}
+    absorb(rig, problems, floors, looks)
+    assert all(k.visible <= linear[k.effect, k.channel] for k in looks)
+    hidden = hidden_by_calibration(looks)
+    assert "sensor_gain" in hidden and "dead_zone" not in hidden
+
+
+def test_estimates_leave_a_valley_of_friction(tmp_path: Path) -> None:
+    make_practice([], duration=4.0, rate=500.0, runs=("fit_1",), seed=3).write(tmp_path)
+    rig = MotorRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+    floors = floors_from(
+        rig, as_given(rig, {(c, s.signal): 1e-3 for c in rig.channels for s in rig.segments[c]})
+    )
+    unknowns = base_unknowns(rig, 0)
+    q = np.array([{"Fc": 1.5, "Fs": 1.5, "vs": -1.0}.get(u.name, 0.0) for u in unknowns])
+    problem = Problem(0, unknowns, q)
+    evaluate(rig, [problem], floors)
+    before = problem.cost
+    restarts.LITTLE, little = np.inf, restarts.LITTLE
+    try:
+        better = restarts.begun_anew(rig, [problem], floors)
+    finally:
+        restarts.LITTLE = little
+    assert better == [problem] and problem.cost < before
+    assert not restarts.begun_anew(rig, [Problem(0, [], np.zeros(0), simulated=problem.simulated)], floors)
 
 
 def test_cases_have_seeds_of_their_own_and_loss_models_are_none() -> None:

@@ -10,6 +10,7 @@ from ..plant import parameter_of
 from .fit import Floors, Problem, evaluate, solve
 from .machine import Machine
 from .noise import noise_floor
+from .restarts import begun_anew
 from .unknowns import Unknown, base_unknown, limited_by_effects
 
 __all__ = ["as_given", "base_unknowns", "calibrate", "floors_from"]
@@ -59,6 +60,7 @@ def calibrate(machine: Machine, floors: Floors, iterations: int = 18) -> dict[in
     """Adjusts the base parameters of every channel, with priors about the model as given.
 
     The coil comes first, by the current alone: nothing behind it acts back, so that no missing effect can pull it away.
+    What is not at the noise then is begun anew with other friction of the spool.
     """
     problems = {}
     for channel in machine.channels:
@@ -66,6 +68,8 @@ def calibrate(machine: Machine, floors: Floors, iterations: int = 18) -> dict[in
         problems[channel] = Problem(channel, unknowns, np.zeros(len(unknowns)), "calibrated")
     _coil_first(machine, problems, floors)
     solve(machine, list(problems.values()), floors, iterations)
+    if not machine.quick:
+        solve(machine, begun_anew(machine, list(problems.values()), floors), floors, iterations)
     return problems
 
 

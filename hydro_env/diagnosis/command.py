@@ -39,9 +39,10 @@ from .result import (
     verdict,
 )
 from .select import Selection, select
-from .signatures import Look, first_look
+from .signatures import Look, absorb, first_look, hidden_by_calibration
 from .steady_valve import SteadyValve
 from .where import Place, locate
+from .words import plain
 
 __all__ = ["Diagnosis", "diagnose", "run"]
 
@@ -109,6 +110,8 @@ def _workflow(
     rescored(machine, list(calibrated.values()), floors)
     say("looking at every effect")
     looks = first_look(machine, calibrated, floors, machine.candidates(), seconds)
+    if not machine.quick:
+        absorb(machine, calibrated, floors, looks)
     selection = select(machine, calibrated, looks, floors, seconds, say)
     floors = _lower(floors, floors_from(machine, selection.problems))
     word = verdict(machine, given, calibrated, selection, floors)
@@ -133,6 +136,11 @@ def _workflow(
     make_sure(machine, [*selection.problems.values(), *calibrated.values()], floors, seed)
     named = named_effects(machine, selection, looks, floors, seed)
     warnings = [*(f.text for f in odd), *_warnings(machine, parts, proofs, final, sealed_proof)]
+    hidden = hidden_by_calibration(looks)
+    if hidden and word in ("none", "calibration"):
+        warnings.append(
+            f"calibration would take all of these, so that they cannot be excluded: {', '.join(plain(n) for n in hidden)}"
+        )
     if refuted:
         warnings.insert(
             0,

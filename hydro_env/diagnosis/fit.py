@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Floors",
     "Problem",
+    "at_noise",
     "channels_of",
     "differentiate",
     "evaluate",
@@ -179,7 +180,8 @@ def rescored(machine: Machine, problems: Sequence[Problem], floors: Floors) -> N
         problem.cost = _cost(machine, problem, problem.simulated, problem.q, floors)
 
 
-def _at_noise(machine: Machine, problem: Problem, floors: Floors) -> bool:
+def at_noise(machine: Machine, problem: Problem, floors: Floors) -> bool:
+    """Whether no signal of any log is left with more than its noise."""
     return all(
         value < 1.02 * floors[channel, signal]
         for channel in channels_of(problem, machine)
@@ -295,7 +297,7 @@ def solve(
                 problem.cost, problem.q, problem.simulated = cost, q, result
         for p in live:
             idle = before[id(p)] - p.cost < tolerance
-            quiet = idle and _at_noise(machine, p, floors)
+            quiet = idle and at_noise(machine, p, floors)
             stalled[id(p)] = len(_STEPS) if quiet else stalled[id(p)] + 1 if idle else 0
         live = [p for p in live if stalled[id(p)] < len(_STEPS)]
     for problem in problems:

@@ -16,7 +16,7 @@ from .fit import Floors, Problem, gain, levels, rms
 from .machine import Machine
 from .prove import Proof
 from .select import Choice, Selection
-from .signatures import Look, alike, detectable
+from .signatures import Look, alike, detectable, hidden_by_calibration
 from .where import Place
 
 __all__ = [
@@ -289,7 +289,7 @@ def diagnosis_dict(
     machine: Machine, word: str, named: list[Named], places: list[Place], calibrated: dict[int, Problem], fit: Proof,
     sealed: Proof, looks: Sequence[Look], selection: Selection, seconds: float, hashes: dict[str, str], warnings: list[str],
 ) -> dict[str, Any]:  # fmt: skip
-    """The content of diagnosis.json; `trials` and `warnings` go beyond the contract."""
+    """The content of diagnosis.json; `trials`, `warnings` and `hidden_by_calibration` go beyond the contract."""
     visible = detectable(looks, machine)
     return {
         "schema": SCHEMA,
@@ -300,6 +300,7 @@ def diagnosis_dict(
         "gap": {"sealed": sealed.gap, "fit": fit.gap},
         "next_experiment": next_experiment(named, machine, selection),
         "detectable": visible,
+        "hidden_by_calibration": hidden_by_calibration(looks),
         "seconds": round(seconds, 1),
         "log_sha256": hashes,
         "trials": [

@@ -18,10 +18,13 @@ from .fit import Floors, Problem
 from .machine import Machine, Request
 from .unknowns import less_taken, starts
 
-__all__ = ["Look", "alike", "detectable", "first_look"]
+__all__ = ["Look", "absorb", "alike", "detectable", "first_look", "hidden_by_calibration"]
 
 #: Squared length of a projected signature, in noise units, from which an effect counts as visible.
 VISIBLE = 60.0
+#: Steps of calibration towards an effect of medium size at most and at least, and what a later step must make of what is left
+#: to be followed by another.
+ABSORB, LEAST, GOING = 8, 2, 0.8
 #: Cosine from which two projected signatures count as the same.
 SAME = 0.96
 
@@ -32,6 +35,7 @@ class Look:
 
     `gain` is the expected fall of the deviance, `visible` the squared length of the signature of medium size in noise
     units after projection, by channel; `signature` that projected signature, normalised, all channels one after the other.
+    `plain` is the squared length before projection, `change` (n,) the unweighted signature of medium size (one channel only).
     """
 
     effect: str
@@ -40,6 +44,13 @@ class Look:
     gain: float
     visible: float
     signature: np.ndarray
+    plain: float = 0.0
+    change: np.ndarray | None = None
+
+    @property
+    def hidden(self) -> bool:
+        """Whether it would show if nothing were calibrated, and calibration takes it all."""
+        return self.visible <= VISIBLE < self.plain
 
 
 class _Projector:
@@ -105,9 +116,51 @@ def first_look(
             )
         if medium:
             look.visible, look.signature = size, signature / max(np.sqrt(size), 1e-30)
+            look.plain = sum(float(np.sum((changes[c] * noise[c].weights) ** 2)) for c in channels)
+            look.change = changes[channel] if channel is not None else None
         if gained > look.gain:
             look.gain, look.start = gained, start
     return sorted(looks.values(), key=lambda look: -look.gain)
+
+
+def absorb(machine: Machine, problems: dict[int, Problem], floors: Floors, looks: Sequence[Look]) -> None:
+    """Lowers `visible` to what calibration leaves of an effect if it really moves, and not only along its derivatives.
+
+    The logs of a rig with the effect of medium size are what is fitted here, by steps along the derivatives at `problems`.
+    """
+    places = {}
+    for c, p in problems.items():
+        weights = np.zeros(p.simulated[c].size)
+        for s in machine.segments[c]:
+            weights[s.place] = s.used / floors[c, s.signal]
+        columns = p.columns[c] * weights[:, None]
+        prior = np.diag([1.0 if u.prior else 1e-6 for u in p.unknowns])
+        places[c] = weights, columns, np.linalg.pinv(columns.T @ columns + prior)
+    live = [k for k in looks if k.channel is not None and k.change is not None and k.visible > VISIBLE]
+    moved = {id(k): problems[k.channel].q for k in live}  # type: ignore[index]
+    left = {id(k): k.change for k in live}
+    going: dict[int, bool] = {}
+    for number in range(ABSORB):
+        requests = []
+        for k in live:
+            assert k.channel is not None
+            problem, (weights, columns, inverse) = problems[k.channel], places[k.channel]
+            q, rest = moved[id(k)], left[id(k)]
+            step = inverse @ (columns.T @ (rest * weights) - (q - problem.q))
+            moved[id(k)] = np.clip(q + step, *problem.bounds)
+            requests.append(problem.request(moved[id(k)]))
+        for k, result in zip(live, machine.predict(requests), strict=True):
+            assert k.channel is not None and k.change is not None
+            problem, (weights, columns, inverse) = problems[k.channel], places[k.channel]
+            rest = left[id(k)] = k.change + problem.simulated[k.channel] - result[k.channel]
+            if not np.isfinite(rest).all():
+                going[id(k)] = False
+                continue
+            along = rest * weights - columns @ (inverse @ (columns.T @ (rest * weights)))
+            now = float(along @ along)
+            going[id(k)] = now > VISIBLE and (number < LEAST or now < GOING * k.visible)
+            k.visible = min(k.visible, now)
+        live = [k for k in live if going[id(k)]]
 
 
 def _beside(
@@ -180,6 +233,15 @@ def detectable(looks: Sequence[Look], machine: Machine) -> dict[str, dict[str, b
         key = "rig" if look.channel is None else str(look.channel + 1)
         found.setdefault(look.effect, {})[key] = look.visible > VISIBLE
     return {name: dict(sorted(found[name].items())) for name in CATALOGUE if name in found}
+
+
+def hidden_by_calibration(looks: Sequence[Look]) -> dict[str, list[str]]:
+    """By effect the channels on which calibration takes all of an effect of medium size that would show otherwise."""
+    found: dict[str, list[str]] = {}
+    for look in looks:
+        if look.hidden:
+            found.setdefault(look.effect, []).append("rig" if look.channel is None else str(look.channel + 1))
+    return {name: sorted(found[name]) for name in CATALOGUE if name in found}
 
 
 def alike(looks: Sequence[Look]) -> dict[tuple[str, int | None], list[str]]:

@@ -73,6 +73,7 @@ BARS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
     ("right channel", "channel", ("medium",), 0.95),
     ("an effect named though there is none (at most)", "alarm", ("nothing", "parameters"), 0.02),
     ("`unknown` where the effect is not among the candidates", "right", ("unlisted",), 0.90),
+    ("`unknown`, or what is declared not to be told apart from it", "open", ("unlisted",), 0.0),
     ("both of two effects", "both", ("two",), 0.85),
     ("sealed speed within 1.3 times the noise", "sealed", ("medium",), 0.90),
     ("the placebo wins (at most)", "placebo", ("medium", "two"), 0.0),
@@ -152,6 +153,10 @@ def judge(
     }
     word = data["verdict"]
     names = word == "effects" and truth <= tied and len(named) <= len(truth)
+    # What the result says that calibration would hide is part of what it declares not to be told apart.
+    hidden = {(n, c) for n, channels in data.get("hidden_by_calibration", {}).items() for c in channels}
+    declared = word == "calibration" and bool(truth) and truth <= hidden
+    twins = {(t, c) for n, c in named for t in CATALOGUE[n].indistinguishable_from}
     speeds = [v for k, v in data["gap"]["sealed"].items() if k.startswith("speed")]
     score = {
         m: sum(math.log(max(v[m] / v["noise"], 1.0)) for v in data["gap"]["sealed"].values())
@@ -162,7 +167,9 @@ def judge(
         "expected": expected,
         "named": sorted(f"{n}:{c}" for n, c in named),
         "right": word == "unknown" if unlisted else word == expected and named == truth,
-        "set": names,
+        "set": names or declared,
+        "declared": declared,
+        "open": word == "unknown" or declared or (word == "effects" and len(named) == 1 and truth <= twins),
         "channel": bool(named) and {c for _, c in named} == {c for _, c in truth},
         "alarm": bool(named) and not truth,
         "both": word == "effects" and truth <= tied,
@@ -217,7 +224,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
                 "what": what,
                 "groups": list(groups),
                 "bar": bar,
-                "count": sum(bool(r[key]) for r in own),
+                "count": sum(bool(r.get(key)) for r in own),
                 "trials": len(own),
             }
         )

@@ -1,0 +1,62 @@
+"""Estimates begun anew from other places: friction makes a rough landscape with valleys that steps do not leave.
+
+A spool that sticks a moment longer or shorter changes the logs by a jump, so Gauss-Newton steps end in the valley in which they
+began. Here the friction of the spool is drawn anew several times, everything else stays where it was, all starts are improved
+side by side, and each round goes on with the better half. It is worth the time only where little is left: what a missing
+effect leaves is no matter of valleys.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .fit import Floors, Problem, at_noise, channels_of, levels, solve
+from .machine import Machine
+
+__all__ = ["STARTS", "begun_anew"]
+
+#: Base parameters that are drawn anew, and the spread of the draws on the scale of their priors.
+DRAWN, SPREAD = ("Fc", "Fs", "vs"), 1.0
+#: A gap (in `levels`, the signal where it is largest) up to which a valley may be the cause.
+LITTLE = 1.0
+#: New starts of a problem, and iterations of each round.
+STARTS, ROUNDS = 12, (3, 3, 4)
+
+
+def begun_anew(machine: Machine, problems: Sequence[Problem], floors: Floors, seed: int = 0) -> list[Problem]:
+    """Improves those of `problems` that are near the noise and not at it, in place; returns the ones that became better."""
+    rng = np.random.default_rng(seed)
+    fields: list[tuple[Problem, list[Problem]]] = []
+    for problem in problems:
+        drawn = [j for j, u in enumerate(problem.unknowns) if u.name in DRAWN]
+        if not drawn or at_noise(machine, problem, floors) or _far(machine, problem, floors):
+            continue
+        starts = []
+        for _ in range(STARTS):
+            q = problem.q.copy()
+            q[drawn] = SPREAD * rng.standard_normal(len(drawn))
+            starts.append(
+                Problem(problem.channel, problem.unknowns, np.clip(q, *problem.bounds), problem.label)
+            )
+        fields.append((problem, starts))
+    for iterations in ROUNDS:
+        solve(machine, [p for _, starts in fields for p in starts], floors, iterations)
+        for _, starts in fields:
+            starts.sort(key=lambda p: p.cost)
+            del starts[max(2, len(starts) // 2) :]
+    better = []
+    for problem, starts in fields:
+        best = starts[0]
+        if best.cost < problem.cost:
+            problem.q, problem.cost, problem.spread = best.q, best.cost, best.spread
+            problem.simulated, problem.columns = best.simulated, best.columns
+            better.append(problem)
+    return better
+
+
+def _far(machine: Machine, problem: Problem, floors: Floors) -> bool:
+    """Whether more is left than a valley leaves."""
+    found = (levels(machine, problem.simulated[c], c, floors) for c in channels_of(problem, machine))
+    return max(v for each in found for v in each.values()) > LITTLE
