@@ -138,7 +138,7 @@ def absorb(machine: Machine, problems: dict[int, Problem], floors: Floors, looks
         places[c] = weights, columns, np.linalg.pinv(columns.T @ columns + prior)
     live = [k for k in looks if k.channel is not None and k.change is not None and k.visible > VISIBLE]
     moved = {id(k): problems[k.channel].q for k in live}  # type: ignore[index]
-    left = {id(k): k.change for k in live}
+    left = {id(k): k.change for k in live if k.change is not None}
     going: dict[int, bool] = {}
     for number in range(ABSORB):
         requests = []
