@@ -112,7 +112,9 @@ def left_over(found: Diagnosis) -> str:
         f"{1.0 / SLOW_S:g} Hz, where a model could follow"
     )
     if share < 0.25:
-        return f"{text}; the rest is as fast as noise is."
+        fast = float(np.sqrt(max(entry["after"] ** 2 * (1.0 - share) - entry["noise"] ** 2, 0.0)))
+        more = f", with short events of {fast:.2g} {unit} in it" if fast > entry["noise"] else ""
+        return f"{text}; the rest is as fast as noise is{more}."
     return f"{text}: something is still missing there, or the effect has another form than the catalogue's."
 
 
@@ -488,6 +490,8 @@ def _detectable(found: Diagnosis) -> tuple[Sequence[str], list[tuple[str, list[s
         ["rig"] if any("rig" in v for v in found.data["detectable"].values()) else []
     )
     marks = {True: "yes", False: "no", None: ""}
+    hidden = found.data["hidden_by_calibration"]
     return columns, [
-        (name, [marks[row.get(c)] for c in columns]) for name, row in found.data["detectable"].items()
+        (name, ["calibration hides it" if c in hidden.get(name, ()) else marks[row.get(c)] for c in columns])
+        for name, row in found.data["detectable"].items()
     ]
