@@ -29,7 +29,15 @@ from hydro_env.tasks import Trace, compute
 
 __all__ = ["CONDITIONS", "Condition", "drive", "study"]
 
-CONTROLLERS: tuple[str, ...] = ("pid_tuned", "cross_coupled", "virtual_leader", "adaptive_flow", "ppo", "sac")
+CONTROLLERS: tuple[str, ...] = (
+    "pid_tuned",
+    "cross_coupled",
+    "virtual_leader",
+    "adaptive_flow",
+    "ppo",
+    "ppo_calm",
+    "sac",
+)
 METRICS = ("max_speed_difference_rpm", "tracking_mae_rpm", "command_variation")
 DURATION = 6.0
 

@@ -158,8 +158,8 @@ def _check_place(suite: Suite, seed: int, plant: Any, control_period: float) -> 
 
 
 def _specs(controllers: Sequence[Any]) -> list[Any]:
-    """The controllers with "all" spelt out; one that is also named by itself comes once."""
-    own = [entry for entry in CONTROLLERS.values() if entry.available]
+    """The controllers with "all" spelt out, less those for another plant; one that is also named by itself comes once."""
+    own = [entry for entry in CONTROLLERS.values() if entry.available and not entry.apart]
     if not any(isinstance(spec, str) and spec == "all" for spec in controllers):
         return list(controllers)
     names = [entry.name for entry in own]

@@ -49,6 +49,8 @@ class Entry:
     summary: str
     build: Callable[[], Any]
     file: Path | None = None
+    apart: bool = False
+    """Made for one plant that is not the score board's; `all` leaves it out."""
 
     @property
     def available(self) -> bool:
@@ -67,9 +69,9 @@ def _tuned(name: str, summary: str, plant: str | None = None) -> Entry:
     return Entry(name, summary, build, path)
 
 
-def _policy(name: str, summary: str) -> Entry:
+def _policy(name: str, summary: str, apart: bool = False) -> Entry:
     path = HERE / "policies" / f"{name}.npz"
-    return Entry(name, summary, lambda: _from_policy(path, name), path)
+    return Entry(name, summary, lambda: _from_policy(path, name), path, apart)
 
 
 CONTROLLERS: dict[str, Entry] = {
@@ -84,11 +86,15 @@ CONTROLLERS: dict[str, Entry] = {
         _tuned("disturbance_observer", "takes off what a rated motor would not show"),
         _tuned("compensated", "dead-zone inverse from a valve bench, with cross coupling"),
         _tuned("adaptive_flow", "learns the valves while it drives them"),
-        Entry("probing_flow", "probes the valves at rest, then learns on", lambda: ProbingFlow("probing_flow")),
+        Entry(
+            "probing_flow", "probes the valves at rest, then learns on", lambda: ProbingFlow("probing_flow")
+        ),
         _tuned("servo_pid", "PID on the same motors behind servo valves", plant="servo"),
         _tuned("oracle", "told everything but the set-point to come: model-predictive"),
         _policy("ppo", "neural policy trained with PPO"),
+        _policy("ppo_calm", "the same on a slower reference: less difference, more tracking error"),
         _policy("sac", "neural policy trained with SAC"),
+        _policy("ppo_rig", "neural policy for the preset `rig`", apart=True),
     )
 }
 """The controllers that ship with the package, in the order of the score board."""

@@ -4,7 +4,8 @@
                  that the law goes by: the readings as they are while noise is usual and nothing is wrong; otherwise the
                  pressure's torque integrated over the motor's inertia (eq. 2), corrected by the reading as far as that can
                  be trusted, or by the valve's flow where it cannot be trusted at all (eq. 1).
-`DelayEstimate`  compares how the flow changed with how the modelled spool moved now, one and two periods ago.
+`DelayEstimate`  compares how the flow changed with how the modelled spool moved now, one and two periods ago. A spool
+                 that sticks looks late too, but not both spools at once.
 
 One row per rig, one column per channel.
 """
@@ -152,7 +153,7 @@ class DelayEstimate:
     def __init__(self, num_rigs: int) -> None:
         self.periods = np.zeros(num_rigs, int)
         self._where = np.zeros((MOST_DELAY + 2, num_rigs, 2))
-        self._misses = np.zeros((MOST_DELAY + 1, num_rigs))
+        self._misses = np.zeros((MOST_DELAY + 1, num_rigs, 2))
         self._flow = np.zeros((num_rigs, 2))
 
     def forget(self, rows: Rows, position: Floats, flow: Floats) -> None:
@@ -167,17 +168,20 @@ class DelayEstimate:
         both = (np.minimum(np.abs(flow), np.abs(self._flow)) > flowing) & (flow * self._flow > 0.0)
         moved = self._where[:-1] - self._where[1:]
         miss = (flow - self._flow - gain * moved) ** 2 / (2.0 * noise**2 + DOUBT**2)
-        self._misses = self._misses + np.sum(np.where(both, np.minimum(miss, 100.0), 0.0), axis=-1)
+        self._misses = self._misses + np.where(both, np.minimum(miss, 100.0), 0.0)
         self._flow = np.array(flow)
-        best = np.argmin(self._misses, axis=0)
+        together = np.sum(self._misses, axis=-1)
+        best = np.argmin(together, axis=0)
         rows = np.arange(len(best))
-        now, then = self._misses[self.periods, rows], self._misses[best, rows]
-        change: Bools = (best != self.periods) & (now - then > CERTAIN) & (then < 0.5 * now)
+        now, then = together[self.periods, rows], together[best, rows]
+        each = np.min(self._misses[self.periods, rows] - self._misses[best, rows], axis=-1)
+        surely = (now - then > CERTAIN) & (then < 0.5 * now) & (each > EACH)
+        change: Bools = (best != self.periods) & surely
         self.periods = np.where(change, best, self.periods)
         return change
 
 
 DOUBT = 0.02
 """Standard deviation of what the spool model gets wrong in a period, share of the rated command."""
-CERTAIN = 12.0
-"""By how much the squares of the misses have to differ."""
+CERTAIN, EACH = 12.0, 3.0
+"""By how much the squares of the misses have to differ, of both valves together and of each."""
