@@ -161,8 +161,8 @@ def test_interrupted_trials_go_on_where_they_were(tmp_path: Path, monkeypatch: p
     trials.run_trials(tmp_path, wanted[:4], say=lambda text: None)
     rows = trials.run_trials(tmp_path, wanted, say=lambda text: None)
     assert fake.runs == len(wanted) == len(rows)
-    trials.publish(rows, tmp_path, "command")
-    trials.publish(rows, tmp_path, "command")  # twice leaves one table
+    trials.publish(rows, tmp_path)
+    trials.publish(rows, tmp_path)  # twice leaves one table
     text = (tmp_path / "diagnosis.md").read_text()
     assert text.count("| asked for |") == 1 and "10 of 10 (100 %)" in text
     assert json.loads((tmp_path / "trials.json").read_text())["summary"]

@@ -231,8 +231,11 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def table(rows: Sequence[dict[str, Any]], command: str) -> str:
+def table(rows: Sequence[dict[str, Any]]) -> str:
     """The table in Markdown: bars, counts by group, and every trial that went wrong."""
+    seeds = sorted({r["seed"] - 1000 * list(GROUPS).index(r["group"]) for r in rows})
+    blocks = sorted({seed - seed % 1000 for seed in seeds})
+    command = " and ".join(f"`python -m hydro_env.diagnosis.trials --seed {b} --out DIR`" for b in blocks)
     lines = ["| asked for | trials | bar | reached |", "|---|---|---|---|"]
     for s in summary(rows):
         if s["trials"]:
@@ -276,6 +279,11 @@ def table(rows: Sequence[dict[str, Any]], command: str) -> str:
         lines.append(
             f"| {r['group']} | {hidden} | {r['verdict']} | {names or '-'} | {r['worst']:.2f} | {r['seed']} |"
         )
+    slow = sorted((r["cpu_s"] for r in rows), reverse=True)
+    lines += [
+        "",
+        f"Processor time of a diagnosis: {sum(t <= 60.0 for t in slow)} of {len(slow)} within 60 s, at most {slow[0]:.0f} s.",
+    ]
     rough = [r for r in rows if (r["right"] or r["set"]) and r["verdict"] == "effects" and not r["sealed"]]
     lines += [
         "",
@@ -283,13 +291,13 @@ def table(rows: Sequence[dict[str, Any]], command: str) -> str:
         + ("; ".join(f"{', '.join(r['hidden'])} ({r['group']}) {r['worst']:.2f}" for r in rough) or "none")
         + ".",
     ]
-    return "\n".join([f"Made by `{command}`; {len(rows)} trials.", "", *lines, ""])
+    return "\n".join([f"Made by {command}; {len(rows)} trials.", "", *lines, ""])
 
 
 _BEGIN, _END = "<!-- trials -->", "<!-- end of trials -->"
 
 
-def publish(rows: Sequence[dict[str, Any]], folder: Path, command: str) -> None:
+def publish(rows: Sequence[dict[str, Any]], folder: Path) -> None:
     """Writes FOLDER/trials.json with all counts, and the table into FOLDER/diagnosis.md between its two marks."""
     short = [{k: v for k, v in r.items() if k != "gap"} for r in rows]
     write_json(folder / "trials.json", {"schema": SCHEMA, "summary": summary(rows), "rows": short})
@@ -297,7 +305,7 @@ def publish(rows: Sequence[dict[str, Any]], folder: Path, command: str) -> None:
     text = page.read_text() if page.exists() else f"# How often the diagnosis is right\n\n{_BEGIN}\n{_END}\n"
     before, _, rest = text.partition(_BEGIN)
     _, _, after = rest.partition(_END)
-    write_text(page, f"{before}{_BEGIN}\n{table(rows, command)}{_END}{after}")
+    write_text(page, f"{before}{_BEGIN}\n{table(rows)}{_END}{after}")
 
 
 def _main() -> None:
@@ -314,7 +322,7 @@ def _main() -> None:
     given = parser.parse_args()
     if given.write is not None:
         rows = json.loads((given.out / "trials.json").read_text())["rows"]
-        publish(rows, given.write, f"python -m hydro_env.diagnosis.trials --seed {given.seed} --out DIR")
+        publish(rows, given.write)
         return
     part, of = map(int, given.slice.split("/"))
     wanted = cases(given.groups, given.seed)[part - 1 :: of]
