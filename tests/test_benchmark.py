@@ -402,10 +402,16 @@ def test_own_suite(tmp_path):
 PINNED = {
     # controller: (tracking_mae_rpm, max_speed_difference_rpm) on the first 12 pairs of test_interp
     "pid_paper": (200.65, 186.87),
-    "cross_coupled": (40.45, 19.15),
-    "relative_coupling": (43.79, 22.35),
-    "disturbance_observer": (42.17, 16.78),
-    "adaptive_flow": (34.49, 16.67),
+    "pid_tuned": (34.42, 60.90),
+    "master_slave": (72.34, 37.71),
+    "cross_coupled": (39.53, 19.42),
+    "relative_coupling": (40.26, 20.41),
+    "virtual_leader": (40.18, 23.65),
+    "disturbance_observer": (40.51, 20.35),
+    "compensated": (41.67, 10.78),
+    "adaptive_flow": (34.36, 16.83),
+    "servo_pid": (20.11, 8.55),
+    "oracle": (25.41, 0.84),
 }
 
 
