@@ -214,4 +214,5 @@ def test_shipped_policies_drive_as_when_they_were_scored(path):
     for name in ("max_speed_difference_rpm", "tracking_mae_rpm"):
         assert trim_mean(metrics[name], 0.25) == pytest.approx(val[name], rel=0.03)
     paper = roll_out(make_controller("pid_paper"), range(val["pairs"]), **where).metrics()
-    assert val["max_speed_difference_rpm"] < 0.25 * trim_mean(paper["max_speed_difference_rpm"], 0.25)
+    share = 0.25 if plant == "paper_dead_zone" else 0.5  # of the difference that the paper's PID leaves
+    assert val["max_speed_difference_rpm"] < share * trim_mean(paper["max_speed_difference_rpm"], 0.25)
