@@ -1,13 +1,15 @@
 """Tunes a controller's gains on the training pairs: `hydro-env tune`.
 
-The cost of one episode, in rpm, is  tracking_mae_rpm + weight * max_speed_difference_rpm:  the mean error of
-both motors to the set-point, plus the largest difference between them, which counts double by default since
-moving together is the task. The cost of a set of gains is its mean
-over pairs and scenarios. Differential evolution (SciPy) searches the gains on the scale their `Gain` names; a
+The cost of one episode, in rpm, is
+    tracking_mae_rpm + weight (max_speed_difference_rpm + 2 rms_speed_difference_rpm) + 5 command_variation:
+the mean error of both motors to the set-point, plus the difference between them, which counts double by default since
+moving together is the task. Its peak alone would not do: gains that let the motors hunt for ever, by as much as the last
+reversal takes them apart, would cost nothing. Nor would commands full of noise, which wear valves out. The cost of a set of
+gains is its mean over pairs and scenarios. Differential evolution (SciPy) searches the gains on the scale their `Gain` names; a
 whole generation is one batch of rigs. All candidates drive the same pairs with the same noise. Only the split
 `train` may be used, or the plant's own pair.
 
-All controllers that ship have the same budget (`--controller all`): at `PERIOD` `TRIALS` sets of gains are tried, at each
+All controllers have the same budget (`--controller all`): at `PERIOD` `TRIALS` sets of gains are tried, at each
 of `OTHER_PERIODS` `OTHER_TRIALS`, the first generation of which lies around the gains found before.
 """
 
@@ -48,7 +50,11 @@ EPISODES, OTHER_EPISODES = 2 * CASES * TRIALS, 2 * CASES * OTHER_TRIALS
 PERIOD, OTHER_PERIODS = 0.01, (0.005, 0.02)
 AROUND = 0.15
 """A search around known gains begins within this share of every range to both sides of them."""
-COSTS = ("tracking_mae_rpm", "max_speed_difference_rpm")
+COSTS = ("tracking_mae_rpm", "max_speed_difference_rpm", "rms_speed_difference_rpm", "command_variation")
+RMS, WEAR = 2.0, 5.0
+"""How many rpm of the largest difference one of the RMS difference is worth, and how many rpm of tracking error one whole
+rated command a second.
+"""
 
 
 @dataclass(frozen=True)
@@ -77,7 +83,8 @@ COMMON: dict[str, Task] = {
 
 def cost(metrics: dict[str, Floats], weight: float) -> Floats:
     """Cost of every episode in rpm."""
-    return metrics["tracking_mae_rpm"] + weight * metrics["max_speed_difference_rpm"]
+    apart = metrics["max_speed_difference_rpm"] + RMS * metrics["rms_speed_difference_rpm"]
+    return metrics["tracking_mae_rpm"] + weight * apart + WEAR * metrics["command_variation"]
 
 
 def run_all(
@@ -252,7 +259,8 @@ def _search(
         "episodes": spent,
         "seed": seed,
         "control_period_s": control_period,
-        "objective": f"mean over pairs and scenarios of tracking_mae_rpm + {weight:g} max_speed_difference_rpm",
+        "objective": f"mean over pairs and scenarios of tracking_mae_rpm + {weight:g} (max_speed_difference_rpm"
+        f" + {RMS:g} rms_speed_difference_rpm) + {WEAR:g} command_variation",
         "optimiser": f"differential evolution, population {POPULATION}, {generations + 1} generations"
         + (", the first around the gains of another control period" if near else ""),
         "plant_dtype": "float32",

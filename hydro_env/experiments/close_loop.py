@@ -33,7 +33,6 @@ from hydro_env.controllers.coupled import CrossCoupled
 from hydro_env.controllers.model_inverse import ModelInverse
 from hydro_env.controllers.pid import PidController
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.controllers.tune import COSTS, cost
 from hydro_env.engine import Failure, Store
 from hydro_env.engine import run as run_tasks
 from hydro_env.errors import InputError
@@ -149,7 +148,9 @@ def tune(task: Tuning) -> dict[str, Any]:
         gains = {name: np.repeat(value, len(seeds), axis=0) for name, value in gains_of(points).items()}
         tried = law.build(task.law, task.model, gains)
         done = roll_out(tried, seeds * count, plant=task.model, mismatch=None, scenario=TUNED_ON)
-        return cost(done.metrics(COSTS), WEIGHT).reshape(count, len(seeds)).mean(axis=1)
+        costs = done.metrics(["tracking_mae_rpm", "max_speed_difference_rpm"])
+        cost = costs["tracking_mae_rpm"] + WEIGHT * costs["max_speed_difference_rpm"]
+        return cost.reshape(count, len(seeds)).mean(axis=1)
 
     bounds = np.array([(log(g.low), log(g.high)) if g.log else (g.low, g.high) for g, _ in genes])
     first = qmc.LatinHypercube(len(genes), rng=np.random.default_rng(task.seed)).random(POPULATION)
