@@ -408,7 +408,7 @@ PINNED = {
     "relative_coupling": (41.59, 17.68),
     "virtual_leader": (46.73, 14.71),
     "disturbance_observer": (39.94, 17.65),
-    "compensated": (41.67, 10.78),
+    "compensated": (41.74, 8.90),
     "adaptive_flow": (38.58, 14.87),
     "servo_pid": (20.11, 8.55),
     "oracle": (25.41, 0.84),

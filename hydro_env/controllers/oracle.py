@@ -146,11 +146,15 @@ class Oracle(Controller):
             for signal, new in zip(kept, seen, strict=True):
                 signal[:, better] = new[:, better]
             self._plan = best.copy()
-            if turn < turns.max() - 1:
+            rows = np.flatnonzero(turn + 1 < turns)  # the others will not be driven again
+            if len(rows):
+                plan = self._plan[rows]
+                motion = [np.ascontiguousarray(signal[:, rows]) for signal in kept]
                 improve(
-                    self._plan, damping, self._most, self._sent, ahead, *kept, self._travel, self._motor, SAMPLES, self._margin,
-                    *self._weights,
+                    plan, damping[rows], self._most[rows], self._sent[rows], ahead[rows], *motion, self._travel[rows],
+                    self._motor[rows], SAMPLES, self._margin[rows], *(weight[rows] for weight in self._weights),
                 )  # fmt: skip
+                self._plan[rows] = plan
         return best, lowest, kept[0][SAMPLES::SAMPLES]
 
     def _drive(self, load: Floats) -> tuple[Floats, ...]:
