@@ -120,3 +120,21 @@ def test_a_plant_takes_the_state_of_another():
     for plant in (late, twin):
         plant.step([[0.0, 0.0]], 0.0, 0.02)
     np.testing.assert_array_equal(twin.memory, late.memory)
+
+
+@pytest.mark.parametrize("effects", [(), ("command_delay",)])
+def test_a_plant_takes_the_state_of_some_rigs_of_another(effects):
+    """Across blocks of lanes, and in another order; what follows is the same bit for bit."""
+    many = Plant("paper_dead_zone", 40, effects=effects)
+    rows = np.array([33, 2, 17, 16])
+    few = Plant("paper_dead_zone", len(rows), effects=effects)
+    if effects:
+        for plant in (many, few):
+            plant.set("command_delay.delay", 0.004)
+    command = np.random.default_rng(0).uniform(-60.0, 60.0, (40, 2))
+    many.step(command, 0.0, 0.05)
+    few.take_state(many, rows)
+    np.testing.assert_array_equal(few.speed, many.speed[rows])
+    many.step(command, 0.0, 0.05)
+    few.step(command[rows], 0.0, 0.05)
+    np.testing.assert_array_equal(few.speed, many.speed[rows])

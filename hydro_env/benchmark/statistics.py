@@ -76,7 +76,14 @@ def bootstrap_interval(
     if labels.size != sample.size:
         raise ValueError(f"{labels.size} strata for {sample.size} values")
     members = [np.flatnonzero(labels == label) for label in np.unique(labels)]
-    means = iqm(sample[_drawn(tuple(tuple(each.tolist()) for each in members), resamples, seed)])
+    drawn = _drawn(tuple(tuple(each.tolist()) for each in members), resamples, seed)
+    # Ranks sort several times faster than the values they stand for, and give the same means.
+    order = np.argsort(sample, kind="stable")
+    rank = np.empty(sample.size, np.uint16 if sample.size < 2**16 else np.int64)
+    rank[order] = np.arange(sample.size)
+    cut = sample.size // 4
+    middle = np.sort(rank[drawn], axis=1, kind="stable")[:, cut : sample.size - cut]
+    means = np.mean(sample[order][middle], axis=1)
     tail = (1.0 - confidence) / 2.0
     low, high = np.quantile(means, [tail, 1.0 - tail])
     return float(low), float(high)

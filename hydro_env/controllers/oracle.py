@@ -79,7 +79,7 @@ class Oracle(Controller):
         self._step = self.period / SAMPLES
         self._travel = _travel(twin, self.period)
         self._motor = _motor(twin, self._step)
-        self._copies = _copies(twin)
+        self._copies = _copies(twin, np.arange(n))
         stroke = get("x_max")
         self._margin = MARGIN * stroke
         self._most = np.minimum(1.0, TRAVEL * stroke * get("k") * get("R") / (get("alpha") * self._rated))
@@ -106,74 +106,71 @@ class Oracle(Controller):
         """Improves every plan for its `turns` (N,); one that would still let the motors fall apart begins once more, for
         longer: the way of a single descent is at times blocked by a stop or a spool that sticks.
         """
-        start = self._plan.copy()
-        found, lowest, speed = self._descend(turns, ahead, load)
+        start = self._plan
+        found, lowest = start.copy(), np.empty(len(start))
+        speed = np.empty((HORIZON, len(start), 2))
+        for count in np.unique(turns):
+            rows = np.flatnonzero(turns == count)
+            found[rows], lowest[rows], speed[:, rows] = self._descend(rows, count, start, ahead, load)
         for attempt in RETRIES:
-            poor = np.abs(speed[:2, :, 0] - speed[:2, :, 1]).max(axis=0) > APART
-            if not poor.any():
+            poor = np.flatnonzero(np.abs(speed[:2, :, 0] - speed[:2, :, 1]).max(axis=0) > APART)
+            if not len(poor):
                 break
-            self._plan = start.copy()
-            other, reached, instead = self._descend(np.where(poor, attempt, 1), ahead, load)
+            other, reached, instead = self._descend(poor, attempt, start, ahead, load)
             # Motors that stay at rest are in step too but get nowhere.
-            late, later = (np.abs(each[-1] - ahead[:, -1:]).sum(axis=1) for each in (speed, instead))
-            better = poor & (reached < lowest) & (later < late + APART)
-            found[better], lowest[better] = other[better], reached[better]
-            speed[:, better] = instead[:, better]
+            late, later = (np.abs(e[-1] - ahead[poor, -1:]).sum(axis=1) for e in (speed[:, poor], instead))
+            better = (reached < lowest[poor]) & (later < late + APART)
+            rows = poor[better]
+            found[rows], lowest[rows], speed[:, rows] = other[better], reached[better], instead[:, better]
         self._plan = found
 
     def _descend(
-        self, turns: NDArray[np.int64], ahead: Floats, load: Floats
+        self, rows: NDArray[np.int64], turns: int, start: Floats, ahead: Floats, load: Floats
     ) -> tuple[Floats, Floats, Floats]:
-        """Plans (N, HORIZON, 2), their costs (N,) and the speeds (HORIZON, N, 2) they lead to at control instants, after `turns`
-        of Levenberg and Marquardt: copies of the rigs drive the plan, and a change that did not help is taken back and tried
-        smaller.
+        """Plans (n, HORIZON, 2) of the n rigs `rows`, their costs (n,) and the speeds (HORIZON, n, 2) they lead to at control
+        instants, after `turns` of Levenberg and Marquardt: copies of the rigs drive the plan, and a change that did not help
+        is taken back and tried smaller.
         """
-        best, lowest = self._plan.copy(), np.full(len(self._plan), np.inf)
-        damping = np.full(len(self._plan), DAMPING)
+        assert self._twin is not None
+        copies = self._copies if len(rows) == len(start) else _copies(self._twin, rows)
+        plan, sent, aim, load = start[rows], self._sent[rows], ahead[rows], load[:, rows]
+        travel, motor, margin, most = (
+            each[rows] for each in (self._travel, self._motor, self._margin, self._most)
+        )
+        weights = [weight[rows] for weight in self._weights]
+        best, lowest = plan.copy(), np.full(len(rows), np.inf)
+        damping = np.full(len(rows), DAMPING)
         kept: tuple[Floats, ...] = ()
-        for turn in range(turns.max()):
-            seen = self._drive(load)
-            reached = cost(
-                self._plan, self._sent, ahead, seen[0], seen[2], SAMPLES, self._margin, *self._weights
+        for turn in range(turns):
+            copies.take_state(self._twin, rows)
+            volts = np.repeat((plan * self._rated[rows, None]).transpose(1, 0, 2), SAMPLES, axis=0)
+            signals = copies.run(
+                np.concatenate([volts, volts[-1:]]), load, self._step, ("speed", "flow", "spool")
             )
+            seen = signals["speed"], signals["flow"], signals["spool"]
+            reached = cost(plan, sent, aim, seen[0], seen[2], SAMPLES, margin, *weights)
             # Out of standstill the way leads over a ridge: at first a plan need not be better than the one before.
-            better = ((reached < lowest) | (turn < FREE * turns)) & (turn < turns)
+            better = (reached < lowest) | (turn < FREE * turns)
             lowest = np.where(better, reached, lowest)
-            best[better] = self._plan[better]
+            best[better] = plan[better]
             damping = np.where(better, np.maximum(DAMPING, damping / 4.0), 8.0 * damping)
             if not kept:
                 kept = seen
             for signal, new in zip(kept, seen, strict=True):
                 signal[:, better] = new[:, better]
-            self._plan = best.copy()
-            rows = np.flatnonzero(turn + 1 < turns)  # the others will not be driven again
-            if len(rows):
-                plan = self._plan[rows]
-                motion = [np.ascontiguousarray(signal[:, rows]) for signal in kept]
-                improve(
-                    plan, damping[rows], self._most[rows], self._sent[rows], ahead[rows], *motion, self._travel[rows],
-                    self._motor[rows], SAMPLES, self._margin[rows], *(weight[rows] for weight in self._weights),
-                )  # fmt: skip
-                self._plan[rows] = plan
+            plan = best.copy()
+            if turn < turns - 1:
+                improve(plan, damping, most, sent, aim, *kept, travel, motor, SAMPLES, margin, *weights)
         return best, lowest, kept[0][SAMPLES::SAMPLES]
 
-    def _drive(self, load: Floats) -> tuple[Floats, ...]:
-        """Speeds, flows and travels of the spools, each (HORIZON SAMPLES + 1, N, 2), that the plans lead to."""
-        assert self._twin is not None
-        self._copies.take_state(self._twin)
-        volts = np.repeat((self._plan * self._rated[:, None]).transpose(1, 0, 2), SAMPLES, axis=0)
-        volts = np.concatenate([volts, volts[-1:]])
-        seen = self._copies.run(volts, load, self._step, ("speed", "flow", "spool"))
-        return seen["speed"], seen["flow"], seen["spool"]
 
-
-def _copies(plant: Plant) -> Plant:
-    """As many rigs with the same parameters, simulated as coarsely as plans need."""
+def _copies(plant: Plant, rows: NDArray[np.int64]) -> Plant:
+    """Rigs with the parameters of the plant's rigs `rows`, simulated as coarsely as plans need."""
     delayed = "command_delay" in plant.effects  # its delay line has a slot for every substep
     substep = plant.substep if delayed else max(SUBSTEP, plant.substep)
-    copies = Plant(plant.model, plant.num_rigs, effects=plant.effects, substep=substep, dtype=np.float32)
+    copies = Plant(plant.model, len(rows), effects=plant.effects, substep=substep, dtype=np.float32)
     for name in (*PARAMETERS, *(f"{e}.{p.name}" for e in plant.effects for p in CATALOGUE[e].parameters)):
-        copies.set(name, plant.get(name))
+        copies.set(name, plant.get(name)[rows])
     return copies
 
 

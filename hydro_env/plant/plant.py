@@ -195,23 +195,34 @@ class Plant:
             self._empty,
         )  # fmt: skip
 
-    def take_state(self, other: Plant) -> None:
-        """Puts all rigs into the state of another plant's, which may have another substep and dtype.
+    def take_state(self, other: Plant, rows: NDArray[np.int64] | None = None) -> None:
+        """Puts all rigs into the state of another plant's, which may have another substep and dtype; rig i into that of the
+        other's rig `rows[i]`, where given.
 
-        ValueError if it has another number of rigs or other effects, or if commands are delayed and the substeps differ.
+        ValueError if there are not as many, or other effects, or if commands are delayed and the substeps differ.
         """
         kernel = self._kernel
-        if (self.num_rigs, self.effects) != (other.num_rigs, other.effects):
+        if (self.num_rigs, self.effects) != (other.num_rigs if rows is None else len(rows), other.effects):
             raise ValueError("take_state needs a plant with as many rigs and the same effects")
         if kernel.has_delay:
             if self.substep != other.substep:
                 raise ValueError(
                     "take_state: commands are delayed by slots of a substep, so the substeps have to be alike"
                 )
-            self._ring[:] = other._ring
             self._head = other._head
         moving = kernel.rows["load"] + 1
-        self._memory[:, :moving, :] = other._memory[:, :moving, :]
+        mine = self._lanes(np.arange(self.num_rigs))
+        theirs = other._lanes(np.arange(other.num_rigs) if rows is None else rows)
+        for channel in (0, 1):
+            to = mine[0], mine[1] + channel * kernel.half
+            of = theirs[0], theirs[1] + channel * other._kernel.half
+            self._memory[to[0], :moving, to[1]] = other._memory[of[0], :moving, of[1]]
+            if kernel.has_delay:
+                self._ring[to[0], :, to[1]] = other._ring[of[0], :, of[1]]
+
+    def _lanes(self, rigs: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Block of each rig and the lane of its first channel."""
+        return rigs // self._kernel.half, rigs % self._kernel.half
 
     def substeps(self, period: float) -> int:
         """How many substeps a period takes. ValueError if it is not positive."""
