@@ -1,9 +1,9 @@
 """Scores on test pairs, as the tables of cards and docs: `python -m agents.card ppo` or several at once.
 
 While an agent is developed its makers look at some test pairs, and what they see there steers what they try next. So the
-tables are filled from cases that nobody looks at before: by default 700 to 899 of each split. `law` stands for the control
-law beneath the networks alone, `seeds:FOLDER` for all policies `FOLDER/*/policy.npz`, whose scores are pooled: their
-interval is over pairs and over training seeds.
+tables are filled from cases that nobody looks at before: by default 700 to 899 of each split. `seeds:FOLDER` stands for
+all policies `FOLDER/*/policy.npz`, whose scores are pooled: their interval is over pairs and over training seeds. The control
+law beneath the networks alone is the controller `probing_flow`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
 
-from .evaluate import METRICS, LawAlone
+from .evaluate import METRICS
 from .train import cleanly
 
 __all__ = ["ROWS", "card_rows", "interval"]
@@ -54,8 +54,6 @@ def interval(values: Floats, resamples: int = 2000, seed: int = 0) -> tuple[floa
 
 def _drivers(name: str) -> list[Any]:
     """The controllers that a name stands for."""
-    if name == "law":
-        return [LawAlone()]
     if name.startswith("seeds:"):
         found = sorted(Path(name.removeprefix("seeds:")).glob("*/policy.npz"))
         if not found:
@@ -94,9 +92,7 @@ def card_rows(
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m agents.card", description=__doc__)
-    parser.add_argument(
-        "controllers", nargs="+", help="shipped controllers, policy files, law, or seeds:FOLDER"
-    )
+    parser.add_argument("controllers", nargs="+", help="shipped controllers, policy files, or seeds:FOLDER")
     parser.add_argument("--first", type=int, default=700, help="first case of each split")
     parser.add_argument("--cases", type=int, default=200, help="pairs of valves in each split")
     chosen = parser.parse_args()

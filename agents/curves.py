@@ -82,12 +82,13 @@ def main() -> None:
     chosen = parser.parse_args()
 
     def run() -> None:
-        from agents.evaluate import METRICS, LawAlone
+        from agents.evaluate import METRICS
         from hydro_env.benchmark.statistics import iqm
+        from hydro_env.controllers import make_controller
         from hydro_env.controllers.rollout import roll_out
 
         curves = read_curves(chosen.runs)
-        scores = roll_out(LawAlone(), range(128), mismatch="val").metrics(METRICS)
+        scores = roll_out(make_controller("probing_flow"), range(128), mismatch="val").metrics(METRICS)
         draw(curves, {"the law alone": float(iqm(scores[METRICS[0]]))}, chosen.out)
 
     cleanly(run)

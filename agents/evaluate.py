@@ -6,35 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import trim_mean
 
 from hydro_env.controllers.policy import NumpyPolicy
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.controllers.view import make_view
 
-__all__ = ["METRICS", "LawAlone", "evaluate"]
+__all__ = ["METRICS", "evaluate"]
 
 METRICS = ("max_speed_difference_rpm", "rms_speed_difference_rpm", "tracking_mae_rpm", "command_variation")
-
-
-class LawAlone:
-    """The control law of a view without a network: all outputs are zero. What a training has to beat."""
-
-    def __init__(self, view: dict[str, Any] | None = None) -> None:
-        self.name, self.view = "law alone", make_view(view or {"kind": "flow"})
-
-    def reset(self, num_rigs: int, control_period: float) -> None:
-        self._period, self._fresh = control_period, True
-        self._outputs = np.zeros((num_rigs * self.view.rows_per_rig, self.view.num_actions))
-
-    def act(self, observation: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-        if self._fresh:
-            self.view.start(observation, self._period)
-            self._fresh = False
-        else:
-            self.view.see(observation)
-        return self.view.command(self._outputs)
 
 
 def evaluate(

@@ -12,8 +12,8 @@ pytest.importorskip("stable_baselines3")
 from pathlib import Path
 
 from agents import robustness
-from agents.evaluate import LawAlone
 from agents.robustness import CONDITIONS, as_table, drive, study
+from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
 
@@ -23,16 +23,18 @@ ROOT = Path(__file__).parents[1]
 def test_the_study_drives_as_the_benchmark_does():
     """Under no special condition the study's own loop gives the scores of `roll_out`."""
     cases = [3, 4, 5]
-    ours = drive(LawAlone(), cases, CONDITIONS[0])
-    theirs = roll_out(LawAlone(), cases, mismatch="test_interp").metrics(robustness.METRICS)
+    ours = drive(make_controller("probing_flow"), cases, CONDITIONS[0])
+    theirs = roll_out(make_controller("probing_flow"), cases, mismatch="test_interp").metrics(
+        robustness.METRICS
+    )
     for name in robustness.METRICS:
         np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-9)
 
 
 @pytest.mark.parametrize("condition", CONDITIONS[1:3] + CONDITIONS[5:], ids=lambda condition: condition.name)
 def test_every_condition_changes_the_scores(condition):
-    usual = drive(LawAlone(), [3, 4], CONDITIONS[0])
-    other = drive(LawAlone(), [3, 4], condition)
+    usual = drive(make_controller("probing_flow"), [3, 4], CONDITIONS[0])
+    other = drive(make_controller("probing_flow"), [3, 4], condition)
     assert not np.allclose(usual["max_speed_difference_rpm"], other["max_speed_difference_rpm"])
 
 
@@ -69,7 +71,16 @@ def test_the_search_says_what_it_needs(tmp_path):
 def test_rl_zoo_trains_from_the_same_file(tmp_path, algorithm):
     pytest.importorskip("rl_zoo3")
     zoo = [sys.executable, "-m", "rl_zoo3.train", "--algo", algorithm, "--env", "HydraulicSync-v0"]
-    file = ["--gym-packages", "hydro_env", "-conf", f"configs/{algorithm}_quick.yml", "-n", "256", "-f", str(tmp_path)]
+    file = [
+        "--gym-packages",
+        "hydro_env",
+        "-conf",
+        f"configs/{algorithm}_quick.yml",
+        "-n",
+        "256",
+        "-f",
+        str(tmp_path),
+    ]
     done = subprocess.run([*zoo, *file, "--eval-freq", "-1"], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     assert list(tmp_path.rglob("HydraulicSync-v0.zip"))

@@ -169,18 +169,7 @@ def test_interrupted_trials_go_on_where_they_were(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "group",
-    [
-        "medium",
-        pytest.param(
-            "unlisted",
-            marks=pytest.mark.xfail(
-                reason="a sensor's offset and a load together pass for an offset of the null"
-            ),
-        ),
-    ],
-)
+@pytest.mark.parametrize("group", ["medium", "unlisted"])
 def test_a_blind_trial(group: str) -> None:
     case = next(
         c

@@ -188,12 +188,12 @@ def test_kernel_and_reference_agree(name, size):
     load = np.repeat(rng.uniform(-0.8, 0.8, (4, 2)), 100, axis=0)
     model = load_model("paper").with_values(values(name) if size == "case" else _strong(CATALOGUE[name]))
     if name == "jeong_losses" and size != "case":
-        model = model.with_values({"jeong_losses.stribeck": 1.0})  # the greatest peak would hold the shaft
+        model = model.with_values({"jeong_losses.stribeck": 0.8})  # a greater peak would hold the shaft
     if size == "alone":
         model = model.with_values({"B": 0.0} if name == "ivantysyn_losses" else {"Km": 0.0, "B": 0.0})
     truth = simulate_reference(model, command, load, 1e-3, tolerance=1e-8)
     kernel = simulate(model, command, load, 1e-3, effects=MODELS, record=("speed", "pressure"))
-    assert np.abs(truth["speed"]).max() > (100.0 if size == "case" else 15.0) * RPM
+    assert np.abs(truth["speed"]).max() > (100.0 if size == "case" else 20.0) * RPM
     assert np.abs(kernel["speed"][:, 0] - truth["speed"]).max() / RPM < 0.1
 
 

@@ -16,11 +16,9 @@ Every rig is worked on by itself, so that a row of a batch gets bit for bit what
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
-from numba import njit
+
+from hydro_env.compiled import compiled
 
 __all__ = ["DAMPING", "cost", "improve", "minimise_in_box"]
 
@@ -36,14 +34,7 @@ LONGEST = 60
 """Most changes of the set of commands at their limits."""
 
 
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    try:
-        return njit(cache=True, error_model="numpy")(function)
-    except RuntimeError:  # Numba found no folder it may write to: compile in every process
-        return njit(error_model="numpy")(function)
-
-
-@_compiled
+@compiled
 def minimise_in_box(square, slope, low, high, x):
     """Moves x (n,) from a feasible start to the minimum of x'square x / 2 + slope'x with low <= x <= high.
 
@@ -116,7 +107,7 @@ def minimise_in_box(square, slope, low, high, x):
         side[released] = 0
 
 
-@_compiled
+@compiled
 def cost(plan, sent, setpoint, speed, spool, fine, margin, difference, smooth, stops):
     """The cost (N,) of plans (N, H, 2), from the motion they lead to; arguments as for `improve`."""
     total = np.zeros(plan.shape[0])
@@ -138,7 +129,7 @@ def cost(plan, sent, setpoint, speed, spool, fine, margin, difference, smooth, s
     return total
 
 
-@_compiled
+@compiled
 def improve(
     plan, damping, most, sent, setpoint, speed, flow, spool, travel, motor, fine, margin, difference, smooth, stops,
 ):  # fmt: skip

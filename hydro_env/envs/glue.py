@@ -6,11 +6,9 @@ so that a row of a batch is bit for bit the same as that row alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import isfinite, pi
-from typing import Any
 
-from numba import njit
+from ..compiled import compiled
 
 __all__ = ["COLUMNS", "SIGNALS", "apply", "look"]
 
@@ -34,17 +32,7 @@ _TO_RPM = 60.0 / (2.0 * pi)
 _TO_DEG = 180.0 / pi
 
 
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
-
-
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    try:
-        return njit(cache=True, **_OPTIONS)(function)
-    except RuntimeError:  # Numba found no folder it may write to: compile in every process
-        return njit(**_OPTIONS)(function)
-
-
-@_compiled
+@compiled
 def apply(actions, rated, step, last, loads, fraction, moved, command, load):
     """Turns actions (N, 2) into commands and loads (N, 2) of the period that begins; False if one is not finite.
 
@@ -68,7 +56,7 @@ def apply(actions, rated, step, last, loads, fraction, moved, command, load):
     return True
 
 
-@_compiled
+@compiled
 def look(
     rows, memory, half, where, step, last, setpoint, noise, levels, scales, limit, factor, stuck, held, fraction, moved,
     rated, weights, frames, observation, true, reward, terminated, truncated,
