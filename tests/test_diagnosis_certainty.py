@@ -69,6 +69,9 @@ def test_trials_are_judged_by_name_channel_and_verdict() -> None:
     assert not row["right"] and row["set"] and row["channel"] and row["sealed"] and not row["placebo"]
     row = trials.judge(data, {("line_loss", "2")}, "effects")
     assert not row["set"] and not row["channel"]
+    gap["speed_1_rpm"]["after"] = 6.0
+    row = trials.judge(data, {("line_loss", "1")}, "effects", form={"speed_1_rpm": 5.0})
+    assert not row["sealed"] and row["sealed_form"] and row["form"] == 5.0
     row = trials.judge(data, set(), "calibration")
     assert row["alarm"] and not row["right"]
     unknown = {"verdict": "unknown", "effects": named, "gap": {"sealed": gap}}
@@ -76,13 +79,13 @@ def test_trials_are_judged_by_name_channel_and_verdict() -> None:
     assert not trials.judge(unknown, {("quadratic_drag", "1")}, "effects")["set"]
 
 
-def test_what_calibration_hides_is_part_of_the_declared_set() -> None:
+def test_what_calibration_hides_is_declared_but_never_counted_as_a_name() -> None:
     data = {
         "verdict": "calibration", "effects": [], "gap": {"sealed": {}}, "hidden_by_calibration": {"sensor_gain": ["1"]},
     }  # fmt: skip
     row = trials.judge(data, {("sensor_gain", "1")}, "effects")
-    assert row["set"] and row["declared"] and not row["right"]
-    assert not trials.judge(data, {("sensor_gain", "2")}, "effects")["set"]
+    assert row["declared_set"] and not row["set"] and not row["right"]
+    assert not trials.judge(data, {("sensor_gain", "2")}, "effects")["declared_set"]
     assert trials.judge(data, {("sensor_gain", "1")}, "effects", unlisted=True)["open"]
 
 
@@ -151,7 +154,7 @@ class _Fake:
             "sealed": True,
             "placebo": False,
         }
-        return {**row, **judged, "verdict": "none", "named": [], "worst": 1.0, "gap": {}}
+        return {**row, **judged, "verdict": "none", "named": [], "worst": 1.0, "form": 1.0, "gap": {}}
 
 
 def test_interrupted_trials_go_on_where_they_were(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,6 +162,7 @@ def test_interrupted_trials_go_on_where_they_were(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(trials, "run_case", fake)
     wanted = trials.cases(["nothing", "two"], 5)
     trials.run_trials(tmp_path, wanted[:4], say=lambda text: None)
+    trials.run_trials(tmp_path, wanted[3:6], say=lambda text: None, name="trials_2_of_2.json")
     rows = trials.run_trials(tmp_path, wanted, say=lambda text: None)
     assert fake.runs == len(wanted) == len(rows)
     trials.publish(rows, tmp_path)
@@ -166,6 +170,17 @@ def test_interrupted_trials_go_on_where_they_were(tmp_path: Path, monkeypatch: p
     text = (tmp_path / "diagnosis.md").read_text()
     assert text.count("| asked for |") == 1 and "10 of 10 (100 %)" in text
     assert json.loads((tmp_path / "trials.json").read_text())["summary"]
+
+
+def test_what_the_true_values_leave_of_a_rig_in_another_form(tmp_path: Path) -> None:
+    case = trials.Case("medium", ("flow_saturation:1",), 3)
+    trials.practice_logs(case, tmp_path, duration=3.0, rate=500.0)
+    form = json.loads((tmp_path / "form.json").read_text())
+    # The untouched channel is explained to the noise (1 rpm), the other one not much worse: only the corner is rounded.
+    assert 0.9 < form["speed_2_rpm"] < 1.1 and form["speed_2_rpm"] < form["speed_1_rpm"] < 30.0
+    first = (tmp_path / "sealed.csv").stat().st_mtime_ns
+    trials.practice_logs(case, tmp_path, duration=3.0, rate=500.0)
+    assert (tmp_path / "sealed.csv").stat().st_mtime_ns == first
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
     python -m hydro_env.diagnosis.trials --out DIR [--groups medium two ...] [--seed N] [--minutes M] [--slice K/N]
     python -m hydro_env.diagnosis.trials --out DIR --write docs         # the table of what is in DIR, no new trial
+    python -m hydro_env.diagnosis.trials --out DIR --logs LOGS --make   # practice logs for later trials only
 
 A trial hides effects in a rig whose base parameters are up to 15 % off the given model's, each channel alone, with noise and
 quantisation. The rig is `plant.reference` with the "different" forms: SciPy's stiff solver, no line of physics in common
@@ -16,29 +17,38 @@ with what is fitted, and every effect in another shape than the catalogue's wher
     speed_only, current_too   every effect, only command and speed (and current) in the log, no load applied
     quiet, noisy  every effect with a tenth of the noise and ten times the noise
 
-Trials that DIR/trials.json holds already are not run again, so a run may be interrupted and continued.
+Trials that DIR holds already are not run again, so a run may be interrupted and continued. Slices write files of their own
+(trials_K_of_N.json) and may run side by side. Each row says by a hash of the sources which method it ran on, and how much the
+*true* values in the catalogue's form leave on the sealed log (`form`): less than that no naming of effects can reach.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import math
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..files import write_json, write_text
-from ..plant import BUILT_IN, CATALOGUE
+from ..plant import BUILT_IN, CATALOGUE, simulate
+from ..units import RPM
 from .command import diagnose
-from .hide import make_practice
+from .hide import Practice, make_practice
 
-__all__ = ["BARS", "GROUPS", "Case", "cases", "run_case", "run_trials", "summary", "table"]
+__all__ = ["BARS", "GROUPS", "Case", "cases", "method", "practice_logs", "run_case", "run_trials", "summary", "table"]
 
-SCHEMA = "hydro_env/trials/2"
+SCHEMA = "hydro_env/trials/3"
+#: Modules of the diagnosis that tell and judge, but find nothing.
+_TELLING = frozenset({"trials.py", "report.py", "words.py", "hide.py", "__init__.py"})
 #: Largest error of a base parameter.
 BASE_ERROR = 0.15
 EVERYTHING = ("setpoint", "current", "pressure", "load")
@@ -64,18 +74,20 @@ GROUPS: dict[str, dict[str, Any]] = {
 }
 #: Groups in which something is hidden that may be named.
 _WITH_CHANNEL = frozenset(GROUPS) - {"nothing", "parameters", "unlisted"}
-#: Trials of the groups that hide nothing.
+#: Trials of each group that hides nothing, unless told otherwise.
 EMPTY = 10
 #: What is asked for: (what, counted by, over the groups, at least or at most this share).
 BARS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
     ("right name or right declared set", "set", ("medium",), 0.95),
     ("right name", "right", ("medium",), 0.0),
+    ("the same, or `calibration` where the effect is declared as one that calibration hides", "declared_set", ("medium",), 0.0),
     ("right channel", "channel", ("medium",), 0.95),
     ("an effect named though there is none (at most)", "alarm", ("nothing", "parameters"), 0.02),
     ("`unknown` where the effect is not among the candidates", "right", ("unlisted",), 0.90),
     ("`unknown`, or what is declared not to be told apart from it", "open", ("unlisted",), 0.0),
     ("both of two effects", "both", ("two",), 0.85),
     ("sealed speed within 1.3 times the noise", "sealed", ("medium",), 0.90),
+    ("sealed speed within 1.3 times what the true values leave", "sealed_form", ("medium",), 0.0),
     ("the placebo wins (at most)", "placebo", ("medium", "two"), 0.0),
 )
 
@@ -94,14 +106,17 @@ class Case:
     unlisted: bool = False
 
 
-def cases(groups: Sequence[str], seed: int) -> list[Case]:
-    """The trials of these groups; each has a seed of its own, and another `seed` gives other rigs, sizes and manoeuvres."""
+def cases(groups: Sequence[str], seed: int, empty: int = EMPTY) -> list[Case]:
+    """The trials of these groups; each has a seed of its own, and another `seed` gives other rigs, sizes and manoeuvres.
+
+    `empty` is how many there are of each group that hides nothing.
+    """
     found = []
     for group in groups:
         first = seed + 1000 * list(GROUPS).index(group)
         sets: list[tuple[str, ...]]
         if group in ("nothing", "parameters"):
-            sets = [()] * EMPTY
+            sets = [()] * empty
         elif group == "two":
             sets = list(PAIRS)
         else:
@@ -114,35 +129,83 @@ def cases(groups: Sequence[str], seed: int) -> list[Case]:
     return found
 
 
-def run_case(case: Case, *, duration: float = 12.0, rate: float = 1000.0, jobs: int = 1) -> dict[str, Any]:
-    """Hides, diagnoses and judges; one row of trials.json."""
+def method() -> str:
+    """Hash of the sources that find and judge nothing else: rows with the same one ran on the same method."""
+    sources = sorted(p for p in Path(__file__).parent.glob("*.py") if p.name not in _TELLING)
+    return hashlib.sha256(b"".join(p.read_bytes() for p in sources)).hexdigest()[:10]
+
+
+def practice_logs(case: Case, folder: Path, *, duration: float = 12.0, rate: float = 1000.0) -> None:
+    """Makes the logs of a trial in `folder`, unless they are there, and form.json beside them: what the true values in the
+    catalogue's form leave of each speed on the sealed log, RMS in rpm, noise and all."""
+    if (folder / "form.json").exists():
+        return
     practice = make_practice(
         case.hidden, severity=case.severity, base_error=case.base_error, noise=case.noise, record=case.record,
         seed=case.seed, duration=duration, rate=rate,
     )  # fmt: skip
-    begin, cpu = time.perf_counter(), time.process_time()
-    without = tuple(h.name for h in practice.hidden) if case.unlisted else ()
+    practice.write(folder)
+    write_json(folder / "form.json", _form(practice, 1.0 / rate))
+
+
+def _form(practice: Practice, period: float) -> dict[str, float]:
+    log: Mapping[str, np.ndarray] = practice.logs["sealed"]
+    command = np.column_stack([log[f"command_{c}_V"] for c in (1, 2)])
+    load = np.column_stack([log.get(f"load_{c}_Nm", np.zeros(len(command))) for c in (1, 2)])
+    speed = simulate(practice.true, command, load, period, record=("measured_speed",))["measured_speed"][:, 0]
+    errors = {c: log[f"speed_{c}_rpm"] - speed[:, c - 1] / RPM for c in (1, 2)}
+    return {f"speed_{c}_rpm": float(np.sqrt(np.mean(e**2))) for c, e in errors.items()}
+
+
+@contextmanager
+def _kept(case: Case, logs: Path | None) -> Iterator[Path]:
+    """The folder of a trial's logs: one of `logs` that stays, or one for this once."""
+    if logs is not None:
+        yield logs / f"{case.group}_{case.seed}"
+        return
     with tempfile.TemporaryDirectory() as folder:
-        practice.write(Path(folder))
-        logs = [Path(folder) / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
+        yield Path(folder)
+
+
+def run_case(
+    case: Case, *, duration: float = 12.0, rate: float = 1000.0, jobs: int = 1, logs: Path | None = None
+) -> dict[str, Any]:
+    """Hides, diagnoses and judges; one row of trials.json. `logs` keeps the practice logs, or has them already."""
+    with _kept(case, logs) as folder:
+        practice_logs(case, folder, duration=duration, rate=rate)
+        truth, form = (json.loads((folder / name).read_text()) for name in ("truth.json", "form.json"))
+        files = [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
+        without = tuple(h["name"] for h in truth["effects"]) if case.unlisted else ()
+        begin, cpu = time.perf_counter(), time.process_time()
         data = diagnose(
-            logs[:2], logs[2:], model=Path(folder) / "model.yaml", without=without, jobs=jobs
+            files[:2], files[2:], model=folder / "model.yaml", without=without, jobs=jobs
         ).data
-    sizes = {f"{h.name}.{n}": v for h in practice.hidden for n, v in h.parameters.items() if math.isfinite(v)}
-    truth = {(h.name, c) for h in practice.hidden for c in _sides(h.channel)}
-    row = {**asdict(case), "sizes": sizes, **judge(data, truth, practice.truth["verdict"], case.unlisted)}
-    visible = [data["detectable"].get(name, {}).get(c) for name, c in truth]
+        seconds, cpu_s = time.perf_counter() - begin, time.process_time() - cpu
+    sizes = {
+        f"{h['name']}.{n}": p["value"]
+        for h in truth["effects"]
+        for n, p in h["parameters"].items()
+        if p["value"] is not None
+    }
+    hidden = {(h["name"], c) for h in truth["effects"] for c in _sides(h["channel"])}
+    row = {**asdict(case), "sizes": sizes, **judge(data, hidden, truth["verdict"], case.unlisted, form)}
+    visible = [data["detectable"].get(name, {}).get(c) for name, c in hidden]
+    tried = [t for t in data["trials"] if t["refitted"] and t["gain"] > 0.5 * t["needed"]]
     return {
-        **row, "visible": all(v is not False for v in visible),
-        "seconds": round(time.perf_counter() - begin, 1), "cpu_s": round(time.process_time() - cpu, 1),
-        "gap": data["gap"]["sealed"], "effects": data["effects"],
+        **row, "visible": all(v is not False for v in visible), "seconds": round(seconds, 1), "cpu_s": round(cpu_s, 1),
+        "gap": data["gap"]["sealed"], "effects": data["effects"], "method": method(),
+        "tried": [[t["effect"], t["channel"], t["gain"], t["needed"], t["fate"]] for t in tried],
     }  # fmt: skip
 
 
 def judge(
-    data: dict[str, Any], truth: set[tuple[str, str]], expected: str, unlisted: bool = False
-) -> dict[str, Any]:
-    """Compares a diagnosis (the content of diagnosis.json) with the set of hidden (effect, channel)."""
+    data: dict[str, Any], truth: set[tuple[str, str]], expected: str, unlisted: bool = False,
+    form: Mapping[str, float] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Compares a diagnosis (the content of diagnosis.json) with the set of hidden (effect, channel).
+
+    `form` is what the true values in the catalogue's form leave of each speed (`practice_logs`).
+    """
     expected = "unknown" if unlisted else expected
     named = {(e["name"], c) for e in data["effects"] for c in _sides(e["channel"])}
     tied = {
@@ -153,11 +216,12 @@ def judge(
     }
     word = data["verdict"]
     names = word == "effects" and truth <= tied and len(named) <= len(truth)
-    # What the result says that calibration would hide is part of what it declares not to be told apart.
+    # Declared not to be told from calibration: true, but no name was given, so it is counted apart.
     hidden = {(n, c) for n, channels in data.get("hidden_by_calibration", {}).items() for c in channels}
     declared = word == "calibration" and bool(truth) and truth <= hidden
     twins = {(t, c) for n, c in named for t in CATALOGUE[n].indistinguishable_from}
-    speeds = [v for k, v in data["gap"]["sealed"].items() if k.startswith("speed")]
+    speeds = {k: v for k, v in data["gap"]["sealed"].items() if k.startswith("speed")}
+    least = {k: max((form or {}).get(k, 0.0), v["noise"]) for k, v in speeds.items()}
     score = {
         m: sum(math.log(max(v[m] / v["noise"], 1.0)) for v in data["gap"]["sealed"].values())
         for m in ("after", "placebo")
@@ -167,15 +231,17 @@ def judge(
         "expected": expected,
         "named": sorted(f"{n}:{c}" for n, c in named),
         "right": word == "unknown" if unlisted else word == expected and named == truth,
-        "set": names or declared,
-        "declared": declared,
+        "set": names,
+        "declared_set": names or declared,
         "open": word == "unknown" or declared or (word == "effects" and len(named) == 1 and truth <= twins),
         "channel": bool(named) and {c for _, c in named} == {c for _, c in truth},
         "alarm": bool(named) and not truth,
         "both": word == "effects" and truth <= tied,
-        "sealed": all(v["after"] <= 1.3 * v["noise"] for v in speeds),
+        "sealed": all(v["after"] <= 1.3 * v["noise"] for v in speeds.values()),
+        "sealed_form": all(v["after"] <= 1.3 * least[k] for k, v in speeds.items()),
         "placebo": score["placebo"] < score["after"] - 0.05,
-        "worst": max((v["after"] / v["noise"] for v in speeds), default=math.nan),
+        "worst": max((v["after"] / v["noise"] for v in speeds.values()), default=math.nan),
+        "form": max((least[k] / v["noise"] for k, v in speeds.items()), default=math.nan),
     }
 
 
@@ -183,25 +249,37 @@ def _sides(channel: str) -> tuple[str, ...]:
     return ("1", "2") if channel == "both" else (channel,)
 
 
+def rows_of(folder: Path) -> list[dict[str, Any]]:
+    """All rows that the slices of a run have left in a folder, in the order of groups and seeds."""
+    rows = [r for path in folder.glob("trials*.json") for r in json.loads(path.read_text())["rows"]]
+    return sorted(rows, key=lambda r: (list(GROUPS).index(r["group"]), r["seed"]))
+
+
 def run_trials(
     out: Path, wanted: Sequence[Case], *, minutes: float = math.inf, jobs: int = 1, say: Callable[[str], None] = print,
-    duration: float = 12.0, rate: float = 1000.0,
+    duration: float = 12.0, rate: float = 1000.0, name: str = "trials.json", logs: Path | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Runs the trials that DIR/trials.json lacks, for `minutes` at most; the file holds what is done so far."""
+    """Runs the trials that the folder `out` lacks, for `minutes` at most; its file `name` holds what is done so far.
+
+    Returns all rows of the folder. `logs` is where practice logs are kept or made beforehand.
+    """
     out.mkdir(parents=True, exist_ok=True)
-    path = out / "trials.json"
-    rows: list[dict[str, Any]] = json.loads(path.read_text())["rows"] if path.exists() else []
-    done = {(r["group"], tuple(r["hidden"]), r["seed"]) for r in rows}
+    path = out / name
+    own: list[dict[str, Any]] = json.loads(path.read_text())["rows"] if path.exists() else []
     end = time.monotonic() + 60.0 * minutes
     for case in wanted:
-        if (case.group, case.hidden, case.seed) in done:
+        if any((r["group"], tuple(r["hidden"]), r["seed"]) == _key(case) for r in rows_of(out)):
             continue
         if time.monotonic() > end:
             break
-        rows.append(run_case(case, duration=duration, rate=rate, jobs=jobs))
-        write_json(path, {"schema": SCHEMA, "rows": rows})
-        say(line(rows[-1]))
-    return rows
+        own.append(run_case(case, duration=duration, rate=rate, jobs=jobs, logs=logs))
+        write_json(path, {"schema": SCHEMA, "rows": own})
+        say(line(own[-1]))
+    return rows_of(out)
+
+
+def _key(case: Case) -> tuple[str, tuple[str, ...], int]:
+    return case.group, case.hidden, case.seed
 
 
 def line(row: dict[str, Any]) -> str:
@@ -210,7 +288,7 @@ def line(row: dict[str, Any]) -> str:
     hidden = ", ".join(row["hidden"]) or "nothing"
     return (
         f"{row['group']:<12}{hidden:<44}{mark:<7}{row['verdict']:<12}{', '.join(row['named']) or '-':<60}"
-        f"{row['worst']:6.2f} x noise {row['seconds']:6.0f} s"
+        f"{row['worst']:6.2f} x noise (true values {row['form']:.2f}) {row['cpu_s']:4.0f} s CPU"
     )
 
 
@@ -259,12 +337,15 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
                 f"{sum(r['channel'] for r in own) if group in _WITH_CHANNEL else '-'} | "
                 f"{sum(r['sealed'] for r in own)} | {times[len(times) // 2]:.0f} |"
             )
+    methods = [r.get("method", "?") for r in rows]
+    if len(set(methods)) > 1:
+        lines += ["", "Ran on different states of the method: " + ", ".join(f"{m} ({methods.count(m)})" for m in set(methods))]
     wrong = [r for r in rows if not r["right"]]
     lines += [
         "",
         "Trials that were not simply right:",
         "",
-        "| group | hidden | verdict | named | sealed speed, times the noise | seed |",
+        "| group | hidden | verdict | named | sealed speed, times the noise (true values) | seed |",
         "|---|---|---|---|---|---|",
     ]
     for r in wrong:
@@ -277,7 +358,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
             "" if r.get("visible", True) else " (said to be invisible here)"
         )
         lines.append(
-            f"| {r['group']} | {hidden} | {r['verdict']} | {names or '-'} | {r['worst']:.2f} | {r['seed']} |"
+            f"| {r['group']} | {hidden} | {r['verdict']} | {names or '-'} | {r['worst']:.2f} ({r['form']:.2f}) | {r['seed']} |"
         )
     slow = sorted((r["cpu_s"] for r in rows), reverse=True)
     lines += [
@@ -287,8 +368,9 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     rough = [r for r in rows if (r["right"] or r["set"]) and r["verdict"] == "effects" and not r["sealed"]]
     lines += [
         "",
-        "Rightly named, but the sealed speed stays above 1.3 times the noise: "
-        + ("; ".join(f"{', '.join(r['hidden'])} ({r['group']}) {r['worst']:.2f}" for r in rough) or "none")
+        "Rightly named, but the sealed speed stays above 1.3 times the noise (in brackets what the true values in the "
+        "catalogue's form leave): "
+        + ("; ".join(f"{', '.join(r['hidden'])} ({r['group']}) {r['worst']:.2f} ({r['form']:.2f})" for r in rough) or "none")
         + ".",
     ]
     return "\n".join([f"Made by {command}; {len(rows)} trials.", "", *lines, ""])
@@ -318,15 +400,25 @@ def _main() -> None:
     parser.add_argument("--minutes", type=float, default=math.inf)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--slice", default="1/1", help="K/N: every N-th trial from the K-th")
+    parser.add_argument("--empty", type=int, default=EMPTY, help="trials of each group that hides nothing")
+    parser.add_argument("--logs", type=Path, help="folder in which practice logs are kept")
+    parser.add_argument("--make", action="store_true", help="only makes the logs, in --logs")
     parser.add_argument("--write", type=Path, help="folder of documents to write the table to; runs nothing")
     given = parser.parse_args()
     if given.write is not None:
-        rows = json.loads((given.out / "trials.json").read_text())["rows"]
-        publish(rows, given.write)
+        publish(rows_of(given.out), given.write)
         return
     part, of = map(int, given.slice.split("/"))
-    wanted = cases(given.groups, given.seed)[part - 1 :: of]
-    rows = run_trials(given.out, wanted, minutes=given.minutes, jobs=given.jobs)
+    wanted = cases(given.groups, given.seed, given.empty)[part - 1 :: of]
+    if given.make:
+        for case in wanted:
+            practice_logs(case, given.logs / f"{case.group}_{case.seed}")
+        return
+    name = "trials.json" if of == 1 else f"trials_{part}_of_{of}.json"
+    rows = run_trials(
+        given.out, wanted, minutes=given.minutes, jobs=given.jobs, name=name, logs=given.logs,
+        say=lambda text: print(text, flush=True),
+    )  # fmt: skip
     for s in summary(rows):
         if s["trials"]:
             print(f"{s['what']:<60}{s['count']:4} of {s['trials']}")
