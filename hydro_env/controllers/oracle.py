@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
-from hydro_env.controllers.shooting import DAMPING, cost, improve
+from hydro_env.controllers.shooting import DAMPING, improve, keep
 from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
 from hydro_env.units import RPM
 
@@ -132,32 +132,29 @@ class Oracle(Controller):
         is taken back and tried smaller.
         """
         assert self._twin is not None
-        copies = self._copies if len(rows) == len(start) else _copies(self._twin, rows)
+        every = len(rows) == len(start)
+        copies = self._copies if every else _copies(self._twin, rows)
         plan, sent, aim, load = start[rows], self._sent[rows], ahead[rows], load[:, rows]
-        travel, motor, margin, most = (
-            each[rows] for each in (self._travel, self._motor, self._margin, self._most)
+        travel, motor, margin, most, rated = (
+            each[rows] for each in (self._travel, self._motor, self._margin, self._most, self._rated)
         )
         weights = [weight[rows] for weight in self._weights]
         best, lowest = plan.copy(), np.full(len(rows), np.inf)
         damping = np.full(len(rows), DAMPING)
-        kept: tuple[Floats, ...] = ()
+        signals = np.array([copies.row_of(name) for name in ("speed", "flow", "spool")])
+        volts = np.empty((HORIZON * SAMPLES + 1, len(rows), 2))
+        seen = np.empty((len(signals), *volts.shape))
+        kept = np.empty_like(seen)
         for turn in range(turns):
-            copies.take_state(self._twin, rows)
-            volts = np.repeat((plan * self._rated[rows, None]).transpose(1, 0, 2), SAMPLES, axis=0)
-            signals = copies.run(
-                np.concatenate([volts, volts[-1:]]), load, self._step, ("speed", "flow", "spool")
-            )
-            seen = signals["speed"], signals["flow"], signals["spool"]
-            reached = cost(plan, sent, aim, seen[0], seen[2], SAMPLES, margin, *weights)
+            copies.take_state(self._twin, None if every else rows)
+            # The last command stays: what follows its last sample is not looked at.
+            volts[:-1].reshape(HORIZON, SAMPLES, -1, 2)[:] = (plan * rated[:, None]).transpose(1, 0, 2)[:, None]
+            volts[-1] = volts[-2]
+            copies.run_into(seen, volts, load, self._step, signals)
             # Out of standstill the way leads over a ridge: at first a plan need not be better than the one before.
-            better = (reached < lowest) | (turn < FREE * turns)
-            lowest = np.where(better, reached, lowest)
-            best[better] = plan[better]
-            damping = np.where(better, np.maximum(DAMPING, damping / 4.0), 8.0 * damping)
-            if not kept:
-                kept = seen
-            for signal, new in zip(kept, seen, strict=True):
-                signal[:, better] = new[:, better]
+            keep(
+                plan, turn < FREE * turns, best, lowest, damping, kept, seen, sent, aim, SAMPLES, margin, *weights
+            )
             plan = best.copy()
             if turn < turns - 1:
                 improve(plan, damping, most, sent, aim, *kept, travel, motor, SAMPLES, margin, *weights)

@@ -20,7 +20,7 @@ import numpy as np
 
 from hydro_env.compiled import compiled
 
-__all__ = ["DAMPING", "cost", "improve", "minimise_in_box"]
+__all__ = ["DAMPING", "improve", "keep", "minimise_in_box"]
 
 CORNER = 2.0
 """Tracking error from which on its cost grows no faster than in proportion, rad/s."""
@@ -127,6 +127,26 @@ def cost(plan, sent, setpoint, speed, spool, fine, margin, difference, smooth, s
                 move = plan[i, j, c] - (sent[i, c] if j == 0 else plan[i, j - 1, c])
                 total[i] += 0.5 * smooth[i] * move * move
     return total
+
+
+@compiled
+def keep(plan, free, best, lowest, damping, kept, seen, sent, setpoint, fine, margin, difference, smooth, stops):
+    """Keeps the plans (N, H, 2) that cost less than the lowest yet (N,), or all where `free`, in `best`, `lowest` and
+    `kept`, their motion, of which `seen` (3, H fine + 1, N, 2) has the new one: speed, flow, spool. The damping (N,) gets
+    less where a plan was kept and more where not. The rest as for `improve`.
+    """
+    reached = cost(plan, sent, setpoint, seen[0], seen[2], fine, margin, difference, smooth, stops)
+    for i in range(plan.shape[0]):
+        if not (free or reached[i] < lowest[i]):
+            damping[i] *= 8.0
+            continue
+        damping[i] = max(DAMPING, damping[i] / 4.0)
+        lowest[i] = reached[i]
+        best[i] = plan[i]
+        for signal in range(seen.shape[0]):
+            for s in range(seen.shape[1]):
+                for c in range(2):
+                    kept[signal, s, i, c] = seen[signal, s, i, c]
 
 
 @compiled

@@ -211,6 +211,11 @@ class Plant:
                 )
             self._head = other._head
         moving = kernel.rows["load"] + 1
+        if rows is None and kernel.half == other._kernel.half:
+            self._memory[:, :moving] = other._memory[:, :moving]
+            if kernel.has_delay:
+                self._ring[:] = other._ring
+            return
         mine = self._lanes(np.arange(self.num_rigs))
         theirs = other._lanes(np.arange(other.num_rigs) if rows is None else rows)
         for channel in (0, 1):
@@ -273,12 +278,26 @@ class Plant:
             raise ValueError(f"load_Nm has {load.shape[0]} rows, command_V has {command.shape[0]}")
         rows = np.array([self._row(name) for name in record], dtype=np.int64)
         out = np.empty((len(record), -(-command.shape[0] // every), self.num_rigs, 2))
+        self.run_into(out, command, load, period, rows, every)
+        return dict(zip(record, out, strict=True))
+
+    def run_into(
+        self,
+        out: Array,
+        command_V: Array,
+        load_Nm: Array,
+        period: float,
+        rows: NDArray[np.int64],
+        every: int = 1,
+    ) -> None:
+        """`run` for callers in a hurry: finite float64 arrays (T, num_rigs, 2) or with ones for T of the load or num_rigs,
+        the numbers `row_of` the signals, and where they go, `out` (signals, ceil(T / every), num_rigs, 2).
+        """
         n = self.substeps(period)
         self._kernel.advance(
-            self._flat, self._cells, self._ring, self._head, command, load, n, period / n, rows, every, out
+            self._flat, self._cells, self._ring, self._head, command_V, load_Nm, n, period / n, rows, every, out
         )
-        self._head = (self._head + n * command.shape[0]) % self._slots
-        return dict(zip(record, out, strict=True))
+        self._head = (self._head + n * command_V.shape[0]) % self._slots
 
     # --- signals --------------------------------------------------------------------------------------------------
     @property
