@@ -278,7 +278,7 @@ def _call(name: str, *arguments: ast.expr) -> ast.Call:
 
 
 def _fused(text: str) -> str:
-    return ast.unparse(ast.fix_missing_locations(_Fuse().visit(ast.parse(textwrap.dedent(text)))))
+    return ast.unparse(_Fuse().visit(ast.parse(textwrap.dedent(text))))
 
 
 # --- the generated module ---------------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ import ast
 import inspect
 import sys
 from collections.abc import Callable, Collection, Mapping
+from functools import lru_cache
 from typing import Any
 
 from llvmlite import ir
@@ -266,6 +267,7 @@ def check(function: ast.FunctionDef, known: Collection[str]) -> None:
         raise ValueError(f"{function.name}: {sorted(names)[0]!r} is not an argument of the law")
 
 
+@lru_cache(maxsize=1)  # a module's functions are compiled one after the other
 def _functions(module: Any) -> dict[str, ast.FunctionDef]:
     tree = ast.parse(inspect.getsource(module))
     return {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
