@@ -428,8 +428,17 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         look(
             rows, self.plant.memory, self._half, self._where, self._step, self._last, self._setpoint, self._noise,
             self._levels, SCALES, LIMIT, self._sensor["speed_sensor.noise_factor"], self._stuck, self._held,
-            self._fraction, self._moved, self._rated, self._weights, self._frames, *result,
+            self._fraction, self._moved, self._rated, self._weights, *result,
         )  # fmt: skip
+        observation = result[0]
+        if self.history > 1:
+            begun = rows[self._step[rows] == 0]
+            observation[rows, :-FRAME] = self._frames[rows, FRAME:]
+            observation[begun, :-FRAME] = np.tile(observation[begun, -FRAME:], self.history - 1)
+        if rows is self._all:
+            np.copyto(self._frames, observation)
+        else:
+            self._frames[rows] = observation[rows]
         if self._recorder is not None:
             self._recorder.add(rows, result[1], self._fraction, self.plant.spool)
 

@@ -59,27 +59,26 @@ def apply(actions, rated, step, last, loads, fraction, moved, command, load):
 @compiled
 def look(
     rows, memory, half, where, step, last, setpoint, noise, levels, scales, limit, factor, stuck, held, fraction, moved,
-    rated, weights, frames, observation, true, reward, terminated, truncated,
+    rated, weights, observation, true, reward, terminated, truncated,
 ):  # fmt: skip
     """Sensors, reward and true signals of some rows at the instant `step` (N,) of their episodes.
 
     rows: numbers of the rows. memory, half, where: the plant's memory and the rows of `SIGNALS` in it. setpoint
     (N, rows) in rad/s; noise (N, rows, 6), standard normal; levels (6,) and scales (9,) of the observation. factor,
     stuck, held (N, 2): noise factor of the speed sensors, row from which on one is stuck, and what it last showed.
-    frames (N, n): the frames seen last, updated. The last five are filled: observation (N, n), true (N, TRUE), reward,
-    terminated, truncated (N,).
+    The last five are filled: observation (N, n), its last frame alone; true (N, TRUE), reward, terminated, truncated (N,).
+
+    Every operation here costs a millisecond or two of the first start, in which all this is compiled.
     """
-    frame = scales.shape[0]
-    new = frames.shape[1] - frame  # where the newest frame begins
+    newest = observation.shape[1] - scales.shape[0]
     for i in rows:
         block = i // half
         lane = i - block * half
         cells = memory[block]
-        t = step[i] if step[i] < last[i] else last[i]
+        now, end = step[i], last[i]
+        t = now if now < end else end
         target = setpoint[i, t]
-        for j in range(new):
-            frames[i, j] = frames[i, j + frame]
-        frames[i, new] = target / scales[0]
+        observation[i, newest] = target / scales[0]
         for j in range(6):
             c = j % 2
             noisy = noise[i, t, j] * levels[j]
@@ -87,25 +86,24 @@ def look(
                 noisy *= factor[i, c]
             value = cells[where[2 + j // 2], lane + c * half] / scales[1 + j] + noisy
             if j < 2:
-                if step[i] >= stuck[i, c]:
+                if now >= stuck[i, c]:
                     value = held[i, c]
                 held[i, c] = value
-            frames[i, new + 1 + j] = value
-        for c in range(2):
-            frames[i, new + 7 + c] = fraction[i, c]
-        for j in range(frame):
-            value = frames[i, new + j]
+            observation[i, newest + 1 + j] = value
+        observation[i, newest + 7] = fraction[i, 0]
+        observation[i, newest + 8] = fraction[i, 1]
+        for j in range(newest, observation.shape[1]):
+            value = observation[i, j]
             value = value if value < limit else limit
-            frames[i, new + j] = value if value > -limit else -limit
-        if step[i] == 0:
-            for j in range(new):
-                frames[i, j] = frames[i, new + j % frame]
-        for j in range(new + frame):
-            observation[i, j] = frames[i, j]
+            observation[i, j] = value if value > -limit else -limit
 
         one = cells[where[0], lane] * _TO_RPM
         two = cells[where[0], lane + half] * _TO_RPM
         aim = setpoint[i, t - 1 if t > 0 else 0] * _TO_RPM  # the set-point that was in force
+        tracking = -weights[0] * 0.5 * (abs(one - aim) + abs(two - aim))
+        difference = -weights[1] * abs(one - two)
+        variation = -weights[2] * moved[i]
+        lost = cells[where[5], lane] > 0.0 or cells[where[5], lane + half] > 0.0
         true[i, 0] = one
         true[i, 1] = two
         true[i, 2] = target * _TO_RPM
@@ -113,9 +111,9 @@ def look(
         true[i, 4] = fraction[i, 0] * rated[i, 0]
         true[i, 5] = fraction[i, 1] * rated[i, 1]
         true[i, 6] = (cells[where[1], lane] - cells[where[1], lane + half]) * _TO_DEG
-        true[i, 7] = -weights[0] * 0.5 * (abs(one - aim) + abs(two - aim))
-        true[i, 8] = -weights[1] * abs(one - two)
-        true[i, 9] = -weights[2] * moved[i]
-        terminated[i] = cells[where[5], lane] > 0.0 or cells[where[5], lane + half] > 0.0
-        truncated[i] = step[i] >= last[i]
-        reward[i] = true[i, 7] + true[i, 8] + true[i, 9] - (weights[3] if terminated[i] else 0.0)
+        true[i, 7] = tracking
+        true[i, 8] = difference
+        true[i, 9] = variation
+        reward[i] = tracking + difference + variation - (weights[3] if lost else 0.0)
+        terminated[i] = lost
+        truncated[i] = now >= end
