@@ -41,10 +41,10 @@ def _drive(seed: int, rows: int) -> np.ndarray:
     return command
 
 
-def _log(seed: int, rows: int = 5000) -> Columns:
+def _log(seed: int, rows: int = 5000, load_Nm: np.ndarray | None = None) -> Columns:
     command = _drive(seed, rows)
     out = simulate(
-        load_model("paper_dead_zone"), command, None, 1e-3, record=("current", "pressure", "measured_speed")
+        load_model("paper_dead_zone"), command, load_Nm, 1e-3, record=("current", "pressure", "measured_speed")
     )
     rng = np.random.default_rng(seed)
     columns: Columns = {"time_s": np.round(np.arange(rows) * 1e-3, 6)}
@@ -237,6 +237,18 @@ def test_a_log_that_is_surely_wrong_is_refused(
     line = _refused(path, sealed)
     for word in words:
         assert word in line, line
+
+
+def test_a_load_of_the_other_sign(tmp_path: Path) -> None:
+    load = 0.02 * np.round(_drive(9, 5000))  # N m, changes every 400 rows
+    fit, sealed = _log(1, load_Nm=load), _log(2, load_Nm=load)
+    for columns in (fit, sealed):
+        columns["load_1_Nm"], columns["load_2_Nm"] = load[:, 0], -load[:, 1]
+    status, text = _hydro_env(
+        "diagnose", _save(tmp_path / "fit.csv", fit), "--sealed", _save(tmp_path / "sealed.csv", sealed), "--out", tmp_path
+    )
+    assert status == 2 and "the shaft of channel 2 turns as if its load had the other sign" in text, text
+    assert "`sign: -1` for the load" in text and "channel 1" not in text
 
 
 def test_rpm_that_a_mapping_calls_radians(tmp_path: Path, recorded: tuple[Columns, Columns]) -> None:

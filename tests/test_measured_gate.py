@@ -66,6 +66,11 @@ def clip(columns: Columns) -> None:
     columns["pressure_2_bar"] = np.clip(columns["pressure_2_bar"], -30, 30)
 
 
+def prick(columns: Columns) -> None:
+    columns["speed_1_rpm"][[300, 1200, 2001]] = 5000.0
+    columns["pressure_2_bar"][[700, 701]] -= 30.0
+
+
 def coarsen(columns: Columns) -> None:
     columns["speed_1_rpm"] = 25 * np.round(columns["speed_1_rpm"] / 25)
 
@@ -135,6 +140,7 @@ def radians(columns: Columns) -> None:
     [
         (stuck, "stuck", "speed_1_rpm", 1),
         (clip, "clipped", "pressure_2_bar", 2),
+        (prick, "spikes", "speed_1_rpm", 1),
         (coarsen, "coarse", "speed_1_rpm", 1),
         (freeze, "constant", "current_2_A", 2),
         (flip, "sign", "speed_2_rpm", 2),

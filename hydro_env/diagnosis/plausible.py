@@ -57,10 +57,26 @@ def implausible(machine: Machine, given: dict[int, Problem]) -> list[Finding]:
                 hint = f"give `sign: -1` for the {signal} in a mapping"
                 found.append(Finding("sign", message, hint, signal, channel + 1, sure=like < -0.8))
     found += _units(machine, likes)
+    found += _load(machine)
     found += _command(machine, given)
     if machine.channels == (0, 1):
         found += _exchanged(machine, given)
     return found
+
+
+def _load(machine: Machine) -> Iterator[Finding]:
+    """Loads of the other sign: the shaft then fits with the mirrored load and not with the one as logged."""
+    for channel in machine.channels:
+        own, mirrored = (
+            _unlike(_shaft(machine, channel, channel, load_scale=sign)) for sign in (1.0, -1.0)
+        )
+        if own > _LESS * max(mirrored, 1e-3) and mirrored < 0.1:
+            message = (
+                f"the shaft of channel {channel + 1} turns as if its load had the other sign (correlation {1.0 - mirrored:.3f} "
+                f"that way, {1.0 - own:.3f} as logged)"
+            )
+            hint = "a load is positive where it brakes positive speed; give `sign: -1` for the load in a mapping"
+            yield Finding("sign", message, hint, "load", channel + 1, sure=True)
 
 
 def _units(machine: Machine, likes: dict[tuple[str, int], tuple[float, float]]) -> Iterator[Finding]:
@@ -223,11 +239,12 @@ def _shaft(
     turning: int,
     *,
     load_of: int | None = None,
+    load_scale: float = 1.0,
     speed_scale: float = 1.0,
     pressure_scale: float = 1.0,
 ) -> tuple[float, float] | None:
     """The speed of channel `turning` beside the one that the measured pressure of channel `pressing` gives to the shaft:
-    correlation and ratio of their sizes; None where they are not logged. Both may be scaled before; the load is that of
+    correlation and ratio of their sizes; None where they are not logged. All may be scaled before; the load is that of
     channel `load_of`, of `turning` if None."""
     measured, replayed = [], []
     value = machine.model.value
@@ -244,7 +261,7 @@ def _shaft(
         load = np.zeros(len(log))
         loaded = turning if load_of is None else load_of
         if log.load is not None and log.has("load", loaded):
-            load = np.nan_to_num(log.load[:, loaded])
+            load = load_scale * np.nan_to_num(log.load[:, loaded])
         drag = max(value("B", pressing), 1e-6)
         keep = math.exp(-log.period * drag / value("J", pressing))
         torque = (value("D", pressing) * pressure - load) / drag

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from hydro_env.measured.finding import Finding
 
@@ -21,6 +22,8 @@ __all__ = ["MEASURED", "check_samples"]
 MEASURED = ("current", "pressure", "speed", "spool", "flow")
 _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
 _MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse
+_SPIKE = 0.1  # a spike stands out of the rows around it by this share of the signal's swing
+_SPIKE_PERIOD = 2e-3  # s, in slower logs only speeds are searched for spikes
 _BURST_S = 0.5  # windows in which a disturbance is looked for
 _BURST_RATIO = 6.0  # the fast part of a disturbed signal stands out of its usual one by more
 _LEFT_OUT = "left out of every comparison"
@@ -59,6 +62,10 @@ def check_samples(
         return findings, spoilt
     if signal not in MEASURED:
         return findings, spoilt
+    for finding, bad in _spikes(log, values, signal, channel, rows, place):
+        findings.append(finding)
+        spoilt |= bad
+    values = np.where(spoilt, np.nan, values)  # a spike is no limit that a sensor runs into
     starts, lengths = _runs(values)
     for check in (_stuck, _clipped):
         for finding, bad in check(log, values, channel, rows, starts, lengths, place):
@@ -80,6 +87,54 @@ def check_samples(
         message = f"{column!r} has only {len(levels)} different values (step {step / (high - low):.2%} of its range)"
         findings.append(Finding("coarse", message, "record with finer resolution where possible", **place))
     return findings, spoilt
+
+
+def _spikes(
+    log: RigLog, values: np.ndarray, signal: str, channel: int, rows: np.ndarray, place: dict[str, Any]
+) -> Iterator[tuple[Finding, np.ndarray]]:
+    """A row or two far from all rows around them, while nothing asks for it: a dropped bit or a loose plug.
+
+    Inertia lets no speed do that at any rate; a pressure or a current may for ten milliseconds, so that these are looked at
+    in fast logs only.
+    """
+    if len(values) < 50 or (signal != "speed" and log.period > _SPIKE_PERIOD):
+        return
+    finite = values[np.isfinite(values)]
+    swing = float(np.quantile(finite, 0.99) - np.quantile(finite, 0.01))
+    off = np.abs(values - median_filter(values, 7, mode="nearest"))
+    far = off > max(_SPIKE * swing, 1e-12)
+    if not far.any():
+        return
+    # The largest deviation of the rows around: a signal that shakes has no spikes.
+    calm = np.where(far | ~np.isfinite(off), 0.0, off)
+    around = maximum_filter1d(calm, 41, mode="nearest")
+    starts, lengths = _runs(far.astype(float))
+    bad = np.zeros(len(values), bool)
+    for start, length in zip(starts, lengths, strict=True):
+        before, after = start - 1, start + length
+        if not far[start] or length > 2 or before < 0 or after >= len(values):
+            continue
+        back = abs(values[after] - values[before]) < 0.25 * off[start]
+        quick = signal == "speed" and log.period <= _SPIKE_PERIOD
+        if back and off[start] > 10.0 * around[start] and (quick or _command_near(log, channel, start, 20) < 0.05):
+            bad[start:after] = True
+    if bad.any():
+        first = int(np.flatnonzero(bad)[0])
+        message = (
+            f"{place['column']!r} jumps for a row or two and back, {int(bad.sum())} rows in all, first to "
+            f"{_cell(values[first], place)} in row {rows[first]}"
+        )
+        hint = f"no machine moves so; a loose plug or a lost bit: {_LEFT_OUT}"
+        yield Finding("spikes", message, hint, row=int(rows[first]), **place), bad
+
+
+def _command_near(log: RigLog, channel: int, row: int, rows: int) -> float:
+    """How far the command of a channel moves within so many rows of a row, as a share of its swing in the log."""
+    command = log.command_V[:, channel]
+    if not log.has("command", channel) or not np.nanmax(command) > np.nanmin(command):
+        return 0.0
+    near = command[max(0, row - rows) : row + rows]
+    return float((np.nanmax(near) - np.nanmin(near)) / (np.nanmax(command) - np.nanmin(command)))
 
 
 def _runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
