@@ -39,12 +39,17 @@ def sentence(found: Diagnosis) -> str:
     signal, channel, unit = words.signal(key)
     gap = f"On the sealed logs the {signal} of channel {channel} is off by {entry['after']:.3g} {unit} RMS"
     noise = f"the noise is {entry['noise']:.3g}"
+    other = "".join(
+        f" Channel {words.signal(k)[1]}: {e['after']:.3g} {unit}, {e['before']:.3g} as given; noise {e['noise']:.3g}."
+        for k, e in data["gap"]["sealed"].items()
+        if k.startswith("speed") and k != key and max(e["after"], e["before"]) > AT_NOISE * e["noise"]
+    )
     if word == "none":
-        return f"Nothing is missing: the model as given explains the logs. {gap}; {noise}."
+        return f"Nothing is missing: the model as given explains the logs. {gap}; {noise}.{other}"
     if word == "calibration":
         return (
             "Only known parameters were off: adjusted inside their plausible ranges, the model explains the logs. "
-            f"{gap}, {entry['before']:.3g} before; {noise}."
+            f"{gap}, {entry['before']:.3g} before; {noise}.{other}"
         )
     before = f"{entry['before']:.3g} as given, {entry['calibrated']:.3g} after calibration alone; {noise}"
     if word == "effects":
@@ -53,7 +58,7 @@ def sentence(found: Diagnosis) -> str:
         text = f"The model lacks {words.listed([_said(n) for n in sure or perhaps])}."
         if sure and perhaps:
             text += f" Perhaps also {words.listed([_said(n) for n in perhaps])}."
-        return f"{text} {gap}: {before}."
+        return f"{text} {gap}: {before}.{other}"
     places = words.listed(
         list(
             dict.fromkeys(
@@ -66,7 +71,7 @@ def sentence(found: Diagnosis) -> str:
     if found.named:
         names = words.listed([words.title(n.name) + f" on {words.where(n.channel)}" for n in found.named])
         text += f" What explains a part is {names}."
-    return f"{text} {gap}: {before}."
+    return f"{text} {gap}: {before}.{other}"
 
 
 def _said(n: Named) -> str:
@@ -87,8 +92,9 @@ def headline(data: dict[str, Any]) -> tuple[str, dict[str, float]]:
 
 
 def left_over(found: Diagnosis) -> str:
-    """What the final model leaves of the headline signal on the sealed logs: slow (physics) or fast (noise); or nothing."""
-    key, entry = headline(found.data)
+    """What the final model leaves on the sealed logs of the speed that is worst: slow (physics) or fast (noise); or nothing."""
+    speeds = {k: e for k, e in found.data["gap"]["sealed"].items() if k.startswith("speed")}
+    key, entry = max(speeds.items(), key=lambda item: item[1]["after"] / max(item[1]["noise"], 1e-30))
     if entry["after"] < AT_NOISE * entry["noise"]:
         return ""
     _, channel, unit = words.signal(key)
@@ -108,7 +114,8 @@ def left_over(found: Diagnosis) -> str:
         return ""
     share = slow / power
     text = (
-        f"Of the {entry['after']:.3g} {unit} that are left, {np.sqrt(share) * entry['after']:.2g} {unit} are slower than "
+        f"Of the {entry['after']:.3g} {unit} that are left on channel {channel}, "
+        f"{np.sqrt(share) * entry['after']:.2g} {unit} are slower than "
         f"{1.0 / SLOW_S:g} Hz, where a model could follow"
     )
     if share < 0.25:
@@ -481,7 +488,8 @@ def _ranking(found: Diagnosis) -> list[dict[str, Any]]:
 def _parameters(found: Diagnosis) -> list[dict[str, Any]]:
     rows = []
     for name, p in found.data["calibrated"].items():
-        rows.append({"name": name, **p, "change": p["value"] / p["nominal"] - 1.0 if p["nominal"] else 0.0})
+        said = words.known(name, p["value"], found.machine.model)
+        rows.append({"name": name, "said": said, **p, "change": p["value"] / p["nominal"] - 1.0 if p["nominal"] else 0.0})
     return rows
 
 

@@ -14,6 +14,7 @@ from ..plant import PlantModel
 __all__ = [
     "equation",
     "interval",
+    "known",
     "listed",
     "number",
     "of_command",
@@ -55,6 +56,15 @@ _PARAMETERS = {
     "ratio": "gain of the negative direction over the positive", "fraction": "share of free air",
     "supply_pressure": "supply pressure at which no flow is left", "amplitude": "amplitude", "width": "width of the loop",
     "relative_drop": "relative drop at rated flow of both valves", "opening_limit": "opening at which flow saturates",
+}  # fmt: skip
+_KNOWN = {
+    "D": "displacement of the motor", "J": "inertia of motor and load", "B": "viscous friction of the motor",
+    "Km": "leakage of the motor", "beta": "bulk modulus of the oil", "V": "volume under pressure",
+    "m": "mass of spool and core", "R": "resistance of the coil", "L": "inductance of the coil",
+    "alpha": "force of the coil per current", "k": "rate of the centring springs", "C": "damping of the spool",
+    "Kq": "flow gain of the valve", "Fc": "dry friction of the spool", "Fs": "static friction of the spool",
+    "vs": "Stribeck speed of the spool", "s0": "stiffness of the spool's friction", "s1": "damping of the spool's friction",
+    "s2": "viscous friction of the spool", "lag": "lag of the speed behind the command",
 }  # fmt: skip
 #: Effects' parameters that are a spool position or a force on the spool: they can be told as a share of the command.
 _STROKES = {
@@ -131,6 +141,17 @@ def interval(entry: Mapping[str, Any]) -> str:
         if low != high:
             break
     return f"{value}{' ' if unit else ''}{unit} ({low} to {high})"
+
+
+def known(name: str, value: float, model: PlantModel) -> str:
+    """A base parameter of a channel ("Kq_1") in words; of a flow gain also the flow that full command would give."""
+    symbol, _, channel = name.rpartition("_")
+    text = _KNOWN.get(symbol, plain(symbol))
+    if symbol == "Kq":
+        c = int(channel) - 1
+        stroke = model.value("alpha", c) * model.value("u_rated", c) / (model.value("R", c) * model.value("k", c))
+        text += f" ({number(value * stroke * 6e4)} l/min at full command)"
+    return text
 
 
 def of_command(name: str, value: float, model: PlantModel, channel: int) -> str:
