@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.compiled import compiled
 from hydro_env.envs.observation import NOISE as SENSOR_NOISE
 from hydro_env.envs.observation import Measurements
 from hydro_env.plant import PARAMETERS
@@ -39,6 +40,11 @@ LAGGING = 0.014
 """Lag of a speed sensor from which on its readings are corrected, s; a load's step looks like up to 0.01."""
 MOST_DELAY = 2
 """Delays up to so many periods are told apart."""
+DOUBT = 0.02
+"""Standard deviation of what the spool model gets wrong in a period, share of the rated command."""
+CERTAIN, EACH = 12.0, 3.0
+"""By how much the squares of the misses have to differ, of both valves together and of each."""
+INERTIA, DISPLACEMENT, FRICTION = NOMINAL["J"], NOMINAL["D"], NOMINAL["B"]
 
 
 class SensorCheck:
@@ -79,25 +85,17 @@ class SensorCheck:
         """
         self._read = np.concatenate([seen.speed[None], self._read[:-1]])
         self._pressure = np.concatenate([seen.pressure[None], self._pressure[:-1]])
-        self._watch_noise(steady)
-        new, old = self._read[0], self._read[1]
-        self.stuck = (new == old) & (self._pressure[0] != self._pressure[1])
-        between = 0.5 * (self._pressure[0] + self._pressure[1])
-        # the torque's gain of speed in this period; with a sound sensor that reads with usual noise it is not used
-        push = self.period / NOMINAL["J"] * (NOMINAL["D"] * between - NOMINAL["B"] * self.speed - torque)
-        # (a lag looks like a load to the estimate of loads, which is left out for that)
-        self._watch_lag(push + self.period / NOMINAL["J"] * torque)
-        ahead = self.speed + push
-        spread, noise = MODEL_ERROR**2, SPEED_NOISE**2 * np.where(self.noise > 1.0, self.noise**2 - 1.0, 0.0)
-        known = 0.5 * (spread + np.sqrt(spread * spread + 4.0 * spread * noise))
-        trusted = known / (known + noise)
-        sound = ahead + trusted * (new - ahead)
-        mended = new + self.lag * (new - old) / self.period
-        by_flow = (valve_flow - self._leak * seen.pressure) / NOMINAL["D"]
-        share = min(1.0, 3.0 * self.period)
-        unsound = ahead + np.where(self.stuck, share * (by_flow - ahead), share * (mended - ahead))
-        self.speed = np.where(self.unsound, unsound, np.where(self.noise > 1.0, sound, new))
-        return self.speed
+        early = self._age < 3
+        if early.any():
+            rows = np.flatnonzero(early)
+            self._age[rows] += 1
+            self._early(rows, self._read[0, rows], self._pressure[0, rows])
+        _check(
+            self._read, self._pressure, torque, valve_flow, steady & ~early, self.period, self._leak, self._calm,
+            self._speed_square, self._pressure_square, self.noise, self.pressure_noise, self.stuck, self.lagging, self.lag,
+            self._along, self._size, self.speed,
+        )  # fmt: skip
+        return self.speed.copy()
 
     def _early(self, rows: Rows, speed: Floats, pressure: Floats) -> None:
         """Takes in readings at rest, the first three. Squares are believed beforehand: the usual ones of pressures, the
@@ -112,39 +110,65 @@ class SensorCheck:
         self._pressure_square[rows] = pressures
         self._speed_square[rows] = (2.0 * pressures + self._sums[0, rows]) / (2.0 + count)
 
-    def _watch_noise(self, steady: Bools) -> None:
-        """Three readings at rest, then second differences wherever the reference has been steady for a while."""
-        early = self._age < 3
-        self._age = np.minimum(self._age + 1, 1000)
-        if early.any():
-            rows = np.flatnonzero(early)
-            self._early(rows, self._read[0, rows], self._pressure[0, rows])
-        self._calm = np.where(steady & ~early, self._calm + 1, 0)
-        bend = (self._read[0] - 2.0 * self._read[1] + self._read[2]) / SPEED_NOISE
-        taken = np.minimum(bend**2 / 6.0, 4.0 * self._speed_square)  # a load's step is not noise
-        weight = np.where((self._calm > 15)[:, None] & ~self.stuck, 0.02, 0.0)
-        self._speed_square = self._speed_square + weight * (taken - self._speed_square)
-        self._rate()
-
     def _rate(self) -> None:
         noise, pressure = np.sqrt(self._speed_square), np.sqrt(self._pressure_square)
         self.noise = np.where(noise > USUAL, noise, 1.0)
         self.pressure_noise = np.where(pressure > USUAL_PRESSURE, pressure, 1.0)
 
-    def _watch_lag(self, push: Floats) -> None:
-        """What the torque gives more than the reading shows goes, for a lag, as the change of the reading's slope."""
-        before = self._read[1]
-        slope = self._read[0] - before
-        bend = slope - (before - self._read[2])
-        counts = (np.abs(bend) > 8.0 * SPEED_NOISE * self.noise) & ~self.stuck
-        self._along = self._along + np.where(counts, (push - slope) * bend, 0.0)
-        self._size = self._size + np.where(counts, bend * bend, 0.0)
-        self.lag = np.clip(self.period * self._along / self._size, 0.0, 0.2)
-        was = self.lagging
-        self.lagging = (was | (self.lag > LAGGING)) & (self.lag > 0.5 * LAGGING)
-        # what the reading had fallen behind by the time that this is seen
-        begun = self.lagging & ~was
-        self.speed = np.where(begun, before + self.lag * slope / self.period, self.speed)
+
+@compiled
+def _check(
+    read, pressures, torque, valve_flow, steady, period, leak, calm,
+    speed_square, pressure_square, noise, pressure_noise, stuck, lagging, lag, along, size, speed,
+):  # fmt: skip
+    per_torque, spread = period / INERTIA, MODEL_ERROR**2
+    share = min(1.0, 3.0 * period)
+    for i in range(speed.shape[0]):
+        calm[i] = calm[i] + 1 if steady[i] else 0
+        for c in range(2):
+            new, old, older = read[0, i, c], read[1, i, c], read[2, i, c]
+            # noise: second differences wherever the reference has been steady for a while; a load's step is not noise
+            if calm[i] > 15 and not stuck[i, c]:
+                bend = (new - 2.0 * old + older) / SPEED_NOISE
+                taken = min(bend**2 / 6.0, 4.0 * speed_square[i, c])
+                speed_square[i, c] += 0.02 * (taken - speed_square[i, c])
+            noise[i, c], pressure_noise[i, c] = np.sqrt(speed_square[i, c]), np.sqrt(pressure_square[i, c])
+            if not noise[i, c] > USUAL:
+                noise[i, c] = 1.0
+            if not pressure_noise[i, c] > USUAL_PRESSURE:
+                pressure_noise[i, c] = 1.0
+
+            stuck[i, c] = new == old and pressures[0, i, c] != pressures[1, i, c]
+            between = 0.5 * (pressures[0, i, c] + pressures[1, i, c])
+            # the torque's gain of speed in this period; with a sound sensor that reads with usual noise it is not used
+            push = per_torque * (DISPLACEMENT * between - FRICTION * speed[i, c] - torque[i, c])
+
+            # What the torque gives more than the reading shows goes, for a lag, as the change of the reading's slope (a
+            # lag looks like a load to the estimate of loads, which is left out for that).
+            slope = new - old
+            bend = slope - (old - older)
+            if abs(bend) > 8.0 * SPEED_NOISE * noise[i, c] and not stuck[i, c]:
+                along[i, c] += (push + per_torque * torque[i, c] - slope) * bend
+                size[i, c] += bend * bend
+            lag[i, c] = min(max(period * along[i, c] / size[i, c], 0.0), 0.2)
+            was = lagging[i, c]
+            lagging[i, c] = (was or lag[i, c] > LAGGING) and lag[i, c] > 0.5 * LAGGING
+            if lagging[i, c] and not was:  # what the reading had fallen behind by the time that this is seen
+                speed[i, c] = old + lag[i, c] * slope / period
+
+            ahead = speed[i, c] + push
+            if stuck[i, c]:
+                by_flow = (valve_flow[i, c] - leak * pressures[0, i, c]) / DISPLACEMENT
+                speed[i, c] = ahead + share * (by_flow - ahead)
+            elif lagging[i, c]:
+                mended = new + lag[i, c] * (new - old) / period
+                speed[i, c] = ahead + share * (mended - ahead)
+            elif noise[i, c] > 1.0:
+                excess = SPEED_NOISE**2 * (noise[i, c] ** 2 - 1.0)
+                known = 0.5 * (spread + np.sqrt(spread * spread + 4.0 * spread * excess))
+                speed[i, c] = ahead + known / (known + excess) * (new - ahead)
+            else:
+                speed[i, c] = new
 
 
 class DelayEstimate:
@@ -154,7 +178,7 @@ class DelayEstimate:
         self.periods = np.zeros(num_rigs, int)
         self._where = np.zeros((MOST_DELAY + 2, num_rigs, 2))
         self._misses = np.zeros((MOST_DELAY + 1, num_rigs, 2))
-        self._flow = np.zeros((num_rigs, 2))
+        self._flow: Floats = np.zeros((num_rigs, 2))
 
     def forget(self, rows: Rows, position: Floats, flow: Floats) -> None:
         self.periods[rows], self._misses[:, rows] = 0, 0.0
@@ -165,23 +189,29 @@ class DelayEstimate:
         to be another one. `flowing`: what counts as flow, `noise`: standard deviation of the flow, both (num_rigs, 2).
         """
         self._where = np.concatenate([position[None], self._where[:-1]])
-        both = (np.minimum(np.abs(flow), np.abs(self._flow)) > flowing) & (flow * self._flow > 0.0)
-        moved = self._where[:-1] - self._where[1:]
-        miss = (flow - self._flow - gain * moved) ** 2 / (2.0 * noise**2 + DOUBT**2)
-        self._misses = self._misses + np.where(both, np.minimum(miss, 100.0), 0.0)
-        self._flow = np.array(flow)
-        together = np.sum(self._misses, axis=-1)
-        best = np.argmin(together, axis=0)
-        rows = np.arange(len(best))
-        now, then = together[self.periods, rows], together[best, rows]
-        each = np.min(self._misses[self.periods, rows] - self._misses[best, rows], axis=-1)
-        surely = (now - then > CERTAIN) & (then < 0.5 * now) & (each > EACH)
-        change: Bools = (best != self.periods) & surely
-        self.periods = np.where(change, best, self.periods)
+        change = np.empty(len(self.periods), bool)
+        _compare(self._where, self._flow, flow, gain, flowing, noise, self._misses, self.periods, change)
+        self._flow = flow
         return change
 
 
-DOUBT = 0.02
-"""Standard deviation of what the spool model gets wrong in a period, share of the rated command."""
-CERTAIN, EACH = 12.0, 3.0
-"""By how much the squares of the misses have to differ, of both valves together and of each."""
+@compiled
+def _compare(where, before, flow, gain, flowing, noise, misses, periods, change):
+    together = np.empty(misses.shape[0])
+    for i in range(periods.size):
+        together[:] = 0.0
+        for c in range(2):
+            least = min(abs(flow[i, c]), abs(before[i, c]))
+            both = least > flowing[i, c] and flow[i, c] * before[i, c] > 0.0
+            for late in range(together.size):
+                if both:
+                    moved = where[late, i, c] - where[late + 1, i, c]
+                    miss = flow[i, c] - before[i, c] - gain[i, c] * moved
+                    misses[late, i, c] += min(miss**2 / (2.0 * noise[i, c] ** 2 + DOUBT**2), 100.0)
+                together[late] += misses[late, i, c]
+        now, best = periods[i], np.argmin(together)
+        each = min(misses[now, i, 0] - misses[best, i, 0], misses[now, i, 1] - misses[best, i, 1])
+        gap = together[now] - together[best]
+        change[i] = best != now and gap > CERTAIN and together[best] < 0.5 * together[now] and each > EACH
+        if change[i]:
+            periods[i] = best

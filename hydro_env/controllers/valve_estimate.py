@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.compiled import compiled
+
 __all__ = ["FLOWING", "LoadEstimate", "SpoolModel", "ValveEstimate"]
 
 Floats = NDArray[np.floating[Any]]
@@ -55,13 +57,23 @@ class SpoolModel:
 
     def move(self, command: Floats) -> None:
         """One control period under held commands; `ringing` is the squared amplitude of the swing about the last one."""
-        position, speed = self.position, self.speed
-        for _ in range(self._steps):
-            speed = self._decay * speed + self._push * (command - position)
-            speed = np.sign(speed) * np.maximum(np.abs(speed) - self._grip, 0.0)
-            position = position + self._step * speed
-        self.position, self.speed = position, speed
-        self.ringing = (position - command) ** 2 + (speed / self._rate) ** 2
+        _move(
+            self.position, self.speed, self.ringing, np.ascontiguousarray(command), self._steps, self._decay, self._push,
+            self._grip, self._step, self._rate,
+        )  # fmt: skip
+
+
+@compiled
+def _move(position, speed, ringing, command, steps, decay, push, grip, step, rate):
+    for i in range(position.shape[0]):
+        for c in range(2):
+            x, v, u = position[i, c], speed[i, c], command[i, c]
+            for _ in range(steps):
+                v = decay * v + push * (u - x)
+                v = np.sign(v) * max(abs(v) - grip, 0.0)
+                x = x + step * v
+            position[i, c], speed[i, c] = x, v
+            ringing[i, c] = (x - u) ** 2 + (v / rate) ** 2
 
 
 class ValveEstimate:
@@ -124,68 +136,70 @@ class ValveEstimate:
         command: Floats = middle + np.minimum(np.abs(flow) / blend, 1.0) * (beyond - middle)
         return command
 
-    def learn(self, spool: SpoolModel, flow: Floats, noisier: Floats | float = 1.0) -> None:
-        """Takes in the measured flows (num_rigs, 2) with the spools where the model has them.
+    def learn(self, spool: SpoolModel, flow: Floats, noisier: Floats) -> None:
+        """Takes in the measured flows (num_rigs, 2) with the spools where the model has them, and moves these to where the
+        flow shows them.
 
-        `noisier`: their noise as a multiple of `NOISE`, (num_rigs, 2).
+        `noisier`: the flows' noise as a multiple of `NOISE`, (num_rigs, 2).
         """
-        flowing = FLOWING * noisier
-        # where flow tells nothing, the side of the dead zone's middle on which the spool stands
-        negative = np.where(np.abs(flow) > flowing, flow < 0.0, spool.position < self.middle)
-        sign = np.where(negative, -1.0, 1.0)
-        here = np.stack([~negative, negative], axis=-1)  # the direction in which each spool stands
-        position, seen = sign * spool.position, sign * flow
-        flows = seen > flowing
-        unknown = np.any(self.unknown & here, axis=-1)
-        self._search(here & unknown[..., None], position, seen, flows)
+        _learn(
+            spool.position, spool.ringing, flow, noisier, self._walk[0], self._walk[1], *self._doubt, self._first,
+            self.gain, self.edge, self.unknown, self.nearest, self.gain_variance, self.edge_variance, self.shared,
+            self.between, self.surprise,
+        )  # fmt: skip
 
-        edge = np.where(negative, self.edge[..., 1], self.edge[..., 0])
-        active = ~unknown & ((position > edge) | flows)
-        walk = np.where(active, 1.0, 0.0)
-        self.gain_variance = self.gain_variance + walk * self._walk[0]
-        self.edge_variance = self.edge_variance + np.where(here, walk[..., None] * self._walk[1], 0.0)
-        # measured = gain * beyond: derivatives by gain and by the edge of this direction
-        beyond, by_edge = np.maximum(position - edge, 0.0), -self.gain
-        variance = np.where(negative, self.edge_variance[..., 1], self.edge_variance[..., 0])
-        shared = np.where(negative, self.shared[..., 1], self.shared[..., 0])
-        other = np.where(negative, self.shared[..., 0], self.shared[..., 1])
-        along_gain = beyond * self.gain_variance + by_edge * shared
-        along_edge = beyond * shared + by_edge * variance
-        along_other = beyond * other + by_edge * self.between
-        still, moving = self._doubt
-        misplaced = still**2 + moving**2 * spool.ringing
-        noise = (NOISE * noisier) ** 2 + self.gain**2 * misplaced
-        total = beyond * along_gain + by_edge * along_edge + noise
-        miss = np.where(active, seen - self.gain * beyond, 0.0)
-        weight = np.where(active, 1.0 / total, 0.0)
-        self.surprise = sign * miss
-        spool.position = spool.position + weight * self.gain * misplaced * self.surprise
-        self.gain = np.clip(self.gain + weight * along_gain * miss, 0.3, 1.6)
-        along = np.where(here, along_edge[..., None], along_other[..., None])
-        self.edge = np.clip(self.edge + (weight * miss)[..., None] * along, -0.15, 0.6)
-        self.gain_variance = self.gain_variance - weight * along_gain**2
-        self.edge_variance = np.maximum(self.edge_variance - weight[..., None] * along**2, 1e-8)
-        self.shared = self.shared - (weight * along_gain)[..., None] * along
-        self.between = self.between - weight * along_edge * along_other
 
-    def _search(
-        self, here: NDArray[np.bool_], position: Floats, seen: Floats, flows: NDArray[np.bool_]
-    ) -> None:
-        """Edges not found yet, in the directions `here`: no flow rules out what the spool has passed, flow ends it."""
-        if not here.any():
-            return
-        passed = np.minimum(position - 0.01, 0.5)[..., None]
-        dry = here & ~flows[..., None]
-        self.nearest = np.where(dry, np.maximum(self.nearest, passed), self.nearest)
-        farthest = np.maximum(FARTHEST_EDGE, self.nearest + 0.04)
-        self.edge = np.where(dry, 0.5 * (self.nearest + farthest), self.edge)
-        self.edge_variance = np.where(dry, (farthest - self.nearest) ** 2 / 12.0, self.edge_variance)
-        found = here & flows[..., None]
-        self.edge = np.where(found, (position - seen / self.gain)[..., None], self.edge)
-        self.edge_variance = np.where(
-            found, self._first**2 + (0.15 * seen[..., None]) ** 2, self.edge_variance
-        )
-        self.unknown = self.unknown & ~found
+@compiled
+def _learn(
+    position, ringing, flow, noisier, gain_walk, edge_walk, still, moving, first,
+    gain, edge, unknown, nearest, gain_variance, edge_variance, shared, between, surprise,
+):  # fmt: skip
+    along = np.empty(2)
+    for i in range(gain.shape[0]):
+        for c in range(2):
+            flowing = FLOWING * noisier[i, c]
+            # where flow tells nothing, the side of the dead zone's middle on which the spool stands
+            negative = position[i, c] < 0.5 * (edge[i, c, 0] - edge[i, c, 1])
+            if abs(flow[i, c]) > flowing:
+                negative = flow[i, c] < 0.0
+            here, there, sign = (1, 0, -1.0) if negative else (0, 1, 1.0)
+            place, seen = sign * position[i, c], sign * flow[i, c]
+            flows = seen > flowing
+            miss = 0.0
+            if unknown[i, c, here]:
+                # no flow rules out what the spool has passed, flow ends the search
+                if flows:
+                    unknown[i, c, here] = False
+                    edge[i, c, here] = place - seen / gain[i, c]
+                    edge_variance[i, c, here] = first**2 + (0.15 * seen) ** 2
+                else:
+                    nearest[i, c, here] = max(nearest[i, c, here], min(place - 0.01, 0.5))
+                    farthest = max(FARTHEST_EDGE, nearest[i, c, here] + 0.04)
+                    edge[i, c, here] = 0.5 * (nearest[i, c, here] + farthest)
+                    edge_variance[i, c, here] = (farthest - nearest[i, c, here]) ** 2 / 12.0
+            elif place > edge[i, c, here] or flows:
+                gain_variance[i, c] += gain_walk
+                edge_variance[i, c, here] += edge_walk
+                # measured = gain * beyond: derivatives by gain and by the edge of this direction
+                beyond, by_edge = max(place - edge[i, c, here], 0.0), -gain[i, c]
+                along_gain = beyond * gain_variance[i, c] + by_edge * shared[i, c, here]
+                along[here] = beyond * shared[i, c, here] + by_edge * edge_variance[i, c, here]
+                along[there] = beyond * shared[i, c, there] + by_edge * between[i, c]
+                misplaced = still**2 + moving**2 * ringing[i, c]
+                noise = (NOISE * noisier[i, c]) ** 2 + gain[i, c] ** 2 * misplaced
+                miss = seen - gain[i, c] * beyond
+                weight = 1.0 / (beyond * along_gain + by_edge * along[here] + noise)
+                position[i, c] += weight * gain[i, c] * misplaced * (sign * miss)
+                gain[i, c] = min(max(gain[i, c] + weight * along_gain * miss, 0.3), 1.6)
+                gain_variance[i, c] -= weight * along_gain**2
+                between[i, c] -= weight * along[here] * along[there]
+                for d in range(2):
+                    edge[i, c, d] += weight * miss * along[d]
+                    edge_variance[i, c, d] = max(edge_variance[i, c, d] - weight * along[d] ** 2, 1e-8)
+                    shared[i, c, d] -= weight * along_gain * along[d]
+            surprise[i, c] = sign * miss
+            for d in range(2):
+                edge[i, c, d] = min(max(edge[i, c, d], -0.15), 0.6)
 
 
 class LoadEstimate:
@@ -207,14 +221,24 @@ class LoadEstimate:
         self.torque[rows], self.miss[rows] = 0.0, 0.0
         self._speed[rows], self._shaft[rows] = speed, shaft
 
-    def step(self, speed: Floats, shaft: Floats, noisier: Floats | float = 1.0, blind: Any = False) -> None:
+    def step(self, speed: Floats, shaft: Floats, noisier: Floats, blind: NDArray[np.bool_]) -> None:
         """Takes in the speeds (rad/s) and what the shafts give after friction (N m).
 
         `noisier`: the speeds' noise as a multiple of the usual. Where `blind`, the torque stays as it is.
         """
-        load = 0.5 * (shaft + self._shaft) - self._per_speed * (speed - self._speed)
-        self.miss = np.where(blind, 0.0, load - self.torque)
-        jump = self._jump * noisier
-        jumps = np.clip((np.abs(self.miss) - jump) / (0.7 * jump), 0.0, 1.0)
-        self.torque = self.torque + (self._share + (1.0 - self._share) * jumps) * self.miss
-        self._speed, self._shaft = np.array(speed, dtype=float), np.array(shaft)
+        _weigh(
+            self.torque, self.miss, self._speed, self._shaft, np.ascontiguousarray(speed), shaft, noisier, blind,
+            self._share, self._jump, self._per_speed,
+        )  # fmt: skip
+
+
+@compiled
+def _weigh(torque, miss, speed, shaft, new_speed, new_shaft, noisier, blind, share, jump, per_speed):
+    for i in range(torque.shape[0]):
+        for c in range(2):
+            load = 0.5 * (new_shaft[i, c] + shaft[i, c]) - per_speed * (new_speed[i, c] - speed[i, c])
+            miss[i, c] = 0.0 if blind[i, c] else load - torque[i, c]
+            counts = jump * noisier[i, c]
+            jumps = min(max((abs(miss[i, c]) - counts) / (0.7 * counts), 0.0), 1.0)
+            torque[i, c] += (share + (1.0 - share) * jumps) * miss[i, c]
+            speed[i, c], shaft[i, c] = new_speed[i, c], new_shaft[i, c]
