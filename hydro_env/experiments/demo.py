@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from hydro_env import __version__
 from hydro_env.benchmark import command as benchmark
+from hydro_env.controllers.registry import CONTROLLERS
 from hydro_env.diagnosis import command as diagnosis
 from hydro_env.diagnosis import hide
 from hydro_env.experiments import reproduce
@@ -30,13 +31,13 @@ __all__ = ["run"]
 HIDDEN = ("dead_zone:1",)
 """What the third part hides."""
 
-LEARNED = ("ppo", "sac")
-NOTES = {
-    **dict.fromkeys(LEARNED, "learned: a network on top of a control law"),
-    "oracle": "knows the true valves",
-    "servo_pid": "other, better valves",
+NEEDS = {
+    "measurements": "",
+    "bench": "its valves were on a valve bench beforehand",
+    "parameters": "told the valves",
+    "everything": "told everything but the set-point to come",
 }
-"""What a reader must know to compare a controller with the others."""
+"""What a controller has beyond the measurements: a reader must know it to compare it with the others."""
 
 BOARD = (
     ("setpoint_steps", "max_speed_difference_rpm", "steps: largest difference, rpm"),
@@ -185,9 +186,21 @@ def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
     rows = []
     for name in scores["controllers"]:
         found = [cells.get((name, scenario, metric)) for scenario, metric, _ in BOARD]
-        note = NOTES.get(name, "")
+        file = CONTROLLERS[name].file
+        learned = file is not None and file.suffix == ".npz"
+        notes = [
+            "learned: a network on top of a control law" if learned else "",
+            NEEDS[scores["needs"][name]],
+        ]
+        if name in scores["own_plant"]:
+            notes.append(f"on {scores['own_plant'][name]} valves")
         rows.append(
-            {"name": name, "note": note, "learned": name in LEARNED, "cells": [_cell(row) for row in found]}
+            {
+                "name": name,
+                "note": ", ".join(filter(None, notes)),
+                "learned": learned,
+                "cells": [_cell(row) for row in found],
+            }
         )
     return {
         "about": scores["about"],
