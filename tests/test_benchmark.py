@@ -410,7 +410,7 @@ PINNED = {
     "disturbance_observer": (39.94, 17.65),
     "compensated": (41.74, 8.90),
     "adaptive_flow": (38.58, 14.87),
-    "servo_pid": (20.11, 8.55),
+    "servo_pid": (26.53, 5.54),
     "oracle": (25.41, 0.84),
 }
 

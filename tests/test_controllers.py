@@ -178,6 +178,7 @@ def test_controller_takes_over_without_a_bump():
     observation[0, 7:] = 0.25, 0.375
     for name in (
         "pid",
+        "ramped_pid",
         "cross_coupled",
         "relative_coupling",
         "virtual_leader",

@@ -1,4 +1,4 @@
-"""The PID law of the paper's eq. (12) and the controller that runs one on each motor.
+"""The PID law of the paper's eq. (12) and the controllers that run one on each motor.
 
 Sampled as usual in practice: the integral by backward differences, the derivative through a first-order
 filter (`filter_rate` N, 100 1/s assumed since the paper gives none), and no further integration into a
@@ -7,12 +7,15 @@ limit (conditional integration, which needs no parameter of its own), be it of t
 
 from __future__ import annotations
 
+from math import inf
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hydro_env.controllers.base import FRACTION_PER_V, OUTLET, RPM, Controller, Floats, Gain, Measurements
 
-__all__ = ["KP", "TABLE_III", "TI", "Pid", "PidController", "per_rpm"]
+__all__ = ["KP", "TABLE_III", "TI", "Pid", "PidController", "RampedPid", "per_rpm"]
 
 TABLE_III = {"Kp": (0.016, 0.023), "Ti": (0.156, 0.150), "Td": (0.005, 0.0)}
 """The paper's gains of valves V1 and V2: V/rpm, s, s."""
@@ -20,6 +23,7 @@ TABLE_III = {"Kp": (0.016, 0.023), "Ti": (0.156, 0.150), "Td": (0.005, 0.0)}
 KP = Gain("Kp", "V/rpm", 0.01, 0.4, summary="proportional gain")
 TI = Gain("Ti", "s", 0.01, 1.0, summary="integral time")
 TD = Gain("Td", "s", 1e-4, 0.06, summary="derivative time")
+RAMP = Gain("ramp", "rpm/s", 1000.0, 30000.0, summary="how fast the set-point is followed", default=inf)
 
 
 def per_rpm(gain: ArrayLike) -> Floats:
@@ -81,7 +85,7 @@ class Pid:
 class PidController(Controller):
     """A PID on each motor's speed, which knows nothing of the other motor: the paper's own control concept."""
 
-    GAINS = (KP, TI, TD, *OUTLET)
+    GAINS: ClassVar[tuple[Gain, ...]] = (KP, TI, TD, *OUTLET)
 
     def start(self, measured: Measurements) -> None:
         self._pid = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"], self.gains["Td"])
@@ -89,3 +93,20 @@ class PidController(Controller):
 
     def command(self, measured: Measurements) -> Floats:
         return self._pid.step(measured.setpoint[:, None] - measured.speed, limits=self.limits)
+
+
+class RampedPid(PidController):
+    """The same on a set-point that changes no faster than `ramp`, as drives are usually set: neither motor is asked for
+    more than its valve gives, and a step of the set-point does not have to be paid for with gains too low for loads.
+    """
+
+    GAINS = (*PidController.GAINS, RAMP)
+
+    def start(self, measured: Measurements) -> None:
+        super().start(measured)
+        self._reference = np.mean(measured.speed, axis=1)
+
+    def command(self, measured: Measurements) -> Floats:
+        most = np.ravel(self.gains["ramp"]) * RPM * self.period
+        self._reference = self._reference + np.clip(measured.setpoint - self._reference, -most, most)
+        return self._pid.step(self._reference[:, None] - measured.speed, limits=self.limits)

@@ -19,7 +19,7 @@ from hydro_env.controllers.coupled import CrossCoupled, MasterSlave, RelativeCou
 from hydro_env.controllers.gains import read_gains
 from hydro_env.controllers.observer import DisturbanceObserver
 from hydro_env.controllers.oracle import Oracle
-from hydro_env.controllers.pid import TABLE_III, PidController
+from hydro_env.controllers.pid import TABLE_III, PidController, RampedPid
 from hydro_env.controllers.probing import ProbingFlow
 from hydro_env.errors import InputError
 
@@ -29,6 +29,7 @@ HERE = Path(__file__).parent
 
 LAWS: dict[str, type[Controller]] = {
     "pid": PidController,
+    "ramped_pid": RampedPid,
     "cross_coupled": CrossCoupled,
     "relative_coupling": RelativeCoupled,
     "virtual_leader": VirtualLeader,
@@ -89,7 +90,7 @@ CONTROLLERS: dict[str, Entry] = {
         Entry(
             "probing_flow", "probes the valves at rest, then learns on", lambda: ProbingFlow("probing_flow")
         ),
-        _tuned("servo_pid", "PID on the same motors behind servo valves", plant="servo"),
+        _tuned("servo_pid", "PID behind a ramp, on the same motors behind servo valves", plant="servo"),
         _tuned("oracle", "told everything but the set-point to come: model-predictive"),
         _policy("ppo", "neural policy trained with PPO"),
         _policy("ppo_calm", "the same on a slower reference: less difference, more tracking error"),

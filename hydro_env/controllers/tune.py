@@ -78,8 +78,8 @@ COMMON: dict[str, Task] = {
     "disturbance_observer": Task("disturbance_observer"),
     "compensated": Task("compensated"),
     "adaptive_flow": Task("adaptive_flow"),
-    # With them the reference would trade its lead in the difference for calmer valves.
-    "servo_pid": Task("pid", plant="servo", mismatch=None, calm=False),
+    # With them the reference would trade its lead in the difference for calmer valves and loads that part the motors.
+    "servo_pid": Task("ramped_pid", plant="servo", mismatch=None, calm=False),
 }
 """The controllers that are tuned with the common budget, by the name they ship under."""
 
