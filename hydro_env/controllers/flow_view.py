@@ -24,16 +24,27 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import dataclass, replace
-from math import cos, pi, sqrt
+from math import cos, pi
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.controllers.flow_law import (
+    BOTH,
+    FRAME,
+    NOMINAL,
+    OWN,
+    SPEED,
+    SPOOL_RATE,
+    Tuning,
+    describe,
+    steer,
+    think,
+)
 from hydro_env.controllers.sensor_check import MOST_DELAY, DelayEstimate, SensorCheck
 from hydro_env.controllers.valve_estimate import FLOWING, NOISE, LoadEstimate, SpoolModel, ValveEstimate
 from hydro_env.envs.observation import Measurements, decode
-from hydro_env.plant import PARAMETERS
 from hydro_env.units import RPM
 
 __all__ = ["FlowView"]
@@ -41,10 +52,8 @@ __all__ = ["FlowView"]
 Floats = NDArray[np.floating[Any]]
 Rows = NDArray[Any] | slice
 
-NOMINAL = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
 RATED_TRAVEL = NOMINAL["alpha"] * NOMINAL["u_rated"] / (NOMINAL["R"] * NOMINAL["k"])
 RATED_FLOW = NOMINAL["Kq"] * RATED_TRAVEL
-SPOOL_RATE = sqrt(NOMINAL["k"] / NOMINAL["m"])
 FRICTION = NOMINAL["Fs"] / (NOMINAL["k"] * RATED_TRAVEL)
 """Friction of the nominal spool as a share of the rated command."""
 
@@ -93,7 +102,6 @@ class Motor:
         return speed + (span * (1.0 - 0.5 * self.rate * TUNED_PERIOD))[:, None] * rate
 
 
-SPEED, PRESSURE = 600.0 * RPM, 10e5  # scales of the inputs
 TUNED_PERIOD = 0.01
 """The control period that rates and gains were tuned at, s."""
 AT_REST = 5.0 * RPM
@@ -102,9 +110,6 @@ PAUSE = 0.15  # s between two answers to sudden loads
 LEAK_NOISE = NOMINAL["Km"] * 0.05e5 / RATED_FLOW
 TURN_NOISE = NOMINAL["D"] * 1.0 * RPM / RATED_FLOW
 """Usual noise of the measured flow that comes from the pressure and from the speed."""
-SIGNS = np.array([1.0, -1.0])
-OWN, BOTH, FRAME = 24, 12, 3
-"""Numbers of inputs: of each channel, of the rig, and of each remembered sample."""
 
 
 class FlowView:
@@ -227,6 +232,7 @@ class FlowView:
         # weights a, 1 - 2 a, a have no response at the mode's angle per sample if 2 a cos(angle) + 1 - 2 a = 0
         self._spacing = max(1, round(2.0 * pi / 3.0 / SPOOL_RATE / period))
         self._outer = min(0.5 / (1.0 - cos(min(SPOOL_RATE * period * self._spacing, pi))), 0.4)
+        self._tuning = self._numbers()
         self.sent, self.asked = np.zeros(pair), np.zeros((2 * self._spacing, *pair))
         self.flow: Floats = np.zeros(pair)
         self.wanted = np.zeros(pair)
@@ -242,15 +248,26 @@ class FlowView:
         self.bolting, self.pausing = np.zeros(n), np.zeros(n, int)
         self._pressure = np.zeros(pair)
         self.past = np.zeros((self.frames, n, 2, FRAME))
-        # of the inputs seen last: flow that the law asks for, effect of the outputs, set-point, mean load
-        self._law, self._effect, self._setpoint, self._load = (
-            np.zeros(pair),
-            np.zeros(n),
-            np.zeros(n),
-            np.zeros(n),
-        )
+        # of the inputs seen last: flow that the law asks for, effect of the outputs, set-point
+        self._law, self._effect, self._setpoint = np.zeros(pair), np.zeros(n), np.zeros(n)
         self._apart, self._behind = np.zeros(pair), np.zeros(n)
         return self.restart(np.arange(n), observation)
+
+    def _numbers(self) -> Tuning:
+        motor, period = self.motor, self.period
+        spans = np.array([period, self.lead * TUNED_PERIOD])
+        shares = 1.0 - np.exp(-motor.mode * spans) if motor.mode else spans * (1.0 - 0.5 * motor.rate * TUNED_PERIOD)
+        whole = int(self.delay / period)
+        return Tuning(
+            period=period, per_speed=motor.per_speed, per_torque=motor.per_torque,
+            per_acceleration=motor.per_acceleration, coasting=motor.rate, rate=self.rate, growth=self._growth,
+            fall=self.fall, doubt=self.doubt, most=self.most, known=self.known, jump=self._jump, bolt=self.bolt,
+            pause=round(PAUSE / period), mode=bool(motor.mode), share_period=float(shares[0]), share_lead=float(shares[1]),
+            whole=whole, part=self.delay / period - whole, track=self.track, couple=self.couple,
+            feedback=self._feedback, late=self.late, calm=self.calm, reach=self.reach, shift=self.shift,
+            blend=self.blend, creep=self._creep_pace * period, pulse=self.pulse, pulse_samples=self._pulse_samples,
+            spacing=self._spacing, outer=self._outer,
+        )  # fmt: skip
 
     def restart(self, rows: Rows, observation: Floats) -> Floats:
         seen = decode(np.asarray(observation))
@@ -271,13 +288,21 @@ class FlowView:
         self.direction[rows], self.crossing[rows], self.crept[rows] = 0.0, False, 0.0
         self.probing[rows], self.sides[rows], self.swept[rows] = self.probe > 0.0, 0, SWEEP_FROM
         self.pulsed[rows], self.bolting[rows], self.pausing[rows] = 0, 0.0, 0
-        self._load[rows], self._setpoint[rows] = 0.0, seen.setpoint
+        self._setpoint[rows] = seen.setpoint
         self._law[rows], self._effect[rows] = self.motor.per_speed * seen.speed, self.calm
         self._apart[rows], self._behind[rows] = 0.0, 0.0
         self.past[:, rows] = self._frame(seen)
         return self._inputs(seen, rows).reshape(-1, self.num_features)
 
     def see(self, observation: Floats) -> Floats:
+        seen = self.take_in(observation)
+        inputs = self._inputs(seen, slice(None))
+        if self.frames:
+            self.past = np.concatenate([self._frame(seen)[None], self.past[:-1]])
+        return inputs.reshape(-1, self.num_features)
+
+    def take_in(self, observation: Floats) -> Measurements:
+        """What `see` does without a network's inputs; the measurements with speeds to go by."""
         seen = decode(np.asarray(observation))
         self._sent = np.concatenate([self.sent[None], self._sent[:-1]])
         self._wanted = np.concatenate([self.wanted[None], self._wanted[:-1]])
@@ -289,10 +314,7 @@ class FlowView:
         self.valves.learn(self.spool, self.flow, self.noisier)
         self.loads.step(seen.speed, _shaft_torque(seen), self.sensors.noise, self.sensors.unsound)
         self._think(seen)
-        inputs = self._inputs(seen, slice(None))
-        if self.frames:
-            self.past = np.concatenate([self._frame(seen)[None], self.past[:-1]])
-        return inputs.reshape(-1, self.num_features)
+        return seen
 
     def _flow(self, seen: Measurements) -> Floats:
         return self.motor.flow(seen, (seen.pressure - self._pressure) / self.period)
@@ -336,39 +358,16 @@ class FlowView:
     # ---- the law --------------------------------------------------------------------------------------------------
     def _think(self, seen: Measurements) -> None:
         """Everything that is decided before the network's outputs are known."""
-        self._setpoint, self._load = seen.setpoint, np.mean(self.loads.torque, axis=1)
+        self._setpoint = seen.setpoint
         self._probe()
-        motors = np.mean(seen.speed, axis=1)
-        asked = self._move_reference(motors)
-        self._watch_direction(asked)
-        unequal = np.abs(self.loads.miss[:, 0] - self.loads.miss[:, 1])
-        jump = self._jump * np.max(self.sensors.noise, axis=1)
-        sudden = np.clip((unequal - 2.0 * jump) / jump, 0.0, 1.0)
-        self.bolting = self.bolt * np.where((self.pausing <= 0) & ~self.probing, sudden, 0.0)
-        self.pausing = np.where(self.bolting > 0.0, round(PAUSE / self.period), self.pausing - 1)
-
-        # speed difference one period ahead, under the flows asked for last
-        torque = self.loads.torque
-        ahead: Floats = seen.speed
-        late = self.delays.periods
-        for more in range(int(np.max(late)) + 1):
-            flow = self._delayed(self._wanted, more)
-            # whole periods until the last command comes into effect, then what the spool takes
-            span = np.where(more < late, self.period, np.where(more == late, self.lead * TUNED_PERIOD, 0.0))
-            ahead = self.motor.ahead(ahead, flow, torque, span)
-        apart = 0.5 * (ahead - ahead[:, ::-1])
-        behind = self._reference_then() - motors
-        correction = self.track * behind[:, None] - self.couple * apart
-        feedback = self._feedback / (1.0 + self.late * late)
-        acceleration = self.acceleration[:, None] + feedback[:, None] * correction
-        self._law = (
-            self.motor.per_speed * self.speed[:, None]
-            + self.motor.per_acceleration * acceleration
-            + self.motor.per_torque * torque
-        )
-        self._apart, self._behind = apart, behind
-        worst = np.max(np.abs(seen.setpoint[:, None] - seen.speed), axis=1) / (100.0 * RPM)
-        self._effect = np.where(self.probing, 1.0, self.calm + (1.0 - self.calm) * np.minimum(worst, 1.0))
+        valves, loads = self.valves, self.loads
+        think(
+            self._tuning, np.ascontiguousarray(seen.setpoint), np.ascontiguousarray(seen.speed), loads.torque, loads.miss,
+            self.sensors.noise, self.delays.periods, self._wanted, valves.gain, valves.edge, valves.unknown,
+            valves.nearest, valves.gain_variance, valves.edge_variance, self.probing, self.quick, self.speed,
+            self.acceleration, self.before, self.direction, self.crossing, self.crept, self.bolting, self.pausing,
+            self._law, self._apart, self._behind, self._effect,
+        )  # fmt: skip
 
     def _probe(self) -> None:
         """Sweeps go on; a spool at whose motor flow shows turns to the other side; pulses when both are done."""
@@ -389,52 +388,6 @@ class FlowView:
     def _pulse_samples(self) -> int:
         return round(self.pulse_time / self.period) if self.pulse > 0.0 else 0
 
-    def _move_reference(self, motors: Floats) -> Floats:
-        """One period of the reference; returns the flow it asks for, (num_rigs,)."""
-        valves, load = self.valves, self.motor.per_torque * self._load
-        held = self.motor.per_speed * self.speed + load
-        now = held + self.motor.per_acceleration * self.acceleration
-        most = self.most * np.min(valves.capacity(), axis=1)
-        unsure = np.sqrt(np.max(valves.gain_variance, axis=1)) / 0.12
-        growth = self._growth * self.quick / (1.0 + self.doubt * unsure)
-        target = held + self.motor.per_acceleration * self.rate * self.quick * (self._setpoint - self.speed)
-        upward = np.where(now >= 0.0, growth, self.fall * growth)
-        downward = np.where(now <= 0.0, growth, self.fall * growth)
-        flow = np.clip(np.clip(target, now - downward, now + upward), -most[:, 1], most[:, 0])
-        acceleration = (flow - held) / self.motor.per_acceleration
-        waits = self.crossing | self.probing
-        coasting = np.where(self.probing, 0.0, -self.motor.rate * motors - self._load / NOMINAL["J"])
-        self.acceleration = np.where(waits, coasting, acceleration)
-        self.speed = np.where(waits, motors, self.speed + self.period * acceleration)
-        self.before = np.concatenate([self.speed[None], self.before[:-1]])
-        self.before = np.where(waits, motors, self.before)
-        asked: Floats = self.motor.per_speed * self.speed + load + self.motor.per_acceleration * acceleration
-        return asked
-
-    def _reference_then(self) -> Floats:
-        """The reference `delay` ago."""
-        whole = int(self.delay / self.period)
-        share = self.delay / self.period - whole
-        rows, at = np.arange(len(self.speed)), whole + self.delays.periods
-        then: Floats = (1.0 - share) * self.before[at, rows] + share * self.before[at + 1, rows]
-        return then
-
-    def _watch_direction(self, asked: Floats) -> None:
-        """Begins a crossing where the flow asked for changes its direction and an edge there is unknown."""
-        sign = np.sign(asked)
-        turns = (np.abs(asked) > 2.0 * FLOWING) & (sign != self.direction) & ~self.probing
-        self.direction = np.where(turns, sign, self.direction)
-        edge, deviation = self._facing(self.valves.edge), self._facing(self.valves.edge_deviation)
-        begin = np.where(
-            self._facing(self.valves.unknown), self._facing(self.valves.nearest), edge - 2.0 * deviation
-        )
-        self.crept = np.where(turns[:, None], begin, self.crept)
-        self.crossing = np.where(turns, np.any(deviation > self.known, axis=1), self.crossing)
-
-    def _facing(self, values: NDArray[Any]) -> NDArray[Any]:
-        """The values (num_rigs, 2, 2) of the direction each rig is to flow in, (num_rigs, 2)."""
-        return np.where(self.direction[:, None] < 0.0, values[..., 1], values[..., 0])
-
     # ---- inputs and outputs ---------------------------------------------------------------------------------------
     def _frame(self, seen: Measurements) -> Floats:
         """What is remembered of every sample, (rigs, 2, FRAME): error, being ahead of the other, flow."""
@@ -446,87 +399,30 @@ class FlowView:
 
     def _inputs(self, seen: Measurements, rows: Rows) -> NDArray[np.float32]:
         """The network's inputs for some rigs and what they measure, (rigs, 2, num_features)."""
-        valves = self.valves
-        error = seen.setpoint[:, None] - seen.speed
-        apart = seen.speed - seen.speed[:, ::-1]
-        sent, position = self.sent[rows], self.spool.position[rows]
-        deviation = np.minimum(valves.edge_deviation[rows], 0.1)
-        own = np.stack(
-            [
-                error / SPEED, np.clip(error / (60.0 * RPM), -1.0, 1.0), 2.0 * self.motor.flow(seen), seen.pressure / PRESSURE,
-                sent, position, self.spool.speed[rows] / SPOOL_RATE, self.asked[-1, rows], self.asked[0, rows],
-                2.0 * self._law[rows], 2.0 * self.wanted[rows], self.loads.torque[rows], self.loads.miss[rows],
-                4.0 * valves.edge[rows, :, 0], 4.0 * valves.edge[rows, :, 1], valves.gain[rows],
-                10.0 * deviation[..., 0], 10.0 * deviation[..., 1], 8.0 * np.sqrt(valves.gain_variance[rows]),
-                valves.unknown[rows, :, 0], valves.unknown[rows, :, 1], 20.0 * valves.surprise[rows],
-                4.0 * self.crept[rows], seen.speed / SPEED,
-            ],
-            axis=-1,
+        valves, loads = self.valves, self.loads
+        index = np.arange(len(self.sent))[rows]
+        inputs = np.empty((len(index), 2, self.num_features), np.float32)
+        describe(
+            inputs, index, *(np.ascontiguousarray(each) for each in (seen.setpoint, seen.speed, seen.pressure)),
+            self.motor.flow(seen), self.sent, self.spool.position, self.spool.speed, self.asked, self._law, self.wanted,
+            loads.torque, loads.miss, valves.edge, valves.gain, valves.edge_variance, valves.gain_variance,
+            valves.unknown, valves.surprise, self.crept, self.speed, self.acceleration, self._behind, self.direction,
+            self.crossing, self.probing, self._effect, self._apart, self.past,
         )  # fmt: skip
-        rig = np.stack(
-            [
-                seen.setpoint / SPEED, self.speed[rows] / SPEED, self.acceleration[rows] / (20.0 * SPEED),
-                (seen.setpoint - self.speed[rows]) / SPEED, self._behind[rows] / (60.0 * RPM), self.direction[rows],
-                self.crossing[rows], self.probing[rows], self._effect[rows],
-            ],
-            axis=-1,
-        )  # fmt: skip
-        pair = np.stack(
-            [
-                np.clip(apart / (60.0 * RPM), -1.0, 1.0), np.clip(apart / (10.0 * RPM), -1.0, 1.0),
-                np.clip(self._apart[rows] / (10.0 * RPM), -1.0, 1.0),
-            ],
-            axis=-1,
-        )  # fmt: skip
-        shared = np.broadcast_to(rig[:, None], (len(rig), 2, rig.shape[-1]))
-        inputs = [own, own[:, ::-1], shared, pair, *self.past[:, rows]]
-        return np.clip(np.concatenate(inputs, axis=-1), -5.0, 5.0).astype(np.float32)
+        return inputs
 
     def command(self, outputs: Floats) -> Floats:
         given = self._effect[:, None, None] * np.asarray(outputs, dtype=float).reshape(
             -1, 2, self.num_actions
         )
         self.quick = np.exp(self.pace * np.mean(given[..., 2], axis=1))
-        flow = self._law + self.reach * given[..., 0]
-        # one valve at its limit: both give way, so that they stay together
-        capacity = np.where(flow < 0.0, self.valves.capacity()[..., 1], self.valves.capacity()[..., 0])
-        excess = np.max(np.maximum(np.abs(flow) - capacity, 0.0), axis=1, keepdims=True)
-        flow = flow - np.sign(flow) * excess
-        asked = self.valves.command(flow, self.blend)
-        asked, free = self._creep(asked)
-        asked, open_loop = self._probing_command(asked)
-        self.wanted = np.where((free & ~open_loop)[:, None], flow, 0.0)
-        asked = np.clip(asked + self.shift * given[..., 1], -1.0, 1.0)
-        middle = self.asked[self._spacing]
-        smooth = self._outer * (asked + self.asked[0]) + (1.0 - 2.0 * self._outer) * middle
-        bolting = self.bolting[:, None]
-        kept = self.asked[1:]
-        self.asked = np.concatenate([kept + bolting * (asked - kept), asked[None]])
-        self.sent = np.clip(smooth + bolting * (asked - smooth), -1.0, 1.0)
+        valves = self.valves
+        steer(
+            self._tuning, given, self._law, self.flow, self.noisier, valves.gain, valves.edge, valves.edge_variance,
+            self.direction, self.crossing, self.crept, self.probing, self.sides, self.swept, self.pulsed, self.bolting,
+            self.asked, self.wanted, self.sent,
+        )  # fmt: skip
         return self.sent.copy()
-
-    def _creep(self, asked: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Commands of the rigs that look for an edge on the way; and which rigs do not, (num_rigs,)."""
-        sign = self.direction[:, None]
-        edge, deviation = self._facing(self.valves.edge), self._facing(self.valves.edge_deviation)
-        # an edge too far away: no flow is seen, a sick sensor
-        there = (sign * self.flow > FLOWING * self.noisier) | (deviation < self.known) | (self.crept > 0.6)
-        self.crept = np.where(there, self.crept, self.crept + self._creep_pace * self.period)
-        self.crossing = self.crossing & ~np.all(there, axis=1)
-        creeping = sign * np.where(there, edge + FLOWING / self.valves.gain, self.crept)
-        return np.where(self.crossing[:, None], creeping, asked), ~self.crossing
-
-    def _probing_command(self, asked: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-        """Commands of the rigs that probe; and which rigs do."""
-        if not self.probing.any():
-            return asked, self.probing
-        samples = self._pulse_samples
-        level = np.where(self.pulsed <= samples, 1.0, np.where(self.pulsed <= 2 * samples, -1.0, 0.0))
-        level = self.pulse * np.where(self.pulsed > 0, level, 0.0)
-        pulses = self.valves.command(np.broadcast_to(level[:, None], asked.shape), self.blend)
-        sweeps = np.where(self.sides == 0, 1.0, -1.0) * self.swept
-        probing = np.where(self.sides < 2, sweeps, pulses)
-        return np.where(self.probing[:, None], probing, asked), self.probing
 
 
 def _shaft_torque(seen: Measurements) -> Floats:

@@ -52,7 +52,7 @@ class ProbingFlow(Controller):
                 f"{self.name} was reset for {self._num_rigs} rigs, got {len(observation)} observations"
             )
         if self._started:
-            self._view.see(observation)
+            self._view.take_in(observation)
         else:
             self._view.start(observation, self.period)
             self._started = True
