@@ -35,7 +35,7 @@ _WORDS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("command", ("cmd", "command", "u", "volt", "voltage", "spannung", "stell", "stellgroesse", "valve", "ventil", "drive")),
     ("current", ("i", "current", "strom", "coil", "amp", "ampere")),
     ("spool", ("spool", "schieber", "xv", "lvdt")),
-    ("load", ("load", "torque", "moment", "last", "lastmoment", "force", "kraft")),
+    ("load", ("load", "torque", "moment", "last", "lastmoment", "drehmoment", "m", "tau", "force", "kraft")),
     ("flow", ("flow", "q", "durchfluss", "volumenstrom")),
     ("pressure", ("p", "pressure", "druck", "dp", "pl", "pa", "pb", "differenzdruck")),
     ("speed", ("speed", "rpm", "n", "vel", "velocity", "drehzahl", "omega", "w", "v", "xdot", "geschwindigkeit")),
