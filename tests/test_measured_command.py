@@ -44,7 +44,11 @@ def _drive(seed: int, rows: int) -> np.ndarray:
 def _log(seed: int, rows: int = 5000, load_Nm: np.ndarray | None = None) -> Columns:
     command = _drive(seed, rows)
     out = simulate(
-        load_model("paper_dead_zone"), command, load_Nm, 1e-3, record=("current", "pressure", "measured_speed")
+        load_model("paper_dead_zone"),
+        command,
+        load_Nm,
+        1e-3,
+        record=("current", "pressure", "measured_speed"),
     )
     rng = np.random.default_rng(seed)
     columns: Columns = {"time_s": np.round(np.arange(rows) * 1e-3, 6)}
@@ -245,7 +249,12 @@ def test_a_load_of_the_other_sign(tmp_path: Path) -> None:
     for columns in (fit, sealed):
         columns["load_1_Nm"], columns["load_2_Nm"] = load[:, 0], -load[:, 1]
     status, text = _hydro_env(
-        "diagnose", _save(tmp_path / "fit.csv", fit), "--sealed", _save(tmp_path / "sealed.csv", sealed), "--out", tmp_path
+        "diagnose",
+        _save(tmp_path / "fit.csv", fit),
+        "--sealed",
+        _save(tmp_path / "sealed.csv", sealed),
+        "--out",
+        tmp_path,
     )
     assert status == 2 and "the shaft of channel 2 turns as if its load had the other sign" in text, text
     assert "`sign: -1` for the load" in text and "channel 1" not in text

@@ -47,6 +47,10 @@ from .words import plain
 __all__ = ["Diagnosis", "diagnose", "run"]
 
 
+#: Fit logs that are shorter in all than this, s, say little.
+SHORT = 4.0
+
+
 @dataclass
 class Diagnosis:
     """Everything that was found; `data` is the content of diagnosis.json."""
@@ -263,6 +267,17 @@ def _warnings(
         # How a file is written matters least, so it is said last.
         ordered = sorted(part.log.findings, key=lambda f: f.code in SPELLING)
         found += [f"{part.log.name}: {f.text}" for f in ordered]
+    lasts = sum(len(p.log) * p.log.period for p in parts)
+    if lasts < SHORT:
+        found.insert(0, f"the fit logs last {lasts:.2g} s in all: too short to part effects from each other")
+    for key, entry in proof.gap.items():
+        if entry["after"] > 1.1 * entry["before"] and entry["after"] > 1.3 * entry["noise"]:
+            worse = f"{entry['after']:.3g}, {entry['before']:.3g} before"
+            found.insert(
+                0,
+                f"{key}: the sealed logs are explained worse than by the model as given ({worse}); the fit logs say too "
+                "little about what the sealed ones show",
+            )
     found += [f"{text} ends at the edge of its plausible range" for text in at_bounds(final)]
     for key, entry in proof.gap.items():
         if entry["after"] > 1.02 * entry["calibrated"] and entry["after"] > 1.2 * entry["noise"]:

@@ -44,7 +44,18 @@ from ..units import RPM
 from .command import diagnose
 from .hide import Practice, make_practice
 
-__all__ = ["BARS", "GROUPS", "Case", "cases", "method", "practice_logs", "run_case", "run_trials", "summary", "table"]
+__all__ = [
+    "BARS",
+    "GROUPS",
+    "Case",
+    "cases",
+    "method",
+    "practice_logs",
+    "run_case",
+    "run_trials",
+    "summary",
+    "table",
+]
 
 SCHEMA = "hydro_env/trials/3"
 #: Modules of the diagnosis that tell and judge, but find nothing.
@@ -80,13 +91,19 @@ EMPTY = 10
 BARS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
     ("right name or right declared set", "set", ("medium",), 0.95),
     ("right name", "right", ("medium",), 0.0),
-    ("the same, or `calibration` where the effect is declared as one that calibration hides", "declared_set", ("medium",), 0.0),
+    (
+        "the same, or `calibration` where the effect is declared as one that calibration hides",
+        "declared_set",
+        ("medium",),
+        0.0,
+    ),
     ("right channel", "channel", ("medium",), 0.95),
     ("an effect named though there is none (at most)", "alarm", ("nothing", "parameters"), 0.02),
     ("`unknown` where the effect is not among the candidates", "right", ("unlisted",), 0.90),
     ("`unknown`, or what is declared not to be told apart from it", "open", ("unlisted",), 0.0),
     ("both of two effects", "both", ("two",), 0.85),
     ("sealed speed within 1.3 times the noise", "sealed", ("medium",), 0.90),
+    ("the same with the named effects alone, no correction of their form", "sealed_named", ("medium",), 0.0),
     ("sealed speed within 1.3 times what the true values leave", "sealed_form", ("medium",), 0.0),
     ("the placebo wins (at most)", "placebo", ("medium", "two"), 0.0),
 )
@@ -131,7 +148,9 @@ def cases(groups: Sequence[str], seed: int, empty: int = EMPTY) -> list[Case]:
 
 def method() -> str:
     """Hash of the sources that find and judge nothing else: rows with the same one ran on the same method."""
-    sources = sorted(p for p in Path(__file__).parent.glob("*.py") if p.name not in _TELLING)
+    here = Path(__file__).parent
+    sources = sorted(p for p in here.glob("*.py") if p.name not in _TELLING)
+    sources += sorted((here.parent / "plant").glob("*.py"))
     return hashlib.sha256(b"".join(p.read_bytes() for p in sources)).hexdigest()[:10]
 
 
@@ -177,9 +196,7 @@ def run_case(
         files = [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
         without = tuple(h["name"] for h in truth["effects"]) if case.unlisted else ()
         begin, cpu = time.perf_counter(), time.process_time()
-        data = diagnose(
-            files[:2], files[2:], model=folder / "model.yaml", without=without, jobs=jobs
-        ).data
+        data = diagnose(files[:2], files[2:], model=folder / "model.yaml", without=without, jobs=jobs).data
         seconds, cpu_s = time.perf_counter() - begin, time.process_time() - cpu
     sizes = {
         f"{h['name']}.{n}": p["value"]
@@ -194,6 +211,7 @@ def run_case(
     return {
         **row, "visible": all(v is not False for v in visible), "seconds": round(seconds, 1), "cpu_s": round(cpu_s, 1),
         "gap": data["gap"]["sealed"], "effects": data["effects"], "method": method(),
+        "corrections": [[k["correction"], k["channel"]] for k in data.get("shape_corrections", [])],
         "tried": [[t["effect"], t["channel"], t["gain"], t["needed"], t["fate"]] for t in tried],
     }  # fmt: skip
 
@@ -238,6 +256,7 @@ def judge(
         "alarm": bool(named) and not truth,
         "both": word == "effects" and truth <= tied,
         "sealed": all(v["after"] <= 1.3 * v["noise"] for v in speeds.values()),
+        "sealed_named": all(v.get("named", v["after"]) <= 1.3 * v["noise"] for v in speeds.values()),
         "sealed_form": all(v["after"] <= 1.3 * least[k] for k, v in speeds.items()),
         "placebo": score["placebo"] < score["after"] - 0.05,
         "worst": max((v["after"] / v["noise"] for v in speeds.values()), default=math.nan),
@@ -339,7 +358,11 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
             )
     methods = [r.get("method", "?") for r in rows]
     if len(set(methods)) > 1:
-        lines += ["", "Ran on different states of the method: " + ", ".join(f"{m} ({methods.count(m)})" for m in set(methods))]
+        lines += [
+            "",
+            "Ran on different states of the method: "
+            + ", ".join(f"{m} ({methods.count(m)})" for m in set(methods)),
+        ]
     wrong = [r for r in rows if not r["right"]]
     lines += [
         "",
@@ -370,7 +393,12 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         "",
         "Rightly named, but the sealed speed stays above 1.3 times the noise (in brackets what the true values in the "
         "catalogue's form leave): "
-        + ("; ".join(f"{', '.join(r['hidden'])} ({r['group']}) {r['worst']:.2f} ({r['form']:.2f})" for r in rough) or "none")
+        + (
+            "; ".join(
+                f"{', '.join(r['hidden'])} ({r['group']}) {r['worst']:.2f} ({r['form']:.2f})" for r in rough
+            )
+            or "none"
+        )
         + ".",
     ]
     return "\n".join([f"Made by {command}; {len(rows)} trials.", "", *lines, ""])

@@ -116,7 +116,11 @@ def _spikes(
             continue
         back = abs(values[after] - values[before]) < 0.25 * off[start]
         quick = signal == "speed" and log.period <= _SPIKE_PERIOD
-        if back and off[start] > 10.0 * around[start] and (quick or _command_near(log, channel, start, 20) < 0.05):
+        if (
+            back
+            and off[start] > 10.0 * around[start]
+            and (quick or _command_near(log, channel, start, 20) < 0.05)
+        ):
             bad[start:after] = True
     if bad.any():
         first = int(np.flatnonzero(bad)[0])
