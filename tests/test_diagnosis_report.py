@@ -74,7 +74,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
 def test_the_terminal_says_it_all_in_about_twenty_lines(found: Diagnosis) -> None:
     text = terminal_text(found)
     lines = text.splitlines()
-    assert len(lines) <= 22
+    assert len(lines) <= 20
     assert lines[0] == "verdict: effects"
     assert "spool overlap (dead zone) on channel 1" in lines[1] and "the noise is" in lines[1]
     for word in (
@@ -87,6 +87,23 @@ def test_the_terminal_says_it_all_in_about_twenty_lines(found: Diagnosis) -> Non
         "warning:",
     ):
         assert word in text, word
+
+
+def test_a_crowded_summary_stays_within_twenty_lines(found: Diagnosis) -> None:
+    entry = dict(found.data["gap"]["sealed"]["speed_1_rpm"])
+    gap = dict.fromkeys(
+        ("speed_1_rpm", "current_1_A", "pressure_1_bar", "speed_2_rpm", "current_2_A", "flow_2_lpm"), entry
+    )
+    crowded = dataclasses.replace(
+        found,
+        named=4 * found.named,
+        warnings=[f"w{n}" for n in range(7)],
+        data={**found.data, "gap": {"sealed": gap}},
+    )
+    lines = terminal_text(crowded).splitlines()
+    assert (
+        len(lines) <= 20 and "warning: w0" in terminal_text(crowded) and " more in the report" in lines[-1]
+    )
 
 
 def test_the_page_has_every_part_and_needs_no_network(found: Diagnosis) -> None:

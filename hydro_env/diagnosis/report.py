@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["report_page", "sentence", "terminal_text"]
 
+#: Lines of a summary in the terminal, at most.
+LINES = 20
 #: Points of a trace in a picture.
 POINTS = 900
 #: A signal is at the noise if its error is less than this factor above it.
@@ -205,7 +207,8 @@ def terminal_text(found: Diagnosis) -> str:
             f"{name} {value}" + (f" = {share}" if share else "") for name, value, share in _values(found, n)
         )
         lines.append(f"  {n.name}, {words.where(n.channel)}, probability {n.probability:.2f}: {values}")
-    lines += [f"  where: {_place_text(found, p)}" for p in _shown_places(found)[:2]]
+    places = [f"  where: {_place_text(found, p)}" for p in _shown_places(found)[:2]]
+    lines += places
     if data["verdict"] == "unknown":
         for place in [p for p in data["where"] if _has_gap(found.fit, int(p["channel"]) - 1)][:1]:
             form = place["shape"]
@@ -228,10 +231,15 @@ def terminal_text(found: Diagnosis) -> str:
     lines += _tried_line(found) + _calibrated_line(found) + _hidden_line(found)
     if data["next_experiment"]:
         lines.append(f"  next experiment: {data['next_experiment']['description']}")
-    most = 3 if len(found.warnings) <= 3 else 2
-    lines += [f"  warning: {text}" for text in found.warnings[:most]]
-    if len(found.warnings) > most:
-        lines.append(f"  warning: {len(found.warnings) - most} more in the report")
+    # What a full screen can spare first: the second place, then what was rejected, then known parameters.
+    spare = [*_calibrated_line(found), *_tried_line(found), *places[1:]]
+    while len(lines) > LINES - min(2, len(found.warnings)) and spare:
+        lines.remove(spare.pop())
+    most = min(3, max(1, LINES - len(lines)))
+    shown = found.warnings if len(found.warnings) <= most else found.warnings[: max(1, most - 1)]
+    lines += [f"  warning: {text}" for text in shown]
+    if len(found.warnings) > len(shown):
+        lines.append(f"  warning: {len(found.warnings) - len(shown)} more in the report")
     return "\n".join(lines)
 
 
@@ -489,7 +497,14 @@ def _parameters(found: Diagnosis) -> list[dict[str, Any]]:
     rows = []
     for name, p in found.data["calibrated"].items():
         said = words.known(name, p["value"], found.machine.model)
-        rows.append({"name": name, "said": said, **p, "change": p["value"] / p["nominal"] - 1.0 if p["nominal"] else 0.0})
+        rows.append(
+            {
+                "name": name,
+                "said": said,
+                **p,
+                "change": p["value"] / p["nominal"] - 1.0 if p["nominal"] else 0.0,
+            }
+        )
     return rows
 
 
