@@ -16,7 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, parameter_of, preset_names
+from hydro_env.plant.losses import FAMILY as LOSSES
 from hydro_env.plant.model import sources_of
+from hydro_env.plant.shapes import CORRECTIONS, follows
+from hydro_env.plant.shapes import FAMILY as SHAPES
 
 HERE = Path(__file__).parent
 
@@ -95,10 +98,26 @@ def effects() -> str:
     return _table(["effect", "port", "what it is", "how it shows", "parameters", "source"], rows)
 
 
+def shapes() -> str:
+    """Corrections of form, which are no candidates."""
+    rows = []
+    for effect in (e for e in CATALOGUE.values() if e.family == SHAPES):
+        of = [f"`{name}`" for name, own in CORRECTIONS.items() if effect.name in own]
+        repeated = {
+            n.split(".")[1]
+            for name, own in CORRECTIONS.items()
+            if effect.name in own
+            for n in follows(effect.name, name)
+        }
+        numbers = [f"`{p.name}`" for p in effect.parameters if p.name not in repeated]
+        rows.append([f"`{effect.name}`", effect.port, effect.summary, ", ".join(numbers), ", ".join(of)])
+    return _table(["correction", "port", "what it is", "numbers", "of"], rows)
+
+
 def losses() -> str:
     rows = []
     for effect in CATALOGUE.values():
-        if not effect.family:
+        if effect.family != LOSSES:
             continue
         for number, p in enumerate(effect.parameters):
             shown = "" if p.unit == "1" else p.unit
@@ -223,6 +242,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "preset_values": preset_values,
     "effects": effects,
     "losses": losses,
+    "shapes": shapes,
     "scores": scores,
     "speed": speed,
     "error": error,

@@ -15,7 +15,7 @@ from hydro_env.diagnosis.parts import read_parts
 from hydro_env.diagnosis.result import Named
 from hydro_env.diagnosis.select import Selection, Trial
 from hydro_env.diagnosis.unknowns import base_unknown, effect_unknowns, starts
-from hydro_env.plant import CATALOGUE, PARAMETERS, load_model
+from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, load_model
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_the_model_as_given_explains_a_rig_without_surprise(fit_log: Path) -> No
     assert np.sqrt(np.mean(error**2)) == pytest.approx(np.pi / 30.0, rel=0.1)  # the noise of 1 rpm
 
 
-@pytest.mark.parametrize("name", CATALOGUE)
+@pytest.mark.parametrize("name", BUILT_IN)
 def test_every_effect_has_sensible_starts(name: str) -> None:
     effect = CATALOGUE[name]
     rows = starts(effect, 12.0)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hydro_env.plant import CATALOGUE, Plant, load_model, simulate
+from hydro_env.plant import BUILT_IN, CATALOGUE, Plant, load_model, simulate
 from hydro_env.plant.reference import run_closed_loop, simulate_reference
 from tests.test_reference import PaperPID
 
@@ -88,20 +88,20 @@ def strongest():
         levels[n] = np.where(np.isnan(levels[n]), levels[n - 1], levels[n])
     load = np.repeat(rng.uniform(-1.0, 1.0, (6, 2)), 10, axis=0)
     command, load = np.repeat(levels, 5, axis=0), np.repeat(load, 5, axis=0)
-    plant = Plant("paper", len(CATALOGUE), effects=CATALOGUE)
-    for row, effect in enumerate(CATALOGUE.values()):
-        plant.set_values(_strong(effect), rows=[row])
+    plant = Plant("paper", len(BUILT_IN), effects=BUILT_IN)
+    for row, name in enumerate(BUILT_IN):
+        plant.set_values(_strong(CATALOGUE[name]), rows=[row])
     plant.reset()
     return command, load, plant.run(command, load, 0.002, ("speed", "measured_speed"))
 
 
 @pytest.mark.parametrize(
-    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in CATALOGUE]
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in BUILT_IN]
 )
 def test_each_effect_at_its_strongest(name, strongest):
     command, load, kernel = strongest
     model = load_model("paper").with_values(_strong(CATALOGUE[name]))
     truth = simulate_reference(model, command, load, 0.002, tolerance=1e-8)
-    row = list(CATALOGUE).index(name)
+    row = BUILT_IN.index(name)
     error = max(np.abs(kernel[signal][:, row] - truth[signal]).max() for signal in kernel) / RPM
     assert error < 0.1

@@ -27,7 +27,7 @@ from .machine import Machine
 from .motor import MotorRig
 from .parts import Part, overlap, read_parts
 from .plausible import implausible, stop_if_sure
-from .prove import Proof, prove
+from .prove import MODELS, NAMED, Proof, prove
 from .result import (
     Named,
     at_bounds,
@@ -38,7 +38,8 @@ from .result import (
     named_effects,
     verdict,
 )
-from .select import Selection, select
+from .select import Selection, penalty_per_number, select
+from .shape import Corrected, corrected_all, placebo_too
 from .signatures import Look, absorb, first_look, hidden_by_calibration
 from .steady_valve import SteadyValve
 from .where import Place, locate
@@ -121,24 +122,40 @@ def _workflow(
     word = verdict(machine, given, calibrated, selection, floors)
     say("locating the gap")
     places = locate(machine, calibrated) if word not in ("none", "calibration") else []
-    say("proof on sealed logs")
     final = given if word == "none" else selection.problems
-    models = {
-        "before": given,
-        "calibrated": calibrated,
-        "after": final,
-        "placebo": {**calibrated, **selection.placebo},
-    }
+    wrong = selection.placebo
+    corrections: list[Corrected] = []
+    if word == "effects":
+        say("correcting the form of what is named")
+        machine.exact = True
+        final, corrections = corrected_all(
+            machine, selection.problems, selection.named(), floors, penalty_per_number(machine)
+        )
+        wrong = placebo_too(machine, wrong, corrections, floors)
+        machine.exact = False
+    say("proof on sealed logs")
+    models = {"before": given, "calibrated": calibrated, "after": final, "placebo": {**calibrated, **wrong}}
+    if corrections:
+        models[NAMED] = selection.problems
     fit_proof = prove(machine, models)
-    sealed_proof = prove(machine.with_parts(proofs, True), models)
+    sealed_machine = machine.with_parts(proofs, True)
+    sealed_proof = prove(sealed_machine, models)
 
     refuted = word == "effects" and not confirmed(machine, selection, sealed_proof)
     if refuted:
+        # What is not vouched for is not corrected either.
+        final, corrections = selection.problems, []
+        models = {
+            **{n: models[n] for n in MODELS},
+            "after": final,
+            "placebo": {**calibrated, **selection.placebo},
+        }
+        fit_proof, sealed_proof = prove(machine, models), prove(sealed_machine, models)
         word = "unknown"
         places = places or locate(machine, calibrated)
     say("how sure")
-    make_sure(machine, [*selection.problems.values(), *calibrated.values()], floors, seed)
-    named = named_effects(machine, selection, looks, floors, seed)
+    make_sure(machine, [*final.values(), *selection.problems.values(), *calibrated.values()], floors, seed)
+    named = named_effects(machine, selection, looks, floors, seed, final)
     warnings = [*(f.text for f in odd), *_warnings(machine, parts, proofs, final, sealed_proof)]
     hidden = hidden_by_calibration(looks)
     if hidden and word in ("none", "calibration"):
@@ -153,7 +170,7 @@ def _workflow(
     hashes = {Path(str(p.label).split("@")[0]).name: p.log.sha256 for p in (*parts, *proofs)}
     data = diagnosis_dict(
         machine, word, named, places, final if word != "none" else calibrated, fit_proof, sealed_proof, looks, selection,
-        time.perf_counter() - begin, hashes, warnings,
+        corrections, time.perf_counter() - begin, hashes, warnings,
     )  # fmt: skip
     improved = (
         given_model if word == "none" else estimated_model(machine, final, f"{given_model.name} diagnosed")

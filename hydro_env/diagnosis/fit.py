@@ -36,6 +36,7 @@ __all__ = [
     "rms",
     "saved_by_stretch",
     "solve",
+    "stretch_costs",
 ]
 
 Vector = np.ndarray
@@ -54,7 +55,8 @@ class Problem:
     """Unknowns of a channel (or of the whole rig: None) and the estimate so far.
 
     `simulated` holds, by channel, the samples at `q`; `columns` their derivatives (n, number of unknowns) where they were
-    last computed; `spread` the standard deviations of q.
+    last computed; `spread` the standard deviations of q. `follow` holds parameters that are not estimated but repeat
+    another one of the problem, by name, or a number.
     """
 
     channel: int | None
@@ -66,19 +68,27 @@ class Problem:
     spread: Vector | None = None
     cost: float = np.inf
     certainty: Certainty | None = None
+    follow: dict[str, str | float] = field(default_factory=dict)
 
     def request(self, q: Vector | None = None) -> Request:
         """The simulation at q (default: at the estimate)."""
         q = self.q if q is None else q
         if self.channel is not None:
-            return Request(self.channel, {u.name: u.value(v) for u, v in zip(self.unknowns, q, strict=True)})
+            values = {u.name: u.value(v) for u, v in zip(self.unknowns, q, strict=True)}
+            return Request(self.channel, self._with_followers(values))
         pairs: dict[str, list[float]] = {}
         for u, v in zip(self.unknowns, q, strict=True):
             value = u.value(v)
             pair = pairs.setdefault(u.name, [value, value])
             for c in (0, 1) if u.channel is None else (u.channel,):
                 pair[c] = value
-        return Request(None, {name: (pair[0], pair[1]) for name, pair in pairs.items()})
+        sides = [self._with_followers({name: pair[c] for name, pair in pairs.items()}) for c in (0, 1)]
+        return Request(None, {name: (sides[0][name], sides[1][name]) for name in sides[0]})
+
+    def _with_followers(self, values: dict[str, float]) -> dict[str, float]:
+        for name, source in self.follow.items():
+            values[name] = values[source] if isinstance(source, str) else source
+        return values
 
     @property
     def bounds(self) -> tuple[Vector, Vector]:
@@ -87,11 +97,8 @@ class Problem:
 
     def values(self, channel: int) -> dict[str, float]:
         """The estimated values that act on a channel, by name."""
-        return {
-            u.name: u.value(v)
-            for u, v in zip(self.unknowns, self.q, strict=True)
-            if u.channel in (None, channel)
-        }
+        own = zip(self.unknowns, self.q, strict=True)
+        return self._with_followers({u.name: u.value(v) for u, v in own if u.channel in (None, channel)})
 
     def effects(self) -> list[str]:
         return list(dict.fromkeys(u.name.split(".", 1)[0] for u in self.unknowns if "." in u.name))
@@ -380,6 +387,17 @@ def saved_by_stretch(
         for n, value in enumerate(counts * np.log(powers[0] / powers[1])):
             found[s.log, n] = found.get((s.log, n), 0.0) + float(value)
     return min(shares, default=1.0) * np.array([found[key] for key in sorted(found)])
+
+
+def stretch_costs(
+    machine: Machine, problem: Problem, channel: int, floors: Floors, stretch_s: float
+) -> Vector:
+    """The cost, without priors, of a channel's logs in stretches of time (m,)."""
+    found: dict[tuple[int, int], float] = {}
+    for s, first, count, power in _powers(machine, problem.simulated[channel], channel, floors):
+        for n, value in zip(_stretches(s, stretch_s)[first], count * np.log(power), strict=True):
+            found[s.log, n] = found.get((s.log, n), 0.0) + float(value)
+    return np.array([found[key] for key in sorted(found)])
 
 
 def gain(

@@ -69,6 +69,7 @@ class Machine(Protocol):
     notes: list[str]
     own: dict[str, Parameter]
     quick: bool
+    exact: bool
 
     def base(self, channel: int) -> list[str]:
         """Names of the parameters that calibration may adjust."""

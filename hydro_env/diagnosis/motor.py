@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, load_effects, loaded_files, simulate
+from ..plant.shapes import FAMILY
 from .machine import Request, Segment, measured_segments
 from .parts import Part
 
@@ -57,6 +58,8 @@ class MotorRig:
         names = [*PARAMETERS, *(f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters)]
         self._unequal = {name for name in names if model.value(name, 0) != model.value(name, 1)}
         self.quick = False
+        #: Whether a kernel holds the effects that are asked for and no others: for the last refits, which are many of few.
+        self.exact = False
         self.notes: list[str] = []
         self.own: dict[str, Parameter] = {}
 
@@ -85,7 +88,8 @@ class MotorRig:
             if (both or e.name != "supply_droop")
             and e.name not in self.without
             and not self._present(e.name)
-            and (not getattr(e, "family", "") or e.name in self.model.declared)
+            and e.family != FAMILY
+            and (not e.family or e.name in self.model.declared)
         ]
 
     def _present(self, effect: str) -> bool:
@@ -130,9 +134,12 @@ class MotorRig:
 
     def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
         """The effects to compile in. There are four kernels in all, so that few are compiled and all candidates share them:
-        none; the light effects; all but those that tie the channels together; everything."""
+        none; the light effects; all but those that tie the channels together; everything. A correction of form belongs to few
+        effects and is simulated often: it comes with these alone."""
         if not effects:
             return ()
+        if self.exact or any(CATALOGUE[n].family == FAMILY for n in effects):
+            return tuple(n for n in CATALOGUE if n in effects)
         library = {*self.candidates(), *self.without, *effects}
         light = [n for n in CATALOGUE if n in library and _light(CATALOGUE[n])]
         if effects <= {*light}:

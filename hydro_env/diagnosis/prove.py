@@ -11,10 +11,12 @@ from .fit import Problem, channels_of
 from .machine import UNITS, Machine
 from .noise import noise_floor
 
-__all__ = ["MODELS", "Proof", "prove", "shown_unit"]
+__all__ = ["MODELS", "NAMED", "Proof", "prove", "shown_unit"]
 
-#: The models that are compared, in this order.
+#: The models that are always compared, in this order. Where the form of an effect was corrected there is `NAMED` besides: the
+#: named effects without that correction.
 MODELS = ("before", "calibrated", "after", "placebo")
+NAMED = "named"
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ def shown_unit(machine: Machine, signal: str, channel: int) -> tuple[str, float]
 def prove(machine: Machine, models: Mapping[str, Mapping[int, Problem]]) -> Proof:
     """Simulates every model freely from the logged commands and compares with all logs of `machine`."""
     traces: dict[str, dict[int, np.ndarray]] = {}
-    for name in MODELS:
+    for name in models:
         problems = list({id(p): p for p in models[name].values()}.values())
         found: dict[int, np.ndarray] = {}
         for problem, result in zip(problems, machine.predict([p.request() for p in problems]), strict=True):
@@ -51,7 +53,7 @@ def prove(machine: Machine, models: Mapping[str, Mapping[int, Problem]]) -> Proo
         for signal in signals:
             unit, size = shown_unit(machine, signal, channel)
             entry = {"noise": _noise(machine, traces, channel, signal) / size}
-            for name in MODELS:
+            for name in models:
                 errors = [
                     (s.measured - traces[name][channel][s.place])[s.used]
                     for s in machine.segments[channel]

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..plant import CATALOGUE
 from . import words
-from .prove import Proof, shown_unit
+from .prove import NAMED, Proof, shown_unit
 
 if TYPE_CHECKING:
     from .command import Diagnosis
@@ -196,6 +196,33 @@ def _values(found: Diagnosis, n: Named) -> list[tuple[str, str, str]]:
     ]
 
 
+def _columns(found: Diagnosis) -> list[tuple[str, str, int]]:
+    """(model, heading, width) of the table of errors; where a form was corrected, the names alone have a column."""
+    plain = [(model, model, width) for model, width in _TABLE]
+    return [*plain[:3], (NAMED, "names only", 12), *plain[3:]] if found.data["shape_corrections"] else plain
+
+
+def correction_texts(found: Diagnosis) -> list[str]:
+    """What each shape correction is and how large, in a line."""
+    texts = []
+    for k in found.data["shape_corrections"]:
+        key = max(
+            (n for n in k["changes"] if n.startswith("speed")), key=lambda n: k["changes"][n], default=""
+        )
+        name, _, unit = words.signal(key) if key else ("", "", "")
+        values = "; ".join(
+            f"{words.plain(own)} {words.interval(p)}" for own, p in list(k["parameters"].items())[:2]
+        )
+        more = f" and {len(k['parameters']) - 2} more numbers" if len(k["parameters"]) > 2 else ""
+        size = (
+            f"; it moves the {name} by {k['changes'][key]:.2g} {unit} RMS on the sealed logs" if key else ""
+        )
+        texts.append(
+            f"{k['what']}, {words.where(k['channel'])} (for {words.title(k['effect'])}): {values}{more}{size}"
+        )
+    return texts
+
+
 def terminal_text(found: Diagnosis) -> str:
     """About twenty lines: what the page says, shorter."""
     data = found.data
@@ -216,7 +243,9 @@ def terminal_text(found: Diagnosis) -> str:
                 f"  its shape: a curve over {form['over']} holds {100 * form['explains']:.0f} % of the error, "
                 f"{100 * form['with_direction']:.0f} % rising and falling apart"
             )
-    heads = "".join(f"{model:>{width}}" for model, width in _TABLE)
+    lines += [f"  shape correction, not physics: {text}" for text in correction_texts(found)]
+    columns = _columns(found)
+    heads = "".join(f"{heading:>{width}}" for _, heading, width in columns)
     lines.append(f"  {'sealed logs, RMS error':<29}{heads}")
     quiet = []
     for key, e in data["gap"]["sealed"].items():
@@ -224,7 +253,7 @@ def terminal_text(found: Diagnosis) -> str:
         if max(e["before"], e["calibrated"], e["after"]) < AT_NOISE * e["noise"]:
             quiet.append(f"{name} {channel}")
             continue
-        row = "".join(f"{e[model]:{width}.3g}" for model, width in _TABLE)
+        row = "".join(f"{e.get(model, e['after']):{width}.3g}" for model, _, width in columns)
         lines.append(f"    {f'{name} {channel}, {unit}':<27}{row}")
     if quiet:
         lines.append(f"    at the noise with every model: {', '.join(quiet)}")
@@ -307,6 +336,7 @@ def report_page(found: Diagnosis) -> str:
         files("hydro_env.diagnosis").joinpath("report.html"),
         title="Diagnosis of a hydraulic rig", verdict=found.data["verdict"], sentence=sentence(found), data=found.data,
         left=[text for text in (left_over(found), weak_proof(found)) if text],
+        corrections=correction_texts(found), columns=_columns(found),
         head=(*words.signal(key), entry), traces=_traces(found), bars=_bars(found), ranking=_ranking(found),
         parameters=_parameters(found), detectable=_detectable(found), maps=_maps(found),
         named=[(n, _values(found, n)) for n in found.named], warnings=found.warnings, words=words,
@@ -448,12 +478,17 @@ def _bars(found: Diagnosis) -> Any:
     gap = found.data["gap"]["sealed"]
     drawing, axes = figure(1, height=0.45 * len(gap) + 1.2)
     axis = axes[0]
-    names = ("before", "calibrated", "placebo", "after")
-    colours = dict(zip(names, (COLOURS[1], COLOURS[5], COLOURS[3], COLOURS[0]), strict=True))
+    formed = bool(found.data["shape_corrections"])
+    names = ("before", "calibrated", "placebo", *((NAMED,) if formed else ()), "after")
+    said = {NAMED: "names only", "after": "after, with shape correction" if formed else "after"}
+    colours = {
+        "before": COLOURS[1], "calibrated": COLOURS[5], "placebo": COLOURS[3], NAMED: COLOURS[2], "after": COLOURS[0],
+    }  # fmt: skip
+    step = 0.8 / len(names)
     rows = np.arange(len(gap))[::-1]
     for n, name in enumerate(names):
         values = [max(e[name] / max(e["noise"], 1e-30), 1e-3) for e in gap.values()]
-        axis.barh(rows + 0.3 - 0.2 * n, values, 0.18, color=colours[name], label=name)
+        axis.barh(rows + 0.3 - step * n, values, 0.9 * step, color=colours[name], label=said.get(name, name))
     axis.axvline(1.0, color=COLOURS[4], linewidth=2.0)
     axis.set_xscale("log")
     largest = max(e[name] / max(e["noise"], 1e-30) for e in gap.values() for name in names)
@@ -462,7 +497,7 @@ def _bars(found: Diagnosis) -> Any:
     axis.xaxis.set_minor_formatter(lambda value, _: "")
     axis.set_yticks(rows, [" ".join(words.signal(k)[:2]) for k in gap])
     axis.set_xlabel("RMS error over noise (1: nothing left to explain)")
-    axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
+    axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(names), frameon=False)
     return svg(drawing, "errors of the models in noise units")
 
 

@@ -14,8 +14,9 @@ from .certainty import Certainty, certainty, chance
 from .experiments import next_experiment
 from .fit import Floors, Problem, gain, levels, rms
 from .machine import Machine
-from .prove import Proof
+from .prove import NAMED, Proof, shown_unit
 from .select import Choice, Selection
+from .shape import Corrected, changes, is_correction
 from .signatures import Look, alike, detectable, hidden_by_calibration
 from .where import Place
 
@@ -130,16 +131,23 @@ def confirmed(machine: Machine, selection: Selection, sealed: Proof) -> bool:
         for key, entry in sealed.gap.items():
             if key.split("_")[1] == str(c + 1) and entry["calibrated"] > 1.3 * entry["noise"]:
                 excess = entry["calibrated"] ** 2 - entry["noise"] ** 2
-                shares.append((entry["calibrated"] ** 2 - entry["after"] ** 2) / excess)
+                # A correction of form proves nothing of the name.
+                after = entry.get(NAMED, entry["after"])
+                shares.append((entry["calibrated"] ** 2 - after**2) / excess)
         if shares and max(shares) < CONFIRMED:
             return False
     return True
 
 
 def named_effects(
-    machine: Machine, selection: Selection, looks: Sequence[Look], floors: Floors, seed: int = 0
-) -> list[Named]:
-    """The effects with probability, rivals, values and 95 % intervals; equal ones on both channels become "both"."""
+    machine: Machine, selection: Selection, looks: Sequence[Look], floors: Floors, seed: int = 0,
+    final: dict[int, Problem] | None = None,
+) -> list[Named]:  # fmt: skip
+    """The effects with probability, rivals, values and 95 % intervals; equal ones on both channels become "both".
+
+    Values are those of `final` (default: of the selection), where forms may be corrected; nothing else depends on that.
+    """
+    final = selection.problems if final is None else final
     same = alike(looks)
     found = []
     for choice in selection.choices:
@@ -167,7 +175,7 @@ def named_effects(
                 key,
                 round(likely / weight, 3),
                 rivals,
-                _parameters(selection.problems[c], choice.effect),
+                _parameters(final[c], choice.effect, c),
             )
         )
     return _merged(found)
@@ -212,10 +220,10 @@ def _tied(selection: Selection, choice: Choice, name: str) -> bool:
     return any(t.gain > 0.9 * choice.gain for t in tried)
 
 
-def _parameters(problem: Problem, effect: str) -> dict[str, dict[str, Any]]:
+def _parameters(problem: Problem, effect: str, channel: int) -> dict[str, dict[str, Any]]:
     out = {}
     for j, u in enumerate(problem.unknowns):
-        if u.name.startswith(f"{effect}."):
+        if u.name.startswith(f"{effect}.") and u.channel in (None, channel):
             out[u.name.split(".", 1)[1]] = _interval(problem, j)
     return out
 
@@ -263,7 +271,7 @@ def at_bounds(problems: dict[int, Problem]) -> list[str]:
                 u.channel in (None, c)
                 and u.at_bound(float(q))
                 and u.high > u.low
-                and not ("." in u.name and q == 0.0)
+                and not ("." in u.name and (q == 0.0 or is_correction(u.name.split(".")[0])))
             ):
                 found.append(f"{u.name} of channel {c + 1} ({u.value(float(q)):.3g} {u.unit})")
     return found
@@ -287,9 +295,13 @@ def estimated_model(machine: Machine, problems: dict[int, Problem], name: str) -
 
 def diagnosis_dict(
     machine: Machine, word: str, named: list[Named], places: list[Place], calibrated: dict[int, Problem], fit: Proof,
-    sealed: Proof, looks: Sequence[Look], selection: Selection, seconds: float, hashes: dict[str, str], warnings: list[str],
+    sealed: Proof, looks: Sequence[Look], selection: Selection, corrections: Sequence[Corrected], seconds: float,
+    hashes: dict[str, str], warnings: list[str],
 ) -> dict[str, Any]:  # fmt: skip
-    """The content of diagnosis.json; `trials`, `warnings` and `hidden_by_calibration` go beyond the contract."""
+    """The content of diagnosis.json; `trials`, `warnings`, `hidden_by_calibration`, `shape_corrections` go beyond the contract.
+
+    Where there are shape corrections, "after" is the model with them, "named" in `gap` the one with the effects alone.
+    """
     visible = detectable(looks, machine)
     return {
         "schema": SCHEMA,
@@ -298,6 +310,7 @@ def diagnosis_dict(
         "where": [p.as_dict() for p in places],
         "calibrated": calibrated_values(machine, calibrated),
         "gap": {"sealed": sealed.gap, "fit": fit.gap},
+        "shape_corrections": [_correction(machine, sealed.machine, calibrated, k) for k in corrections],
         "next_experiment": next_experiment(named, machine, selection),
         "detectable": visible,
         "hidden_by_calibration": hidden_by_calibration(looks),
@@ -312,6 +325,24 @@ def diagnosis_dict(
             for t in selection.trials
         ],
         "warnings": warnings,
+    }  # fmt: skip
+
+
+def _correction(
+    machine: Machine, sealed: Machine, final: dict[int, Problem], kept: Corrected
+) -> dict[str, Any]:
+    """A shape correction: what it corrects, its numbers, and how large it is, as RMS change of the signals on the sealed logs."""
+    channels = machine.channels if kept.channel is None else (kept.channel,)
+    size: dict[str, float] = {}
+    for c in channels:
+        for signal, value in changes(sealed, final[c], kept.correction, c).items():
+            unit, scale = shown_unit(sealed, signal, c)
+            size[f"{signal}_{c + 1}_{unit}"] = value / scale
+    return {
+        "effect": kept.effect, "correction": kept.correction, "what": CATALOGUE[kept.correction].summary,
+        "channel": "rig" if kept.channel is None else str(kept.channel + 1), "note": "shape correction, not physics",
+        "parameters": _parameters(final[channels[0]], kept.correction, channels[0]),
+        "changes": size, "fall": round(float(kept.fall), 1), "held_out": round(float(kept.held_out), 1),
     }  # fmt: skip
 
 

@@ -10,7 +10,7 @@ Ronceray 2025). Effects of the whole rig compete last, against what the channels
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,10 +18,11 @@ from ..plant import CATALOGUE
 from .fit import Floors, Problem, channels_of, differentiate, evaluate, gain, levels, solve
 from .machine import Machine
 from .noise import effective_samples
+from .shape import corrected
 from .signatures import Look, alike, first_look
 from .unknowns import bases_of, effect_unknowns, less_taken
 
-__all__ = ["Choice", "Selection", "Trial", "penalty", "select"]
+__all__ = ["Choice", "Selection", "Trial", "penalty", "penalty_per_number", "select"]
 
 #: Accepted chance of one superfluous effect.
 FALSE_ALARM = 0.01
@@ -79,11 +80,23 @@ class Selection:
     trials: list[Trial]
     placebo: dict[int, Problem]
 
+    def named(self) -> dict[int | None, list[str]]:
+        """The effects that were taken by channel, None for those of the whole rig."""
+        found: dict[int | None, list[str]] = {}
+        for choice in self.choices:
+            found.setdefault(choice.channel, []).append(choice.effect)
+        return found
+
+
+def penalty_per_number(machine: Machine) -> float:
+    """Fall of the deviance that every parameter of an effect must pay for."""
+    library = sum(len(CATALOGUE[name].parameters) for name in machine.candidates()) * len(machine.channels)
+    return float(2.0 * np.log(max(library, 2) / FALSE_ALARM))
+
 
 def penalty(machine: Machine, effect: str) -> float:
     """Fall of the deviance that the effect's parameters must pay for."""
-    library = sum(len(CATALOGUE[name].parameters) for name in machine.candidates()) * len(machine.channels)
-    return 2.0 * np.log(max(library, 2) / FALSE_ALARM) * len(CATALOGUE[effect].parameters)
+    return penalty_per_number(machine) * len(CATALOGUE[effect].parameters)
 
 
 def extended(problem: Problem, look: Look) -> Problem:
@@ -96,7 +109,7 @@ def extended(problem: Problem, look: Look) -> Problem:
         for j, u in enumerate(problem.unknowns):
             if u.name in taken:
                 q[j] = np.clip(u.q(taken[u.name]), *u.bounds)
-    twin = Problem(problem.channel, unknowns, q, look.effect)
+    twin = Problem(problem.channel, unknowns, q, look.effect, follow=problem.follow)
     twin.columns = {c: np.hstack([m, np.zeros((m.shape[0], len(added)))]) for c, m in problem.columns.items()}
     return twin
 
@@ -106,7 +119,8 @@ def joined(problems: dict[int, Problem]) -> Problem:
     first = next(iter(problems.values()))
     if first.channel is None:
         return first
-    unknowns = [u for p in problems.values() for u in p.unknowns]
+    # What a channel's problem estimates is that channel's own, also beside the other one.
+    unknowns = [replace(u, channel=c) for c, p in problems.items() for u in p.unknowns]
     q = np.concatenate([p.q for p in problems.values()])
     whole = Problem(None, unknowns, q, "rig", simulated={c: p.simulated[c] for c, p in problems.items()})
     place = 0
@@ -228,6 +242,10 @@ def _round(
         for place, (look, problem) in enumerate(own_best):
             found, needed = gain(machine, present[c], problem, floors), penalty(machine, look.effect)
             fate = _verdict(machine, present[c], problem, look, c, found, needed, floors)
+            before = [k.effect for k in choices if k.channel == c]
+            first = place == 0 and fate == "taken"
+            if first and before and _form_does(machine, present[c], before, look, problem, floors):
+                fate = "a correction of the form of what is named already does as well"
             if place == 0 and fate == "taken":
                 rivals = {
                     o.effect: max(
@@ -257,6 +275,31 @@ def _round(
     # The winners are taken as far as they go: what is left afterwards decides on further effects.
     solve(machine, [present[c] for c in taken], floors, SETTLE)
     return taken
+
+
+def _form_does(
+    machine: Machine, before: Problem, named: Sequence[str], look: Look, after: Problem, floors: Floors
+) -> bool:
+    """Whether a further effect only mends the form of those that are named already.
+
+    The effects `named` are corrected in their form (`shape`); the further one must then still pay.
+    """
+    formed, kept = corrected(machine, before, named, floors, penalty_per_number(machine), check=False)
+    if not kept:
+        return False
+    added = [u for u in after.unknowns if u.name.startswith(f"{look.effect}.")]
+    q = np.array([v for u, v in zip(after.unknowns, after.q, strict=True) if u in added])
+    both = Problem(
+        formed.channel,
+        [*formed.unknowns, *added],
+        np.concatenate([formed.q, q]),
+        look.effect,
+        follow=formed.follow,
+    )
+    solve(machine, [both], floors, AGAIN)
+    needed = penalty(machine, look.effect)
+    share = _share(machine, formed, both, channels_of(both, machine), floors)
+    return gain(machine, formed, both, floors) < needed or share < SHARE or _neutral(both, look.effect)
 
 
 def _worthwhile(present: Problem, ranked: Sequence[Problem], most: int) -> int:

@@ -67,6 +67,7 @@ class SteadyValve:
             ),
         }
         self.quick = True
+        self.exact = False
         self.notes: list[str] = [
             "steady-valve model: the flow gain as given is set by least squares on the fit logs, the lag stands for all dynamics"
         ]

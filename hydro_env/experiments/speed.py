@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from hydro_env.experiments.near_limit import measure_ratio
 from hydro_env.files import write_json
-from hydro_env.plant import CATALOGUE, Plant, load_model
+from hydro_env.plant import BUILT_IN, Plant, load_model
 from hydro_env.plant.model import SUBSTEP
 from hydro_env.units import RPM
 
@@ -160,7 +160,7 @@ def measure_effects(seconds: float = 1.0) -> dict[str, float]:
     return {
         "base_ns": cost(Plant("paper", 1024)),
         "dead_zone_ns": cost(Plant("paper_dead_zone", 1024)),
-        "all_neutral_ns": cost(Plant("paper", 1024, effects=CATALOGUE)),
+        "all_neutral_ns": cost(Plant("paper", 1024, effects=BUILT_IN)),
     }
 
 

@@ -947,3 +947,6 @@ from . import losses  # noqa: E402, F401
 
 #: The effects that ship with the package; any other one is a user's (see `register` and `effect_files`).
 BUILT_IN = tuple(CATALOGUE)
+
+# Corrections of form are effects of a model file as well, but none that a rig is known to have.
+from . import shapes  # noqa: E402, F401

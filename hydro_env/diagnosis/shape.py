@@ -1,0 +1,230 @@
+"""Corrections of form: what the law of a named effect leaves, put right at its own port. This is not physics.
+
+A rig's effect has another functional form than the catalogue's: a corner is rounded, a gain is no straight line, a lag has a
+second pole. Once an effect has its name, the corrections that belong to it (`plant.shapes`) are fitted jointly with its
+parameters and the base parameters. Each number of a correction has a prior about zero, and a correction stays only if the
+deviance of the fit logs falls by more than the penalty that a further effect would have to pay. It never names anything:
+effects are chosen without it, and where nothing is named there is nothing to correct.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..plant import CATALOGUE
+from ..plant.shapes import CORRECTIONS, FAMILY, follows
+from .fit import Floors, Problem, Vector, at_noise, channels_of, solve, stretch_costs
+from .machine import Machine
+from .restarts import begun_anew
+from .unknowns import Unknown
+
+__all__ = [
+    "Corrected",
+    "changes",
+    "corrected",
+    "corrected_all",
+    "held_out",
+    "is_correction",
+    "own_size",
+    "placebo_too",
+    "with_correction",
+]
+
+#: Iterations of a joint refit with a correction, and of the one that is kept.
+TRY, SETTLE, HALF = 4, 12, 3
+#: Length of the stretches that are fitted and left out in turn, s.
+STRETCH_S = 1.0
+#: Corrections of one effect at most.
+MOST = 2
+DEBUG = True
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """A correction that stayed: of which effect, on which channel (None: the rig), by how much the cost of the fit logs fell,
+    and by how much where it was not fitted (`held_out`)."""
+
+    effect: str
+    correction: str
+    channel: int | None
+    fall: float
+    held_out: float
+
+
+def is_correction(effect: str) -> bool:
+    """Whether an effect of the catalogue is a correction of form."""
+    return CATALOGUE[effect].family == FAMILY
+
+
+def own_size(correction: str, effect: str) -> int:
+    """How many numbers a correction of `effect` adds."""
+    return len(CATALOGUE[correction].parameters) - len(CORRECTIONS[effect][correction])
+
+
+def with_correction(problem: Problem, effect: str, correction: str) -> Problem:
+    """The problem with a correction of one of its effects more.
+
+    Numbers of either sign begin at zero, others at their usual size: a corner that is rounded ever less has no derivative.
+    """
+    # What a placebo does not have it does not repeat: that number of the correction stays neutral.
+    own = {u.name for u in problem.unknowns}
+    every = follows(correction, effect)
+    repeated = {
+        name: source for name, source in every.items() if not isinstance(source, str) or source in own
+    }
+    added = []
+    for p in CATALOGUE[correction].parameters:
+        name = f"{correction}.{p.name}"
+        if name in every:
+            continue
+        if p.log:
+            added.append(Unknown(name, p.unit, p.nominal, p.low, p.high, 0.7, True, True))
+        else:
+            # The prior is as wide as a correction usually is: ridge regression, in other words.
+            scale = 0.3 if p.typical is None or p.typical == p.nominal else abs(p.typical)
+            added.append(Unknown(name, p.unit, p.nominal, p.low, p.high, scale, False, True))
+    q = np.concatenate([problem.q, [1.0 if u.low == 0.0 and not u.log else 0.0 for u in added]])
+    label, follow = f"{problem.label} + {correction}", {**problem.follow, **repeated}
+    return Problem(problem.channel, [*problem.unknowns, *added], q, label, follow=follow)
+
+
+def corrected(
+    machine: Machine, problem: Problem, named: Sequence[str], floors: Floors, per_number: float, check: bool = True,
+) -> tuple[Problem, list[Corrected]]:  # fmt: skip
+    """The problem with those corrections of its effects `named` that pay for themselves; the problem itself if none does.
+
+    `per_number` is the fall of the cost that every number must pay for; with `check`, a correction must also help on
+    stretches of the fit logs that were left out (`held_out`).
+    """
+    kept: list[Corrected] = []
+    for _ in range(MOST):
+        if machine.quick or at_noise(machine, problem, floors):
+            break
+        tries = [
+            (effect, correction, with_correction(problem, effect, correction))
+            for effect in named
+            for correction in CORRECTIONS.get(effect, {})
+            if not any(k.correction == correction for k in kept)
+        ]
+        if not tries:
+            break
+        solve(machine, [p for _, _, p in tries], floors, TRY)
+        worth = [problem.cost - p.cost - per_number * own_size(k, e) for e, k, p in tries]
+        if DEBUG:
+            print(
+                "      ",
+                [
+                    (k, round(problem.cost - p.cost), round(w))
+                    for (_, k, p), w in zip(tries, worth, strict=True)
+                ],
+                flush=True,
+            )
+        effect, correction, best = tries[int(np.argmax(worth))]
+        if max(worth) <= 0.0:
+            break
+        sure = held_out(machine, problem, effect, correction, floors) if check else (np.inf, np.inf)
+        if DEBUG:
+            print("       held out", sure, flush=True)
+        # It must help in both halves, and in all pay for its numbers there too.
+        if min(sure) <= 0.0 or sum(sure) < per_number * own_size(correction, effect):
+            break
+        solve(machine, [best], floors, SETTLE)
+        kept.append(Corrected(effect, correction, problem.channel, problem.cost - best.cost, sum(sure)))
+        problem = best
+    return problem, kept
+
+
+def corrected_all(
+    machine: Machine, problems: dict[int, Problem], named: Mapping[int | None, Sequence[str]], floors: Floors, per_number: float
+) -> tuple[dict[int, Problem], list[Corrected]]:  # fmt: skip
+    """Every problem with the corrections of what is named there: `named` by channel, None for effects of the whole rig.
+
+    What is near the noise then is begun anew with other friction of the spool, as calibrated models are, for the same reason.
+    """
+    found: dict[int, Problem] = dict(problems)
+    every: list[Corrected] = []
+    for problem in {id(p): p for p in problems.values()}.values():
+        c = problem.channel
+        names = [n for channel, own in named.items() if c is None or channel == c for n in own]
+        if not names or machine.quick:
+            continue
+        better, kept = corrected(machine, problem, list(dict.fromkeys(names)), floors, per_number)
+        if better is problem:
+            better = replace(problem, q=problem.q.copy(), columns=dict(problem.columns))
+        solve(machine, begun_anew(machine, [better], floors), floors, SETTLE)
+        found.update(dict.fromkeys(channels_of(problem, machine), better))
+        every += kept
+    return found, every
+
+
+def placebo_too(
+    machine: Machine, placebo: dict[int, Problem], kept: Sequence[Corrected], floors: Floors
+) -> dict[int, Problem]:
+    """The placebos with as many corrections as the named effects of their channels have, untested: their own ones where there
+    are some, else the same."""
+    found = dict(placebo)
+    for c, problem in placebo.items():
+        for number, k in enumerate(k for k in kept if k.channel in (None, c)):
+            effects = [n for n in problem.effects() if not is_correction(n)]
+            own = [(n, name) for n in effects for name in CORRECTIONS.get(n, {})]
+            effect, name = own[number] if number < len(own) else (k.effect, k.correction)
+            if name in problem.effects() or CATALOGUE[name].scope == "rig":
+                continue
+            problem = with_correction(problem, effect, name)
+        if problem is not placebo[c]:
+            solve(machine, [problem], floors, TRY + SETTLE)
+            found[c] = problem
+    return found
+
+
+def changes(machine: Machine, problem: Problem, correction: str, channel: int) -> dict[str, float]:
+    """How large a correction is: RMS by which it changes every simulated signal of a channel, SI."""
+    with_it = problem.request()
+    values = {n: v for n, v in with_it.values.items() if not n.startswith(f"{correction}.")}
+    both = machine.predict([with_it, replace(with_it, values=values)])
+    change = both[0][channel] - both[1][channel]
+    found: dict[str, list[Vector]] = {}
+    for s in machine.segments[channel]:
+        found.setdefault(s.signal, []).append(change[s.place][s.used])
+    return {name: float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) for name, parts in found.items()}
+
+
+def held_out(
+    machine: Machine, problem: Problem, effect: str, correction: str, floors: Floors
+) -> tuple[float, float]:
+    """How far the cost falls by a correction where it was not fitted: the fall in each half of the fit logs.
+
+    Every second stretch of the fit logs is left out, everything is fitted to the others with and without the correction, and
+    both are compared on what was left out; then the other way round.
+    """
+    falls = []
+    for half in (0, 1):
+        seen, unseen = _half(machine, half), _half(machine, 1 - half)
+        without = replace(problem, q=problem.q.copy(), columns={}, certainty=None)
+        both = [without, with_correction(problem, effect, correction)]
+        solve(seen, both, floors, HALF)
+        bare, better = (
+            sum(stretch_costs(unseen, p, c, floors, STRETCH_S).sum() for c in channels_of(problem, machine))
+            for p in both
+        )
+        falls.append(float(bare - better))
+    return falls[0], falls[1]
+
+
+def _half(machine: Machine, half: int) -> Machine:
+    """The machine with every second stretch of its logs only; the simulations are the same."""
+    twin = copy(machine)
+    twin.segments = {
+        c: [
+            replace(
+                s, inside=s.inside & ((np.arange(s.rows.size) * s.period / STRETCH_S).astype(int) % 2 == half)
+            )
+            for s in segments
+        ]
+        for c, segments in machine.segments.items()
+    }
+    return twin

@@ -1,0 +1,107 @@
+"""Corrections of form: a rounded dead zone is mended, a right form is left alone, and without a name there is nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env.diagnosis.calibrate import base_unknowns, floors_from
+from hydro_env.diagnosis.fit import Floors, Problem, evaluate, rms, solve
+from hydro_env.diagnosis.hide import make_practice
+from hydro_env.diagnosis.machine import Request
+from hydro_env.diagnosis.motor import MotorRig
+from hydro_env.diagnosis.parts import read_parts
+from hydro_env.diagnosis.select import joined
+from hydro_env.diagnosis.shape import Corrected, corrected, corrected_all, placebo_too, with_correction
+from hydro_env.diagnosis.unknowns import effect_unknowns
+from hydro_env.plant import CATALOGUE, load_model
+
+PER_NUMBER = 18.0
+
+
+def _fitted(folder: Path, forms: str) -> tuple[MotorRig, Problem, Floors]:
+    """A rig with overlap on channel 1, whose corners are round or (forms "same") sharp, with the right effect fitted."""
+    sizes = {"overlap_positive": 1e-4, "overlap_negative": 7e-5}
+    practice = make_practice(
+        ["dead_zone:1"], values={f"dead_zone.{n}": v for n, v in sizes.items()}, duration=6.0, rate=500.0, seed=4,
+        runs=("fit_1",), forms=forms, noise=0.3,
+    )  # fmt: skip
+    practice.write(folder)
+    rig = MotorRig(load_model("paper"), read_parts([folder / "fit_1.csv"], None))
+    rig.channels = (0,)
+    unknowns = [*base_unknowns(rig, 0), *effect_unknowns(CATALOGUE["dead_zone"], sizes)]
+    problem = Problem(0, unknowns, np.zeros(len(unknowns)), "dead_zone")
+    evaluate(rig, [problem], {(0, s.signal): 1e-9 for s in rig.segments[0]})
+    floors = floors_from(rig, {0: problem})
+    evaluate(rig, [problem], floors)
+    solve(rig, [problem], floors, 6)
+    return rig, problem, floors
+
+
+def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None:
+    rig, problem, floors = _fitted(tmp_path, "different")
+    better, kept = corrected(rig, problem, ["dead_zone"], floors, PER_NUMBER)
+    assert "corner_shape" in [k.correction for k in kept] and better.cost < problem.cost
+    left = [
+        max(v / floors[0, s] for (_, s), v in rms(rig, p.simulated[0], 0).items()) for p in (problem, better)
+    ]
+    assert left[1] < left[0]
+    values = better.values(0)
+    assert 1e-6 < values["corner_shape.rounding"] < 3e-5
+    assert values["corner_shape.corner_positive"] == values["dead_zone.overlap_positive"]
+    assert values["dead_zone.overlap_positive"] == pytest.approx(1e-4, rel=0.05)
+
+
+def test_a_right_form_is_left_alone(tmp_path: Path) -> None:
+    rig, problem, floors = _fitted(tmp_path, "same")
+    better, kept = corrected(rig, problem, ["dead_zone"], floors, PER_NUMBER)
+    assert not kept and better is problem
+
+
+def _bare() -> Problem:
+    unknowns = effect_unknowns(CATALOGUE["dead_zone"], {"overlap_positive": 1e-4, "overlap_negative": 8e-5})
+    return Problem(0, unknowns, np.zeros(len(unknowns)), "dead_zone")
+
+
+class _Silent:
+    """A machine that must not be asked."""
+
+    quick = False
+    channels = (0, 1)
+
+    def predict(self, requests: list[Request]) -> list[dict[int, np.ndarray]]:
+        raise AssertionError("nothing is to be simulated")
+
+
+def test_without_a_name_nothing_is_corrected() -> None:
+    problems = {0: _bare()}
+    assert corrected_all(_Silent(), problems, {}, {}, PER_NUMBER) == (problems, [])  # type: ignore[arg-type]
+    assert placebo_too(_Silent(), problems, [], {}) == problems  # type: ignore[arg-type]
+
+
+def test_a_correction_repeats_what_it_corrects_and_a_placebo_does_not_have_it() -> None:
+    problem = with_correction(_bare(), "dead_zone", "corner_shape")
+    values = problem.request().values
+    assert values["corner_shape.corner_negative"] == values["dead_zone.overlap_negative"] == 8e-5
+    assert values["corner_shape.turn"] == 1.0 and "corner_shape.turn" not in [
+        u.name for u in problem.unknowns
+    ]
+    unknowns = effect_unknowns(CATALOGUE["load_bias"], {"bias": 0.1})
+    wrong = with_correction(Problem(0, unknowns, np.zeros(1)), "dead_zone", "corner_shape")
+    assert "corner_shape.corner_negative" not in wrong.request().values
+
+
+def test_channels_that_are_joined_keep_their_own_effects() -> None:
+    sizes = {"overlap_positive": 3e-5, "overlap_negative": 3e-5}
+    other = Problem(1, effect_unknowns(CATALOGUE["dead_zone"], sizes), np.zeros(2))
+    first = _bare()
+    first.simulated, other.simulated = {0: np.zeros(3)}, {1: np.zeros(3)}
+    values = joined({0: first, 1: other}).request().values
+    assert values["dead_zone.overlap_positive"] == (1e-4, 3e-5)
+
+
+def test_what_stayed_is_told() -> None:
+    kept = Corrected("dead_zone", "corner_shape", 0, 1200.0, 2.5)
+    assert kept.effect in CATALOGUE and kept.correction in CATALOGUE

@@ -1,0 +1,74 @@
+"""Corrections of form: absent bit for bit when neutral, what they do at their ports, and model files that carry them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env.plant import BUILT_IN, CATALOGUE, load_model, simulate
+from hydro_env.plant.shapes import CORRECTIONS, FAMILY, follows
+
+SHAPES = [e.name for e in CATALOGUE.values() if e.family == FAMILY]
+TIME = np.arange(1200) * 1e-3
+COMMAND = np.column_stack([40.0 * np.sin(9.0 * TIME), 25.0 * np.sign(np.sin(7.0 * TIME))])
+
+
+#: One kernel for all runs here: what is compiled in and neutral changes nothing.
+ALL = (*SHAPES, *CORRECTIONS)
+
+
+def _run(model: object, effects: tuple[str, ...] = ALL) -> dict[str, np.ndarray]:
+    record = ("speed", "pressure", "spool", "measured_speed")
+    return simulate(model, COMMAND, None, 1e-3, effects=effects, record=record)  # type: ignore[arg-type]
+
+
+def test_every_correction_is_absent_when_neutral() -> None:
+    bare, compiled_in = _run(load_model("paper"), ()), _run(load_model("paper"))
+    for signal, values in bare.items():
+        np.testing.assert_array_equal(values, compiled_in[signal])
+
+
+@pytest.mark.parametrize("effect", CORRECTIONS)
+def test_every_correction_of_an_effect_changes_what_it_leaves(effect: str) -> None:
+    sizes = {f"{effect}.{p.name}": p.typical for p in CATALOGUE[effect].parameters if p.typical is not None}
+    model = load_model("paper").with_values(sizes)
+    plain = _run(model)
+    for correction in CORRECTIONS[effect]:
+        repeated = follows(correction, effect)
+        values = {n: model.value(s, 0) if isinstance(s, str) else s for n, s in repeated.items()}
+        own = {
+            f"{correction}.{p.name}": p.typical
+            for p in CATALOGUE[correction].parameters
+            if f"{correction}.{p.name}" not in repeated
+        }
+        shaped = _run(model.with_values({**values, **own}))
+        assert not np.array_equal(plain["measured_speed"], shaped["measured_speed"])
+        assert np.sqrt(np.mean((plain["measured_speed"] - shaped["measured_speed"]) ** 2)) < 15.0
+        assert np.isfinite(shaped["measured_speed"]).all()
+
+
+def test_corrections_are_no_effects_that_a_rig_is_known_to_have() -> None:
+    assert not {*SHAPES} & {*BUILT_IN}
+    assert {name for each in CORRECTIONS.values() for name in each} == {*SHAPES}
+
+
+def test_a_rounded_corner_is_a_parabola_within_the_rounding() -> None:
+    law = CATALOGUE["corner_shape"].laws["opening"]
+    at = {"rounding": 1e-5, "turn": 1.0, "corner_positive": 1e-4, "corner_negative": 8e-5}
+    assert law(0.0, 1e-4, **at) == pytest.approx(2.5e-6)
+    assert law(0.0, -8e-5, **at) == pytest.approx(-2.5e-6)
+    assert law(0.0, 8.9e-5, **at) == law(0.0, 1.11e-4, **at) == law(0.0, 0.0, **at) == 0.0
+
+
+def test_a_model_file_carries_a_correction(tmp_path: Path) -> None:
+    values = {
+        "dead_zone.overlap_positive": (1e-4, 0.0), "corner_shape.corner_positive": (1e-4, 0.0),
+        "corner_shape.rounding": (1e-5, 0.0), "opening_shape.gain_3": (0.05, 0.0),
+    }  # fmt: skip
+    model = load_model("paper").with_values(values)
+    model.to_yaml(tmp_path / "model.yaml")
+    again = load_model(tmp_path / "model.yaml")
+    assert again.value("corner_shape.rounding", 0) == 1e-5 and again.value("opening_shape.gain_3", 0) == 0.05
+    np.testing.assert_array_equal(_run(model)["speed"], _run(again)["speed"])
