@@ -39,6 +39,9 @@ TEMPER = 0.1
 MOST, MOST_POWER = 0.5, 0.8
 #: Share of the power above the noise that they must explain on the sealed logs, or else the verdict is `unknown`.
 CONFIRMED = 0.25
+#: A signal of the sealed logs is spoilt by what was named if it is off by so many times what calibration alone leaves, and so
+#: many times the noise.
+SPOILT = 1.2, 3.0
 #: A gap (in `levels`, summed over the signals) that is too small to speak of something unknown.
 SMALL_LEVEL = 0.15
 #: Values of the two channels that differ by less (relative) are one effect of both.
@@ -124,15 +127,20 @@ def _mostly(machine: Machine, calibrated: dict[int, Problem], selection: Selecti
 def confirmed(machine: Machine, selection: Selection, sealed: Proof) -> bool:
     """Whether the named effects explain a share of what the calibrated model leaves of the sealed logs, where there is a gap.
 
-    The signal that they explain best counts, on every channel with an effect of its own.
+    The signal that they explain best counts, on every channel with an effect of its own. What mends one signal of a channel and
+    spoils another one does not confirm anything: the right effect does well by all of them.
     """
     for c in {k.channel for k in selection.choices if k.channel is not None}:
         shares = []
         for key, entry in sealed.gap.items():
-            if key.split("_")[1] == str(c + 1) and entry["calibrated"] > 1.3 * entry["noise"]:
+            if key.split("_")[1] != str(c + 1):
+                continue
+            # A correction of form proves nothing of the name.
+            after = entry.get(NAMED, entry["after"])
+            if after > SPOILT[0] * entry["calibrated"] and after > SPOILT[1] * entry["noise"]:
+                return False
+            if entry["calibrated"] > 1.3 * entry["noise"]:
                 excess = entry["calibrated"] ** 2 - entry["noise"] ** 2
-                # A correction of form proves nothing of the name.
-                after = entry.get(NAMED, entry["after"])
                 shares.append((entry["calibrated"] ** 2 - after**2) / excess)
         if shares and max(shares) < CONFIRMED:
             return False

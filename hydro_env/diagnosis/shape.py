@@ -150,12 +150,13 @@ def corrected_all(
     for problem in {id(p): p for p in problems.values()}.values():
         c = problem.channel
         names = [n for channel, own in named.items() if c is None or channel == c for n in own]
-        if not names or machine.quick:
+        if machine.quick or not named or at_noise(machine, problem, floors):
             continue
         better, kept = corrected(machine, problem, list(dict.fromkeys(names)), floors, per_number)
         if better is problem:
             better = replace(problem, q=problem.q.copy(), columns=dict(problem.columns))
-        solve(machine, begun_anew(machine, [better], floors), floors, SETTLE)
+        # Other draws than those with which calibration began.
+        solve(machine, begun_anew(machine, [better], floors, 1), floors, SETTLE)
         found.update(dict.fromkeys(channels_of(problem, machine), better))
         every += kept
     return found, every
