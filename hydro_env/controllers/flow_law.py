@@ -245,21 +245,38 @@ def describe(
                 row[at + 1] = min(max(error / (60.0 * RPM), -1.0), 1.0)
                 row[at + 2] = 2.0 * flow[k, c]
                 row[at + 3] = pressure[k, c] / PRESSURE
-                row[at + 4], row[at + 5], row[at + 6] = sent[i, c], position[i, c], spool_speed[i, c] / SPOOL_RATE
+                row[at + 4], row[at + 5], row[at + 6] = (
+                    sent[i, c],
+                    position[i, c],
+                    spool_speed[i, c] / SPOOL_RATE,
+                )
                 row[at + 7], row[at + 8] = asked[-1, i, c], asked[0, i, c]
                 row[at + 9], row[at + 10] = 2.0 * law[i, c], 2.0 * wanted[i, c]
                 row[at + 11], row[at + 12] = torque[i, c], miss[i, c]
-                row[at + 13], row[at + 14], row[at + 15] = 4.0 * edge[i, c, 0], 4.0 * edge[i, c, 1], gain[i, c]
+                row[at + 13], row[at + 14], row[at + 15] = (
+                    4.0 * edge[i, c, 0],
+                    4.0 * edge[i, c, 1],
+                    gain[i, c],
+                )
                 row[at + 16] = 10.0 * min(np.sqrt(edge_variance[i, c, 0]), 0.1)
                 row[at + 17] = 10.0 * min(np.sqrt(edge_variance[i, c, 1]), 0.1)
                 row[at + 18] = 8.0 * np.sqrt(gain_variance[i, c])
                 row[at + 19], row[at + 20] = unknown[i, c, 0], unknown[i, c, 1]
-                row[at + 21], row[at + 22], row[at + 23] = 20.0 * surprise[i, c], 4.0 * crept[i, c], speed[k, c] / SPEED
+                row[at + 21], row[at + 22], row[at + 23] = (
+                    20.0 * surprise[i, c],
+                    4.0 * crept[i, c],
+                    speed[k, c] / SPEED,
+                )
                 at += OWN
             row[at], row[at + 1] = setpoint[k] / SPEED, reference[i] / SPEED
             row[at + 2] = acceleration[i] / (20.0 * SPEED)
             row[at + 3], row[at + 4] = (setpoint[k] - reference[i]) / SPEED, behind[i] / (60.0 * RPM)
-            row[at + 5], row[at + 6], row[at + 7], row[at + 8] = direction[i], crossing[i], probing[i], effect[i]
+            row[at + 5], row[at + 6], row[at + 7], row[at + 8] = (
+                direction[i],
+                crossing[i],
+                probing[i],
+                effect[i],
+            )
             ahead = speed[k, own] - speed[k, 1 - own]
             row[at + 9] = min(max(ahead / (60.0 * RPM), -1.0), 1.0)
             row[at + 10] = min(max(ahead / (10.0 * RPM), -1.0), 1.0)

@@ -256,7 +256,11 @@ class FlowView:
     def _numbers(self) -> Tuning:
         motor, period = self.motor, self.period
         spans = np.array([period, self.lead * TUNED_PERIOD])
-        shares = 1.0 - np.exp(-motor.mode * spans) if motor.mode else spans * (1.0 - 0.5 * motor.rate * TUNED_PERIOD)
+        shares = (
+            1.0 - np.exp(-motor.mode * spans)
+            if motor.mode
+            else spans * (1.0 - 0.5 * motor.rate * TUNED_PERIOD)
+        )
         whole = int(self.delay / period)
         return Tuning(
             period=period, per_speed=motor.per_speed, per_torque=motor.per_torque,

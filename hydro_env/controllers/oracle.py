@@ -148,12 +148,25 @@ class Oracle(Controller):
         for turn in range(turns):
             copies.take_state(self._twin, None if every else rows)
             # The last command stays: what follows its last sample is not looked at.
-            volts[:-1].reshape(HORIZON, SAMPLES, -1, 2)[:] = (plan * rated[:, None]).transpose(1, 0, 2)[:, None]
+            volts[:-1].reshape(HORIZON, SAMPLES, -1, 2)[:] = (plan * rated[:, None]).transpose(1, 0, 2)[
+                :, None
+            ]
             volts[-1] = volts[-2]
             copies.run_into(seen, volts, load, self._step, signals)
             # Out of standstill the way leads over a ridge: at first a plan need not be better than the one before.
             keep(
-                plan, turn < FREE * turns, best, lowest, damping, kept, seen, sent, aim, SAMPLES, margin, *weights
+                plan,
+                turn < FREE * turns,
+                best,
+                lowest,
+                damping,
+                kept,
+                seen,
+                sent,
+                aim,
+                SAMPLES,
+                margin,
+                *weights,
             )
             plan = best.copy()
             if turn < turns - 1:

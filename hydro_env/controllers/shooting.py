@@ -130,7 +130,9 @@ def cost(plan, sent, setpoint, speed, spool, fine, margin, difference, smooth, s
 
 
 @compiled
-def keep(plan, free, best, lowest, damping, kept, seen, sent, setpoint, fine, margin, difference, smooth, stops):
+def keep(
+    plan, free, best, lowest, damping, kept, seen, sent, setpoint, fine, margin, difference, smooth, stops
+):
     """Keeps the plans (N, H, 2) that cost less than the lowest yet (N,), or all where `free`, in `best`, `lowest` and
     `kept`, their motion, of which `seen` (3, H fine + 1, N, 2) has the new one: speed, flow, spool. The damping (N,) gets
     less where a plan was kept and more where not. The rest as for `improve`.

@@ -67,15 +67,15 @@ def implausible(machine: Machine, given: dict[int, Problem]) -> list[Finding]:
 def _load(machine: Machine) -> Iterator[Finding]:
     """Loads of the other sign: the shaft then fits with the mirrored load and not with the one as logged."""
     for channel in machine.channels:
-        own, mirrored = (
-            _unlike(_shaft(machine, channel, channel, load_scale=sign)) for sign in (1.0, -1.0)
-        )
+        own, mirrored = (_unlike(_shaft(machine, channel, channel, load_scale=sign)) for sign in (1.0, -1.0))
         if own > _LESS * max(mirrored, 1e-3) and mirrored < 0.1:
             message = (
                 f"the shaft of channel {channel + 1} turns as if its load had the other sign (correlation {1.0 - mirrored:.3f} "
                 f"that way, {1.0 - own:.3f} as logged)"
             )
-            hint = "a load is positive where it brakes positive speed; give `sign: -1` for the load in a mapping"
+            hint = (
+                "a load is positive where it brakes positive speed; give `sign: -1` for the load in a mapping"
+            )
             yield Finding("sign", message, hint, "load", channel + 1, sure=True)
 
 

@@ -40,7 +40,6 @@ TRY, SETTLE, HALF = 4, 12, 3
 STRETCH_S = 1.0
 #: Corrections of one effect at most.
 MOST = 2
-DEBUG = True
 
 
 @dataclass(frozen=True)
@@ -114,21 +113,10 @@ def corrected(
             break
         solve(machine, [p for _, _, p in tries], floors, TRY)
         worth = [problem.cost - p.cost - per_number * own_size(k, e) for e, k, p in tries]
-        if DEBUG:
-            print(
-                "      ",
-                [
-                    (k, round(problem.cost - p.cost), round(w))
-                    for (_, k, p), w in zip(tries, worth, strict=True)
-                ],
-                flush=True,
-            )
         effect, correction, best = tries[int(np.argmax(worth))]
         if max(worth) <= 0.0:
             break
         sure = held_out(machine, problem, effect, correction, floors) if check else (np.inf, np.inf)
-        if DEBUG:
-            print("       held out", sure, flush=True)
         # It must help in both halves, and in all pay for its numbers there too.
         if min(sure) <= 0.0 or sum(sure) < per_number * own_size(correction, effect):
             break

@@ -149,7 +149,9 @@ def known(name: str, value: float, model: PlantModel) -> str:
     text = _KNOWN.get(symbol, plain(symbol))
     if symbol == "Kq":
         c = int(channel) - 1
-        stroke = model.value("alpha", c) * model.value("u_rated", c) / (model.value("R", c) * model.value("k", c))
+        stroke = (
+            model.value("alpha", c) * model.value("u_rated", c) / (model.value("R", c) * model.value("k", c))
+        )
         text += f" ({number(value * stroke * 6e4)} l/min at full command)"
     return text
 

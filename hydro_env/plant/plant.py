@@ -295,7 +295,17 @@ class Plant:
         """
         n = self.substeps(period)
         self._kernel.advance(
-            self._flat, self._cells, self._ring, self._head, command_V, load_Nm, n, period / n, rows, every, out
+            self._flat,
+            self._cells,
+            self._ring,
+            self._head,
+            command_V,
+            load_Nm,
+            n,
+            period / n,
+            rows,
+            every,
+            out,
         )
         self._head = (self._head + n * command_V.shape[0]) % self._slots
 
