@@ -42,7 +42,7 @@ def _fitted(folder: Path, forms: str) -> tuple[MotorRig, Problem, Floors]:
 
 def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None:
     rig, problem, floors = _fitted(tmp_path, "different")
-    better, kept = corrected(rig, problem, ["dead_zone"], floors, PER_NUMBER)
+    better, kept = corrected(rig, problem, [("dead_zone", 0)], floors, PER_NUMBER)
     assert "corner_shape" in [k.correction for k in kept] and better.cost < problem.cost
     left = [
         max(v / floors[0, s] for (_, s), v in rms(rig, p.simulated[0], 0).items()) for p in (problem, better)
@@ -56,7 +56,7 @@ def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None
 
 def test_a_right_form_is_left_alone(tmp_path: Path) -> None:
     rig, problem, floors = _fitted(tmp_path, "same")
-    better, kept = corrected(rig, problem, ["dead_zone"], floors, PER_NUMBER)
+    better, kept = corrected(rig, problem, [("dead_zone", 0)], floors, PER_NUMBER)
     assert not kept and better is problem
 
 
@@ -100,6 +100,15 @@ def test_channels_that_are_joined_keep_their_own_effects() -> None:
     first.simulated, other.simulated = {0: np.zeros(3)}, {1: np.zeros(3)}
     values = joined({0: first, 1: other}).request().values
     assert values["dead_zone.overlap_positive"] == (1e-4, 3e-5)
+    other.unknowns, other.q = effect_unknowns(CATALOGUE["load_bias"], {"bias": 0.2}), np.zeros(1)
+    whole = with_correction(joined({0: first, 1: other}), "dead_zone", "corner_shape", 0)
+    values = whole.request().values
+    assert values["dead_zone.overlap_positive"] == (1e-4, 0.0) and values["load_bias.bias"] == (0.0, 0.2)
+    assert values["corner_shape.rounding"] == (1e-5, 0.0) and values["corner_shape.corner_positive"] == (
+        1e-4,
+        0.0,
+    )
+    assert whole.values(1) == {"load_bias.bias": 0.2, "corner_shape.turn": 1.0}
 
 
 def test_what_stayed_is_told() -> None:

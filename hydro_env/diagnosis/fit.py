@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from ..plant import parameter_of
 from .machine import Machine, Request, Segment
 from .noise import effective_samples
 from .unknowns import Unknown
@@ -79,7 +80,9 @@ class Problem:
         pairs: dict[str, list[float]] = {}
         for u, v in zip(self.unknowns, q, strict=True):
             value = u.value(v)
-            pair = pairs.setdefault(u.name, [value, value])
+            # What is estimated for one channel alone is an effect that the other one does not have.
+            other = value if "." not in u.name else parameter_of(u.name).nominal
+            pair = pairs.setdefault(u.name, [other, other])
             for c in (0, 1) if u.channel is None else (u.channel,):
                 pair[c] = value
         sides = [self._with_followers({name: pair[c] for name, pair in pairs.items()}) for c in (0, 1)]
@@ -87,7 +90,10 @@ class Problem:
 
     def _with_followers(self, values: dict[str, float]) -> dict[str, float]:
         for name, source in self.follow.items():
-            values[name] = values[source] if isinstance(source, str) else source
+            if not isinstance(source, str):
+                values[name] = source
+            elif source in values:
+                values[name] = values[source]
         return values
 
     @property
@@ -187,10 +193,10 @@ def rescored(machine: Machine, problems: Sequence[Problem], floors: Floors) -> N
         problem.cost = _cost(machine, problem, problem.simulated, problem.q, floors)
 
 
-def at_noise(machine: Machine, problem: Problem, floors: Floors) -> bool:
-    """Whether no signal of any log is left with more than its noise."""
+def at_noise(machine: Machine, problem: Problem, floors: Floors, within: float = 1.02) -> bool:
+    """Whether no signal of any log is left with more than its noise, or so many times it."""
     return all(
-        value < 1.02 * floors[channel, signal]
+        value < within * floors[channel, signal]
         for channel in channels_of(problem, machine)
         for (_, signal), value in rms(machine, problem.simulated[channel], channel).items()
     )

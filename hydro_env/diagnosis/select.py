@@ -242,7 +242,7 @@ def _round(
         for place, (look, problem) in enumerate(own_best):
             found, needed = gain(machine, present[c], problem, floors), penalty(machine, look.effect)
             fate = _verdict(machine, present[c], problem, look, c, found, needed, floors)
-            before = [k.effect for k in choices if k.channel == c]
+            before = [(k.effect, k.channel) for k in choices if k.channel == c]
             first = place == 0 and fate == "taken"
             if first and before and _form_does(machine, present[c], before, look, problem, floors):
                 fate = "a correction of the form of what is named already does as well"
@@ -278,7 +278,12 @@ def _round(
 
 
 def _form_does(
-    machine: Machine, before: Problem, named: Sequence[str], look: Look, after: Problem, floors: Floors
+    machine: Machine,
+    before: Problem,
+    named: Sequence[tuple[str, int | None]],
+    look: Look,
+    after: Problem,
+    floors: Floors,
 ) -> bool:
     """Whether a further effect only mends the form of those that are named already.
 

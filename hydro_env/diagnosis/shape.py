@@ -38,7 +38,9 @@ __all__ = [
 TRY, SETTLE, HALF = 4, 12, 3
 #: Length of the stretches that are fitted and left out in turn, s.
 STRETCH_S = 1.0
-#: Corrections of one effect at most.
+#: What is left, in times the noise, from which a corrected model is begun anew.
+AGAIN = 1.05
+#: Corrections of one problem at most.
 MOST = 2
 
 
@@ -64,11 +66,12 @@ def own_size(correction: str, effect: str) -> int:
     return len(CATALOGUE[correction].parameters) - len(CORRECTIONS[effect][correction])
 
 
-def with_correction(problem: Problem, effect: str, correction: str) -> Problem:
-    """The problem with a correction of one of its effects more.
+def with_correction(problem: Problem, effect: str, correction: str, channel: int | None = None) -> Problem:
+    """The problem with a correction of one of its effects more; `channel` is the effect's, where the problem is the rig's.
 
     Numbers of either sign begin at zero, others at their usual size: a corner that is rounded ever less has no derivative.
     """
+    alone = channel if problem.channel is None else None
     # What a placebo does not have it does not repeat: that number of the correction stays neutral.
     own = {u.name for u in problem.unknowns}
     every = follows(correction, effect)
@@ -81,20 +84,22 @@ def with_correction(problem: Problem, effect: str, correction: str) -> Problem:
         if name in every:
             continue
         if p.log:
-            added.append(Unknown(name, p.unit, p.nominal, p.low, p.high, 0.7, True, True))
+            added.append(Unknown(name, p.unit, p.nominal, p.low, p.high, 0.7, True, True, alone))
         else:
             # The prior is as wide as a correction usually is: ridge regression, in other words.
             scale = 0.3 if p.typical is None or p.typical == p.nominal else abs(p.typical)
-            added.append(Unknown(name, p.unit, p.nominal, p.low, p.high, scale, False, True))
+            added.append(Unknown(name, p.unit, p.nominal, p.low, p.high, scale, False, True, alone))
     q = np.concatenate([problem.q, [1.0 if u.low == 0.0 and not u.log else 0.0 for u in added]])
     label, follow = f"{problem.label} + {correction}", {**problem.follow, **repeated}
     return Problem(problem.channel, [*problem.unknowns, *added], q, label, follow=follow)
 
 
 def corrected(
-    machine: Machine, problem: Problem, named: Sequence[str], floors: Floors, per_number: float, check: bool = True,
+    machine: Machine, problem: Problem, named: Sequence[tuple[str, int | None]], floors: Floors, per_number: float,
+    check: bool = True,
 ) -> tuple[Problem, list[Corrected]]:  # fmt: skip
-    """The problem with those corrections of its effects `named` that pay for themselves; the problem itself if none does.
+    """The problem with those corrections of its effects `named` (with their channels) that pay for themselves; the problem
+    itself if none does.
 
     `per_number` is the fall of the cost that every number must pay for; with `check`, a correction must also help on
     stretches of the fit logs that were left out (`held_out`).
@@ -104,24 +109,24 @@ def corrected(
         if machine.quick or at_noise(machine, problem, floors):
             break
         tries = [
-            (effect, correction, with_correction(problem, effect, correction))
-            for effect in named
+            (effect, channel, correction, with_correction(problem, effect, correction, channel))
+            for effect, channel in dict.fromkeys(named)
             for correction in CORRECTIONS.get(effect, {})
             if not any(k.correction == correction for k in kept)
         ]
         if not tries:
             break
-        solve(machine, [p for _, _, p in tries], floors, TRY)
-        worth = [problem.cost - p.cost - per_number * own_size(k, e) for e, k, p in tries]
-        effect, correction, best = tries[int(np.argmax(worth))]
+        solve(machine, [p for *_, p in tries], floors, TRY)
+        worth = [problem.cost - p.cost - per_number * own_size(k, e) for e, _, k, p in tries]
+        effect, channel, correction, best = tries[int(np.argmax(worth))]
         if max(worth) <= 0.0:
             break
-        sure = held_out(machine, problem, effect, correction, floors) if check else (np.inf, np.inf)
+        sure = held_out(machine, problem, effect, correction, channel, floors) if check else (np.inf, np.inf)
         # It must help in both halves, and in all pay for its numbers there too.
         if min(sure) <= 0.0 or sum(sure) < per_number * own_size(correction, effect):
             break
         solve(machine, [best], floors, SETTLE)
-        kept.append(Corrected(effect, correction, problem.channel, problem.cost - best.cost, sum(sure)))
+        kept.append(Corrected(effect, correction, channel, problem.cost - best.cost, sum(sure)))
         problem = best
     return problem, kept
 
@@ -137,14 +142,15 @@ def corrected_all(
     every: list[Corrected] = []
     for problem in {id(p): p for p in problems.values()}.values():
         c = problem.channel
-        names = [n for channel, own in named.items() if c is None or channel == c for n in own]
+        names = [(n, channel) for channel, own in named.items() if c is None or channel == c for n in own]
         if machine.quick or not named or at_noise(machine, problem, floors):
             continue
-        better, kept = corrected(machine, problem, list(dict.fromkeys(names)), floors, per_number)
+        better, kept = corrected(machine, problem, names, floors, per_number)
         if better is problem:
             better = replace(problem, q=problem.q.copy(), columns=dict(problem.columns))
-        # Other draws than those with which calibration began.
-        solve(machine, begun_anew(machine, [better], floors, 1), floors, SETTLE)
+        if not at_noise(machine, better, floors, AGAIN):
+            # Other draws than those with which calibration began.
+            solve(machine, begun_anew(machine, [better], floors, 1), floors, SETTLE)
         found.update(dict.fromkeys(channels_of(problem, machine), better))
         every += kept
     return found, every
@@ -163,7 +169,7 @@ def placebo_too(
             effect, name = own[number] if number < len(own) else (k.effect, k.correction)
             if name in problem.effects() or CATALOGUE[name].scope == "rig":
                 continue
-            problem = with_correction(problem, effect, name)
+            problem = with_correction(problem, effect, name, k.channel)
         if problem is not placebo[c]:
             solve(machine, [problem], floors, TRY + SETTLE)
             found[c] = problem
@@ -183,7 +189,7 @@ def changes(machine: Machine, problem: Problem, correction: str, channel: int) -
 
 
 def held_out(
-    machine: Machine, problem: Problem, effect: str, correction: str, floors: Floors
+    machine: Machine, problem: Problem, effect: str, correction: str, channel: int | None, floors: Floors
 ) -> tuple[float, float]:
     """How far the cost falls by a correction where it was not fitted: the fall in each half of the fit logs.
 
@@ -194,7 +200,7 @@ def held_out(
     for half in (0, 1):
         seen, unseen = _half(machine, half), _half(machine, 1 - half)
         without = replace(problem, q=problem.q.copy(), columns={}, certainty=None)
-        both = [without, with_correction(problem, effect, correction)]
+        both = [without, with_correction(problem, effect, correction, channel)]
         solve(seen, both, floors, HALF)
         bare, better = (
             sum(stretch_costs(unseen, p, c, floors, STRETCH_S).sum() for c in channels_of(problem, machine))
