@@ -111,9 +111,9 @@ def minimise_in_box(square, slope, low, high, x):
 def cost(plan, sent, setpoint, speed, spool, fine, margin, difference, smooth, stops):
     """The cost (N,) of plans (N, H, 2), from the motion they lead to; arguments as for `improve`."""
     total = np.zeros(plan.shape[0])
-    for i in range(plan.shape[0]):
-        for s in range(1, plan.shape[1] * fine + 1):
-            instant = s % fine == 0
+    for s in range(1, plan.shape[1] * fine + 1):
+        instant = s % fine == 0
+        for i in range(plan.shape[0]):
             apart = speed[s, i, 0] - speed[s, i, 1]
             total[i] += 0.5 * (difference[i] if instant else BETWEEN) * apart * apart
             for c in range(2):
@@ -122,6 +122,7 @@ def cost(plan, sent, setpoint, speed, spool, fine, margin, difference, smooth, s
                 if instant:
                     error = (speed[s, i, c] - setpoint[i, s // fine]) / CORNER
                     total[i] += CORNER * CORNER * (np.sqrt(1.0 + error * error) - 1.0)
+    for i in range(plan.shape[0]):
         for c in range(2):
             for j in range(plan.shape[1]):
                 move = plan[i, j, c] - (sent[i, c] if j == 0 else plan[i, j - 1, c])
@@ -138,17 +139,19 @@ def keep(
     less where a plan was kept and more where not. The rest as for `improve`.
     """
     reached = cost(plan, sent, setpoint, seen[0], seen[2], fine, margin, difference, smooth, stops)
+    better = (reached < lowest) | free
     for i in range(plan.shape[0]):
-        if not (free or reached[i] < lowest[i]):
+        if better[i]:
+            damping[i] = max(DAMPING, damping[i] / 4.0)
+            lowest[i] = reached[i]
+            best[i] = plan[i]
+        else:
             damping[i] *= 8.0
-            continue
-        damping[i] = max(DAMPING, damping[i] / 4.0)
-        lowest[i] = reached[i]
-        best[i] = plan[i]
-        for signal in range(seen.shape[0]):
-            for s in range(seen.shape[1]):
-                for c in range(2):
-                    kept[signal, s, i, c] = seen[signal, s, i, c]
+    for signal in range(seen.shape[0]):
+        for s in range(seen.shape[1]):
+            for i in range(plan.shape[0]):
+                if better[i]:
+                    kept[signal, s, i, 0], kept[signal, s, i, 1] = seen[signal, s, i, 0], seen[signal, s, i, 1]
 
 
 @compiled
@@ -166,7 +169,7 @@ def improve(
     horizon = plan.shape[1]
     samples = horizon * fine
     n = 2 * horizon
-    change = np.empty((2, horizon, samples + 1))
+    change, apart_by = np.empty((2, horizon, samples + 1)), np.zeros((samples + 1, n))
     square, slope = np.empty((n, n)), np.empty(n)
     x, low, high = np.empty(n), np.empty(n), np.empty(n)
     for i in range(plan.shape[0]):
@@ -183,6 +186,7 @@ def improve(
                     pressed = motor[i, c, 0, 0] * was + motor[i, c, 0, 1] * turned + motor[i, c, 0, 2] * mean
                     turned = motor[i, c, 1, 0] * was + motor[i, c, 1, 1] * turned + motor[i, c, 1, 2] * mean
                     change[c, j, s] = turned
+                    apart_by[s, c * horizon + j] = turned if c == 0 else -turned
         square[:] = 0.0
         slope[:] = 0.0
         for s in range(1, samples + 1):
@@ -209,12 +213,11 @@ def improve(
             apart = speed[s, i, 0] - speed[s, i, 1]
             weight = difference[i] if instant else BETWEEN
             for c in range(2):
-                for j in range(top):
-                    a = weight * (1.0 - 2.0 * c) * change[c, j, s]
-                    slope[c * horizon + j] += a * apart
-                    for k in range(top):
-                        square[c * horizon + j, k] += a * change[0, k, s]
-                        square[c * horizon + j, horizon + k] -= a * change[1, k, s]
+                for b in range(c * horizon, c * horizon + top):
+                    a = weight * apart_by[s, b]
+                    slope[b] += a * apart
+                    for k in range(n):
+                        square[b, k] += a * apart_by[s, k]
         for c in range(2):
             for j in range(horizon):
                 b = c * horizon + j
