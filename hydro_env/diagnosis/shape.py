@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 #: Iterations of a joint refit with a correction, and of the one that is kept.
-TRY, SETTLE, HALF = 4, 12, 3
+TRY, SETTLE, HALF = 4, 12, 5
 #: Length of the stretches that are fitted and left out in turn, s.
 STRETCH_S = 1.0
 #: What is left, in times the noise, from which a corrected model is begun anew.
