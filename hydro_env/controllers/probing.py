@@ -2,8 +2,8 @@
 
 `adaptive_flow` learns edges and gains where the drive happens to take it. This one looks for them beforehand, in the rest
 before the set-point first moves, and goes on from there; `flow_view` describes its parts. Its constants were found by an
-evolution strategy on pairs of `train` (docs/agents.md). Two of them are left to the user, because they choose the place on
-the front of speed difference over tracking error.
+evolution strategy on pairs of `train` (docs/agents.md). Those that choose the place on the front of speed difference over
+tracking error are left to the user: how fast the reference runs, and how fast the spools look for their edges.
 """
 
 from __future__ import annotations
@@ -23,27 +23,17 @@ class ProbingFlow(Controller):
     """See the module's text. The drawn valves are unknown to it, the paper's motor is known."""
 
     GAINS = (
-        Gain(
-            "rate",
-            "1/s",
-            5.0,
-            60.0,
-            default=40.0,
-            summary="rate at which the reference runs to the set-point",
-        ),
-        Gain(
-            "rise",
-            "1/s",
-            3.0,
-            60.0,
-            default=27.0,
-            summary="rated flows per second by which the flow may rise",
-        ),
+        Gain("rate", "1/s", 5.0, 60.0, default=40.0, summary="rate at which the reference runs to the set-point"),
+        Gain("rise", "1/s", 3.0, 60.0, default=27.0, summary="rated flows a second by which flow may rise"),
+        Gain("fall", "1", 1.0, 10.0, default=4.0, summary="how many times as fast it may fall"),
+        Gain("sweep", "1/s", 1.0, 6.0, default=3.0, summary="pace of the spools when probing, commands a second"),
+        Gain("search", "1/s", 1.0, 20.0, default=9.3, summary="pace when an edge is looked for on the way"),
     )
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         super().reset(num_rigs, control_period)
-        self._view = FlowView(rate=float(self.gains["rate"]), slew=float(self.gains["rise"]))
+        gains = {name: float(value) for name, value in self.gains.items()}
+        self._view = FlowView(slew=gains.pop("rise"), **gains)
         self._outputs = np.zeros((num_rigs * self._view.rows_per_rig, self._view.num_actions))
 
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
