@@ -70,17 +70,9 @@ def test_the_search_says_what_it_needs(tmp_path):
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_rl_zoo_trains_from_the_same_file(tmp_path, algorithm):
     pytest.importorskip("rl_zoo3")
-    zoo = [sys.executable, "-m", "rl_zoo3.train", "--algo", algorithm, "--env", "HydraulicSync-v0"]
-    file = [
-        "--gym-packages",
-        "hydro_env",
-        "-conf",
-        f"configs/{algorithm}_quick.yml",
-        "-n",
-        "256",
-        "-f",
-        str(tmp_path),
-    ]
-    done = subprocess.run([*zoo, *file, "--eval-freq", "-1"], cwd=ROOT, capture_output=True, text=True)
+    zoo = [str(Path(sys.executable).with_name("rl_zoo3")), "train", "--gym-packages", "hydro_env"]
+    what = ["--algo", algorithm, "--env", "HydraulicSync-v0", "-conf", f"configs/{algorithm}_quick.yml"]
+    how = ["-n", "256", "-f", str(tmp_path), "--eval-freq", "-1"]
+    done = subprocess.run([*zoo, *what, *how], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     assert list(tmp_path.rglob("HydraulicSync-v0.zip"))
