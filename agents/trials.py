@@ -1,6 +1,6 @@
 """What a policy needs, tried row by row: `python -m agents.trials ROW [ROW ...] --seeds 0 1 --out runs/trials`.
 
-Every row trains a policy of its own kind for the same number of control periods on pairs of `train`, with the settings of
+Every row trains a policy of its own kind for 250,000 control periods on pairs of `train`, with the settings of
 configs/ppo.yml where they apply, picks the best by the score of that file on the same pairs of `val`, and is scored on
 further pairs of `val`. Rows differ in
 
@@ -26,7 +26,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -42,7 +42,8 @@ from agents.train import cleanly, staggered
 from agents.view_env import ViewVecEnv
 from hydro_env.benchmark.statistics import iqm
 from hydro_env.controllers import make_controller
-from hydro_env.controllers.flow_view import RATED_TRAVEL, SPOOL_RATE, FlowView
+from hydro_env.controllers.flow_law import SPOOL_RATE
+from hydro_env.controllers.flow_view import RATED_TRAVEL, FlowView
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.controllers.valve_map import true_map
 from hydro_env.controllers.view import View, make_view
@@ -118,7 +119,9 @@ class CommandView(FlowView):
     def command(self, outputs: Floats) -> Floats:
         given = _commands(outputs)
         self.law = law = super().command(np.zeros_like(outputs))
-        driven = np.where(self.probing[:, None], law, np.clip(given + law if self.added else given, -1.0, 1.0))
+        driven = np.where(
+            self.probing[:, None], law, np.clip(given + law if self.added else given, -1.0, 1.0)
+        )
         self.asked[-1] += driven - law
         self.sent = driven
         return self.sent.copy()
@@ -307,7 +310,9 @@ def reinforce(trial: Trial, config: Config, seed: int, steps: int) -> Best:
                 if extra:  # the valves as they were, the spools a period before
                     beyond = torch.cat([beyond, told[:, -extra:]], dim=1)
                 with torch.no_grad():
-                    reward[ended] += float(hyper["gamma"]) * critic(beyond[None], states[1])[0][0, ended, 0].numpy()
+                    reward[ended] += (
+                        float(hyper["gamma"]) * critic(beyond[None], states[1])[0][0, ended, 0].numpy()
+                    )
             for key, item in (
                 ("seen", own), ("more", told), ("action", action), ("chance", chance), ("value", value[0, :, 0]),
                 ("reward", as_tensor(reward)), ("fresh", started),
@@ -319,10 +324,16 @@ def reinforce(trial: Trial, config: Config, seed: int, steps: int) -> Best:
         advantage = _advantages(data, following, torch.as_tensor(fresh), hyper)
         returns = advantage + data["value"]
         done += length * config.num_envs
-        rate = hyper["learning_rate"](1.0 - done / steps) if callable(hyper["learning_rate"]) else hyper["learning_rate"]
+        rate = (
+            hyper["learning_rate"](1.0 - done / steps)
+            if callable(hyper["learning_rate"])
+            else hyper["learning_rate"]
+        )
         for group in optimiser.param_groups:
             group["lr"] = max(float(rate), 1e-6)
-        for chosen in _batches(rows, view.rows_per_rig, int(hyper["batch_size"]) // length, int(hyper["n_epochs"])):
+        for chosen in _batches(
+            rows, view.rows_per_rig, int(hyper["batch_size"]) // length, int(hyper["n_epochs"])
+        ):
             part = {key: item[:, chosen] for key, item in data.items()}
             mean, _ = policy(part["seen"], begin[0][:, chosen], part["fresh"])
             value, _ = critic(part["more"], begin[1][:, chosen], part["fresh"])
@@ -405,7 +416,17 @@ class Oracle:
         self.oracle._sent = np.array(sent)
 
 
-TEACHERS = {"law": ToldLaw, "oracle": Oracle}
+class Teacher(Protocol):
+    """Says what it would send on rigs that another one drives."""
+
+    def begin(self, env: HydraulicSyncVectorEnv, observation: Floats) -> None: ...
+
+    def command(self, observation: Floats) -> Floats: ...
+
+    def hear(self, sent: Floats) -> None: ...
+
+
+TEACHERS: dict[str, type[Teacher]] = {"law": ToldLaw, "oracle": Oracle}
 
 
 def clone(trial: Trial, config: Config, seed: int, steps: int) -> Best:
@@ -424,7 +445,7 @@ def clone(trial: Trial, config: Config, seed: int, steps: int) -> Best:
         data.append(_lesson(trial, env, observation, view, policy, turn == 0))
         optimiser = torch.optim.Adam(policy.parameters(), lr=2e-3)
         batches = [(lesson, rows) for lesson in data for rows in torch.arange(lesson[0].shape[1]).split(64)]
-        updates = 150 if turn < rounds - 1 else 800
+        updates = len(batches) * (6 if turn < rounds - 1 else 20)
         for update in range(updates):
             for group in optimiser.param_groups:
                 group["lr"] = 2e-3 * (1.0 - update / updates)
@@ -441,7 +462,12 @@ def clone(trial: Trial, config: Config, seed: int, steps: int) -> Best:
 
 
 def _lesson(
-    trial: Trial, env: HydraulicSyncVectorEnv, observation: Floats, view: View, policy: Net, teacher_drives: bool
+    trial: Trial,
+    env: HydraulicSyncVectorEnv,
+    observation: Floats,
+    view: View,
+    policy: Net,
+    teacher_drives: bool,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """An episode of every rig: inputs, outputs that give the teacher's commands, weights (none while the law probes)."""
     teacher, driver = TEACHERS[trial.teacher](), Driver(view, policy)
@@ -509,7 +535,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m agents.trials", description=__doc__)
     parser.add_argument("rows", nargs="+", help=f"some of {', '.join(TRIALS)}")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--steps", type=int, default=500_000, help="control periods of single rigs")
+    parser.add_argument("--steps", type=int, default=250_000, help="control periods of single rigs")
     parser.add_argument("--out", type=Path, required=True, help="folder of the scores")
     chosen = parser.parse_args()
 
