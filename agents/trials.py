@@ -1,8 +1,8 @@
 """What a policy needs, tried row by row: `python -m agents.trials ROW [ROW ...] --seeds 0 1 --out runs/trials`.
 
 Every row trains a policy of its own kind for 250,000 control periods on pairs of `train`, with the settings of
-configs/ppo.yml where they apply, picks the best by the score of that file on the same pairs of `val`, and is scored on
-further pairs of `val`. Rows differ in
+configs/ppo.yml (direct commands: configs/close_loop.yml), picks the best by the score of configs/ppo.yml on the same pairs
+of `val`, and is scored on further pairs of `val`; `--steps 0` scores the law alone. Rows differ in
 
 * what the network sees: the plain observation (`plain`), or what `FlowView` makes of it;
 * what its outputs do: `residual` on the law's flow, command and pace as the shipped agents have them, `added` to the law's
@@ -55,7 +55,7 @@ from hydro_env.tasks.mismatch import Mismatch, load_mismatch
 
 __all__ = ["TRIALS", "Trial", "run"]
 
-CONFIG = Path(__file__).parents[1] / "configs" / "ppo.yml"
+CONFIGS = Path(__file__).parents[1] / "configs"
 WIDTH = 64
 FINAL = range(256, 512)
 """Pairs of `val` that score the policy of a trial; those before may choose it."""
@@ -75,6 +75,8 @@ class Trial:
         curriculum: whether mismatch and dead zones grow over the first half.
         teacher: "" for PPO, "law" or "oracle".
         spread: logarithm of the standard deviation of exploration at the start.
+        settings: the training file that PPO's arguments and reward are from. The reward of configs/ppo.yml teaches direct
+            commands to stand still.
     """
 
     view: dict[str, Any] = field(default_factory=lambda: {"kind": "flow"})
@@ -84,9 +86,11 @@ class Trial:
     curriculum: bool = False
     teacher: str = ""
     spread: float = -2.0
+    settings: str = "ppo.yml"
 
 
-PLAIN = Trial({"kind": "frames", "frames": 1}, "direct", spread=-1.5)
+DIRECT = Trial(outputs="direct", spread=-1.5, settings="close_loop.yml")
+PLAIN = replace(DIRECT, view={"kind": "frames", "frames": 1})
 TRIALS = {
     "shipped": Trial(),
     "history": Trial({"kind": "flow", "frames": 16}),
@@ -95,8 +99,8 @@ TRIALS = {
     "recurrent_told_critic": Trial(recurrent=True, told=True),
     "curriculum": Trial(curriculum=True),
     "added": Trial(outputs="added"),
-    "direct": Trial(outputs="direct", spread=-1.5),
-    "direct_recurrent": Trial(outputs="direct", recurrent=True, spread=-1.5),
+    "direct": DIRECT,
+    "direct_recurrent": replace(DIRECT, recurrent=True),
     "plain": PLAIN,
     "plain_history": replace(PLAIN, view={"kind": "frames", "frames": 16}),
     "plain_recurrent": replace(PLAIN, recurrent=True),
@@ -107,8 +111,18 @@ TRIALS = {
     "law_to_added_no_memory": Trial(outputs="added", teacher="law"),
     "oracle_to_plain": replace(PLAIN, recurrent=True, teacher="oracle"),
     "oracle_to_added": Trial(outputs="added", recurrent=True, teacher="oracle"),
-    "oracle_to_direct": Trial(outputs="direct", recurrent=True, teacher="oracle"),
+    "oracle_to_direct": replace(DIRECT, recurrent=True, teacher="oracle"),
 }
+
+
+def config_of(trial: Trial) -> Config:
+    """The training file of a row: plant, pairs, steps of a lesson and judgement are those of configs/ppo.yml."""
+    shipped, own = read_config(CONFIGS / "ppo.yml"), read_config(CONFIGS / trial.settings)
+    if trial.teacher:
+        return shipped
+    training = replace(shipped.training, peak=own.training.peak)
+    kwargs = {**shipped.env_kwargs, "reward": own.env_kwargs["reward"]}
+    return replace(own, env_kwargs=kwargs, training=training)
 
 
 class CommandView(FlowView):
@@ -343,10 +357,12 @@ def reinforce(trial: Trial, config: Config, seed: int, steps: int) -> Best:
             gain = (gain - gain.mean()) / (gain.std() + 1e-8)
             clip = float(hyper["clip_range"])
             loss = -torch.min(gain * ratio, gain * ratio.clamp(1.0 - clip, 1.0 + clip)).mean()
-            loss = loss + float(hyper["vf_coef"]) * (value[..., 0] - returns[:, chosen]).square().mean()
+            loss = (
+                loss + float(hyper.get("vf_coef", 0.5)) * (value[..., 0] - returns[:, chosen]).square().mean()
+            )
             optimiser.zero_grad()
             loss.backward()
-            nn.utils.clip_grad_norm_(weights, float(hyper["max_grad_norm"]))
+            nn.utils.clip_grad_norm_(weights, float(hyper.get("max_grad_norm", 0.5)))
             optimiser.step()
         if done - evaluated >= config.training.evaluate_every or done >= steps:
             best.look(policy, done)
@@ -508,7 +524,8 @@ def run(name: str, seed: int, steps: int, out: Path) -> dict[str, Any]:
         return dict(json.loads(path.read_text(encoding="utf-8")))
     torch.set_num_threads(1)
     torch.manual_seed(seed)
-    config, trial, since = read_config(CONFIG), TRIALS[name], time.monotonic()
+    trial, since = TRIALS[name], time.monotonic()
+    config = config_of(trial)
     best = (clone if trial.teacher else reinforce)(trial, config, seed, steps)
     seconds = time.monotonic() - since
     assert best.policy is not None

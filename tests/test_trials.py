@@ -10,15 +10,14 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from agents import trials
-from agents.config import read_config
-from agents.trials import TRIALS, Net, clone, narrowed, reinforce, view_of
+from agents.trials import TRIALS, Net, clone, config_of, narrowed, reinforce, view_of
 from hydro_env.tasks.mismatch import load_mismatch
 
 
 @pytest.fixture
 def config():
     """configs/ppo.yml for some seconds."""
-    usual = read_config(trials.CONFIG)
+    usual = config_of(TRIALS["shipped"])
     hyper = {**usual.hyper, "n_steps": 8, "batch_size": 128, "n_epochs": 1}
     training = replace(usual.training, evaluate_pairs=2, evaluate_scenarios=("load_step",))
     kwargs = {**usual.env_kwargs, "max_episode_steps": 20}
@@ -60,7 +59,15 @@ def test_outputs_of_zero_added_to_the_law_leave_it():
         seen = added.see(observation), law.see(observation)
 
 
-@pytest.mark.parametrize("name", ["recurrent_told_critic", "plain_curriculum", "law_to_added", "oracle_to_plain"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "recurrent_told_critic",
+        "plain_curriculum",
+        "law_to_added",
+        pytest.param("oracle_to_plain", marks=pytest.mark.slow),
+    ],
+)
 def test_rows_train(config, name):
     trial = TRIALS[name]
     train = clone if trial.teacher else reinforce
