@@ -113,28 +113,10 @@ class ValveEstimate:
         self.shared[rows], self.between[rows], self.surprise[rows] = 0.0, 0.0, 0.0
 
     @property
-    def edge_deviation(self) -> Floats:
-        """Standard deviations of the edges, (num_rigs, 2, 2)."""
-        return np.sqrt(self.edge_variance)
-
-    @property
     def middle(self) -> Floats:
         """The middle of each dead zone, (num_rigs, 2)."""
         middle: Floats = 0.5 * (self.edge[..., 0] - self.edge[..., 1])
         return middle
-
-    def capacity(self) -> Floats:
-        """Flow at the rated command, (num_rigs, 2, 2)."""
-        return self.gain[..., None] * np.maximum(1.0 - self.edge, 0.1)
-
-    def command(self, flow: Floats, blend: float) -> Floats:
-        """Commands for flows (num_rigs, 2). Below `blend` the jump over the dead zone is a ramp."""
-        negative = flow < 0.0
-        edge = np.where(negative, self.edge[..., 1], self.edge[..., 0])
-        beyond = np.where(negative, -1.0, 1.0) * (edge + np.abs(flow) / self.gain)
-        middle = self.middle
-        command: Floats = middle + np.minimum(np.abs(flow) / blend, 1.0) * (beyond - middle)
-        return command
 
     def learn(self, spool: SpoolModel, flow: Floats, noisier: Floats) -> None:
         """Takes in the measured flows (num_rigs, 2) with the spools where the model has them, and moves these to where the
