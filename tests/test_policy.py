@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import trim_mean
 
 from hydro_env.controllers.flow_view import FlowView
+from hydro_env.controllers.planning_view import PlanningView
 from hydro_env.controllers.policy import SCHEMA, NumpyPolicy, read_policy
 from hydro_env.controllers.registry import make_controller
 from hydro_env.controllers.rollout import roll_out
@@ -50,7 +51,12 @@ def drive(policy, num_rigs, seeds, steps=60):
 
 @pytest.mark.parametrize(
     "view",
-    [{"kind": "frames", "frames": 2}, {"kind": "valves", "pull": 1.0, "couple": 1.0}, {"kind": "flow"}],
+    [
+        {"kind": "frames", "frames": 2},
+        {"kind": "valves", "pull": 1.0, "couple": 1.0},
+        {"kind": "flow"},
+        {"kind": "plan"},
+    ],
 )
 def test_a_row_of_a_batch_is_that_rig_alone(tmp_path, view):
     policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays(view)), dtype=np.float64)
@@ -66,7 +72,13 @@ def test_reset_forgets_everything(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "make", [lambda: ValveView(pull=1.0, couple=1.0, calm=0.1), lambda: FlowView(), lambda: FramesView(3)]
+    "make",
+    [
+        lambda: ValveView(pull=1.0, couple=1.0, calm=0.1),
+        lambda: FlowView(),
+        lambda: PlanningView(),
+        lambda: FramesView(3),
+    ],
 )
 def test_restarting_rows_equals_starting_them(make):
     """What training does at an episode's end must be what a controller does at its beginning, and touch no other row."""
@@ -92,7 +104,9 @@ def test_restarting_rows_equals_starting_them(make):
         np.testing.assert_array_equal(seen[rows : 2 * rows], fresh.see(observations[n][[1]]))
 
 
-@pytest.mark.parametrize("make", [lambda: ValveView(pull=1.0, couple=1.0), lambda: FlowView()])
+@pytest.mark.parametrize(
+    "make", [lambda: ValveView(pull=1.0, couple=1.0), lambda: FlowView(), lambda: PlanningView()]
+)
 def test_views_treat_both_channels_alike(make):
     stream = np.random.default_rng(1)
     observations = stream.normal(0.0, 0.3, (5, 4, 9)).astype(np.float32)

@@ -16,16 +16,16 @@ def scores(spec, **changed):
 
 def test_slower_settings_keep_closer_together_and_track_worse():
     fast, calm = scores("probing_flow"), scores("probing_flow:rate=20,rise=9")
-    assert calm[0] < fast[0] - 1.0
+    assert calm[0] < fast[0] - 0.3
     assert calm[1] > fast[1] + 5.0
-    assert fast[0] < 13.0 and fast[1] < 31.0
+    assert fast[0] < 9.5 and fast[1] < 30.0
 
 
 def test_it_uses_the_rest_before_the_first_step():
     """Without a rest there is nothing to probe in: edges are met on the way, as `adaptive_flow` does."""
     steps = {"duration": 1.5, "setpoint_rpm": [[0.3, 400.0], [0.8, -300.0]]}
     at_once = {"duration": 1.2, "setpoint_rpm": [[0.0, 400.0], [0.5, -300.0]]}
-    assert scores("probing_flow", scenario=steps)[0] < scores("probing_flow", scenario=at_once)[0] - 2.0
+    assert scores("probing_flow", scenario=steps)[0] < scores("probing_flow", scenario=at_once)[0] - 1.0
 
 
 def test_reset_forgets():

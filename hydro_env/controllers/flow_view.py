@@ -211,7 +211,6 @@ class FlowView:
         n = len(observation)
         self.period = period
         pair = (n, 2)
-        self.spool = SpoolModel(n, period, SPOOL_RATE, self.damping, self.friction * FRICTION)
         self.sensors, self.delays = SensorCheck(n, period, self.motor.leakage), DelayEstimate(n)
         self.noisier = np.ones(pair)
         # a spool that hears every command at once, and where it was; the commands sent and flows asked for, newest first
@@ -228,7 +227,7 @@ class FlowView:
         # what goes wrong in one longer period before it is seen: spools creep as far as usual, flow rises by less
         self._creep_pace = self.search * self._feedback
         self._growth = self.slew * self._feedback**1.5 * period
-        self.loads = LoadEstimate(n, period, NOMINAL["J"], self.share, self._jump)
+        self._make_models(n)
         # weights a, 1 - 2 a, a have no response at the mode's angle per sample if 2 a cos(angle) + 1 - 2 a = 0
         self._spacing = max(1, round(2.0 * pi / 3.0 / SPOOL_RATE / period))
         self._outer = min(0.5 / (1.0 - cos(min(SPOOL_RATE * period * self._spacing, pi))), 0.4)
@@ -272,6 +271,10 @@ class FlowView:
             blend=self.blend, creep=self._creep_pace * period, pulse=self.pulse, pulse_samples=self._pulse_samples,
             spacing=self._spacing, outer=self._outer,
         )  # fmt: skip
+
+    def _make_models(self, n: int) -> None:
+        self.spool = SpoolModel(n, self.period, SPOOL_RATE, self.damping, self.friction * FRICTION)
+        self.loads = LoadEstimate(n, self.period, NOMINAL["J"], self.share, self._jump)
 
     def restart(self, rows: Rows, observation: Floats) -> Floats:
         seen = decode(np.asarray(observation))

@@ -1,9 +1,10 @@
 """Flow control that probes the valves while the rig rests: the law beneath the learned agents, without a network.
 
 `adaptive_flow` learns edges and gains where the drive happens to take it. This one looks for them beforehand, in the rest
-before the set-point first moves, and goes on from there; `flow_view` describes its parts. Its constants were found by an
-evolution strategy on pairs of `train` (docs/agents.md). Those that choose the place on the front of speed difference over
-tracking error are left to the user: how fast the reference runs, and how fast the spools look for their edges.
+before the set-point first moves, and goes on from there; `planning_view` and, beneath it, `flow_view` describe its parts.
+Its constants were found by an evolution strategy and by hand on pairs of `train` (docs/agents.md). Those that choose the
+place on the front of speed difference over tracking error are left to the user: how fast the reference runs, and how fast
+the spools look for their edges.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Controller, Floats, Gain
-from hydro_env.controllers.flow_view import FlowView
+from hydro_env.controllers.planning_view import PlanningView
 
 __all__ = ["ProbingFlow"]
 
@@ -33,7 +34,7 @@ class ProbingFlow(Controller):
     def reset(self, num_rigs: int, control_period: float) -> None:
         super().reset(num_rigs, control_period)
         gains = {name: float(value) for name, value in self.gains.items()}
-        self._view = FlowView(slew=gains.pop("rise"), **gains)
+        self._view = PlanningView(slew=gains.pop("rise"), **gains)
         self._outputs = np.zeros((num_rigs * self._view.rows_per_rig, self._view.num_actions))
 
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:

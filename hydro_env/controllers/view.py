@@ -61,7 +61,7 @@ class View(Protocol):
 
 
 def make_view(settings: Any) -> View:
-    """A view from its settings, `{"kind": "flow" | "valves" | "frames", ...}`; the plain observation without any.
+    """A view from its settings, `{"kind": "plan" | "flow" | "valves" | "frames", ...}`; the plain observation without any.
 
     InputError for anything that is not right.
     """
@@ -69,17 +69,22 @@ def make_view(settings: Any) -> View:
         raise InputError(f"should be a table with a key 'kind', found {type(settings).__name__}")
     given = dict(settings or {"kind": "frames"})
     from hydro_env.controllers.flow_view import FlowView
+    from hydro_env.controllers.planning_view import PlanningView
 
-    kinds: dict[str, type[Any]] = {"frames": FramesView, "valves": ValveView, "flow": FlowView}
+    kinds: dict[str, type[Any]] = {
+        "frames": FramesView, "valves": ValveView, "flow": FlowView, "plan": PlanningView,
+    }  # fmt: skip
     kind = given.pop("kind", None)
     if kind not in kinds:
         raise InputError(f"kind {kind!r} is unknown; there are {', '.join(kinds)}")
     known = list(inspect.signature(kinds[str(kind)]).parameters)
+    if kind == "plan":  # and what it hands on
+        known = sorted({*known, *inspect.signature(FlowView).parameters} - {"others"})
     for key, value in given.items():
         if key not in known:
             raise InputError(f"{key!r} is unknown; known for kind {kind!r} are {', '.join(known)}")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < 1000:
-            raise InputError(f"{key} {value!r} should be a number from 0 to 1000")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < 1e5:
+            raise InputError(f"{key} {value!r} should be a number from 0 to 100000")
     made: View = kinds[str(kind)](**given)
     return made
 

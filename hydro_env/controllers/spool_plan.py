@@ -1,0 +1,297 @@
+"""Plans the next commands of a pair of valves so that both motors keep together, on a model of spools, valves and motors.
+
+A plan holds the commands of the next few control periods. The model of a channel is small: a coil that lags by `COIL`, a
+spool with mass, spring and Coulomb friction between stops, a valve with a dead zone and one gain, a motor that follows its
+flow by (1) and (2). Positions and commands are shares of the rated command, flows of the rated flow. A plan is improved by
+steps of Gauss and Newton on a cost that adds up
+
+* the speed differences at the control instants squared, beyond `corner` more than squared
+* how far the mean of both speeds is from its aim, squared
+* the moves of the commands squared
+* what is left of the spool's swing about the last command, squared
+
+so that a spool that has the longer way to its edge sets out first, and one that would ring is caught in time. Each rig is
+worked on by itself: a row of a batch gets bit for bit what it would get alone.
+"""
+
+from __future__ import annotations
+
+from math import exp
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.compiled import compiled
+from hydro_env.units import RPM
+
+__all__ = ["COIL", "Response", "Weights", "follow", "improve_plans", "responses"]
+
+Floats = NDArray[np.floating[Any]]
+
+COIL = 1e-3
+"""Time constant of the coil, s: inductance over resistance."""
+STOP = 1.16
+"""Where the end stops of the nominal spool are."""
+CLOSED = 0.3
+"""What a closed valve is taken to react like, as a share of an open one: it may be open when the plan has changed."""
+TRIES, SMALLER = 3, 0.35
+"""How often a step is tried, and by how much smaller each time."""
+STUCK, AWAY = 0.6, 10.0 * RPM
+"""A plan that leaves this share of a larger distance from the aim begins once more with the plain way to the aim."""
+
+
+class Weights(NamedTuple):
+    """Of the difference, the distance from the aim, the moves, the swing at the end; `corner`: speed difference from which
+    on its cost grows faster than its square, rad/s; `turns` of improvement."""
+
+    apart: float
+    aim: float
+    moves: float
+    swing: float
+    corner: float
+    turns: int
+
+
+class Response(NamedTuple):
+    """The modelled channel: substeps of `step` s, `steps` a period; spool and motor as in `follow`."""
+
+    steps: int
+    step: float
+    rate: float
+    decay: float
+    grip: float
+    held: float  # share of a change of command that the coil has yet to follow after a substep
+    mean: float  # and on the mean of a substep
+    per_speed: float
+    per_torque: float
+    per_acceleration: float
+    travel: NDArray[
+        np.float64
+    ]  # of a spool after a command of 1 that lasts a period, by substep: (horizon steps,)
+    swing: NDArray[np.float64]  # its speed over `rate`
+
+
+def responses(
+    period: float,
+    steps: int,
+    horizon: int,
+    rate: float,
+    damping: float,
+    friction: float,
+    flow: tuple[float, float, float],
+) -> Response:
+    """The channel's model for a control period in s; `flow`: per speed, torque and acceleration (`flow_view.Motor`)."""
+    step = period / steps
+    held = exp(-step / COIL)
+    mean = (1.0 - held) * COIL / step
+    decay = exp(-2.0 * damping * rate * step)
+    travel, swing = [], []
+    position = speed = late = 0.0
+    for substep in range(horizon * steps):
+        command = 1.0 if substep < steps else 0.0
+        position += 0.5 * step * speed
+        speed = decay * speed + step * rate * rate * (command + mean * (late - command) - position)
+        position += 0.5 * step * speed
+        late = command + held * (late - command)
+        travel.append(position)
+        swing.append(speed / rate)
+    grip = step * rate * rate * friction
+    return Response(
+        steps, step, rate, decay, grip, held, mean, *flow, travel=np.array(travel), swing=np.array(swing)
+    )
+
+
+@compiled
+def _substep(position, speed, late, command, r):
+    """One substep of a spool: position, speed and the coil's command after it."""
+    gap = late - command
+    position += 0.5 * r.step * speed
+    speed = r.decay * speed + r.step * r.rate * r.rate * (command + r.mean * gap - position)
+    if speed > r.grip:
+        speed -= r.grip
+    elif speed < -r.grip:
+        speed += r.grip
+    else:
+        speed = 0.0
+    position += 0.5 * r.step * speed
+    if position > STOP:
+        position, speed = STOP, min(speed, 0.0)
+    elif position < -STOP:
+        position, speed = -STOP, max(speed, 0.0)
+    return position, speed, command + r.held * gap
+
+
+@compiled
+def _valve(position, positive, negative, gain):
+    """Flow, and whether the valve is open."""
+    if position > positive:
+        return gain * (position - positive), True
+    if position < -negative:
+        return gain * (position + negative), True
+    return 0.0, False
+
+
+@compiled
+def follow(position, speed, late, ringing, bend, command, edge, gain, r):
+    """Spools (N, 2) under held commands for a period, in place.
+
+    `ringing`: squared amplitude of the swing about the command. `bend`: mean of the flow over the period less the mean of
+    what it is at begin and end, which is what samples miss.
+    """
+    for i in range(position.shape[0]):
+        for c in range(2):
+            x, v, late_c, u = position[i, c], speed[i, c], late[i, c], command[i, c]
+            flow, _ = _valve(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
+            first, total = flow, 0.5 * flow
+            for _ in range(r.steps):
+                x, v, late_c = _substep(x, v, late_c, u, r)
+                flow, _ = _valve(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
+                total += flow
+            bend[i, c] = (total - 0.5 * flow) / r.steps - 0.5 * (first + flow)
+            position[i, c], speed[i, c], late[i, c] = x, v, late_c
+            ringing[i, c] = (x - u) ** 2 + (v / r.rate) ** 2
+
+
+@compiled
+def _drive(plan, place, motor, load, edge, gain, sent, aim, w, r, speeds, ends, opened):
+    """The cost of a plan (2, H) of one rig. Fills `speeds` (2, H + 1), `ends` (2, 2) of the spools, `opened` (2, H steps).
+
+    `place` (3, 2): position, speed and the coil's command of each spool; `motor` (2,): speeds; `aim` (H + 1,).
+    """
+    horizon = plan.shape[1]
+    total = 0.0
+    for c in range(2):
+        x, v, late, speed = place[0, c], place[1, c], place[2, c], motor[c]
+        before = sent[c]
+        speeds[c, 0] = speed
+        for k in range(horizon):
+            for s in range(r.steps):
+                x, v, late = _substep(x, v, late, plan[c, k], r)
+                flow, is_open = _valve(x, edge[c, 0], edge[c, 1], gain[c])
+                speed += r.step * (flow - r.per_speed * speed - r.per_torque * load[c]) / r.per_acceleration
+                opened[c, k * r.steps + s] = 1.0 if is_open else CLOSED
+            speeds[c, k + 1] = speed
+            total += w.moves * (plan[c, k] - before) ** 2
+            before = plan[c, k]
+        ends[c, 0], ends[c, 1] = x - before, v / r.rate
+        total += w.swing * (ends[c, 0] ** 2 + ends[c, 1] ** 2)
+    for k in range(1, horizon + 1):
+        apart, off = speeds[0, k] - speeds[1, k], 0.5 * (speeds[0, k] + speeds[1, k]) - aim[k]
+        square = apart * apart
+        total += w.apart * square * (1.0 + 0.5 * square / (w.corner * w.corner)) + 2.0 * w.aim * off * off
+    return total
+
+
+@compiled
+def _normal(plan, gain, sent, aim, w, r, speeds, ends, opened, change, square, slope):
+    """The cost's slope (2 H,) and the matrix (2 H, 2 H) of Gauss and Newton, each halved."""
+    horizon = plan.shape[1]
+    square[:] = 0.0
+    slope[:] = 0.0
+    for c in range(2):
+        for j in range(horizon):
+            turned = 0.0
+            for k in range(j, horizon):
+                for s in range(r.steps):
+                    flow = gain[c] * opened[c, k * r.steps + s] * r.travel[(k - j) * r.steps + s]
+                    turned += r.step * (flow - r.per_speed * turned) / r.per_acceleration
+                change[c, j, k + 1] = turned
+    for k in range(1, horizon + 1):
+        apart, off = speeds[0, k] - speeds[1, k], 0.5 * (speeds[0, k] + speeds[1, k]) - aim[k]
+        weight = w.apart * (1.0 + apart * apart / (w.corner * w.corner))
+        for c in range(2):
+            sign = 1.0 - 2.0 * c
+            for j in range(k):
+                a = change[c, j, k]
+                slope[c * horizon + j] += (weight * apart * sign + w.aim * off) * a
+                for d in range(2):
+                    both = weight if d == c else -weight
+                    for i in range(k):
+                        square[c * horizon + j, d * horizon + i] += (both + 0.5 * w.aim) * a * change[d, i, k]
+    for c in range(2):
+        for j in range(horizon):
+            at = c * horizon + j
+            move = plan[c, j] - (sent[c] if j == 0 else plan[c, j - 1])
+            square[at, at] += w.moves
+            slope[at] += w.moves * move
+            if j > 0:
+                square[at - 1, at - 1] += w.moves
+                square[at, at - 1] -= w.moves
+                square[at - 1, at] -= w.moves
+                slope[at - 1] -= w.moves * move
+            last = (horizon - j) * r.steps - 1
+            x, v = r.travel[last] - (1.0 if j == horizon - 1 else 0.0), r.swing[last]
+            slope[at] += w.swing * (ends[c, 0] * x + ends[c, 1] * v)
+            for i in range(horizon):
+                last = (horizon - i) * r.steps - 1
+                y = r.travel[last] - (1.0 if i == horizon - 1 else 0.0)
+                square[at, c * horizon + i] += w.swing * (x * y + v * r.swing[last])
+
+
+@compiled
+def _solve(square, slope, move):
+    """move = -square^-1 slope, by Cholesky in place."""
+    n = slope.size
+    for p in range(n):
+        for q in range(p + 1):
+            rest = square[p, q]
+            for m in range(q):
+                rest -= square[p, m] * square[q, m]
+            square[p, q] = np.sqrt(max(rest, 1e-12)) if p == q else rest / square[q, q]
+    for p in range(n):
+        rest = -slope[p]
+        for m in range(p):
+            rest -= square[p, m] * move[m]
+        move[p] = rest / square[p, p]
+    for p in range(n - 1, -1, -1):
+        rest = move[p]
+        for m in range(p + 1, n):
+            rest -= square[m, p] * move[m]
+        move[p] = rest / square[p, p]
+
+
+@compiled
+def improve_plans(plans, plain, rows, place, motor, load, edge, gain, sent, aim, w, r):
+    """Improves the plans (N, 2, H) of the rigs `rows`, in place.
+
+    plain (N, 2, H): another plan to begin with, where it is better. place (3, N, 2): positions, speeds and coils' commands of
+    the spools. motor (N, 2): speeds in rad/s; load (N, 2) in N m; edge (N, 2, 2); gain, sent (N, 2), the last command; aim
+    (N, H + 1) in rad/s at the control instants. w: `Weights`, r: `Response`.
+    """
+    horizon = plans.shape[2]
+    n = 2 * horizon
+    speeds, ends, opened = np.empty((2, horizon + 1)), np.empty((2, 2)), np.empty((2, horizon * r.steps))
+    change = np.empty((2, horizon, horizon + 1))
+    square, slope, move, tried = np.empty((n, n)), np.empty(n), np.empty(n), np.empty((2, horizon))
+    for i in rows:
+        plan, at = plans[i], place[:, i]
+        given = (at, motor[i], load[i], edge[i], gain[i], sent[i], aim[i], w, r, speeds, ends, opened)
+        cost = _drive(plan, *given)
+        if _drive(plain[i], *given) < cost:
+            plan[:] = plain[i]
+        for attempt in range(2):
+            cost = _drive(plan, *given)
+            for _ in range(w.turns):
+                _normal(plan, gain[i], sent[i], aim[i], w, r, speeds, ends, opened, change, square, slope)
+                _solve(square, slope, move)
+                size, better = 1.0, False
+                for _ in range(TRIES):
+                    for c in range(2):
+                        for j in range(horizon):
+                            tried[c, j] = min(1.0, max(-1.0, plan[c, j] + size * move[c * horizon + j]))
+                    reached = _drive(tried, *given)
+                    if reached < cost:
+                        better = True
+                        break
+                    size *= SMALLER
+                if not better:
+                    break
+                cost = reached
+                plan[:] = tried
+            # out of standstill the way leads over a ridge: a plan that stays behind it begins once more beyond
+            away = aim[i, horizon] - 0.5 * (motor[i, 0] + motor[i, 1])
+            left = aim[i, horizon] - 0.5 * (speeds[0, horizon] + speeds[1, horizon])
+            if attempt == 1 or abs(away) < AWAY or left * away < STUCK * away * away:
+                break
+            plan[:] = plain[i]

@@ -1,0 +1,133 @@
+"""The law that plans: the model's spool, the plan's slope, where it helps, and when it hands over to the law beneath."""
+
+import numpy as np
+import pytest
+
+from hydro_env.controllers.flow_view import FlowView, Motor
+from hydro_env.controllers.planning_view import HORIZON, STEPS, PlanningView
+from hydro_env.controllers.rollout import roll_out
+from hydro_env.controllers.spool_plan import Weights, _drive, _normal, follow, improve_plans, responses
+from hydro_env.controllers.view import make_view
+from hydro_env.errors import InputError
+from hydro_env.plant import load_model, simulate
+
+MOTOR = (Motor().per_speed, Motor().per_torque, Motor().per_acceleration)
+
+
+def channel(friction=0.0, horizon=HORIZON):
+    return responses(0.01, STEPS, horizon, 206.0, 0.03, friction, MOTOR)
+
+
+class Alone:
+    """A view without a network as a controller."""
+
+    name, needs, plant = "alone", "measurements", None
+
+    def __init__(self, view):
+        self.view = view
+
+    def reset(self, num_rigs, period):
+        self.num_rigs, self.period, self.started = num_rigs, period, False
+
+    def act(self, observation):
+        if self.started:
+            self.view.take_in(observation)
+        else:
+            self.view.start(observation, self.period)
+            self.started = True
+        return self.view.command(np.zeros((2 * self.num_rigs, self.view.num_actions)))
+
+
+def test_modelled_spool_goes_where_the_plants_spool_goes():
+    """With the plant's friction the model stays within 4 % of the rated travel through full steps to and fro."""
+    model = load_model("paper")
+    command = np.repeat(np.random.default_rng(1).uniform(-0.6, 0.6, (25, 2)), 3, axis=0)
+    true = simulate(model, 73.0 * command, None, 0.01, record=("spool",))["spool"][:, 0]
+    travel = 20.0 * 73.0 / (100.0 * 17000.0)
+    force = 17000.0 * travel
+    x, v, late, ringing, bend = (np.zeros((1, 2)) for _ in range(5))
+    edge, gain, seen = np.full((1, 2, 2), 0.1), np.ones((1, 2)), []
+    r = channel(friction=0.1 / force)
+    for row in command:
+        seen.append(x[0].copy())
+        follow(x, v, late, ringing, bend, row[None].copy(), edge, gain, r)
+    assert np.sqrt(np.mean((np.array(seen) - true / travel) ** 2)) < 0.04
+
+
+def test_slope_of_the_cost_is_that_of_its_differences():
+    r, w = channel(), Weights(30.0, 1.0, 100.0, 100.0, 2.0, 1)
+    place, motor = np.array([[0.3, 0.4], [2.0, -1.0], [0.3, 0.4]]), np.array([20.0, 22.0])
+    load, gain, edge = np.array([0.1, 0.3]), np.array([0.8, 0.7]), np.full((2, 2), 0.02)
+    sent, aim = np.array([0.3, 0.4]), np.linspace(21.0, 25.0, HORIZON + 1)
+    plan = np.array([[0.35, 0.4, 0.38, 0.4], [0.45, 0.5, 0.5, 0.52]])
+    n = 2 * HORIZON
+    speeds, ends, opened = np.empty((2, HORIZON + 1)), np.empty((2, 2)), np.empty((2, HORIZON * STEPS))
+
+    def cost(given):
+        return _drive(given, place, motor, load, edge, gain, sent, aim, w, r, speeds, ends, opened)
+
+    cost(plan)
+    square, slope = np.empty((n, n)), np.empty(n)
+    _normal(
+        plan, gain, sent, aim, w, r, speeds, ends, opened, np.empty((2, HORIZON, HORIZON + 1)), square, slope
+    )
+    found = np.empty(n)
+    for k in range(n):
+        step = np.zeros(n)
+        step[k] = 1e-5
+        found[k] = (cost(plan + step.reshape(2, -1)) - cost(plan - step.reshape(2, -1))) / 4e-5
+    np.testing.assert_allclose(slope, found, rtol=0.02, atol=0.02 * np.abs(found).max())
+    np.testing.assert_allclose(square, square.T, atol=1e-9)
+
+
+def test_the_valve_with_the_longer_way_sets_out_first():
+    """From rest, with dead zones of 2 and 20 %: both motors are to begin to turn in the same period."""
+    r, w = channel(), Weights(300.0, 1.0, 1000.0, 1000.0, 2.0, 20)
+    edge = np.array([[[0.02, 0.02], [0.20, 0.20]]])
+    place, motor, load = np.zeros((3, 1, 2)), np.zeros((1, 2)), np.zeros((1, 2))
+    gain, sent = np.full((1, 2), 0.8), np.zeros((1, 2))
+    aim = np.array([[0.0, 1.0, 2.0, 3.0, 4.0]])
+    plan, plain = np.zeros((1, 2, HORIZON)), np.tile([[[0.1], [0.28]]], (1, 1, HORIZON))
+    improve_plans(plan, plain, np.array([0]), place, motor, load, edge, gain, sent, aim, w, r)
+    speeds, ends, opened = np.empty((2, HORIZON + 1)), np.empty((2, 2)), np.empty((2, HORIZON * STEPS))
+    given = (place[:, 0], motor[0], load[0], edge[0], gain[0], sent[0], aim[0], w, r, speeds, ends, opened)
+    _drive(plan[0], *given)
+    planned = np.abs(speeds[0] - speeds[1]).max()
+    _drive(plain[0], *given)
+    assert speeds.mean(axis=0)[-1] > 0.0
+    assert planned < 0.2 * np.abs(speeds[0] - speeds[1]).max()
+    assert plan[0, 1, 0] > plan[0, 0, 0]
+
+
+@pytest.mark.parametrize("scenario", ["staircase", "sine"])
+def test_planning_beats_averaging_through_standstill(scenario):
+    """After the first second, in which probing and the first start set the largest difference of both."""
+    largest = []
+    for view in (PlanningView(), FlowView()):
+        trace = roll_out(Alone(view), range(24), mismatch="train", scenario=scenario).trace
+        largest.append(np.median(np.abs(trace.difference_rpm[100:]).max(axis=0)))
+    assert largest[0] < 0.95 * largest[1]
+
+
+def test_a_row_of_a_batch_is_that_rig_alone():
+    steps = {"duration": 0.6, "setpoint_rpm": [[0.2, 400.0]]}
+    many = roll_out(Alone(PlanningView()), range(4), mismatch="train", scenario=steps).trace.command
+    alone = roll_out(Alone(PlanningView()), [2], mismatch="train", scenario=steps).trace.command
+    np.testing.assert_array_equal(many[:, 2], alone[:, 0])
+
+
+def test_settings_come_back_and_unknown_ones_are_refused():
+    view = make_view({"kind": "plan", "apart": 200.0, "slew": 12.0})
+    again = make_view(view.settings())
+    assert again.settings() == view.settings()
+    assert (again.slew, again.settings()["kind"]) == (12.0, "plan")
+    for wrong in ("others", "spart"):
+        with pytest.raises(InputError, match=wrong):
+            make_view({"kind": "plan", wrong: 1.0})
+
+
+def test_at_other_control_periods_the_law_beneath_commands():
+    largest = roll_out(
+        Alone(PlanningView()), range(12), mismatch="train", scenario="setpoint_steps", control_period=0.02
+    ).metrics()["max_speed_difference_rpm"]
+    assert np.median(largest) < 40.0
