@@ -410,6 +410,8 @@ PINNED = {
     "disturbance_observer": (39.94, 17.65),
     "compensated": (41.74, 8.90),
     "adaptive_flow": (38.58, 14.87),
+    "probing_flow": (30.21, 7.11),
+    "bench_flow": (34.02, 6.02),
     "servo_pid": (26.53, 5.54),
     "oracle": (25.41, 0.84),
 }

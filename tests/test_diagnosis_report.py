@@ -101,9 +101,7 @@ def test_a_crowded_summary_stays_within_twenty_lines(found: Diagnosis) -> None:
         data={**found.data, "gap": {"sealed": gap}},
     )
     lines = terminal_text(crowded).splitlines()
-    assert (
-        len(lines) <= 20 and "warning: w0" in terminal_text(crowded) and " more in the report" in lines[-1]
-    )
+    assert len(lines) <= 20 and "warning: w0" in terminal_text(crowded) and " more in the report" in lines[-1]
 
 
 def test_the_page_has_every_part_and_needs_no_network(found: Diagnosis) -> None:

@@ -241,7 +241,9 @@ def test_reset_options_hold_for_one_episode():
     _, info = env.reset()
     assert info["mismatch"]["Kq"][0] != 476106e-6
     # effects the plant lacked so far
-    _, info = env.reset(options={"mismatch": {"sensor_lag.time_constant": [0.05, 0.0], "spool_stiction.static": 0.1}})
+    _, info = env.reset(
+        options={"mismatch": {"sensor_lag.time_constant": [0.05, 0.0], "spool_stiction.static": 0.1}}
+    )
     np.testing.assert_array_equal(info["mismatch"]["sensor_lag.time_constant"], [0.05, 0.0])
     np.testing.assert_array_equal(env.plant.get("sensor_lag.time_constant"), [[0.05, 0.0]])
     run(env, 3, np.random.default_rng(0))

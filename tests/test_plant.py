@@ -26,6 +26,7 @@ from hydro_env.plant.compile import STATES, rosenbrock_coefficients
 from hydro_env.plant.model import SUBSTEP
 from hydro_env.plant.plant import SIGNALS
 from hydro_env.plant.rhs import rates
+from hydro_env.plant.shapes import CORRECTIONS, FAMILY, follows
 from tests.test_plant_accuracy import _strong
 
 PERIOD = 0.01
@@ -321,6 +322,11 @@ def test_every_parameter_of_every_effect_is_seen_in_some_signal(name: str, every
     )
     loads = np.stack([2.5 * np.sign(np.sin(7 * time)), 0.3 * np.sin(3 * time)], axis=1)
     typical = {f"{name}.{p.name}": p.typical for p in effect.parameters}
+    if effect.family == FAMILY:  # a correction is seen beside an effect that it corrects
+        corrected = next(each for each, corrections in CORRECTIONS.items() if name in corrections)
+        typical |= {f"{corrected}.{p.name}": p.typical for p in CATALOGUE[corrected].parameters}
+        repeated = follows(name, corrected)
+        typical |= {own: typical[to] if isinstance(to, str) else to for own, to in repeated.items()}
     for parameter in effect.parameters:
         moved = dict(typical)
         middle = 0.5 * (max(parameter.low, -1e9) + min(parameter.high, 1e9))

@@ -1,4 +1,4 @@
-"""The law that probes valves at rest: what its two settings are for, and that it forgets one rig before the next."""
+"""The laws that plan flow: probing at rest or a bench before it, settings, and that they forget one rig before the next."""
 
 import numpy as np
 import pytest
@@ -28,8 +28,30 @@ def test_it_uses_the_rest_before_the_first_step():
     assert scores("probing_flow", scenario=steps)[0] < scores("probing_flow", scenario=at_once)[0] - 1.0
 
 
-def test_reset_forgets():
-    controller = make_controller("probing_flow")
+def test_what_the_bench_found_is_worth_more_than_probing():
+    """And nothing is probed, so that the shafts hardly move before the set-point does, at 0.2 s."""
+    told, probed = scores("bench_flow"), scores("probing_flow")
+    assert told[0] < probed[0] - 1.0
+    played = {
+        name: roll_out(make_controller(name), range(6), mismatch="val", scenario="setpoint_steps").trace
+        for name in ("bench_flow", "probing_flow")
+    }
+    moved = {name: np.abs(trace.speed_rpm[:20]).max() for name, trace in played.items()}
+    assert (
+        moved["bench_flow"] < 0.3 * moved["probing_flow"]
+    )  # a valve with an offset lets some oil through at rest
+
+
+def test_without_a_bench_it_does_not_begin():
+    controller = make_controller("bench_flow")
+    controller.reset(1, 0.01)
+    with pytest.raises(RuntimeError, match="on a bench"):
+        controller.act(np.zeros((1, 9), np.float32))
+
+
+@pytest.mark.parametrize("name", ["probing_flow", "bench_flow"])
+def test_reset_forgets(name):
+    controller = make_controller(name)
     first, again = (
         roll_out(controller, range(3), mismatch="val", scenario="load_step").trace.command for _ in range(2)
     )

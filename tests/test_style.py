@@ -34,7 +34,16 @@ def test_nothing_depends_on_the_code_above_it() -> None:
         "tasks": ("envs", "controllers", "benchmark", "diagnosis", "experiments", "cli", "sb3"),
         "envs": ("benchmark", "diagnosis", "experiments", "cli"),
         "controllers": ("benchmark", "diagnosis", "experiments", "cli"),
-        "valve_bench": ("tasks", "envs", "controllers", "benchmark", "diagnosis", "experiments", "cli", "sb3"),
+        "valve_bench": (
+            "tasks",
+            "envs",
+            "controllers",
+            "benchmark",
+            "diagnosis",
+            "experiments",
+            "cli",
+            "sb3",
+        ),
         "diagnosis": ("benchmark", "experiments", "cli"),
         "benchmark": ("experiments", "cli"),
     }

@@ -24,10 +24,24 @@ class ProbingFlow(Controller):
     """See the module's text. The drawn valves are unknown to it, the paper's motor is known."""
 
     GAINS = (
-        Gain("rate", "1/s", 5.0, 60.0, default=40.0, summary="rate at which the reference runs to the set-point"),
+        Gain(
+            "rate",
+            "1/s",
+            5.0,
+            60.0,
+            default=40.0,
+            summary="rate at which the reference runs to the set-point",
+        ),
         Gain("rise", "1/s", 3.0, 60.0, default=27.0, summary="rated flows a second by which flow may rise"),
         Gain("fall", "1", 1.0, 10.0, default=4.0, summary="how many times as fast it may fall"),
-        Gain("sweep", "1/s", 1.0, 6.0, default=3.0, summary="pace of the spools when probing, commands a second"),
+        Gain(
+            "sweep",
+            "1/s",
+            1.0,
+            6.0,
+            default=3.0,
+            summary="pace of the spools when probing, commands a second",
+        ),
         Gain("search", "1/s", 1.0, 20.0, default=9.3, summary="pace when an edge is looked for on the way"),
     )
 

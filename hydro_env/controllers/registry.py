@@ -14,6 +14,7 @@ from typing import Any
 
 from hydro_env.controllers.adaptive import AdaptiveFlow
 from hydro_env.controllers.base import Controller
+from hydro_env.controllers.bench_flow import BenchFlow
 from hydro_env.controllers.compensated import Compensated
 from hydro_env.controllers.coupled import CrossCoupled, MasterSlave, RelativeCoupled, VirtualLeader
 from hydro_env.controllers.gains import read_gains
@@ -90,6 +91,7 @@ CONTROLLERS: dict[str, Entry] = {
         Entry(
             "probing_flow", "probes the valves at rest, then learns on", lambda: ProbingFlow("probing_flow")
         ),
+        Entry("bench_flow", "the same, with valves from a valve bench", lambda: BenchFlow("bench_flow")),
         _tuned("servo_pid", "PID behind a ramp, on the same motors behind servo valves", plant="servo"),
         _tuned("oracle", "told everything but the set-point to come: model-predictive"),
         _policy("ppo", "neural policy trained with PPO"),

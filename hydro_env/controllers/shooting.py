@@ -151,7 +151,10 @@ def keep(
         for s in range(seen.shape[1]):
             for i in range(plan.shape[0]):
                 if better[i]:
-                    kept[signal, s, i, 0], kept[signal, s, i, 1] = seen[signal, s, i, 0], seen[signal, s, i, 1]
+                    kept[signal, s, i, 0], kept[signal, s, i, 1] = (
+                        seen[signal, s, i, 0],
+                        seen[signal, s, i, 1],
+                    )
 
 
 @compiled

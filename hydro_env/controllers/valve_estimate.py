@@ -112,6 +112,13 @@ class ValveEstimate:
         self.edge_variance[rows] = (FARTHEST_EDGE - NEAREST_EDGE) ** 2 / 12.0
         self.shared[rows], self.between[rows], self.surprise[rows] = 0.0, 0.0, 0.0
 
+    def told(self, edge: Floats, gain: Floats, edge_doubt: float, gain_doubt: float) -> None:
+        """Begins with edges (num_rigs, 2, 2) and gains (num_rigs, 2) from elsewhere, known with these standard deviations."""
+        self.edge[:], self.gain[:] = edge, gain
+        self.unknown[:] = False
+        self.edge_variance[:], self.gain_variance[:] = edge_doubt**2, gain_doubt**2
+        self.shared[:], self.between[:] = 0.0, 0.0
+
     @property
     def middle(self) -> Floats:
         """The middle of each dead zone, (num_rigs, 2)."""

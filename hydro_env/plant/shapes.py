@@ -137,24 +137,31 @@ def _loops_force(force, wide, narrow, wide_loop, narrow_loop):
     return force - wide * wide_loop - narrow * narrow_loop
 
 
-def _wide_rate(wide_loop, current_rate, width, blunt, wide, alpha):
-    return (
-        current_rate - abs(current_rate) * wide_loop * (blunt + (1.0 - blunt) * wide_loop * wide_loop)
-    ) / (width * 2.5)
+def _wide_rate(wide_loop, current_rate, width, blunt):
+    # Currents keep it between -1 and 1; beyond, a rate that grew with the cube would run away in a long step.
+    squared = wide_loop * wide_loop
+    squared = squared if squared < 1.0 else 1.0
+    return (current_rate - abs(current_rate) * wide_loop * (blunt + (1.0 - blunt) * squared)) / (width * 2.5)
 
 
-def _wide_decay(current_rate, width):
-    return abs(current_rate) / (width * 2.5)
+def _wide_decay(wide_loop, current_rate, width, blunt):
+    squared = wide_loop * wide_loop
+    squared = squared if squared < 1.0 else 1.0
+    return abs(current_rate) * (blunt + 3.0 * (1.0 - blunt) * squared) / (width * 2.5)
 
 
 def _narrow_rate(narrow_loop, current_rate, width, blunt):
-    return (
-        current_rate - abs(current_rate) * narrow_loop * (blunt + (1.0 - blunt) * narrow_loop * narrow_loop)
-    ) / (width * 0.8)
+    squared = narrow_loop * narrow_loop
+    squared = squared if squared < 1.0 else 1.0
+    return (current_rate - abs(current_rate) * narrow_loop * (blunt + (1.0 - blunt) * squared)) / (
+        width * 0.8
+    )
 
 
-def _narrow_decay(current_rate, width):
-    return abs(current_rate) / (width * 0.8)
+def _narrow_decay(narrow_loop, current_rate, width, blunt):
+    squared = narrow_loop * narrow_loop
+    squared = squared if squared < 1.0 else 1.0
+    return abs(current_rate) * (blunt + 3.0 * (1.0 - blunt) * squared) / (width * 0.8)
 
 
 _correction(
