@@ -42,7 +42,7 @@ class _Rigs:
         return isinstance(other, _Rigs) and self.key == other.key
 
 
-@lru_cache(maxsize=2)  # the same pairs come back in every scenario of a suite
+@lru_cache(maxsize=8)  # the same pairs come back in every scenario of a suite, for every controller
 def _measured(rigs: _Rigs) -> Floats:
     """Edge and gain, (num_rigs, 2 channels, 2 sides, 2)."""
     return np.array([[_read(curve) for curve in pair] for pair in record_rigs(rigs.plant)])

@@ -159,23 +159,31 @@ def _drive(plan, place, motor, load, edge, gain, sent, aim, w, r, speeds, ends, 
 
     `place` (3, 2): position, speed and the coil's command of each spool; `motor` (2,): speeds; `aim` (H + 1,).
     """
+    # Both spools in one loop: one's next step does not wait for the other's.
     horizon = plan.shape[1]
+    push = r.step / r.per_acceleration
+    x0, v0, late0, speed0, drag0 = place[0, 0], place[1, 0], place[2, 0], motor[0], r.per_torque * load[0]
+    x1, v1, late1, speed1, drag1 = place[0, 1], place[1, 1], place[2, 1], motor[1], r.per_torque * load[1]
+    before0, before1 = sent[0], sent[1]
+    speeds[0, 0], speeds[1, 0] = speed0, speed1
     total = 0.0
-    for c in range(2):
-        x, v, late, speed = place[0, c], place[1, c], place[2, c], motor[c]
-        before = sent[c]
-        speeds[c, 0] = speed
-        for k in range(horizon):
-            for s in range(r.steps):
-                x, v, late = _substep(x, v, late, plan[c, k], r)
-                flow, is_open = _valve(x, edge[c, 0], edge[c, 1], gain[c])
-                speed += r.step * (flow - r.per_speed * speed - r.per_torque * load[c]) / r.per_acceleration
-                opened[c, k * r.steps + s] = 1.0 if is_open else CLOSED
-            speeds[c, k + 1] = speed
-            total += w.moves * (plan[c, k] - before) ** 2
-            before = plan[c, k]
-        ends[c, 0], ends[c, 1] = x - before, v / r.rate
-        total += w.swing * (ends[c, 0] ** 2 + ends[c, 1] ** 2)
+    for k in range(horizon):
+        command0, command1 = plan[0, k], plan[1, k]
+        for s in range(r.steps):
+            x0, v0, late0 = _substep(x0, v0, late0, command0, r)
+            x1, v1, late1 = _substep(x1, v1, late1, command1, r)
+            flow0, open0 = _valve(x0, edge[0, 0], edge[0, 1], gain[0])
+            flow1, open1 = _valve(x1, edge[1, 0], edge[1, 1], gain[1])
+            speed0 += push * (flow0 - r.per_speed * speed0 - drag0)
+            speed1 += push * (flow1 - r.per_speed * speed1 - drag1)
+            opened[0, k * r.steps + s] = 1.0 if open0 else CLOSED
+            opened[1, k * r.steps + s] = 1.0 if open1 else CLOSED
+        speeds[0, k + 1], speeds[1, k + 1] = speed0, speed1
+        total += w.moves * ((command0 - before0) ** 2 + (command1 - before1) ** 2)
+        before0, before1 = command0, command1
+    ends[0, 0], ends[0, 1] = x0 - before0, v0 / r.rate
+    ends[1, 0], ends[1, 1] = x1 - before1, v1 / r.rate
+    total += w.swing * (ends[0, 0] ** 2 + ends[0, 1] ** 2 + ends[1, 0] ** 2 + ends[1, 1] ** 2)
     for k in range(1, horizon + 1):
         apart, off = speeds[0, k] - speeds[1, k], 0.5 * (speeds[0, k] + speeds[1, k]) - aim[k]
         square = apart * apart
@@ -184,19 +192,22 @@ def _drive(plan, place, motor, load, edge, gain, sent, aim, w, r, speeds, ends, 
 
 
 @compiled
-def _normal(plan, gain, sent, aim, w, r, speeds, ends, opened, change, square, slope):
+def _normal(plan, gain, sent, aim, w, r, speeds, ends, opened, turned, change, square, slope):
     """The cost's slope (2 H,) and the matrix (2 H, 2 H) of Gauss and Newton, each halved."""
     horizon = plan.shape[1]
     square[:] = 0.0
     slope[:] = 0.0
+    push = r.step / r.per_acceleration
+    keep = 1.0 - push * r.per_speed
     for c in range(2):
-        for j in range(horizon):
-            turned = 0.0
-            for k in range(j, horizon):
-                for s in range(r.steps):
-                    flow = gain[c] * opened[c, k * r.steps + s] * r.travel[(k - j) * r.steps + s]
-                    turned += r.step * (flow - r.per_speed * turned) / r.per_acceleration
-                change[c, j, k + 1] = turned
+        turned[:] = 0.0
+        for k in range(horizon):
+            for s in range(r.steps):
+                rise = push * gain[c] * opened[c, k * r.steps + s]
+                for j in range(k + 1):
+                    turned[j] = keep * turned[j] + rise * r.travel[(k - j) * r.steps + s]
+            for j in range(k + 1):
+                change[c, j, k + 1] = turned[j]
     for k in range(1, horizon + 1):
         apart, off = speeds[0, k] - speeds[1, k], 0.5 * (speeds[0, k] + speeds[1, k]) - aim[k]
         weight = w.apart * (1.0 + apart * apart / (w.corner * w.corner))
@@ -262,18 +273,23 @@ def improve_plans(plans, plain, rows, place, motor, load, edge, gain, sent, aim,
     horizon = plans.shape[2]
     n = 2 * horizon
     speeds, ends, opened = np.empty((2, horizon + 1)), np.empty((2, 2)), np.empty((2, horizon * r.steps))
-    change = np.empty((2, horizon, horizon + 1))
+    change, turned = np.empty((2, horizon, horizon + 1)), np.empty(horizon)
     square, slope, move, tried = np.empty((n, n)), np.empty(n), np.empty(n), np.empty((2, horizon))
     for i in rows:
         plan, at = plans[i], place[:, i]
         given = (at, motor[i], load[i], edge[i], gain[i], sent[i], aim[i], w, r, speeds, ends, opened)
+        other = _drive(plain[i], *given)
         cost = _drive(plan, *given)
-        if _drive(plain[i], *given) < cost:
+        if other < cost:
             plan[:] = plain[i]
-        for attempt in range(2):
             cost = _drive(plan, *given)
+        for attempt in range(2):
+            if attempt == 1:
+                cost = _drive(plan, *given)
             for _ in range(w.turns):
-                _normal(plan, gain[i], sent[i], aim[i], w, r, speeds, ends, opened, change, square, slope)
+                _normal(
+                    plan, gain[i], sent[i], aim[i], w, r, speeds, ends, opened, turned, change, square, slope
+                )
                 _solve(square, slope, move)
                 size, better = 1.0, False
                 for _ in range(TRIES):
