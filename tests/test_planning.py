@@ -68,9 +68,8 @@ def test_slope_of_the_cost_is_that_of_its_differences():
 
     cost(plan)
     square, slope = np.empty((n, n)), np.empty(n)
-    _normal(
-        plan, gain, sent, aim, w, r, speeds, ends, opened, np.empty((2, HORIZON, HORIZON + 1)), square, slope
-    )
+    turned, change = np.empty(HORIZON), np.empty((2, HORIZON, HORIZON + 1))
+    _normal(plan, gain, sent, aim, w, r, speeds, ends, opened, turned, change, square, slope)
     found = np.empty(n)
     for k in range(n):
         step = np.zeros(n)
