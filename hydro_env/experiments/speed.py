@@ -168,15 +168,21 @@ def measure_start() -> dict[str, float]:
     """Seconds from the start of Python to the first step of an environment: nothing compiled yet, and from the cache."""
     code = (
         "import gymnasium; env = gymnasium.make('hydro_env:HydraulicSync-v0');"
-        "env.reset(seed=0); env.step(env.action_space.sample())"
+        "env.reset(seed=0); env.step(env.action_space.sample()); import time; print(time.time())"
     )
     took = []
     with tempfile.TemporaryDirectory() as cache:
         own = {"HYDRO_ENV_CACHE": cache, "NUMBA_CACHE_DIR": str(Path(cache) / "numba")}
         for _ in ("cold", "warm"):
-            begin = time.perf_counter()
-            subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, **own})
-            took.append(time.perf_counter() - begin)
+            begin = time.time()  # a clock that both processes read
+            child = subprocess.run(
+                [sys.executable, "-c", code],
+                check=True,
+                env={**os.environ, **own},
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            took.append(float(child.stdout) - begin)
     return {"cold_s": took[0], "warm_s": took[1]}
 
 
