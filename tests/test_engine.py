@@ -133,12 +133,13 @@ def test_task_that_cannot_be_sent_is_named():
 
 
 INTERRUPTED = """
-import pathlib, sys
+import pathlib, signal, sys
 sys.path[:0] = [{root!r}, {tests!r}]
 from functools import partial
 from test_engine import note
 from hydro_env.engine import run
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background begins with it ignored
     run(range(100), partial(note, pathlib.Path({folder!r}), range(100)), jobs=2, progress=False)
 """
 
