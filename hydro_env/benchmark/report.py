@@ -10,7 +10,15 @@ import json
 from importlib.resources import files
 from typing import Any
 
-__all__ = ["scores_page", "scores_table"]
+__all__ = ["knows", "scores_page", "scores_table"]
+
+NEEDS = {
+    "measurements": "",
+    "bench": "valve bench",
+    "parameters": "told the valves",
+    "everything": "told everything",
+}
+"""What a controller has beyond the measurements on the rig, by what it says that it needs."""
 
 
 def scores_table(scores: dict[str, Any]) -> str:
@@ -78,13 +86,20 @@ def _cell(row: dict[str, Any] | None) -> str:
     return f"{row['iqm']:.3g} [{row['ci95'][0]:.3g}, {row['ci95'][1]:.3g}]"
 
 
+def knows(scores: dict[str, Any], name: str) -> str:
+    """What a controller has beyond the measurements, in a few words: a reader must know it to compare it with the others."""
+    needs, plant = scores["needs"][name], scores["own_plant"].get(name)
+    return ", ".join(filter(None, [NEEDS.get(needs, needs), plant and f"on {plant} valves"]))
+
+
 def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
     """The HTML page. `traces`: {"period_s", "metric", "splits": {split: {scenario: {controller: {"typical": case,
     "worst": case}}}}}, each case as `hydro_env.benchmark.command` thins it."""
     template = files("hydro_env.benchmark").joinpath("scores_page.html").read_text(encoding="utf-8")
     style = files("hydro_env.pages").joinpath("style.css").read_text(encoding="utf-8")
     page = template.replace("/*STYLE*/", style).replace("/*TRACES*/null", _embedded(traces))
-    return page.replace("/*SCORES*/null", _embedded(scores))
+    told = {name: knows(scores, name) for name in scores["controllers"]}
+    return page.replace("/*SCORES*/null", _embedded({**scores, "knows": told}))
 
 
 def _embedded(data: Any) -> str:

@@ -9,7 +9,7 @@ the spools look for their edges.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ __all__ = ["ProbingFlow"]
 class ProbingFlow(Controller):
     """See the module's text. The drawn valves are unknown to it, the paper's motor is known."""
 
-    GAINS = (
+    GAINS: ClassVar[tuple[Gain, ...]] = (
         Gain(
             "rate",
             "1/s",
@@ -45,10 +45,13 @@ class ProbingFlow(Controller):
         Gain("search", "1/s", 1.0, 20.0, default=9.3, summary="pace when an edge is looked for on the way"),
     )
 
+    probe = 1.0
+    """Whether the valves are probed at rest."""
+
     def reset(self, num_rigs: int, control_period: float) -> None:
         super().reset(num_rigs, control_period)
         gains = {name: float(value) for name, value in self.gains.items()}
-        self._view = PlanningView(slew=gains.pop("rise"), **gains)
+        self._view = PlanningView(slew=gains.pop("rise"), probe=self.probe, **gains)
         self._outputs = np.zeros((num_rigs * self._view.rows_per_rig, self._view.num_actions))
 
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
@@ -59,7 +62,10 @@ class ProbingFlow(Controller):
         if self._started:
             self._view.take_in(observation)
         else:
-            self._view.start(observation, self.period)
+            self._begin(observation)
             self._started = True
         self.sent = np.asarray(self._view.command(self._outputs), dtype=float)
         return self.sent
+
+    def _begin(self, observation: NDArray[np.floating[Any]]) -> None:
+        self._view.start(observation, self.period)

@@ -60,6 +60,14 @@ class View(Protocol):
         """What `make_view` needs to build the same view."""
 
 
+def _settings(view: type[Any]) -> list[str]:
+    """The settings of a view, with those that it hands on to the view it is built on."""
+    given = inspect.signature(view).parameters.values()
+    own = [each.name for each in given if each.kind is not each.VAR_KEYWORD]
+    on = _settings(view.__base__) if len(own) < len(given) and view.__base__ is not None else []
+    return list(dict.fromkeys([*own, *on]))
+
+
 def make_view(settings: Any) -> View:
     """A view from its settings, `{"kind": "plan" | "flow" | "valves" | "frames", ...}`; the plain observation without any.
 
@@ -77,9 +85,7 @@ def make_view(settings: Any) -> View:
     kind = given.pop("kind", None)
     if kind not in kinds:
         raise InputError(f"kind {kind!r} is unknown; there are {', '.join(kinds)}")
-    known = list(inspect.signature(kinds[str(kind)]).parameters)
-    if kind == "plan":  # and what it hands on
-        known = sorted({*known, *inspect.signature(FlowView).parameters} - {"others"})
+    known = _settings(kinds[str(kind)])
     for key, value in given.items():
         if key not in known:
             raise InputError(f"{key!r} is unknown; known for kind {kind!r} are {', '.join(known)}")

@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from hydro_env import __version__
 from hydro_env.benchmark import command as benchmark
+from hydro_env.benchmark.report import knows
 from hydro_env.controllers.registry import CONTROLLERS
 from hydro_env.diagnosis import command as diagnosis
 from hydro_env.diagnosis import hide
@@ -30,14 +31,6 @@ __all__ = ["run"]
 
 HIDDEN = ("dead_zone:1",)
 """What the third part hides."""
-
-NEEDS = {
-    "measurements": "",
-    "bench": "its valves were on a valve bench beforehand",
-    "parameters": "told the valves",
-    "everything": "told everything but the set-point to come",
-}
-"""What a controller has beyond the measurements: a reader must know it to compare it with the others."""
 
 BOARD = (
     ("setpoint_steps", "max_speed_difference_rpm", "steps: largest difference, rpm"),
@@ -188,12 +181,7 @@ def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
         found = [cells.get((name, scenario, metric)) for scenario, metric, _ in BOARD]
         file = CONTROLLERS[name].file
         learned = file is not None and file.suffix == ".npz"
-        notes = [
-            "learned: a network on top of a control law" if learned else "",
-            NEEDS[scores["needs"][name]],
-        ]
-        if name in scores["own_plant"]:
-            notes.append(f"on {scores['own_plant'][name]} valves")
+        notes = ["learned: a network on top of a control law" if learned else "", knows(scores, name)]
         rows.append(
             {
                 "name": name,

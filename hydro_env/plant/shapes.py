@@ -188,11 +188,11 @@ def _first_rate(first, own_flow, other_flow, relative_drop, time_constant):
 
 
 def _second_rate(second, first, delay):
-    return (first - second) / (delay if delay > 1e-3 else 1e-3)
+    return (first - second) / (delay if delay > 1e-5 else 1e-5)
 
 
 def _second_decay(delay):
-    return 1.0 / (delay if delay > 1e-3 else 1e-3)
+    return 1.0 / (delay if delay > 1e-5 else 1e-5)
 
 
 _correction(
@@ -329,14 +329,6 @@ def _sensor_first_decay(time_constant):
     return 1.0 / (time_constant if time_constant > 1e-5 else 1e-5)
 
 
-def _sensor_second(second, first, delay):
-    return (first - second) / (delay if delay > 1e-5 else 1e-5)
-
-
-def _sensor_second_decay(delay):
-    return 1.0 / (delay if delay > 1e-5 else 1e-5)
-
-
 _correction(
     "sensor_shape", "sensor", "the sensor follows with a second lag",
     (
@@ -345,5 +337,5 @@ _correction(
     ),
     {"measured_speed": _late_speed},
     {"sensor_lag": {"time_constant": "time_constant"}},
-    (State("first", _sensor_first, _sensor_first_decay), State("second", _sensor_second, _sensor_second_decay)),
+    (State("first", _sensor_first, _sensor_first_decay), State("second", _second_rate, _second_decay)),
 )  # fmt: skip
