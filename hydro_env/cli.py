@@ -320,9 +320,15 @@ def tune(
     """Search the gains of a controller.
 
     Writes gains.json, which `benchmark` takes. `--controller all` writes one file for each controller that ships, with gains
-    for all control periods; of the other options only --seed and --only matter then. `--linear` takes
-    --plant and --max-sensitivity.
+    for all control periods, as soon as it is found; interrupt it and give the same command to go on. Of the other options only
+    --seed and --only matter then. `--linear` takes --plant and --max-sensitivity.
     """
+    if controller == "all":
+        from hydro_env.controllers.tune import run_all
+
+        names = run_all(out, names=only.split(",") if only else None, seed=seed)
+        print(f"In {out}: {', '.join(f'{name}.json' for name in names)}")
+        return
     with _writing(out) as folder:
         if linear:
             from hydro_env.controllers import linear as tuner
@@ -333,9 +339,6 @@ def tune(
             return
         from hydro_env.controllers import tune as work
 
-        if controller == "all":
-            work.run_all(folder, names=only.split(",") if only else None, seed=seed)
-            return
         work.run(
             folder,
             controller=controller,

@@ -9,8 +9,10 @@ gains is its mean over pairs and scenarios. Differential evolution (SciPy) searc
 whole generation is one batch of rigs. All candidates drive the same pairs with the same noise. Only the split
 `train` may be used, or the plant's own pair.
 
-All controllers have the same budget (`--controller all`): at `PERIOD` `TRIALS` sets of gains are tried, at each
-of `OTHER_PERIODS` `OTHER_TRIALS`, the first generation of which lies around the gains found before.
+The controllers that ship (`--controller all`) have one budget, that of the law beneath the agents: 480 000 episodes. At
+`PERIOD` 960 sets of gains drive 200 pairs each in both scenarios, at each of `OTHER_PERIODS` 240 sets 100 pairs, the first
+generation of which lies around the gains found before. That is a quarter of an hour of a core for each controller; what has
+been found is kept when the command is interrupted, and not searched again.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from scipy.optimize import differential_evolution
 from tqdm import tqdm
 
 from hydro_env.controllers.base import FRACTION_PER_V, RPM, Controller, Floats, Gain
-from hydro_env.controllers.gains import GainsFile, write_gains
+from hydro_env.controllers.gains import GainsFile, read_gains, write_gains
 from hydro_env.controllers.registry import LAWS
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
@@ -41,13 +43,27 @@ from hydro_env.tasks import load_scenario
 __all__ = ["COMMON", "Task", "cost", "drive", "run", "run_all"]
 
 POPULATION = 24
-TRIALS, OTHER_TRIALS = 480, 144
-"""Sets of gains that are tried at the period a controller is made for, and at each of the others."""
-CASES = 12
-"""Pairs of valves that each of them drives, in every scenario."""
 SCENARIOS = "setpoint_steps,random_steps"
-EPISODES, OTHER_EPISODES = 2 * CASES * TRIALS, 2 * CASES * OTHER_TRIALS
+CASES, TRIALS = 12, 480
+"""Pairs of valves that a set of gains drives in every scenario, and how many sets are tried, where nothing else is asked for."""
+EPISODES = 2 * CASES * TRIALS
 PERIOD, OTHER_PERIODS = 0.01, (0.005, 0.02)
+
+
+@dataclass(frozen=True)
+class Budget:
+    """`trials` sets of gains, each of which drives `cases` pairs of valves in both of `SCENARIOS`."""
+
+    cases: int
+    trials: int
+
+    @property
+    def episodes(self) -> int:
+        return 2 * self.cases * self.trials
+
+
+BUDGET, OTHER_BUDGET = Budget(cases=200, trials=960), Budget(cases=100, trials=240)
+"""What each controller of `COMMON` has at `PERIOD`, and at each of `OTHER_PERIODS`."""
 AROUND = 0.15
 """A search around known gains begins within this share of every range to both sides of them."""
 COSTS = ("tracking_mae_rpm", "max_speed_difference_rpm", "rms_speed_difference_rpm", "command_variation")
@@ -97,36 +113,51 @@ def run_all(
     out: str | Path, *, names: list[str] | None = None, seed: int = 0, progress: bool = True
 ) -> dict[str, GainsFile]:
     """Tunes the controllers of `COMMON` (or those of them that are named) for all control periods with the common budget
-    and writes `out/NAME.json` for each.
+    and writes `out/NAME.json` for each as soon as it is found. One that is there already from the same command is kept.
+
+    InputError for a name that `COMMON` lacks, or a folder that cannot be written.
     """
     for name in names or ():
         if name not in COMMON:
             near = get_close_matches(name, COMMON, n=1)
             meant = f"did you mean {near[0]!r}? " if near else ""
             raise InputError(f"--only {name!r}: {meant}There are {', '.join(COMMON)}")
-    found: dict[str, GainsFile] = {}
+    return {name: _tuned(name, Path(out), seed, progress) for name in names or COMMON}
+
+
+def _tuned(name: str, out: Path, seed: int, progress: bool) -> GainsFile:
+    """Gains of one of `COMMON`, from `out` if the same command has left them there."""
+    task, path = COMMON[name], out / f"{name}.json"
+    origin = {
+        "command": f"hydro-env tune --controller all --only {name} --seed {seed}",
+        "version": version("hydro_env"),
+        "plant_drive_rpm": list(drive(task.plant)),
+        "episodes": BUDGET.episodes,
+    }
+    if path.exists():
+        kept = read_gains(path)
+        if origin.items() <= kept.tuning.items():
+            return kept
+    options: dict[str, Any] = {
+        "controller": task.law, "weight": task.weight, "plant": task.plant, "mismatch": task.mismatch, "seed": seed,
+        "progress": progress, "calm": task.calm,
+    }  # fmt: skip
     with output_folder(out) as folder:
-        for name in names or COMMON:
-            task = COMMON[name]
-            options: dict[str, Any] = {
-                "controller": task.law, "weight": task.weight, "plant": task.plant, "mismatch": task.mismatch, "seed": seed,
-                "progress": progress, "calm": task.calm,
-            }  # fmt: skip
-            best = _search(**options, control_period=PERIOD, episodes=EPISODES)
-            others = {
-                f"{period:g}": _search(
-                    **options, control_period=period, episodes=OTHER_EPISODES, near=best["gains"]
-                )
-                for period in OTHER_PERIODS
-            }
-            command = f"hydro-env tune --controller all --only {name} --seed {seed}"
-            for each in (best, *others.values()):
-                each["tuning"] = {"command": command} | each["tuning"]
-            found[name] = GainsFile(
-                task.law, best["gains"], _units(LAWS[task.law]), best["tuning"], name,
-                {period: {key: each[key] for key in ("gains", "tuning")} for period, each in others.items()},
-            )  # fmt: skip
-            write_gains(folder / f"{name}.json", found[name])
+        best = _search(**options, control_period=PERIOD, cases=BUDGET.cases, episodes=BUDGET.episodes)
+        others = {
+            f"{period:g}": _search(
+                **options, control_period=period, cases=OTHER_BUDGET.cases, episodes=OTHER_BUDGET.episodes,
+                near=best["gains"],
+            )
+            for period in OTHER_PERIODS
+        }  # fmt: skip
+        for each in (best, *others.values()):
+            each["tuning"] = {"command": origin["command"]} | each["tuning"]
+        found = GainsFile(
+            task.law, best["gains"], _units(LAWS[task.law]), best["tuning"], name,
+            {period: {key: each[key] for key in ("gains", "tuning")} for period, each in others.items()},
+        )  # fmt: skip
+        write_gains(folder / path.name, found)
     return found
 
 
@@ -194,7 +225,7 @@ def _search(
     plant: str,
     mismatch: str | None,
     scenario: str = SCENARIOS,
-    cases: int = CASES,
+    cases: int,
     episodes: int,
     weight: float,
     control_period: float,
