@@ -76,7 +76,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except InputError as problem:
         return _fail(problem)
     except (KeyboardInterrupt, typer.Abort):
-        return _fail("interrupted; nothing was written to --out", status=130)
+        return _fail("interrupted; nothing half-written is left in --out", status=130)
     except BrokenPipeError:  # `hydro-env ... | head`
         sys.stderr.close()
         return 1
@@ -96,7 +96,7 @@ def _run(arguments: Sequence[str] | None) -> int:
             raise
         return _fail(f"{usage()} Try `{_path(problem)} --help`.")
     if status == 130:  # typer turns an interruption into this
-        return _fail("interrupted; nothing was written to --out", status=130)
+        return _fail("interrupted; nothing half-written is left in --out", status=130)
     return status if isinstance(status, int) else 0
 
 

@@ -261,7 +261,7 @@ def test_the_command_goes_on_after_an_interruption(
     with monkeypatch.context() as patch:
         patch.setattr(close_loop, "_work", stopped)
         status, last = command()
-    assert (status, last) == (130, "error: interrupted; nothing was written to --out")
+    assert (status, last) == (130, "error: interrupted; nothing half-written is left in --out")
     assert [type(task) for task in quick] == [RigTask, Tuning]
     assert [path.name for path in tmp_path.iterdir()] == ["cells"]
     assert command()[0] == 0
