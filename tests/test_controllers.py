@@ -313,6 +313,8 @@ def test_a_common_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch)
     found = tune.run_all(tmp_path / "new/gains", names=wanted, progress=False)
     assert [plant for plant, _ in searched] == ["paper_dead_zone"] * 3 + ["servo"] * 5
     assert found["pid_tuned"] == read_gains(tmp_path / "new/gains/pid_tuned.json")
+    drives = {name: make_controller(str(tmp_path / f"new/gains/{name}.json")).plant for name in wanted}
+    assert drives == {"pid_tuned": None, "servo_pid": "servo"}
     monkeypatch.setattr(tune, "BUDGET", tune.Budget(cases=1, trials=72))
     tune.run_all(tmp_path / "new/gains", names=["pid_tuned"], progress=False)
     assert len(searched) == 11

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,8 @@ SCHEMA = "hydro_env/gains/1"
 class GainsFile:
     """`controller` names the control law, `gains` holds a number or a number per channel for each of its
     gains. `periods` holds gains of other control periods, {"0.005": {"gains": {...}, "tuning": {...}}} in s; those of
-    `gains` belong to the period that `tuning` names.
+    `gains` belong to the period that `tuning` names. `plant` is what the controller drives wherever it is scored, for one
+    that belongs to other valves; "" for what the board is run with.
     """
 
     controller: str
@@ -30,6 +31,7 @@ class GainsFile:
     tuning: dict[str, Any] = field(default_factory=dict)
     name: str = ""
     periods: dict[str, dict[str, Any]] = field(default_factory=dict)
+    plant: str = ""
 
     def by_period(self) -> dict[float, dict[str, Any]]:
         """Gains by control period in s; empty where there is but one set."""
@@ -62,9 +64,9 @@ def read_gains(path: str | Path) -> GainsFile:
         if not isinstance(entry, dict) or not isinstance(entry.get("gains"), dict):
             raise InputError(f'{path}: periods: "{period}" needs a table "gains"')
         _check(path, entry["gains"], f'periods: "{period}": ')
-    known = {
-        key: data[key] for key in ("controller", "gains", "units", "tuning", "name", "periods") if key in data
-    }
+    if not isinstance(data.get("plant", ""), str):
+        raise InputError(f'{path}: key "plant" must be the name of a preset or of a model file')
+    known = {each.name: data[each.name] for each in fields(GainsFile) if each.name in data}
     return GainsFile(**known)
 
 
@@ -89,7 +91,7 @@ def _is_period(text: str) -> bool:
 
 def write_gains(path: str | Path, found: GainsFile) -> None:
     """Writes a gains file atomically."""
-    data = {
+    data: dict[str, Any] = {
         "schema": SCHEMA,
         "name": found.name,
         "controller": found.controller,
@@ -97,4 +99,7 @@ def write_gains(path: str | Path, found: GainsFile) -> None:
         "units": found.units,
         "tuning": found.tuning,
     }
-    write_json(Path(path), data | ({"periods": found.periods} if found.periods else {}))
+    for key in ("plant", "periods"):
+        if value := getattr(found, key):
+            data[key] = value
+    write_json(Path(path), data)

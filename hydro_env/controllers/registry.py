@@ -60,15 +60,9 @@ class Entry:
         return self.file is None or self.file.is_file()
 
 
-def _tuned(name: str, summary: str, plant: str | None = None) -> Entry:
+def _tuned(name: str, summary: str) -> Entry:
     path = HERE / "data" / f"{name}.json"
-
-    def build() -> Controller:
-        controller = _from_gains(path, name)
-        controller.plant = plant
-        return controller
-
-    return Entry(name, summary, build, path)
+    return Entry(name, summary, lambda: _from_gains(path, name), path)
 
 
 def _policy(name: str, summary: str, apart: bool = False) -> Entry:
@@ -92,7 +86,7 @@ CONTROLLERS: dict[str, Entry] = {
             "probing_flow", "probes the valves at rest, then learns on", lambda: ProbingFlow("probing_flow")
         ),
         Entry("bench_flow", "the same, with valves from a valve bench", lambda: BenchFlow("bench_flow")),
-        _tuned("servo_pid", "PID behind a ramp, on the same motors behind servo valves", plant="servo"),
+        _tuned("servo_pid", "PID behind a ramp, on the same motors behind servo valves"),
         _tuned("oracle", "told everything but the set-point to come: model-predictive"),
         _policy("ppo", "neural policy trained with PPO"),
         _policy("ppo_calm", "the same on a slower reference: less difference, more tracking error"),
@@ -164,6 +158,7 @@ def _from_gains(path: Path, name: str) -> Controller:
     try:
         controller = LAWS[found.controller](found.name or name, **found.gains)
         controller.for_periods(found.by_period())
+        controller.plant = found.plant or None
         return controller
     except InputError as problem:
         raise InputError(f"{path}: {problem}") from None

@@ -156,6 +156,7 @@ def _tuned(name: str, out: Path, seed: int, progress: bool) -> GainsFile:
         found = GainsFile(
             task.law, best["gains"], _units(LAWS[task.law]), best["tuning"], name,
             {period: {key: each[key] for key in ("gains", "tuning")} for period, each in others.items()},
+            task.plant if task.mismatch is None else "",
         )  # fmt: skip
         write_gains(folder / path.name, found)
     return found
