@@ -15,6 +15,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from hydro_env.controllers import CONTROLLERS, make_controller
+from hydro_env.controllers.base import Controller
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, parameter_of, preset_names
 from hydro_env.plant.losses import FAMILY as LOSSES
 from hydro_env.plant.model import sources_of
@@ -137,6 +141,22 @@ def losses() -> str:
     return _table(head, rows)
 
 
+def gains() -> str:
+    """Gains at 10 ms of every classical controller that ships."""
+    rows = []
+    for name in CONTROLLERS:
+        controller = make_controller(name)
+        if isinstance(controller, Controller):
+            told = []
+            for gain in controller.GAINS:
+                value = np.ravel(controller.gains[gain.name])
+                if np.all(np.isfinite(value)):
+                    numbers = ", ".join(f"{v:.0f}" if v >= 1000 else f"{v:.4g}" for v in value)
+                    told.append(f"{gain.name} {numbers}" + ("" if gain.unit == "1" else f" {gain.unit}"))
+            rows.append([f"`{name}`", "; ".join(told)])
+    return _table(["name", "gains"], rows)
+
+
 # --- measured ---------------------------------------------------------------------------------------------------------
 SCORES = (
     ("test_interp", "setpoint_steps", "steps"),
@@ -144,6 +164,8 @@ SCORES = (
     ("test_interp", "sine", "sine"),
     ("test_extrap", "setpoint_steps", "steps, valves beyond the training ranges"),
 )
+CLASSICAL = ("setpoint_steps", "load_step", "staircase", "sine", "unequal_load", "disturbance")
+"""Scenarios of the table of the classical controllers, on the split `val`."""
 SPEED = (
     "machine",
     "single",
@@ -164,7 +186,7 @@ def take(path: Path) -> None:
     data = json.loads(path.read_text(encoding="utf-8"))
     results = _results()
     if data["schema"] == "hydro_env/scores/1":
-        places = {column[:2] for column in SCORES}
+        places = {column[:2] for column in SCORES} | {("val", scenario) for scenario in CLASSICAL}
         rows = [r for r in data["rows"] if (r["split"], r["scenario"]) in places and r["metric"] in METRICS]
         results["scores"] = {"controllers": data["controllers"], "seed": data["seed"], "rows": rows}
     elif data["schema"] == "hydro_env/speed/1":
@@ -195,6 +217,21 @@ def scores() -> str:
             row.append(" / ".join("–" if each is None else _digits(each["iqm"]) for each in pair))
         rows.append(row)
     return _table(["controller", *(heading for _, _, heading in SCORES)], rows)
+
+
+def classical() -> str:
+    """Of the controllers that are not learned: with the mean of the worst 5 % of the speed difference in brackets."""
+    found = _results()["scores"]
+    cells = {(r["controller"], r["scenario"], r["metric"]): r for r in found["rows"] if r["split"] == "val"}
+    rows = []
+    for name in found["controllers"]:
+        if isinstance(make_controller(name), Controller):
+            row = [f"`{name}`"]
+            for scenario in CLASSICAL:
+                apart, off = (cells[name, scenario, metric] for metric in METRICS)
+                row.append(f"{apart['iqm']:.1f} at {off['iqm']:.1f} ({apart['cvar95']:.0f})")
+            rows.append(row)
+    return _table(["controller", *(f"`{scenario}`" for scenario in CLASSICAL)], rows)
 
 
 def speed() -> str:
@@ -243,7 +280,9 @@ TABLES: dict[str, Callable[[], str]] = {
     "effects": effects,
     "losses": losses,
     "shapes": shapes,
+    "gains": gains,
     "scores": scores,
+    "classical": classical,
     "speed": speed,
     "error": error,
 }

@@ -403,17 +403,17 @@ def test_own_suite(tmp_path):
 PINNED = {
     # controller: (tracking_mae_rpm, max_speed_difference_rpm) on the first 12 pairs of test_interp
     "pid_paper": (200.65, 186.87),
-    "pid_tuned": (32.70, 69.80),
-    "master_slave": (86.10, 33.03),
-    "cross_coupled": (41.27, 18.50),
-    "relative_coupling": (41.59, 17.68),
-    "virtual_leader": (46.73, 14.71),
-    "disturbance_observer": (39.94, 17.65),
+    "pid_tuned": (34.69, 60.50),
+    "master_slave": (76.40, 37.77),
+    "cross_coupled": (39.17, 18.30),
+    "relative_coupling": (40.67, 18.90),
+    "virtual_leader": (39.44, 16.61),
+    "disturbance_observer": (39.64, 18.53),
     "compensated": (41.74, 8.90),
-    "adaptive_flow": (38.58, 14.87),
+    "adaptive_flow": (39.33, 15.54),
     "probing_flow": (30.21, 7.11),
     "bench_flow": (34.02, 6.02),
-    "servo_pid": (26.53, 5.54),
+    "servo_pid": (24.45, 5.32),
     "oracle": (25.41, 0.84),
 }
 

@@ -295,30 +295,31 @@ def test_tuning_improves_on_its_first_guess_and_can_be_read_back(tmp_path):
 
 def test_a_common_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch):
     """What has been found is kept, unless another budget found it; a controller that is interrupted leaves nothing."""
-    monkeypatch.setattr(tune, "BUDGET", tune.Budget(cases=1, trials=48))
-    monkeypatch.setattr(tune, "OTHER_BUDGET", tune.Budget(cases=1, trials=48))
+    small = tune.Budget(cases=1, trials=48)
+    monkeypatch.setattr(tune, "SEARCHES", ((small, small),))
     wanted, searched = ["pid_tuned", "servo_pid"], []
     search = tune._search
 
-    def watched(**options):
-        searched.append((options["plant"], options["control_period"]))
+    def watched(task, *rest, **options):
+        searched.append(task.plant)
         if len(searched) == 5:
             raise KeyboardInterrupt
-        return search(**options)
+        return search(task, *rest, **options)
 
     monkeypatch.setattr(tune, "_search", watched)
     with pytest.raises(KeyboardInterrupt):
         tune.run_all(tmp_path / "new/gains", names=wanted, progress=False)
     assert [path.name for path in (tmp_path / "new/gains").iterdir()] == ["pid_tuned.json"]
     found = tune.run_all(tmp_path / "new/gains", names=wanted, progress=False)
-    assert [plant for plant, _ in searched] == ["paper_dead_zone"] * 3 + ["servo"] * 5
+    assert searched == ["paper_dead_zone"] * 3 + ["servo"] * 5
     assert found["pid_tuned"] == read_gains(tmp_path / "new/gains/pid_tuned.json")
     drives = {name: make_controller(str(tmp_path / f"new/gains/{name}.json")).plant for name in wanted}
     assert drives == {"pid_tuned": None, "servo_pid": "servo"}
-    monkeypatch.setattr(tune, "BUDGET", tune.Budget(cases=1, trials=72))
-    tune.run_all(tmp_path / "new/gains", names=["pid_tuned"], progress=False)
-    assert len(searched) == 11
-    assert read_gains(tmp_path / "new/gains/pid_tuned.json").tuning["trials"] == 72
+    monkeypatch.setattr(tune, "SEARCHES", ((small, small), (tune.Budget(cases=1, trials=72), small)))
+    tuning = tune.run_all(tmp_path / "new/gains", names=["pid_tuned"], progress=False)["pid_tuned"].tuning
+    assert len(searched) == 14 and tuning == read_gains(tmp_path / "new/gains/pid_tuned.json").tuning
+    costs = {each["trials"]: each["cost_rpm"] for each in tuning["searches"]}
+    assert costs[tuning["trials"]] == min(costs.values())
 
 
 def test_nothing_is_tuned_on_a_test_split(tmp_path):
