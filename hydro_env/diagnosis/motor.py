@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
 from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, load_effects, loaded_files, simulate
-from ..plant.shapes import FAMILY
+from ..plant.shapes import CORRECTIONS, FAMILY
 from .machine import Request, Segment, measured_segments
 from .parts import Part
 
@@ -58,7 +58,7 @@ class MotorRig:
         names = [*PARAMETERS, *(f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters)]
         self._unequal = {name for name in names if model.value(name, 0) != model.value(name, 1)}
         self.quick = False
-        #: Whether a kernel holds the effects that are asked for and no others: for the last refits, which are many of few.
+        #: Whether the refits to come are many of few effects, see `kernel`.
         self.exact = False
         self.notes: list[str] = []
         self.own: dict[str, Parameter] = {}
@@ -134,18 +134,22 @@ class MotorRig:
 
     def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
         """The effects to compile in. There are four kernels in all, so that few are compiled and all candidates share them:
-        none; the light effects; all but those that tie the channels together; everything. A correction of form belongs to few
-        effects and is simulated often: it comes with these alone."""
+        none; the light effects; all but those that tie the channels together; everything. The last refits are many of few
+        effects: there is one kernel for these and all corrections of their form (what is neutral changes no bit)."""
         if not effects:
             return ()
-        if self.exact or any(CATALOGUE[n].family == FAMILY for n in effects):
-            return tuple(n for n in CATALOGUE if n in effects)
+        if self._of_few(effects):
+            forms = {name for effect in effects for name in CORRECTIONS.get(effect, {})}
+            return tuple(n for n in CATALOGUE if n in effects or n in forms)
         library = {*self.candidates(), *self.without, *effects}
         light = [n for n in CATALOGUE if n in library and _light(CATALOGUE[n])]
         if effects <= {*light}:
             return tuple(light)
         apart = [n for n in CATALOGUE if n in library and CATALOGUE[n].scope == "channel"]
         return tuple(apart) if effects <= {*apart} else tuple(n for n in CATALOGUE if n in library)
+
+    def _of_few(self, effects: Collection[str]) -> bool:
+        return self.exact or any(CATALOGUE[n].family == FAMILY for n in effects)
 
     def _step(self, request: Request) -> float:
         """The substep of a request, which does not depend on what is simulated beside it."""
@@ -181,7 +185,8 @@ class MotorRig:
         requests: Sequence[Request],
         results: list[dict[int, np.ndarray]],
     ) -> None:
-        lanes = len(rigs)
+        # One or two rigs would be given a kernel of their own, which costs more to compile than some idle lanes to simulate.
+        lanes = max(len(rigs), 3) if self._of_few(effects) else len(rigs)
         # Which channel each side of each rig plays, and which side answers a request.
         plays = np.tile([0, 1], (lanes, 1))
         sides: dict[int, tuple[int, dict[int, int]]] = {}
