@@ -13,12 +13,13 @@ from hydro_env.diagnosis.hide import make_practice
 from hydro_env.diagnosis.machine import Request
 from hydro_env.diagnosis.motor import MotorRig
 from hydro_env.diagnosis.parts import read_parts
-from hydro_env.diagnosis.select import joined
+from hydro_env.diagnosis.select import Choice, Trial, _still_there, joined
 from hydro_env.diagnosis.shape import Corrected, corrected, corrected_all, placebo_too, with_correction
 from hydro_env.diagnosis.unknowns import effect_unknowns
 from hydro_env.plant import CATALOGUE, load_model
 
 PER_NUMBER = 18.0
+SIZES = ("overlap_positive", "overlap_negative")
 
 
 def _fitted(folder: Path, forms: str) -> tuple[MotorRig, Problem, Floors]:
@@ -109,6 +110,21 @@ def test_channels_that_are_joined_keep_their_own_effects() -> None:
         0.0,
     )
     assert whole.values(1) == {"load_bias.bias": 0.2, "corner_shape.turn": 1.0}
+
+
+def test_an_effect_that_vanishes_beside_one_of_the_rig_is_not_named() -> None:
+    first, other = (
+        _bare(),
+        Problem(1, effect_unknowns(CATALOGUE["dead_zone"], dict.fromkeys(SIZES, 0.0)), np.zeros(2)),
+    )
+    first.simulated, other.simulated = {0: np.zeros(3)}, {1: np.zeros(3)}
+    choices = [Choice("dead_zone", c, 50.0, 36.0) for c in (0, 1)] + [
+        Choice("supply_droop", None, 90.0, 36.0)
+    ]
+    trials: list[Trial] = []
+    left = _still_there(joined({0: first, 1: other}), choices, trials)
+    assert [(k.effect, k.channel) for k in left] == [("dead_zone", 0), ("supply_droop", None)]
+    assert [(t.effect, t.channel) for t in trials] == [("dead_zone", 1)] and "vanishes" in trials[0].fate
 
 
 def test_what_stayed_is_told() -> None:

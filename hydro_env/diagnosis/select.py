@@ -402,12 +402,12 @@ def _at_edge(problem: Problem, effect: str) -> bool:
     return False
 
 
-def _neutral(problem: Problem, effect: str) -> bool:
-    """Whether the estimate of an effect is its neutral value."""
+def _neutral(problem: Problem, effect: str, channel: int | None = None) -> bool:
+    """Whether the estimate of an effect is its neutral value; `channel` says whose, where the problem is the rig's."""
     values = {
         u.name.split(".", 1)[1]: u.value(q)
         for u, q in zip(problem.unknowns, problem.q, strict=True)
-        if u.name.startswith(f"{effect}.")
+        if u.name.startswith(f"{effect}.") and (channel is None or u.channel in (None, channel))
     }
     sizes = {p.name: (p.nominal, p.typical) for p in CATALOGUE[effect].parameters}
     return all(
@@ -501,7 +501,19 @@ def _rig(
     for trial in trials:
         if trial.problem is best:
             trial.fate = "taken"
-    return dict.fromkeys(machine.channels, best), best_choices
+    return dict.fromkeys(machine.channels, best), _still_there(best, best_choices, trials)
+
+
+def _still_there(problem: Problem, choices: list[Choice], trials: list[Trial]) -> list[Choice]:
+    """The effects that did not vanish when those of the rig joined them: what an effect of the rig explains is no channel's."""
+    left = []
+    for k in choices:
+        if k.channel is not None and _neutral(problem, k.effect, k.channel):
+            fate = "vanishes beside an effect of the whole rig"
+            trials.append(Trial(k.effect, k.channel, 9, 0.0, k.needed, fate, problem))
+        else:
+            left.append(k)
+    return left
 
 
 def _backward(
