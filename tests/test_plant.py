@@ -326,7 +326,9 @@ def test_every_parameter_of_every_effect_is_seen_in_some_signal(name: str, every
         corrected = next(each for each, corrections in CORRECTIONS.items() if name in corrections)
         typical |= {f"{corrected}.{p.name}": p.typical for p in CATALOGUE[corrected].parameters}
         repeated = follows(name, corrected)
-        typical |= {own: typical[to] if isinstance(to, str) else to for own, to in repeated.items()}
+        for own, to in repeated.items():
+            less = isinstance(to, str) and to.startswith("-")
+            typical[own] = (-1 if less else 1) * (typical[to.removeprefix("-")] if isinstance(to, str) else to)
     for parameter in effect.parameters:
         moved = dict(typical)
         middle = 0.5 * (max(parameter.low, -1e9) + min(parameter.high, 1e9))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.plant import BUILT_IN, CATALOGUE, load_model, simulate
+from hydro_env.plant import BUILT_IN, CATALOGUE, PlantModel, load_model, simulate
 from hydro_env.plant.shapes import CORRECTIONS, FAMILY, follows
 
 SHAPES = [e.name for e in CATALOGUE.values() if e.family == FAMILY]
@@ -30,6 +30,11 @@ def test_every_correction_is_absent_when_neutral() -> None:
         np.testing.assert_array_equal(values, compiled_in[signal])
 
 
+def _repeated(model: PlantModel, source: str) -> float:
+    value = model.value(source.removeprefix("-"), 0)
+    return -value if source.startswith("-") else value
+
+
 @pytest.mark.parametrize("effect", CORRECTIONS)
 def test_every_correction_of_an_effect_changes_what_it_leaves(effect: str) -> None:
     sizes = {f"{effect}.{p.name}": p.typical for p in CATALOGUE[effect].parameters if p.typical is not None}
@@ -37,7 +42,7 @@ def test_every_correction_of_an_effect_changes_what_it_leaves(effect: str) -> No
     plain = _run(model)
     for correction in CORRECTIONS[effect]:
         repeated = follows(correction, effect)
-        values = {n: model.value(s, 0) if isinstance(s, str) else s for n, s in repeated.items()}
+        values = {n: _repeated(model, s) if isinstance(s, str) else s for n, s in repeated.items()}
         own = {
             f"{correction}.{p.name}": p.typical
             for p in CATALOGUE[correction].parameters
@@ -72,3 +77,43 @@ def test_a_model_file_carries_a_correction(tmp_path: Path) -> None:
     again = load_model(tmp_path / "model.yaml")
     assert again.value("corner_shape.rounding", 0) == 1e-5 and again.value("opening_shape.gain_3", 0) == 0.05
     np.testing.assert_array_equal(_run(model)["speed"], _run(again)["speed"])
+
+
+def test_a_knee_lacks_most_at_the_limit() -> None:
+    law = CATALOGUE["knee_shape"].laws["voltage"]
+    at = {"drop": 0.03, "reach": 0.2, "voltage_limit": 40.0}
+    assert law(40.0, 40.0, **at) == pytest.approx(40.0 - 1.2)
+    assert law(-40.0, -60.0, **at) == -40.0 and law(30.0, 30.0, **at) == 30.0
+    assert law(36.0, 36.0, **at) == pytest.approx(36.0 - 1.2 / 8.0)
+
+
+def test_stops_hold_the_height_of_the_loop_and_survive_a_jump_of_the_command() -> None:
+    sizes = {"magnetic_hysteresis.amplitude": 0.3, "stop_shape.amplitude": 0.3}
+    sizes |= {f"stop_shape.height_{n}": 0.25 for n in (1, 2, 3, 4)}
+    model = load_model("paper").with_values(sizes)
+    command = np.repeat([73.0, -73.0, 20.0, -73.0, 0.0], 100)[:, None] * np.ones(2)
+    coarse, fine = (
+        simulate(model, command, None, 1e-3, record=("speed", "spool"), substep=h) for h in (200e-6, 20e-6)
+    )
+    assert np.sqrt(np.mean((coarse["speed"] - fine["speed"]) ** 2)) < 0.05
+    # At its ends, where all stops have given way, the loop is as high as the effect's own.
+    law = CATALOGUE["stop_shape"].laws["force"]
+    heights = {f"height_{n}": 0.25 for n in (1, 2, 3, 4)}
+    ends = {**{f"stop_{n}": 1.0 for n in (1, 2, 3, 4)}, "as_before": 1.0}
+    assert law(9.7, amplitude=0.3, **heights, **ends) == 9.7
+    assert law(9.7, amplitude=0.3, **heights, **{**ends, "stop_1": -1.0}) == pytest.approx(9.85)
+
+
+def test_the_second_bristle_takes_over_what_the_first_one_had_more() -> None:
+    repeated = follows("bristle_shape", "spool_stiction")
+    assert repeated["bristle_shape.coulomb_taken"] == "-spool_stiction.coulomb"
+    more = {"spool_stiction.coulomb": 0.3, "spool_stiction.static": 0.6}
+    own = {"coulomb": 0.3, "static": 0.6, "coulomb_taken": -0.3, "static_taken": -0.6}
+    taken = {f"bristle_shape.{n}": v for n, v in own.items()}
+    slow = np.column_stack([12.0 * np.sin(3.0 * TIME)] * 2)
+    one, two, none = (
+        simulate(load_model("paper").with_values(v), slow, None, 1e-3, record=("spool",))["spool"]
+        for v in (more, {**more, **taken, "bristle_shape.damping": 0.5}, {})
+    )
+    # Nearly the same friction in motion, which is far from none.
+    assert np.sqrt(np.mean((one - two) ** 2)) < 0.25 * np.sqrt(np.mean((one - none) ** 2))

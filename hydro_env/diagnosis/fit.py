@@ -18,7 +18,7 @@ from scipy.optimize import lsq_linear
 from ..plant import parameter_of
 from .machine import Machine, Request, Segment
 from .noise import effective_samples
-from .unknowns import Unknown
+from .unknowns import Unknown, force_scale
 
 if TYPE_CHECKING:
     from .certainty import Certainty
@@ -45,6 +45,8 @@ Vector = np.ndarray
 Floors = dict[tuple[int, str], float]
 #: Steps of q for finite differences, in turn: stiction makes the data a rough function of its parameters.
 _STEPS = (0.15, 0.04, 0.4)
+#: The base parameter whose derivative is taken along all forces on the spool together.
+SCALED_BY = "k"
 #: Parts and multiples of a step that are tried: weights that follow the residual make single steps too short.
 _TRIALS = (4.0, 2.0, 1.0, 0.4, 0.1)
 #: Length of the blocks that have a variance of their own, s.
@@ -57,7 +59,7 @@ class Problem:
 
     `simulated` holds, by channel, the samples at `q`; `columns` their derivatives (n, number of unknowns) where they were
     last computed; `spread` the standard deviations of q. `follow` holds parameters that are not estimated but repeat
-    another one of the problem, by name, or a number.
+    another one of the problem, by name (with a minus: its opposite), or a number.
     """
 
     channel: int | None
@@ -92,8 +94,9 @@ class Problem:
         for name, source in self.follow.items():
             if not isinstance(source, str):
                 values[name] = source
-            elif source in values:
-                values[name] = values[source]
+            elif source.removeprefix("-") in values:
+                value = values[source.removeprefix("-")]
+                values[name] = -value if source.startswith("-") else value
         return values
 
     @property
@@ -214,35 +217,48 @@ def differentiate(
     Returns for every problem the best of the points that were simulated for it: (cost, q, samples).
     """
     wanted = [list(range(len(p.unknowns))) if only is None else list(only[n]) for n, p in enumerate(problems)]
-    requests, steps = [], []
+    moves: list[list[tuple[int, Vector]]] = []
     for problem, numbers in zip(problems, wanted, strict=True):
-        high = problem.bounds[1]
-        for j in numbers:
-            step = -size if problem.q[j] + size > high[j] else size
-            moved = problem.q.copy()
-            moved[j] += step
-            requests.append(problem.request(moved))
-            steps.append(step)
-    results = iter(zip(machine.predict(requests), steps, strict=True))
+        moves.append([(j, _move(problem, j, size)) for j in numbers])
+    requests = [
+        p.request(p.q + move) for p, own in zip(problems, moves, strict=True) for _, move in own
+    ]
+    results = iter(machine.predict(requests))
     found = []
-    for problem, numbers in zip(problems, wanted, strict=True):
+    for problem, own in zip(problems, moves, strict=True):
         best = (np.inf, problem.q, problem.simulated)
         low, high = problem.bounds
         for channel in channels_of(problem, machine):
             shape = (problem.simulated[channel].size, len(problem.unknowns))
             if problem.columns.get(channel, np.empty((0, 0))).shape != shape:
                 problem.columns[channel] = np.zeros(shape)
-        for j in numbers:
-            result, step = next(results)
+        along = []
+        for j, move in own:
+            result, moved = next(results), problem.q + move
             for channel in channels_of(problem, machine):
-                problem.columns[channel][:, j] = (result[channel] - problem.simulated[channel]) / step
-            moved = problem.q.copy()
-            moved[j] += step
-            cost = _cost(machine, problem, result, moved, floors) if low[j] <= moved[j] <= high[j] else np.inf
+                problem.columns[channel][:, j] = (result[channel] - problem.simulated[channel]) / move[j]
+            if np.count_nonzero(move) > 1:
+                along.append((j, move / move[j]))
+            inside = bool(np.all((low <= moved) & (moved <= high)))
+            cost = _cost(machine, problem, result, moved, floors) if inside else np.inf
             if cost < best[0]:
                 best = (cost, moved, result)
+        for j, direction in along:
+            # What a joint change says of its own number is what is left without the others.
+            for columns in problem.columns.values():
+                columns[:, j] -= columns @ direction - columns[:, j]
         found.append(best)
     return found
+
+
+def _move(problem: Problem, j: int, size: float) -> Vector:
+    """The change of q for the derivative by unknown j: of it alone, or, for the spring's rate, of all forces on the spool."""
+    step = -size if problem.q[j] + size > problem.bounds[1][j] else size
+    if problem.unknowns[j].name == SCALED_BY:
+        return force_scale(problem.unknowns, problem.q, j, step)
+    move = np.zeros(len(problem.unknowns))
+    move[j] = step
+    return move
 
 
 def _normal(machine: Machine, problem: Problem, floors: Floors) -> tuple[Vector, Vector]:

@@ -1,5 +1,8 @@
 """Estimates begun anew from other places: friction makes a rough landscape with valleys that steps do not leave.
 
+Known parameters that were fitted while an effect or its form was missing have moved to make up for it, often into such a
+valley. Once the effect is there, they begin again at the model as given (`from_given`).
+
 A spool that sticks a moment longer or shorter changes the logs by a jump, so Gauss-Newton steps end in the valley in which they
 began. Here the friction of the spool is drawn anew several times, everything else stays where it was, all starts are improved
 side by side, and each round goes on with the better half. It is worth the time only where little is left: what a missing
@@ -15,12 +18,14 @@ import numpy as np
 from .fit import Floors, Problem, at_noise, channels_of, levels, solve
 from .machine import Machine
 
-__all__ = ["STARTS", "begun_anew"]
+__all__ = ["STARTS", "begun_anew", "from_given", "take_over"]
 
 #: Base parameters that are drawn anew, and the spread of the draws on the scale of their priors.
 DRAWN, SPREAD = ("Fc", "Fs", "vs"), 1.0
 #: A gap (in `levels`, the signal where it is largest) up to which a valley may be the cause.
 LITTLE = 1.0
+#: Base parameters that stay where they are when the others begin again: the current tells them, whatever is missing behind.
+KEPT = ("R", "L")
 #: New starts of a problem, and iterations of each round.
 STARTS, ROUNDS = 12, (3, 3, 4)
 
@@ -38,7 +43,13 @@ def begun_anew(machine: Machine, problems: Sequence[Problem], floors: Floors, se
             q = problem.q.copy()
             q[drawn] = SPREAD * rng.standard_normal(len(drawn))
             starts.append(
-                Problem(problem.channel, problem.unknowns, np.clip(q, *problem.bounds), problem.label)
+                Problem(
+                    problem.channel,
+                    problem.unknowns,
+                    np.clip(q, *problem.bounds),
+                    problem.label,
+                    follow=problem.follow,
+                )
             )
         fields.append((problem, starts))
     for iterations in ROUNDS:
@@ -46,14 +57,23 @@ def begun_anew(machine: Machine, problems: Sequence[Problem], floors: Floors, se
         for _, starts in fields:
             starts.sort(key=lambda p: p.cost)
             del starts[max(2, len(starts) // 2) :]
-    better = []
-    for problem, starts in fields:
-        best = starts[0]
-        if best.cost < problem.cost:
-            problem.q, problem.cost, problem.spread = best.q, best.cost, best.spread
-            problem.simulated, problem.columns = best.simulated, best.columns
-            better.append(problem)
-    return better
+    return [p for p, starts in fields if take_over(p, starts[0])]
+
+
+def from_given(problem: Problem) -> Problem:
+    """The problem with its known parameters at the model as given, but those of the coil, and its effects as they are."""
+    known = np.array(["." not in u.name and u.name not in KEPT for u in problem.unknowns])
+    q = np.clip(np.where(known, 0.0, problem.q), *problem.bounds)
+    return Problem(problem.channel, problem.unknowns, q, problem.label, follow=problem.follow)
+
+
+def take_over(problem: Problem, other: Problem) -> bool:
+    """Puts the estimate of `other` into `problem` if it explains the logs better; whether it does."""
+    if not other.cost < problem.cost:
+        return False
+    problem.q, problem.cost, problem.spread = other.q, other.cost, other.spread
+    problem.simulated, problem.columns = other.simulated, other.columns
+    return True
 
 
 def _far(machine: Machine, problem: Problem, floors: Floors) -> bool:

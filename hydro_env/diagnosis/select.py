@@ -18,6 +18,7 @@ from ..plant import CATALOGUE
 from .fit import Floors, Problem, channels_of, differentiate, evaluate, gain, levels, solve
 from .machine import Machine
 from .noise import effective_samples
+from .restarts import from_given, take_over
 from .shape import corrected
 from .signatures import Look, alike, first_look
 from .unknowns import bases_of, effect_unknowns, less_taken
@@ -38,6 +39,8 @@ NEAR = 0.1
 SETTLE = 12
 #: Iterations of the refit of a rival in the place of what was taken.
 AGAIN = 5
+#: Share of its penalty that the best candidate must have reached to be refitted as far as it goes where none pays yet.
+HOPE = 0.3
 #: Candidates whose cheap refit reached less than this share of the best one's are not refitted in full.
 FAR = 0.5
 #: An effect must explain this share of what is left above the noise, in the signal where it explains most.
@@ -233,6 +236,8 @@ def _round(
             )
     solve(machine, [p for _, _, p in best], floors, 10 if machine.quick else 3)
     _polish(machine, present, channels, best, floors)
+    if number == 1 and not machine.quick:
+        _settle(machine, _last_hopes(machine, present, channels, best, floors), floors)
     taken = []
     for c in channels:
         own_best = sorted(
@@ -272,9 +277,36 @@ def _round(
             placebo[c] = wrong[1]
         if c in taken:
             present[c] = own_best[0][1]
-    # The winners are taken as far as they go: what is left afterwards decides on further effects.
-    solve(machine, [present[c] for c in taken], floors, SETTLE)
+    # The winners are taken as far as they go: what is left afterwards decides on further effects. So are the placebos.
+    _settle(machine, [present[c] for c in taken] + [placebo[c] for c in taken if number == 1], floors)
     return taken
+
+
+def _last_hopes(
+    machine: Machine,
+    present: dict[int, Problem],
+    channels: Sequence[int],
+    best: Sequence[tuple[int, Look, Problem]],
+    floors: Floors,
+) -> list[Problem]:
+    """The best candidate of every channel on which none pays yet, if it pays for some of itself: with few signals a refit is
+    not settled after some steps."""
+    found = []
+    for c in channels:
+        own = [(look, p) for k, look, p in best if k == c]
+        paid = [gain(machine, present[c], p, floors) / penalty(machine, look.effect) for look, p in own]
+        if own and HOPE < max(paid) < 1.0:
+            found.append(own[int(np.argmax(paid))][1])
+    return found
+
+
+def _settle(machine: Machine, problems: Sequence[Problem], floors: Floors) -> None:
+    """Improves the estimates of all as far as they go, also from the known parameters as given, which were moved by what was
+    missing."""
+    again = [] if machine.quick else [from_given(p) for p in problems]
+    solve(machine, [*problems, *again], floors, SETTLE)
+    for problem, other in zip(problems, again, strict=False):
+        take_over(problem, other)
 
 
 def _form_does(
@@ -497,7 +529,7 @@ def _rig(
         )
     if best is full:
         return present, choices
-    solve(machine, [best], floors, SETTLE)
+    _settle(machine, [best], floors)
     for trial in trials:
         if trial.problem is best:
             trial.fate = "taken"

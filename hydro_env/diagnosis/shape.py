@@ -19,7 +19,7 @@ from ..plant import CATALOGUE
 from ..plant.shapes import CORRECTIONS, FAMILY, follows
 from .fit import Floors, Problem, Vector, at_noise, channels_of, solve, stretch_costs
 from .machine import Machine
-from .restarts import begun_anew
+from .restarts import begun_anew, from_given, take_over
 from .unknowns import Unknown
 
 __all__ = [
@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 #: Iterations of a joint refit with a correction, and of the one that is kept.
-TRY, SETTLE, HALF = 4, 12, 5
+TRY, SETTLE, HALF = 8, 12, 5
 #: Length of the stretches that are fitted and left out in turn, s.
 STRETCH_S = 1.0
 #: What is left, in times the noise, from which a corrected model is begun anew.
@@ -76,7 +76,7 @@ def with_correction(problem: Problem, effect: str, correction: str, channel: int
     own = {u.name for u in problem.unknowns}
     every = follows(correction, effect)
     repeated = {
-        name: source for name, source in every.items() if not isinstance(source, str) or source in own
+        name: source for name, source in every.items() if not isinstance(source, str) or source.removeprefix("-") in own
     }
     added = []
     for p in CATALOGUE[correction].parameters:
@@ -87,9 +87,10 @@ def with_correction(problem: Problem, effect: str, correction: str, channel: int
             added.append(Unknown(name, p.unit, p.nominal, p.low, p.high, 0.7, True, True, alone))
         else:
             # The prior is as wide as a correction usually is: ridge regression, in other words.
-            scale = 0.3 if p.typical is None or p.typical == p.nominal else abs(p.typical)
+            shape = p.typical is None or p.typical == p.nominal
+            scale = 0.15 * (p.high - p.low) if shape else abs(p.typical or 1.0)
             added.append(Unknown(name, p.unit, p.nominal, p.low, p.high, scale, False, True, alone))
-    q = np.concatenate([problem.q, [1.0 if u.low == 0.0 and not u.log else 0.0 for u in added]])
+    q = np.concatenate([problem.q, [1.0 if u.low == u.center == 0.0 else 0.0 for u in added]])
     label, follow = f"{problem.label} + {correction}", {**problem.follow, **repeated}
     return Problem(problem.channel, [*problem.unknowns, *added], q, label, follow=follow)
 
@@ -116,12 +117,20 @@ def corrected(
         ]
         if not tries:
             break
-        solve(machine, [p for *_, p in tries], floors, TRY)
+        # The known parameters have moved to make up for the form: they begin where they are and where they were given.
+        again = [from_given(p) for *_, p in tries]
+        solve(machine, [*(p for *_, p in tries), *again], floors, TRY)
+        for (*_, p), other in zip(tries, again, strict=True):
+            take_over(p, other)
         worth = [problem.cost - p.cost - per_number * own_size(k, e) for e, _, k, p in tries]
         effect, channel, correction, best = tries[int(np.argmax(worth))]
         if max(worth) <= 0.0:
             break
-        sure = held_out(machine, problem, effect, correction, channel, floors) if check else (np.inf, np.inf)
+        sure = (
+            held_out(machine, problem, best, effect, correction, channel, floors)
+            if check
+            else (np.inf, np.inf)
+        )
         # It must help in both halves, and in all pay for its numbers there too.
         if min(sure) <= 0.0 or sum(sure) < per_number * own_size(correction, effect):
             break
@@ -145,12 +154,13 @@ def corrected_all(
         names = [(n, channel) for channel, own in named.items() if c is None or channel == c for n in own]
         if machine.quick or not named or at_noise(machine, problem, floors):
             continue
+        # A valley is no matter of form, so it comes first: other draws than those with which calibration began.
+        begun_anew(machine, [problem], floors, 1)
         better, kept = corrected(machine, problem, names, floors, per_number)
         if better is problem:
             better = replace(problem, q=problem.q.copy(), columns=dict(problem.columns))
-        if not at_noise(machine, better, floors, AGAIN):
-            # Other draws than those with which calibration began.
-            solve(machine, begun_anew(machine, [better], floors, 1), floors, SETTLE)
+        if kept and not at_noise(machine, better, floors, AGAIN):
+            solve(machine, begun_anew(machine, [better], floors, 2), floors, SETTLE)
         found.update(dict.fromkeys(channels_of(problem, machine), better))
         every += kept
     return found, every
@@ -189,18 +199,23 @@ def changes(machine: Machine, problem: Problem, correction: str, channel: int) -
 
 
 def held_out(
-    machine: Machine, problem: Problem, effect: str, correction: str, channel: int | None, floors: Floors
-) -> tuple[float, float]:
+    machine: Machine, problem: Problem, best: Problem, effect: str, correction: str, channel: int | None, floors: Floors
+) -> tuple[float, float]:  # fmt: skip
     """How far the cost falls by a correction where it was not fitted: the fall in each half of the fit logs.
 
-    Every second stretch of the fit logs is left out, everything is fitted to the others with and without the correction, and
-    both are compared on what was left out; then the other way round.
+    Every second stretch of the fit logs is left out; the effects' parameters are fitted to the others, without the
+    correction as in `problem` and with it as in `best`, and both are compared on what was left out; then the other way
+    round. The base parameters stay where each of the two has them: fitted anew they would end in other valleys of friction in
+    every half, and that would be compared.
     """
     falls = []
     for half in (0, 1):
         seen, unseen = _half(machine, half), _half(machine, 1 - half)
-        without = replace(problem, q=problem.q.copy(), columns={}, certainty=None)
-        both = [without, with_correction(problem, effect, correction, channel)]
+        with_it = with_correction(problem, effect, correction, channel)
+        size = len(problem.unknowns)
+        base = [j for j, u in enumerate(problem.unknowns) if "." not in u.name]
+        with_it.q[base] = best.q[:size][base]
+        both = [_effects_only(p) for p in (problem, with_it)]
         solve(seen, both, floors, HALF)
         bare, better = (
             sum(stretch_costs(unseen, p, c, floors, STRETCH_S).sum() for c in channels_of(problem, machine))
@@ -208,6 +223,22 @@ def held_out(
         )
         falls.append(float(bare - better))
     return falls[0], falls[1]
+
+
+def _effects_only(problem: Problem) -> Problem:
+    """The problem with its base parameters given, where they are one channel's; else a copy."""
+    own = [j for j, u in enumerate(problem.unknowns) if "." in u.name or problem.channel is None]
+    values = {
+        u.name: u.value(v) for u, v in zip(problem.unknowns, problem.q, strict=True) if "." not in u.name
+    }
+    given = values if problem.channel is not None else {}
+    return Problem(
+        problem.channel,
+        [problem.unknowns[j] for j in own],
+        problem.q[own],
+        problem.label,
+        follow={**problem.follow, **given},
+    )
 
 
 def _half(machine: Machine, half: int) -> Machine:

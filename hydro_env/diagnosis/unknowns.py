@@ -8,7 +8,10 @@ varies by factors).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from ..plant import CATALOGUE, Effect, Parameter
 
@@ -17,6 +20,7 @@ __all__ = [
     "base_unknown",
     "bases_of",
     "effect_unknowns",
+    "force_scale",
     "less_taken",
     "limited_by_effects",
     "starts",
@@ -29,6 +33,13 @@ BASE_OF_EFFECT_FACTOR = 1.35
 
 #: Effect parameters that take their amount from a base parameter: the inertia behind a coupling is part of the calibrated J.
 TAKEN_FROM = {"shaft_backlash.inertia": "J"}
+
+
+#: Base parameters in which the spool's motion is told by ratios: twice the force on twice the mass, spring and friction moves
+#: it nearly alike.
+FORCES = ("alpha", "k", "m", "Fc", "Fs")
+#: Units of an effect's parameters that are a force on the spool, or one per opening and pressure.
+_FORCE_UNITS = ("N", "m")
 
 
 def bases_of(effect: str) -> set[str]:
@@ -163,3 +174,26 @@ def _effect_unknown(effect: str, p: Parameter, start: float) -> Unknown:
     if p.name == "order":
         scale = 0.1
     return Unknown(name, p.unit, start, low, high, scale, False, shape and p.name != "order")
+
+
+def force_scale(unknowns: Sequence[Unknown], q: np.ndarray, j: int, size: float) -> np.ndarray:
+    """The change of q (n,) that scales all forces on the spool of unknown j's channel, and its mass, as a step `size` of j does.
+
+    All that moves the spool is scaled together but the damping and the bristles, which are not calibrated: what logs
+    say of this direction is little, so it must be seen as one, not as a difference of large changes.
+    """
+    own = unknowns[j]
+    factor = own.value(float(q[j]) + size) / own.value(float(q[j]))
+    change = np.zeros(len(unknowns))
+    for n, u in enumerate(unknowns):
+        if u.channel in (None, own.channel) and _is_force(u):
+            value = u.value(float(q[n]))
+            change[n] = u.q(value * factor) - q[n]
+    return change
+
+
+def _is_force(unknown: Unknown) -> bool:
+    effect, _, own = unknown.name.rpartition(".")
+    if not effect:
+        return unknown.name in FORCES
+    return CATALOGUE[effect].port == "force" and CATALOGUE[effect].parameter(own).unit in _FORCE_UNITS

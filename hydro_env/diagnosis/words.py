@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..plant import PlantModel
+from ..plant import PARAMETERS, PlantModel
 
 __all__ = [
     "equation",
@@ -57,15 +57,8 @@ _PARAMETERS = {
     "supply_pressure": "supply pressure at which no flow is left", "amplitude": "amplitude", "width": "width of the loop",
     "relative_drop": "relative drop at rated flow of both valves", "opening_limit": "opening at which flow saturates",
 }  # fmt: skip
-_KNOWN = {
-    "D": "displacement of the motor", "J": "inertia of motor and load", "B": "viscous friction of the motor",
-    "Km": "leakage of the motor", "beta": "bulk modulus of the oil", "V": "volume under pressure",
-    "m": "mass of spool and core", "R": "resistance of the coil", "L": "inductance of the coil",
-    "alpha": "force of the coil per current", "k": "rate of the centring springs", "C": "damping of the spool",
-    "Kq": "flow gain of the valve", "Fc": "dry friction of the spool", "Fs": "static friction of the spool",
-    "vs": "Stribeck speed of the spool", "s0": "stiffness of the spool's friction", "s1": "damping of the spool's friction",
-    "s2": "viscous friction of the spool", "lag": "lag of the speed behind the command",
-}  # fmt: skip
+#: Known parameters that only a reduced model has.
+_OWN = {"lag": "lag of the speed behind the command"}
 #: Effects' parameters that are a spool position or a force on the spool: they can be told as a share of the command.
 _STROKES = {
     "dead_zone.overlap_positive", "dead_zone.overlap_negative", "null_offset.offset", "flow_saturation.opening_limit",
@@ -146,7 +139,7 @@ def interval(entry: Mapping[str, Any]) -> str:
 def known(name: str, value: float, model: PlantModel) -> str:
     """A base parameter of a channel ("Kq_1") in words; of a flow gain also the flow that full command would give."""
     symbol, _, channel = name.rpartition("_")
-    text = _KNOWN.get(symbol, plain(symbol))
+    text = PARAMETERS[symbol].note.split(";")[0] if symbol in PARAMETERS else _OWN.get(symbol, plain(symbol))
     if symbol == "Kq":
         c = int(channel) - 1
         stroke = (

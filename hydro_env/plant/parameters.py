@@ -20,6 +20,7 @@ class Parameter:
 
     `nominal` is the value of the base plant; for the parameter of an effect it is the `neutral` value, at which
     the effect vanishes, and `typical` is a medium severity. `low` and `high` are the plausible bounds.
+    The first clause of `note`, up to a semicolon, is what the parameter is called in words.
     `log` says that the parameter is naturally varied by factors rather than by differences.
     """
 
@@ -48,7 +49,7 @@ _ROWS = (
         0.9 * 8.47e-6 / (2 * pi),
         1.1 * 8.47e-6 / (2 * pi),
         "paper, Table I: 8.47 cm3/rev",
-        "motor displacement",
+        "displacement of the motor",
         log=True,
     ),
     Parameter("J", "kg m2", 0.0028, 0.0014, 0.0056, "paper, Table I", "inertia of motor and load", log=True),
@@ -69,8 +70,8 @@ _ROWS = (
         15.92e-6 / 1e5 / 100,
         15.92e-6 / 1e5 * 3,
         "paper, Table I: 15.92 cm3/bar",
-        "internal leakage; the paper leaves out the time unit. Read as cm3/(s bar): with it both published loops are "
-        "stable and Ti nearly cancels the motor's pole, as a PID tuner does; read per minute the published gains "
+        "internal leakage of the motor; the paper leaves out the time unit. Read as cm3/(s bar): with it both published "
+        "loops are stable and Ti nearly cancels the motor's pole, as a PID tuner does; read per minute the published gains "
         "are unstable",
         log=True,
     ),
@@ -90,9 +91,9 @@ _ROWS = (
     # --- valve: equations (5), (6), (8), Table II --------------------------------------------------------------
     Parameter("m", "kg", 0.4, 0.2, 0.8, "paper, Table II", "mass of spool and solenoid core", log=True),
     Parameter(
-        "R", "Ohm", 100.0, 80.0, 125.0, "paper, Table II; (6) prints R_i for R i", "coil resistance", log=True
+        "R", "Ohm", 100.0, 80.0, 125.0, "paper, Table II; (6) prints R_i for R i", "resistance of the coil", log=True
     ),
-    Parameter("L", "H", 0.1, 0.05, 0.2, "paper, Table II", "coil inductance", log=True),
+    Parameter("L", "H", 0.1, 0.05, 0.2, "paper, Table II", "inductance of the coil", log=True),
     Parameter(
         "alpha",
         "N/A",
@@ -100,10 +101,10 @@ _ROWS = (
         14.0,
         28.0,
         "paper, Table II: 20 V s/m",
-        "force per current = back-EMF",
+        "force of the coil per current; also its back-EMF",
         log=True,
     ),
-    Parameter("k", "N/m", 17000.0, 12000.0, 24000.0, "paper, Table II", "spring rate", log=True),
+    Parameter("k", "N/m", 17000.0, 12000.0, 24000.0, "paper, Table II", "rate of the centring springs", log=True),
     Parameter(
         "C",
         "N s/m",
@@ -120,12 +121,13 @@ _ROWS = (
         0.15,
         0.75,
         "paper, Table II: 476106 (V1), 315000 (V2), no unit",
-        "flow per opening; read as cm3/s per m, which gives 24.5 l/min at 730 mA on V1, the class of this valve",
+        "flow gain of the valve; flow per opening, read as cm3/s per m, which gives 24.5 l/min at 730 mA on V1, the class of "
+        "this valve",
         log=True,
     ),
     # --- friction of the spool: LuGre, equations (9)-(11), Table II --------------------------------------------
-    Parameter("Fc", "N", 0.1, 0.02, 1.0, "paper, Table II", "Coulomb friction", log=True),
-    Parameter("Fs", "N", 0.2, 0.02, 1.5, "paper, Table II: 0.2 (V1), 0.15 (V2)", "static friction", log=True),
+    Parameter("Fc", "N", 0.1, 0.02, 1.0, "paper, Table II", "Coulomb friction of the spool", log=True),
+    Parameter("Fs", "N", 0.2, 0.02, 1.5, "paper, Table II: 0.2 (V1), 0.15 (V2)", "static friction of the spool", log=True),
     Parameter(
         "vs",
         "m/s",
@@ -133,14 +135,14 @@ _ROWS = (
         1e-4,
         2e-2,
         "paper, Table II: 0.007 (V1), 0.0001 (V2)",
-        "Stribeck velocity",
+        "Stribeck speed of the spool",
         log=True,
     ),
     Parameter(
-        "s0", "N/m", 1e5, 3e4, 3e5, "paper, Table II, which prints N s/m", "bristle stiffness", log=True
+        "s0", "N/m", 1e5, 3e4, 3e5, "paper, Table II, which prints N s/m", "stiffness of the spool's bristles", log=True
     ),
-    Parameter("s1", "N s/m", 470.0, 100.0, 1000.0, "paper, Table II", "bristle damping", log=True),
-    Parameter("s2", "N s/m", 0.2, 0.0, 40.0, "paper, Table II", "viscous friction"),
+    Parameter("s1", "N s/m", 470.0, 100.0, 1000.0, "paper, Table II", "damping of the spool's bristles", log=True),
+    Parameter("s2", "N s/m", 0.2, 0.0, 40.0, "paper, Table II", "viscous friction of the spool"),
     # --- limits of the real valve, which the paper's equations leave out ----------------------------------------
     Parameter(
         "x_max",

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from math import inf
 
 from .effects import Effect, State, register
-from .lanemath import clip, cos, exp, sign, sin
+from .lanemath import bell, clip, cos, exp, sign, sin, tanh
 from .parameters import Parameter
 
 __all__ = ["CORRECTIONS", "FAMILY", "follows"]
@@ -26,7 +26,7 @@ __all__ = ["CORRECTIONS", "FAMILY", "follows"]
 FAMILY = "shape"
 
 #: Corrections that fit an effect, by the effect's name, each with the parameters that repeat something of that effect:
-#: the name of one of its parameters, or a number.
+#: the name of one of its parameters (with a minus: its opposite), or a number.
 CORRECTIONS: dict[str, dict[str, Mapping[str, str | float]]] = {}
 
 _NO_PHYSICS = "a correction of form, fitted; no physics"
@@ -43,14 +43,21 @@ def _repeated(name: str, unit: str, nominal: float, low: float, high: float) -> 
     return Parameter(name, unit, nominal, low, high, _NO_PHYSICS, "repeats what is corrected", nominal)
 
 
+def _taken(name: str, unit: str, low: float, typical: float) -> Parameter:
+    """What a correction takes away of a base parameter to which the effect has added it."""
+    return Parameter(name, unit, 0.0, low, 0.0, _NO_PHYSICS, "repeats what is corrected, taken away", -typical)
+
+
 def _correction(
     name: str, port: str, summary: str, parameters: tuple[Parameter, ...], laws: Mapping[str, Callable[..., float]],
     of: Mapping[str, Mapping[str, str | float]], states: tuple[State, ...] = (), scope: str = "channel",
+    adds_to: Mapping[str, str] | None = None, corner: Callable[..., bool] | None = None,
 ) -> None:  # fmt: skip
     register(
         Effect(
             name=name, port=port, parameters=parameters, summary=summary, signature="what the form of a named effect leaves",
             source=_NO_PHYSICS, laws=laws, states=states, scope=scope, family=FAMILY,
+            adds_to=adds_to or {}, corner=corner,
         )
     )  # fmt: skip
     for effect, repeated in of.items():
@@ -58,11 +65,37 @@ def _correction(
 
 
 def follows(correction: str, effect: str) -> dict[str, str | float]:
-    """The parameters of a correction that are not its own: by full name the full name, or the number, that they repeat."""
-    return {
-        f"{correction}.{own}": f"{effect}.{source}" if isinstance(source, str) else source
-        for own, source in CORRECTIONS[effect][correction].items()
-    }
+    """The parameters of a correction that are not its own: by full name the full name (with a minus where they repeat
+    its opposite), or the number, that they repeat."""
+    found: dict[str, str | float] = {}
+    for own, source in CORRECTIONS[effect][correction].items():
+        if isinstance(source, str):
+            source = f"-{effect}.{source[1:]}" if source.startswith("-") else f"{effect}.{source}"
+        found[f"{correction}.{own}"] = source
+    return found
+
+
+# --- driver -----------------------------------------------------------------------------------------------------------
+def _knee(voltage, command, drop, reach, voltage_limit):
+    # What the output lacks falls with the third power of the distance from the limit.
+    away = 1.0 - abs(abs(command) / voltage_limit - 1.0) / reach
+    away = away if away > 0.0 else 0.0
+    lack = drop * voltage_limit * away * away * away
+    return voltage - sign(command) * (lack if drop > 0.0 else 0.0)
+
+
+_correction(
+    "knee_shape", "driver", "the driver gives less than is asked for even before its limit",
+    (
+        _amount("drop", "1", 0.02, "share of the limit that is lacking when the limit is asked for", 0.0),
+        Parameter(
+            "reach", "1", 0.15, 0.03, 0.6, _NO_PHYSICS, "share of the limit, both ways, from which on it lacks", 0.15, log=True
+        ),
+        _repeated("voltage_limit", "V", 1e9, 1.0, 1e9),
+    ),
+    {"voltage": _knee},
+    {"driver_saturation": {"voltage_limit": "voltage_limit"}},
+)  # fmt: skip
 
 
 # --- opening ----------------------------------------------------------------------------------------------------------
@@ -133,48 +166,188 @@ _correction(
 )  # fmt: skip
 
 
-def _loops_force(force, wide, narrow, wide_loop, narrow_loop):
-    return force - wide * wide_loop - narrow * narrow_loop
+def _stops_force(force, height_1, height_2, height_3, height_4, amplitude, as_before, stop_1, stop_2, stop_3, stop_4):
+    moved = height_1 * (stop_1 - as_before) + height_2 * (stop_2 - as_before)
+    moved = moved + height_3 * (stop_3 - as_before) + height_4 * (stop_4 - as_before)
+    return force - amplitude * moved
 
 
-def _wide_rate(wide_loop, current_rate, width, blunt):
-    # Currents keep it between -1 and 1; beyond, a rate that grew with the cube would run away in a long step.
-    squared = wide_loop * wide_loop
-    squared = squared if squared < 1.0 else 1.0
-    return (current_rate - abs(current_rate) * wide_loop * (blunt + (1.0 - blunt) * squared)) / (width * 2.5)
+def _as_before_rate(as_before, current_rate, amplitude, width, alpha):
+    # The loop of the catalogue's law, from which the stops take over.
+    least = 2.0 * amplitude / alpha
+    return (current_rate - abs(current_rate) * as_before) / (width if width > least else least)
 
 
-def _wide_decay(wide_loop, current_rate, width, blunt):
-    squared = wide_loop * wide_loop
-    squared = squared if squared < 1.0 else 1.0
-    return abs(current_rate) * (blunt + 3.0 * (1.0 - blunt) * squared) / (width * 2.5)
+def _as_before_decay(current_rate, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    return abs(current_rate) / (width if width > least else least)
 
 
-def _narrow_rate(narrow_loop, current_rate, width, blunt):
-    squared = narrow_loop * narrow_loop
-    squared = squared if squared < 1.0 else 1.0
-    return (current_rate - abs(current_rate) * narrow_loop * (blunt + (1.0 - blunt) * squared)) / (
-        width * 0.8
-    )
+def _stop_1_rate(stop_1, current_rate, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    travel = 0.25 * (width if width > least else least)
+    # Free on the way back; on the way on it gives way with the eighth power. A long step that goes beyond 1 is taken back.
+    ahead = stop_1 if current_rate > 0.0 else -stop_1
+    inside = ahead if ahead < 1.0 else 1.0
+    squared = inside * inside
+    fourth = squared * squared
+    free = 1.0 - fourth * fourth if ahead > 0.0 else 1.0
+    return current_rate * free / travel - 2e4 * (stop_1 - clip(stop_1, -1.0, 1.0))
 
 
-def _narrow_decay(narrow_loop, current_rate, width, blunt):
-    squared = narrow_loop * narrow_loop
-    squared = squared if squared < 1.0 else 1.0
-    return abs(current_rate) * (blunt + 3.0 * (1.0 - blunt) * squared) / (width * 0.8)
+def _stop_1_decay(stop_1, current_rate, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    travel = 0.25 * (width if width > least else least)
+    ahead = stop_1 if current_rate > 0.0 else -stop_1
+    inside = ahead if ahead < 1.0 else 1.0
+    squared = inside * inside
+    slope = 8.0 * squared * squared * squared * inside
+    # Never less than what keeps a long step of the current from shooting far beyond the limit.
+    return abs(current_rate) * (slope if slope > 1.0 else 1.0) / travel + (2e4 if ahead > 1.0 else 0.0)
+
+
+def _stop_2_rate(stop_2, current_rate, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    travel = 0.5 * (width if width > least else least)
+    # Free on the way back; on the way on it gives way with the eighth power. A long step that goes beyond 1 is taken back.
+    ahead = stop_2 if current_rate > 0.0 else -stop_2
+    inside = ahead if ahead < 1.0 else 1.0
+    squared = inside * inside
+    fourth = squared * squared
+    free = 1.0 - fourth * fourth if ahead > 0.0 else 1.0
+    return current_rate * free / travel - 2e4 * (stop_2 - clip(stop_2, -1.0, 1.0))
+
+
+def _stop_2_decay(stop_2, current_rate, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    travel = 0.5 * (width if width > least else least)
+    ahead = stop_2 if current_rate > 0.0 else -stop_2
+    inside = ahead if ahead < 1.0 else 1.0
+    squared = inside * inside
+    slope = 8.0 * squared * squared * squared * inside
+    # Never less than what keeps a long step of the current from shooting far beyond the limit.
+    return abs(current_rate) * (slope if slope > 1.0 else 1.0) / travel + (2e4 if ahead > 1.0 else 0.0)
+
+
+def _stop_3_rate(stop_3, current_rate, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    travel = 1.0 * (width if width > least else least)
+    # Free on the way back; on the way on it gives way with the eighth power. A long step that goes beyond 1 is taken back.
+    ahead = stop_3 if current_rate > 0.0 else -stop_3
+    inside = ahead if ahead < 1.0 else 1.0
+    squared = inside * inside
+    fourth = squared * squared
+    free = 1.0 - fourth * fourth if ahead > 0.0 else 1.0
+    return current_rate * free / travel - 2e4 * (stop_3 - clip(stop_3, -1.0, 1.0))
+
+
+def _stop_3_decay(stop_3, current_rate, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    travel = 1.0 * (width if width > least else least)
+    ahead = stop_3 if current_rate > 0.0 else -stop_3
+    inside = ahead if ahead < 1.0 else 1.0
+    squared = inside * inside
+    slope = 8.0 * squared * squared * squared * inside
+    # Never less than what keeps a long step of the current from shooting far beyond the limit.
+    return abs(current_rate) * (slope if slope > 1.0 else 1.0) / travel + (2e4 if ahead > 1.0 else 0.0)
+
+
+def _stop_4_rate(stop_4, current_rate, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    travel = 2.0 * (width if width > least else least)
+    # Free on the way back; on the way on it gives way with the eighth power. A long step that goes beyond 1 is taken back.
+    ahead = stop_4 if current_rate > 0.0 else -stop_4
+    inside = ahead if ahead < 1.0 else 1.0
+    squared = inside * inside
+    fourth = squared * squared
+    free = 1.0 - fourth * fourth if ahead > 0.0 else 1.0
+    return current_rate * free / travel - 2e4 * (stop_4 - clip(stop_4, -1.0, 1.0))
+
+
+def _stop_4_decay(stop_4, current_rate, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    travel = 2.0 * (width if width > least else least)
+    ahead = stop_4 if current_rate > 0.0 else -stop_4
+    inside = ahead if ahead < 1.0 else 1.0
+    squared = inside * inside
+    slope = 8.0 * squared * squared * squared * inside
+    # Never less than what keeps a long step of the current from shooting far beyond the limit.
+    return abs(current_rate) * (slope if slope > 1.0 else 1.0) / travel + (2e4 if ahead > 1.0 else 0.0)
 
 
 _correction(
-    "loop_shape", "force", "two more loops of the magnet, one wide and one narrow",
+    "stop_shape", "force", "loop of the magnet from four stops that give way one after the other (Prandtl-Ishlinskii)",
     (
-        _amount("wide", "N", 0.15, "half height of the wide loop", 0.0),
-        _amount("narrow", "N", 0.15, "half height of the narrow loop", 0.0),
-        Parameter("blunt", "1", 0.5, 0.0, 1.0, _NO_PHYSICS, "1: loops that saturate slowly, 0: sharply", 0.5),
+        *(
+            _amount(f"height_{n}", "1", 0.25, f"share of the height held by the stop of {s:g} times the width")
+            for n, s in enumerate((0.25, 0.5, 1.0, 2.0), 1)
+        ),
+        _repeated("amplitude", "N", 0.0, 0.0, 2.0),
         _repeated("width", "A", 0.03, 0.01, 0.2),
     ),
-    {"force": _loops_force},
-    {"magnetic_hysteresis": {"width": "width"}},
-    (State("wide_loop", _wide_rate, _wide_decay), State("narrow_loop", _narrow_rate, _narrow_decay)),
+    {"force": _stops_force},
+    {"magnetic_hysteresis": {"amplitude": "amplitude", "width": "width"}},
+    (
+        State("as_before", _as_before_rate, _as_before_decay),
+        State("stop_1", _stop_1_rate, _stop_1_decay),
+        State("stop_2", _stop_2_rate, _stop_2_decay),
+        State("stop_3", _stop_3_rate, _stop_3_decay),
+        State("stop_4", _stop_4_rate, _stop_4_decay),
+    ),
+)  # fmt: skip
+
+
+def _second_bristle(force, spool_speed, bristle_2, coulomb, static, firm, damping, stiffness, vs, s0, s1):
+    slip = abs(spool_speed) / vs
+    level = coulomb + (static - coulomb) * bell(slip)
+    level = level if level > 1e-6 else 1e-6
+    share = abs(bristle_2) * s0 * stiffness / level
+    share = share if share < 1.0 else 1.0
+    squared = share * share
+    give = 1.0 - firm + (firm * squared * squared * squared if bristle_2 * spool_speed > 0.0 else 0.0)
+    rate = spool_speed - give * abs(spool_speed) * s0 * stiffness / level * bristle_2
+    held = s0 * stiffness * bristle_2 + damping * s1 * rate
+    return force - (held if coulomb + static > 0.0 else 0.0)
+
+
+def _bristle_rate(bristle_2, spool_speed, coulomb, static, firm, stiffness, vs, s0):
+    slip = abs(spool_speed) / vs
+    level = coulomb + (static - coulomb) * bell(slip)
+    level = level if level > 1e-6 else 1e-6
+    share = abs(bristle_2) * s0 * stiffness / level
+    share = share if share < 1.0 else 1.0
+    squared = share * share
+    give = 1.0 - firm + (firm * squared * squared * squared if bristle_2 * spool_speed > 0.0 else 0.0)
+    return spool_speed - give * abs(spool_speed) * s0 * stiffness / level * bristle_2
+
+
+def _bristle_decay(spool_speed, coulomb, static, stiffness, vs, s0):
+    slip = abs(spool_speed) / vs
+    level = coulomb + (static - coulomb) * bell(slip)
+    return abs(spool_speed) * s0 * stiffness / (level if level > 1e-6 else 1e-6)
+
+
+_correction(
+    "bristle_shape", "force", "what friction the spool has more is held by a second bristle, which gives way late",
+    (
+        _amount("damping", "1", 0.5, "damping of the second bristle over the first one's", 0.0),
+        Parameter("firm", "1", 0.5, 0.0, 1.0, _NO_PHYSICS, "0: creeps like the first one, 1: holds until near its limit", 0.5),
+        Parameter(
+            "stiffness", "1", 1.0, 0.2, 5.0, _NO_PHYSICS, "stiffness of the second bristle over the first one's", 1.0, log=True
+        ),
+        _repeated("coulomb", "N", 0.0, 0.0, 2.0),
+        _repeated("static", "N", 0.0, 0.0, 3.0),
+        _taken("coulomb_taken", "N", -2.0, 0.3),
+        _taken("static_taken", "N", -3.0, 0.6),
+    ),
+    {"force": _second_bristle},
+    {
+        "spool_stiction": {
+            "coulomb": "coulomb", "static": "static", "coulomb_taken": "-coulomb", "static_taken": "-static",
+        }
+    },
+    (State("bristle_2", _bristle_rate, _bristle_decay),),
+    adds_to={"Fc": "coulomb_taken", "Fs": "static_taken"},
 )  # fmt: skip
 
 
@@ -248,6 +421,43 @@ _correction(
     ),
     {"torque": _torque_curve},
     {"motor_coulomb_friction": {}, "quadratic_drag": {}, "line_loss": {}},
+)  # fmt: skip
+
+
+def _dahl_torque(torque, speed, rest, travel, damping, coulomb, static, stribeck_speed):
+    slip = speed / stribeck_speed
+    level = coulomb + (static - coulomb) * exp(-slip * slip)
+    least = travel if travel > 1e-5 else 1e-5
+    rate = (speed - abs(speed) * rest) / least
+    moved = level * (tanh(speed * 10.0) - rest) - damping * coulomb * rate
+    return torque + (moved if travel > 0.0 else 0.0)
+
+
+def _rest_rate(rest, speed, travel):
+    return (speed - abs(speed) * rest) / (travel if travel > 1e-5 else 1e-5)
+
+
+def _rest_decay(speed, travel):
+    return abs(speed) / (travel if travel > 1e-5 else 1e-5)
+
+
+def _rest_corner(speed, travel):
+    return travel > 0.0 and abs(speed) < 1.0
+
+
+_correction(
+    "rest_shape", "motor", "dry friction builds up over a small turn (Dahl) in the place of a smooth step",
+    (
+        _amount("travel", "rad", 0.003, "turn over which the friction builds up", 0.0),
+        Parameter("damping", "s", 0.002, 0.0, 0.02, _NO_PHYSICS, "damping while it builds up, over the friction", 0.002),
+        _repeated("coulomb", "N m", 0.0, 0.0, 2.0),
+        _repeated("static", "N m", 0.0, 0.0, 3.0),
+        _repeated("stribeck_speed", "rad/s", 3.0, 0.2, 20.0),
+    ),
+    {"torque": _dahl_torque},
+    {"motor_coulomb_friction": {n: n for n in ("coulomb", "static", "stribeck_speed")}},
+    (State("rest", _rest_rate, _rest_decay),),
+    corner=_rest_corner,
 )  # fmt: skip
 
 

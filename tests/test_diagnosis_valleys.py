@@ -1,0 +1,87 @@
+"""Valleys of friction: the direction in which all forces scale is seen as one, and known parameters begin again as given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env.diagnosis.calibrate import as_given, base_unknowns, calibrate, floors_from
+from hydro_env.diagnosis.fit import Problem, at_noise, differentiate
+from hydro_env.diagnosis.hide import make_practice
+from hydro_env.diagnosis.machine import Request
+from hydro_env.diagnosis.motor import MotorRig
+from hydro_env.diagnosis.parts import read_parts
+from hydro_env.diagnosis.restarts import from_given, take_over
+from hydro_env.diagnosis.unknowns import Unknown, base_unknown, effect_unknowns, force_scale
+from hydro_env.plant import CATALOGUE, PARAMETERS, load_model
+
+NAMES = ("D", "m", "R", "alpha", "k", "Fc", "Fs", "vs")
+
+
+def _unknowns() -> list[Unknown]:
+    known = [base_unknown(PARAMETERS[n], PARAMETERS[n].nominal) for n in NAMES]
+    return [*known, *effect_unknowns(CATALOGUE["spool_stiction"], {"coulomb": 0.3, "static": 0.6})]
+
+
+def test_all_forces_on_the_spool_and_its_mass_scale_together() -> None:
+    unknowns = _unknowns()
+    q = np.linspace(-0.5, 0.5, len(unknowns))
+    moved = q + force_scale(unknowns, q, NAMES.index("k"), 0.3)
+    factors = {
+        u.name: u.value(b) / u.value(a) for u, a, b in zip(unknowns, q, moved, strict=True) if u.value(a)
+    }
+    scaled = {n for n, f in factors.items() if f != 1.0}
+    assert scaled == {"m", "alpha", "k", "Fc", "Fs", "spool_stiction.coulomb", "spool_stiction.static"}
+    assert [factors[n] for n in scaled] == pytest.approx([factors["k"]] * len(scaled)) and factors["k"] > 1.0
+
+
+class _Linear:
+    """A machine whose samples are linear in q."""
+
+    channels = (0,)
+
+    def __init__(self, unknowns: list[Unknown]) -> None:
+        self.segments: dict[int, list[object]] = {0: []}
+        self.unknowns = unknowns
+        self.matrix = np.random.default_rng(0).standard_normal((20, len(unknowns)))
+
+    def predict(self, requests: list[Request]) -> list[dict[int, np.ndarray]]:
+        every = [np.array([u.q(r.values[u.name]) for u in self.unknowns]) for r in requests]  # type: ignore[arg-type]
+        return [{0: self.matrix @ q} for q in every]
+
+
+def test_derivatives_along_a_direction_are_those_of_every_unknown() -> None:
+    machine = _Linear(_unknowns())
+    problem = Problem(0, machine.unknowns, np.full(len(machine.unknowns), 0.2))
+    problem.simulated = machine.predict([problem.request()])[0]
+    differentiate(machine, [problem], {})  # type: ignore[arg-type]
+    np.testing.assert_allclose(problem.columns[0], machine.matrix, rtol=1e-9, atol=1e-9)
+
+
+def test_known_parameters_begin_again_as_given_and_effects_stay() -> None:
+    unknowns = _unknowns()
+    problem = Problem(0, unknowns, np.linspace(0.1, 0.9, len(unknowns)), "spool_stiction", follow={"C": 0.3})
+    again = from_given(problem)
+    kept = [u.name for u, q in zip(unknowns, again.q, strict=True) if q != 0.0]
+    assert kept == ["R", "spool_stiction.coulomb", "spool_stiction.static"] and again.follow == problem.follow
+    problem.cost, again.cost = 5.0, 7.0
+    assert not take_over(problem, again) and problem.q[0] == 0.1
+    again.cost = 3.0
+    assert take_over(problem, again) and problem.q[0] == 0.0 and problem.cost == 3.0
+
+
+def test_calibration_finds_a_rig_whose_spools_are_wrong_by_a_sixth(tmp_path: Path) -> None:
+    practice = make_practice((), base_error=0.15, duration=6.0, rate=500.0, seed=61005, runs=("fit_1",))
+    practice.write(tmp_path)
+    rig = MotorRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+    first = as_given(rig, {(c, s.signal): 1e-9 for c in (0, 1) for s in rig.segments[c]})
+    found = calibrate(rig, floors_from(rig, first))
+    floors = floors_from(rig, found)
+    for c in (0, 1):
+        assert at_noise(rig, found[c], floors, 1.1)
+        values = found[c].values(c)
+        for name in ("alpha", "k", "m"):
+            assert values[name] == pytest.approx(practice.true.value(name, c), rel=0.05), (name, c)
+        assert len(base_unknowns(rig, c)) == found[c].q.size
