@@ -59,7 +59,8 @@ class Problem:
 
     `simulated` holds, by channel, the samples at `q`; `columns` their derivatives (n, number of unknowns) where they were
     last computed; `spread` the standard deviations of q. `follow` holds parameters that are not estimated but repeat
-    another one of the problem, by name (with a minus: its opposite), or a number.
+    another one of the problem, by name (with a minus: its opposite), or a number. `together` is whether derivatives are also
+    taken along all forces on the spool at once.
     """
 
     channel: int | None
@@ -72,6 +73,7 @@ class Problem:
     cost: float = np.inf
     certainty: Certainty | None = None
     follow: dict[str, str | float] = field(default_factory=dict)
+    together: bool = True
 
     def request(self, q: Vector | None = None) -> Request:
         """The simulation at q (default: at the estimate)."""
@@ -254,7 +256,8 @@ def differentiate(
 def _move(problem: Problem, j: int, size: float) -> Vector:
     """The change of q for the derivative by unknown j: of it alone, or, for the spring's rate, of all forces on the spool."""
     step = -size if problem.q[j] + size > problem.bounds[1][j] else size
-    if problem.unknowns[j].name == SCALED_BY:
+    # Not with every size of step: which derivative leads into a valley and which out of it is a matter of luck.
+    if problem.together and problem.unknowns[j].name == SCALED_BY and size != _STEPS[1]:
         return force_scale(problem.unknowns, problem.q, j, step)
     move = np.zeros(len(problem.unknowns))
     move[j] = step
