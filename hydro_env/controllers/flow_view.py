@@ -25,7 +25,7 @@ from __future__ import annotations
 import inspect
 from dataclasses import dataclass, replace
 from math import cos, pi
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,6 +112,13 @@ TURN_NOISE = NOMINAL["D"] * 1.0 * RPM / RATED_FLOW
 """Usual noise of the measured flow that comes from the pressure and from the speed."""
 
 
+class Loads(Protocol):
+    """Torque on each shaft, N m, (num_rigs, 2), and by how much the last reading was off."""
+
+    torque: Floats
+    miss: Floats
+
+
 class FlowView:
     """See the module's text. Rates and gains were tuned on pairs of `train`.
 
@@ -145,6 +152,8 @@ class FlowView:
 
     rows_per_rig = 2
     num_actions = 3
+    moved = 0.0
+    """Of the `ValveEstimate`."""
 
     def __init__(
         self,
@@ -219,7 +228,7 @@ class FlowView:
         self._sent, self._wanted = np.zeros((MOST_DELAY + 1, *pair)), np.zeros((MOST_DELAY + 1, *pair))
         self.valves = ValveEstimate(
             n, period, drift=self.drift, gain_drift=self.gain_drift,
-            doubt=(self.still, self.moving), first=self.first,
+            doubt=(self.still, self.moving), first=self.first, moved=self.moved,
         )  # fmt: skip
         # a difference of speeds over half the time is twice as noisy; slower sampling allows less feedback
         self._jump = self.jump * max(1.0, TUNED_PERIOD / period)
@@ -232,7 +241,8 @@ class FlowView:
         self._spacing = max(1, round(2.0 * pi / 3.0 / SPOOL_RATE / period))
         self._outer = min(0.5 / (1.0 - cos(min(SPOOL_RATE * period * self._spacing, pi))), 0.4)
         self._tuning = self._numbers()
-        self.sent, self.asked = np.zeros(pair), np.zeros((2 * self._spacing, *pair))
+        self.sent: Floats = np.zeros(pair)
+        self.asked = np.zeros((2 * self._spacing, *pair))
         self.flow: Floats = np.zeros(pair)
         self.wanted = np.zeros(pair)
         # the reference: speed, acceleration, and the speeds it had, newest first
@@ -274,7 +284,8 @@ class FlowView:
 
     def _make_models(self, n: int) -> None:
         self.spool = SpoolModel(n, self.period, SPOOL_RATE, self.damping, self.friction * FRICTION)
-        self.loads = LoadEstimate(n, self.period, NOMINAL["J"], self.share, self._jump)
+        self._estimate = LoadEstimate(n, self.period, NOMINAL["J"], self.share, self._jump)
+        self.loads: Loads = self._estimate
 
     def restart(self, rows: Rows, observation: Floats) -> Floats:
         seen = decode(np.asarray(observation))
@@ -286,7 +297,7 @@ class FlowView:
         self.delays.forget(rows, seen.command, self.motor.flow(seen))
         self.noisier[rows] = 1.0
         self.valves.forget(rows)
-        self.loads.forget(rows, seen.speed, _shaft_torque(seen))
+        self._unload(rows, seen)
         self.sent[rows], self.asked[:, rows] = seen.command, seen.command
         self.flow[rows], self.wanted[rows] = self.motor.flow(seen), 0.0
         self._pressure[rows] = seen.pressure
@@ -319,9 +330,16 @@ class FlowView:
         self.flow = self._flow(seen)
         self._pressure = seen.pressure
         self.valves.learn(self.spool, self.flow, self.noisier)
-        self.loads.step(seen.speed, _shaft_torque(seen), self.sensors.noise, self.sensors.unsound)
+        self._weigh(seen)
         self._think(seen)
         return seen
+
+    def _unload(self, rows: Rows, seen: Measurements) -> None:
+        self._estimate.forget(rows, seen.speed, _shaft_torque(seen))
+
+    def _weigh(self, seen: Measurements) -> None:
+        """Takes in what the shafts bear."""
+        self._estimate.step(seen.speed, _shaft_torque(seen), self.sensors.noise, self.sensors.unsound)
 
     def _flow(self, seen: Measurements) -> Floats:
         return self.motor.flow(seen, (seen.pressure - self._pressure) / self.period)

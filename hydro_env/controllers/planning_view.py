@@ -4,14 +4,16 @@
 the spool's lightly damped mode stays at rest. Two spools with different ways to their edges then begin to flow at different
 times, which parts the motors at every start and every crossing of standstill. Here the next `HORIZON` commands of both
 valves are planned together (`spool_plan`), in every period anew, from where the modelled spools stand and swing. What else
-the law does, probing, estimation, the reference, the watch over sensors, stays, with three differences:
+the law does, estimation, the reference, the watch over sensors, stays, with four differences:
 
 * The modelled spool hears its commands through the coil, and knows its stops.
-* The mean pressure of a period, from which the loads are told, takes in how the flow went between two samples.
-* A sweep that has found flow turns at once by `turn`, not through the average.
+* Speeds and loads come from a `MotorFilter`, to which the modelled flow tells how the torque went between two samples.
+* Sweeps go where they are wanted in two periods: they are steady from the beginning, and one that has found flow is back
+  before the averaged one would turn. The gains are told from the start itself, which is as slow as they are unsure; no pulses.
+* Commands that come late are planned for as well, from where those on their way will have brought spools and motors.
 
-Where commands come late or a speed sensor is poor, while edges are looked for, and at control periods other than 10 ms,
-the law beneath commands.
+Where a speed sensor is poor, while edges are looked for on the way, and at control periods other than 10 ms, the law beneath
+commands.
 """
 
 from __future__ import annotations
@@ -24,8 +26,9 @@ from numpy.typing import NDArray
 
 from hydro_env.controllers.flow_law import NOMINAL, SPOOL_RATE
 from hydro_env.controllers.flow_view import FRICTION, RATED_FLOW, TUNED_PERIOD, FlowView
-from hydro_env.controllers.spool_plan import Weights, follow, improve_plans, responses
-from hydro_env.controllers.valve_estimate import LoadEstimate, SpoolModel, ValveEstimate
+from hydro_env.controllers.motor_filter import MotorFilter
+from hydro_env.controllers.spool_plan import Weights, follow, improve_plans, lead_to, responses, wait_out
+from hydro_env.controllers.valve_estimate import SpoolModel, ValveEstimate
 from hydro_env.envs.observation import Measurements
 from hydro_env.units import RPM
 
@@ -68,84 +71,67 @@ class LaggedSpool(SpoolModel):
         )  # fmt: skip
 
 
-class BentLoadEstimate(LoadEstimate):
-    """A `LoadEstimate` that knows what the samples miss of the mean torque, by the modelled `spool`."""
-
-    def __init__(self, *given: Any, spool: LaggedSpool, trend: float) -> None:
-        super().__init__(*given)
-        self.spool, self._trend = spool, trend
-        self.slope = np.zeros_like(self.torque)
-
-    def forget(self, rows: Rows, speed: Floats, shaft: Floats) -> None:
-        super().forget(rows, speed, shaft)
-        self.slope[rows] = 0.0
-
-    @property
-    def bend(self) -> Floats:
-        """That torque, N m, (num_rigs, 2)."""
-        return BEND * self.spool.bend
-
-    def step(self, speed: Floats, shaft: Floats, noisier: Floats | float = 1.0, blind: Any = False) -> None:
-        bend = self.bend
-        load = 0.5 * (shaft + self._shaft) + bend - self._per_speed * (speed - self._speed)
-        self.miss = np.where(blind, 0.0, load - self.torque - self.slope)
-        # a jump has to stand out from what the model may have wrong of it
-        jump = self._jump * noisier + 0.5 * np.abs(bend)
-        jumps = np.clip((np.abs(self.miss) - jump) / (0.7 * jump), 0.0, 1.0)
-        share = self._share / noisier
-        torque = self.torque + self.slope + (share + (1.0 - share) * jumps) * self.miss
-        self.torque = np.where(blind, self.torque, torque)
-        # a jump is no trend
-        slope = (1.0 - jumps) * (self.slope + self._trend / noisier * np.clip(self.miss, -jump, jump))
-        self.slope = np.where(blind, 0.0, slope)
-        self._speed, self._shaft = np.array(speed, dtype=float), np.array(shaft)
-
-
 class PlanningView(FlowView):
     """See the module's text.
 
     Args:
         apart, moves, swing: weights of the plan beside a weight of 1 for the squared distance from the aim (`spool_plan`).
         corner: speed difference from which on its cost grows faster than its square, rpm.
-        trend: share of a load's miss that its slope takes in.
         behind: how long after the reference the speeds are to follow it, periods.
         ahead: no farther than this are the speeds asked to move at once, rpm.
-        trust: share of a reading of the speed that corrects what the torque gave.
-        turn: by how much a sweep turns at once.
+        wander, wander_apart, turned, twice: of the `MotorFilter`.
+        moved: swing of a spool, in rated travels, from which on its edges and gain wander at full pace (`ValveEstimate`).
+        begin, back: how far sweeps are to be after two periods, in periods of their pace, at first and after a turn.
+        margin: a sweep to the other side begins at least so far before the place where the last one found flow.
         patience: set-point below which probing goes on while that moves smoothly, rpm.
         onward: by how many reference times a smoothly moving set-point is foreseen.
-        others: settings of `FlowView`; four of them have other values here.
+        others: settings of `FlowView`; some of them have other values here.
     """
 
     def __init__(
         self,
         apart: float = 300.0,
-        moves: float = 1000.0,
-        swing: float = 1000.0,
+        moves: float = 650.0,
+        swing: float = 3000.0,
         corner: float = 20.0,
-        trend: float = 0.015,
-        behind: float = 1.6,
+        behind: float = 1.85,
         ahead: float = 30.0,
-        trust: float = 0.4,
-        turn: float = 0.05,
+        wander: float = 0.006,
+        wander_apart: float = 0.001,
+        turned: float = 0.1,
+        twice: float = 5.0,
+        moved: float = 0.1,
+        begin: float = 2.0,
+        back: float = 1.0,
+        margin: float = 0.1,
         patience: float = 250.0,
         onward: float = 1.0,
         most: float = 0.92,
         friction: float = 0.85,
-        share: float = 0.15,
         gain_drift: float = 0.004,
+        doubt: float = 6.0,
+        still: float = 0.009,
+        moving: float = 0.06,
+        sweep: float = 2.7,
+        detect: float = 0.008,
+        pulse: float = 0.0,
         **others: float,
     ) -> None:
-        super().__init__(most=most, friction=friction, share=share, gain_drift=gain_drift, **others)
+        super().__init__(
+            most=most, friction=friction, gain_drift=gain_drift, doubt=doubt, still=still, moving=moving, sweep=sweep,
+            detect=detect, pulse=pulse, **others,
+        )  # fmt: skip
         own = {
-            "apart": apart, "moves": moves, "swing": swing, "corner": corner, "trend": trend, "behind": behind,
-            "ahead": ahead, "trust": trust, "turn": turn, "patience": patience, "onward": onward,
+            "apart": apart, "moves": moves, "swing": swing, "corner": corner, "behind": behind, "ahead": ahead,
+            "wander": wander, "wander_apart": wander_apart, "turned": turned, "twice": twice, "moved": moved, "begin": begin,
+            "back": back, "margin": margin, "patience": patience, "onward": onward,
         }  # fmt: skip
         self._given |= {name: float(value) for name, value in own.items()}
         self._weights = Weights(float(apart), 1.0, float(moves), float(swing), corner * RPM, TURNS)
-        self._behind_by, self._ahead, self.trust = float(behind), ahead * RPM, float(trust)
-        self.trend = float(trend)
-        self.turn, self.patience, self.onward = float(turn), patience * RPM, float(onward)
+        self._behind_by, self._ahead = float(behind), ahead * RPM
+        self._filtered = (float(wander), float(wander_apart)), float(turned), float(twice)
+        self.moved, self.begin, self.back, self.margin = moved, begin, back, margin
+        self.patience, self.onward = patience * RPM, float(onward)
 
     def settings(self) -> dict[str, Any]:
         return {**super().settings(), "kind": "plan"}
@@ -160,10 +146,8 @@ class PlanningView(FlowView):
             (motor.per_speed, motor.per_torque, motor.per_acceleration),
         )  # fmt: skip
         self.plan = np.zeros((n, 2, HORIZON))
-        self.turning, self._turn_to = np.zeros((n, 2), bool), np.zeros((n, 2))
-        self._motors, self._torque_then = np.zeros((n, 2)), np.zeros((n, 2))
         self._asked_then, self._slope, self._still = np.zeros(n), np.zeros(n), np.zeros(n, bool)
-        self._last = np.zeros((n, 2))
+        self._last: Floats = np.zeros((n, 2))
         inputs = super().start(observation, period)
         self._lagged.valves = self.valves
         return inputs
@@ -171,23 +155,24 @@ class PlanningView(FlowView):
     def _make_models(self, n: int) -> None:
         super()._make_models(n)
         self.spool = self._lagged = LaggedSpool(n, self._response)
-        self.loads = self._bent = BentLoadEstimate(
-            n, self.period, NOMINAL["J"], self.share, self._jump, spool=self._lagged, trend=self.trend
-        )
+        self.loads = self._filter = MotorFilter(n, self.period, *self._filtered)
 
     def restart(self, rows: Rows, observation: Floats) -> Floats:
         inputs = super().restart(rows, observation)
-        self._motors[rows] = self.speed[rows, None]
         self._last[rows] = self.sent[rows]
         self.plan[rows] = self.sent[rows][..., None]
-        self.turning[rows] = False
-        self._torque_then[rows] = 0.0
         self._asked_then[rows], self._slope[rows] = self._setpoint[rows], 0.0
         return inputs
 
+    def _unload(self, rows: Rows, seen: Measurements) -> None:
+        self._filter.forget(rows, seen.speed, seen.pressure)
+
+    def _weigh(self, seen: Measurements) -> None:
+        bend = BEND * self._lagged.bend
+        self._filter.step(seen.speed, seen.pressure, bend, self.sensors.noise, self.sensors.unsound)
+
     # ---- the law --------------------------------------------------------------------------------------------------
     def _think(self, seen: Measurements) -> None:
-        self._know_motors(seen)
         super()._think(replace(seen, setpoint=self._foreseen(seen.setpoint)))
 
     def _foreseen(self, setpoint: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -200,35 +185,22 @@ class PlanningView(FlowView):
         foreseen: NDArray[np.float64] = setpoint + np.where(smooth, periods * slope, 0.0)
         return foreseen
 
-    def _know_motors(self, seen: Measurements) -> None:
-        """Speeds from the torque of the last period (eq. 2), corrected by the readings; the readings where a load jumped."""
-        torque = NOMINAL["D"] * seen.pressure
-        mean = 0.5 * (torque + self._torque_then) + self._bent.bend
-        gained = self.period / NOMINAL["J"] * (mean - NOMINAL["B"] * self._motors - self.loads.torque)
-        ahead = self._motors + gained
-        jumped = np.abs(self.loads.miss) > self._jump
-        self._motors = np.where(
-            jumped, seen.speed, ahead + self.trust / self.sensors.noise * (seen.speed - ahead)
-        )
-        self._torque_then = torque
-
     def _probe(self) -> None:
-        sides, swept, setpoint = self.sides.copy(), self.swept.copy(), self._setpoint
+        sides, setpoint = self.sides.copy(), self._setpoint
         self._setpoint = np.where(self._still, 0.0, setpoint)
         super()._probe()
         self._setpoint = setpoint
-        self.turning = (self.sides != sides) & self.probing[:, None]
-        self._turn_to = np.where(sides == 0, 1.0, -1.0) * (swept - self.turn)
+        found = np.where(sides == 0, 1.0, -1.0) * self.spool.position
+        turns = (self.sides != sides) & self.probing[:, None]
+        self.swept = np.where(turns, np.maximum(self.swept, self.margin - found), self.swept)
 
     # ---- commands -------------------------------------------------------------------------------------------------
     def command(self, outputs: Floats) -> Floats:
-        if self.turn:
-            self.asked[:] = np.where(self.turning, self._turn_to, self.asked)
-        averaged = super().command(outputs)
+        averaged = self._sweep(super().command(outputs))
         if not self._plans:
             return averaged
         poor = np.any(self.sensors.unsound | (self.sensors.noise > NOISIEST), axis=1)
-        planned = ~(self.crossing | self.probing | poor) & (self.delays.periods == 0)
+        planned = ~(self.crossing | self.probing | poor)
         rows = np.flatnonzero(planned)
         plain = np.empty_like(self.plan)
         last, final = self._last, self.asked[-1]
@@ -242,11 +214,14 @@ class PlanningView(FlowView):
         given = self._effect[:, None, None] * np.asarray(outputs, dtype=float).reshape(
             -1, 2, self.num_actions
         )
-        load = self.loads.torque + self._bent.slope + self.reach / self.motor.per_torque * given[..., 0]
+        load = self.loads.torque + self.reach / self.motor.per_torque * given[..., 0]
         edge = self.valves.edge + self.shift * given[..., 1, None] * SIDES
+        place = np.stack([self.spool.position, self.spool.speed, self._lagged.late])
+        motor = self._filter.speed.copy()
+        wait_out(self.delays.periods, self._sent, place, motor, load, edge, self.valves.gain, self._response)
         improve_plans(
-            self.plan, plain, rows, np.stack([self.spool.position, self.spool.speed, self._lagged.late]), self._motors,
-            load, edge, self.valves.gain, last, self._aim(), self._weights, self._response,
+            self.plan, plain, rows, place, motor, load, edge, self.valves.gain, last, self._aim(motor), self._weights,
+            self._response,
         )  # fmt: skip
         self.sent = np.where(planned[:, None], self.plan[..., 0], averaged)
         # what the average goes on from
@@ -254,8 +229,27 @@ class PlanningView(FlowView):
         self._last = self.sent.copy()
         return self.sent.copy()
 
-    def _aim(self) -> Floats:
-        """Speeds to be at in the next control instants, (num_rigs, HORIZON + 1): the reference `behind` periods before."""
+    def _sweep(self, sent: Floats) -> Floats:
+        """The commands `sent` (num_rigs, 2), for spools that sweep those that bring them along, and home when both edges are
+        found. Not at long control periods, in which a spool swings too far."""
+        swings = self.probing[:, None] & ((self.sides < 2) | (self.pulsed == 0)[:, None])
+        if self.period > 1.5 * TUNED_PERIOD or not swings.any():
+            return sent
+        sign = np.where(self.sides == 0, 1.0, -1.0)
+        on = np.where(self.sides == 0, self.begin, self.back) * self.sweep * self.period
+        home = self.sides == 2
+        goal = np.where(home, self.valves.middle, sign * (self.swept + on))
+        lead_to(
+            sent, swings, self.spool.position, self.spool.speed, self._lagged.late, goal,
+            np.where(home, 0.0, sign * self.sweep), self._response,
+        )  # fmt: skip
+        self.asked[:] = np.where(swings, sent, self.asked)
+        self.sent = sent.copy()
+        return sent
+
+    def _aim(self, motor: Floats) -> Floats:
+        """Speeds to be at in the next control instants, (num_rigs, HORIZON + 1): the reference `behind` periods before.
+        `motor`: the speeds at which the plan begins."""
         aim = np.empty((len(self.speed), HORIZON + 1))
         for k in range(HORIZON + 1):
             back = self._behind_by - k
@@ -264,5 +258,5 @@ class PlanningView(FlowView):
                 aim[:, k] = (1.0 - part) * self.before[whole] + part * self.before[whole + 1]
             else:
                 aim[:, k] = self.speed - self.acceleration * back * self.period
-        off = aim[:, 0] - np.mean(self._motors, axis=1)
+        off = aim[:, 0] - np.mean(motor, axis=1)
         return aim - (off - np.clip(off, -self._ahead, self._ahead))[:, None]

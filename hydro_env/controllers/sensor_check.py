@@ -42,8 +42,9 @@ MOST_DELAY = 2
 """Delays up to so many periods are told apart."""
 DOUBT = 0.02
 """Standard deviation of what the spool model gets wrong in a period, share of the rated command."""
-CERTAIN, EACH = 12.0, 3.0
-"""By how much the squares of the misses have to differ, of both valves together and of each."""
+CERTAIN, EACH, MOST = 20.0, 3.0, 9.0
+"""By how much the squares of the misses have to differ, of both valves together and of each, and the most that one sample counts:
+a spool that sticks once is no delay."""
 INERTIA, DISPLACEMENT, FRICTION = NOMINAL["J"], NOMINAL["D"], NOMINAL["B"]
 
 
@@ -207,9 +208,12 @@ def _compare(where, before, flow, gain, flowing, noise, misses, periods, change)
                 if both:
                     moved = where[late, i, c] - where[late + 1, i, c]
                     miss = flow[i, c] - before[i, c] - gain[i, c] * moved
-                    misses[late, i, c] += min(miss**2 / (2.0 * noise[i, c] ** 2 + DOUBT**2), 100.0)
+                    misses[late, i, c] += min(miss**2 / (2.0 * noise[i, c] ** 2 + DOUBT**2), MOST)
                 together[late] += misses[late, i, c]
         now, best = periods[i], np.argmin(together)
+        # one period is believed rather than two as long as it is about as likely
+        if now < best - 1 and together[best - 1] - together[best] < CERTAIN:
+            best -= 1
         each = min(misses[now, i, 0] - misses[best, i, 0], misses[now, i, 1] - misses[best, i, 1])
         gap = together[now] - together[best]
         change[i] = best != now and gap > CERTAIN and together[best] < 0.5 * together[now] and each > EACH

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from hydro_env.compiled import compiled
 from hydro_env.units import RPM
 
-__all__ = ["COIL", "Response", "Weights", "follow", "improve_plans", "responses"]
+__all__ = ["COIL", "Response", "Weights", "follow", "improve_plans", "lead_to", "responses", "wait_out"]
 
 Floats = NDArray[np.floating[Any]]
 
@@ -151,6 +151,47 @@ def follow(position, speed, late, ringing, bend, command, edge, gain, r):
             bend[i, c] = (total - 0.5 * flow) / r.steps - 0.5 * (first + flow)
             position[i, c], speed[i, c], late[i, c] = x, v, late_c
             ringing[i, c] = (x - u) ** 2 + (v / r.rate) ** 2
+
+
+@compiled
+def lead_to(sent, rows, position, speed, late, goal, pace, r):
+    """Commands `sent` (N, 2), in place, that bring the spools marked in `rows` (N, 2) to the positions `goal` (N, 2) with the
+    speeds `pace` (N, 2) in two periods."""
+    first, last = 2 * r.steps - 1, r.steps - 1
+    a, b, c, d = r.travel[first], r.travel[last], r.swing[first], r.swing[last]
+    span = a * d - b * c
+    for i in range(sent.shape[0]):
+        for k in range(2):
+            if not rows[i, k]:
+                continue
+            now = then = goal[i, k]
+            for _ in range(3):
+                x, v, held = position[i, k], speed[i, k], late[i, k]
+                for _ in range(r.steps):
+                    x, v, held = _substep(x, v, held, now, r)
+                for _ in range(r.steps):
+                    x, v, held = _substep(x, v, held, then, r)
+                off, slow = goal[i, k] - x, (pace[i, k] - v) / r.rate
+                now += (d * off - b * slow) / span
+                then += (a * slow - c * off) / span
+            sent[i, k] = min(max(now, -1.0), 1.0)
+
+
+@compiled
+def wait_out(late, sent, place, motor, load, edge, gain, r):
+    """Spools `place` (3, N, 2) and speeds `motor` (N, 2), in place, after the commands that are on their way: the `late` (N,)
+    newest ones of `sent` (periods, N, 2), newest first."""
+    push = r.step / r.per_acceleration
+    for i in range(late.size):
+        for c in range(2):
+            x, v, held, speed = place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c]
+            drag = r.per_torque * load[i, c]
+            for k in range(late[i] - 1, -1, -1):
+                for _ in range(r.steps):
+                    x, v, held = _substep(x, v, held, sent[k, i, c], r)
+                    flow, _ = _valve(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
+                    speed += push * (flow - r.per_speed * speed - drag)
+            place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c] = x, v, held, speed
 
 
 @compiled

@@ -83,6 +83,8 @@ class ValveEstimate:
         drift, gain_drift: random walk of edge and gain per root second, which keeps the estimate awake to friction.
         doubt: standard deviation of the modelled spool position at rest, and per amplitude of its swing.
         first: standard deviation of an edge at which flow was seen for the first time.
+        moved: swing of a spool about its command, in rated travels, from which on the walk is at full pace; friction shifts
+            an edge while the spool moves. 0: always.
     """
 
     def __init__(
@@ -94,9 +96,10 @@ class ValveEstimate:
         gain_drift: float,
         doubt: tuple[float, float],
         first: float,
+        moved: float = 0.0,
     ) -> None:
         self._walk = np.array([gain_drift, drift]) ** 2 * period
-        self._doubt, self._first = doubt, first
+        self._doubt, self._first, self._moved = doubt, first, moved
         self.gain, self.edge = np.zeros((num_rigs, 2)), np.zeros((num_rigs, 2, 2))
         self.unknown, self.nearest = np.zeros((num_rigs, 2, 2), bool), np.zeros((num_rigs, 2, 2))
         # variances of gain and edges, and covariances: gain with edge, edge with edge
@@ -133,14 +136,14 @@ class ValveEstimate:
         """
         _learn(
             spool.position, spool.ringing, flow, noisier, self._walk[0], self._walk[1], *self._doubt, self._first,
-            self.gain, self.edge, self.unknown, self.nearest, self.gain_variance, self.edge_variance, self.shared,
+            self._moved, self.gain, self.edge, self.unknown, self.nearest, self.gain_variance, self.edge_variance, self.shared,
             self.between, self.surprise,
         )  # fmt: skip
 
 
 @compiled
 def _learn(
-    position, ringing, flow, noisier, gain_walk, edge_walk, still, moving, first,
+    position, ringing, flow, noisier, gain_walk, edge_walk, still, moving, first, moved,
     gain, edge, unknown, nearest, gain_variance, edge_variance, shared, between, surprise,
 ):  # fmt: skip
     along = np.empty(2)
@@ -167,8 +170,9 @@ def _learn(
                     edge[i, c, here] = 0.5 * (nearest[i, c, here] + farthest)
                     edge_variance[i, c, here] = (farthest - nearest[i, c, here]) ** 2 / 12.0
             elif place > edge[i, c, here] or flows:
-                gain_variance[i, c] += gain_walk
-                edge_variance[i, c, here] += edge_walk
+                stir = min(1.0, ringing[i, c] / moved**2) if moved > 0.0 else 1.0
+                gain_variance[i, c] += gain_walk * stir
+                edge_variance[i, c, here] += edge_walk * stir
                 # measured = gain * beyond: derivatives by gain and by the edge of this direction
                 beyond, by_edge = max(place - edge[i, c, here], 0.0), -gain[i, c]
                 along_gain = beyond * gain_variance[i, c] + by_edge * shared[i, c, here]
@@ -201,8 +205,8 @@ class LoadEstimate:
 
     def __init__(self, num_rigs: int, period: float, inertia: float, share: float, jump: float) -> None:
         self._share, self._jump, self._per_speed = share, jump, inertia / period
-        self.torque = np.zeros((num_rigs, 2))
-        self.miss = np.zeros((num_rigs, 2))
+        self.torque: Floats = np.zeros((num_rigs, 2))
+        self.miss: Floats = np.zeros((num_rigs, 2))
         self._speed, self._shaft = np.zeros((num_rigs, 2)), np.zeros((num_rigs, 2))
 
     def forget(self, rows: Rows, speed: Floats, shaft: Floats) -> None:
