@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from hydro_env.controllers import CONTROLLERS, LAWS, linear, make_controller, tune
 from hydro_env.controllers.adaptive import ValveLearner
 from hydro_env.controllers.base import FRACTION_PER_V, RPM
-from hydro_env.controllers.compensated import on_the_bench
+from hydro_env.controllers.bench_map import on_the_bench
 from hydro_env.controllers.gains import read_gains
 from hydro_env.controllers.linear import largest_sensitivity
 from hydro_env.controllers.pid import TABLE_III, Pid, per_rpm

@@ -6,7 +6,16 @@ import pytest
 from hydro_env.controllers.flow_view import FlowView, Motor
 from hydro_env.controllers.planning_view import HORIZON, STEPS, PlanningView
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.controllers.spool_plan import Weights, _drive, _normal, follow, improve_plans, responses
+from hydro_env.controllers.spool_plan import (
+    Weights,
+    _drive,
+    _normal,
+    follow,
+    improve_plans,
+    lead_to,
+    responses,
+    wait_out,
+)
 from hydro_env.controllers.view import make_view
 from hydro_env.errors import InputError
 from hydro_env.plant import load_model, simulate
@@ -96,6 +105,54 @@ def test_the_valve_with_the_longer_way_sets_out_first():
     assert speeds.mean(axis=0)[-1] > 0.0
     assert planned < 0.2 * np.abs(speeds[0] - speeds[1]).max()
     assert plan[0, 1, 0] > plan[0, 0, 0]
+
+
+def test_spools_are_led_along_a_sweep_and_home():
+    """Turned in the middle of a sweep, one is on its way back after two periods and stays on it; one at rest goes home."""
+    r = channel(friction=0.01)
+    x, v, late = np.array([[0.13, 0.0]]), np.array([[2.7, 0.0]]), np.array([[0.14, 0.0]])
+    pace = np.array([[-2.7, 0.0]])
+    edge, gain = np.full((1, 2, 2), 0.1), np.ones((1, 2))
+    for k in range(8):
+        way = np.array([[0.02 - 0.027 * k, 0.05]])
+        sent = np.full((1, 2), 9.0)
+        lead_to(sent, np.ones((1, 2), bool), x, v, late, way, pace, r)
+        follow(x, v, late, np.zeros((1, 2)), np.zeros((1, 2)), sent, edge, gain, r)
+        if k >= 2:
+            np.testing.assert_allclose(x, way - 0.01 * pace, atol=0.012)
+    np.testing.assert_allclose(v, pace, atol=0.6)
+    left = np.full((1, 2), 9.0)
+    lead_to(left, np.zeros((1, 2), bool), x, v, late, way, pace, r)
+    assert np.all(left == 9.0)
+
+
+def test_commands_on_their_way_are_waited_out():
+    """As `follow` moves the spools, newest command last."""
+    r, rng = channel(friction=0.01), np.random.default_rng(2)
+    sent = rng.uniform(-0.5, 0.5, (3, 2, 2))
+    place, motor, load = rng.uniform(-0.2, 0.2, (3, 2, 2)), np.zeros((2, 2)), np.zeros((2, 2))
+    edge, gain = np.full((2, 2, 2), 0.05), np.ones((2, 2))
+    x, v, late = (each.copy() for each in place)
+    for k in (1, 0):
+        follow(x, v, late, np.zeros((2, 2)), np.zeros((2, 2)), sent[k].copy(), edge, gain, r)
+    begin = place.copy()
+    wait_out(np.array([2, 0]), sent, place, motor, load, edge, gain, r)
+    np.testing.assert_allclose(place[:, 0], [x[0], v[0], late[0]])
+    np.testing.assert_array_equal(place[:, 1], begin[:, 1])
+    assert np.all(motor[0] != 0.0) and np.all(motor[1] == 0.0)
+
+
+def test_late_commands_are_noticed_and_planned_for():
+    late = load_model("paper_dead_zone").with_values({"command_delay.delay": 0.01})
+    view = PlanningView()
+    found = roll_out(
+        Alone(view), range(24), plant=late, mismatch="train", scenario="setpoint_steps"
+    ).metrics()
+    assert np.mean(view.delays.periods == 1) > 0.9
+    assert np.median(found["max_speed_difference_rpm"]) < 17.0
+    usual = PlanningView()
+    roll_out(Alone(usual), range(24), mismatch="train", scenario="setpoint_steps")
+    assert not usual.delays.periods.any()
 
 
 @pytest.mark.parametrize("scenario", ["staircase", "sine"])

@@ -16,22 +16,22 @@ def scores(spec, **changed):
 
 def test_slower_settings_keep_closer_together_and_track_worse():
     fast, calm = scores("probing_flow"), scores("probing_flow:rate=20,rise=9")
-    assert calm[0] < fast[0] - 0.3
-    assert calm[1] > fast[1] + 5.0
-    assert fast[0] < 9.5 and fast[1] < 30.0
+    assert calm[0] < fast[0] - 0.1
+    assert calm[1] > fast[1] + 8.0
+    assert fast[0] < 6.8 and fast[1] < 30.0
 
 
 def test_it_uses_the_rest_before_the_first_step():
     """Without a rest there is nothing to probe in: edges are met on the way, as `adaptive_flow` does."""
     steps = {"duration": 1.5, "setpoint_rpm": [[0.3, 400.0], [0.8, -300.0]]}
     at_once = {"duration": 1.2, "setpoint_rpm": [[0.0, 400.0], [0.5, -300.0]]}
-    assert scores("probing_flow", scenario=steps)[0] < scores("probing_flow", scenario=at_once)[0] - 1.0
+    assert scores("probing_flow", scenario=steps)[0] < scores("probing_flow", scenario=at_once)[0] - 2.0
 
 
 def test_what_the_bench_found_is_worth_more_than_probing():
     """And nothing is probed, so that the shafts hardly move before the set-point does, at 0.2 s."""
     told, probed = scores("bench_flow"), scores("probing_flow")
-    assert told[0] < probed[0] - 1.0
+    assert told[0] < probed[0] - 0.7
     played = {
         name: roll_out(make_controller(name), range(6), mismatch="val", scenario="setpoint_steps").trace
         for name in ("bench_flow", "probing_flow")

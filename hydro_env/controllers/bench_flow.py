@@ -6,13 +6,12 @@ friction moves an edge by more than a bench can tell, and since valves change.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.compensated import on_the_bench
+from hydro_env.controllers.bench_map import on_the_bench
 from hydro_env.controllers.probing import ProbingFlow
 from hydro_env.controllers.valve_map import ValveMap
 from hydro_env.plant import Plant
@@ -28,11 +27,7 @@ class BenchFlow(ProbingFlow):
     """See the module's text. The paper's motor is known to it."""
 
     needs = "bench"
-    GAINS = tuple(
-        replace(gain, default=12.0) if gain.name == "rise" else gain
-        for gain in ProbingFlow.GAINS
-        if gain.name in ("rate", "rise", "fall")
-    )
+    GAINS = tuple(gain for gain in ProbingFlow.GAINS if gain.name in ("rate", "rise", "fall"))
     probe = 0.0
     valves: ValveMap | None = None
 

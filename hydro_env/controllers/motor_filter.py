@@ -43,7 +43,13 @@ class MotorFilter:
     """
 
     def __init__(
-        self, num_rigs: int, period: float, wander: tuple[float, float], turned: float, twice: float, bent: float = 0.5
+        self,
+        num_rigs: int,
+        period: float,
+        wander: tuple[float, float],
+        turned: float,
+        twice: float,
+        bent: float = 0.5,
     ) -> None:
         pair = (num_rigs, 2)
         self._settings = (period / INERTIA, *wander, turned, twice, bent)
@@ -59,7 +65,9 @@ class MotorFilter:
         self.torque[rows], self.miss[rows] = 0.0, 0.0
         self._spread[rows] = READING**2 * np.diag([1.0, 1.0, 0.0, 0.0])
 
-    def step(self, speed: Floats, pressure: Floats, bend: Floats, noisier: Floats, blind: NDArray[np.bool_]) -> None:
+    def step(
+        self, speed: Floats, pressure: Floats, bend: Floats, noisier: Floats, blind: NDArray[np.bool_]
+    ) -> None:
         """Takes in the next readings.
 
         `bend`: what the mean torque of the period is beyond the mean of its two readings, by the model, N m. `noisier`:

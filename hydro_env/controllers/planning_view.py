@@ -186,6 +186,8 @@ class PlanningView(FlowView):
         return foreseen
 
     def _probe(self) -> None:
+        if not self.probing.any():
+            return
         sides, setpoint = self.sides.copy(), self._setpoint
         self._setpoint = np.where(self._still, 0.0, setpoint)
         super()._probe()
@@ -218,7 +220,10 @@ class PlanningView(FlowView):
         edge = self.valves.edge + self.shift * given[..., 1, None] * SIDES
         place = np.stack([self.spool.position, self.spool.speed, self._lagged.late])
         motor = self._filter.speed.copy()
-        wait_out(self.delays.periods, self._sent, place, motor, load, edge, self.valves.gain, self._response)
+        if self.delays.periods.any():
+            wait_out(
+                self.delays.periods, self._sent, place, motor, load, edge, self.valves.gain, self._response
+            )
         improve_plans(
             self.plan, plain, rows, place, motor, load, edge, self.valves.gain, last, self._aim(motor), self._weights,
             self._response,
@@ -232,9 +237,9 @@ class PlanningView(FlowView):
     def _sweep(self, sent: Floats) -> Floats:
         """The commands `sent` (num_rigs, 2), for spools that sweep those that bring them along, and home when both edges are
         found. Not at long control periods, in which a spool swings too far."""
-        swings = self.probing[:, None] & ((self.sides < 2) | (self.pulsed == 0)[:, None])
-        if self.period > 1.5 * TUNED_PERIOD or not swings.any():
+        if self.period > 1.5 * TUNED_PERIOD or not self.probing.any():
             return sent
+        swings = self.probing[:, None] & ((self.sides < 2) | (self.pulsed == 0)[:, None])
         sign = np.where(self.sides == 0, 1.0, -1.0)
         on = np.where(self.sides == 0, self.begin, self.back) * self.sweep * self.period
         home = self.sides == 2
