@@ -152,8 +152,8 @@ class FlowView:
 
     rows_per_rig = 2
     num_actions = 3
-    moved = 0.0
-    """Of the `ValveEstimate`."""
+    moved, cautious = 0.0, False
+    """Of `ValveEstimate` and `DelayEstimate`."""
 
     def __init__(
         self,
@@ -220,7 +220,10 @@ class FlowView:
         n = len(observation)
         self.period = period
         pair = (n, 2)
-        self.sensors, self.delays = SensorCheck(n, period, self.motor.leakage), DelayEstimate(n)
+        self.sensors, self.delays = (
+            SensorCheck(n, period, self.motor.leakage),
+            DelayEstimate(n, self.cautious),
+        )
         self.noisier = np.ones(pair)
         # a spool that hears every command at once, and where it was; the commands sent and flows asked for, newest first
         self.prompt = SpoolModel(n, period, SPOOL_RATE, self.damping, self.friction * FRICTION)

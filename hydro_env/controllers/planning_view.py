@@ -88,6 +88,8 @@ class PlanningView(FlowView):
         others: settings of `FlowView`; some of them have other values here.
     """
 
+    cautious = True
+
     def __init__(
         self,
         apart: float = 300.0,

@@ -42,9 +42,10 @@ MOST_DELAY = 2
 """Delays up to so many periods are told apart."""
 DOUBT = 0.02
 """Standard deviation of what the spool model gets wrong in a period, share of the rated command."""
-CERTAIN, EACH, MOST = 20.0, 3.0, 9.0
-"""By how much the squares of the misses have to differ, of both valves together and of each, and the most that one sample counts:
-a spool that sticks once is no delay."""
+EACH = 3.0
+BOLD, CAUTIOUS = (12.0, 100.0), (20.0, 9.0)
+"""By how much the squares of the misses have to differ, of both valves together (and `EACH`), and the most that one sample
+counts: to the cautious, a spool that sticks once is no delay."""
 INERTIA, DISPLACEMENT, FRICTION = NOMINAL["J"], NOMINAL["D"], NOMINAL["B"]
 
 
@@ -173,9 +174,13 @@ def _check(
 
 
 class DelayEstimate:
-    """Whole control periods by which the commands come late, `periods` (num_rigs,)."""
+    """Whole control periods by which the commands come late, `periods` (num_rigs,).
 
-    def __init__(self, num_rigs: int) -> None:
+    The `cautious` believe a delay when it was seen more than once, and one period before two: for who plans on it.
+    """
+
+    def __init__(self, num_rigs: int, cautious: bool = False) -> None:
+        self._cautious = cautious
         self.periods = np.zeros(num_rigs, int)
         self._where = np.zeros((MOST_DELAY + 2, num_rigs, 2))
         self._misses = np.zeros((MOST_DELAY + 1, num_rigs, 2))
@@ -191,13 +196,25 @@ class DelayEstimate:
         """
         self._where = np.concatenate([position[None], self._where[:-1]])
         change = np.empty(len(self.periods), bool)
-        _compare(self._where, self._flow, flow, gain, flowing, noise, self._misses, self.periods, change)
+        _compare(
+            self._where,
+            self._flow,
+            flow,
+            gain,
+            flowing,
+            noise,
+            self._misses,
+            self.periods,
+            change,
+            self._cautious,
+        )
         self._flow = flow
         return change
 
 
 @compiled
-def _compare(where, before, flow, gain, flowing, noise, misses, periods, change):
+def _compare(where, before, flow, gain, flowing, noise, misses, periods, change, cautious):
+    certain, most = CAUTIOUS if cautious else BOLD
     together = np.empty(misses.shape[0])
     for i in range(periods.size):
         together[:] = 0.0
@@ -208,14 +225,13 @@ def _compare(where, before, flow, gain, flowing, noise, misses, periods, change)
                 if both:
                     moved = where[late, i, c] - where[late + 1, i, c]
                     miss = flow[i, c] - before[i, c] - gain[i, c] * moved
-                    misses[late, i, c] += min(miss**2 / (2.0 * noise[i, c] ** 2 + DOUBT**2), MOST)
+                    misses[late, i, c] += min(miss**2 / (2.0 * noise[i, c] ** 2 + DOUBT**2), most)
                 together[late] += misses[late, i, c]
         now, best = periods[i], np.argmin(together)
-        # one period is believed rather than two as long as it is about as likely
-        if now < best - 1 and together[best - 1] - together[best] < CERTAIN:
+        if cautious and now < best - 1 and together[best - 1] - together[best] < certain:
             best -= 1
         each = min(misses[now, i, 0] - misses[best, i, 0], misses[now, i, 1] - misses[best, i, 1])
         gap = together[now] - together[best]
-        change[i] = best != now and gap > CERTAIN and together[best] < 0.5 * together[now] and each > EACH
+        change[i] = best != now and gap > certain and together[best] < 0.5 * together[now] and each > EACH
         if change[i]:
             periods[i] = best
