@@ -328,7 +328,9 @@ def test_every_parameter_of_every_effect_is_seen_in_some_signal(name: str, every
         repeated = follows(name, corrected)
         for own, to in repeated.items():
             less = isinstance(to, str) and to.startswith("-")
-            typical[own] = (-1 if less else 1) * (typical[to.removeprefix("-")] if isinstance(to, str) else to)
+            typical[own] = (-1 if less else 1) * (
+                typical[to.removeprefix("-")] if isinstance(to, str) else to
+            )
     for parameter in effect.parameters:
         moved = dict(typical)
         middle = 0.5 * (max(parameter.low, -1e9) + min(parameter.high, 1e9))

@@ -10,13 +10,13 @@ from hydro_env.errors import InputError
 
 def scores(spec, **changed):
     given = {"plant": "paper_dead_zone", "mismatch": "val", "scenario": "setpoint_steps"} | changed
-    found = roll_out(make_controller(spec), range(24), **given).metrics()
+    found = roll_out(make_controller(spec), range(200), **given).metrics()
     return np.median(found["max_speed_difference_rpm"]), np.median(found["tracking_mae_rpm"])
 
 
 def test_slower_settings_keep_closer_together_and_track_worse():
     fast, calm = scores("probing_flow"), scores("probing_flow:rate=20,rise=9")
-    assert calm[0] < fast[0] - 0.1
+    assert calm[0] < fast[0] - 0.3
     assert calm[1] > fast[1] + 8.0
     assert fast[0] < 6.8 and fast[1] < 30.0
 
@@ -31,15 +31,14 @@ def test_it_uses_the_rest_before_the_first_step():
 def test_what_the_bench_found_is_worth_more_than_probing():
     """And nothing is probed, so that the shafts hardly move before the set-point does, at 0.2 s."""
     told, probed = scores("bench_flow"), scores("probing_flow")
-    assert told[0] < probed[0] - 0.7
+    assert told[0] < probed[0] - 1.0
     played = {
         name: roll_out(make_controller(name), range(6), mismatch="val", scenario="setpoint_steps").trace
         for name in ("bench_flow", "probing_flow")
     }
     moved = {name: np.abs(trace.speed_rpm[:20]).max() for name, trace in played.items()}
-    assert (
-        moved["bench_flow"] < 0.3 * moved["probing_flow"]
-    )  # a valve with an offset lets some oil through at rest
+    # a valve with an offset lets some oil through at rest
+    assert moved["bench_flow"] < 0.3 * moved["probing_flow"]
 
 
 def test_without_a_bench_it_does_not_begin():

@@ -68,7 +68,9 @@ def calibrate(machine: Machine, floors: Floors, iterations: int = 18) -> dict[in
         problems[channel] = Problem(channel, unknowns, np.zeros(len(unknowns)), "calibrated")
     _coil_first(machine, problems, floors)
     # Two ways, of which either may end in a valley of the spool's friction: with and without the forces scaled together.
-    apart = {} if machine.quick else {c: replace(p, q=p.q.copy(), together=False) for c, p in problems.items()}
+    apart = (
+        {} if machine.quick else {c: replace(p, q=p.q.copy(), together=False) for c, p in problems.items()}
+    )
     solve(machine, [*problems.values(), *apart.values()], floors, iterations)
     further = [problems[c] for c, other in apart.items() if take_over(problems[c], other)]
     solve(machine, further, floors, iterations // 3)

@@ -222,9 +222,7 @@ def differentiate(
     moves: list[list[tuple[int, Vector]]] = []
     for problem, numbers in zip(problems, wanted, strict=True):
         moves.append([(j, _move(problem, j, size)) for j in numbers])
-    requests = [
-        p.request(p.q + move) for p, own in zip(problems, moves, strict=True) for _, move in own
-    ]
+    requests = [p.request(p.q + move) for p, own in zip(problems, moves, strict=True) for _, move in own]
     results = iter(machine.predict(requests))
     found = []
     for problem, own in zip(problems, moves, strict=True):

@@ -76,7 +76,9 @@ def with_correction(problem: Problem, effect: str, correction: str, channel: int
     own = {u.name for u in problem.unknowns}
     every = follows(correction, effect)
     repeated = {
-        name: source for name, source in every.items() if not isinstance(source, str) or source.removeprefix("-") in own
+        name: source
+        for name, source in every.items()
+        if not isinstance(source, str) or source.removeprefix("-") in own
     }
     added = []
     for p in CATALOGUE[correction].parameters:

@@ -31,7 +31,7 @@ import re
 import sys
 import tempfile
 import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -137,9 +137,10 @@ def _arguments(law: Callable[..., float]) -> list[str]:
 class _Names:
     """What an argument of a law is called in the generated text."""
 
-    def __init__(self, effect: Effect) -> None:
+    def __init__(self, effect: Effect, given: Mapping[str, str | float] | None = None) -> None:
         self.own = {p.name: f"{effect.name}__{p.name}" for p in effect.parameters}
         self.own |= {s.name: f"{effect.name}__{s.name}" for s in effect.states}
+        self.own |= {a: self.own.get(str(source), str(source)) for a, source in (given or {}).items()}
 
     def __call__(self, argument: str, changed: dict[str, str]) -> str:
         name = self.own.get(argument, argument)
@@ -424,7 +425,7 @@ def _module_text(effects: tuple[Effect, ...], half: int, single: bool) -> tuple[
     # `rates` takes the command as the delay line hands it over.
     effect_rates = []
     for effect, state in extra:
-        names = _Names(effect)
+        names = _Names(effect, state.given)
         call = ", ".join(names(a, {}) for a in _arguments(state.rate))
         effect_rates.append(
             f"{effect.name}__{state.name}_rate = {_law_name(effect, state.name + '_rate')}({call})"
@@ -473,7 +474,7 @@ def _module_text(effects: tuple[Effect, ...], half: int, single: bool) -> tuple[
         if state.decay is None:
             first.append(f"f__{name} = 1.0 / ig")
         else:
-            names = _Names(effect)
+            names = _Names(effect, state.given)
             call = ", ".join(names(a, {}) for a in _arguments(state.decay))
             first.append(f"f__{name} = 1.0 / (ig + {_law_name(effect, state.name + '_decay')}({call}))")
         first.append(f"{row('f__' + name)} = f__{name}")

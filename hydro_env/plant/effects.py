@@ -12,7 +12,7 @@ parameters of `rates`, and `other_flow`, the valve flow of the rig's other chann
 and the functions of `lanemath`.
 
 A *state* is memory of an effect: a rate (law of the same kind) and, where it is fast, its decay rate -d(rate)/d(state),
-which the implicit integrator then uses.
+which the implicit integrator then uses. Several states may share their laws, each with arguments of its own (`given`).
 
 A law that reads a function's own arguments only is what makes user effects possible: see `register`.
 """
@@ -40,11 +40,16 @@ QUANTITIES = (
 
 @dataclass(frozen=True)
 class State:
-    """Memory of an effect: `rate` is d(state)/dt, `decay` its own stiffness -d(rate)/d(state) in 1/s, or None."""
+    """Memory of an effect: `rate` is d(state)/dt, `decay` its own stiffness -d(rate)/d(state) in 1/s, or None.
+
+    `given` says what arguments of the two are here, where several states share them: the name of what is looked up instead,
+    or a number.
+    """
 
     name: str
     rate: Callable[..., float]
     decay: Callable[..., float] | None = None
+    given: Mapping[str, str | float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

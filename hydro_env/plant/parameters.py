@@ -91,7 +91,14 @@ _ROWS = (
     # --- valve: equations (5), (6), (8), Table II --------------------------------------------------------------
     Parameter("m", "kg", 0.4, 0.2, 0.8, "paper, Table II", "mass of spool and solenoid core", log=True),
     Parameter(
-        "R", "Ohm", 100.0, 80.0, 125.0, "paper, Table II; (6) prints R_i for R i", "resistance of the coil", log=True
+        "R",
+        "Ohm",
+        100.0,
+        80.0,
+        125.0,
+        "paper, Table II; (6) prints R_i for R i",
+        "resistance of the coil",
+        log=True,
     ),
     Parameter("L", "H", 0.1, 0.05, 0.2, "paper, Table II", "inductance of the coil", log=True),
     Parameter(
@@ -104,7 +111,9 @@ _ROWS = (
         "force of the coil per current; also its back-EMF",
         log=True,
     ),
-    Parameter("k", "N/m", 17000.0, 12000.0, 24000.0, "paper, Table II", "rate of the centring springs", log=True),
+    Parameter(
+        "k", "N/m", 17000.0, 12000.0, 24000.0, "paper, Table II", "rate of the centring springs", log=True
+    ),
     Parameter(
         "C",
         "N s/m",
@@ -127,7 +136,16 @@ _ROWS = (
     ),
     # --- friction of the spool: LuGre, equations (9)-(11), Table II --------------------------------------------
     Parameter("Fc", "N", 0.1, 0.02, 1.0, "paper, Table II", "Coulomb friction of the spool", log=True),
-    Parameter("Fs", "N", 0.2, 0.02, 1.5, "paper, Table II: 0.2 (V1), 0.15 (V2)", "static friction of the spool", log=True),
+    Parameter(
+        "Fs",
+        "N",
+        0.2,
+        0.02,
+        1.5,
+        "paper, Table II: 0.2 (V1), 0.15 (V2)",
+        "static friction of the spool",
+        log=True,
+    ),
     Parameter(
         "vs",
         "m/s",
@@ -139,9 +157,18 @@ _ROWS = (
         log=True,
     ),
     Parameter(
-        "s0", "N/m", 1e5, 3e4, 3e5, "paper, Table II, which prints N s/m", "stiffness of the spool's bristles", log=True
+        "s0",
+        "N/m",
+        1e5,
+        3e4,
+        3e5,
+        "paper, Table II, which prints N s/m",
+        "stiffness of the spool's bristles",
+        log=True,
     ),
-    Parameter("s1", "N s/m", 470.0, 100.0, 1000.0, "paper, Table II", "damping of the spool's bristles", log=True),
+    Parameter(
+        "s1", "N s/m", 470.0, 100.0, 1000.0, "paper, Table II", "damping of the spool's bristles", log=True
+    ),
     Parameter("s2", "N s/m", 0.2, 0.0, 40.0, "paper, Table II", "viscous friction of the spool"),
     # --- limits of the real valve, which the paper's equations leave out ----------------------------------------
     Parameter(

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from math import inf
 
-from .effects import Effect, State, register
+from .effects import CATALOGUE, Effect, State, register
 from .lanemath import bell, clip, cos, exp, sign, sin, tanh
 from .parameters import Parameter
 
@@ -45,7 +45,9 @@ def _repeated(name: str, unit: str, nominal: float, low: float, high: float) -> 
 
 def _taken(name: str, unit: str, low: float, typical: float) -> Parameter:
     """What a correction takes away of a base parameter to which the effect has added it."""
-    return Parameter(name, unit, 0.0, low, 0.0, _NO_PHYSICS, "repeats what is corrected, taken away", -typical)
+    return Parameter(
+        name, unit, 0.0, low, 0.0, _NO_PHYSICS, "repeats what is corrected, taken away", -typical
+    )
 
 
 def _correction(
@@ -166,39 +168,30 @@ _correction(
 )  # fmt: skip
 
 
-def _stops_force(force, height_1, height_2, height_3, height_4, amplitude, as_before, stop_1, stop_2, stop_3, stop_4):
+def _stops_force(
+    force, height_1, height_2, height_3, height_4, amplitude, as_before, stop_1, stop_2, stop_3, stop_4
+):
     moved = height_1 * (stop_1 - as_before) + height_2 * (stop_2 - as_before)
     moved = moved + height_3 * (stop_3 - as_before) + height_4 * (stop_4 - as_before)
     return force - amplitude * moved
 
 
-def _as_before_rate(as_before, current_rate, amplitude, width, alpha):
-    # The loop of the catalogue's law, from which the stops take over.
+def _stop_rate(stop, current_rate, times, amplitude, width, alpha):
     least = 2.0 * amplitude / alpha
-    return (current_rate - abs(current_rate) * as_before) / (width if width > least else least)
-
-
-def _as_before_decay(current_rate, amplitude, width, alpha):
-    least = 2.0 * amplitude / alpha
-    return abs(current_rate) / (width if width > least else least)
-
-
-def _stop_1_rate(stop_1, current_rate, amplitude, width, alpha):
-    least = 2.0 * amplitude / alpha
-    travel = 0.25 * (width if width > least else least)
+    travel = times * (width if width > least else least)
     # Free on the way back; on the way on it gives way with the eighth power. A long step that goes beyond 1 is taken back.
-    ahead = stop_1 if current_rate > 0.0 else -stop_1
+    ahead = stop if current_rate > 0.0 else -stop
     inside = ahead if ahead < 1.0 else 1.0
     squared = inside * inside
     fourth = squared * squared
     free = 1.0 - fourth * fourth if ahead > 0.0 else 1.0
-    return current_rate * free / travel - 2e4 * (stop_1 - clip(stop_1, -1.0, 1.0))
+    return current_rate * free / travel - 2e4 * (stop - clip(stop, -1.0, 1.0))
 
 
-def _stop_1_decay(stop_1, current_rate, amplitude, width, alpha):
+def _stop_decay(stop, current_rate, times, amplitude, width, alpha):
     least = 2.0 * amplitude / alpha
-    travel = 0.25 * (width if width > least else least)
-    ahead = stop_1 if current_rate > 0.0 else -stop_1
+    travel = times * (width if width > least else least)
+    ahead = stop if current_rate > 0.0 else -stop
     inside = ahead if ahead < 1.0 else 1.0
     squared = inside * inside
     slope = 8.0 * squared * squared * squared * inside
@@ -206,81 +199,17 @@ def _stop_1_decay(stop_1, current_rate, amplitude, width, alpha):
     return abs(current_rate) * (slope if slope > 1.0 else 1.0) / travel + (2e4 if ahead > 1.0 else 0.0)
 
 
-def _stop_2_rate(stop_2, current_rate, amplitude, width, alpha):
-    least = 2.0 * amplitude / alpha
-    travel = 0.5 * (width if width > least else least)
-    # Free on the way back; on the way on it gives way with the eighth power. A long step that goes beyond 1 is taken back.
-    ahead = stop_2 if current_rate > 0.0 else -stop_2
-    inside = ahead if ahead < 1.0 else 1.0
-    squared = inside * inside
-    fourth = squared * squared
-    free = 1.0 - fourth * fourth if ahead > 0.0 else 1.0
-    return current_rate * free / travel - 2e4 * (stop_2 - clip(stop_2, -1.0, 1.0))
-
-
-def _stop_2_decay(stop_2, current_rate, amplitude, width, alpha):
-    least = 2.0 * amplitude / alpha
-    travel = 0.5 * (width if width > least else least)
-    ahead = stop_2 if current_rate > 0.0 else -stop_2
-    inside = ahead if ahead < 1.0 else 1.0
-    squared = inside * inside
-    slope = 8.0 * squared * squared * squared * inside
-    # Never less than what keeps a long step of the current from shooting far beyond the limit.
-    return abs(current_rate) * (slope if slope > 1.0 else 1.0) / travel + (2e4 if ahead > 1.0 else 0.0)
-
-
-def _stop_3_rate(stop_3, current_rate, amplitude, width, alpha):
-    least = 2.0 * amplitude / alpha
-    travel = 1.0 * (width if width > least else least)
-    # Free on the way back; on the way on it gives way with the eighth power. A long step that goes beyond 1 is taken back.
-    ahead = stop_3 if current_rate > 0.0 else -stop_3
-    inside = ahead if ahead < 1.0 else 1.0
-    squared = inside * inside
-    fourth = squared * squared
-    free = 1.0 - fourth * fourth if ahead > 0.0 else 1.0
-    return current_rate * free / travel - 2e4 * (stop_3 - clip(stop_3, -1.0, 1.0))
-
-
-def _stop_3_decay(stop_3, current_rate, amplitude, width, alpha):
-    least = 2.0 * amplitude / alpha
-    travel = 1.0 * (width if width > least else least)
-    ahead = stop_3 if current_rate > 0.0 else -stop_3
-    inside = ahead if ahead < 1.0 else 1.0
-    squared = inside * inside
-    slope = 8.0 * squared * squared * squared * inside
-    # Never less than what keeps a long step of the current from shooting far beyond the limit.
-    return abs(current_rate) * (slope if slope > 1.0 else 1.0) / travel + (2e4 if ahead > 1.0 else 0.0)
-
-
-def _stop_4_rate(stop_4, current_rate, amplitude, width, alpha):
-    least = 2.0 * amplitude / alpha
-    travel = 2.0 * (width if width > least else least)
-    # Free on the way back; on the way on it gives way with the eighth power. A long step that goes beyond 1 is taken back.
-    ahead = stop_4 if current_rate > 0.0 else -stop_4
-    inside = ahead if ahead < 1.0 else 1.0
-    squared = inside * inside
-    fourth = squared * squared
-    free = 1.0 - fourth * fourth if ahead > 0.0 else 1.0
-    return current_rate * free / travel - 2e4 * (stop_4 - clip(stop_4, -1.0, 1.0))
-
-
-def _stop_4_decay(stop_4, current_rate, amplitude, width, alpha):
-    least = 2.0 * amplitude / alpha
-    travel = 2.0 * (width if width > least else least)
-    ahead = stop_4 if current_rate > 0.0 else -stop_4
-    inside = ahead if ahead < 1.0 else 1.0
-    squared = inside * inside
-    slope = 8.0 * squared * squared * squared * inside
-    # Never less than what keeps a long step of the current from shooting far beyond the limit.
-    return abs(current_rate) * (slope if slope > 1.0 else 1.0) / travel + (2e4 if ahead > 1.0 else 0.0)
-
+#: Travels of the stops until they give way, over the width of the effect's own loop.
+_STOPS = (0.25, 0.5, 1.0, 2.0)
+# The loop of the catalogue's law, from which the stops take over.
+(_LOOP,) = CATALOGUE["magnetic_hysteresis"].states
 
 _correction(
     "stop_shape", "force", "loop of the magnet from four stops that give way one after the other (Prandtl-Ishlinskii)",
     (
         *(
             _amount(f"height_{n}", "1", 0.25, f"share of the height held by the stop of {s:g} times the width")
-            for n, s in enumerate((0.25, 0.5, 1.0, 2.0), 1)
+            for n, s in enumerate(_STOPS, 1)
         ),
         _repeated("amplitude", "N", 0.0, 0.0, 2.0),
         _repeated("width", "A", 0.03, 0.01, 0.2),
@@ -288,11 +217,11 @@ _correction(
     {"force": _stops_force},
     {"magnetic_hysteresis": {"amplitude": "amplitude", "width": "width"}},
     (
-        State("as_before", _as_before_rate, _as_before_decay),
-        State("stop_1", _stop_1_rate, _stop_1_decay),
-        State("stop_2", _stop_2_rate, _stop_2_decay),
-        State("stop_3", _stop_3_rate, _stop_3_decay),
-        State("stop_4", _stop_4_rate, _stop_4_decay),
+        State("as_before", _LOOP.rate, _LOOP.decay, {"loop": "as_before"}),
+        *(
+            State(f"stop_{n}", _stop_rate, _stop_decay, {"stop": f"stop_{n}", "times": times})
+            for n, times in enumerate(_STOPS, 1)
+        ),
     ),
 )  # fmt: skip
 
