@@ -10,10 +10,10 @@ whole generation is one batch of rigs. All candidates drive the same pairs with 
 `train` may be used, or the plant's own pair.
 
 The controllers that ship (`--controller all`) have one budget, about that of the search of the law beneath the agents, which
-had some 480 000 episodes. Each is searched twice, as a search may end in a valley: with few pairs and with many (`SEARCHES`), at `PERIOD`
-and then, the first generation around the gains found there, at each of `OTHER_PERIODS`. Whichever costs less on the many pairs
-ships. That is a quarter of an hour of a core for each controller; what has been found is kept when the command is
-interrupted, and not searched again.
+had some 480 000 episodes. Each is searched twice, as a search may end in a valley: with few pairs and with many
+(`SEARCHES`), at `PERIOD` and then, the first generation around the gains found there, at each of `OTHER_PERIODS`. Whichever
+costs less on the many pairs ships. That is a quarter of an hour of a core for each controller; what has been found is kept
+when the command is interrupted, and not searched again.
 """
 
 from __future__ import annotations
