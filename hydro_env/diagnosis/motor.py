@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
@@ -21,8 +21,10 @@ __all__ = ["MotorRig"]
 SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
 #: The fit's substep where an effect has every substep taken in parts (of 20 to 50 us then), s.
 PARTED_SUBSTEP = 500e-6
-#: Lanes of one call, so that memory stays small and progress visible.
+#: Rigs of one call, so that memory stays small and progress visible.
 LANES = 32
+#: Rigs that go through the kernel together, and a small remainder of them: idle lanes cost as much as others.
+BLOCK, REMAINDER = 8, 4
 #: Functions that make an effect's law too slow to be carried along by every candidate.
 _SLOW = frozenset({"exp", "tanh", "cos", "sin"})
 #: Base parameters that calibration may adjust. V is left out (never told from beta), u_rated and x_max are settings.
@@ -113,8 +115,8 @@ class MotorRig:
             by_kernel.setdefault(key, []).append(number)
         for (effects, _, step), numbers in by_kernel.items():
             rows = self._pack([(n, requests[n]) for n in numbers])
-            for start in range(0, len(rows), LANES):
-                self._run(effects, step, rows[start : start + LANES], requests, results)
+            for start, stop, block in _pieces(len(rows)):
+                self._run(effects, step, rows[start:stop], requests, results, block)
         return results
 
     def _shared_out(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
@@ -133,20 +135,18 @@ class MotorRig:
         return results
 
     def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
-        """The effects to compile in. There are four kernels in all, so that few are compiled and all candidates share them:
-        none; the light effects; all but those that tie the channels together; everything. The last refits are many of few
-        effects: there is one kernel for these and all corrections of their form (what is neutral changes no bit)."""
+        """The effects to compile in; what is neutral changes no bit, but costs time.
+
+        So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for these
+        and each heavy one. Long refits are many of few effects: there is one kernel for these and all corrections of their
+        form."""
         if not effects:
             return ()
         if self._of_few(effects):
             forms = {name for effect in effects for name in CORRECTIONS.get(effect, {})}
             return tuple(n for n in CATALOGUE if n in effects or n in forms)
         library = {*self.candidates(), *self.without, *effects}
-        light = [n for n in CATALOGUE if n in library and _light(CATALOGUE[n])]
-        if effects <= {*light}:
-            return tuple(light)
-        apart = [n for n in CATALOGUE if n in library and CATALOGUE[n].scope == "channel"]
-        return tuple(apart) if effects <= {*apart} else tuple(n for n in CATALOGUE if n in library)
+        return tuple(n for n in CATALOGUE if n in effects or (n in library and _light(CATALOGUE[n])))
 
     def _of_few(self, effects: Collection[str]) -> bool:
         return self.exact or any(CATALOGUE[n].family == FAMILY for n in effects)
@@ -184,9 +184,9 @@ class MotorRig:
         rigs: list[list[int]],
         requests: Sequence[Request],
         results: list[dict[int, np.ndarray]],
+        block: int,
     ) -> None:
-        # One or two rigs would be given a kernel of their own, which costs more to compile than some idle lanes to simulate.
-        lanes = max(len(rigs), 3) if self._of_few(effects) else len(rigs)
+        lanes = len(rigs)
         # Which channel each side of each rig plays, and which side answers a request.
         plays = np.tile([0, 1], (lanes, 1))
         sides: dict[int, tuple[int, dict[int, int]]] = {}
@@ -215,7 +215,7 @@ class MotorRig:
             for channel in answers:
                 results[n][channel] = np.empty(self._length(channel))
         for number, part in enumerate(self.parts):
-            out = self._simulate(part, values, plays if swapped else None, lanes, effects, step)
+            out = self._simulate(part, values, plays if swapped else None, lanes, effects, step, block)
             for channel in self.channels:
                 for segment in self.segments[channel]:
                     if segment.log != number:
@@ -241,6 +241,7 @@ class MotorRig:
         lanes: int,
         effects: tuple[str, ...],
         step: float,
+        block: int,
     ) -> dict[str, np.ndarray]:
         """`plays` (lanes, 2): the channel whose command and load each side has; None: its own."""
         command = np.nan_to_num(part.log.command_V)
@@ -251,8 +252,18 @@ class MotorRig:
         with np.errstate(all="ignore"):
             return simulate(
                 self.model, command, load, part.log.period, values=values, num_rigs=lanes, effects=effects,
-                record=[_RECORDED[s] for s in self.signals], substep=step,
+                record=[_RECORDED[s] for s in self.signals], substep=step, block=block,
             )  # fmt: skip
+
+
+def _pieces(count: int) -> Iterator[tuple[int, int, int]]:
+    """Rigs from, to, and how many to a block: whole blocks, then what remains."""
+    rest = count % BLOCK
+    whole = count if rest > REMAINDER else count - rest
+    for start in range(0, whole, LANES):
+        yield start, min(start + LANES, whole), BLOCK
+    if whole < count:
+        yield whole, count, REMAINDER
 
 
 _RIG: list[MotorRig] = []  # of a worker process
