@@ -31,8 +31,8 @@ from .prove import MODELS, NAMED, Proof, prove
 from .result import (
     Named,
     at_bounds,
-    confirmed,
     diagnosis_dict,
+    doubts,
     estimated_model,
     make_sure,
     named_effects,
@@ -141,7 +141,7 @@ def _workflow(
     sealed_machine = machine.with_parts(proofs, True)
     sealed_proof = prove(sealed_machine, models)
 
-    refuted = word == "effects" and not confirmed(machine, selection, sealed_proof)
+    refuted = doubts(machine, selection, final, fit_proof, sealed_proof, floors) if word == "effects" else []
     if refuted:
         # What is not vouched for is not corrected either.
         final, corrections = selection.problems, []
@@ -163,10 +163,7 @@ def _workflow(
             f"calibration would take all of these, so that they cannot be excluded: {', '.join(plain(n) for n in hidden)}"
         )
     if refuted:
-        warnings.insert(
-            0,
-            "the effects that explain the fit logs explain next to nothing of the sealed ones, so none is vouched for",
-        )
+        warnings.insert(0, f"none of what is named is vouched for: {'; '.join(refuted)}")
     hashes = {Path(str(p.label).split("@")[0]).name: p.log.sha256 for p in (*parts, *proofs)}
     data = diagnosis_dict(
         machine, word, named, places, final if word != "none" else calibrated, fit_proof, sealed_proof, looks, selection,

@@ -15,7 +15,7 @@ from .experiments import next_experiment
 from .fit import Floors, Problem, gain, levels, rms
 from .machine import Machine
 from .prove import NAMED, Proof, shown_unit
-from .select import Choice, Selection
+from .select import Choice, Selection, at_edge
 from .shape import Corrected, changes, is_correction
 from .signatures import Look, alike, detectable, hidden_by_calibration
 from .where import Place
@@ -24,8 +24,8 @@ __all__ = [
     "SCHEMA",
     "Named",
     "calibrated_values",
-    "confirmed",
     "diagnosis_dict",
+    "doubts",
     "estimated_model",
     "make_sure",
     "named_effects",
@@ -42,6 +42,13 @@ CONFIRMED = 0.25
 #: A signal of the sealed logs is spoilt by what was named if it is off by so many times what calibration alone leaves, and so
 #: many times the noise.
 SPOILT = 1.2, 3.0
+#: A signal above so many times its noise is off for sure.
+SEEN = 1.1
+#: What names and the corrections of their form may leave of a signal of the fit logs: so many times the noise, or this share of
+#: what calibration alone leaves.
+LEFT = 3.0, 0.05
+#: The same in `levels`: a few events, such as a spool that meets its end stop late, speak against no name.
+LEFT_LEVEL = 1.0
 #: A gap (in `levels`, summed over the signals) that is too small to speak of something unknown.
 SMALL_LEVEL = 0.15
 #: Values of the two channels that differ by less (relative) are one effect of both.
@@ -110,6 +117,9 @@ def _mostly(machine: Machine, calibrated: dict[int, Problem], selection: Selecti
     by power what is small everywhere counts little, such as the ripple that a steady model leaves.
     """
     for c in machine.channels:
+        own = [k.effect for k in selection.choices if k.channel == c]
+        if not machine.quick and any(at_edge(selection.problems[c], n) for n in own):
+            continue  # taken for what it explains in a corrected form: see `doubts`
         before, after = calibrated[c].simulated[c], selection.problems[c].simulated[c]
         old = sum(levels(machine, before, c, floors).values())
         new = sum(levels(machine, after, c, floors).values())
@@ -124,27 +134,58 @@ def _mostly(machine: Machine, calibrated: dict[int, Problem], selection: Selecti
     return True
 
 
-def confirmed(machine: Machine, selection: Selection, sealed: Proof) -> bool:
-    """Whether the named effects explain a share of what the calibrated model leaves of the sealed logs, where there is a gap.
+def doubts(
+    machine: Machine, selection: Selection, final: dict[int, Problem], fit: Proof, sealed: Proof, floors: Floors
+) -> list[str]:  # fmt: skip
+    """Why what was named is not vouched for although it explains most of the fit logs, a sentence each; none if it is.
 
-    The signal that they explain best counts, on every channel with an effect of its own. What mends one signal of a channel and
-    spoils another one does not confirm anything: the right effect does well by all of them.
+    `final` are the named effects with the corrections of their form, `fit` and `sealed` the proofs with both. The sealed logs
+    judge here and choose nothing.
     """
-    for c in {k.channel for k in selection.choices if k.channel is not None}:
+    found = []
+    for c in dict.fromkeys(k.channel for k in selection.choices if k.channel is not None):
         shares = []
+        level = levels(machine, fit.traces["after"][c], c, floors)
         for key, entry in sealed.gap.items():
             if key.split("_")[1] != str(c + 1):
                 continue
+            fitted, plain = fit.gap[key], f"the {key.split('_')[0]} of channel {c + 1}"
             # A correction of form proves nothing of the name.
             after = entry.get(NAMED, entry["after"])
-            if after > SPOILT[0] * entry["calibrated"] and after > SPOILT[1] * entry["noise"]:
-                return False
+            spoilt = after > SPOILT[0] * entry["calibrated"] and after > SPOILT[1] * entry["noise"]
+            if spoilt or (not machine.quick and _worse(fitted) and _worse(entry)):
+                found.append(f"{plain} is explained worse with the named effects than by calibration alone")
+            if not machine.quick and _far_from_explained(fitted) and level[key.split("_")[0]] > LEFT_LEVEL:
+                times = fitted["after"] / fitted["noise"]
+                found.append(
+                    f"{plain} of the fit logs is left {times:.2g} times its noise, whatever the form of what is named"
+                )
             if entry["calibrated"] > 1.3 * entry["noise"]:
                 excess = entry["calibrated"] ** 2 - entry["noise"] ** 2
                 shares.append((entry["calibrated"] ** 2 - after**2) / excess)
         if shares and max(shares) < CONFIRMED:
-            return False
-    return True
+            found.append(f"the effects of channel {c + 1} explain next to nothing of the sealed logs")
+    for k in selection.choices:
+        if machine.quick or k.channel is None:
+            continue
+        if all(at_edge(p[k.channel], k.effect) for p in (selection.problems, final)):
+            found.append(f"the size of {k.effect.replace('_', ' ')} stays at the edge of its plausible range")
+    return list(dict.fromkeys(found))
+
+
+def _worse(entry: dict[str, float]) -> bool:
+    """Whether what was named, in its own form or a corrected one, adds to the power above the noise of a signal."""
+    noise = entry["noise"] ** 2
+    after = min(entry["after"], entry.get(NAMED, entry["after"])) ** 2
+    return after > SEEN**2 * noise and after - noise > SPOILT[0] * (entry["calibrated"] ** 2 - noise)
+
+
+def _far_from_explained(entry: dict[str, float]) -> bool:
+    """Whether a signal is left far from its noise, by what calibration alone left too.
+
+    Whatever names fit the logs, what is left with the form of each put right is no matter of form any more.
+    """
+    return entry["after"] > max(LEFT[0] * entry["noise"], LEFT[1] * entry["calibrated"])
 
 
 def named_effects(

@@ -19,11 +19,11 @@ from .fit import Floors, Problem, channels_of, differentiate, evaluate, gain, le
 from .machine import Machine
 from .noise import effective_samples
 from .restarts import from_given, take_over
-from .shape import corrected
+from .shape import corrected, with_form
 from .signatures import Look, alike, first_look
 from .unknowns import bases_of, effect_unknowns, less_taken
 
-__all__ = ["Choice", "Selection", "Trial", "penalty", "penalty_per_number", "select"]
+__all__ = ["Choice", "Selection", "Trial", "at_edge", "penalty", "penalty_per_number", "select"]
 
 #: Accepted chance of one superfluous effect.
 FALSE_ALARM = 0.01
@@ -41,8 +41,13 @@ SETTLE = 12
 AGAIN = 5
 #: Share of its penalty that the best candidate must have reached to be refitted as far as it goes where none pays yet.
 HOPE = 0.3
+#: A gap (in `levels`, the signal where it is largest) beside what was taken from which the most promising candidates by their
+#: first look are refitted as far as they go before all are given up, and how many.
+MUCH, SECOND = 1.0, 2
 #: Candidates whose cheap refit reached less than this share of the best one's are not refitted in full.
 FAR = 0.5
+#: What becomes of a candidate that explains something only at a size that no rig has.
+EDGE = "only at the edge of its plausible range"
 #: An effect must explain this share of what is left above the noise, in the signal where it explains most.
 SHARE = 0.05
 #: What stays of the gap after an effect is looked into if it is a larger share; no effect has exactly its law.
@@ -238,6 +243,8 @@ def _round(
     _polish(machine, present, channels, best, floors)
     if number == 1 and not machine.quick:
         _settle(machine, _last_hopes(machine, present, channels, best, floors), floors)
+    elif not machine.quick:
+        _second_wind(machine, present, channels, batch, best, trials, floors)
     taken = []
     for c in channels:
         own_best = sorted(
@@ -248,6 +255,8 @@ def _round(
             found, needed = gain(machine, present[c], problem, floors), penalty(machine, look.effect)
             fate = _verdict(machine, present[c], problem, look, c, found, needed, floors)
             before = [(k.effect, k.channel) for k in choices if k.channel == c]
+            if place == 0 and fate == EDGE and _form_leads_inside(machine, present[c], problem, look, floors):
+                fate = "taken"
             first = place == 0 and fate == "taken"
             if first and before and _form_does(machine, present[c], before, look, problem, floors):
                 fate = "a correction of the form of what is named already does as well"
@@ -300,6 +309,41 @@ def _last_hopes(
     return found
 
 
+def _second_wind(
+    machine: Machine,
+    present: dict[int, Problem],
+    channels: Sequence[int],
+    batch: Sequence[tuple[int, Look, Problem]],
+    best: list[tuple[int, Look, Problem]],
+    trials: list[Trial],
+    floors: Floors,
+) -> None:
+    """Refits as far as they go, in place, the candidates of most promise by their first look where none pays in a later round
+    though much is left.
+
+    What was taken first has made up for what is still missing, and so have the known parameters: from there the few steps of
+    a cheap refit may lead away, and a candidate that ends beyond where it began says nothing. Those that were not among the
+    `best` join them.
+    """
+    fresh: list[tuple[tuple[int, Look, Problem], Problem]] = []
+    for c in channels:
+        pays = any(
+            gain(machine, present[c], p, floors) > penalty(machine, k.effect)
+            for own, k, p in best
+            if own == c
+        )
+        if pays or max(levels(machine, present[c].simulated[c], c, floors).values()) < MUCH:
+            continue
+        promising = sorted((b for b in batch if b[0] == c), key=lambda b: -b[1].gain)[:SECOND]
+        fresh += [(b, extended(present[c], b[1])) for b in promising]
+    _settle(machine, [p for _, p in fresh], floors)
+    for entry, problem in fresh:
+        take_over(entry[2], problem)
+        if not any(p is entry[2] for *_, p in best):
+            best.append(entry)
+            trials[:] = [t for t in trials if t.problem is not entry[2]]
+
+
 def _settle(machine: Machine, problems: Sequence[Problem], floors: Floors) -> None:
     """Improves the estimates of all as far as they go, also from the known parameters as given, which were moved by what was
     missing."""
@@ -333,10 +377,28 @@ def _form_does(
         look.effect,
         follow=formed.follow,
     )
-    solve(machine, [both], floors, AGAIN)
+    # The further effect may have led the known parameters elsewhere: from there it must be allowed to pay, too.
+    there = Problem(both.channel, both.unknowns, both.q.copy(), both.label, follow=both.follow)
+    moved = {u.name: v for u, v in zip(after.unknowns, after.q, strict=True)}
+    there.q[:] = [moved.get(u.name, v) for u, v in zip(both.unknowns, both.q, strict=True)]
+    solve(machine, [both, there], floors, AGAIN)
+    take_over(both, there)
     needed = penalty(machine, look.effect)
     share = _share(machine, formed, both, channels_of(both, machine), floors)
     return gain(machine, formed, both, floors) < needed or share < SHARE or _neutral(both, look.effect)
+
+
+def _form_leads_inside(machine: Machine, before: Problem, after: Problem, look: Look, floors: Floors) -> bool:
+    """Whether an effect that ends at the edge of its range ends inside once its form is corrected, and then pays for both.
+
+    A rig's law is another one than the catalogue's, and a size at the edge may make up for nothing but that.
+    """
+    per_number = penalty_per_number(machine)
+    for numbers, formed in with_form(machine, after, look.effect, floors):
+        needed = penalty(machine, look.effect) + per_number * numbers
+        if not at_edge(formed, look.effect) and gain(machine, before, formed, floors) > needed:
+            return True
+    return False
 
 
 def _worthwhile(present: Problem, ranked: Sequence[Problem], most: int) -> int:
@@ -412,12 +474,12 @@ def _verdict(
         return "explains no noticeable share of the gap"
     if _neutral(after, look.effect):
         return "vanishes when refitted"
-    if _at_edge(after, look.effect):
-        return "only at the edge of its plausible range"
+    if at_edge(after, look.effect):
+        return EDGE
     return "taken"
 
 
-def _at_edge(problem: Problem, effect: str) -> bool:
+def at_edge(problem: Problem, effect: str) -> bool:
     """Whether a size of an effect ends at a bound of its range that is not its neutral value."""
     for u, q in zip(problem.unknowns, problem.q, strict=True):
         own, _, name = u.name.partition(".")
@@ -632,7 +694,7 @@ def _rivals_again(
         own_gain = gain(machine, choice.without, present[c], floors)
         behind = own_gain - gain(machine, choice.without, problem, floors)
         better = behind < -0.5 * choice.needed and problem.cost < present[c].cost
-        if better and not (_neutral(problem, rival) or _at_edge(problem, rival)):
+        if better and not (_neutral(problem, rival) or at_edge(problem, rival)):
             choice.rivals.pop(rival, None)
             if -behind < max(NEAR * own_gain, choice.needed):
                 choice.rivals[choice.effect] = -behind

@@ -32,6 +32,7 @@ __all__ = [
     "own_size",
     "placebo_too",
     "with_correction",
+    "with_form",
 ]
 
 #: Iterations of a joint refit with a correction, and of the one that is kept.
@@ -119,11 +120,7 @@ def corrected(
         ]
         if not tries:
             break
-        # The known parameters have moved to make up for the form: they begin where they are and where they were given.
-        again = [from_given(p) for *_, p in tries]
-        solve(machine, [*(p for *_, p in tries), *again], floors, TRY)
-        for (*_, p), other in zip(tries, again, strict=True):
-            take_over(p, other)
+        _from_both_places(machine, [p for *_, p in tries], floors)
         worth = [problem.cost - p.cost - per_number * own_size(k, e) for e, _, k, p in tries]
         effect, channel, correction, best = tries[int(np.argmax(worth))]
         if max(worth) <= 0.0:
@@ -140,6 +137,23 @@ def corrected(
         kept.append(Corrected(effect, correction, channel, problem.cost - best.cost, sum(sure)))
         problem = best
     return problem, kept
+
+
+def _from_both_places(machine: Machine, problems: Sequence[Problem], floors: Floors) -> None:
+    """Improves all: the known parameters have moved to make up for the form, so they begin where they are and where they were
+    given."""
+    again = [from_given(p) for p in problems]
+    solve(machine, [*problems, *again], floors, TRY)
+    for problem, other in zip(problems, again, strict=True):
+        take_over(problem, other)
+
+
+def with_form(machine: Machine, problem: Problem, effect: str, floors: Floors) -> list[tuple[int, Problem]]:
+    """The problem of a channel refitted with each correction of the form of one of its effects; how many numbers each adds."""
+    found = [(own_size(k, effect), with_correction(problem, effect, k)) for k in CORRECTIONS.get(effect, {})]
+    if not machine.quick:
+        _from_both_places(machine, [p for _, p in found], floors)
+    return found if not machine.quick else []
 
 
 def corrected_all(

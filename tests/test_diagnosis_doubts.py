@@ -1,0 +1,149 @@
+"""What makes an answer doubtful, and what a candidate is given before it is given up."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from hydro_env.diagnosis.fit import Problem, evaluate, solve
+from hydro_env.diagnosis.machine import Request, Segment
+from hydro_env.diagnosis.prove import Proof
+from hydro_env.diagnosis.result import doubts
+from hydro_env.diagnosis.select import (
+    Choice,
+    Selection,
+    Trial,
+    _form_leads_inside,
+    _second_wind,
+    at_edge,
+    extended,
+)
+from hydro_env.diagnosis.signatures import Look
+from hydro_env.diagnosis.unknowns import base_unknown
+from hydro_env.plant import CATALOGUE, PARAMETERS
+
+ROWS = 3000
+TIME = np.arange(ROWS) * 1e-3
+FLOORS = {(0, "speed"): 0.01}
+GAIN = "flow_gain_nonlinearity"
+
+
+@dataclass
+class _Linear:
+    """A machine whose speed is a sum of curves: one for the inertia, others by the values of effects' parameters."""
+
+    curves: dict[str, np.ndarray]
+    channels: tuple[int, ...] = (0,)
+    quick: bool = False
+    segments: dict[int, list[Segment]] = field(default_factory=dict)
+
+    def predict(self, requests: list[Request]) -> list[dict[int, np.ndarray]]:
+        return [{0: self.speed(dict(r.values))} for r in requests]  # type: ignore[arg-type]
+
+    def speed(self, values: dict[str, float]) -> np.ndarray:
+        total = values.get("J", PARAMETERS["J"].nominal) / PARAMETERS["J"].nominal * np.sin(3.0 * TIME)
+        return total + sum(values.get(name, 0.0) * curve for name, curve in self.curves.items())
+
+    def candidates(self) -> list[str]:
+        return list(dict.fromkeys(name.split(".")[0] for name in self.curves))
+
+
+def _logged(curves: dict[str, np.ndarray], truth: dict[str, float]) -> tuple[_Linear, Problem]:
+    """A rig with these curves, whose log has the `truth` and noise, and its calibration."""
+    rig, every = _Linear(curves), np.arange(ROWS)
+    measured = rig.speed(truth) + 0.01 * np.random.default_rng(0).standard_normal(ROWS)
+    segment = Segment(0, 0, "speed", measured, every, np.ones(ROWS, bool), 1e-3, slice(0, ROWS))
+    rig.segments[0] = [segment]
+    base = Problem(0, [base_unknown(PARAMETERS["J"], PARAMETERS["J"].nominal)], np.zeros(1), "calibrated")
+    solve(rig, [base], FLOORS, 4)  # type: ignore[arg-type]
+    return rig, base
+
+
+def _look(effect: str, value: float, gain: float = 1000.0) -> Look:
+    return Look(effect, 0, {CATALOGUE[effect].parameters[0].name: value}, gain, 1e4, np.zeros(1))
+
+
+@pytest.mark.parametrize(("size", "inside"), [(0.4, True), (3.0, False)])
+def test_an_estimate_at_the_edge_is_judged_beside_the_form(size: float, inside: bool) -> None:
+    """A form that pushes the estimate to the edge is put right; a size that no rig has stays beyond it."""
+    bend = np.abs(np.sin(2.0 * TIME)) * np.sin(2.0 * TIME)
+    curves = {f"{GAIN}.curvature": bend, "opening_shape.gain_2": 4.0 * bend + np.cos(11.0 * TIME)}
+    rig, base = _logged(curves, {f"{GAIN}.curvature": size, "opening_shape.gain_2": 0.3})
+    look = _look(GAIN, 0.5)
+    found = extended(base, look)
+    solve(rig, [found], FLOORS, 6)  # type: ignore[arg-type]
+    assert at_edge(found, GAIN)
+    assert _form_leads_inside(rig, base, found, look, FLOORS) is inside  # type: ignore[arg-type]
+
+
+def test_what_leads_away_at_first_is_refitted_before_it_is_given_up() -> None:
+    curves = {"quadratic_drag.coefficient": 1e4 * np.sin(2.0 * TIME), "load_bias.bias": np.cos(11.0 * TIME)}
+    rig, base = _logged(curves, {"quadratic_drag.coefficient": 1e-4})
+    looks = [_look("quadratic_drag", 1e-4, 900.0), _look("load_bias", 0.1, 800.0)]
+    batch = [(0, k, extended(base, k)) for k in looks]
+    batch[0][2].q = np.array([0.0, -3.0])  # a cheap refit that went the wrong way
+    evaluate(rig, [p for _, _, p in batch], FLOORS)  # type: ignore[arg-type]
+    lost = [Trial(k.effect, 0, 2, -50.0, 18.0, "others explain more", p) for _, k, p in batch]
+    best, trials = [batch[1]], list(lost)
+    _second_wind(rig, {0: base}, [0], batch, best, trials, FLOORS)  # type: ignore[arg-type]
+    assert [k.effect for _, k, _ in best] == ["load_bias", "quadratic_drag"] and trials == [lost[1]]
+    values = best[1][2].values(0)
+    assert values["quadratic_drag.coefficient"] == pytest.approx(1e-4, rel=0.05)
+    # Where a candidate pays already nothing more is tried.
+    again = [best[1]]
+    _second_wind(rig, {0: base}, [0], batch[1:], again, trials, FLOORS)  # type: ignore[arg-type]
+    assert len(again) == 1
+
+
+def _doubts(
+    fit: dict[str, float], sealed: dict[str, float], quick: bool = False, share: float = 1.0
+) -> list[str]:
+    """The doubts about a name with these errors of the speed, of which those of the fit logs are in a `share` of the time."""
+    rig, every = _Linear({}, quick=quick), np.arange(ROWS)
+    size = np.where(every < share * ROWS, fit["after"] / np.sqrt(share), 1.0)
+    errors = {"speed": size, "pressure": np.ones(ROWS)}
+    rng = np.random.default_rng(1)
+    rig.segments[0] = [
+        Segment(0, 0, name, v * rng.standard_normal(ROWS), every, every >= 0, 1e-3, slice(n * ROWS, (n + 1) * ROWS))
+        for n, (name, v) in enumerate(errors.items())
+    ]  # fmt: skip
+    problem = extended(Problem(0, [], np.zeros(0)), _look("load_bias", 0.1))
+    selection = Selection({0: problem}, [Choice("load_bias", 0, 500.0, 18.0)], [], {})
+    entries = [{"noise": 1.0, "placebo": 30.0, "before": 50.0, **e} for e in (fit, sealed)]
+    pressure = {"noise": 1.0, "calibrated": 20.0, "after": 1.0, "placebo": 9.0, "before": 50.0}
+    traces = {"after": {0: np.zeros(2 * ROWS)}}
+    proofs = [Proof(rig, {"speed_1_rpm": e, "pressure_1_bar": pressure}, traces) for e in entries]  # type: ignore[arg-type]
+    floors = {(0, name): 1.0 for name in errors}
+    return doubts(rig, selection, {0: problem}, *proofs, floors)  # type: ignore[arg-type]
+
+
+def test_right_names_are_not_doubted() -> None:
+    assert not _doubts({"calibrated": 40.0, "after": 1.02}, {"calibrated": 38.0, "after": 1.05})
+    # Far off in the catalogue's form and near the noise in the corrected one.
+    assert not _doubts(
+        {"calibrated": 40.0, "named": 7.0, "after": 1.1}, {"calibrated": 38.0, "named": 8.0, "after": 2.1}
+    )
+    # A course through an unstable rest is nobody's fault as long as the fit logs are explained.
+    assert not _doubts({"calibrated": 40.0, "after": 1.3}, {"calibrated": 40.0, "after": 34.0})
+    # With a tenth of the noise everything is so many times the noise.
+    assert not _doubts({"calibrated": 400.0, "after": 12.0}, {"calibrated": 380.0, "after": 13.0})
+
+
+def test_a_rest_that_no_form_explains_is_doubted() -> None:
+    found = _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2})
+    assert len(found) == 1 and "the speed of channel 1" in found[0] and "6.3 times its noise" in found[0]
+    # A few events that are met late, as a spool that sticks a moment longer makes them.
+    assert not _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}, share=0.05)
+    # A steady-valve model is known to leave what moves fast.
+    assert not _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}, quick=True)
+
+
+def test_a_signal_that_pays_for_another_one_is_doubted() -> None:
+    found = _doubts({"calibrated": 1.09, "after": 1.22}, {"calibrated": 1.15, "after": 1.20})
+    assert len(found) == 1 and "worse" in found[0]
+    assert not _doubts({"calibrated": 1.00, "after": 1.02}, {"calibrated": 1.15, "after": 1.20})
+    assert not _doubts({"calibrated": 1.01, "after": 1.05}, {"calibrated": 1.01, "after": 1.05})
+
+
+def test_what_the_sealed_logs_deny_is_doubted() -> None:
+    assert _doubts({"calibrated": 40.0, "after": 1.0}, {"calibrated": 40.0, "after": 60.0})
