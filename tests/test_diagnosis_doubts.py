@@ -22,7 +22,7 @@ from hydro_env.diagnosis.signatures import Look
 from hydro_env.diagnosis.unknowns import base_unknown
 from hydro_env.plant import CATALOGUE, PARAMETERS
 
-ROWS = 3000
+ROWS = 12000
 TIME = np.arange(ROWS) * 1e-3
 FLOORS = {(0, "speed"): 0.01}
 GAIN = "flow_gain_nonlinearity"
@@ -132,8 +132,9 @@ def test_right_names_are_not_doubted() -> None:
 def test_a_rest_that_no_form_explains_is_doubted() -> None:
     found = _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2})
     assert len(found) == 1 and "the speed of channel 1" in found[0] and "6.3 times its noise" in found[0]
-    # A few events that are met late, as a spool that sticks a moment longer makes them.
-    assert not _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}, share=0.05)
+    # Off in a twentieth of the time it is doubted too, but not for one event, as a spool that sticks a moment longer makes it.
+    assert _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}, share=0.05)
+    assert not _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}, share=0.008)
     # A steady-valve model is known to leave what moves fast.
     assert not _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}, quick=True)
 

@@ -47,8 +47,8 @@ SEEN = 1.1
 #: What names and the corrections of their form may leave of a signal of the fit logs: so many times the noise, or this share of
 #: what calibration alone leaves.
 LEFT = 3.0, 0.05
-#: The same in `levels`: a few events, such as a spool that meets its end stop late, speak against no name.
-LEFT_LEVEL = 1.0
+#: The same in `levels`: one event or two in a log, such as a spool that meets its end stop late, speak against no name.
+LEFT_LEVEL = 0.1
 #: A gap (in `levels`, summed over the signals) that is too small to speak of something unknown.
 SMALL_LEVEL = 0.15
 #: Values of the two channels that differ by less (relative) are one effect of both.
