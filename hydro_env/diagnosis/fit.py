@@ -49,6 +49,8 @@ _STEPS = (0.15, 0.04, 0.4)
 SCALED_BY = "k"
 #: Parts and multiples of a step that are tried: weights that follow the residual make single steps too short.
 _TRIALS = (4.0, 2.0, 1.0, 0.4, 0.1)
+#: Starts of a problem that are nearer than this in every q have met.
+_MET = 0.05
 #: Length of the blocks that have a variance of their own, s.
 BLOCK_S = 0.1
 
@@ -290,9 +292,17 @@ def _bounded_step(problem: Problem, matrix: Vector, side: Vector) -> Vector:
 
 
 def solve(
-    machine: Machine, problems: Sequence[Problem], floors: Floors, iterations: int = 4, tolerance: float = 2.0
+    machine: Machine,
+    problems: Sequence[Problem],
+    floors: Floors,
+    iterations: int = 4,
+    tolerance: float = 2.0,
+    races: Sequence[Sequence[Problem]] = (),
 ) -> None:
     """Improves the estimates of all problems.
+
+    `races` are starts of the same problem, of which only the best one will be used: one that cannot become the best any more
+    ends early (`_out_of_race`).
 
     A problem ends early once no step size of the differences lowers its cost by `tolerance`, or one does not and the
     problem is at the noise already. One that brings `columns`
@@ -302,6 +312,7 @@ def solve(
     evaluate(machine, fresh, floors)
     live = [p for p in problems if p.unknowns and np.isfinite(p.cost)]
     stalled = dict.fromkeys(map(id, live), 0)
+    falls: dict[int, list[float]] = {id(p): [] for p in live}
     for iteration in range(iterations):
         if not live:
             break
@@ -329,10 +340,30 @@ def solve(
             idle = before[id(p)] - p.cost < tolerance
             quiet = idle and at_noise(machine, p, floors)
             stalled[id(p)] = len(_STEPS) if quiet else stalled[id(p)] + 1 if idle else 0
-        live = [p for p in live if stalled[id(p)] < len(_STEPS)]
+            falls[id(p)].append(before[id(p)] - p.cost)
+        out = {n for race in races for n in _out_of_race(race, falls, iterations - iteration - 1, tolerance)}
+        live = [p for p in live if stalled[id(p)] < len(_STEPS) and id(p) not in out]
     for problem in problems:
         if problem.unknowns and problem.columns:
             problem.spread = _spread(machine, problem, floors)
+
+
+def _out_of_race(
+    race: Sequence[Problem], falls: dict[int, list[float]], left: int, tolerance: float
+) -> set[int]:
+    """The ids of the starts that have met the best one, or do not reach it in the iterations that are left if every one of
+    these is as good as the best of the last ones, one of each size of step."""
+    best = min(race, key=lambda p: p.cost)
+    out = set()
+    for p in race:
+        recent = falls.get(id(p), [])[-len(_STEPS) :]
+        if p is best or len(recent) < len(_STEPS):
+            continue
+        behind = p.cost - best.cost
+        met = behind < tolerance and float(np.max(np.abs(p.q - best.q), initial=0.0)) < _MET
+        if met or behind > left * max(recent):
+            out.add(id(p))
+    return out
 
 
 def _spread(machine: Machine, problem: Problem, floors: Floors) -> Vector:

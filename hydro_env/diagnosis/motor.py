@@ -104,6 +104,29 @@ class MotorRig:
 
     # --- simulation -----------------------------------------------------------------------------------------------------
     def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
+        # Where nothing ties the channels together, a rig is two single channels, of which many are asked for again and again.
+        wanted: dict[tuple[object, ...], int] = {}
+        single: list[Request] = []
+        sides: list[list[tuple[int, int]]] = []
+        for request in requests:
+            own = []
+            for part in self._apart(request):
+                number = wanted.setdefault((part.channel, *sorted(part.values.items())), len(single))
+                if number == len(single):
+                    single.append(part)
+                own += [(number, c) for c in self._seen(part)]
+            sides.append(own)
+        found = self._predict(single)
+        return [{c: found[number][c] for number, c in own} for own in sides]
+
+    def _apart(self, request: Request) -> list[Request]:
+        """The request as one for each channel, if they do not act on each other."""
+        if request.channel is not None or self.coupled or any(_ties(CATALOGUE[e]) for e in request.effects):
+            return [request]
+        pairs = {name: np.broadcast_to(value, 2).tolist() for name, value in request.values.items()}
+        return [Request(c, {name: pair[c] for name, pair in pairs.items()}) for c in self.channels]
+
+    def _predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
         if self.jobs > 1 and len(requests) >= 16:
             return self._shared_out(requests)
         results: list[dict[int, np.ndarray]] = [{} for _ in requests]
@@ -277,7 +300,7 @@ def _begin(
 
 
 def _answer(requests: list[Request]) -> list[dict[int, np.ndarray]]:
-    return _RIG[0].predict(requests)
+    return _RIG[0]._predict(requests)
 
 
 def _parts(effect: Effect) -> int:
@@ -292,6 +315,12 @@ def _all_parted(effect: Effect, request: Request) -> bool:
     names = code.co_varnames[: code.co_argcount]
     own = {p.name: request.values.get(f"{effect.name}.{p.name}", p.nominal) for p in effect.parameters}
     return {*names} <= {*own} and bool(effect.corner(**{name: own[name] for name in names}))
+
+
+def _ties(effect: Effect) -> bool:
+    """Whether the effect lets the channels of a rig act on each other."""
+    laws = [*effect.laws.values(), *(state.rate for state in effect.states)]
+    return any("other_flow" in law.__code__.co_varnames[: law.__code__.co_argcount] for law in laws)
 
 
 def _light(effect: Effect) -> bool:

@@ -56,7 +56,9 @@ def begun_anew(machine: Machine, problems: Sequence[Problem], floors: Floors, se
         solve(machine, [p for _, starts in fields for p in starts], floors, iterations)
         for _, starts in fields:
             starts.sort(key=lambda p: p.cost)
-            del starts[max(2, len(starts) // 2) :]
+            # Nothing better than the noise can be found.
+            keep = 1 if at_noise(machine, starts[0], floors) else max(2, len(starts) // 2)
+            del starts[keep:]
     return [p for p, starts in fields if take_over(p, starts[0])]
 
 

@@ -143,7 +143,7 @@ def _from_both_places(machine: Machine, problems: Sequence[Problem], floors: Flo
     """Improves all: the known parameters have moved to make up for the form, so they begin where they are and where they were
     given."""
     again = [from_given(p) for p in problems]
-    solve(machine, [*problems, *again], floors, TRY)
+    solve(machine, [*problems, *again], floors, TRY, races=list(zip(problems, again, strict=True)))
     for problem, other in zip(problems, again, strict=True):
         take_over(problem, other)
 
