@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from hydro_env.diagnosis.certainty import Certainty, undetermined
 from hydro_env.diagnosis.fit import Problem, evaluate, solve
 from hydro_env.diagnosis.machine import Request, Segment
 from hydro_env.diagnosis.prove import Proof
@@ -148,3 +149,15 @@ def test_a_signal_that_pays_for_another_one_is_doubted() -> None:
 
 def test_what_the_sealed_logs_deny_is_doubted() -> None:
     assert _doubts({"calibrated": 40.0, "after": 1.0}, {"calibrated": 40.0, "after": 60.0})
+
+
+def test_courses_that_part_by_less_than_a_fit_knows_are_said_to_be_undetermined() -> None:
+    rig, base = _logged({}, {})
+    same = np.zeros((8, 1))
+    base.certainty = Certainty(same[0], same[0], same[0], same)
+    assert undetermined(rig, base, 0, FLOORS) == {}  # type: ignore[arg-type]
+    moved = same.copy()
+    moved[3] = 1.0  # one of them has another inertia
+    base.certainty = Certainty(same[0], same[0], same[0], moved)
+    found = undetermined(rig, base, 0, FLOORS)  # type: ignore[arg-type]
+    assert set(found) == {"speed"} and found["speed"] > 10.0

@@ -14,23 +14,27 @@ import numpy as np
 from .fit import Floors, Problem, channels_of, normal_parts, saved_by_stretch
 from .machine import Machine
 
-__all__ = ["Certainty", "certainty", "chance"]
+__all__ = ["Certainty", "certainty", "chance", "undetermined"]
 
 #: Length of a stretch that is drawn or left out as a whole, s.
 STRETCH_S = 0.5
 #: Length of a manoeuvre that is left out as a whole, s.
 MANOEUVRE_S = 2.0
 REPLICAS = 200
+#: Replicas that are simulated on the sealed logs, and times the noise by which their courses differ where these cannot be
+#: foretold.
+DRAWS, APART = 8, 5.0
 
 
 @dataclass(frozen=True)
 class Certainty:
     """`low` and `high` (k,) hold 95 % of the replicas' estimates of q; `without` (k,) is the largest move of q when one
-    manoeuvre is left out."""
+    manoeuvre is left out. `draws` (DRAWS, k) are some of the replicas' estimates."""
 
     low: np.ndarray
     high: np.ndarray
     without: np.ndarray
+    draws: np.ndarray
 
 
 def certainty(machine: Machine, problem: Problem, floors: Floors, seed: int = 0) -> Certainty:
@@ -55,7 +59,7 @@ def certainty(machine: Machine, problem: Problem, floors: Floors, seed: int = 0)
             whole - matrices[gone].sum(axis=0), right - sides[gone].sum(axis=0), rcond=None
         )[0]
         without = np.maximum(without, np.abs(less - start))
-    return Certainty(low, high, without)
+    return Certainty(low, high, without, np.clip(problem.q + moves[:DRAWS], *bounds))
 
 
 def _bootstrap(
@@ -84,3 +88,20 @@ def chance(
     rng = np.random.default_rng(seed)
     drawn = saved[rng.integers(len(saved), size=(REPLICAS, len(saved)))].sum(axis=1)
     return float((np.sum(drawn > needed) + 0.5) / (REPLICAS + 1.0))
+
+
+def undetermined(sealed: Machine, problem: Problem, channel: int, floors: Floors) -> dict[str, float]:
+    """By signal of a channel how far the courses of the replicas' estimates are apart on the logs of `sealed`, RMS of the
+    farthest in times the noise, where that is so far that the logs cannot be foretold.
+
+    A shaft that comes nearly to rest turns on this way or that by parts in a thousand of a parameter, which no fit knows.
+    """
+    if problem.certainty is None:
+        return {}
+    requests = [problem.request(), *(problem.request(q) for q in problem.certainty.draws)]
+    first, *others = (result[channel] for result in sealed.predict(requests))
+    apart: dict[str, float] = {}
+    for s in sealed.segments[channel]:
+        far = max(float(np.sqrt(np.mean((o - first)[s.place][s.used] ** 2))) for o in others)
+        apart[s.signal] = max(apart.get(s.signal, 0.0), far / floors[channel, s.signal])
+    return {name: value for name, value in apart.items() if value > APART}

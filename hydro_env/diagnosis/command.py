@@ -22,6 +22,7 @@ from ..files import write_json, write_text
 from ..measured.finding import SPELLING
 from ..plant import PlantModel, load_model
 from .calibrate import as_given, calibrate, floors_from
+from .certainty import undetermined
 from .fit import Floors, Problem, rescored
 from .machine import Machine
 from .motor import MotorRig
@@ -162,6 +163,12 @@ def _workflow(
         warnings.append(
             f"calibration would take all of these, so that they cannot be excluded: {', '.join(plain(n) for n in hidden)}"
         )
+    for c in machine.channels if named and not machine.quick else ():
+        for signal, times in undetermined(sealed_machine, final[c], c, floors).items():
+            warnings.append(
+                f"the {signal} of channel {c + 1} on the sealed logs cannot be foretold: estimates that the fit logs cannot part "
+                f"give courses {times:.2g} times the noise apart"
+            )
     if refuted:
         warnings.insert(0, f"none of what is named is vouched for: {'; '.join(refuted)}")
     hashes = {Path(str(p.label).split("@")[0]).name: p.log.sha256 for p in (*parts, *proofs)}
