@@ -71,8 +71,7 @@ def calibrate(machine: Machine, floors: Floors, iterations: int = 18) -> dict[in
     apart = (
         {} if machine.quick else {c: replace(p, q=p.q.copy(), together=False) for c, p in problems.items()}
     )
-    races = [(problems[c], other) for c, other in apart.items()]
-    solve(machine, [*problems.values(), *apart.values()], floors, iterations, races=races)
+    solve(machine, [*problems.values(), *apart.values()], floors, iterations)
     further = [problems[c] for c, other in apart.items() if take_over(problems[c], other)]
     solve(machine, further, floors, iterations // 3)
     if not machine.quick:

@@ -301,8 +301,8 @@ def solve(
 ) -> None:
     """Improves the estimates of all problems.
 
-    `races` are starts of the same problem, of which only the best one will be used: one that cannot become the best any more
-    ends early (`_out_of_race`).
+    `races` are starts of the same problem, improved in the same way, of which only the best one will be used: one that
+    cannot become the best any more ends early (`_out_of_race`).
 
     A problem ends early once no step size of the differences lowers its cost by `tolerance`, or one does not and the
     problem is at the noise already. One that brings `columns`

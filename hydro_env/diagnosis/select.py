@@ -348,9 +348,7 @@ def _settle(machine: Machine, problems: Sequence[Problem], floors: Floors) -> No
     """Improves the estimates of all as far as they go, also from the known parameters as given, which were moved by what was
     missing."""
     again = [] if machine.quick else [from_given(p) for p in problems]
-    machine.exact = True
     solve(machine, [*problems, *again], floors, SETTLE, races=list(zip(problems, again, strict=False)))
-    machine.exact = False
     for problem, other in zip(problems, again, strict=False):
         take_over(problem, other)
 
