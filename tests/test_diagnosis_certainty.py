@@ -11,7 +11,7 @@ from hydro_env.diagnosis import restarts, trials
 from hydro_env.diagnosis.calibrate import as_given, base_unknowns, calibrate, floors_from
 from hydro_env.diagnosis.certainty import _bootstrap
 from hydro_env.diagnosis.fit import Problem, evaluate
-from hydro_env.diagnosis.hide import make_practice
+from hydro_env.diagnosis.hide import make_practice, parse_effects
 from hydro_env.diagnosis.machine import Request
 from hydro_env.diagnosis.motor import MotorRig
 from hydro_env.diagnosis.noise import noise_floor
@@ -125,6 +125,8 @@ def test_estimates_leave_a_valley_of_friction(tmp_path: Path) -> None:
 
 def test_cases_have_seeds_of_their_own_and_loss_models_are_none() -> None:
     found = trials.cases(list(trials.GROUPS), 100)
+    for case in found:  # what cannot be hidden would end the whole run
+        assert bool(parse_effects(case.hidden)) == bool(case.hidden)
     assert len({c.seed for c in found}) == len(found)
     assert not any("losses" in name or "wilson" in name for c in found for name in c.hidden)
 

@@ -65,7 +65,7 @@ BASE_ERROR = 0.15
 EVERYTHING = ("setpoint", "current", "pressure", "load")
 PAIRS = (
     ("dead_zone:1", "load_bias:1"), ("magnetic_hysteresis:1", "line_loss:1"), ("sensor_lag:1", "null_offset:2"),
-    ("supply_droop", "dead_zone:2"), ("flow_saturation:1", "motor_coulomb_friction:1"), ("dead_zone:1", "dead_zone:2"),
+    ("supply_droop", "dead_zone:2"), ("flow_saturation:1", "motor_coulomb_friction:1"), ("dead_zone:both",),
     ("coil_heating:2", "directional_gain:2"), ("pressure_dependent_flow:1", "eccentric_load:2"),
     ("spring_preload:2", "quadratic_drag:2"), ("command_delay:1", "flow_gain_nonlinearity:1"),
 )  # fmt: skip
