@@ -152,7 +152,7 @@ class FlowView:
 
     rows_per_rig = 2
     num_actions = 3
-    moved, cautious = 0.0, False
+    moved, cautious, idle, unused = 0.0, False, 0.0, 0.0
     """Of `ValveEstimate` and `DelayEstimate`."""
 
     def __init__(
@@ -231,7 +231,7 @@ class FlowView:
         self._sent, self._wanted = np.zeros((MOST_DELAY + 1, *pair)), np.zeros((MOST_DELAY + 1, *pair))
         self.valves = ValveEstimate(
             n, period, drift=self.drift, gain_drift=self.gain_drift,
-            doubt=(self.still, self.moving), first=self.first, moved=self.moved,
+            doubt=(self.still, self.moving), first=self.first, moved=self.moved, idle=self.idle, unused=self.unused,
         )  # fmt: skip
         # a difference of speeds over half the time is twice as noisy; slower sampling allows less feedback
         self._jump = self.jump * max(1.0, TUNED_PERIOD / period)
@@ -332,10 +332,14 @@ class FlowView:
             seen = self._watch(seen)
         self.flow = self._flow(seen)
         self._pressure = seen.pressure
-        self.valves.learn(self.spool, self.flow, self.noisier)
+        self.valves.learn(self.spool, self.flow, self.noisier, self._least())
         self._weigh(seen)
         self._think(seen)
         return seen
+
+    def _least(self) -> Floats:
+        """What counts as flow, (num_rigs, 2)."""
+        return FLOWING * self.noisier
 
     def _unload(self, rows: Rows, seen: Measurements) -> None:
         self._estimate.forget(rows, seen.speed, _shaft_torque(seen))
@@ -403,7 +407,7 @@ class FlowView:
         if not self.probing.any():
             return
         sign = np.where(self.sides == 0, 1.0, -1.0)
-        found = (sign * self.flow > self.detect * self.noisier) | (self.swept > 0.5)
+        found = self._found(sign * self.flow) | (self.swept > 0.5)
         turns = found & (self.sides < 2) & self.probing[:, None]
         self.sides = self.sides + turns
         self.swept = np.where(turns, SWEEP_FROM, self.swept + self.sweep * self.period)
@@ -411,6 +415,11 @@ class FlowView:
         self.pulsed = np.where(ready, self.pulsed + 1, self.pulsed)
         # after the pulses two samples for the spools to come home
         self.probing = self.probing & ~(ready & (self.pulsed > 2 * self._pulse_samples + 2))
+
+    def _found(self, flow: Floats) -> NDArray[np.bool_]:
+        """Whether a flow away from rest ends a sweep, (num_rigs, 2)."""
+        found: NDArray[np.bool_] = flow > self.detect * self.noisier
+        return found
 
     @property
     def _pulse_samples(self) -> int:

@@ -4,12 +4,14 @@
 the spool's lightly damped mode stays at rest. Two spools with different ways to their edges then begin to flow at different
 times, which parts the motors at every start and every crossing of standstill. Here the next `HORIZON` commands of both
 valves are planned together (`spool_plan`), in every period anew, from where the modelled spools stand and swing. What else
-the law does, estimation, the reference, the watch over sensors, stays, with four differences:
+the law does, estimation, the reference, the watch over sensors, stays, with five differences:
 
 * The modelled spool hears its commands through the coil, and knows its stops.
 * Speeds and loads come from a `MotorFilter`, to which the modelled flow tells how the torque went between two samples.
-* Sweeps go where they are wanted in two periods: they are steady from the beginning, and one that has found flow is back
-  before the averaged one would turn. The gains are told from the start itself, which is as slow as they are unsure; no pulses.
+* Sweeps go where they are wanted in two periods, so that they are steady from the beginning. A sweep that may have found flow
+  stands still for a sample until that is sure; one that has found it is thrown back, so that little flows on the way. The
+  gains are told from the start itself, which is as slow as they are unsure; no pulses.
+* Edges that are not visited are slowly forgotten.
 * Commands that come late are planned for as well, from where those on their way will have brought spools and motors.
 
 Where a speed sensor is poor, while edges are looked for on the way, and at control periods other than 10 ms, the law beneath
@@ -27,8 +29,16 @@ from numpy.typing import NDArray
 from hydro_env.controllers.flow_law import NOMINAL, SPOOL_RATE
 from hydro_env.controllers.flow_view import FRICTION, RATED_FLOW, TUNED_PERIOD, FlowView
 from hydro_env.controllers.motor_filter import MotorFilter
-from hydro_env.controllers.spool_plan import Weights, follow, improve_plans, lead_to, responses, wait_out
-from hydro_env.controllers.valve_estimate import SpoolModel, ValveEstimate
+from hydro_env.controllers.spool_plan import (
+    Weights,
+    follow,
+    improve_plans,
+    lead_to,
+    responses,
+    throw_to,
+    wait_out,
+)
+from hydro_env.controllers.valve_estimate import FLOWING, SpoolModel, ValveEstimate
 from hydro_env.envs.observation import Measurements
 from hydro_env.units import RPM
 
@@ -82,7 +92,11 @@ class PlanningView(FlowView):
         wander, wander_apart, turned, twice: of the `MotorFilter`.
         moved: swing of a spool, in rated travels, from which on its edges and gain wander at full pace (`ValveEstimate`).
         begin, back: how far sweeps are to be after two periods, in periods of their pace, at first and after a turn.
-        margin: a sweep to the other side begins at least so far before the place where the last one found flow.
+        idle, unused: share of that pace at which they wander in any case; how an edge on the other side of the dead zone does,
+            per root second.
+        hold, again: flow at which a sweep stands still for one sample, and that in the next sample ends it.
+        least, clear: a spool that has found its first edge is behind it by so much a period later, or by this share of its
+            way from rest, where that is more; `home`: at its second edge, by this share of the dead zone.
         patience: set-point below which probing goes on while that moves smoothly, rpm.
         onward: by how many reference times a smoothly moving set-point is foreseen.
         others: settings of `FlowView`; some of them have other values here.
@@ -99,22 +113,28 @@ class PlanningView(FlowView):
         behind: float = 1.85,
         ahead: float = 30.0,
         wander: float = 0.006,
-        wander_apart: float = 0.001,
+        wander_apart: float = 0.0005,
         turned: float = 0.1,
-        twice: float = 5.0,
+        twice: float = 8.0,
         moved: float = 0.1,
-        begin: float = 2.0,
-        back: float = 1.0,
-        margin: float = 0.1,
+        idle: float = 0.05,
+        unused: float = 0.02,
+        begin: float = 2.5,
+        back: float = 1.4,
+        hold: float = 0.0042,
+        again: float = 0.006,
+        least: float = 0.04,
+        clear: float = 0.5,
+        home: float = 0.42,
         patience: float = 250.0,
         onward: float = 1.0,
         most: float = 0.92,
         friction: float = 0.85,
         gain_drift: float = 0.004,
-        doubt: float = 6.0,
-        still: float = 0.009,
+        doubt: float = 5.5,
+        still: float = 0.012,
         moving: float = 0.06,
-        sweep: float = 2.7,
+        sweep: float = 2.65,
         detect: float = 0.008,
         pulse: float = 0.0,
         **others: float,
@@ -125,14 +145,17 @@ class PlanningView(FlowView):
         )  # fmt: skip
         own = {
             "apart": apart, "moves": moves, "swing": swing, "corner": corner, "behind": behind, "ahead": ahead,
-            "wander": wander, "wander_apart": wander_apart, "turned": turned, "twice": twice, "moved": moved, "begin": begin,
-            "back": back, "margin": margin, "patience": patience, "onward": onward,
+            "wander": wander, "wander_apart": wander_apart, "turned": turned, "twice": twice, "moved": moved, "idle": idle,
+            "unused": unused, "begin": begin, "back": back, "hold": hold, "again": again, "least": least, "clear": clear,
+            "home": home, "patience": patience, "onward": onward,
         }  # fmt: skip
         self._given |= {name: float(value) for name, value in own.items()}
         self._weights = Weights(float(apart), 1.0, float(moves), float(swing), corner * RPM, TURNS)
         self._behind_by, self._ahead = float(behind), ahead * RPM
         self._filtered = (float(wander), float(wander_apart)), float(turned), float(twice)
-        self.moved, self.begin, self.back, self.margin = moved, begin, back, margin
+        self.moved, self.idle, self.unused = moved, idle, unused
+        self.begin, self.back, self.hold, self.again = begin, back, hold, again
+        self.least, self.clear, self.home = least, clear, home
         self.patience, self.onward = patience * RPM, float(onward)
 
     def settings(self) -> dict[str, Any]:
@@ -150,6 +173,9 @@ class PlanningView(FlowView):
         self.plan = np.zeros((n, 2, HORIZON))
         self._asked_then, self._slope, self._still = np.zeros(n), np.zeros(n), np.zeros(n, bool)
         self._last: Floats = np.zeros((n, 2))
+        # spools that stand still in their sweep; that have just found their first and their second edge
+        self._waits = np.zeros((n, 2), bool)
+        self._turns = self._waits, self._waits
         inputs = super().start(observation, period)
         self._lagged.valves = self.valves
         return inputs
@@ -161,7 +187,7 @@ class PlanningView(FlowView):
 
     def restart(self, rows: Rows, observation: Floats) -> Floats:
         inputs = super().restart(rows, observation)
-        self._last[rows] = self.sent[rows]
+        self._last[rows], self._waits[rows] = self.sent[rows], False
         self.plan[rows] = self.sent[rows][..., None]
         self._asked_then[rows], self._slope[rows] = self._setpoint[rows], 0.0
         return inputs
@@ -187,16 +213,27 @@ class PlanningView(FlowView):
         foreseen: NDArray[np.float64] = setpoint + np.where(smooth, periods * slope, 0.0)
         return foreseen
 
+    def _least(self) -> Floats:
+        return np.where(self._waits, self.again, FLOWING) * self.noisier
+
+    def _found(self, flow: Floats) -> NDArray[np.bool_]:
+        found: NDArray[np.bool_] = flow > np.where(self._waits, self.again, self.detect) * self.noisier
+        doubtful = (flow > self.hold * self.noisier) & ~found & ~self._waits
+        self._waits = doubtful & (self.sides < 2) & self.probing[:, None] & self._plans
+        return found
+
     def _probe(self) -> None:
         if not self.probing.any():
             return
-        sides, setpoint = self.sides.copy(), self._setpoint
+        sides, setpoint = self.sides, self._setpoint
         self._setpoint = np.where(self._still, 0.0, setpoint)
         super()._probe()
         self._setpoint = setpoint
-        found = np.where(sides == 0, 1.0, -1.0) * self.spool.position
         turns = (self.sides != sides) & self.probing[:, None]
-        self.swept = np.where(turns, np.maximum(self.swept, self.margin - found), self.swept)
+        self._turns = turns & (sides == 0), turns & (sides == 1)
+        # an edge that has shown itself before is not looked for
+        self.sides = np.where(self._turns[0] & ~self.valves.unknown[..., 1], 2, self.sides)
+        self.swept = self.swept - np.where(self._waits, self.sweep * self.period, 0.0)
 
     # ---- commands -------------------------------------------------------------------------------------------------
     def command(self, outputs: Floats) -> Floats:
@@ -244,12 +281,18 @@ class PlanningView(FlowView):
         swings = self.probing[:, None] & ((self.sides < 2) | (self.pulsed == 0)[:, None])
         sign = np.where(self.sides == 0, 1.0, -1.0)
         on = np.where(self.sides == 0, self.begin, self.back) * self.sweep * self.period
-        home = self.sides == 2
+        home, edge = self.sides == 2, self.valves.edge
         goal = np.where(home, self.valves.middle, sign * (self.swept + on))
-        lead_to(
-            sent, swings, self.spool.position, self.spool.speed, self._lagged.late, goal,
-            np.where(home, 0.0, sign * self.sweep), self._response,
-        )  # fmt: skip
+        spools = self.spool.position, self.spool.speed, self._lagged.late
+        lead_to(sent, swings, *spools, goal, np.where(home, 0.0, sign * self.sweep), self._response)
+        if self._plans:
+            # a spool that stands still, and those that go back from where they let flow pass
+            throw_to(sent, swings & self._waits, *spools, self.spool.position, self._response)
+            goal = edge[..., 0] - np.maximum(self.least, self.clear * edge[..., 0])
+            goal = np.where(home, np.maximum(goal, self.valves.middle), goal)
+            throw_to(sent, swings & self._turns[0], *spools, goal, self._response)
+            goal = self.home * edge[..., 0] - (1.0 - self.home) * edge[..., 1]
+            throw_to(sent, swings & self._turns[1], *spools, goal, self._response)
         self.asked[:] = np.where(swings, sent, self.asked)
         self.sent = sent.copy()
         return sent

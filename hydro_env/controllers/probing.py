@@ -39,7 +39,7 @@ class ProbingFlow(Controller):
             "1/s",
             1.0,
             6.0,
-            default=2.7,
+            default=2.65,
             summary="pace of the spools when probing, commands a second",
         ),
         Gain("search", "1/s", 1.0, 20.0, default=9.3, summary="pace when an edge is looked for on the way"),

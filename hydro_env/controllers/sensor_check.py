@@ -38,10 +38,15 @@ MODEL_ERROR = 1.4 * RPM
 """Standard deviation of what the integrated torque misses in a period."""
 LAGGING = 0.014
 """Lag of a speed sensor from which on its readings are corrected, s; a load's step looks like up to 0.01."""
+KEPT, SHARE = np.array([3, 6, 8]), np.array([0.51, 0.446, 0.326])
+"""Of the first 4, 8 and 12 readings at rest so many count, the quietest, and what the mean of their squares is for noise of
+variance 1."""
 MOST_DELAY = 2
 """Delays up to so many periods are told apart."""
 DOUBT = 0.02
 """Standard deviation of what the spool model gets wrong in a period, share of the rated command."""
+LOOSE = 0.15
+"""And what share of the way, to the cautious."""
 EACH = 3.0
 BOLD, CAUTIOUS = (12.0, 100.0), (20.0, 9.0)
 """By how much the squares of the misses have to differ, of both valves together (and `EACH`), and the most that one sample
@@ -59,7 +64,8 @@ class SensorCheck:
         self.stuck, self.lagging, self.lag = np.zeros(pair, bool), np.zeros(pair, bool), np.zeros(pair)
         self._read, self._pressure = np.zeros((3, *pair)), np.zeros((3, *pair))
         self._speed_square, self._pressure_square = np.ones(pair), np.ones(pair)
-        self._sums = np.zeros((2, *pair))
+        # squares of the first three readings at rest: of both speeds, then both pressures
+        self._firsts = np.full((num_rigs, 3, 4), np.inf)
         self._along, self._size = np.zeros(pair), np.zeros(pair)
         self._age, self._calm = np.zeros(num_rigs, int), np.zeros(num_rigs, int)
 
@@ -75,7 +81,7 @@ class SensorCheck:
         self.stuck[rows], self.lagging[rows], self.lag[rows] = False, False, 0.0
         self._along[rows], self._size[rows] = 0.0, (15.0 * RPM) ** 2
         self._age[rows], self._calm[rows] = 1, 0
-        self._sums[:, rows] = 0.0
+        self._firsts[rows] = np.inf
         self._early(rows, seen.speed, seen.pressure)
         self._rate()
 
@@ -102,15 +108,19 @@ class SensorCheck:
     def _early(self, rows: Rows, speed: Floats, pressure: Floats) -> None:
         """Takes in readings at rest, the first three. Squares are believed beforehand: the usual ones of pressures, the
         pressures' of speeds. What makes pressures noisy makes speeds noisy, so that both tell of it; but one speed sensor
-        may be worse alone, and a valve open at rest moves what its own sensors read. So of each kind the quieter one
-        counts, half as much again as it is the smaller of two."""
-        squares = np.stack([speed / SPEED_NOISE, pressure / PRESSURE_NOISE]) ** 2
-        self._sums[:, rows] += np.minimum(squares, 900.0)
-        count = self._age[rows][:, None]
-        quieter = np.sum(np.min(self._sums[:, rows], axis=-1, keepdims=True), axis=0)
-        pressures = (2.0 + 1.5 * quieter) / (2.0 + 2.0 * count)
+        may be worse alone, and valves open at rest or very soon move what their own sensors read. So of all readings only the
+        quieter ones count."""
+        squares = np.minimum(np.stack([speed / SPEED_NOISE, pressure / PRESSURE_NOISE], axis=1) ** 2, 900.0)
+        index, age = np.arange(len(self._age))[rows], self._age[rows]
+        self._firsts[index, age - 1] = squares.reshape(len(index), 4)
+        kept = KEPT[age - 1]
+        ordered = np.sort(self._firsts[index].reshape(len(index), 12), axis=1)
+        quiet = np.sum(np.where(np.arange(12) < kept[:, None], ordered, 0.0), axis=1)
+        pressures = ((2.0 + quiet) / (2.0 + SHARE[age - 1] * kept))[:, None]
+        own = np.sum(np.where(np.isfinite(self._firsts[index]), self._firsts[index], 0.0)[..., :2], axis=1)
+        count = age[:, None]
         self._pressure_square[rows] = pressures
-        self._speed_square[rows] = (2.0 * pressures + self._sums[0, rows]) / (2.0 + count)
+        self._speed_square[rows] = (2.0 * pressures + own) / (2.0 + count)
 
     def _rate(self) -> None:
         noise, pressure = np.sqrt(self._speed_square), np.sqrt(self._pressure_square)
@@ -225,7 +235,8 @@ def _compare(where, before, flow, gain, flowing, noise, misses, periods, change,
                 if both:
                     moved = where[late, i, c] - where[late + 1, i, c]
                     miss = flow[i, c] - before[i, c] - gain[i, c] * moved
-                    misses[late, i, c] += min(miss**2 / (2.0 * noise[i, c] ** 2 + DOUBT**2), most)
+                    loose = DOUBT**2 + (LOOSE * moved) ** 2 if cautious else DOUBT**2
+                    misses[late, i, c] += min(miss**2 / (2.0 * noise[i, c] ** 2 + loose), most)
                 together[late] += misses[late, i, c]
         now, best = periods[i], np.argmin(together)
         if cautious and now < best - 1 and together[best - 1] - together[best] < certain:

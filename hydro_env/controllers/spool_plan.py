@@ -25,7 +25,17 @@ from numpy.typing import NDArray
 from hydro_env.compiled import compiled
 from hydro_env.units import RPM
 
-__all__ = ["COIL", "Response", "Weights", "follow", "improve_plans", "lead_to", "responses", "wait_out"]
+__all__ = [
+    "COIL",
+    "Response",
+    "Weights",
+    "follow",
+    "improve_plans",
+    "lead_to",
+    "responses",
+    "throw_to",
+    "wait_out",
+]
 
 Floats = NDArray[np.floating[Any]]
 
@@ -175,6 +185,24 @@ def lead_to(sent, rows, position, speed, late, goal, pace, r):
                 now += (d * off - b * slow) / span
                 then += (a * slow - c * off) / span
             sent[i, k] = min(max(now, -1.0), 1.0)
+
+
+@compiled
+def throw_to(sent, rows, position, speed, late, goal, r):
+    """Commands `sent` (N, 2), in place, after a period of which the spools marked in `rows` (N, 2) pass the positions `goal`
+    (N, 2), at whatever speed."""
+    slope = r.travel[r.steps - 1]
+    for i in range(sent.shape[0]):
+        for k in range(2):
+            if not rows[i, k]:
+                continue
+            command = goal[i, k]
+            for _ in range(3):
+                x, v, held = position[i, k], speed[i, k], late[i, k]
+                for _ in range(r.steps):
+                    x, v, held = _substep(x, v, held, command, r)
+                command += (goal[i, k] - x) / slope
+            sent[i, k] = min(max(command, -1.0), 1.0)
 
 
 @compiled

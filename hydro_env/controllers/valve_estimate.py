@@ -34,6 +34,8 @@ NEAREST_EDGE, FARTHEST_EDGE = -0.04, 0.26
 """Where an edge lies that nothing is known of: dead zones of 0-200 um, offsets of +-30 um. Flow may still show up later."""
 GAIN, GAIN_SCATTER = 0.82, 0.12
 """Flow gain of valves of this type and its standard deviation."""
+STALE = 0.02
+"""Standard deviation up to which an edge that is not visited is forgotten."""
 SUBSTEP = 1.25e-3
 """The spool model's own step, s; its period is 30 ms."""
 
@@ -85,6 +87,8 @@ class ValveEstimate:
         first: standard deviation of an edge at which flow was seen for the first time.
         moved: swing of a spool about its command, in rated travels, from which on the walk is at full pace; friction shifts
             an edge while the spool moves. 0: always.
+        idle: share of that pace at which the walk goes on while the spool rests.
+        unused: random walk of the edge on the other side of the dead zone, up to `STALE`.
     """
 
     def __init__(
@@ -97,9 +101,12 @@ class ValveEstimate:
         doubt: tuple[float, float],
         first: float,
         moved: float = 0.0,
+        idle: float = 0.0,
+        unused: float = 0.0,
     ) -> None:
         self._walk = np.array([gain_drift, drift]) ** 2 * period
         self._doubt, self._first, self._moved = doubt, first, moved
+        self._idle, self._unused = idle, unused**2 * period
         self.gain, self.edge = np.zeros((num_rigs, 2)), np.zeros((num_rigs, 2, 2))
         self.unknown, self.nearest = np.zeros((num_rigs, 2, 2), bool), np.zeros((num_rigs, 2, 2))
         # variances of gain and edges, and covariances: gain with edge, edge with edge
@@ -128,28 +135,30 @@ class ValveEstimate:
         middle: Floats = 0.5 * (self.edge[..., 0] - self.edge[..., 1])
         return middle
 
-    def learn(self, spool: SpoolModel, flow: Floats, noisier: Floats) -> None:
+    def learn(self, spool: SpoolModel, flow: Floats, noisier: Floats, least: Floats | None = None) -> None:
         """Takes in the measured flows (num_rigs, 2) with the spools where the model has them, and moves these to where the
         flow shows them.
 
-        `noisier`: the flows' noise as a multiple of `NOISE`, (num_rigs, 2).
+        `noisier`: the flows' noise as a multiple of `NOISE`, (num_rigs, 2); `least`: what counts as flow, (num_rigs, 2),
+        `FLOWING` where it is not given.
         """
+        least = FLOWING * noisier if least is None else least
         _learn(
-            spool.position, spool.ringing, flow, noisier, self._walk[0], self._walk[1], *self._doubt, self._first,
-            self._moved, self.gain, self.edge, self.unknown, self.nearest, self.gain_variance, self.edge_variance, self.shared,
-            self.between, self.surprise,
+            spool.position, spool.ringing, flow, noisier, least, self._walk[0], self._walk[1], *self._doubt, self._first,
+            self._moved, self._idle, self._unused, self.gain, self.edge, self.unknown, self.nearest, self.gain_variance,
+            self.edge_variance, self.shared, self.between, self.surprise,
         )  # fmt: skip
 
 
 @compiled
 def _learn(
-    position, ringing, flow, noisier, gain_walk, edge_walk, still, moving, first, moved,
+    position, ringing, flow, noisier, least, gain_walk, edge_walk, still, moving, first, moved, idle, unused,
     gain, edge, unknown, nearest, gain_variance, edge_variance, shared, between, surprise,
 ):  # fmt: skip
     along = np.empty(2)
     for i in range(gain.shape[0]):
         for c in range(2):
-            flowing = FLOWING * noisier[i, c]
+            flowing = least[i, c]
             # where flow tells nothing, the side of the dead zone's middle on which the spool stands
             negative = position[i, c] < 0.5 * (edge[i, c, 0] - edge[i, c, 1])
             if abs(flow[i, c]) > flowing:
@@ -170,7 +179,7 @@ def _learn(
                     edge[i, c, here] = 0.5 * (nearest[i, c, here] + farthest)
                     edge_variance[i, c, here] = (farthest - nearest[i, c, here]) ** 2 / 12.0
             elif place > edge[i, c, here] or flows:
-                stir = min(1.0, ringing[i, c] / moved**2) if moved > 0.0 else 1.0
+                stir = min(1.0, max(idle, ringing[i, c] / moved**2)) if moved > 0.0 else 1.0
                 gain_variance[i, c] += gain_walk * stir
                 edge_variance[i, c, here] += edge_walk * stir
                 # measured = gain * beyond: derivatives by gain and by the edge of this direction
@@ -190,6 +199,8 @@ def _learn(
                     edge[i, c, d] += weight * miss * along[d]
                     edge_variance[i, c, d] = max(edge_variance[i, c, d] - weight * along[d] ** 2, 1e-8)
                     shared[i, c, d] -= weight * along_gain * along[d]
+            if edge_variance[i, c, there] < STALE**2:
+                edge_variance[i, c, there] += unused
             surprise[i, c] = sign * miss
             for d in range(2):
                 edge[i, c, d] = min(max(edge[i, c, d], -0.15), 0.6)
