@@ -14,8 +14,10 @@ from hydro_env.controllers.spool_plan import (
     improve_plans,
     lead_to,
     responses,
+    throw_to,
     wait_out,
 )
+from hydro_env.controllers.valve_estimate import SpoolModel, ValveEstimate
 from hydro_env.controllers.view import make_view
 from hydro_env.errors import InputError
 from hydro_env.plant import load_model, simulate
@@ -124,6 +126,59 @@ def test_spools_are_led_along_a_sweep_and_home():
     left = np.full((1, 2), 9.0)
     lead_to(left, np.zeros((1, 2), bool), x, v, late, way, pace, r)
     assert np.all(left == 9.0)
+
+
+def test_a_spool_is_thrown_back_within_a_period():
+    """It passes the goal a period later and has left the place where it let flow pass before half of that."""
+    r = channel(friction=0.01)
+    x, v, late = np.array([[0.13, 0.0]]), np.array([[2.7, 0.0]]), np.array([[0.14, 0.0]])
+    sent, goal = np.full((1, 2), 9.0), np.array([[0.05, 0.0]])
+    throw_to(sent, np.array([[True, False]]), x, v, late, goal, r)
+    assert sent[0, 1] == 9.0
+    sent[0, 1] = 0.0
+    halfway = channel(friction=0.01)._replace(steps=STEPS // 2)
+    given = np.zeros((1, 2)), np.zeros((1, 2)), sent, np.full((1, 2, 2), 0.1), np.ones((1, 2))
+    begin = x.copy(), v.copy(), late.copy()
+    follow(*begin, *given, halfway)
+    assert begin[0][0, 0] < 0.13
+    follow(x, v, late, *given, r)
+    np.testing.assert_allclose(x[0, 0], 0.05, atol=0.003)
+
+
+def test_sweeps_move_the_shafts_little_and_find_the_edges():
+    """In 0.2 s at rest, with edges that no sweep could know: most valves are known then to a hundredth of the command."""
+    rest = {"duration": 0.2, "setpoint_rpm": [[0.1, 0.0]]}
+    view = PlanningView()
+    found = roll_out(Alone(view), range(200), mismatch="train", scenario=rest).metrics()
+    assert np.median(found["max_speed_difference_rpm"]) < 3.8
+    assert np.percentile(found["max_speed_difference_rpm"], 95) < 8.0
+    assert np.mean(~view.valves.unknown) > 0.97
+
+
+def test_valves_that_change_while_they_run_are_followed():
+    """Gain and edges wander, of a valve that is in use and of the side that is not."""
+    n, period = 40, 0.01
+    valves = ValveEstimate(
+        n,
+        period,
+        drift=0.03,
+        gain_drift=0.004,
+        doubt=(0.012, 0.06),
+        first=0.0065,
+        moved=0.1,
+        idle=0.05,
+        unused=0.02,
+    )
+    valves.forget(slice(None))
+    valves.told(np.full((n, 2, 2), 0.1), np.full((n, 2), 0.8), 0.004, 0.02)
+    spool, rng = SpoolModel(n, period, 206.0, 0.03, 0.01), np.random.default_rng(0)
+    for _ in range(300):
+        spool.place(slice(None), np.full((n, 2), 0.4))
+        valves.learn(spool, 0.8 * (0.4 - 0.13) + 0.002 * rng.standard_normal((n, 2)), np.ones((n, 2)))
+    beyond = valves.gain * (0.4 - valves.edge[..., 0])
+    np.testing.assert_allclose(np.median(beyond), 0.8 * 0.27, atol=0.004)
+    unused = np.sqrt(valves.edge_variance[..., 1])
+    assert np.all((unused > 0.015) & (unused < 0.021))
 
 
 def test_commands_on_their_way_are_waited_out():

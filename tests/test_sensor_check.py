@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from hydro_env.controllers.flow_view import FlowView
+from hydro_env.controllers.sensor_check import SensorCheck
 from hydro_env.envs import HydraulicSyncVectorEnv
+from hydro_env.envs.observation import NOISE, Measurements
 from hydro_env.plant import load_model
 from hydro_env.units import RPM
 
@@ -47,6 +49,27 @@ def test_noise_is_measured_at_rest():
     assert np.all((view.sensors.noise > 2.0) & (view.sensors.noise < 12.0), axis=1).mean() > 0.7
     _, careless, _ = drive(noise=5.0, watch=0.0)
     assert np.median(largest) < 0.6 * np.median(careless)
+
+
+def test_valves_that_open_early_are_no_noise():
+    """One valve lets oil through from the first command on, the other one later; what is noise still counts as noise."""
+    rng, n = np.random.default_rng(0), 500
+    torque, still = np.zeros((n, 2)), np.zeros(n, bool)
+    flows = np.zeros((3, n, 2))
+    flows[1:, :, 0], flows[2, :, 1] = [[10.0], [18.0]], 8.0
+
+    def found(noise, shown):
+        check = SensorCheck(n, 0.01)
+        for k in range(3):
+            speed = noise * rng.standard_normal((n, 2)) * NOISE["speed_rpm"] * RPM
+            pressure = (noise * rng.standard_normal((n, 2)) + shown[k]) * NOISE["pressure_bar"] * 1e5
+            seen = Measurements(np.zeros(n), speed, np.zeros((n, 2)), pressure, np.zeros((n, 2)))
+            check.forget(slice(None), seen) if k == 0 else check.step(seen, torque, torque, still)
+        return check.pressure_noise
+
+    assert np.mean(found(1.0, flows) > 2.0) < 0.01
+    assert np.mean(found(1.0, 0.0 * flows) > 1.0) < 0.03
+    assert np.mean(found(5.0, 0.0 * flows) > 2.5) > 0.9
 
 
 def test_a_speed_sensor_that_stands_still_is_replaced():

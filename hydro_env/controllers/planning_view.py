@@ -131,7 +131,7 @@ class PlanningView(FlowView):
         most: float = 0.92,
         friction: float = 0.85,
         gain_drift: float = 0.004,
-        doubt: float = 5.5,
+        doubt: float = 5.0,
         still: float = 0.012,
         moving: float = 0.06,
         sweep: float = 2.65,

@@ -1,0 +1,24 @@
+"""Where the motors part most: the stretches cover the episode, and what is told reaches the law."""
+
+import numpy as np
+
+from agents.stretches import STRETCHES, lines, parts
+from hydro_env.controllers import make_controller
+from hydro_env.controllers.rollout import roll_out
+
+
+def test_stretches_cover_the_episode():
+    largest, tracking = parts(make_controller("probing_flow"), range(8))
+    whole = roll_out(
+        make_controller("probing_flow"), range(8), mismatch="train", scenario="setpoint_steps"
+    ).metrics()
+    np.testing.assert_allclose(largest.max(axis=0), whole["max_speed_difference_rpm"])
+    np.testing.assert_allclose(tracking, whole["tracking_mae_rpm"], rtol=0.01)
+    assert largest.shape == (len(STRETCHES), 8)
+    assert all(line.count("|") == len(STRETCHES) + 3 for line in lines("x", largest, tracking))
+
+
+def test_told_gains_make_the_start_faster():
+    plain, told = (parts(make_controller("probing_flow"), range(32), what) for what in ((), ("gains",)))
+    np.testing.assert_array_equal(plain[0][0], told[0][0])  # at rest nothing is told yet
+    assert np.median(told[1]) < np.median(plain[1]) - 1.5
