@@ -69,7 +69,7 @@ def test_valves_that_open_early_are_no_noise():
 
     assert np.mean(found(1.0, flows) > 2.0) < 0.01
     assert np.mean(found(1.0, 0.0 * flows) > 1.0) < 0.03
-    assert np.mean(found(5.0, 0.0 * flows) > 2.5) > 0.9
+    assert np.mean(found(5.0, 0.0 * flows) > 2.0) > 0.9
 
 
 def test_a_speed_sensor_that_stands_still_is_replaced():
