@@ -159,6 +159,21 @@ class _Fake:
         return {**row, **judged, "verdict": "none", "named": [], "worst": 1.0, "form": 1.0, "gap": {}}
 
 
+def test_the_commands_of_a_table_make_its_rows_and_no_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = trials.cases(["nothing", "two"], 3000, 4)
+    part = [c for c in trials.cases(["quiet"], 3000, 4) if c.seed not in (12003, 12005)][:-1]
+    commands = trials.commands([{"group": c.group, "seed": c.seed} for c in (*whole, *part)])
+    assert len(commands) == 2
+    wanted: list[trials.Case] = []
+    monkeypatch.setattr(trials, "run_trials", lambda out, cases, **_: wanted.extend(cases) or [])
+    for command in commands:
+        monkeypatch.setattr("sys.argv", ["trials", *command.replace("DIR", str(tmp_path)).split()[3:]])
+        trials._main()
+    assert wanted == [*whole, *part]
+
+
 def test_interrupted_trials_go_on_where_they_were(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fake = _Fake()
     monkeypatch.setattr(trials, "run_case", fake)

@@ -1,13 +1,11 @@
 """What makes an answer doubtful, and what a candidate is given before it is given up."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
 
 from hydro_env.diagnosis.certainty import Certainty, undetermined
 from hydro_env.diagnosis.fit import Problem, evaluate, solve
-from hydro_env.diagnosis.machine import Request, Segment
+from hydro_env.diagnosis.machine import Segment
 from hydro_env.diagnosis.prove import Proof
 from hydro_env.diagnosis.result import doubts
 from hydro_env.diagnosis.select import (
@@ -20,44 +18,12 @@ from hydro_env.diagnosis.select import (
     extended,
 )
 from hydro_env.diagnosis.signatures import Look
-from hydro_env.diagnosis.unknowns import base_unknown
-from hydro_env.plant import CATALOGUE, PARAMETERS
+from hydro_env.plant import CATALOGUE
+from tests.linear_machine import FLOORS, LinearMachine, logged, time_of
 
 ROWS = 12000
-TIME = np.arange(ROWS) * 1e-3
-FLOORS = {(0, "speed"): 0.01}
+TIME = time_of(ROWS)
 GAIN = "flow_gain_nonlinearity"
-
-
-@dataclass
-class _Linear:
-    """A machine whose speed is a sum of curves: one for the inertia, others by the values of effects' parameters."""
-
-    curves: dict[str, np.ndarray]
-    channels: tuple[int, ...] = (0,)
-    quick: bool = False
-    segments: dict[int, list[Segment]] = field(default_factory=dict)
-
-    def predict(self, requests: list[Request]) -> list[dict[int, np.ndarray]]:
-        return [{0: self.speed(dict(r.values))} for r in requests]  # type: ignore[arg-type]
-
-    def speed(self, values: dict[str, float]) -> np.ndarray:
-        total = values.get("J", PARAMETERS["J"].nominal) / PARAMETERS["J"].nominal * np.sin(3.0 * TIME)
-        return total + sum(values.get(name, 0.0) * curve for name, curve in self.curves.items())
-
-    def candidates(self) -> list[str]:
-        return list(dict.fromkeys(name.split(".")[0] for name in self.curves))
-
-
-def _logged(curves: dict[str, np.ndarray], truth: dict[str, float]) -> tuple[_Linear, Problem]:
-    """A rig with these curves, whose log has the `truth` and noise, and its calibration."""
-    rig, every = _Linear(curves), np.arange(ROWS)
-    measured = rig.speed(truth) + 0.01 * np.random.default_rng(0).standard_normal(ROWS)
-    segment = Segment(0, 0, "speed", measured, every, np.ones(ROWS, bool), 1e-3, slice(0, ROWS))
-    rig.segments[0] = [segment]
-    base = Problem(0, [base_unknown(PARAMETERS["J"], PARAMETERS["J"].nominal)], np.zeros(1), "calibrated")
-    solve(rig, [base], FLOORS, 4)  # type: ignore[arg-type]
-    return rig, base
 
 
 def _look(effect: str, value: float, gain: float = 1000.0) -> Look:
@@ -69,7 +35,7 @@ def test_an_estimate_at_the_edge_is_judged_beside_the_form(size: float, inside: 
     """A form that pushes the estimate to the edge is put right; a size that no rig has stays beyond it."""
     bend = np.abs(np.sin(2.0 * TIME)) * np.sin(2.0 * TIME)
     curves = {f"{GAIN}.curvature": bend, "opening_shape.gain_2": 4.0 * bend + np.cos(11.0 * TIME)}
-    rig, base = _logged(curves, {f"{GAIN}.curvature": size, "opening_shape.gain_2": 0.3})
+    rig, base = logged(curves, {f"{GAIN}.curvature": size, "opening_shape.gain_2": 0.3}, ROWS)
     look = _look(GAIN, 0.5)
     found = extended(base, look)
     solve(rig, [found], FLOORS, 6)  # type: ignore[arg-type]
@@ -79,7 +45,7 @@ def test_an_estimate_at_the_edge_is_judged_beside_the_form(size: float, inside: 
 
 def test_what_leads_away_at_first_is_refitted_before_it_is_given_up() -> None:
     curves = {"quadratic_drag.coefficient": 1e4 * np.sin(2.0 * TIME), "load_bias.bias": np.cos(11.0 * TIME)}
-    rig, base = _logged(curves, {"quadratic_drag.coefficient": 1e-4})
+    rig, base = logged(curves, {"quadratic_drag.coefficient": 1e-4}, ROWS)
     looks = [_look("quadratic_drag", 1e-4, 900.0), _look("load_bias", 0.1, 800.0)]
     batch = [(0, k, extended(base, k)) for k in looks]
     batch[0][2].q = np.array([0.0, -3.0])  # a cheap refit that went the wrong way
@@ -100,7 +66,7 @@ def _doubts(
     fit: dict[str, float], sealed: dict[str, float], quick: bool = False, share: float = 1.0
 ) -> list[str]:
     """The doubts about a name with these errors of the speed, of which those of the fit logs are in a `share` of the time."""
-    rig, every = _Linear({}, quick=quick), np.arange(ROWS)
+    rig, every = LinearMachine({}, TIME, quick=quick), np.arange(ROWS)
     size = np.where(every < share * ROWS, fit["after"] / np.sqrt(share), 1.0)
     errors = {"speed": size, "pressure": np.ones(ROWS)}
     rng = np.random.default_rng(1)
@@ -152,7 +118,7 @@ def test_what_the_sealed_logs_deny_is_doubted() -> None:
 
 
 def test_courses_that_part_by_less_than_a_fit_knows_are_said_to_be_undetermined() -> None:
-    rig, base = _logged({}, {})
+    rig, base = logged({}, {}, ROWS)
     same = np.zeros((8, 1))
     base.certainty = Certainty(same[0], same[0], same[0], same)
     assert undetermined(rig, base, 0, FLOORS) == {}  # type: ignore[arg-type]

@@ -1,61 +1,26 @@
 """What else would do as well in the place of an effect that was taken."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.fit import Problem, solve
-from hydro_env.diagnosis.machine import Request, Segment
+from hydro_env.diagnosis.fit import solve
 from hydro_env.diagnosis.result import named_effects
 from hydro_env.diagnosis.select import Choice, Selection, _rivals_again, extended
 from hydro_env.diagnosis.signatures import Look, first_look
-from hydro_env.diagnosis.unknowns import base_unknown
-from hydro_env.plant import CATALOGUE, PARAMETERS
+from hydro_env.plant import CATALOGUE
+from tests.linear_machine import FLOORS, LinearMachine, logged, time_of
 
 ROWS = 4000
-TIME = np.arange(ROWS) * 1e-3
+TIME = time_of(ROWS)
 
 
-@dataclass
-class _Linear:
-    """A machine whose speed is a sum of curves: one for the inertia and one for every effect, by its share of the typical
-    size; `curves` of two effects may be equal."""
-
-    curves: dict[str, np.ndarray]
-    channels: tuple[int, ...] = (0,)
-    quick: bool = False
-    segments: dict[int, list[Segment]] = field(default_factory=dict)
-
-    def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
-        return [{0: self._speed(dict(r.values))} for r in requests]  # type: ignore[arg-type]
-
-    def _speed(self, values: dict[str, float]) -> np.ndarray:
-        total = values.get("J", PARAMETERS["J"].nominal) / PARAMETERS["J"].nominal * np.sin(3.0 * TIME)
-        for name, curve in self.curves.items():
-            parameter = CATALOGUE[name].parameters[0]
-            total = total + values.get(f"{name}.{parameter.name}", 0.0) / parameter.typical * curve
-        return total
-
-    def candidates(self) -> list[str]:
-        return list(self.curves)
-
-
-FLOORS = {(0, "speed"): 0.01}
-
-
-def _found(curves: dict[str, np.ndarray], hidden: str, taken: str) -> tuple[_Linear, Selection, list[Look]]:
+def _found(
+    curves: dict[str, np.ndarray], hidden: str, taken: str
+) -> tuple[LinearMachine, Selection, list[Look]]:
     """A rig with a hidden effect, for which `taken` was taken, after the question what else would do."""
-    rig = _Linear(curves)
-    truth = rig._speed({f"{hidden}.coefficient": 0.8 * CATALOGUE[hidden].parameters[0].typical})
-    noise = 0.01 * np.random.default_rng(0).standard_normal(ROWS)
-    every = np.arange(ROWS)
-    rig.segments[0] = [
-        Segment(0, 0, "speed", truth + noise, every, np.ones(ROWS, bool), 1e-3, slice(0, ROWS))
-    ]
-    base = Problem(0, [base_unknown(PARAMETERS["J"], PARAMETERS["J"].nominal)], np.zeros(1), "calibrated")
-    solve(rig, [base], FLOORS, 4)  # type: ignore[arg-type]
+    typical = {n: CATALOGUE[n].parameters[0].typical for n in curves}
+    by_value = {f"{n}.coefficient": curve / typical[n] for n, curve in curves.items()}
+    rig, base = logged(by_value, {f"{hidden}.coefficient": 0.8 * typical[hidden]}, ROWS)
     looks = first_look(rig, {0: base}, FLOORS, rig.candidates(), 4.0)  # type: ignore[arg-type]
     start = next(k for k in looks if k.effect == taken)
     problem = extended(base, start)

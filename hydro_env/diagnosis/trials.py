@@ -1,6 +1,7 @@
 """How often the diagnosis is right: blind trials on practice logs of the independent simulator, and the table of them.
 
     python -m hydro_env.diagnosis.trials --out DIR [--groups medium two ...] [--seed N] [--minutes M] [--slice K/N]
+        [--empty N] [--only SEED FIRST-LAST ...]
     python -m hydro_env.diagnosis.trials --out DIR --write docs         # the table of what is in DIR, no new trial
     python -m hydro_env.diagnosis.trials --out DIR --logs LOGS --make   # practice logs for later trials only
 
@@ -49,6 +50,7 @@ __all__ = [
     "GROUPS",
     "Case",
     "cases",
+    "commands",
     "method",
     "practice_logs",
     "run_case",
@@ -330,9 +332,6 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """The table in Markdown: bars, counts by group, and every trial that went wrong."""
-    seeds = sorted({r["seed"] - 1000 * list(GROUPS).index(r["group"]) for r in rows})
-    blocks = sorted({seed - seed % 1000 for seed in seeds})
-    command = " and ".join(f"`python -m hydro_env.diagnosis.trials --seed {b} --out DIR`" for b in blocks)
     lines = ["| asked for | trials | bar | reached |", "|---|---|---|---|"]
     for s in summary(rows):
         if s["trials"]:
@@ -401,7 +400,53 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         )
         + ".",
     ]
-    return "\n".join([f"Made by {command}; {len(rows)} trials.", "", *lines, ""])
+    made = " and ".join(f"`{command}`" for command in commands(rows))
+    return "\n".join([f"Made by {made}; {len(rows)} trials.", "", *lines, ""])
+
+
+def commands(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """The commands that make these rows and no others: for every block of seeds one for the groups that were run whole, and
+    one for the others."""
+    found = []
+    done = {(r["group"], r["seed"]) for r in rows}
+    blocks = {(g, s): s - 1000 * list(GROUPS).index(g) for g, s in done}
+    for block in sorted({b - b % 1000 for b in blocks.values()}):
+        own = {key for key, b in blocks.items() if b - b % 1000 == block}
+        # Groups that hide nothing may have any number of trials.
+        nothing = [sum(group == g for g, _ in own) for group in ("nothing", "parameters")]
+        empty = max(nothing)
+        whole, part = [], []
+        for group in GROUPS:
+            every = {(group, c.seed) for c in cases([group], block, empty)}
+            if every and every <= own:
+                whole.append(group)
+            elif every & own:
+                part.append(group)
+        start = f"python -m hydro_env.diagnosis.trials --seed {block} --out DIR"
+        start += f" --empty {empty}" if empty else ""
+        if whole:
+            found.append(f"{start} --groups {' '.join(whole)}")
+        if part:
+            seeds = " ".join(_ranges([s for g, s in sorted(own) if g in part]))
+            found.append(f"{start} --groups {' '.join(part)} --only {seeds}")
+    return found
+
+
+def _ranges(numbers: Sequence[int]) -> list[str]:
+    """Whole numbers in order, neighbours as `first-last`."""
+    found: list[list[int]] = []
+    for n in sorted(numbers):
+        if found and n == found[-1][-1] + 1:
+            found[-1][1:] = [n]
+        else:
+            found.append([n])
+    return ["-".join(map(str, pair)) for pair in found]
+
+
+def _numbers(text: str) -> range:
+    """`7` or `3-7`, the numbers it means."""
+    first, _, last = text.partition("-")
+    return range(int(first), int(last or first) + 1)
 
 
 _BEGIN, _END = "<!-- trials -->", "<!-- end of trials -->"
@@ -429,6 +474,9 @@ def _main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--slice", default="1/1", help="K/N: every N-th trial from the K-th")
     parser.add_argument("--empty", type=int, default=EMPTY, help="trials of each group that hides nothing")
+    parser.add_argument(
+        "--only", type=_numbers, nargs="*", help="seeds of the trials to be run, or FIRST-LAST"
+    )
     parser.add_argument("--logs", type=Path, help="folder in which practice logs are kept")
     parser.add_argument("--make", action="store_true", help="only makes the logs, in --logs")
     parser.add_argument("--write", type=Path, help="folder of documents to write the table to; runs nothing")
@@ -438,6 +486,8 @@ def _main() -> None:
         return
     part, of = map(int, given.slice.split("/"))
     wanted = cases(given.groups, given.seed, given.empty)[part - 1 :: of]
+    if given.only is not None:
+        wanted = [c for c in wanted if any(c.seed in seeds for seeds in given.only)]
     if given.make:
         for case in wanted:
             practice_logs(case, given.logs / f"{case.group}_{case.seed}")

@@ -1,0 +1,57 @@
+"""A machine for tests of the diagnosis whose speed is a sum of known curves, so that every answer is known beforehand."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydro_env.diagnosis.fit import Problem, solve
+from hydro_env.diagnosis.machine import Request, Segment
+from hydro_env.diagnosis.unknowns import base_unknown
+from hydro_env.plant import PARAMETERS
+
+#: Noise of the speed, rad/s.
+FLOORS = {(0, "speed"): 0.01}
+PERIOD = 1e-3
+
+
+@dataclass
+class LinearMachine:
+    """One channel's speed: a sine by the inertia, and for every effect's parameter its value times a curve.
+
+    `curves` holds these by "effect.parameter"; those of two effects may be equal.
+    """
+
+    curves: dict[str, np.ndarray]
+    time: np.ndarray
+    channels: tuple[int, ...] = (0,)
+    quick: bool = False
+    segments: dict[int, list[Segment]] = field(default_factory=dict)
+
+    def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
+        return [{0: self.speed(dict(r.values))} for r in requests]  # type: ignore[arg-type]
+
+    def speed(self, values: dict[str, float]) -> np.ndarray:
+        total = values.get("J", PARAMETERS["J"].nominal) / PARAMETERS["J"].nominal * np.sin(3.0 * self.time)
+        return total + sum(values.get(name, 0.0) * curve for name, curve in self.curves.items())
+
+    def candidates(self) -> list[str]:
+        return list(dict.fromkeys(name.split(".")[0] for name in self.curves))
+
+
+def time_of(rows: int) -> np.ndarray:
+    """The instants of a log of so many rows, s."""
+    return np.arange(rows) * PERIOD
+
+
+def logged(
+    curves: dict[str, np.ndarray], truth: dict[str, float], rows: int
+) -> tuple[LinearMachine, Problem]:
+    """A rig with these curves, whose log of so many rows has the `truth` and noise, and its calibration."""
+    rig, every = LinearMachine(curves, time_of(rows)), np.arange(rows)
+    noise = FLOORS[0, "speed"] * np.random.default_rng(0).standard_normal(rows)
+    used, place = np.ones(rows, bool), slice(0, rows)
+    rig.segments[0] = [Segment(0, 0, "speed", rig.speed(truth) + noise, every, used, PERIOD, place)]
+    base = Problem(0, [base_unknown(PARAMETERS["J"], PARAMETERS["J"].nominal)], np.zeros(1), "calibrated")
+    solve(rig, [base], FLOORS, 4)  # type: ignore[arg-type]
+    return rig, base
