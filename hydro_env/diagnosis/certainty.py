@@ -14,7 +14,7 @@ import numpy as np
 from .fit import Floors, Problem, channels_of, normal_parts, saved_by_stretch
 from .machine import Machine
 
-__all__ = ["Certainty", "certainty", "chance", "undetermined"]
+__all__ = ["Certainty", "certainty", "chance", "spread_of", "undetermined"]
 
 #: Length of a stretch that is drawn or left out as a whole, s.
 STRETCH_S = 0.5
@@ -90,18 +90,26 @@ def chance(
     return float((np.sum(drawn > needed) + 0.5) / (REPLICAS + 1.0))
 
 
-def undetermined(sealed: Machine, problem: Problem, channel: int, floors: Floors) -> dict[str, float]:
-    """By signal of a channel how far the courses of the replicas' estimates are apart on the logs of `sealed`, RMS of the
-    farthest in times the noise, where that is so far that the logs cannot be foretold.
+def spread_of(machine: Machine, problem: Problem, channel: int, floors: Floors) -> dict[str, float]:
+    """By signal of a channel how far the courses of the replicas' estimates are apart from that of the estimate on the logs of
+    `machine`, which may be others than those of the fit: RMS of the farthest, in times the noise.
 
-    A shaft that comes nearly to rest turns on this way or that by parts in a thousand of a parameter, which no fit knows.
+    A spool that sticks now here, now there, or a shaft that comes nearly to rest and turns on this way or that, does so by
+    parts in a thousand of a parameter, which no fit knows.
     """
     if problem.certainty is None:
         return {}
     requests = [problem.request(), *(problem.request(q) for q in problem.certainty.draws)]
-    first, *others = (result[channel] for result in sealed.predict(requests))
+    first, *others = (result[channel] for result in machine.predict(requests))
     apart: dict[str, float] = {}
-    for s in sealed.segments[channel]:
+    for s in machine.segments[channel]:
         far = max(float(np.sqrt(np.mean((o - first)[s.place][s.used] ** 2))) for o in others)
         apart[s.signal] = max(apart.get(s.signal, 0.0), far / floors[channel, s.signal])
-    return {name: value for name, value in apart.items() if value > APART}
+    return apart
+
+
+def undetermined(sealed: Machine, problem: Problem, channel: int, floors: Floors) -> dict[str, float]:
+    """By signal of a channel how far the replicas' courses are apart on the logs of `sealed` (`spread_of`), where that is
+    so far that the logs cannot be foretold."""
+    found = spread_of(sealed, problem, channel, floors)
+    return {name: value for name, value in found.items() if value > APART}

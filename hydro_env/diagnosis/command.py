@@ -142,6 +142,8 @@ def _workflow(
     sealed_machine = machine.with_parts(proofs, True)
     sealed_proof = prove(sealed_machine, models)
 
+    say("how sure")
+    make_sure(machine, [*final.values(), *selection.problems.values(), *calibrated.values()], floors, seed)
     refuted = doubts(machine, selection, final, fit_proof, sealed_proof, floors) if word == "effects" else []
     if refuted:
         # What is not vouched for is not corrected either.
@@ -154,8 +156,6 @@ def _workflow(
         fit_proof, sealed_proof = prove(machine, models), prove(sealed_machine, models)
         word = "unknown"
         places = places or locate(machine, calibrated)
-    say("how sure")
-    make_sure(machine, [*final.values(), *selection.problems.values(), *calibrated.values()], floors, seed)
     named = named_effects(machine, selection, looks, floors, seed, final)
     warnings = [*(f.text for f in odd), *_warnings(machine, parts, proofs, final, sealed_proof)]
     hidden = hidden_by_calibration(looks)

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from ..plant import parameter_of
+from ..plant import CATALOGUE, parameter_of
 from .machine import Machine, Request, Segment
 from .noise import effective_samples
-from .unknowns import Unknown, force_scale
+from .unknowns import Unknown, effect_unknowns, force_scale, less_taken
 
 if TYPE_CHECKING:
     from .certainty import Certainty
@@ -27,6 +27,7 @@ __all__ = [
     "Floors",
     "Problem",
     "at_noise",
+    "beside",
     "channels_of",
     "differentiate",
     "evaluate",
@@ -115,6 +116,18 @@ class Problem:
 
     def effects(self) -> list[str]:
         return list(dict.fromkeys(u.name.split(".", 1)[0] for u in self.unknowns if "." in u.name))
+
+
+def beside(problem: Problem, effect: str, start: dict[str, float]) -> Problem:
+    """The problem with an effect more at the values `start` {own name: value}."""
+    added = effect_unknowns(CATALOGUE[effect], start)
+    q = np.concatenate([problem.q, np.zeros(len(added))])
+    if problem.channel is not None:
+        taken = less_taken(problem.values(problem.channel), effect, start)
+        for j, u in enumerate(problem.unknowns):
+            if u.name in taken:
+                q[j] = np.clip(u.q(taken[u.name]), *u.bounds)
+    return Problem(problem.channel, [*problem.unknowns, *added], q, effect, follow=problem.follow)
 
 
 def channels_of(problem: Problem, machine: Machine) -> tuple[int, ...]:

@@ -30,27 +30,23 @@ KEPT = ("R", "L")
 STARTS, ROUNDS = 12, (3, 3, 4)
 
 
-def begun_anew(machine: Machine, problems: Sequence[Problem], floors: Floors, seed: int = 0) -> list[Problem]:
-    """Improves those of `problems` that are near the noise and not at it, in place; returns the ones that became better."""
+def begun_anew(
+    machine: Machine, problems: Sequence[Problem], floors: Floors, seed: int = 0, whole: bool = False
+) -> list[Problem]:
+    """Improves those of `problems` that are near the noise and not at it, in place; returns the ones that became better.
+
+    With `whole` also what is far from the noise begins anew, and all known parameters do, at the model as given.
+    """
     rng = np.random.default_rng(seed)
     fields: list[tuple[Problem, list[Problem]]] = []
     for problem in problems:
         drawn = [j for j, u in enumerate(problem.unknowns) if u.name in DRAWN]
-        if not drawn or at_noise(machine, problem, floors) or _far(machine, problem, floors):
+        if not drawn or at_noise(machine, problem, floors):
             continue
-        starts = []
-        for _ in range(STARTS):
-            q = problem.q.copy()
-            q[drawn] = SPREAD * rng.standard_normal(len(drawn))
-            starts.append(
-                Problem(
-                    problem.channel,
-                    problem.unknowns,
-                    np.clip(q, *problem.bounds),
-                    problem.label,
-                    follow=problem.follow,
-                )
-            )
+        if not whole and _far(machine, problem, floors):
+            continue
+        place = from_given(problem) if whole else problem
+        starts = [_with_other_friction(place, rng) for _ in range(STARTS)]
         fields.append((problem, starts))
     for iterations in ROUNDS:
         solve(machine, [p for _, starts in fields for p in starts], floors, iterations)
@@ -76,6 +72,15 @@ def take_over(problem: Problem, other: Problem) -> bool:
     problem.q, problem.cost, problem.spread = other.q, other.cost, other.spread
     problem.simulated, problem.columns = other.simulated, other.columns
     return True
+
+
+def _with_other_friction(problem: Problem, rng: np.random.Generator) -> Problem:
+    """The problem with the friction of the spool drawn anew."""
+    drawn = [j for j, u in enumerate(problem.unknowns) if u.name in DRAWN]
+    q = problem.q.copy()
+    q[drawn] = SPREAD * rng.standard_normal(len(drawn))
+    q = np.clip(q, *problem.bounds)
+    return Problem(problem.channel, problem.unknowns, q, problem.label, follow=problem.follow)
 
 
 def _far(machine: Machine, problem: Problem, floors: Floors) -> bool:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..plant import CATALOGUE, PlantModel, parameter_of
-from .certainty import Certainty, certainty, chance
+from .again import mostly_explained, nearly_all, unexplained
+from .certainty import APART, Certainty, certainty, chance, spread_of
 from .experiments import next_experiment
 from .fit import Floors, Problem, gain, levels, rms
 from .machine import Machine
@@ -35,8 +36,6 @@ __all__ = [
 SCHEMA = "hydro_env/diagnosis/1"
 #: A deviance by which rivals fall behind counts as this fraction: models are never exact.
 TEMPER = 0.1
-#: Share of the gap that the named effects must explain, in `levels` or in power, or else the verdict is `unknown`.
-MOST, MOST_POWER = 0.5, 0.8
 #: Share of the power above the noise that they must explain on the sealed logs, or else the verdict is `unknown`.
 CONFIRMED = 0.25
 #: A signal of the sealed logs is spoilt by what was named if it is off by so many times what calibration alone leaves, and so
@@ -49,8 +48,6 @@ SEEN = 1.1
 LEFT = 3.0, 0.05
 #: The same in `levels`: one event or two in a log, such as a spool that meets its end stop late, speak against no name.
 LEFT_LEVEL = 0.1
-#: A gap (in `levels`, summed over the signals) that is too small to speak of something unknown.
-SMALL_LEVEL = 0.15
 #: Values of the two channels that differ by less (relative) are one effect of both.
 SAME_VALUE = 0.15
 
@@ -74,18 +71,16 @@ def verdict(
     floors: Floors,
 ) -> str:
     """none | calibration | effects | unknown, see the contract."""
-    unexplained = any(
-        _unexplained(machine, calibrated[c], selection.problems[c], c, floors) for c in machine.channels
-    )
+    left = any(unexplained(machine, selection.problems[c], c, floors) for c in machine.channels)
     if selection.choices:
         return (
             "effects"
-            if not unexplained
+            if not left
             else "unknown"
             if not _mostly(machine, calibrated, selection, floors)
             else "effects"
         )
-    if unexplained:
+    if left:
         return "unknown"
     return (
         "calibration"
@@ -104,63 +99,50 @@ def _better(machine: Machine, given: Problem, calibrated: Problem, channel: int,
     return visible and gain(machine, given, calibrated, floors) > 6.0 * len(calibrated.unknowns)
 
 
-def _unexplained(machine: Machine, before: Problem, after: Problem, channel: int, floors: Floors) -> bool:
-    """Whether a gap stays that is half as large again as the noise, in a signal of a log."""
-    left = rms(machine, after.simulated[channel], channel)
-    return any(v > 1.5 * floors[channel, signal] for (_, signal), v in left.items())
-
-
 def _mostly(machine: Machine, calibrated: dict[int, Problem], selection: Selection, floors: Floors) -> bool:
-    """Whether what was found explains most of the gap in every channel that has one left, by level or by power.
-
-    By level a few events count little, such as a spool that meets its end stop late in a model of another functional form;
-    by power what is small everywhere counts little, such as the ripple that a steady model leaves.
-    """
+    """Whether what was found explains most of the gap in every channel that has one left, by level or by power."""
     for c in machine.channels:
         own = [k.effect for k in selection.choices if k.channel == c]
         if not machine.quick and any(at_edge(selection.problems[c], n) for n in own):
             continue  # taken for what it explains in a corrected form: see `doubts`
-        before, after = calibrated[c].simulated[c], selection.problems[c].simulated[c]
-        old = sum(levels(machine, before, c, floors).values())
-        new = sum(levels(machine, after, c, floors).values())
-        by_level = new < SMALL_LEVEL or new < (1.0 - MOST) * old
-        was, left = rms(machine, before, c), rms(machine, after, c)
-        excess = {k: left[k] ** 2 - floors[c, k[1]] ** 2 for k in left if left[k] > 2.0 * floors[c, k[1]]}
-        by_power = all(
-            e < (1.0 - MOST_POWER) * (was[k] ** 2 - floors[c, k[1]] ** 2) for k, e in excess.items()
-        )
-        if not (by_level or by_power):
+        if not mostly_explained(machine, calibrated[c], selection.problems[c], c, floors):
             return False
     return True
 
 
 def doubts(
-    machine: Machine, selection: Selection, final: dict[int, Problem], fit: Proof, sealed: Proof, floors: Floors
+    machine: Machine, selection: Selection, final: dict[int, Problem], fit: Proof, sealed: Proof, floors: Floors,
 ) -> list[str]:  # fmt: skip
     """Why what was named is not vouched for although it explains most of the fit logs, a sentence each; none if it is.
 
     `final` are the named effects with the corrections of their form, `fit` and `sealed` the proofs with both. The sealed logs
-    judge here and choose nothing.
+    judge here and choose nothing. Where estimates that the fit logs cannot part (`certainty`) give courses that part
+    by more than what is left of a signal, that rest speaks against no name.
     """
     found = []
     for c in dict.fromkeys(k.channel for k in selection.choices if k.channel is not None):
         shares = []
         level = levels(machine, fit.traces["after"][c], c, floors)
+        moved, apart = (spread_of(m, final[c], c, floors) for m in (machine, sealed.machine))
         for key, entry in sealed.gap.items():
             if key.split("_")[1] != str(c + 1):
                 continue
-            fitted, plain = fit.gap[key], f"the {key.split('_')[0]} of channel {c + 1}"
+            signal = key.split("_")[0]
+            fitted, plain = fit.gap[key], f"the {signal} of channel {c + 1}"
             # A correction of form proves nothing of the name.
             after = entry.get(NAMED, entry["after"])
+            silent = apart.get(signal, 0.0) > max(APART, after / entry["noise"])
             spoilt = after > SPOILT[0] * entry["calibrated"] and after > SPOILT[1] * entry["noise"]
-            if spoilt or (not machine.quick and _worse(fitted) and _worse(entry)):
+            if not silent and (spoilt or (not machine.quick and _worse(fitted) and _worse(entry))):
                 found.append(f"{plain} is explained worse with the named effects than by calibration alone")
-            if not machine.quick and _far_from_explained(fitted) and level[key.split("_")[0]] > LEFT_LEVEL:
+            known = moved.get(signal, 0.0) < fitted["after"] / fitted["noise"]
+            far = known and _far_from_explained(fitted)
+            if not machine.quick and far and level[signal] > LEFT_LEVEL:
                 times = fitted["after"] / fitted["noise"]
                 found.append(
                     f"{plain} of the fit logs is left {times:.2g} times its noise, whatever the form of what is named"
                 )
-            if entry["calibrated"] > 1.3 * entry["noise"]:
+            if entry["calibrated"] > 1.3 * entry["noise"] and not silent:
                 excess = entry["calibrated"] ** 2 - entry["noise"] ** 2
                 shares.append((entry["calibrated"] ** 2 - after**2) / excess)
         if shares and max(shares) < CONFIRMED:
@@ -168,7 +150,10 @@ def doubts(
     for k in selection.choices:
         if machine.quick or k.channel is None:
             continue
-        if all(at_edge(p[k.channel], k.effect) for p in (selection.problems, final)):
+        if not all(at_edge(p[k.channel], k.effect) for p in (selection.problems, final)):
+            continue
+        was, left = (fit.traces[name][k.channel] for name in ("calibrated", "after"))
+        if not nearly_all(machine, was, left, k.channel, floors):
             found.append(f"the size of {k.effect.replace('_', ' ')} stays at the edge of its plausible range")
     return list(dict.fromkeys(found))
 

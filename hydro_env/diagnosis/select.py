@@ -15,13 +15,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..plant import CATALOGUE
-from .fit import Floors, Problem, channels_of, differentiate, evaluate, gain, levels, solve
+from .again import best_of_all, mostly_explained, nearly_explained, unexplained
+from .fit import Floors, Problem, beside, channels_of, differentiate, evaluate, gain, levels, solve
 from .machine import Machine
 from .noise import effective_samples
-from .restarts import from_given, take_over
+from .restarts import begun_anew, from_given, take_over
 from .shape import corrected, with_form
 from .signatures import Look, alike, first_look
-from .unknowns import bases_of, effect_unknowns, less_taken
+from .unknowns import bases_of
 
 __all__ = ["Choice", "Selection", "Trial", "at_edge", "penalty", "penalty_per_number", "select"]
 
@@ -109,15 +110,8 @@ def penalty(machine: Machine, effect: str) -> float:
 
 def extended(problem: Problem, look: Look) -> Problem:
     """The problem with an effect more, at the size of the first look; derivatives are taken along, new ones zero."""
-    added = effect_unknowns(CATALOGUE[look.effect], look.start)
-    unknowns = [*problem.unknowns, *added]
-    q = np.concatenate([problem.q, np.zeros(len(added))])
-    if look.channel is not None:
-        taken = less_taken(problem.values(look.channel), look.effect, look.start)
-        for j, u in enumerate(problem.unknowns):
-            if u.name in taken:
-                q[j] = np.clip(u.q(taken[u.name]), *u.bounds)
-    twin = Problem(problem.channel, unknowns, q, look.effect, follow=problem.follow)
+    twin = beside(problem, look.effect, look.start)
+    added = twin.unknowns[len(problem.unknowns) :]
     twin.columns = {c: np.hstack([m, np.zeros((m.shape[0], len(added)))]) for c, m in problem.columns.items()}
     return twin
 
@@ -150,29 +144,41 @@ def select(
     trials: list[Trial] = []
     choices: list[Choice] = []
     present = dict(calibrated)
-    open_channels = [c for c in machine.channels if _left(machine, calibrated[c], c, floors)]
-    now = [k for k in looks if k.channel is not None]
-    candidates = machine.candidates()
     placebo: dict[int, Problem] = {}
-    for number in range(1, MOST + 1):
-        if not open_channels:
-            break
-        if number > 1:
-            say(f"round {number}: looking at what is left")
-            names = [n for n in candidates if CATALOGUE[n].scope == "channel"]
-            now = first_look(machine, {c: present[c] for c in open_channels}, floors, names, seconds, looks)
-        say(f"round {number}: refitting candidates")
-        taken = _round(machine, present, open_channels, now, floors, number, trials, choices, placebo)
-        open_channels = [
-            c
-            for c in taken
-            if _left(machine, present[c], c, floors)
-            and 1.0 - _explained(machine, calibrated[c], present[c], c, floors) > REST
-        ]
+    names = [n for n in machine.candidates() if CATALOGUE[n].scope == "channel"]
+
+    def forward(open_channels: list[int], numbers: Sequence[int], now: Sequence[Look]) -> None:
+        for number in numbers:
+            if not open_channels:
+                break
+            if number > 1:
+                say(f"round {number}: looking at what is left")
+                here = {c: present[c] for c in open_channels}
+                now = first_look(machine, here, floors, names, seconds, looks)
+            say(f"round {number}: refitting candidates")
+            taken = _round(machine, present, open_channels, now, floors, number, trials, choices, placebo)
+            open_channels = [c for c in taken if _open(machine, calibrated[c], present[c], c, floors)]
+
+    forward(
+        [c for c in machine.channels if _left(machine, calibrated[c], c, floors)],
+        range(1, MOST + 1),
+        [k for k in looks if k.channel is not None],
+    )
     whole = [k for k in looks if k.channel is None]
     if whole and len(machine.channels) == 2:
         say("effects of the whole rig")
         present, choices = _rig(machine, calibrated, present, whole, floors, trials, choices)
+    lost = [c for c in machine.channels if _lost(machine, calibrated[c], present[c], c, floors)]
+    if lost:
+        say("once more from many places")
+        found = [
+            c
+            for c in lost
+            if _once_more(machine, calibrated, present, c, names, floors, seconds, trials, choices, placebo)
+        ]
+        forward(
+            [c for c in found if _open(machine, calibrated[c], present[c], c, floors)], range(2, MOST + 1), []
+        )
     if any(len([k for k in choices if k.channel == c]) > 1 for c in machine.channels):
         say("can any of them be left out?")
         _backward(machine, present, choices, floors, trials)
@@ -192,6 +198,63 @@ def _left(machine: Machine, problem: Problem, channel: int, floors: Floors) -> b
             seen = seen or ratio > 1.04
             worth += effective_samples(error) * max(np.log(ratio), 0.0)
     return seen and worth > 20.0
+
+
+def _open(machine: Machine, calibrated: Problem, present: Problem, channel: int, floors: Floors) -> bool:
+    """Whether a channel on which an effect was taken has a gap left that is worth looking into."""
+    return (
+        _left(machine, present, channel, floors)
+        and 1.0 - _explained(machine, calibrated, present, channel, floors) > REST
+    )
+
+
+def _lost(machine: Machine, calibrated: Problem, present: Problem, channel: int, floors: Floors) -> bool:
+    """Whether a channel has a gap that nothing explains, or only what leaves most of it."""
+    if machine.quick or present.channel is None or not unexplained(machine, present, channel, floors):
+        return False
+    return present is calibrated or not mostly_explained(machine, calibrated, present, channel, floors)
+
+
+def _once_more(
+    machine: Machine, calibrated: dict[int, Problem], present: dict[int, Problem], c: int, names: Sequence[str], floors: Floors,
+    seconds: float, trials: list[Trial], choices: list[Choice], placebo: dict[int, Problem],
+) -> bool:  # fmt: skip
+    """Tries all effects on channel c from many places (`again`); one that explains nearly all replaces, in place, what was
+    taken there. Whether it does."""
+    # A candidate must not win because its refit led the known parameters out of a bad place.
+    begun_anew(machine, [calibrated[c]], floors, whole=True)
+    ranked: list[tuple[str, Problem]] = []
+    if unexplained(machine, calibrated[c], c, floors):
+        ranked = best_of_all(machine, calibrated[c], names, floors, seconds)
+        _polish(machine, calibrated, [c], [(c, p) for _, p in ranked], floors)
+    if not unexplained(machine, calibrated[c], c, floors):
+        choices[:] = [k for k in choices if k.channel != c]
+        present[c] = calibrated[c]
+        return False
+    if not ranked:
+        return False
+    ranked.sort(key=lambda entry: entry[1].cost + penalty(machine, entry[0]))
+    gains = {effect: gain(machine, calibrated[c], p, floors) for effect, p in ranked}
+    (effect, best), own = ranked[0], [k for k in choices if k.channel == c]
+    needed = penalty(machine, effect)
+    fate = _verdict(machine, calibrated[c], best, effect, c, gains[effect], needed, floors)
+    worse = best.cost + needed >= present[c].cost + sum(k.needed for k in own)
+    if fate == "taken" and (worse or not nearly_explained(machine, calibrated[c], best, c, floors)):
+        fate = "leaves too much to be trusted"
+    for name, problem in ranked:
+        other = fate if name == effect else "others explain more"
+        trials.append(Trial(name, c, MOST + 1, gains[name], penalty(machine, name), other, problem))
+    if fate != "taken":
+        return False
+    choices[:] = [k for k in choices if k not in own]
+    behind = {name: max(0.0, gains[effect] - g) for name, g in gains.items() if name != effect}
+    rivals = {n: d for n, d in behind.items() if d < NEAR * gains[effect] or d < needed}
+    choices.append(Choice(effect, c, gains[effect], needed, rivals, calibrated[c]))
+    present[c] = best
+    if len(ranked) > 1:
+        placebo[c] = ranked[1][1]
+    _settle(machine, [best, *(p for _, p in ranked[1:2])], floors)
+    return True
 
 
 def _round(
@@ -240,7 +303,7 @@ def _round(
                 )
             )
     solve(machine, [p for _, _, p in best], floors, 10 if machine.quick else 3)
-    _polish(machine, present, channels, best, floors)
+    _polish(machine, present, channels, [(c, p) for c, _, p in best], floors)
     if number == 1 and not machine.quick:
         _settle(machine, _last_hopes(machine, present, channels, best, floors), floors)
     elif not machine.quick:
@@ -253,7 +316,7 @@ def _round(
         )
         for place, (look, problem) in enumerate(own_best):
             found, needed = gain(machine, present[c], problem, floors), penalty(machine, look.effect)
-            fate = _verdict(machine, present[c], problem, look, c, found, needed, floors)
+            fate = _verdict(machine, present[c], problem, look.effect, c, found, needed, floors)
             before = [(k.effect, k.channel) for k in choices if k.channel == c]
             if place == 0 and fate == EDGE and _form_leads_inside(machine, present[c], problem, look, floors):
                 fate = "taken"
@@ -412,7 +475,7 @@ def _polish(
     machine: Machine,
     present: dict[int, Problem],
     channels: Sequence[int],
-    best: Sequence[tuple[int, Look, Problem]],
+    best: Sequence[tuple[int, Problem]],
     floors: Floors,
 ) -> None:
     """Restarts the present models from the base parameters that their best extensions found.
@@ -421,7 +484,7 @@ def _polish(
     """
     restarts = {}
     for c in channels:
-        own = min((p for k, _, p in best if k == c), key=lambda p: p.cost, default=None)
+        own = min((p for k, p in best if k == c), key=lambda p: p.cost, default=None)
         if own is not None:
             size = len(present[c].unknowns)
             restarts[c] = Problem(c, present[c].unknowns, own.q[:size].copy(), present[c].label)
@@ -462,7 +525,7 @@ def _verdict(
     machine: Machine,
     before: Problem,
     after: Problem,
-    look: Look,
+    effect: str,
     channel: int,
     found: float,
     needed: float,
@@ -472,10 +535,12 @@ def _verdict(
         return "gains less than chance could"
     if _share(machine, before, after, channels_of(after, machine), floors) < SHARE:
         return "explains no noticeable share of the gap"
-    if _neutral(after, look.effect):
+    if _neutral(after, effect):
         return "vanishes when refitted"
-    if at_edge(after, look.effect):
-        return EDGE
+    if at_edge(after, effect):
+        # A size beyond what rigs have makes up for something else; where the last plausible one leaves nothing it does not.
+        enough = all(nearly_explained(machine, before, after, c, floors) for c in channels_of(after, machine))
+        return "taken" if enough else EDGE
     return "taken"
 
 
@@ -574,7 +639,7 @@ def _rig(
     for look, problem, before, kept in tries:
         found, needed = gain(machine, before, problem, floors), penalty(machine, look.effect)
         reached = score(problem, [k.effect for k in kept] + [look.effect])
-        fate = _verdict(machine, before, problem, look, 0, found, needed, floors)
+        fate = _verdict(machine, before, problem, look.effect, 0, found, needed, floors)
         if fate == "taken" and reached > best_score:
             best, best_score = problem, reached
             best_choices = [*kept, Choice(look.effect, None, found, needed, {}, before)]

@@ -110,10 +110,11 @@ def base_unknown(parameter: Parameter, value: float, limited: bool = False) -> U
     return Unknown(parameter.name, parameter.unit, value, low, high, scale, log, True)
 
 
-def starts(effect: Effect, seconds: float) -> list[dict[str, float]]:
+def starts(effect: Effect, seconds: float, whole: bool = False) -> list[dict[str, float]]:
     """Values of the effect's parameters worth a first look: sizes together, small to large, with every shape.
 
-    `seconds` is the length of the longest log: nobody sees a drift of minutes in seconds.
+    `seconds` is the length of the longest log: nobody sees a drift of minutes in seconds. What comes in many shapes is given
+    in one size unless the `whole` list is wanted.
     """
     sizes = [p for p in effect.parameters if not _is_shape(p)]
     shapes = [p for p in effect.parameters if _is_shape(p)]
@@ -128,8 +129,8 @@ def starts(effect: Effect, seconds: float) -> list[dict[str, float]]:
     variants: list[dict[str, float]] = [{}]
     for p in shapes:
         variants = [{**v, p.name: value} for v in variants for value in _shapes(p, seconds)]
-    if len(variants) > 3:
-        rows = rows[1:2]  # what comes in many shapes is looked at in one size
+    if len(variants) > 3 and not whole:
+        rows = rows[1:2]
     rows = [{**row, **shape} for row in rows for shape in variants]
     return rows  # type: ignore[return-value]
 
