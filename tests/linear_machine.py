@@ -19,17 +19,18 @@ PERIOD = 1e-3
 class LinearMachine:
     """One channel's speed: a sine by the inertia, and for every effect's parameter its value times a curve.
 
-    `curves` holds these by "effect.parameter"; those of two effects may be equal.
+    `curves` holds these by "effect.parameter"; those of two effects may be equal. With more `signals` all are alike.
     """
 
     curves: dict[str, np.ndarray]
     time: np.ndarray
     channels: tuple[int, ...] = (0,)
     quick: bool = False
+    signals: int = 1
     segments: dict[int, list[Segment]] = field(default_factory=dict)
 
     def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
-        return [{0: self.speed(dict(r.values))} for r in requests]  # type: ignore[arg-type]
+        return [{0: np.tile(self.speed(dict(r.values)), self.signals)} for r in requests]  # type: ignore[arg-type]
 
     def speed(self, values: dict[str, float]) -> np.ndarray:
         total = values.get("J", PARAMETERS["J"].nominal) / PARAMETERS["J"].nominal * np.sin(3.0 * self.time)

@@ -63,10 +63,20 @@ def test_what_leads_away_at_first_is_refitted_before_it_is_given_up() -> None:
 
 
 def _doubts(
-    fit: dict[str, float], sealed: dict[str, float], quick: bool = False, share: float = 1.0
+    fit: dict[str, float],
+    sealed: dict[str, float],
+    quick: bool = False,
+    share: float = 1.0,
+    apart: float = 0.0,
 ) -> list[str]:
-    """The doubts about a name with these errors of the speed, of which those of the fit logs are in a `share` of the time."""
-    rig, every = LinearMachine({}, TIME, quick=quick), np.arange(ROWS)
+    """The doubts about a name with these errors of the speed, of which those of the fit logs are in a `share` of the time.
+
+    `apart` is by how many times the noise the courses of a replica differ that the fit logs cannot part from the estimate.
+    """
+    rig, every = (
+        LinearMachine({"load_bias.bias": np.ones(ROWS)}, TIME, quick=quick, signals=2),
+        np.arange(ROWS),
+    )
     size = np.where(every < share * ROWS, fit["after"] / np.sqrt(share), 1.0)
     errors = {"speed": size, "pressure": np.ones(ROWS)}
     rng = np.random.default_rng(1)
@@ -75,6 +85,8 @@ def _doubts(
         for n, (name, v) in enumerate(errors.items())
     ]  # fmt: skip
     problem = extended(Problem(0, [], np.zeros(0)), _look("load_bias", 0.1))
+    moved = problem.q + apart / problem.unknowns[-1].scale
+    problem.certainty = Certainty(moved, moved, moved, moved[None])
     selection = Selection({0: problem}, [Choice("load_bias", 0, 500.0, 18.0)], [], {})
     entries = [{"noise": 1.0, "placebo": 30.0, "before": 50.0, **e} for e in (fit, sealed)]
     pressure = {"noise": 1.0, "calibrated": 20.0, "after": 1.0, "placebo": 9.0, "before": 50.0}
@@ -104,6 +116,14 @@ def test_a_rest_that_no_form_explains_is_doubted() -> None:
     assert not _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}, share=0.008)
     # A steady-valve model is known to leave what moves fast.
     assert not _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}, quick=True)
+
+
+def test_a_rig_that_cannot_be_foretold_refutes_no_name() -> None:
+    """What is left of the fit logs, or wrong on the sealed ones, says nothing where replicas part by more."""
+    fit, sealed = {"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}
+    assert not _doubts(fit, sealed, apart=8.0) and _doubts(fit, sealed, apart=4.0)
+    fit, sealed = {"calibrated": 40.0, "after": 1.0}, {"calibrated": 40.0, "after": 60.0}
+    assert not _doubts(fit, sealed, apart=70.0) and _doubts(fit, sealed, apart=50.0)
 
 
 def test_a_signal_that_pays_for_another_one_is_doubted() -> None:
