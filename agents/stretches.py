@@ -10,8 +10,7 @@ measure.
 from __future__ import annotations
 
 import argparse
-import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,14 +19,15 @@ from numpy.typing import NDArray
 from agents.train import cleanly
 from hydro_env.benchmark.statistics import iqm
 from hydro_env.controllers import make_controller
+from hydro_env.controllers.base import Floats
 from hydro_env.controllers.flow_law import NOMINAL
 from hydro_env.controllers.flow_view import RATED_TRAVEL
-from hydro_env.envs.batch import HydraulicSyncVectorEnv
+from hydro_env.controllers.probing import ProbingFlow
+from hydro_env.controllers.rollout import roll_out
+from hydro_env.controllers.valve_estimate import ValveEstimate
 from hydro_env.plant import Plant
 
-__all__ = ["STRETCHES", "TOLD", "lines", "parts"]
-
-Floats = NDArray[np.floating[Any]]
+__all__ = ["STRETCHES", "TOLD", "Told", "lines", "parts"]
 
 PERIOD, TOLD_AT = 0.01, 0.19
 """s; what is told at 0.19 s is used for the command at 0.2 s."""
@@ -46,52 +46,51 @@ TOLD = (("gains",), ("positive edges",), ("negative edges",), ("gains", *EDGES))
 SURE = 0.004, 0.01
 """Standard deviations with which edges and gains are told."""
 
-Tell = Callable[[Any, Plant], None]
+
+class Told(ProbingFlow):
+    """`probing_flow`, which is told `what` of its valves at `TOLD_AT`; nothing if that is empty."""
+
+    needs = "parameters"
+
+    def __init__(self, what: Sequence[str] = ()) -> None:
+        super().__init__()
+        self.what, self._steps = tuple(what), 0
+
+    def prepare(self, plant: Plant) -> None:
+        self._plant = plant
+
+    def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
+        sent = super().act(observation)
+        if self._steps == round(TOLD_AT / PERIOD):
+            tell(self.what, self._view.valves, self._plant)
+        self._steps += 1
+        return sent
 
 
-def tell(what: Sequence[str]) -> Tell:
-    """A function that writes true `what` of a plant's valves into the estimate of a law's view."""
-
-    def write(view: Any, plant: Plant) -> None:
-        valves, coil = view.valves, plant.get("R") / NOMINAL["R"]
-        if GAINS in what:
-            valves.gain[:] = plant.get("Kq") / NOMINAL["Kq"] / coil
-            valves.gain_variance[:], valves.shared[:] = SURE[1] ** 2, 0.0
-        for side, (name, sign) in enumerate(zip(EDGES, (-1.0, 1.0), strict=True)):
-            if name in what:
-                overlap = plant.get(f"dead_zone.overlap_{name.split()[0]}") + sign * plant.get(
-                    "null_offset.offset"
-                )
-                valves.edge[..., side] = overlap / RATED_TRAVEL * coil
-                valves.unknown[..., side], valves.edge_variance[..., side] = False, SURE[0] ** 2
-                valves.shared[..., side], valves.between[:] = 0.0, 0.0
-
-    return write
+def tell(what: Sequence[str], valves: ValveEstimate, plant: Plant) -> None:
+    """Writes true `what` of a plant's valves into a law's estimate."""
+    coil = plant.get("R") / NOMINAL["R"]
+    if GAINS in what:
+        valves.gain[:] = plant.get("Kq") / NOMINAL["Kq"] / coil
+        valves.gain_variance[:], valves.shared[:] = SURE[1] ** 2, 0.0
+    for side, (name, sign) in enumerate(zip(EDGES, (-1.0, 1.0), strict=True)):
+        if name in what:
+            overlap = plant.get(f"dead_zone.overlap_{name.split()[0]}") + sign * plant.get(
+                "null_offset.offset"
+            )
+            valves.edge[..., side] = overlap / RATED_TRAVEL * coil
+            valves.unknown[..., side], valves.edge_variance[..., side] = False, SURE[0] ** 2
+            valves.shared[..., side], valves.between[:] = 0.0, 0.0
 
 
-def parts(controller: Any, cases: Sequence[int], what: Sequence[str] = ()) -> tuple[Floats, Floats]:
+def parts(controller: Any, cases: Sequence[int]) -> tuple[Floats, Floats]:
     """Largest differences by stretch (stretches, cases) and tracking errors (cases,), rpm."""
-    env = HydraulicSyncVectorEnv(
-        len(cases), plant="paper_dead_zone", mismatch="train", scenario="setpoint_steps"
-    )
-    observation, _ = env.reset(seed=[int(case) for case in cases])
-    if getattr(controller, "needs", "measurements") != "measurements":
-        controller.prepare(copy.deepcopy(env.plant))
-    controller.reset(len(cases), PERIOD)
-    apart: list[Floats] = []
-    off: list[Floats] = []
-    done = False
-    while not done:
-        action = controller.act(observation)
-        if what and len(apart) == round(TOLD_AT / PERIOD):
-            tell(what)(controller._view, env.plant)
-        observation, _, _, truncated, info = env.step(np.clip(action, -1.0, 1.0).astype(np.float32))
-        apart.append(np.abs(info["speed_difference_rpm"]))
-        off.append(np.mean(np.abs(info["speed_rpm"] - info["setpoint_rpm"][:, None]), axis=1))
-        done = bool(np.all(truncated))
-    begin = [max(round(time / PERIOD) - 1, 0) for time in STRETCHES.values()]
+    found = roll_out(controller, cases, mismatch="train", scenario="setpoint_steps", control_period=PERIOD)
+    speed = found.trace.speed_rpm
+    apart = np.abs(speed[..., 0] - speed[..., 1])
+    begin = [round(time / PERIOD) for time in STRETCHES.values()]
     largest = [np.max(apart[a:b], axis=0) for a, b in zip(begin, [*begin[1:], len(apart)], strict=True)]
-    return np.array(largest), np.mean(off, axis=0)
+    return np.array(largest), found.metrics(["tracking_mae_rpm"])["tracking_mae_rpm"]
 
 
 def lines(title: str, largest: Floats, tracking: Floats) -> list[str]:
@@ -126,7 +125,7 @@ def main() -> None:
                 "\n".join(lines(f"`{name}`", *parts(make_controller(name), range(chosen.pairs)))), flush=True
             )
         for what in TOLD if chosen.told else ():
-            found = parts(make_controller("probing_flow"), range(chosen.pairs), what)
+            found = parts(Told(what), range(chosen.pairs))
             print(lines(f"`probing_flow`, told {', '.join(what)}", *found)[0], flush=True)
 
     cleanly(run)

@@ -18,37 +18,43 @@ from numpy.typing import NDArray
 
 from agents.train import cleanly
 from hydro_env.benchmark.statistics import iqm
+from hydro_env.controllers.base import Floats
 from hydro_env.controllers.probing import ProbingFlow
-from hydro_env.envs.batch import HydraulicSyncVectorEnv
+from hydro_env.controllers.rollout import roll_out
+from hydro_env.envs.observation import decode
 
 __all__ = ["differences"]
-
-Floats = NDArray[np.floating[Any]]
 
 PERIOD, JUMP, SHOWN = 0.01, 3.5, 4
 """s; the load's jump; control instants that are shown after it."""
 SHARES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 
 
+class Harder(ProbingFlow):
+    """`probing_flow`, whose command at the first sample that shows the jump is mixed with `share` of the strongest one against
+    the difference."""
+
+    def __init__(self, share: float) -> None:
+        super().__init__()
+        self.share, self._steps = share, 0
+
+    def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
+        sent = super().act(observation)
+        if self._steps == round(JUMP / PERIOD) + 1:
+            speed = decode(np.asarray(observation)).speed
+            against = np.sign(speed[:, 1:] - speed[:, :1]) * np.array([1.0, -1.0])
+            sent = (1.0 - self.share) * sent + self.share * against
+            self._view.sent, self._view._last = sent.copy(), sent.copy()
+        self._steps += 1
+        return sent
+
+
 def differences(share: float, pairs: int) -> Floats:
-    """Speed differences at all control instants but the first, (instants, pairs), rpm."""
-    env = HydraulicSyncVectorEnv(pairs, plant="paper_dead_zone", mismatch="train", scenario="unequal_load")
-    observation, _ = env.reset(seed=list(range(pairs)))
-    law = ProbingFlow()
-    law.reset(pairs, PERIOD)
-    seen = round(JUMP / PERIOD) + 1
-    apart: list[Floats] = []
-    done = False
-    while not done:
-        command = np.clip(law.act(observation), -1.0, 1.0)
-        if len(apart) == seen and share > 0.0:
-            against = -np.sign(apart[-1])[:, None] * np.array([1.0, -1.0])
-            command = (1.0 - share) * command + share * against
-            law._view.sent, law._view._last = command.copy(), command.copy()
-        observation, _, _, truncated, info = env.step(command.astype(np.float32))
-        apart.append(info["speed_rpm"][:, 0] - info["speed_rpm"][:, 1])
-        done = bool(np.all(truncated))
-    return np.array(apart)
+    """Speed differences at all control instants, (instants, pairs), rpm."""
+    found = roll_out(
+        Harder(share), range(pairs), mismatch="train", scenario="unequal_load", control_period=PERIOD
+    )
+    return found.trace.speed_rpm[..., 0] - found.trace.speed_rpm[..., 1]
 
 
 def main() -> None:
@@ -57,7 +63,7 @@ def main() -> None:
     pairs = parser.parse_args().pairs
 
     def run() -> None:
-        first = round(JUMP / PERIOD)
+        first = round(JUMP / PERIOD) + 1
         instants = " | ".join(f"{JUMP + PERIOD * (k + 1):.2f} s" for k in range(SHOWN))
         print(f"| share | largest | {instants} |\n|---|---|" + "---|" * SHOWN)
         for share in SHARES:
