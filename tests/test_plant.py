@@ -423,3 +423,25 @@ def test_single_precision_agrees_and_a_row_equals_the_rig_alone():
     np.testing.assert_array_equal(alone[:, 0], runs[1][:, 17])
     with pytest.raises(ValueError, match="float64 or float32"):
         Plant("paper", dtype="float16")
+
+
+@pytest.mark.parametrize("block", [1, 2, 4, 8, 16])
+def test_any_block_gives_the_same_bits(block):
+    rng = np.random.default_rng(3)
+    command = np.repeat(
+        rng.uniform(-60.0, 60.0, (5, 11, 2)), 8, axis=0
+    )  # 11 rigs fill none of the blocks but 1
+    gains = {
+        "Kq": rng.uniform(0.3, 0.5, (11, 2)),
+        "dead_zone.overlap_positive": rng.uniform(0.0, 1e-4, (11, 2)),
+    }
+    first, here = (
+        simulate("paper", command, None, 0.01, values=gains, num_rigs=11, block=b) for b in (None, block)
+    )
+    np.testing.assert_array_equal(first["speed"], here["speed"])
+
+
+@pytest.mark.parametrize("block", [0, 3, 32])
+def test_a_block_that_no_kernel_takes_is_named(block):
+    with pytest.raises(ValueError, match=f"block is {block}, expected one of 1, 2, 4, 8, 16"):
+        Plant("paper", 4, block=block)

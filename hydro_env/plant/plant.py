@@ -25,6 +25,9 @@ __all__ = ["SIGNALS", "Plant", "machine_memory", "simulate"]
 #: Signals that can be read and recorded.
 SIGNALS = (*STATES, "flow", "measured_speed")
 
+BLOCKS = (1, 2, 4, 8, 16)
+"""Rigs that the kernel can be compiled to take together."""
+
 Array = NDArray[np.float64]
 _NO_RECORD = np.zeros(0, np.int64)
 
@@ -59,7 +62,7 @@ class Plant:
     through the kernel together (1, 2, 4, 8 or 16, chosen by their number unless given), a matter of speed alone.
 
     InputError for an unknown model and for more rigs than this machine has memory for. ValueError for a number of rigs
-    below one or another dtype.
+    below one, another dtype or another block.
     """
 
     def __init__(
@@ -76,6 +79,8 @@ class Plant:
             raise ValueError(f"num_rigs is {num_rigs}, expected at least 1")
         if np.dtype(dtype) not in (np.float32, np.float64):
             raise ValueError(f"dtype is {np.dtype(dtype)}, expected float64 or float32")
+        if block is not None and block not in BLOCKS:
+            raise ValueError(f"block is {block}, expected one of {', '.join(map(str, BLOCKS))}")
         self.model = load_model(model)
         self.num_rigs = int(num_rigs)
         self.substep = float(self.model.substep if substep is None else substep)
