@@ -225,8 +225,7 @@ class FlowView:
             DelayEstimate(n, self.cautious),
         )
         self.noisier = np.ones(pair)
-        # a spool that hears every command at once, and where it was; the commands sent and flows asked for, newest first
-        self.prompt = SpoolModel(n, period, SPOOL_RATE, self.damping, self.friction * FRICTION)
+        # where a spool was that hears every command at once; the commands sent and flows asked for, newest first
         self._places = np.zeros((MOST_DELAY + 1, 2, *pair))
         self._sent, self._wanted = np.zeros((MOST_DELAY + 1, *pair)), np.zeros((MOST_DELAY + 1, *pair))
         self.valves = ValveEstimate(
@@ -286,7 +285,10 @@ class FlowView:
         )  # fmt: skip
 
     def _make_models(self, n: int) -> None:
-        self.spool = SpoolModel(n, self.period, SPOOL_RATE, self.damping, self.friction * FRICTION)
+        # with the commands as they take effect, and one that hears every command at once
+        self.spool, self.prompt = (
+            SpoolModel(n, self.period, SPOOL_RATE, self.damping, self.friction * FRICTION) for _ in range(2)
+        )
         self._estimate = LoadEstimate(n, self.period, NOMINAL["J"], self.share, self._jump)
         self.loads: Loads = self._estimate
 
@@ -373,7 +375,7 @@ class FlowView:
         now = np.stack([self.prompt.position, self.prompt.speed])
         self._places = np.concatenate([now[None], self._places[:-1]])
         changed = self.delays.step(
-            self.prompt.position, self._flow(seen), valves.gain, FLOWING * self.noisier, NOISE * self.noisier
+            self.prompt.shown, self._flow(seen), valves.gain, FLOWING * self.noisier, NOISE * self.noisier
         )
         if changed.any():
             rows = np.flatnonzero(changed)

@@ -4,15 +4,16 @@
 the spool's lightly damped mode stays at rest. Two spools with different ways to their edges then begin to flow at different
 times, which parts the motors at every start and every crossing of standstill. Here the next `HORIZON` commands of both
 valves are planned together (`spool_plan`), in every period anew, from where the modelled spools stand and swing. What else
-the law does, estimation, the reference, the watch over sensors, stays, with five differences:
+the law does, estimation, the reference, the watch over sensors, stays, with six differences:
 
-* The modelled spool hears its commands through the coil, and knows its stops.
+* The modelled spool hears its commands through the coil, and knows its stops; the pressure follows the flow with a lag.
 * Speeds and loads come from a `MotorFilter`, to which the modelled flow tells how the torque went between two samples.
 * Sweeps go where they are wanted in two periods, so that they are steady from the beginning. A sweep that may have found flow
   stands still for a sample until that is sure; one that has found it is thrown back, so that little flows on the way. The
   gains are told from the start itself, which is as slow as they are unsure; no pulses.
 * Edges that are not visited are slowly forgotten.
 * Commands that come late are planned for as well, from where those on their way will have brought spools and motors.
+* A pair that hunts is calmed: the more the flow differs from the model's in steady running, the dearer moves are.
 
 Where a speed sensor is poor, while edges are looked for on the way, and at control periods other than 10 ms, the law beneath
 commands.
@@ -30,6 +31,7 @@ from hydro_env.controllers.flow_law import NOMINAL, SPOOL_RATE
 from hydro_env.controllers.flow_view import FRICTION, RATED_FLOW, TUNED_PERIOD, FlowView
 from hydro_env.controllers.motor_filter import MotorFilter
 from hydro_env.controllers.spool_plan import (
+    PRESSURE,
     Weights,
     follow,
     improve_plans,
@@ -47,10 +49,13 @@ __all__ = ["PlanningView"]
 Floats = NDArray[np.floating[Any]]
 Rows = NDArray[Any] | slice
 
-HORIZON, STEPS, TURNS = 4, 8, 2
+HORIZON, STEPS, TURNS = 4, 8, 4
 """Control periods that are planned, substeps of a period, turns of improvement."""
 BEND = RATED_FLOW / NOMINAL["Km"] * NOMINAL["D"]
 """Torque of the rated flow through the leakage, N m."""
+AMISS, TAKEN, WORST, HEAVIEST = 2e-4, 0.1, 0.02, 6.0
+"""What makes moves dearer while the reference is steady: mean square of what the flow is beside the model's at which they cost
+twice as much, the share of a new square in the mean, the most that one counts, the most that they cost."""
 NOISIEST = 4.0
 """Noise of a speed sensor, in multiples of the usual, up to which commands are planned."""
 SIDES = np.array([1.0, -1.0])
@@ -61,6 +66,8 @@ SMOOTH = 25.0 * RPM
 class LaggedSpool(SpoolModel):
     """A `SpoolModel` behind a coil and between stops, on valves as they are estimated. `bend` (num_rigs, 2): see
     `spool_plan.follow`."""
+
+    late_by = PRESSURE
 
     def __init__(self, num_rigs: int, response: Any) -> None:
         super().__init__(num_rigs, response.step * response.steps, response.rate, 0.0, 0.0)
@@ -109,12 +116,12 @@ class PlanningView(FlowView):
         apart: float = 300.0,
         moves: float = 650.0,
         swing: float = 3000.0,
-        corner: float = 20.0,
-        behind: float = 1.85,
+        corner: float = 14.0,
+        behind: float = 1.95,
         ahead: float = 30.0,
         wander: float = 0.006,
         wander_apart: float = 0.0005,
-        turned: float = 0.1,
+        turned: float = 0.06,
         twice: float = 8.0,
         moved: float = 0.1,
         idle: float = 0.05,
@@ -128,11 +135,13 @@ class PlanningView(FlowView):
         home: float = 0.42,
         patience: float = 250.0,
         onward: float = 1.0,
-        most: float = 0.92,
+        rate: float = 42.0,
+        slew: float = 28.0,
+        most: float = 0.94,
         friction: float = 0.85,
         gain_drift: float = 0.004,
-        doubt: float = 5.0,
-        still: float = 0.012,
+        doubt: float = 5.5,
+        still: float = 0.0165,
         moving: float = 0.06,
         sweep: float = 2.65,
         detect: float = 0.008,
@@ -140,8 +149,8 @@ class PlanningView(FlowView):
         **others: float,
     ) -> None:
         super().__init__(
-            most=most, friction=friction, gain_drift=gain_drift, doubt=doubt, still=still, moving=moving, sweep=sweep,
-            detect=detect, pulse=pulse, **others,
+            rate=rate, slew=slew, most=most, friction=friction, gain_drift=gain_drift, doubt=doubt, still=still,
+            moving=moving, sweep=sweep, detect=detect, pulse=pulse, **others,
         )  # fmt: skip
         own = {
             "apart": apart, "moves": moves, "swing": swing, "corner": corner, "behind": behind, "ahead": ahead,
@@ -171,23 +180,25 @@ class PlanningView(FlowView):
             (motor.per_speed, motor.per_torque, motor.per_acceleration),
         )  # fmt: skip
         self.plan = np.zeros((n, 2, HORIZON))
+        self._amiss = np.zeros(n)
         self._asked_then, self._slope, self._still = np.zeros(n), np.zeros(n), np.zeros(n, bool)
         self._last: Floats = np.zeros((n, 2))
         # spools that stand still in their sweep; that have just found their first and their second edge
         self._waits = np.zeros((n, 2), bool)
         self._turns = self._waits, self._waits
         inputs = super().start(observation, period)
-        self._lagged.valves = self.valves
+        self._lagged.valves = self._prompt.valves = self.valves
         return inputs
 
     def _make_models(self, n: int) -> None:
         super()._make_models(n)
         self.spool = self._lagged = LaggedSpool(n, self._response)
+        self.prompt = self._prompt = LaggedSpool(n, self._response)
         self.loads = self._filter = MotorFilter(n, self.period, *self._filtered)
 
     def restart(self, rows: Rows, observation: Floats) -> Floats:
         inputs = super().restart(rows, observation)
-        self._last[rows], self._waits[rows] = self.sent[rows], False
+        self._last[rows], self._waits[rows], self._amiss[rows] = self.sent[rows], False, 0.0
         self.plan[rows] = self.sent[rows][..., None]
         self._asked_then[rows], self._slope[rows] = self._setpoint[rows], 0.0
         return inputs
@@ -264,14 +275,23 @@ class PlanningView(FlowView):
                 self.delays.periods, self._sent, place, motor, load, edge, self.valves.gain, self._response
             )
         improve_plans(
-            self.plan, plain, rows, place, motor, load, edge, self.valves.gain, last, self._aim(motor), self._weights,
-            self._response,
+            self.plan, plain, rows, place, motor, load, edge, self.valves.gain, last, self._aim(motor), self._dearer(),
+            self._weights, self._response,
         )  # fmt: skip
         self.sent = np.where(planned[:, None], self.plan[..., 0], averaged)
         # what the average goes on from
         self.asked[:] = np.where(planned[:, None], self.sent, self.asked)
         self._last = self.sent.copy()
         return self.sent.copy()
+
+    def _dearer(self) -> Floats:
+        """By how much moves of the commands cost more, (num_rigs,): pairs that friction unlike the model's makes hunt are
+        calmed."""
+        square = np.max((self.valves.surprise / self.noisier) ** 2, axis=1)
+        self._amiss += TAKEN * (np.minimum(square, WORST) - self._amiss)
+        steady = np.abs(self.acceleration) < 1.0
+        dearer: Floats = np.where(steady, np.minimum(1.0 + self._amiss / AMISS, HEAVIEST), 1.0)
+        return dearer
 
     def _sweep(self, sent: Floats) -> Floats:
         """The commands `sent` (num_rigs, 2), for spools that sweep those that bring them along, and home when both edges are

@@ -29,10 +29,10 @@ class ProbingFlow(Controller):
             "1/s",
             5.0,
             60.0,
-            default=40.0,
+            default=42.0,
             summary="rate at which the reference runs to the set-point",
         ),
-        Gain("rise", "1/s", 3.0, 60.0, default=27.0, summary="rated flows a second by which flow may rise"),
+        Gain("rise", "1/s", 3.0, 60.0, default=28.0, summary="rated flows a second by which flow may rise"),
         Gain("fall", "1", 1.0, 10.0, default=4.0, summary="how many times as fast it may fall"),
         Gain(
             "sweep",

@@ -41,6 +41,8 @@ Floats = NDArray[np.floating[Any]]
 
 COIL = 1e-3
 """Time constant of the coil, s: inductance over resistance."""
+PRESSURE = 5e-4
+"""Time constant with which the pressure follows the valve's flow, s: compliance of the volume over leakage, V / (beta Km)."""
 STOP = 1.16
 """Where the end stops of the nominal spool are."""
 CLOSED = 0.3
@@ -76,6 +78,7 @@ class Response(NamedTuple):
     per_speed: float
     per_torque: float
     per_acceleration: float
+    fresh: float  # share of the flow at its end, not at its beginning, that turns the motor in a substep
     travel: NDArray[
         np.float64
     ]  # of a spool after a command of 1 that lasts a period, by substep: (horizon steps,)
@@ -107,8 +110,20 @@ def responses(
         travel.append(position)
         swing.append(speed / rate)
     grip = step * rate * rate * friction
+    # the mean over a substep of a ramp from 0 to 1 that passes the pressure's lag
+    fresh = 0.5 - PRESSURE / step * (1.0 - PRESSURE / step * (1.0 - exp(-step / PRESSURE)))
     return Response(
-        steps, step, rate, decay, grip, held, mean, *flow, travel=np.array(travel), swing=np.array(swing)
+        steps,
+        step,
+        rate,
+        decay,
+        grip,
+        held,
+        mean,
+        *flow,
+        fresh,
+        travel=np.array(travel),
+        swing=np.array(swing),
     )
 
 
@@ -214,11 +229,13 @@ def wait_out(late, sent, place, motor, load, edge, gain, r):
         for c in range(2):
             x, v, held, speed = place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c]
             drag = r.per_torque * load[i, c]
+            before, _ = _valve(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
             for k in range(late[i] - 1, -1, -1):
                 for _ in range(r.steps):
                     x, v, held = _substep(x, v, held, sent[k, i, c], r)
                     flow, _ = _valve(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
-                    speed += push * (flow - r.per_speed * speed - drag)
+                    speed += push * (before + r.fresh * (flow - before) - r.per_speed * speed - drag)
+                    before = flow
             place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c] = x, v, held, speed
 
 
@@ -235,6 +252,8 @@ def _drive(plan, place, motor, load, edge, gain, sent, aim, w, r, speeds, ends, 
     x1, v1, late1, speed1, drag1 = place[0, 1], place[1, 1], place[2, 1], motor[1], r.per_torque * load[1]
     before0, before1 = sent[0], sent[1]
     speeds[0, 0], speeds[1, 0] = speed0, speed1
+    last0, _ = _valve(x0, edge[0, 0], edge[0, 1], gain[0])
+    last1, _ = _valve(x1, edge[1, 0], edge[1, 1], gain[1])
     total = 0.0
     for k in range(horizon):
         command0, command1 = plan[0, k], plan[1, k]
@@ -243,8 +262,9 @@ def _drive(plan, place, motor, load, edge, gain, sent, aim, w, r, speeds, ends, 
             x1, v1, late1 = _substep(x1, v1, late1, command1, r)
             flow0, open0 = _valve(x0, edge[0, 0], edge[0, 1], gain[0])
             flow1, open1 = _valve(x1, edge[1, 0], edge[1, 1], gain[1])
-            speed0 += push * (flow0 - r.per_speed * speed0 - drag0)
-            speed1 += push * (flow1 - r.per_speed * speed1 - drag1)
+            speed0 += push * (last0 + r.fresh * (flow0 - last0) - r.per_speed * speed0 - drag0)
+            speed1 += push * (last1 + r.fresh * (flow1 - last1) - r.per_speed * speed1 - drag1)
+            last0, last1 = flow0, flow1
             opened[0, k * r.steps + s] = 1.0 if open0 else CLOSED
             opened[1, k * r.steps + s] = 1.0 if open1 else CLOSED
         speeds[0, k + 1], speeds[1, k + 1] = speed0, speed1
@@ -261,7 +281,7 @@ def _drive(plan, place, motor, load, edge, gain, sent, aim, w, r, speeds, ends, 
 
 
 @compiled
-def _normal(plan, gain, sent, aim, w, r, speeds, ends, opened, turned, change, square, slope):
+def _normal(plan, gain, sent, aim, w, r, speeds, ends, opened, turned, risen, change, square, slope):
     """The cost's slope (2 H,) and the matrix (2 H, 2 H) of Gauss and Newton, each halved."""
     horizon = plan.shape[1]
     square[:] = 0.0
@@ -270,11 +290,14 @@ def _normal(plan, gain, sent, aim, w, r, speeds, ends, opened, turned, change, s
     keep = 1.0 - push * r.per_speed
     for c in range(2):
         turned[:] = 0.0
+        risen[:] = 0.0
         for k in range(horizon):
             for s in range(r.steps):
                 rise = push * gain[c] * opened[c, k * r.steps + s]
                 for j in range(k + 1):
-                    turned[j] = keep * turned[j] + rise * r.travel[(k - j) * r.steps + s]
+                    now = rise * r.travel[(k - j) * r.steps + s]
+                    turned[j] = keep * turned[j] + risen[j] + r.fresh * (now - risen[j])
+                    risen[j] = now
             for j in range(k + 1):
                 change[c, j, k + 1] = turned[j]
     for k in range(1, horizon + 1):
@@ -332,21 +355,22 @@ def _solve(square, slope, move):
 
 
 @compiled
-def improve_plans(plans, plain, rows, place, motor, load, edge, gain, sent, aim, w, r):
+def improve_plans(plans, plain, rows, place, motor, load, edge, gain, sent, aim, dearer, w, r):
     """Improves the plans (N, 2, H) of the rigs `rows`, in place.
 
     plain (N, 2, H): another plan to begin with, where it is better. place (3, N, 2): positions, speeds and coils' commands of
     the spools. motor (N, 2): speeds in rad/s; load (N, 2) in N m; edge (N, 2, 2); gain, sent (N, 2), the last command; aim
-    (N, H + 1) in rad/s at the control instants. w: `Weights`, r: `Response`.
+    (N, H + 1) in rad/s at the control instants. dearer (N,): factors of the moves' weight. w: `Weights`, r: `Response`.
     """
     horizon = plans.shape[2]
     n = 2 * horizon
     speeds, ends, opened = np.empty((2, horizon + 1)), np.empty((2, 2)), np.empty((2, horizon * r.steps))
-    change, turned = np.empty((2, horizon, horizon + 1)), np.empty(horizon)
+    change, turned, risen = np.empty((2, horizon, horizon + 1)), np.empty(horizon), np.empty(horizon)
     square, slope, move, tried = np.empty((n, n)), np.empty(n), np.empty(n), np.empty((2, horizon))
     for i in rows:
         plan, at = plans[i], place[:, i]
-        given = (at, motor[i], load[i], edge[i], gain[i], sent[i], aim[i], w, r, speeds, ends, opened)
+        own = Weights(w.apart, w.aim, w.moves * dearer[i], w.swing, w.corner, w.turns)
+        given = (at, motor[i], load[i], edge[i], gain[i], sent[i], aim[i], own, r, speeds, ends, opened)
         other = _drive(plain[i], *given)
         cost = _drive(plan, *given)
         if other < cost:
@@ -357,8 +381,29 @@ def improve_plans(plans, plain, rows, place, motor, load, edge, gain, sent, aim,
                 cost = _drive(plan, *given)
             for _ in range(w.turns):
                 _normal(
-                    plan, gain[i], sent[i], aim[i], w, r, speeds, ends, opened, turned, change, square, slope
+                    plan,
+                    gain[i],
+                    sent[i],
+                    aim[i],
+                    own,
+                    r,
+                    speeds,
+                    ends,
+                    opened,
+                    turned,
+                    risen,
+                    change,
+                    square,
+                    slope,
                 )
+                # a command at its limit that would go beyond stays there
+                for c in range(2):
+                    for j in range(horizon):
+                        k = c * horizon + j
+                        if plan[c, j] * slope[k] < 0.0 and abs(plan[c, j]) >= 1.0:
+                            square[k, :] = 0.0
+                            square[:, k] = 0.0
+                            square[k, k], slope[k] = 1.0, 0.0
                 _solve(square, slope, move)
                 size, better = 1.0, False
                 for _ in range(TRIES):

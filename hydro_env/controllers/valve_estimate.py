@@ -43,6 +43,9 @@ SUBSTEP = 1.25e-3
 class SpoolModel:
     """Positions (num_rigs, 2) of nominal spools. `rate` of the mode in 1/s, `friction` as a share of the rated command."""
 
+    late_by = 0.0
+    """Time by which the measured flow is behind the spools, s."""
+
     def __init__(self, num_rigs: int, period: float, rate: float, damping: float, friction: float) -> None:
         self._steps = max(1, round(period / SUBSTEP))
         step = period / self._steps
@@ -52,6 +55,11 @@ class SpoolModel:
         self._step, self._rate = step, rate
         self.position, self.speed = np.zeros((num_rigs, 2)), np.zeros((num_rigs, 2))
         self.ringing = np.zeros((num_rigs, 2))
+
+    @property
+    def shown(self) -> Floats:
+        """Positions (num_rigs, 2) that the measured flow tells of."""
+        return self.position - self.late_by * self.speed
 
     def place(self, rows: Rows, position: Floats) -> None:
         """Puts spools to rest at a position."""
@@ -143,11 +151,14 @@ class ValveEstimate:
         `FLOWING` where it is not given.
         """
         least = FLOWING * noisier if least is None else least
+        shown = spool.shown
+        late = spool.position - shown
         _learn(
-            spool.position, spool.ringing, flow, noisier, least, self._walk[0], self._walk[1], *self._doubt, self._first,
+            shown, spool.ringing, flow, noisier, least, self._walk[0], self._walk[1], *self._doubt, self._first,
             self._moved, self._idle, self._unused, self.gain, self.edge, self.unknown, self.nearest, self.gain_variance,
             self.edge_variance, self.shared, self.between, self.surprise,
         )  # fmt: skip
+        spool.position[:] = shown + late
 
 
 @compiled
