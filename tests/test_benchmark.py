@@ -411,8 +411,8 @@ PINNED = {
     "disturbance_observer": (39.64, 18.53),
     "compensated": (41.74, 8.90),
     "adaptive_flow": (39.33, 15.54),
-    "probing_flow": (30.28, 6.14),
-    "bench_flow": (29.05, 4.42),
+    "probing_flow": (30.29, 5.56),
+    "bench_flow": (28.87, 4.47),
     "servo_pid": (24.45, 5.32),
     "oracle": (25.41, 0.84),
 }
