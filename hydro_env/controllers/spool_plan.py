@@ -113,18 +113,8 @@ def responses(
     # the mean over a substep of a ramp from 0 to 1 that passes the pressure's lag
     fresh = 0.5 - PRESSURE / step * (1.0 - PRESSURE / step * (1.0 - exp(-step / PRESSURE)))
     return Response(
-        steps,
-        step,
-        rate,
-        decay,
-        grip,
-        held,
-        mean,
-        *flow,
-        fresh,
-        travel=np.array(travel),
-        swing=np.array(swing),
-    )
+        steps, step, rate, decay, grip, held, mean, *flow, fresh, travel=np.array(travel), swing=np.array(swing),
+    )  # fmt: skip
 
 
 @compiled
@@ -381,21 +371,8 @@ def improve_plans(plans, plain, rows, place, motor, load, edge, gain, sent, aim,
                 cost = _drive(plan, *given)
             for _ in range(w.turns):
                 _normal(
-                    plan,
-                    gain[i],
-                    sent[i],
-                    aim[i],
-                    own,
-                    r,
-                    speeds,
-                    ends,
-                    opened,
-                    turned,
-                    risen,
-                    change,
-                    square,
-                    slope,
-                )
+                    plan, gain[i], sent[i], aim[i], own, r, speeds, ends, opened, turned, risen, change, square, slope,
+                )  # fmt: skip
                 # a command at its limit that would go beyond stays there
                 for c in range(2):
                     for j in range(horizon):
