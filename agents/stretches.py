@@ -54,7 +54,11 @@ class Told(ProbingFlow):
 
     def __init__(self, what: Sequence[str] = ()) -> None:
         super().__init__()
-        self.what, self._steps = tuple(what), 0
+        self.what = tuple(what)
+
+    def reset(self, num_rigs: int, control_period: float) -> None:
+        super().reset(num_rigs, control_period)
+        self._steps = 0
 
     def prepare(self, plant: Plant) -> None:
         self._plant = plant

@@ -36,7 +36,11 @@ class Harder(ProbingFlow):
 
     def __init__(self, share: float) -> None:
         super().__init__()
-        self.share, self._steps = share, 0
+        self.share = share
+
+    def reset(self, num_rigs: int, control_period: float) -> None:
+        super().reset(num_rigs, control_period)
+        self._steps = 0
 
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
         sent = super().act(observation)
