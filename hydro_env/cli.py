@@ -496,7 +496,10 @@ def diagnose(
         ),
     ] = None,
     effect_files: EffectFiles = None,
-    jobs: Jobs = 1,
+    jobs: Annotated[
+        int | None,
+        typer.Option("--jobs", min=1, help="Threads to work with; one for every core unless told."),
+    ] = None,
     seed: Seed = 0,
 ) -> None:
     """Find out from logs what a model lacks.

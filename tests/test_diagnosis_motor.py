@@ -10,12 +10,13 @@ from hydro_env.diagnosis.experiments import next_experiment, simulated
 from hydro_env.diagnosis.fit import Problem
 from hydro_env.diagnosis.hide import make_practice
 from hydro_env.diagnosis.machine import Request
-from hydro_env.diagnosis.motor import MotorRig
+from hydro_env.diagnosis.motor import PARTED_SUBSTEP, SUBSTEP, MotorRig
 from hydro_env.diagnosis.parts import read_parts
 from hydro_env.diagnosis.result import Named
 from hydro_env.diagnosis.select import Selection, Trial
 from hydro_env.diagnosis.unknowns import base_unknown, effect_unknowns, starts
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, load_model
+from hydro_env.units import RPM
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +35,52 @@ def test_a_request_is_answered_the_same_beside_others(fit_log: Path) -> None:
     np.testing.assert_array_equal(alone[0], beside[1][0])
     np.testing.assert_array_equal(alone[0], beside[3][0])
     assert set(alone) == {0} and set(beside[3]) == {0, 1}
+
+
+def test_threads_change_no_bit(fit_log: Path) -> None:
+    parts = read_parts([fit_log], None)
+    wanted = [Request(c, {"Kq": 0.2 + 0.01 * n}) for n in range(20) for c in (0, 1)]
+    wanted += [Request(0, {"dead_zone.overlap_positive": 1e-5 * n}) for n in range(3)]
+    wanted += [Request(None, {"supply_droop.relative_drop": (0.1 * n, 0.1 * n)}) for n in range(1, 9)]
+    shared = MotorRig(load_model("paper"), parts, jobs=3)
+    alone, beside = MotorRig(load_model("paper"), parts).predict(wanted), shared.predict(wanted)
+    shared.close()
+    for one, other in zip(alone, beside, strict=True):
+        assert one.keys() == other.keys()
+        for c in one:
+            np.testing.assert_array_equal(one[c], other[c])
+
+
+#: Effects whose course single precision may change: where a shaft rattles or comes to rest, any rounding does.
+ROUGH = {"displacement_ripple": 1.0, "eccentric_load": 1.0, "shaft_backlash": 10.0}
+
+
+@pytest.mark.parametrize("name", ["", *(n for n in BUILT_IN if not CATALOGUE[n].family)])
+def test_the_fits_numbers_are_near_those_of_the_proof(fit_log: Path, name: str) -> None:
+    parts = read_parts([fit_log], None)
+    typical = {f"{name}.{p.name}": p.typical for p in CATALOGUE[name].parameters if p.typical} if name else {}
+    pairs = {key: (value, value) for key, value in typical.items()}
+    fit = MotorRig(load_model("paper"), parts)
+    proof = fit.with_parts(parts, True)
+    found = [m.predict([Request(None, pairs)])[0] for m in (fit, proof)]
+    for c in (0, 1):
+        speed = next(s for s in fit.segments[c] if s.signal == "speed")
+        change = (found[0][c] - found[1][c])[speed.place]
+        assert np.sqrt(np.mean(change**2)) / RPM < ROUGH.get(name, 0.2)
+
+
+def test_a_rig_takes_longer_substeps_only_where_both_channels_are_in_parts(fit_log: Path) -> None:
+    parts = read_parts([fit_log], None)
+    rig = MotorRig(load_model("paper"), parts)
+    ripple = {"displacement_ripple.amplitude": (0.05, 0.0)}
+    weak = {"supply_droop.relative_drop": (0.7, 0.7), "supply_droop.time_constant": (0.1, 0.1)}
+    assert rig._step(Request(None, ripple)) == SUBSTEP and rig._step(Request(None, weak)) == PARTED_SUBSTEP
+    assert rig._step(Request(0, {"displacement_ripple.amplitude": 0.05})) == PARTED_SUBSTEP
+    for values in (ripple, weak):
+        coarse, fine = (m.predict([Request(None, values)])[0] for m in (rig, rig.with_parts(parts, True)))
+        speed = next(s for s in rig.segments[1] if s.signal == "speed")
+        change = (coarse[1] - fine[1])[speed.place]
+        assert np.sqrt(np.mean(change**2)) / RPM < 0.2
 
 
 def test_the_model_as_given_explains_a_rig_without_surprise(fit_log: Path) -> None:

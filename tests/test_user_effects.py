@@ -96,6 +96,6 @@ def test_it_is_diagnosed(file: Path, tmp_path: Path) -> None:
     load_effects([file])
     make_practice([f"{NAME}:1"], duration=6.0, rate=500.0).write(tmp_path)
     logs = [tmp_path / f"{name}.csv" for name in ("fit_1", "fit_2")]
-    found = diagnose(logs, [tmp_path / "sealed.csv"], jobs=2)  # the processes load the file too
+    found = diagnose(logs, [tmp_path / "sealed.csv"], jobs=2)
     assert found.data["verdict"] == "effects"
     assert f'"{NAME}"' in json.dumps(found.data["effects"])

@@ -9,6 +9,7 @@ steady-valve model (`steady_valve`), everything else with the dynamic plant (`mo
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -78,7 +79,7 @@ def diagnose(
 
     `without` names effects that are not to be candidates; `accept` codes of findings (`sign`, `swapped`, `unit`, ...) that
     would otherwise stop a diagnosis. InputError for anything that cannot be used. `seed` is that of
-    the bootstrap; the same seed gives the same result.
+    the bootstrap; the same seed gives the same result, with any number of threads (`jobs`) that simulate.
     """
     begin = time.perf_counter()
     if not fit_logs:
@@ -276,6 +277,11 @@ def _listed(part: Part) -> str:
     return " and ".join(str(c + 1) for c in part.log.channels)
 
 
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _lower(old: Floors, new: Floors) -> Floors:
     return {key: min(value, new[key]) for key, value in old.items()}
 
@@ -310,17 +316,20 @@ def _warnings(
 
 def run(
     fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], out: str | Path, *, model: str | Path = "paper",
-    mapping: str | Path | None = None, jobs: int = 1, seed: int = 0, steady: bool = False,
+    mapping: str | Path | None = None, jobs: int | None = None, seed: int = 0, steady: bool = False,
     accept: Sequence[str] = (), quiet: bool = False,
 ) -> Diagnosis:  # fmt: skip
-    """The command: diagnoses, prints about twenty lines, writes diagnosis.json, report.html and model.yaml to `out`."""
+    """The command: diagnoses, prints about twenty lines, writes diagnosis.json, report.html and model.yaml to `out`.
+
+    `jobs` threads (None: one for every core that this process may use), as in `diagnose`.
+    """
     from tqdm import tqdm
 
     from .report import report_page, terminal_text
 
     with tqdm(unit=" simulations", disable=quiet or None, leave=False) as bar:
         found = diagnose(
-            fit_logs, sealed, model=model, mapping=mapping, jobs=jobs, seed=seed, steady=steady,
+            fit_logs, sealed, model=model, mapping=mapping, jobs=jobs or _cores(), seed=seed, steady=steady,
             accept=accept, say=lambda text: bar.set_description(text), count=bar.update,
         )  # fmt: skip
         bar.set_description("writing the report")

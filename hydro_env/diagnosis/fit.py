@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from ..plant import CATALOGUE, parameter_of
-from .machine import Machine, Request, Segment
+from .machine import BLOCK_S, Machine, Request, Segment
 from .noise import effective_samples
 from .unknowns import Unknown, effect_unknowns, force_scale, less_taken
 
@@ -52,8 +52,6 @@ SCALED_BY = "k"
 _TRIALS = (4.0, 2.0, 1.0, 0.4, 0.1)
 #: Starts of a problem that are nearer than this in every q have met.
 _MET = 0.05
-#: Length of the blocks that have a variance of their own, s.
-BLOCK_S = 0.1
 
 
 @dataclass
@@ -151,10 +149,8 @@ def _powers(
     The power is the mean square of the error plus the noise's.
     """
     for s in machine.segments[channel]:
-        first = np.arange(0, s.rows.size, max(10, round(BLOCK_S / s.period)))
-        used = s.used
-        count = np.add.reduceat(used.astype(float), first)
-        error = np.where(used, np.nan_to_num(s.measured) - simulated[s.place], 0.0)
+        first, count = s.blocks
+        error = s.error(simulated)
         power = (
             np.add.reduceat(error * error, first) / np.maximum(count, 1.0) + floors[channel, s.signal] ** 2
         )
@@ -197,7 +193,7 @@ def _weights(machine: Machine, simulated: Vector, channel: int, floors: Floors) 
 
 
 def _measured(machine: Machine, channel: int) -> Vector:
-    return np.concatenate([np.nan_to_num(s.measured) for s in machine.segments[channel]])
+    return np.concatenate([s.filled for s in machine.segments[channel]])
 
 
 def evaluate(machine: Machine, problems: Sequence[Problem], floors: Floors) -> None:
@@ -414,7 +410,7 @@ def normal_parts(
         for s in machine.segments[channel]:
             if s.used.sum() < 8:
                 continue
-            error = np.where(s.used, np.nan_to_num(s.measured) - problem.simulated[channel][s.place], 0.0)
+            error = s.error(problem.simulated[channel])
             share = effective_samples(error[s.used]) / float(s.used.sum())
             columns = problem.columns[channel][s.place] * weights[s.place, None]
             number = _stretches(s, stretch_s)
@@ -443,10 +439,7 @@ def saved_by_stretch(
             continue
         floor = floors[channel, s.signal] ** 2
         number = _stretches(s, stretch_s)
-        errors = [
-            np.where(s.used, np.nan_to_num(s.measured) - p.simulated[channel][s.place], 0.0)
-            for p in (smaller, larger)
-        ]
+        errors = [s.error(p.simulated[channel]) for p in (smaller, larger)]
         weights = _weights(machine, larger.simulated[channel], channel, floors)[s.place]
         shares.append(effective_samples((errors[1] * weights)[s.used]) / float(s.used.sum()))
         counts = np.bincount(number, s.used.astype(float))

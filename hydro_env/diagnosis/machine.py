@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -15,10 +16,12 @@ import numpy as np
 from ..plant import Parameter, PlantModel
 from .parts import Part
 
-__all__ = ["Machine", "Request", "UNITS", "Segment", "measured_segments"]
+__all__ = ["BLOCK_S", "Machine", "Request", "UNITS", "Segment", "measured_segments"]
 
 #: Rows of one log and signal that a fit looks at, at most; the proof looks at all of them.
 MAX_ROWS = 6000
+#: Length of the blocks that have a variance of their own, s.
+BLOCK_S = 0.1
 #: Signals that a machine may predict, with the unit they are shown in and its size in SI.
 UNITS = {
     "speed": ("rpm", np.pi / 30.0),
@@ -54,9 +57,25 @@ class Segment:
     period: float
     place: slice = field(default_factory=lambda: slice(0, 0))
 
-    @property
+    @cached_property
     def used(self) -> np.ndarray:
+        """Which rows count (n,)."""
         return self.inside & np.isfinite(self.measured)
+
+    @cached_property
+    def filled(self) -> np.ndarray:
+        """The measured samples (n,), 0 where there is none."""
+        return np.nan_to_num(self.measured)
+
+    @cached_property
+    def blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """The first row of every block (b,), and how many rows of it count (b,)."""
+        first = np.arange(0, self.rows.size, max(10, round(BLOCK_S / self.period)))
+        return first, np.add.reduceat(self.used.astype(float), first)
+
+    def error(self, simulated: np.ndarray) -> np.ndarray:
+        """Measured less simulated (n,), 0 where a row does not count."""
+        return np.where(self.used, self.filled - simulated[self.place], 0.0)
 
 
 class Machine(Protocol):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Collection, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
-from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, load_effects, loaded_files, simulate
+from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, simulate
 from ..plant.shapes import CORRECTIONS, FAMILY
 from .machine import Request, Segment, measured_segments
 from .parts import Part
@@ -21,10 +20,11 @@ __all__ = ["MotorRig"]
 SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
 #: The fit's substep where an effect has every substep taken in parts (of 20 to 50 us then), s.
 PARTED_SUBSTEP = 500e-6
-#: Rigs of one call, so that memory stays small and progress visible.
-LANES = 32
-#: Rigs that go through the kernel together, and a small remainder of them: idle lanes cost as much as others.
-BLOCK, REMAINDER = 8, 4
+#: Rigs that go through the kernel together: many where there are many, few where lanes would be idle, which cost as much as
+#: others.
+BLOCKS = (4, 8, 16)
+#: Numbers of the fit and of the proof. Single precision moves a speed by a tenth of what the fit's substep does.
+DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: Functions that make an effect's law too slow to be carried along by every candidate.
 _SLOW = frozenset({"exp", "tanh", "cos", "sin"})
 #: Base parameters that calibration may adjust. V is left out (never told from beta), u_rated and x_max are settings.
@@ -43,9 +43,10 @@ class MotorRig:
 
     def __init__(
         self, model: PlantModel, parts: list[Part], *, every_row: bool = False, substep: float = SUBSTEP,
-        jobs: int = 1, progress: Callable[[int], None] | None = None, without: frozenset[str] = frozenset(),
+        dtype: type[np.floating[Any]] = DTYPE, jobs: int = 1, progress: Callable[[int], None] | None = None,
+        without: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
-        self.without = without
+        self.without, self.dtype = without, dtype
         self.model, self.parts, self.substep, self.jobs, self.progress = model, parts, substep, jobs, progress
         self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
         self.segments: dict[int, list[Segment]] = measured_segments(
@@ -54,8 +55,10 @@ class MotorRig:
         self.signals = tuple(
             s for s in _RECORDED if any(seg.signal == s for segs in self.segments.values() for seg in segs)
         )
+        self.period = min(part.log.period for part in parts)
         self.every_row = every_row
-        self._pool: ProcessPoolExecutor | None = None
+        # The plant's kernel lets other threads of this process run beside it.
+        self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
         self.coupled = any(CATALOGUE[e].scope == "rig" for e in model.declared)
         names = [*PARAMETERS, *(f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters)]
         self._unequal = {name for name in names if model.value(name, 0) != model.value(name, 1)}
@@ -71,6 +74,7 @@ class MotorRig:
             parts,
             every_row=every_row,
             substep=PROOF_SUBSTEP,
+            dtype=PROOF_DTYPE,
             jobs=self.jobs,
             progress=self.progress,
             without=self.without,
@@ -127,8 +131,6 @@ class MotorRig:
         return [Request(c, {name: pair[c] for name, pair in pairs.items()}) for c in self.channels]
 
     def _predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
-        if self.jobs > 1 and len(requests) >= 16:
-            return self._shared_out(requests)
         results: list[dict[int, np.ndarray]] = [{} for _ in requests]
         by_kernel: dict[tuple[tuple[str, ...], int, float], list[int]] = {}
         for number, request in enumerate(requests):
@@ -136,25 +138,21 @@ class MotorRig:
             parts = max((_parts(CATALOGUE[e]) for e in request.effects), default=1)
             key = (self.kernel(request.effects), parts, self._step(request))
             by_kernel.setdefault(key, []).append(number)
+        pieces: list[tuple[tuple[str, ...], float, list[list[int]], int]] = []
         for (effects, _, step), numbers in by_kernel.items():
             rows = self._pack([(n, requests[n]) for n in numbers])
-            for start, stop, block in _pieces(len(rows)):
-                self._run(effects, step, rows[start:stop], requests, results, block)
-        return results
+            pieces += [
+                (effects, step, rows[start:stop], block)
+                for start, stop, block in _pieces(len(rows), self.jobs)
+            ]
 
-    def _shared_out(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
-        """The same by several processes; a request's result does not depend on who simulates it or beside what."""
-        if self._pool is None:
-            mode = multiprocessing.get_context("spawn")
-            given = (loaded_files(), self.model, self.parts, self.every_row, self.substep)
-            self._pool = ProcessPoolExecutor(self.jobs, mp_context=mode, initializer=_begin, initargs=given)
-        # Every n-th, so that each share holds both channels and every kernel in equal parts.
-        shares = [list(requests[k :: self.jobs]) for k in range(self.jobs)]
-        results: list[dict[int, np.ndarray]] = [{} for _ in requests]
-        for k, answers in enumerate(self._pool.map(_answer, shares)):
-            results[k :: self.jobs] = answers
-            if self.progress is not None:
-                self.progress(len(answers) // 2)
+        def work(piece: tuple[tuple[str, ...], float, list[list[int]], int]) -> None:
+            effects, step, rigs, block = piece
+            self._run(effects, step, rigs, requests, results, block)
+
+        # A request's result does not depend on who simulates it or beside what; every one has its place in `results`.
+        for _ in map(work, pieces) if self._pool is None else self._pool.map(work, pieces):
+            pass
         return results
 
     def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
@@ -176,17 +174,15 @@ class MotorRig:
 
     def _step(self, request: Request) -> float:
         """The substep of a request, which does not depend on what is simulated beside it."""
-        period = min(part.log.period for part in self.parts)
-        alone = request.channel is not None and not self.coupled
         parted = (
-            alone
+            not (self.coupled and request.channel is not None)
             and self.substep == SUBSTEP
             and any(_all_parted(CATALOGUE[e], request) for e in request.effects)
         )
-        return PARTED_SUBSTEP if parted and period >= PARTED_SUBSTEP else self.substep
+        return PARTED_SUBSTEP if parted and self.period >= PARTED_SUBSTEP else self.substep
 
     def close(self) -> None:
-        """Ends the processes, if there are any."""
+        """Ends the threads, if there are any."""
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
@@ -275,32 +271,20 @@ class MotorRig:
         with np.errstate(all="ignore"):
             return simulate(
                 self.model, command, load, part.log.period, values=values, num_rigs=lanes, effects=effects,
-                record=[_RECORDED[s] for s in self.signals], substep=step, block=block,
+                record=[_RECORDED[s] for s in self.signals], substep=step, dtype=self.dtype, block=block,
             )  # fmt: skip
 
 
-def _pieces(count: int) -> Iterator[tuple[int, int, int]]:
-    """Rigs from, to, and how many to a block: whole blocks, then what remains."""
-    rest = count % BLOCK
-    whole = count if rest > REMAINDER else count - rest
-    for start in range(0, whole, LANES):
-        yield start, min(start + LANES, whole), BLOCK
-    if whole < count:
-        yield whole, count, REMAINDER
+def _pieces(count: int, jobs: int) -> Iterator[tuple[int, int, int]]:
+    """Rigs from, to, and the block they go in, for `jobs` threads that share them."""
 
+    def block_of(rigs: int) -> int:
+        return next((b for b in BLOCKS if b >= rigs), BLOCKS[-1])
 
-_RIG: list[MotorRig] = []  # of a worker process
-
-
-def _begin(
-    files: tuple[Path, ...], model: PlantModel, parts: list[Part], every_row: bool, substep: float
-) -> None:
-    load_effects(files)  # a new process knows the built-in effects only
-    _RIG.append(MotorRig(model, parts, every_row=every_row, substep=substep))
-
-
-def _answer(requests: list[Request]) -> list[dict[int, np.ndarray]]:
-    return _RIG[0]._predict(requests)
+    step = block_of(-(-count // jobs))
+    for start in range(0, count, step):
+        stop = min(start + step, count)
+        yield start, stop, block_of(stop - start)
 
 
 def _parts(effect: Effect) -> int:
@@ -308,13 +292,17 @@ def _parts(effect: Effect) -> int:
 
 
 def _all_parted(effect: Effect, request: Request) -> bool:
-    """Whether the effect has every substep taken in parts, wherever the rig is: its corner asks for its parameters only."""
+    """Whether the effect has every substep taken in parts, wherever the rig is and on all of its channels: its corner asks for
+    its parameters only."""
     if effect.corner is None:
         return False
     code = effect.corner.__code__
     names = code.co_varnames[: code.co_argcount]
     own = {p.name: request.values.get(f"{effect.name}.{p.name}", p.nominal) for p in effect.parameters}
-    return {*names} <= {*own} and bool(effect.corner(**{name: own[name] for name in names}))
+    if not {*names} <= {*own}:
+        return False
+    sides = zip(*(np.broadcast_to(own[name], 2).tolist() for name in names), strict=True)
+    return all(effect.corner(*side) for side in sides)
 
 
 def _ties(effect: Effect) -> bool:

@@ -70,7 +70,7 @@ def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
     Args:
         out: an existing folder.
         seed: of the benchmark's pairs of valves and of the practice logs.
-        jobs: processes.
+        jobs: processes of the scoreboard; the diagnosis has a thread for every core.
 
     Returns the content of demo.json: the numbers of the page and the seconds of each part.
     """
@@ -81,7 +81,7 @@ def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
     with clock.part("scoreboard"):
         board = _board(_folder(out, "benchmark"), seed, jobs)
     with clock.part("diagnosis"):
-        finding = _diagnosis(_folder(out, "practice"), _folder(out, "diagnosis"), seed, jobs)
+        finding = _diagnosis(_folder(out, "practice"), _folder(out, "diagnosis"), seed)
     png(paper["drawing"], out / "demo.png")
     page = render(
         files(__package__).joinpath("demo.html"),
@@ -243,11 +243,11 @@ def _dots(controllers: list[str], cells: dict[Any, Any]) -> Any:
 
 
 # --- 3. the diagnosis -------------------------------------------------------------------------------------------------
-def _diagnosis(practice: Path, out: Path, seed: int, jobs: int) -> dict[str, Any]:
+def _diagnosis(practice: Path, out: Path, seed: int) -> dict[str, Any]:
     hide.run(HIDDEN, practice, seed=seed)
     truth = json.loads((practice / "truth.json").read_text(encoding="utf-8"))
     logs = {kind: [practice / name for name in truth["logs"][kind]] for kind in ("fit", "sealed")}
-    diagnosis.run(logs["fit"], logs["sealed"], out, model=practice / "model.yaml", jobs=jobs, seed=seed)
+    diagnosis.run(logs["fit"], logs["sealed"], out, model=practice / "model.yaml", seed=seed)
     found = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
     hidden = {effect["name"]: effect for effect in truth["effects"]}
     effects, parameters = [], []

@@ -278,6 +278,7 @@ def _call(name: str, *arguments: ast.expr) -> ast.Call:
     return ast.Call(ast.Name(name, ast.Load()), list(arguments), [])
 
 
+@lru_cache(maxsize=1024)  # kernels of different effects share most of their text
 def _fused(text: str) -> str:
     return ast.unparse(_Fuse().visit(ast.parse(textwrap.dedent(text))))
 
@@ -374,6 +375,7 @@ def _uses(name: str, text: str) -> bool:
     return re.search(rf"\b{name}\b", text) is not None
 
 
+@lru_cache(maxsize=256)
 def _paste(function: Callable[..., Any], name: str) -> str:
     """Source of a plain function under another name. ValueError if it cannot run on many lanes at once."""
     try:
@@ -636,7 +638,8 @@ from hydro_env.plant.lanes import vectors
 from numba import njit
 
 real = {real}
-block = njit(error_model="numpy", cache=True, no_cfunc_wrapper=True)
+# Threads may step plants of their own side by side.
+block = njit(error_model="numpy", cache=True, no_cfunc_wrapper=True, nogil=True)
 
 HALF = {half}
 LANES = 2 * HALF

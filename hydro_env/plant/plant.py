@@ -414,17 +414,18 @@ def simulate(
     record: Sequence[str] = ("speed",),
     every: int = 1,
     substep: float | None = None,
+    dtype: DTypeLike = np.float64,
     block: int | None = None,
 ) -> dict[str, Array]:
     """Simulates a command sequence from rest for `num_rigs` variants of a model.
 
     `values` maps parameters to arrays that broadcast to (num_rigs, 2); one of shape (num_rigs,) is taken for both
-    channels of each rig. Effects named in `values` are compiled in; `block` as in `Plant`. The rest as in `Plant.run`:
-    row n of the result is the state at the instant at which command n begins to act.
+    channels of each rig. Effects named in `values` are compiled in; `dtype` and `block` as in `Plant`. The rest as in
+    `Plant.run`: row n of the result is the state at the instant at which command n begins to act.
     """
     values = dict(values or {})
     named = {name.split(".", 1)[0] for name in values if "." in name}
-    plant = Plant(model, num_rigs, effects=(*effects, *named), substep=substep, block=block)
+    plant = Plant(model, num_rigs, effects=(*effects, *named), substep=substep, dtype=dtype, block=block)
     for name, value in values.items():
         array = np.asarray(value, dtype=np.float64)
         plant.set(name, array[:, None] if array.ndim == 1 and array.shape[0] == num_rigs else array)
