@@ -72,10 +72,10 @@ def test_the_fits_numbers_are_near_those_of_the_proof(fit_log: Path, name: str) 
 def test_a_rig_takes_longer_substeps_only_where_both_channels_are_in_parts(fit_log: Path) -> None:
     parts = read_parts([fit_log], None)
     rig = MotorRig(load_model("paper"), parts)
-    ripple = {"displacement_ripple.amplitude": (0.05, 0.0)}
+    ripple = {"displacement_ripple.amplitude": (0.15, 0.0)}
     weak = {"supply_droop.relative_drop": (0.7, 0.7), "supply_droop.time_constant": (0.1, 0.1)}
     assert rig._step(Request(None, ripple)) == SUBSTEP and rig._step(Request(None, weak)) == PARTED_SUBSTEP
-    assert rig._step(Request(0, {"displacement_ripple.amplitude": 0.05})) == PARTED_SUBSTEP
+    assert rig._step(Request(0, {"displacement_ripple.amplitude": 0.15})) == PARTED_SUBSTEP
     for values in (ripple, weak):
         coarse, fine = (m.predict([Request(None, values)])[0] for m in (rig, rig.with_parts(parts, True)))
         speed = next(s for s in rig.segments[1] if s.signal == "speed")
