@@ -17,6 +17,7 @@ with what is fitted, and every effect in another shape than the catalogue's wher
     unlisted    every effect hidden at medium severity and taken out of the candidates
     speed_only, current_too   every effect, only command and speed (and current) in the log, no load applied
     quiet, noisy  every effect with a tenth of the noise and ten times the noise
+    no_twins    every effect that the catalogue declares not to be told from others, these taken out of the candidates too
 
 Trials that DIR holds already are not run again, so a run may be interrupted and continued. Slices write files of their own
 (trials_K_of_N.json) and may run side by side. Each row says by a hash of the sources which method it ran on, and how much the
@@ -84,9 +85,10 @@ GROUPS: dict[str, dict[str, Any]] = {
     "current_too": {"record": ("setpoint", "current")},
     "quiet": {"noise": 0.1},
     "noisy": {"noise": 10.0},
+    "no_twins": {"unlisted": True, "twins": False},
 }
 #: Groups in which something is hidden that may be named.
-_WITH_CHANNEL = frozenset(GROUPS) - {"nothing", "parameters", "unlisted"}
+_WITH_CHANNEL = frozenset(GROUPS) - {"nothing", "parameters", "unlisted", "no_twins"}
 #: Trials of each group that hides nothing, unless told otherwise.
 EMPTY = 10
 #: What is asked for: (what, counted by, over the groups, at least or at most this share).
@@ -103,6 +105,7 @@ BARS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
     ("an effect named though there is none (at most)", "alarm", ("nothing", "parameters"), 0.02),
     ("`unknown` where the effect is not among the candidates", "right", ("unlisted",), 0.90),
     ("`unknown`, or what is declared not to be told apart from it", "open", ("unlisted",), 0.0),
+    ("`unknown` where no declared twin of it is among them either", "right", ("no_twins",), 0.0),
     ("both of two effects", "both", ("two",), 0.85),
     ("sealed speed within 1.3 times the noise", "sealed", ("medium",), 0.90),
     ("the same with the named effects alone, no correction of their form", "sealed_named", ("medium",), 0.0),
@@ -113,7 +116,7 @@ BARS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
 
 @dataclass(frozen=True)
 class Case:
-    """One trial: what is hidden and how it is logged."""
+    """One trial: what is hidden and how it is logged; whether it is taken out of the candidates, and its declared twins too."""
 
     group: str
     hidden: tuple[str, ...]
@@ -123,6 +126,7 @@ class Case:
     noise: float = 1.0
     record: tuple[str, ...] = EVERYTHING
     unlisted: bool = False
+    twins: bool = True
 
 
 def cases(groups: Sequence[str], seed: int, empty: int = EMPTY) -> list[Case]:
@@ -139,7 +143,9 @@ def cases(groups: Sequence[str], seed: int, empty: int = EMPTY) -> list[Case]:
         elif group == "two":
             sets = list(PAIRS)
         else:
-            names = [n for n in BUILT_IN if not getattr(CATALOGUE[n], "family", "")]
+            names = [n for n in BUILT_IN if not CATALOGUE[n].family]
+            if group == "no_twins":
+                names = [n for n in names if CATALOGUE[n].indistinguishable_from]
             sets = [
                 (n if CATALOGUE[n].scope == "rig" else f"{n}:{1 + number % 2}",)
                 for number, n in enumerate(names)
@@ -196,7 +202,9 @@ def run_case(
         practice_logs(case, folder, duration=duration, rate=rate)
         truth, form = (json.loads((folder / name).read_text()) for name in ("truth.json", "form.json"))
         files = [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
-        without = tuple(h["name"] for h in truth["effects"]) if case.unlisted else ()
+        without = [h["name"] for h in truth["effects"]] if case.unlisted else []
+        if not case.twins:
+            without += [twin for name in without for twin in CATALOGUE[name].indistinguishable_from]
         begin, cpu = time.perf_counter(), time.process_time()
         data = diagnose(files[:2], files[2:], model=folder / "model.yaml", without=without, jobs=jobs).data
         seconds, cpu_s = time.perf_counter() - begin, time.process_time() - cpu
