@@ -331,6 +331,29 @@ _correction(
 )  # fmt: skip
 
 
+def _override(leakage, pressure, rounding, steepening, relief_pressure, conductance):
+    # A parabola within `rounding` of the setting in the place of the bend, and a slope that changes with the excess.
+    excess = abs(pressure) - relief_pressure
+    near = rounding - abs(excess)
+    near = near if near > 0.0 else 0.0
+    excess = excess if excess > 0.0 else 0.0
+    more = 0.25 * near * near / (rounding if rounding > 1.0 else 1.0) + steepening * excess * excess * 1e-6
+    return leakage + sign(pressure) * conductance * more
+
+
+_correction(
+    "override_shape", "line", "relief valves crack gradually, and their slope changes with the excess",
+    (
+        _amount("rounding", "Pa", 5e4, "half the range of pressure over which they crack", 0.0),
+        Parameter("steepening", "1/MPa", 0.0, -0.5, 2.0, _NO_PHYSICS, "growth of the slope with the excess", 0.3),
+        _repeated("relief_pressure", "Pa", inf, 5e5, inf),
+        _repeated("conductance", "m3/(s Pa)", 1e-9, 1e-10, 3e-9),
+    ),
+    {"leakage": _override},
+    {"crossport_relief": {"relief_pressure": "relief_pressure", "conductance": "conductance"}},
+)  # fmt: skip
+
+
 # --- motor and load ---------------------------------------------------------------------------------------------------
 def _torque_curve(torque, speed, torque_1, torque_2, torque_3, torque_4, torque_5, torque_6):
     w = abs(speed)
