@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis import restarts, trials
-from hydro_env.diagnosis.calibrate import as_given, base_unknowns, calibrate, floors_from
+from hydro_env.diagnosis.calibrate import as_given, base_unknowns, calibrate
 from hydro_env.diagnosis.certainty import _bootstrap
-from hydro_env.diagnosis.fit import Problem, evaluate
+from hydro_env.diagnosis.fit import Problem, evaluate, floors_from
 from hydro_env.diagnosis.hide import make_practice, parse_effects
 from hydro_env.diagnosis.machine import Request
 from hydro_env.diagnosis.motor import MotorRig

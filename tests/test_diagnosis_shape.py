@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.calibrate import base_unknowns, floors_from
-from hydro_env.diagnosis.fit import Floors, Problem, evaluate, rms, solve
+from hydro_env.diagnosis.calibrate import base_unknowns
+from hydro_env.diagnosis.fit import Floors, Problem, evaluate, floors_from, rms, solve
 from hydro_env.diagnosis.hide import make_practice
 from hydro_env.diagnosis.machine import Request
 from hydro_env.diagnosis.motor import MotorRig

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.calibrate import as_given, base_unknowns, calibrate, floors_from
-from hydro_env.diagnosis.fit import Problem, at_noise, differentiate
+from hydro_env.diagnosis.calibrate import as_given, base_unknowns, calibrate
+from hydro_env.diagnosis.fit import Problem, at_noise, differentiate, floors_from
 from hydro_env.diagnosis.hide import make_practice
 from hydro_env.diagnosis.machine import Request
 from hydro_env.diagnosis.motor import MotorRig
 from hydro_env.diagnosis.parts import read_parts
 from hydro_env.diagnosis.restarts import from_given, take_over
-from hydro_env.diagnosis.unknowns import Unknown, base_unknown, effect_unknowns, force_scale
-from hydro_env.plant import CATALOGUE, PARAMETERS, load_model
+from hydro_env.diagnosis.unknowns import TOGETHER, Unknown, base_unknown, effect_unknowns, scaled
+from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, simulate
 
-NAMES = ("D", "m", "R", "alpha", "k", "Fc", "Fs", "vs")
+NAMES = ("D", "m", "R", "alpha", "k", "Fc", "Fs", "vs", "Kq", "J", "beta")
 
 
 def _unknowns() -> list[Unknown]:
@@ -28,13 +29,72 @@ def _unknowns() -> list[Unknown]:
 def test_all_forces_on_the_spool_and_its_mass_scale_together() -> None:
     unknowns = _unknowns()
     q = np.linspace(-0.5, 0.5, len(unknowns))
-    moved = q + force_scale(unknowns, q, NAMES.index("k"), 0.3)
+    moved = q + scaled(unknowns, q, NAMES.index("k"), 0.3)
     factors = {
         u.name: u.value(b) / u.value(a) for u, a, b in zip(unknowns, q, moved, strict=True) if u.value(a)
     }
-    scaled = {n for n, f in factors.items() if f != 1.0}
-    assert scaled == {"m", "alpha", "k", "Fc", "Fs", "spool_stiction.coulomb", "spool_stiction.static"}
-    assert [factors[n] for n in scaled] == pytest.approx([factors["k"]] * len(scaled)) and factors["k"] > 1.0
+    named = {n for n, f in factors.items() if f != 1.0}
+    assert named == {"m", "alpha", "k", "Fc", "Fs", "spool_stiction.coulomb", "spool_stiction.static"}
+    assert [factors[n] for n in named] == pytest.approx([factors["k"]] * len(named)) and factors["k"] > 1.0
+
+
+def test_all_behind_the_valve_scales_together_and_turns_an_unloaded_shaft_alike() -> None:
+    names = ("D", "J", "B", "Km", "beta", "Kq", "k")
+    known = [base_unknown(PARAMETERS[n], PARAMETERS[n].nominal) for n in names]
+    effects = {
+        "eccentric_load": {"amplitude": 0.2, "phase": 0.3},
+        "line_loss": {"coefficient": 2e13},
+        "dead_zone": {},
+    }
+    for effect, start in effects.items():
+        known += effect_unknowns(
+            CATALOGUE[effect], start or dict.fromkeys(("overlap_positive", "overlap_negative"), 3e-5)
+        )
+    q = np.zeros(len(known))
+    moved = q + scaled(known, q, 0, 0.1)
+    values = [{u.name: u.value(x) for u, x in zip(known, at, strict=True)} for at in (q, moved)]
+    assert values[1]["D"] > 1.005 * values[0]["D"]
+    assert {n for n, v in values[1].items() if v == values[0][n]} == {
+        "k", "eccentric_load.phase", "dead_zone.overlap_positive", "dead_zone.overlap_negative",
+    }  # fmt: skip
+    command = np.repeat(np.random.default_rng(0).uniform(-5.0, 5.0, (20, 2)), 50, axis=0)
+    runs = [simulate("paper", command, None, 1e-3, values=v, record=("speed", "pressure")) for v in values]
+    for signal in ("speed", "pressure"):
+        one, other = (r[signal][:, 0] for r in runs)
+        np.testing.assert_allclose(one, other, atol=1e-6 * np.abs(one).max())
+
+
+def test_half_the_travel_with_twice_the_gain_turns_a_shaft_alike() -> None:
+    names = ("Kq", "k", "m", "vs", "alpha")
+    unknowns = [base_unknown(PARAMETERS[n], PARAMETERS[n].nominal) for n in names]
+    unknowns += effect_unknowns(CATALOGUE["dead_zone"], {"overlap_positive": 3e-5, "overlap_negative": 3e-5})
+    q = np.zeros(len(unknowns))
+    moved = q + scaled(unknowns, q, 0, 0.1)
+    values = [{u.name: u.value(x) for u, x in zip(unknowns, at, strict=True)} for at in (q, moved)]
+    assert values[1]["Kq"] > 1.005 * values[0]["Kq"] and values[1]["alpha"] == values[0]["alpha"]
+    # What is not calibrated, damping and bristle of the spool and its end stops, keeps them from being quite alike.
+    command = np.repeat(np.random.default_rng(0).uniform(-5.0, 5.0, (20, 2)), 50, axis=0)
+    alone = {**values[0], "Kq": values[1]["Kq"]}
+    plain, together, other = (
+        simulate("paper", command, None, 1e-3, values=v, record=("speed",))["speed"][:, 0]
+        for v in (values[0], values[1], alone)
+    )
+    assert np.std(together - plain) < 0.4 * np.std(other - plain)
+
+
+def test_a_copy_of_a_problem_keeps_its_own_derivatives() -> None:
+    machine = _Linear(_unknowns())
+    problem = Problem(0, machine.unknowns, np.full(len(machine.unknowns), 0.2), together=tuple(TOGETHER))
+    problem.simulated = machine.predict([problem.request()])[0]
+    differentiate(machine, [problem], {})  # type: ignore[arg-type]
+    before = problem.columns[0].copy()
+    twin = replace(problem, q=problem.q.copy())
+    machine.matrix = 2.0 * machine.matrix
+    for only in (None, [[1, 2]]):
+        twin.simulated = machine.predict([twin.request()])[0]
+        differentiate(machine, [twin], {}, only)  # type: ignore[arg-type]
+        np.testing.assert_array_equal(problem.columns[0], before)
+        assert not np.array_equal(twin.columns[0], before)
 
 
 class _Linear:
@@ -54,7 +114,7 @@ class _Linear:
 
 def test_derivatives_along_a_direction_are_those_of_every_unknown() -> None:
     machine = _Linear(_unknowns())
-    problem = Problem(0, machine.unknowns, np.full(len(machine.unknowns), 0.2))
+    problem = Problem(0, machine.unknowns, np.full(len(machine.unknowns), 0.2), together=tuple(TOGETHER))
     problem.simulated = machine.predict([problem.request()])[0]
     differentiate(machine, [problem], {})  # type: ignore[arg-type]
     np.testing.assert_allclose(problem.columns[0], machine.matrix, rtol=1e-9, atol=1e-9)

@@ -9,11 +9,10 @@ import numpy as np
 from ..plant import parameter_of
 from .fit import Floors, Problem, evaluate, solve
 from .machine import Machine
-from .noise import noise_floor
 from .restarts import begun_anew, take_over
 from .unknowns import Unknown, base_unknown, limited_by_effects
 
-__all__ = ["as_given", "base_unknowns", "calibrate", "floors_from"]
+__all__ = ["as_given", "base_unknowns", "calibrate"]
 
 
 #: Parameters that act on the current alone of all signals before the spool.
@@ -41,21 +40,6 @@ def as_given(machine: Machine, floors: Floors) -> dict[int, Problem]:
     return problems
 
 
-def floors_from(machine: Machine, problems: dict[int, Problem]) -> Floors:
-    """Noise floors by (channel, signal): the smallest that the residual of a model or the bare signal shows, SI."""
-    floors: Floors = {}
-    for channel, problem in problems.items():
-        found: dict[str, list[float]] = {}
-        for s in machine.segments[channel]:
-            # Of the residual: a model, even a poor one, takes the fast movements out.
-            error = s.measured - problem.simulated[channel][s.place]
-            both = [noise_floor(x, s.used, s.period) for x in (error, s.measured)]
-            found.setdefault(s.signal, []).append(float(np.nanmin(both)))
-        for signal, values in found.items():
-            floors[channel, signal] = max(float(np.nanmedian(values)), 1e-12)
-    return floors
-
-
 def calibrate(machine: Machine, floors: Floors, iterations: int = 18) -> dict[int, Problem]:
     """Adjusts the base parameters of every channel, with priors about the model as given.
 
@@ -67,10 +51,9 @@ def calibrate(machine: Machine, floors: Floors, iterations: int = 18) -> dict[in
         unknowns = base_unknowns(machine, channel)
         problems[channel] = Problem(channel, unknowns, np.zeros(len(unknowns)), "calibrated")
     _coil_first(machine, problems, floors)
-    # Two ways, of which either may end in a valley of the spool's friction: with and without the forces scaled together.
-    apart = (
-        {} if machine.quick else {c: replace(p, q=p.q.copy(), together=False) for c, p in problems.items()}
-    )
+    # Two ways, of which either may end in a valley of the spool's friction: with and without the forces scaled together. Without
+    # what is missing the other directions would lead far away from where it is found.
+    apart = {} if machine.quick else {c: replace(p, q=p.q.copy(), together=()) for c, p in problems.items()}
     solve(machine, [*problems.values(), *apart.values()], floors, iterations)
     further = [problems[c] for c, other in apart.items() if take_over(problems[c], other)]
     solve(machine, further, floors, iterations // 3)

@@ -22,14 +22,15 @@ from ..errors import InputError
 from ..files import write_json, write_text
 from ..measured.finding import SPELLING
 from ..plant import PlantModel, load_model
-from .calibrate import as_given, calibrate, floors_from
+from .calibrate import as_given, calibrate
 from .certainty import undetermined
-from .fit import Floors, Problem, rescored
+from .fit import Floors, Problem, floors_from, lower, rescored, solve
 from .machine import Machine
 from .motor import MotorRig
 from .parts import Part, overlap, read_parts
 from .plausible import implausible, stop_if_sure
 from .prove import MODELS, NAMED, Proof, prove
+from .restarts import along_all, take_over
 from .result import (
     Named,
     at_bounds,
@@ -50,6 +51,8 @@ from .words import plain
 __all__ = ["Diagnosis", "diagnose", "run"]
 
 
+#: Iterations of the last refit of what was found.
+SHARPEN = 6
 #: Fit logs that are shorter in all than this, s, say little.
 SHORT = 4.0
 
@@ -113,14 +116,15 @@ def _workflow(
     floors = floors_from(machine, given)
     say("calibrating known parameters")
     calibrated = calibrate(machine, floors)
-    floors = _lower(floors, floors_from(machine, calibrated))
+    floors = lower(floors, floors_from(machine, calibrated))
     rescored(machine, list(calibrated.values()), floors)
     say("looking at every effect")
     looks = first_look(machine, calibrated, floors, machine.candidates(), seconds)
     if not machine.quick:
         absorb(machine, calibrated, floors, looks)
     selection = select(machine, calibrated, looks, floors, seconds, say)
-    floors = _lower(floors, floors_from(machine, selection.problems))
+    floors = lower(floors, floors_from(machine, selection.problems))
+    _sharpened(machine, selection, floors)
     word = verdict(machine, given, calibrated, selection, floors)
     say("locating the gap")
     places = locate(machine, calibrated) if word not in ("none", "calibration") else []
@@ -183,6 +187,22 @@ def _workflow(
     return Diagnosis(
         data, improved, machine, named, places, selection, looks, fit_proof, sealed_proof, warnings
     )
+
+
+def _sharpened(machine: Machine, selection: Selection, floors: Floors) -> None:
+    """Refits what effects were found for, by the noise that is seen now: what was missing made it look larger."""
+    named = {
+        id(p): p
+        for c, p in selection.problems.items()
+        if any(k.channel in (None, c) for k in selection.choices)
+    }
+    if machine.quick:
+        return
+    finer = [along_all(p) for p in named.values()]
+    rescored(machine, list(named.values()), floors)
+    solve(machine, finer, floors, SHARPEN)
+    for problem, other in zip(named.values(), finer, strict=True):
+        take_over(problem, other)
 
 
 def _machine(
@@ -280,10 +300,6 @@ def _listed(part: Part) -> str:
 def _cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _lower(old: Floors, new: Floors) -> Floors:
-    return {key: min(value, new[key]) for key, value in old.items()}
 
 
 def _warnings(

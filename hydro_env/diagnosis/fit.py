@@ -17,8 +17,8 @@ from scipy.optimize import lsq_linear
 
 from ..plant import CATALOGUE, parameter_of
 from .machine import BLOCK_S, Machine, Request, Segment
-from .noise import effective_samples
-from .unknowns import Unknown, effect_unknowns, force_scale, less_taken
+from .noise import effective_samples, noise_floor
+from .unknowns import Unknown, effect_unknowns, less_taken, scaled
 
 if TYPE_CHECKING:
     from .certainty import Certainty
@@ -31,8 +31,10 @@ __all__ = [
     "channels_of",
     "differentiate",
     "evaluate",
+    "floors_from",
     "gain",
     "levels",
+    "lower",
     "normal_parts",
     "rescored",
     "rms",
@@ -46,8 +48,6 @@ Vector = np.ndarray
 Floors = dict[tuple[int, str], float]
 #: Steps of q for finite differences, in turn: stiction makes the data a rough function of its parameters.
 _STEPS = (0.15, 0.04, 0.4)
-#: The base parameter whose derivative is taken along all forces on the spool together.
-SCALED_BY = "k"
 #: Parts and multiples of a step that are tried: weights that follow the residual make single steps too short.
 _TRIALS = (4.0, 2.0, 1.0, 0.4, 0.1)
 #: Starts of a problem that are nearer than this in every q have met.
@@ -60,8 +60,8 @@ class Problem:
 
     `simulated` holds, by channel, the samples at `q`; `columns` their derivatives (n, number of unknowns) where they were
     last computed; `spread` the standard deviations of q. `follow` holds parameters that are not estimated but repeat
-    another one of the problem, by name (with a minus: its opposite), or a number. `together` is whether derivatives are also
-    taken along all forces on the spool at once.
+    another one of the problem, by name (with a minus: its opposite), or a number. `together` names the
+    directions of all that is told by ratios only (`unknowns.TOGETHER`) along which derivatives are taken.
     """
 
     channel: int | None
@@ -74,7 +74,7 @@ class Problem:
     cost: float = np.inf
     certainty: Certainty | None = None
     follow: dict[str, str | float] = field(default_factory=dict)
-    together: bool = True
+    together: tuple[str, ...] = ("k",)
 
     def request(self, q: Vector | None = None) -> Request:
         """The simulation at q (default: at the estimate)."""
@@ -130,6 +130,26 @@ def beside(problem: Problem, effect: str, start: dict[str, float]) -> Problem:
 
 def channels_of(problem: Problem, machine: Machine) -> tuple[int, ...]:
     return machine.channels if problem.channel is None else (problem.channel,)
+
+
+def floors_from(machine: Machine, problems: dict[int, Problem]) -> Floors:
+    """Noise floors by (channel, signal): the smallest that the residual of a model or the bare signal shows, SI."""
+    floors: Floors = {}
+    for channel, problem in problems.items():
+        found: dict[str, list[float]] = {}
+        for s in machine.segments[channel]:
+            # Of the residual: a model, even a poor one, takes the fast movements out.
+            error = s.measured - problem.simulated[channel][s.place]
+            both = [noise_floor(x, s.used, s.period) for x in (error, s.measured)]
+            found.setdefault(s.signal, []).append(float(np.nanmin(both)))
+        for signal, values in found.items():
+            floors[channel, signal] = max(float(np.nanmedian(values)), 1e-12)
+    return floors
+
+
+def lower(old: Floors, new: Floors) -> Floors:
+    """The lower of two floors, for all that `old` has."""
+    return {key: min(value, new.get(key, value)) for key, value in old.items()}
 
 
 def rms(machine: Machine, simulated: Vector, channel: int) -> dict[tuple[int, str], float]:
@@ -241,33 +261,42 @@ def differentiate(
         low, high = problem.bounds
         for channel in channels_of(problem, machine):
             shape = (problem.simulated[channel].size, len(problem.unknowns))
-            if problem.columns.get(channel, np.empty((0, 0))).shape != shape:
-                problem.columns[channel] = np.zeros(shape)
-        along = []
+            kept = problem.columns.get(channel)
+            # New ones: a problem that another was made from may still hold the old ones.
+            fresh = np.zeros(shape) if kept is None or kept.shape != shape or only is None else kept.copy()
+            problem.columns = {**problem.columns, channel: fresh}
         for j, move in own:
             result, moved = next(results), problem.q + move
             for channel in channels_of(problem, machine):
                 problem.columns[channel][:, j] = (result[channel] - problem.simulated[channel]) / move[j]
-            if np.count_nonzero(move) > 1:
-                along.append((j, move / move[j]))
             inside = bool(np.all((low <= moved) & (moved <= high)))
             cost = _cost(machine, problem, result, moved, floors) if inside else np.inf
             if cost < best[0]:
                 best = (cost, moved, result)
-        for j, direction in along:
-            # What a joint change says of its own number is what is left without the others.
-            for columns in problem.columns.values():
-                columns[:, j] -= columns @ direction - columns[:, j]
+        _part(problem, own)
         found.append(best)
     return found
 
 
+def _part(problem: Problem, moves: Sequence[tuple[int, Vector]]) -> None:
+    """Puts derivatives by single unknowns in the place of those along `moves`, by unknown, in the columns just computed."""
+    if all(np.count_nonzero(move) == 1 for _, move in moves):
+        return
+    new = [j for j, _ in moves]
+    along = np.array([move / move[j] for j, move in moves]).T
+    apart = np.linalg.inv(along[new])
+    along[new] = 0.0
+    for columns in problem.columns.values():
+        columns[:, new] = (columns[:, new] - columns @ along) @ apart
+
+
 def _move(problem: Problem, j: int, size: float) -> Vector:
-    """The change of q for the derivative by unknown j: of it alone, or, for the spring's rate, of all forces on the spool."""
+    """The change of q for the derivative by unknown j: of it alone, or of all that it is told together with (`TOGETHER`)."""
     step = -size if problem.q[j] + size > problem.bounds[1][j] else size
-    # Not with every size of step: which derivative leads into a valley and which out of it is a matter of luck.
-    if problem.together and problem.unknowns[j].name == SCALED_BY and size != _STEPS[1]:
-        return force_scale(problem.unknowns, problem.q, j, step)
+    name = problem.unknowns[j].name
+    # The forces not with every size of step: which derivative leads into a valley and which out of it is a matter of luck.
+    if name in problem.together and (name != "k" or size != _STEPS[1]):
+        return scaled(problem.unknowns, problem.q, j, step)
     move = np.zeros(len(problem.unknowns))
     move[j] = step
     return move

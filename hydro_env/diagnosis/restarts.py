@@ -12,13 +12,16 @@ effect leaves is no matter of valleys.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
-from .fit import Floors, Problem, at_noise, channels_of, levels, solve
+from .fit import Floors, Problem, at_noise, channels_of, evaluate, floors_from, levels, lower, rescored, solve
 from .machine import Machine
+from .unknowns import TOGETHER
 
-__all__ = ["STARTS", "begun_anew", "from_given", "take_over"]
+__all__ = ["STARTS", "along_all", "begun_anew", "from_given", "take_over", "unfolded"]
 
 #: Base parameters that are drawn anew, and the spread of the draws on the scale of their priors.
 DRAWN, SPREAD = ("Fc", "Fs", "vs"), 1.0
@@ -28,6 +31,10 @@ LITTLE = 1.0
 KEPT = ("R", "L")
 #: New starts of a problem, and iterations of each round.
 STARTS, ROUNDS = 12, (3, 3, 4)
+#: Times the noise from which on a problem is fitted to the beginning of the logs first, the shares of the logs in turn, and
+#: iterations with each; times the noise from which on a beginning is not explained.
+UNFOLD, HORIZONS = 3.0, (0.07, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+EACH, STUCK = 2, 1.3
 
 
 def begun_anew(
@@ -62,7 +69,64 @@ def from_given(problem: Problem) -> Problem:
     """The problem with its known parameters at the model as given, but those of the coil, and its effects as they are."""
     known = np.array(["." not in u.name and u.name not in KEPT for u in problem.unknowns])
     q = np.clip(np.where(known, 0.0, problem.q), *problem.bounds)
-    return Problem(problem.channel, problem.unknowns, q, problem.label, follow=problem.follow)
+    return Problem(
+        problem.channel, problem.unknowns, q, problem.label, follow=problem.follow, together=problem.together
+    )
+
+
+def along_all(problem: Problem) -> Problem:
+    """The same estimate, to go on with derivatives along every direction that ratios tell: for where nothing is missing."""
+    return replace(problem, q=problem.q.copy(), together=tuple(TOGETHER), simulated={}, columns={})
+
+
+def unfolded(machine: Machine, problems: Sequence[Problem], floors: Floors) -> list[Problem]:
+    """Improves in place those of `problems` that are far from the noise: fitted to the beginning of the logs first, then to more
+    and more of them. Returns the ones that became better.
+
+    A shaft that nearly comes to rest turns on this way or that, and from then on is a turn off: the rest of the log then
+    speaks of nothing else, and no small step repairs it. What lies before that moment tells the parameters, and these
+    carry the simulation past it.
+    """
+    return [
+        p
+        for p in problems
+        if not at_noise(machine, p, floors, UNFOLD) and take_over(p, _unfolded(machine, p, floors))
+    ]
+
+
+def _unfolded(machine: Machine, problem: Problem, floors: Floors) -> Problem:
+    """The better of two starts, where the problem is and where the known parameters were given, fitted to more and more of the
+    logs."""
+    starts = [along_all(problem), along_all(from_given(problem))]
+    # What was missing made the noise look larger than the beginning of the logs shows it now.
+    seen = floors
+    for share in HORIZONS:
+        beginning = _beginning(machine, share)
+        for start in starts:
+            start.simulated, start.columns = {}, {}
+        solve(beginning, starts, seen, EACH)
+        starts.sort(key=lambda p: p.cost)
+        channels = channels_of(problem, machine)
+        seen = lower(seen, floors_from(beginning, dict.fromkeys(channels, starts[0])))
+        rescored(beginning, starts, seen)
+        if not at_noise(beginning, starts[0], seen, STUCK):
+            # A spool that sticks a moment longer, now, is worth other frictions before anything later is looked at.
+            begun_anew(beginning, starts[:1], seen)
+            if not at_noise(beginning, starts[0], seen, STUCK):
+                break  # something is missing that this effect does not make up for
+    evaluate(machine, starts, floors)
+    solve(machine, starts, floors, ROUNDS[-1])
+    return min(starts, key=lambda p: p.cost)
+
+
+def _beginning(machine: Machine, share: float) -> Machine:
+    """The machine with only this share of each log, from its beginning; the simulations are the same."""
+    twin = copy(machine)
+    twin.segments = {
+        c: [replace(s, inside=s.inside & (np.arange(s.rows.size) < share * s.rows.size)) for s in segments]
+        for c, segments in machine.segments.items()
+    }
+    return twin
 
 
 def take_over(problem: Problem, other: Problem) -> bool:
@@ -80,7 +144,9 @@ def _with_other_friction(problem: Problem, rng: np.random.Generator) -> Problem:
     q = problem.q.copy()
     q[drawn] = SPREAD * rng.standard_normal(len(drawn))
     q = np.clip(q, *problem.bounds)
-    return Problem(problem.channel, problem.unknowns, q, problem.label, follow=problem.follow)
+    return Problem(
+        problem.channel, problem.unknowns, q, problem.label, follow=problem.follow, together=problem.together
+    )
 
 
 def _far(machine: Machine, problem: Problem, floors: Floors) -> bool:

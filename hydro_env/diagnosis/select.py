@@ -19,7 +19,7 @@ from .again import best_of_all, mostly_explained, nearly_explained, unexplained
 from .fit import Floors, Problem, beside, channels_of, differentiate, evaluate, gain, levels, solve
 from .machine import Machine
 from .noise import effective_samples
-from .restarts import begun_anew, from_given, take_over
+from .restarts import along_all, begun_anew, from_given, take_over, unfolded
 from .shape import corrected, with_form
 from .signatures import Look, alike, first_look
 from .unknowns import bases_of
@@ -350,7 +350,10 @@ def _round(
         if c in taken:
             present[c] = own_best[0][1]
     # The winners are taken as far as they go: what is left afterwards decides on further effects. So are the placebos.
-    _settle(machine, [present[c] for c in taken] + [placebo[c] for c in taken if number == 1], floors)
+    winners = [present[c] for c in taken]
+    _settle(machine, winners + [placebo[c] for c in taken if number == 1], floors)
+    if not machine.quick:
+        solve(machine, unfolded(machine, winners, floors), floors, SETTLE)
     return taken
 
 
@@ -410,7 +413,7 @@ def _second_wind(
 def _settle(machine: Machine, problems: Sequence[Problem], floors: Floors) -> None:
     """Improves the estimates of all as far as they go, also from the known parameters as given, which were moved by what was
     missing."""
-    again = [] if machine.quick else [from_given(p) for p in problems]
+    again = [] if machine.quick else [along_all(from_given(p)) for p in problems]
     solve(machine, [*problems, *again], floors, SETTLE, races=list(zip(problems, again, strict=False)))
     for problem, other in zip(problems, again, strict=False):
         take_over(problem, other)

@@ -19,7 +19,7 @@ from ..plant import CATALOGUE
 from ..plant.shapes import CORRECTIONS, FAMILY, follows
 from .fit import Floors, Problem, Vector, at_noise, channels_of, solve, stretch_costs
 from .machine import Machine
-from .restarts import begun_anew, from_given, take_over
+from .restarts import along_all, begun_anew, from_given, take_over
 from .unknowns import Unknown
 
 __all__ = [
@@ -142,7 +142,7 @@ def corrected(
 def _from_both_places(machine: Machine, problems: Sequence[Problem], floors: Floors) -> None:
     """Improves all: the known parameters have moved to make up for the form, so they begin where they are and where they were
     given."""
-    again = [from_given(p) for p in problems]
+    again = [along_all(from_given(p)) for p in problems]
     solve(machine, [*problems, *again], floors, TRY, races=list(zip(problems, again, strict=True)))
     for problem, other in zip(problems, again, strict=True):
         take_over(problem, other)

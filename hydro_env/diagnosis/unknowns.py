@@ -20,9 +20,10 @@ __all__ = [
     "base_unknown",
     "bases_of",
     "effect_unknowns",
-    "force_scale",
+    "TOGETHER",
     "less_taken",
     "limited_by_effects",
+    "scaled",
     "starts",
 ]
 
@@ -35,11 +36,22 @@ BASE_OF_EFFECT_FACTOR = 1.35
 TAKEN_FROM = {"shaft_backlash.inertia": "J"}
 
 
-#: Base parameters in which the spool's motion is told by ratios: twice the force on twice the mass, spring and friction moves
-#: it nearly alike.
-FORCES = ("alpha", "k", "m", "Fc", "Fs")
-#: Units of an effect's parameters that are a force on the spool, or one per opening and pressure.
-_FORCE_UNITS = ("N", "m")
+#: Base parameters that logs tell by their ratios only, or nearly so, each with the power of the common factor. Twice the force
+#: on twice the mass, spring and friction moves a spool nearly alike; half the travel, by twice the stiffness and mass, gives
+#: the same flow with twice the gain; twice the displacement with twice the flow, leakage, inertia and damping, and half the
+#: bulk modulus, turns a shaft alike but for the load. The first of each names the direction.
+TOGETHER: dict[str, dict[str, float]] = {
+    "k": {"k": 1.0, "alpha": 1.0, "m": 1.0, "Fc": 1.0, "Fs": 1.0},
+    "Kq": {"Kq": 1.0, "k": 1.0, "m": 1.0, "vs": -1.0},
+    "D": {"D": 1.0, "J": 1.0, "B": 1.0, "Km": 1.0, "Kq": 1.0, "beta": -1.0},
+}
+#: Units of the effects' parameters that go with them, and their power: forces on the spool, or one per opening and pressure, by
+#: port as well; torques, flows and losses behind the valve.
+_FORCE_UNITS = {"N": 1.0, "m": 1.0}
+_SHAFT_UNITS = {
+    "N m": 1.0, "N m/rad": 1.0, "N m s/rad": 1.0, "N m s2/rad2": 1.0, "kg m2": 1.0, "m3/rad": 1.0, "m3/(s Pa)": 1.0,
+    "Pa s2/m6": -2.0,
+}  # fmt: skip
 
 
 def bases_of(effect: str) -> set[str]:
@@ -177,24 +189,32 @@ def _effect_unknown(effect: str, p: Parameter, start: float) -> Unknown:
     return Unknown(name, p.unit, start, low, high, scale, False, shape and p.name != "order")
 
 
-def force_scale(unknowns: Sequence[Unknown], q: np.ndarray, j: int, size: float) -> np.ndarray:
-    """The change of q (n,) that scales all forces on the spool of unknown j's channel, and its mass, as a step `size` of j does.
+def scaled(unknowns: Sequence[Unknown], q: np.ndarray, j: int, size: float) -> np.ndarray:
+    """The change of q (n,) that scales all that the direction of unknown j (`TOGETHER`) has on its channel, as a step `size`
+    of j does.
 
-    All that moves the spool is scaled together but the damping and the bristles, which are not calibrated: what logs
-    say of this direction is little, so it must be seen as one, not as a difference of large changes.
+    On the spool all that moves it is scaled but the damping and the bristles, which are not calibrated. What logs
+    say of such a direction is little, so it must be seen as one, not as a difference of large changes.
     """
     own = unknowns[j]
     factor = own.value(float(q[j]) + size) / own.value(float(q[j]))
     change = np.zeros(len(unknowns))
     for n, u in enumerate(unknowns):
-        if u.channel in (None, own.channel) and _is_force(u):
+        power = _power(u, own.name) if u.channel in (None, own.channel) else 0.0
+        if power:
             value = u.value(float(q[n]))
-            change[n] = u.q(value * factor) - q[n]
+            change[n] = u.q(value * factor**power) - q[n]
     return change
 
 
-def _is_force(unknown: Unknown) -> bool:
+def _power(unknown: Unknown, direction: str) -> float:
+    """The power of the common factor of a direction that an unknown has, 0 for one that is no part of it."""
     effect, _, own = unknown.name.rpartition(".")
     if not effect:
-        return unknown.name in FORCES
-    return CATALOGUE[effect].port == "force" and CATALOGUE[effect].parameter(own).unit in _FORCE_UNITS
+        return TOGETHER[direction].get(unknown.name, 0.0)
+    unit = CATALOGUE[effect].parameter(own).unit
+    if direction == "Kq":
+        return -1.0 if unit == "m" and CATALOGUE[effect].port != "force" else 0.0
+    if direction == "k":
+        return _FORCE_UNITS.get(unit, 0.0) if CATALOGUE[effect].port == "force" else 0.0
+    return _SHAFT_UNITS.get(unit, 0.0)
