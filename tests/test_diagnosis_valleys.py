@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,12 +10,12 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis.calibrate import as_given, base_unknowns, calibrate
-from hydro_env.diagnosis.fit import Problem, at_noise, differentiate, floors_from
+from hydro_env.diagnosis.fit import Problem, at_noise, beside, differentiate, floors_from, solve
 from hydro_env.diagnosis.hide import make_practice
 from hydro_env.diagnosis.machine import Request
 from hydro_env.diagnosis.motor import MotorRig
 from hydro_env.diagnosis.parts import read_parts
-from hydro_env.diagnosis.restarts import from_given, take_over
+from hydro_env.diagnosis.restarts import from_given, take_over, unfolded
 from hydro_env.diagnosis.unknowns import TOGETHER, Unknown, base_unknown, effect_unknowns, scaled
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, simulate
 
@@ -145,3 +146,26 @@ def test_calibration_finds_a_rig_whose_spools_are_wrong_by_a_sixth(tmp_path: Pat
         for name in ("alpha", "k", "m"):
             assert values[name] == pytest.approx(practice.true.value(name, c), rel=0.05), (name, c)
         assert len(base_unknowns(rig, c)) == found[c].q.size
+
+
+def test_an_unbalanced_shaft_is_found_from_the_beginning_of_its_log(tmp_path: Path) -> None:
+    make_practice(
+        ["eccentric_load:1"], base_error=0.15, seed=1, duration=8.0, rate=500.0, runs=("fit_1",)
+    ).write(tmp_path)
+    truth = json.loads((tmp_path / "truth.json").read_text())["effects"][0]["parameters"]
+    true = {name: p["value"] for name, p in truth.items()}
+    rig = MotorRig(load_model(tmp_path / "model.yaml"), read_parts([tmp_path / "fit_1.csv"], None))
+    floors = floors_from(
+        rig, as_given(rig, {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]})
+    )
+    known = base_unknowns(rig, 0)
+    near = {"amplitude": 0.7 * true["amplitude"], "phase": true["phase"] + 0.3}
+    problem = beside(Problem(0, known, np.zeros(len(known))), "eccentric_load", near)
+    solve(rig, [problem], floors, 24)
+    # Once the shaft has turned the other way all later steps are lost.
+    assert not at_noise(rig, problem, floors, 3.0)
+    assert unfolded(rig, [problem], floors) == [problem] and at_noise(rig, problem, floors)
+    found = {u.name: u.value(q) for u, q in zip(problem.unknowns, problem.q, strict=True)}
+    for name, value in true.items():
+        assert found[f"eccentric_load.{name}"] == pytest.approx(value, abs=0.005)
+    assert unfolded(rig, [problem], floors) == []
