@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.fit import solve
+from hydro_env.diagnosis.fit import at_noise, beside, evaluate, solve
 from hydro_env.diagnosis.result import named_effects
-from hydro_env.diagnosis.select import Choice, Selection, _rivals_again, extended
+from hydro_env.diagnosis.select import Choice, Selection, Trial, _needed_after_all, _rivals_again, extended
 from hydro_env.diagnosis.signatures import Look, first_look
 from hydro_env.plant import CATALOGUE
 from tests.linear_machine import FLOORS, LinearMachine, logged, time_of
@@ -54,3 +54,25 @@ def test_a_rival_that_explains_more_takes_the_place() -> None:
     _, selection, _ = _found({"line_loss": near, "quadratic_drag": drag}, "quadratic_drag", "line_loss")
     assert selection.choices[0].effect == "quadratic_drag"
     assert selection.problems[0].effects() == ["quadratic_drag"]
+
+
+@pytest.mark.parametrize(("curve", "kept"), [(np.sin(3.0 * TIME), False), (np.cos(11.0 * TIME), True)])
+def test_an_effect_that_led_known_parameters_out_of_a_bad_place_is_not_named(
+    curve: np.ndarray, kept: bool
+) -> None:
+    typical = CATALOGUE["line_loss"].parameters[0].typical
+    assert typical is not None
+    rig, without = logged(
+        {"line_loss.coefficient": 0.02 * curve / typical}, {"line_loss.coefficient": typical}, ROWS
+    )
+    # Calibration ended where it explains nothing of a gap that is small, though the inertia alone could (the first curve).
+    without.q[:] = 0.0
+    evaluate(rig, [without], FLOORS)  # type: ignore[arg-type]
+    problem = beside(without, "line_loss", {"coefficient": 0.5 * typical})
+    solve(rig, [problem], FLOORS, 6)  # type: ignore[arg-type]
+    choices, present = [Choice("line_loss", 0, 500.0, 18.0, {}, without)], {0: problem}
+    trials: list[Trial] = []
+    _needed_after_all(rig, present, choices, FLOORS, trials)  # type: ignore[arg-type]
+    assert [c.effect for c in choices] == (["line_loss"] if kept else [])
+    assert present[0].effects() == (["line_loss"] if kept else [])
+    assert at_noise(rig, present[0], FLOORS, 1.05) and len(trials) == (0 if kept else 1)  # type: ignore[arg-type]

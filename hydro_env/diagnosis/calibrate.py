@@ -9,7 +9,7 @@ import numpy as np
 from ..plant import parameter_of
 from .fit import Floors, Problem, evaluate, solve
 from .machine import Machine
-from .restarts import begun_anew, take_over
+from .restarts import along_directions, begun_anew, take_over
 from .unknowns import Unknown, base_unknown, limited_by_effects
 
 __all__ = ["as_given", "base_unknowns", "calibrate"]
@@ -59,6 +59,7 @@ def calibrate(machine: Machine, floors: Floors, iterations: int = 18) -> dict[in
     solve(machine, further, floors, iterations // 3)
     if not machine.quick:
         solve(machine, begun_anew(machine, list(problems.values()), floors), floors, iterations)
+        along_directions(machine, list(problems.values()), floors)
     return problems
 
 

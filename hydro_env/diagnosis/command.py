@@ -9,6 +9,7 @@ steady-valve model (`steady_valve`), everything else with the dynamic plant (`mo
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -51,8 +52,9 @@ from .words import plain
 __all__ = ["Diagnosis", "diagnose", "run"]
 
 
-#: Iterations of the last refit of what was found.
-SHARPEN = 6
+#: Steps of q for the differences in the iterations of the refit of what was found, by the noise that is seen then, and of the
+#: last one, by the proof's substeps.
+SHARPEN, LAST = (0.15, 0.04, 0.4, 0.15, 0.04, 0.4), (0.15, 0.04, 0.01, 0.04, 0.01)
 #: Fit logs that are shorter in all than this, s, say little.
 SHORT = 4.0
 
@@ -124,7 +126,10 @@ def _workflow(
         absorb(machine, calibrated, floors, looks)
     selection = select(machine, calibrated, looks, floors, seconds, say)
     floors = lower(floors, floors_from(machine, selection.problems))
-    _sharpened(machine, selection, floors)
+    taken = [
+        p for c, p in selection.problems.items() if any(k.channel in (None, c) for k in selection.choices)
+    ]
+    _sharpened(machine, taken, floors)
     word = verdict(machine, given, calibrated, selection, floors)
     say("locating the gap")
     places = locate(machine, calibrated) if word not in ("none", "calibration") else []
@@ -139,11 +144,15 @@ def _workflow(
         )
         wrong = placebo_too(machine, wrong, corrections, floors)
         machine.exact = False
+    # The last steps are by the proof's substeps: where a shaft nearly comes to rest a parameter's last decimals count.
+    fine = machine if machine.quick else machine.with_parts(parts, False)
+    if word == "effects":
+        _sharpened(fine, [*final.values(), *selection.problems.values(), *wrong.values()], floors, LAST)
     say("proof on sealed logs")
     models = {"before": given, "calibrated": calibrated, "after": final, "placebo": {**calibrated, **wrong}}
     if corrections:
         models[NAMED] = selection.problems
-    fit_proof = prove(machine, models)
+    fit_proof = prove(fine, models)
     sealed_machine = machine.with_parts(proofs, True)
     sealed_proof = prove(sealed_machine, models)
 
@@ -158,7 +167,7 @@ def _workflow(
             "after": final,
             "placebo": {**calibrated, **selection.placebo},
         }
-        fit_proof, sealed_proof = prove(machine, models), prove(sealed_machine, models)
+        fit_proof, sealed_proof = prove(fine, models), prove(sealed_machine, models)
         word = "unknown"
         places = places or locate(machine, calibrated)
     named = named_effects(machine, selection, looks, floors, seed, final)
@@ -189,20 +198,21 @@ def _workflow(
     )
 
 
-def _sharpened(machine: Machine, selection: Selection, floors: Floors) -> None:
-    """Refits what effects were found for, by the noise that is seen now: what was missing made it look larger."""
-    named = {
-        id(p): p
-        for c, p in selection.problems.items()
-        if any(k.channel in (None, c) for k in selection.choices)
-    }
+def _sharpened(
+    machine: Machine, problems: Sequence[Problem], floors: Floors, sizes: Sequence[float] = SHARPEN
+) -> None:
+    """Refits what was found, in place: by the noise that is seen now, since what was missing made it look larger, and by the
+    substeps of `machine`."""
     if machine.quick:
         return
-    finer = [along_all(p) for p in named.values()]
-    rescored(machine, list(named.values()), floors)
-    solve(machine, finer, floors, SHARPEN)
-    for problem, other in zip(named.values(), finer, strict=True):
+    machine.exact = True
+    every = [p for p in {id(p): p for p in problems}.values() if p.unknowns]
+    finer = [along_all(p) for p in every]
+    solve(machine, finer, floors, len(sizes), sizes=sizes)
+    for problem, other in zip(every, finer, strict=True):
+        problem.cost = math.inf  # was counted by another noise, or with other substeps
         take_over(problem, other)
+    machine.exact = False
 
 
 def _machine(

@@ -336,11 +336,14 @@ def solve(
     iterations: int = 4,
     tolerance: float = 2.0,
     races: Sequence[Sequence[Problem]] = (),
+    sizes: Sequence[float] = _STEPS,
 ) -> None:
     """Improves the estimates of all problems.
 
     `races` are starts of the same problem, improved in the same way, of which only the best one will be used: one that
     cannot become the best any more ends early (`_out_of_race`).
+
+    `sizes` are the steps of q for finite differences, in turn.
 
     A problem ends early once no step size of the differences lowers its cost by `tolerance`, or one does not and the
     problem is at the noise already. One that brings `columns`
@@ -355,7 +358,7 @@ def solve(
         if not live:
             break
         old = [p for p in live if not p.columns or iteration > 0]
-        points = differentiate(machine, old, floors, size=_STEPS[iteration % len(_STEPS)])
+        points = differentiate(machine, old, floors, size=sizes[iteration % len(sizes)])
         steps = [_bounded_step(p, *_normal(machine, p, floors)) for p in live]
         low_high = [p.bounds for p in live]
         trials = [
@@ -377,10 +380,10 @@ def solve(
         for p in live:
             idle = before[id(p)] - p.cost < tolerance
             quiet = idle and at_noise(machine, p, floors)
-            stalled[id(p)] = len(_STEPS) if quiet else stalled[id(p)] + 1 if idle else 0
+            stalled[id(p)] = len(sizes) if quiet else stalled[id(p)] + 1 if idle else 0
             falls[id(p)].append(before[id(p)] - p.cost)
         out = {n for race in races for n in _out_of_race(race, falls, iterations - iteration - 1, tolerance)}
-        live = [p for p in live if stalled[id(p)] < len(_STEPS) and id(p) not in out]
+        live = [p for p in live if stalled[id(p)] < len(sizes) and id(p) not in out]
     for problem in problems:
         if problem.unknowns and problem.columns:
             problem.spread = _spread(machine, problem, floors)

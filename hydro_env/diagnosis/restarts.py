@@ -21,7 +21,16 @@ from .fit import Floors, Problem, at_noise, channels_of, evaluate, floors_from, 
 from .machine import Machine
 from .unknowns import TOGETHER
 
-__all__ = ["STARTS", "along_all", "begun_anew", "from_given", "take_over", "unfolded"]
+__all__ = [
+    "STARTS",
+    "along_all",
+    "along_directions",
+    "begun_anew",
+    "far_from_noise",
+    "from_given",
+    "take_over",
+    "unfolded",
+]
 
 #: Base parameters that are drawn anew, and the spread of the draws on the scale of their priors.
 DRAWN, SPREAD = ("Fc", "Fs", "vs"), 1.0
@@ -33,7 +42,7 @@ KEPT = ("R", "L")
 STARTS, ROUNDS = 12, (3, 3, 4)
 #: Times the noise from which on a problem is fitted to the beginning of the logs first, the shares of the logs in turn, and
 #: iterations with each; times the noise from which on a beginning is not explained.
-UNFOLD, HORIZONS = 3.0, (0.07, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+UNFOLD, HORIZONS = 2.0, (0.07, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 EACH, STUCK = 2, 1.3
 
 
@@ -50,7 +59,7 @@ def begun_anew(
         drawn = [j for j, u in enumerate(problem.unknowns) if u.name in DRAWN]
         if not drawn or at_noise(machine, problem, floors):
             continue
-        if not whole and _far(machine, problem, floors):
+        if not whole and far_from_noise(machine, problem, floors):
             continue
         place = from_given(problem) if whole else problem
         starts = [_with_other_friction(place, rng) for _ in range(STARTS)]
@@ -79,6 +88,20 @@ def along_all(problem: Problem) -> Problem:
     return replace(problem, q=problem.q.copy(), together=tuple(TOGETHER), simulated={}, columns={})
 
 
+def along_directions(machine: Machine, problems: Sequence[Problem], floors: Floors) -> None:
+    """Improves in place, along every direction that ratios tell, those of `problems` that are near the noise and not at it: where
+    next to nothing is missing these do not lead away, and an effect must not win by going along them alone."""
+    near = [
+        p
+        for p in problems
+        if p.unknowns and not far_from_noise(machine, p, floors) and not at_noise(machine, p, floors)
+    ]
+    finer = [along_all(p) for p in near]
+    solve(machine, finer, floors, sum(ROUNDS))
+    for problem, other in zip(near, finer, strict=True):
+        take_over(problem, other)
+
+
 def unfolded(machine: Machine, problems: Sequence[Problem], floors: Floors) -> list[Problem]:
     """Improves in place those of `problems` that are far from the noise: fitted to the beginning of the logs first, then to more
     and more of them. Returns the ones that became better.
@@ -87,19 +110,21 @@ def unfolded(machine: Machine, problems: Sequence[Problem], floors: Floors) -> l
     speaks of nothing else, and no small step repairs it. What lies before that moment tells the parameters, and these
     carry the simulation past it.
     """
-    return [
-        p
-        for p in problems
-        if not at_noise(machine, p, floors, UNFOLD) and take_over(p, _unfolded(machine, p, floors))
-    ]
+    found = []
+    for problem in problems:
+        # What was missing made the noise look larger than it is seen now.
+        seen = lower(floors, floors_from(machine, dict.fromkeys(channels_of(problem, machine), problem)))
+        if at_noise(machine, problem, seen, UNFOLD):
+            continue
+        if take_over(problem, _unfolded(machine, problem, floors, seen)):
+            found.append(problem)
+    return found
 
 
-def _unfolded(machine: Machine, problem: Problem, floors: Floors) -> Problem:
+def _unfolded(machine: Machine, problem: Problem, floors: Floors, seen: Floors) -> Problem:
     """The better of two starts, where the problem is and where the known parameters were given, fitted to more and more of the
-    logs."""
+    logs; on the way by the noise that is `seen`."""
     starts = [along_all(problem), along_all(from_given(problem))]
-    # What was missing made the noise look larger than the beginning of the logs shows it now.
-    seen = floors
     for share in HORIZONS:
         beginning = _beginning(machine, share)
         for start in starts:
@@ -149,7 +174,7 @@ def _with_other_friction(problem: Problem, rng: np.random.Generator) -> Problem:
     )
 
 
-def _far(machine: Machine, problem: Problem, floors: Floors) -> bool:
+def far_from_noise(machine: Machine, problem: Problem, floors: Floors) -> bool:
     """Whether more is left than a valley leaves."""
     found = (levels(machine, problem.simulated[c], c, floors) for c in channels_of(problem, machine))
     return max(v for each in found for v in each.values()) > LITTLE

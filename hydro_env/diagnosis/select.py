@@ -19,10 +19,10 @@ from .again import best_of_all, mostly_explained, nearly_explained, unexplained
 from .fit import Floors, Problem, beside, channels_of, differentiate, evaluate, gain, levels, solve
 from .machine import Machine
 from .noise import effective_samples
-from .restarts import along_all, begun_anew, from_given, take_over, unfolded
+from .restarts import along_all, begun_anew, far_from_noise, from_given, take_over, unfolded
 from .shape import corrected, with_form
 from .signatures import Look, alike, first_look
-from .unknowns import bases_of
+from .unknowns import TOGETHER, bases_of
 
 __all__ = ["Choice", "Selection", "Trial", "at_edge", "penalty", "penalty_per_number", "select"]
 
@@ -179,6 +179,8 @@ def select(
         forward(
             [c for c in found if _open(machine, calibrated[c], present[c], c, floors)], range(2, MOST + 1), []
         )
+    if not machine.quick:
+        _needed_after_all(machine, present, choices, floors, trials)
     if any(len([k for k in choices if k.channel == c]) > 1 for c in machine.channels):
         say("can any of them be left out?")
         _backward(machine, present, choices, floors, trials)
@@ -722,6 +724,40 @@ def _backward(
                 less,
             )
         )
+
+
+def _needed_after_all(
+    machine: Machine, present: dict[int, Problem], choices: list[Choice], floors: Floors, trials: list[Trial]
+) -> None:
+    """Drops an effect that is alone on its channel if the known parameters, from where it has led them, do without it."""
+    alone = [k for k in choices if k.channel is not None and present[k.channel].channel is not None]
+    alone = [k for k in alone if sum(o.channel == k.channel for o in choices) == 1]
+    alone = [k for k in alone if k.without is not None and not far_from_noise(machine, k.without, floors)]
+    starts = {id(k): _without_it(present[k.channel], k) for k in alone if k.channel is not None}
+    solve(machine, [p for own in starts.values() for p in own], floors, SETTLE)
+    for choice in alone:
+        c, less = choice.channel, min(starts[id(choice)], key=lambda p: p.cost)
+        assert c is not None
+        found = gain(machine, less, present[c], floors)
+        if found < choice.needed:
+            fate = "the known parameters do as well, from where it led them"
+            trials.append(Trial(choice.effect, c, 9, found, choice.needed, fate, present[c]))
+            choices.remove(choice)
+            present[c] = less
+
+
+def _without_it(problem: Problem, choice: Choice) -> list[Problem]:
+    """The problem without an effect that was taken, all known parameters where it led them, or only those of the spool.
+
+    What acts behind the valve may have moved to make room for the effect, while the spool's friction only left a valley.
+    """
+    assert choice.without is not None
+    led, before = along_all(_less(problem, choice.effect)), along_all(choice.without)
+    spool = {*TOGETHER["k"], "vs"}
+    for j, u in enumerate(before.unknowns):
+        if u.name in spool and u.name == led.unknowns[j].name:
+            before.q[j] = led.q[j]
+    return [led, before]
 
 
 def _rivals_again(

@@ -19,7 +19,7 @@ from ..plant import CATALOGUE
 from ..plant.shapes import CORRECTIONS, FAMILY, follows
 from .fit import Floors, Problem, Vector, at_noise, channels_of, solve, stretch_costs
 from .machine import Machine
-from .restarts import along_all, begun_anew, from_given, take_over
+from .restarts import along_all, begun_anew, from_given, take_over, unfolded
 from .unknowns import Unknown
 
 __all__ = [
@@ -121,6 +121,8 @@ def corrected(
         if not tries:
             break
         _from_both_places(machine, [p for *_, p in tries], floors)
+        if check:
+            unfolded(machine, [min((p for *_, p in tries), key=lambda p: p.cost)], floors)
         worth = [problem.cost - p.cost - per_number * own_size(k, e) for e, _, k, p in tries]
         effect, channel, correction, best = tries[int(np.argmax(worth))]
         if max(worth) <= 0.0:
