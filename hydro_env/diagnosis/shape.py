@@ -121,7 +121,7 @@ def corrected(
         if not tries:
             break
         _from_both_places(machine, [p for *_, p in tries], floors)
-        if check:
+        if check and problem.channel is not None:
             unfolded(machine, [min((p for *_, p in tries), key=lambda p: p.cost)], floors)
         worth = [problem.cost - p.cost - per_number * own_size(k, e) for e, _, k, p in tries]
         effect, channel, correction, best = tries[int(np.argmax(worth))]
