@@ -10,7 +10,7 @@ plant       many rigs side by side
 reference   an independent simulator on the plain equations, which checks the kernel
 """
 
-from .effect_files import load_effects, loaded_files
+from .effect_files import load_effects
 from .effects import BUILT_IN, CATALOGUE, Effect, State, register, unregister
 from .model import PlantModel, load_model, parameter_of, preset_names
 from .parameters import PARAMETERS, Parameter
@@ -28,7 +28,6 @@ __all__ = [
     "State",
     "load_effects",
     "load_model",
-    "loaded_files",
     "parameter_of",
     "preset_names",
     "register",

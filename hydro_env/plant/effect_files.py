@@ -11,7 +11,7 @@ from ..errors import InputError
 from .compile import compile_kernel
 from .effects import CATALOGUE
 
-__all__ = ["load_effects", "loaded_files"]
+__all__ = ["load_effects"]
 
 _LOADED: dict[Path, tuple[str, ...]] = {}
 
@@ -29,11 +29,6 @@ def load_effects(paths: Iterable[str | Path]) -> tuple[str, ...]:
             _LOADED[file] = _run(file, str(path))
         names += _LOADED[file]
     return tuple(names)
-
-
-def loaded_files() -> tuple[Path, ...]:
-    """The files loaded so far, for other processes to load too."""
-    return tuple(_LOADED)
 
 
 def _run(file: Path, shown: str) -> tuple[str, ...]:
