@@ -67,6 +67,23 @@ def test_a_rounded_corner_is_a_parabola_within_the_rounding() -> None:
     assert law(0.0, 8.9e-5, **at) == law(0.0, 1.11e-4, **at) == law(0.0, 0.0, **at) == 0.0
 
 
+def test_a_gain_curve_goes_through_its_knots_and_between_them_as_the_logarithm() -> None:
+    law = CATALOGUE["opening_shape"].laws["opening"]
+    gains = {f"gain_{n}": value for n, value in enumerate((2.1, 1.5, 1.1, 0.6, 0.3, 0.1, 0.0))}
+    valve = {"alpha": 2.0, "u_rated": 5.0, "R": 4.0, "k": 2.5}
+    rated = 2.0 * 5.0 / (4.0 * 2.5)
+    for sign in (1.0, -1.0):
+        for n, value in enumerate(gains.values()):
+            opening = sign * rated / 2 ** (6 - n)
+            assert law(opening, **gains, **valve) == pytest.approx(opening * (1.0 + value))
+            assert law(0.1 * opening / 2**n, **gains, **valve) == pytest.approx(
+                0.1 * opening / 2**n * (1.0 + gains["gain_0"])
+            )
+    for share in np.geomspace(1 / 64, 1.0, 50):
+        line = np.interp(np.log2(share), range(-6, 1), [*gains.values()])
+        assert law(share * rated, **gains, **valve) / (share * rated) - 1.0 == pytest.approx(line, abs=0.01)
+
+
 def test_a_model_file_carries_a_correction(tmp_path: Path) -> None:
     values = {
         "dead_zone.overlap_positive": (1e-4, 0.0), "corner_shape.corner_positive": (1e-4, 0.0),

@@ -31,7 +31,7 @@ from .motor import MotorRig
 from .parts import Part, overlap, read_parts
 from .plausible import implausible, stop_if_sure
 from .prove import MODELS, NAMED, Proof, prove
-from .restarts import along_all, take_over
+from .restarts import along_all, far_from_noise, take_over
 from .result import (
     Named,
     at_bounds,
@@ -144,10 +144,12 @@ def _workflow(
         )
         wrong = placebo_too(machine, wrong, corrections, floors)
         machine.exact = False
-    # The last steps are by the proof's substeps: where a shaft nearly comes to rest a parameter's last decimals count.
+    # The last steps of what is near the noise are by the proof's substeps: where a shaft nearly comes to rest a parameter's
+    # last decimals count.
     fine = machine if machine.quick else machine.with_parts(parts, False)
     if word == "effects":
-        _sharpened(fine, [*final.values(), *selection.problems.values(), *wrong.values()], floors, LAST)
+        every = (*final.values(), *selection.problems.values(), *wrong.values())
+        _sharpened(fine, [p for p in every if not far_from_noise(fine, p, floors)], floors, LAST)
     say("proof on sealed logs")
     models = {"before": given, "calibrated": calibrated, "after": final, "placebo": {**calibrated, **wrong}}
     if corrections:

@@ -126,21 +126,33 @@ _correction(
 )  # fmt: skip
 
 
-def _gain_curve(opening, gain_0, gain_1, gain_2, gain_3, gain_4, gain_5, alpha, u_rated, R, k):
+def _gain_curve(opening, gain_0, gain_1, gain_2, gain_3, gain_4, gain_5, gain_6, alpha, u_rated, R, k):
+    # Between two knots, an octave apart, t (1.343 - 0.343 t) of t = share / knot - 1 goes from 0 to 1 as the logarithm does.
     share = abs(opening) * (R * k / (alpha * u_rated))
-    curve = gain_0 + (gain_1 - gain_0) * clip((share - 0.02) * (1.0 / 0.03), 0.0, 1.0)
-    curve = curve + (gain_2 - gain_1) * clip((share - 0.05) * (1.0 / 0.07), 0.0, 1.0)
-    curve = curve + (gain_3 - gain_2) * clip((share - 0.12) * (1.0 / 0.18), 0.0, 1.0)
-    curve = curve + (gain_4 - gain_3) * clip((share - 0.3) * (1.0 / 0.3), 0.0, 1.0)
-    curve = curve + (gain_5 - gain_4) * clip((share - 0.6) * (1.0 / 0.4), 0.0, 1.0)
+    curve = gain_0
+    t_1 = clip(share * 64.0 - 1.0, 0.0, 1.0)
+    curve = curve + (gain_1 - gain_0) * t_1 * (1.343 - 0.343 * t_1)
+    t_2 = clip(share * 32.0 - 1.0, 0.0, 1.0)
+    curve = curve + (gain_2 - gain_1) * t_2 * (1.343 - 0.343 * t_2)
+    t_3 = clip(share * 16.0 - 1.0, 0.0, 1.0)
+    curve = curve + (gain_3 - gain_2) * t_3 * (1.343 - 0.343 * t_3)
+    t_4 = clip(share * 8.0 - 1.0, 0.0, 1.0)
+    curve = curve + (gain_4 - gain_3) * t_4 * (1.343 - 0.343 * t_4)
+    t_5 = clip(share * 4.0 - 1.0, 0.0, 1.0)
+    curve = curve + (gain_5 - gain_4) * t_5 * (1.343 - 0.343 * t_5)
+    t_6 = clip(share * 2.0 - 1.0, 0.0, 1.0)
+    curve = curve + (gain_6 - gain_5) * t_6 * (1.343 - 0.343 * t_6)
     return opening * (1.0 + curve)
 
 
 _correction(
-    "opening_shape", "opening", "gain of the opening as a curve over the opening",
+    "opening_shape", "opening", "gain of the opening as a curve over the logarithm of the opening",
     tuple(
-        _amount(f"gain_{n}", "1", 0.1, f"relative gain at {100 * s:g} % of the rated opening")
-        for n, s in enumerate((0.02, 0.05, 0.12, 0.3, 0.6, 1.0))
+        # A gain may be several times another; it cannot lose more than all.
+        Parameter(
+            f"gain_{n}", "1", 0.0, -0.8, 3.0, _NO_PHYSICS, f"relative gain at 1/{2 ** (6 - n)} of the rated opening", 0.2
+        )
+        for n in range(7)
     ),
     {"opening": _gain_curve},
     {n: {} for n in ("flow_gain_nonlinearity", "dead_zone", "flow_saturation", "directional_gain", "null_offset")},
