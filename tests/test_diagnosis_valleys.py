@@ -15,7 +15,7 @@ from hydro_env.diagnosis.hide import make_practice
 from hydro_env.diagnosis.machine import Request
 from hydro_env.diagnosis.motor import MotorRig
 from hydro_env.diagnosis.parts import read_parts
-from hydro_env.diagnosis.restarts import from_given, take_over, unfolded
+from hydro_env.diagnosis.restarts import _beginning, from_given, take_over, unfolded
 from hydro_env.diagnosis.unknowns import TOGETHER, Unknown, base_unknown, effect_unknowns, scaled
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, simulate
 
@@ -148,7 +148,8 @@ def test_calibration_finds_a_rig_whose_spools_are_wrong_by_a_sixth(tmp_path: Pat
         assert len(base_unknowns(rig, c)) == found[c].q.size
 
 
-def test_an_unbalanced_shaft_is_found_from_the_beginning_of_its_log(tmp_path: Path) -> None:
+@pytest.mark.parametrize("off", [0.3, -2.0])
+def test_an_unbalanced_shaft_is_found_from_the_beginning_of_its_log(tmp_path: Path, off: float) -> None:
     make_practice(
         ["eccentric_load:1"], base_error=0.15, seed=1, duration=8.0, rate=500.0, runs=("fit_1",)
     ).write(tmp_path)
@@ -159,7 +160,8 @@ def test_an_unbalanced_shaft_is_found_from_the_beginning_of_its_log(tmp_path: Pa
         rig, as_given(rig, {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]})
     )
     known = base_unknowns(rig, 0)
-    near = {"amplitude": 0.7 * true["amplitude"], "phase": true["phase"] + 0.3}
+    phase = (true["phase"] + off + np.pi) % (2.0 * np.pi) - np.pi
+    near = {"amplitude": 0.7 * true["amplitude"], "phase": phase}
     problem = beside(Problem(0, known, np.zeros(len(known))), "eccentric_load", near)
     solve(rig, [problem], floors, 24)
     # Once the shaft has turned the other way all later steps are lost.
@@ -169,3 +171,17 @@ def test_an_unbalanced_shaft_is_found_from_the_beginning_of_its_log(tmp_path: Pa
     for name, value in true.items():
         assert found[f"eccentric_load.{name}"] == pytest.approx(value, abs=0.005)
     assert unfolded(rig, [problem], floors) == []
+
+
+def test_the_beginning_of_a_log_is_simulated_as_in_the_whole(tmp_path: Path) -> None:
+    make_practice((), seed=2, duration=4.0, rate=500.0, runs=("fit_1", "fit_2")).write(tmp_path)
+    parts = read_parts([tmp_path / "fit_1.csv", tmp_path / "fit_2.csv"], None)
+    rig = MotorRig(load_model("paper"), parts)
+    short = _beginning(rig, 0.3)
+    request = [Request(c, {"k": 1.1e4}) for c in (0, 1)]
+    whole, part = rig.predict(request), short.predict(request)
+    for c in (0, 1):
+        assert len(part[c][c]) == sum(s.rows.size for s in short.segments[c]) < 0.31 * len(whole[c][c])
+        for long, cut in zip(rig.segments[c], short.segments[c], strict=True):
+            np.testing.assert_array_equal(cut.measured, long.measured[: cut.rows.size])
+            np.testing.assert_array_equal(part[c][c][cut.place], whole[c][c][long.place][: cut.rows.size])

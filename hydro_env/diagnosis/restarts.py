@@ -11,15 +11,18 @@ effect leaves is no matter of valleys.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 
 import numpy as np
 
+from ..plant import CATALOGUE
 from .fit import Floors, Problem, at_noise, channels_of, evaluate, floors_from, levels, lower, rescored, solve
-from .machine import Machine
+from .machine import Machine, Segment
 from .unknowns import TOGETHER
+from .unknowns import starts as effect_starts
 
 __all__ = [
     "STARTS",
@@ -41,9 +44,15 @@ KEPT = ("R", "L")
 #: New starts of a problem, and iterations of each round.
 STARTS, ROUNDS = 12, (3, 3, 4)
 #: Times the noise from which on a problem is fitted to the beginning of the logs first, the shares of the logs in turn, and
-#: iterations with each; times the noise from which on a beginning is not explained.
-UNFOLD, HORIZONS = 2.0, (0.07, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-EACH, STUCK = 2, 1.3
+#: iterations with each; gap (in `levels`) from which on a beginning is not followed.
+UNFOLD, HORIZONS = 2.0, (0.02, 0.04, 0.07, 0.11, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+EACH, STUCK = 2, 0.3
+#: Share up to which a beginning is short: it costs little, so there are more iterations, and it is too short to show the noise.
+SHORT, EARLY = 0.1, 12
+#: Share of the logs by which at least they are lengthened.
+FINE = 0.02
+#: Starts that are improved on the first beginning, and that go on from there.
+FIRST, GO_ON = 6, 2
 
 
 def begun_anew(
@@ -122,36 +131,88 @@ def unfolded(machine: Machine, problems: Sequence[Problem], floors: Floors) -> l
 
 
 def _unfolded(machine: Machine, problem: Problem, floors: Floors, seen: Floors) -> Problem:
-    """The better of two starts, where the problem is and where the known parameters were given, fitted to more and more of the
-    logs; on the way by the noise that is `seen`."""
-    starts = [along_all(problem), along_all(from_given(problem))]
-    for share in HORIZONS:
+    """The best of several starts, where the problem is and where the known parameters were given, there with other values of the
+    effects too, fitted to more and more of the logs; on the way by the noise that is `seen`."""
+    given = from_given(problem)
+    starts = [along_all(p) for p in (problem, given, *_elsewhere(given))]
+    evaluate(_beginning(machine, HORIZONS[0]), starts[GO_ON:], seen)
+    starts[GO_ON:] = sorted(starts[GO_ON:], key=lambda p: p.cost)[: FIRST - GO_ON]
+    ahead, reached, good = [*HORIZONS], 0.0, starts
+    while ahead:
+        share = ahead[0]
         beginning = _beginning(machine, share)
-        for start in starts:
-            start.simulated, start.columns = {}, {}
-        solve(beginning, starts, seen, EACH)
+        starts = [replace(p, q=p.q.copy(), simulated={}, columns={}) for p in good]
+        solve(beginning, starts, seen, EARLY if share < SHORT else EACH)
         starts.sort(key=lambda p: p.cost)
-        channels = channels_of(problem, machine)
-        seen = lower(seen, floors_from(beginning, dict.fromkeys(channels, starts[0])))
-        rescored(beginning, starts, seen)
-        if not at_noise(beginning, starts[0], seen, STUCK):
+        del starts[GO_ON:]
+        if share > SHORT:
+            seen = lower(
+                seen, floors_from(beginning, dict.fromkeys(channels_of(problem, machine), starts[0]))
+            )
+            rescored(beginning, starts, seen)
+        if not _followed(beginning, starts[0], seen):
+            if reached and share - reached > FINE:
+                ahead.insert(0, 0.5 * (reached + share))  # not so far at once
+                continue
             # A spool that sticks a moment longer, now, is worth other frictions before anything later is looked at.
             begun_anew(beginning, starts[:1], seen)
-            if not at_noise(beginning, starts[0], seen, STUCK):
+            if not _followed(beginning, starts[0], seen):
                 break  # something is missing that this effect does not make up for
+        reached, good = ahead.pop(0), starts
+    for start in starts:
+        start.columns = {}
     evaluate(machine, starts, floors)
     solve(machine, starts, floors, ROUNDS[-1])
     return min(starts, key=lambda p: p.cost)
 
 
+def _followed(machine: Machine, problem: Problem, floors: Floors) -> bool:
+    """Whether nothing but a few events is missed in any signal: a shaft that went the other way stays off, a spool that stuck
+    a moment longer does not."""
+    found = (levels(machine, problem.simulated[c], c, floors) for c in channels_of(problem, machine))
+    return max(v for each in found for v in each.values()) < STUCK
+
+
+def _elsewhere(problem: Problem) -> list[Problem]:
+    """The problem with each of its effects at every size and shape that is worth a look: from the wrong side of a turn no small
+    step leads to the right one."""
+    found = []
+    for effect in problem.effects():
+        if problem.channel is None or CATALOGUE[effect].family:
+            continue
+        own = {u.name: j for j, u in enumerate(problem.unknowns)}
+        for values in effect_starts(CATALOGUE[effect], math.inf, whole=True):
+            q = problem.q.copy()
+            for name, value in values.items():
+                j = own.get(f"{effect}.{name}")
+                if j is not None:
+                    q[j] = problem.unknowns[j].q(value)
+            found.append(replace(problem, q=np.clip(q, *problem.bounds)))
+    return found
+
+
 def _beginning(machine: Machine, share: float) -> Machine:
-    """The machine with only this share of each log, from its beginning; the simulations are the same."""
+    """The machine with only this share of each log, from its beginning, of which it also simulates no more."""
     twin = copy(machine)
-    twin.segments = {
-        c: [replace(s, inside=s.inside & (np.arange(s.rows.size) < share * s.rows.size)) for s in segments]
-        for c, segments in machine.segments.items()
-    }
+    rows = [max(2, math.ceil(share * len(part.log))) for part in machine.parts]
+    twin.parts = [
+        replace(part, log=part.log.first(n), inside=part.inside[:n])
+        for part, n in zip(machine.parts, rows, strict=True)
+    ]
+    twin.segments = {c: _first(segments, rows) for c, segments in machine.segments.items()}
     return twin
+
+
+def _first(segments: Sequence[Segment], rows: Sequence[int]) -> list[Segment]:
+    """The samples of the first so many rows of each log, which again lie one behind the other in a vector."""
+    place, found = 0, []
+    for s in segments:
+        n = int(np.searchsorted(s.rows, rows[s.log]))
+        cut = replace(s, measured=s.measured[:n], rows=s.rows[:n], inside=s.inside[:n])
+        cut.place = slice(place, place + n)
+        place += n
+        found.append(cut)
+    return found
 
 
 def take_over(problem: Problem, other: Problem) -> bool:

@@ -111,6 +111,10 @@ class RigLog:
             raise ValueError(f"fewer than two rows between {start:g} s and {end:g} s")
         return self._with_rows(lambda values, _: values[keep[0] : keep[-1] + 1])
 
+    def first(self, rows: int) -> RigLog:
+        """The first so many rows."""
+        return self._with_rows(lambda values, _: values[:rows])
+
     def resample(self, period: float) -> RigLog:
         """The log on an even grid of `period` s: commands, loads and set-points held, measurements interpolated, and
         NaN inside gaps (steps of more than 1.75 median ones).
