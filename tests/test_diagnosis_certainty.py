@@ -19,6 +19,7 @@ from hydro_env.diagnosis.parts import read_parts
 from hydro_env.diagnosis.signatures import absorb, first_look, hidden_by_calibration
 from hydro_env.diagnosis.unknowns import less_taken
 from hydro_env.diagnosis.where import shape
+from hydro_env.files import write_json
 from hydro_env.plant import load_model
 
 
@@ -216,3 +217,10 @@ def test_the_shape_of_a_gap_tells_a_curve_from_memory() -> None:
     assert next(p[1] for p in overlap["points"]) == pytest.approx(10.0, rel=0.01)
     loop = shape(command, np.sign(np.cos(2.0 * np.pi * t)), "command, V", "flow", 1.0)
     assert loop["explains"] < 0.1 and loop["with_direction"] > 0.95
+
+
+def test_a_trial_that_two_slices_ran_counts_once(tmp_path: Path) -> None:
+    rows = [{"group": g, "seed": n} for g, n in (("medium", 3), ("nothing", 7), ("medium", 2))]
+    for name, own in (("trials_1_of_2.json", rows[:2]), ("trials_2_of_2.json", rows[1:])):
+        write_json(tmp_path / name, {"rows": own})
+    assert [r["seed"] for r in trials.rows_of(tmp_path)] == [7, 2, 3]

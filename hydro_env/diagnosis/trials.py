@@ -279,9 +279,11 @@ def _sides(channel: str) -> tuple[str, ...]:
 
 
 def rows_of(folder: Path) -> list[dict[str, Any]]:
-    """All rows that the slices of a run have left in a folder, in the order of groups and seeds."""
-    rows = [r for path in folder.glob("trials*.json") for r in json.loads(path.read_text())["rows"]]
-    return sorted(rows, key=lambda r: (list(GROUPS).index(r["group"]), r["seed"]))
+    """All rows that the slices of a run have left in a folder, in the order of groups and seeds; a trial that two of them ran
+    counts once."""
+    rows = [r for path in sorted(folder.glob("trials*.json")) for r in json.loads(path.read_text())["rows"]]
+    once = {(r["group"], r["seed"]): r for r in reversed(rows)}
+    return sorted(once.values(), key=lambda r: (list(GROUPS).index(r["group"]), r["seed"]))
 
 
 def run_trials(
