@@ -400,12 +400,14 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         f"Processor time of a diagnosis: {sum(t <= 60.0 for t in slow)} of {len(slow)} within 60 s, at most {slow[0]:.0f} s.",
     ]
     for jobs in sorted({r.get("jobs", 1) for r in rows} - {1}):
-        wall = sorted(r["seconds"] for r in rows if r.get("jobs") == jobs)
+        timed = [r for r in rows if r.get("jobs") == jobs]
+        every = [(g, [r["seconds"] for r in timed if r["group"] == g]) for g in GROUPS]
         lines += [
             "",
-            f"On the wall, with {jobs} threads: {sum(t <= 60.0 for t in wall)} of {len(wall)} within 60 s, "
-            f"median {wall[len(wall) // 2]:.0f} s, at most {wall[-1]:.0f} s.",
+            f"On the wall, with {jobs} threads: {_within([r['seconds'] for r in timed])}; of these",
+            "",
         ]
+        lines += [f"* {group}: {_within(own)}" for group, own in every if own]
     rough = [r for r in rows if (r["right"] or r["set"]) and r["verdict"] == "effects" and not r["sealed"]]
     lines += [
         "",
@@ -421,6 +423,13 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     ]
     made = " and ".join(f"`{command}`" for command in commands(rows))
     return "\n".join([f"Made by {made}; {len(rows)} trials.", "", *lines, ""])
+
+
+def _within(seconds: Sequence[float]) -> str:
+    """How many of these times are within a minute, in words."""
+    ordered = sorted(seconds)
+    middle, longest = ordered[len(ordered) // 2], ordered[-1]
+    return f"{sum(t <= 60.0 for t in ordered)} of {len(ordered)} within 60 s, median {middle:.0f} s, at most {longest:.0f} s"
 
 
 def commands(rows: Sequence[dict[str, Any]]) -> list[str]:
