@@ -139,8 +139,9 @@ def _workflow(
     if word == "effects":
         say("correcting the form of what is named")
         machine.exact = True
+        per_number = penalty_per_number(machine)
         final, corrections = corrected_all(
-            machine, selection.problems, selection.named(), floors, penalty_per_number(machine)
+            machine, selection.problems, selection.named(), floors, per_number, selection.formed
         )
         wrong = placebo_too(machine, wrong, corrections, floors)
         machine.exact = False
@@ -148,7 +149,7 @@ def _workflow(
     # last decimals count.
     fine = machine if machine.quick else machine.with_parts(parts, False)
     if word == "effects":
-        every = (*final.values(), *selection.problems.values(), *wrong.values())
+        every = (*final.values(), *wrong.values())
         _sharpened(fine, [p for p in every if not far_from_noise(fine, p, floors)], floors, LAST)
     say("proof on sealed logs")
     models = {"before": given, "calibrated": calibrated, "after": final, "placebo": {**calibrated, **wrong}}

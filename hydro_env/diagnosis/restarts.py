@@ -42,7 +42,7 @@ LITTLE = 1.0
 #: Base parameters that stay where they are when the others begin again: the current tells them, whatever is missing behind.
 KEPT = ("R", "L")
 #: New starts of a problem, and iterations of each round.
-STARTS, ROUNDS = 12, (3, 3, 4)
+STARTS, ROUNDS = 12, (2, 3, 4)
 #: Times the noise from which on a problem is fitted to the beginning of the logs first, the shares of the logs in turn, and
 #: iterations with each; gap (in `levels`) from which on a beginning is not followed.
 UNFOLD, HORIZONS = 2.0, (0.02, 0.04, 0.07, 0.11, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
@@ -230,9 +230,11 @@ def _with_other_friction(problem: Problem, rng: np.random.Generator) -> Problem:
     q = problem.q.copy()
     q[drawn] = SPREAD * rng.standard_normal(len(drawn))
     q = np.clip(q, *problem.bounds)
+    # Derivatives of before are good enough for the first step.
     return Problem(
-        problem.channel, problem.unknowns, q, problem.label, follow=problem.follow, together=problem.together
-    )
+        problem.channel, problem.unknowns, q, problem.label, follow=problem.follow, together=problem.together,
+        columns=dict(problem.columns),
+    )  # fmt: skip
 
 
 def far_from_noise(machine: Machine, problem: Problem, floors: Floors) -> bool:

@@ -82,12 +82,16 @@ class Choice:
 
 @dataclass
 class Selection:
-    """The outcome: final problems by channel (the same joint problem for both where a rig effect was taken)."""
+    """The outcome: final problems by channel (the same joint problem for both where a rig effect was taken).
+
+    `formed` are problems of channels with the form corrected of what had been taken when a further effect was tried.
+    """
 
     problems: dict[int, Problem]
     choices: list[Choice]
     trials: list[Trial]
     placebo: dict[int, Problem]
+    formed: dict[int, Problem] = field(default_factory=dict)
 
     def named(self) -> dict[int | None, list[str]]:
         """The effects that were taken by channel, None for those of the whole rig."""
@@ -145,6 +149,7 @@ def select(
     choices: list[Choice] = []
     present = dict(calibrated)
     placebo: dict[int, Problem] = {}
+    formed: dict[int, Problem] = {}
     names = [n for n in machine.candidates() if CATALOGUE[n].scope == "channel"]
 
     def forward(open_channels: list[int], numbers: Sequence[int], now: Sequence[Look]) -> None:
@@ -156,7 +161,9 @@ def select(
                 here = {c: present[c] for c in open_channels}
                 now = first_look(machine, here, floors, names, seconds, looks)
             say(f"round {number}: refitting candidates")
-            taken = _round(machine, present, open_channels, now, floors, number, trials, choices, placebo)
+            taken = _round(
+                machine, present, open_channels, now, floors, number, trials, choices, placebo, formed
+            )
             open_channels = [c for c in taken if _open(machine, calibrated[c], present[c], c, floors)]
 
     forward(
@@ -187,7 +194,7 @@ def select(
     if choices:
         say("what else would do as well?")
         _rivals_again(machine, present, choices, looks, floors)
-    return Selection(present, choices, trials, placebo)
+    return Selection(present, choices, trials, placebo, formed)
 
 
 def _left(machine: Machine, problem: Problem, channel: int, floors: Floors) -> bool:
@@ -261,7 +268,7 @@ def _once_more(
 
 def _round(
     machine: Machine, present: dict[int, Problem], channels: Sequence[int], looks: Sequence[Look], floors: Floors,
-    number: int, trials: list[Trial], choices: list[Choice], placebo: dict[int, Problem],
+    number: int, trials: list[Trial], choices: list[Choice], placebo: dict[int, Problem], formed: dict[int, Problem],
 ) -> list[int]:  # fmt: skip
     """One forward step on every open channel; returns the channels on which an effect was taken."""
     cheap, full = (CHEAP, FULL) if number == 1 or machine.quick else (LATER_CHEAP, LATER_FULL)
@@ -323,7 +330,7 @@ def _round(
             if place == 0 and fate == EDGE and _form_leads_inside(machine, present[c], problem, look, floors):
                 fate = "taken"
             first = place == 0 and fate == "taken"
-            if first and before and _form_does(machine, present[c], before, look, problem, floors):
+            if first and before and _form_does(machine, present[c], before, look, problem, floors, formed):
                 fate = "a correction of the form of what is named already does as well"
             if place == 0 and fate == "taken":
                 rivals = {
@@ -428,14 +435,18 @@ def _form_does(
     look: Look,
     after: Problem,
     floors: Floors,
+    every: dict[int, Problem],
 ) -> bool:
     """Whether a further effect only mends the form of those that are named already.
 
-    The effects `named` are corrected in their form (`shape`); the further one must then still pay.
+    The effects `named` are corrected in their form (`shape`); the further one must then still pay. What comes of the correction
+    goes to `every`, by channel.
     """
     formed, kept = corrected(machine, before, named, floors, penalty_per_number(machine), check=False)
     if not kept:
         return False
+    if formed.channel is not None:
+        every[formed.channel] = formed
     added = [u for u in after.unknowns if u.name.startswith(f"{look.effect}.")]
     q = np.array([v for u, v in zip(after.unknowns, after.q, strict=True) if u in added])
     both = Problem(

@@ -19,7 +19,7 @@ from ..plant import CATALOGUE
 from ..plant.shapes import CORRECTIONS, FAMILY, follows
 from .fit import Floors, Problem, Vector, at_noise, channels_of, solve, stretch_costs
 from .machine import Machine
-from .restarts import along_all, begun_anew, from_given, take_over, unfolded
+from .restarts import along_all, begun_anew, far_from_noise, from_given, take_over, unfolded
 from .unknowns import Unknown
 
 __all__ = [
@@ -100,18 +100,20 @@ def with_correction(problem: Problem, effect: str, correction: str, channel: int
 
 def corrected(
     machine: Machine, problem: Problem, named: Sequence[tuple[str, int | None]], floors: Floors, per_number: float,
-    check: bool = True,
+    check: bool = True, earlier: Problem | None = None,
 ) -> tuple[Problem, list[Corrected]]:  # fmt: skip
     """The problem with those corrections of its effects `named` (with their channels) that pay for themselves; the problem
     itself if none does.
 
     `per_number` is the fall of the cost that every number must pay for; with `check`, a correction must also help on
-    stretches of the fit logs that were left out (`held_out`).
+    stretches of the fit logs that were left out (`held_out`). `earlier` is a corrected problem that was found before.
     """
     kept: list[Corrected] = []
-    for _ in range(MOST):
+    for number in range(MOST):
         if machine.quick or at_noise(machine, problem, floors):
             break
+        if number and far_from_noise(machine, problem, floors):
+            break  # with the form put right that matters most, what is left is no matter of form
         tries = [
             (effect, channel, correction, with_correction(problem, effect, correction, channel))
             for effect, channel in dict.fromkeys(named)
@@ -120,18 +122,15 @@ def corrected(
         ]
         if not tries:
             break
-        _from_both_places(machine, [p for *_, p in tries], floors)
-        if check and problem.channel is not None:
+        _from_both_places(machine, [p for *_, p in tries], floors, best_only=True)
+        if number == 0 and problem.channel is not None:
             unfolded(machine, [min((p for *_, p in tries), key=lambda p: p.cost)], floors)
+        _take_up(machine, [p for *_, p in tries], earlier, floors)
         worth = [problem.cost - p.cost - per_number * own_size(k, e) for e, _, k, p in tries]
         effect, channel, correction, best = tries[int(np.argmax(worth))]
         if max(worth) <= 0.0:
             break
-        sure = (
-            held_out(machine, problem, best, effect, correction, channel, floors)
-            if check
-            else (np.inf, np.inf)
-        )
+        sure = held_out(machine, problem, best, floors) if check else (np.inf, np.inf)
         # It must help in both halves, and in all pay for its numbers there too.
         if min(sure) <= 0.0 or sum(sure) < per_number * own_size(correction, effect):
             break
@@ -141,13 +140,27 @@ def corrected(
     return problem, kept
 
 
-def _from_both_places(machine: Machine, problems: Sequence[Problem], floors: Floors) -> None:
-    """Improves all: the known parameters have moved to make up for the form, so they begin where they are and where they were
-    given."""
-    again = [along_all(from_given(p)) for p in problems]
-    solve(machine, [*problems, *again], floors, TRY, races=list(zip(problems, again, strict=True)))
-    for problem, other in zip(problems, again, strict=True):
-        take_over(problem, other)
+def _take_up(machine: Machine, problems: Sequence[Problem], earlier: Problem | None, floors: Floors) -> None:
+    """Puts an estimate that was found before into the problem of the same unknowns, if it is better there."""
+    for problem in problems:
+        if earlier is not None and [u.name for u in problem.unknowns] == [u.name for u in earlier.unknowns]:
+            again = replace(problem, q=np.clip(earlier.q, *problem.bounds), simulated={}, columns={})
+            solve(machine, [again], floors, TRY)
+            take_over(problem, again)
+
+
+def _from_both_places(
+    machine: Machine, problems: Sequence[Problem], floors: Floors, best_only: bool = False
+) -> None:
+    """Improves all, or only what may become the best: the known parameters have moved to make up for the form, so they begin
+    where they are and where they were given. Those of a whole rig, whose simulations are slow, begin where they are."""
+    again = {id(p): along_all(from_given(p)) for p in problems if p.channel is not None}
+    races = [[p, again[id(p)]] for p in problems if id(p) in again]
+    every = [*problems, *again.values()]
+    solve(machine, every, floors, TRY, races=[every] if best_only else races)
+    for problem in problems:
+        if id(problem) in again:
+            take_over(problem, again[id(problem)])
 
 
 def with_form(machine: Machine, problem: Problem, effect: str, floors: Floors) -> list[tuple[int, Problem]]:
@@ -159,11 +172,14 @@ def with_form(machine: Machine, problem: Problem, effect: str, floors: Floors) -
 
 
 def corrected_all(
-    machine: Machine, problems: dict[int, Problem], named: Mapping[int | None, Sequence[str]], floors: Floors, per_number: float
+    machine: Machine, problems: dict[int, Problem], named: Mapping[int | None, Sequence[str]], floors: Floors, per_number: float,
+    earlier: Mapping[int, Problem] | None = None,
 ) -> tuple[dict[int, Problem], list[Corrected]]:  # fmt: skip
-    """Every problem with the corrections of what is named there: `named` by channel, None for effects of the whole rig.
+    """Every problem with the corrections of what is named there: `named` by channel, None for effects of the whole rig;
+    `earlier` are corrected problems of channels that were found before.
 
-    What is near the noise then is begun anew with other friction of the spool, as calibrated models are, for the same reason.
+    What is near the noise then, and not at it, is begun anew with other friction of the spool, as calibrated models are, for the
+    same reason: other draws than those with which calibration began.
     """
     found: dict[int, Problem] = dict(problems)
     every: list[Corrected] = []
@@ -172,13 +188,12 @@ def corrected_all(
         names = [(n, channel) for channel, own in named.items() if c is None or channel == c for n in own]
         if machine.quick or not named or at_noise(machine, problem, floors):
             continue
-        # A valley is no matter of form, so it comes first: other draws than those with which calibration began.
-        begun_anew(machine, [problem], floors, 1)
-        better, kept = corrected(machine, problem, names, floors, per_number)
+        known = (earlier or {}).get(c) if c is not None else None
+        better, kept = corrected(machine, problem, names, floors, per_number, earlier=known)
         if better is problem:
             better = replace(problem, q=problem.q.copy(), columns=dict(problem.columns))
-        if kept and not at_noise(machine, better, floors, AGAIN):
-            solve(machine, begun_anew(machine, [better], floors, 2), floors, SETTLE)
+        if not at_noise(machine, better, floors, AGAIN):
+            solve(machine, begun_anew(machine, [better], floors, 1), floors, SETTLE)
         found.update(dict.fromkeys(channels_of(problem, machine), better))
         every += kept
     return found, every
@@ -216,9 +231,7 @@ def changes(machine: Machine, problem: Problem, correction: str, channel: int) -
     return {name: float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) for name, parts in found.items()}
 
 
-def held_out(
-    machine: Machine, problem: Problem, best: Problem, effect: str, correction: str, channel: int | None, floors: Floors
-) -> tuple[float, float]:  # fmt: skip
+def held_out(machine: Machine, problem: Problem, best: Problem, floors: Floors) -> tuple[float, float]:
     """How far the cost falls by a correction where it was not fitted: the fall in each half of the fit logs.
 
     Every second stretch of the fit logs is left out; the effects' parameters are fitted to the others, without the
@@ -229,11 +242,7 @@ def held_out(
     falls = []
     for half in (0, 1):
         seen, unseen = _half(machine, half), _half(machine, 1 - half)
-        with_it = with_correction(problem, effect, correction, channel)
-        size = len(problem.unknowns)
-        base = [j for j, u in enumerate(problem.unknowns) if "." not in u.name]
-        with_it.q[base] = best.q[:size][base]
-        both = [_effects_only(p) for p in (problem, with_it)]
+        both = [_effects_only(p) for p in (problem, best)]
         solve(seen, both, floors, HALF)
         bare, better = (
             sum(stretch_costs(unseen, p, c, floors, STRETCH_S).sum() for c in channels_of(problem, machine))
