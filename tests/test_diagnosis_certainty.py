@@ -16,7 +16,7 @@ from hydro_env.diagnosis.machine import Request
 from hydro_env.diagnosis.motor import MotorRig
 from hydro_env.diagnosis.noise import noise_floor
 from hydro_env.diagnosis.parts import read_parts
-from hydro_env.diagnosis.signatures import absorb, first_look, hidden_by_calibration
+from hydro_env.diagnosis.signatures import Look, absorb, first_look, hidden_by_calibration
 from hydro_env.diagnosis.unknowns import less_taken
 from hydro_env.diagnosis.where import shape
 from hydro_env.files import write_json
@@ -102,6 +102,18 @@ def test_calibration_hides_a_wrong_scale_of_the_speed_and_not_a_dead_zone(tmp_pa
     assert all(k.visible <= linear[k.effect, k.channel] for k in looks)
     hidden = hidden_by_calibration(looks)
     assert "sensor_gain" in hidden and "dead_zone" not in hidden
+
+
+def test_what_calibration_takes_up_but_for_next_to_nothing_is_hidden() -> None:
+    def look(visible: float, plain: float) -> Look:
+        return Look("sensor_gain", 0, {}, 0.0, visible, np.zeros(1), plain)
+
+    assert look(50.0, 1e4).hidden and not look(50.0, 1e4).shows
+    assert look(213.0, 6.5e6).hidden and not look(213.0, 6.5e6).shows
+    assert not look(1e4, 6.5e6).hidden and look(1e4, 6.5e6).shows
+    assert (
+        not look(10.0, 20.0).hidden and not look(10.0, 20.0).shows
+    )  # nothing there that calibration could take
 
 
 def test_estimates_leave_a_valley_of_friction(tmp_path: Path) -> None:

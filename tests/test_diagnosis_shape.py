@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,15 @@ from hydro_env.diagnosis.machine import Request
 from hydro_env.diagnosis.motor import MotorRig
 from hydro_env.diagnosis.parts import read_parts
 from hydro_env.diagnosis.select import Choice, Trial, _still_there, joined
-from hydro_env.diagnosis.shape import Corrected, corrected, corrected_all, placebo_too, with_correction
+from hydro_env.diagnosis.shape import (
+    Corrected,
+    _take_up,
+    corrected,
+    corrected_all,
+    is_correction,
+    placebo_too,
+    with_correction,
+)
 from hydro_env.diagnosis.unknowns import effect_unknowns
 from hydro_env.plant import CATALOGUE, load_model
 
@@ -59,6 +68,24 @@ def test_a_right_form_is_left_alone(tmp_path: Path) -> None:
     rig, problem, floors = _fitted(tmp_path, "same")
     better, kept = corrected(rig, problem, [("dead_zone", 0)], floors, PER_NUMBER)
     assert not kept and better is problem
+
+
+def test_a_form_that_was_found_before_is_taken_up_where_it_is_better(tmp_path: Path) -> None:
+    rig, problem, floors = _fitted(tmp_path, "different")
+    found, _ = corrected(rig, problem, [("dead_zone", 0)], floors, PER_NUMBER, check=False)
+    names = [e for e in found.effects() if is_correction(e)]
+    lost = with_correction(problem, "dead_zone", names[0])
+    lost.q[: len(problem.q)] = np.clip(problem.q + 1.0, *(b[: len(problem.q)] for b in lost.bounds))
+    evaluate(rig, [lost], floors)
+    other = with_correction(
+        problem, "dead_zone", "opening_shape" if names[0] != "opening_shape" else "corner_shape"
+    )
+    evaluate(rig, [other], floors)
+    before = lost.cost, other.cost
+    one = replace(found, unknowns=found.unknowns[: len(lost.unknowns)], q=found.q[: len(lost.q)])
+    _take_up(rig, [lost, other], one, floors)
+    assert lost.cost < before[0] and other.cost == before[1]  # of other unknowns nothing can be taken
+    _take_up(rig, [lost], None, floors)
 
 
 def _bare() -> Problem:

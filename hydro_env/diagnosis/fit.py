@@ -340,8 +340,8 @@ def solve(
 ) -> None:
     """Improves the estimates of all problems.
 
-    `races` are starts of the same problem, improved in the same way, of which only the best one will be used: one that
-    cannot become the best any more ends early (`_out_of_race`).
+    `races` are starts of the same problem, or rivals, improved in the same way, of which only the best one will be used: one
+    that cannot become the best any more ends early (`_out_of_race`).
 
     `sizes` are the steps of q for finite differences, in turn.
 
@@ -401,7 +401,8 @@ def _out_of_race(
         if p is best or len(recent) < len(_STEPS):
             continue
         behind = p.cost - best.cost
-        met = behind < tolerance and float(np.max(np.abs(p.q - best.q), initial=0.0)) < _MET
+        same = [u.name for u in p.unknowns] == [u.name for u in best.unknowns]  # forms may race, too
+        met = same and behind < tolerance and float(np.max(np.abs(p.q - best.q), initial=0.0)) < _MET
         if met or behind > left * max(recent):
             out.add(id(p))
     return out

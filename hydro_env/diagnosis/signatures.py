@@ -22,6 +22,9 @@ __all__ = ["Look", "absorb", "alike", "detectable", "first_look", "hidden_by_cal
 
 #: Squared length of a projected signature, in noise units, from which an effect counts as visible.
 VISIBLE = 60.0
+#: Share of the squared length of what an effect changes that calibration may leave of an effect that it takes up: where it moves
+#: along derivatives of one place only, it never gets all of it. Others keep more than five times that.
+TAKEN = 1e-4
 #: Steps of calibration towards an effect of medium size at most and at least, and what a later step must make of what is left
 #: to be followed by another.
 ABSORB, LEAST, GOING = 8, 2, 0.8
@@ -50,7 +53,12 @@ class Look:
     @property
     def hidden(self) -> bool:
         """Whether it would show if nothing were calibrated, and calibration takes it all."""
-        return self.visible <= VISIBLE < self.plain
+        return self.plain > VISIBLE and self.visible <= max(VISIBLE, TAKEN * self.plain)
+
+    @property
+    def shows(self) -> bool:
+        """Whether logs like these would show it."""
+        return self.visible > VISIBLE and not self.hidden
 
 
 class _Projector:
@@ -231,7 +239,7 @@ def detectable(looks: Sequence[Look], machine: Machine) -> dict[str, dict[str, b
     found: dict[str, dict[str, bool]] = {}
     for look in looks:
         key = "rig" if look.channel is None else str(look.channel + 1)
-        found.setdefault(look.effect, {})[key] = look.visible > VISIBLE
+        found.setdefault(look.effect, {})[key] = look.shows
     return {name: dict(sorted(found[name].items())) for name in CATALOGUE if name in found}
 
 
