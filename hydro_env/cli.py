@@ -8,12 +8,13 @@ a wrong folder are answered at once.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
@@ -63,9 +64,44 @@ EffectFiles = Annotated[
 Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Processes to work with.")]
 
 
+class _Patient:
+    """Standard output that nobody needs to read to the end (`hydro-env ... | head`): what a command is for is the files in
+    `--out`, so it goes on."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Writes, or does nothing once the reader has gone."""
+        try:
+            return self._stream.write(text)
+        except BrokenPipeError:
+            self._to_nowhere()
+            return len(text)
+
+    def flush(self) -> None:
+        """The same for what is still in the buffer."""
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._to_nowhere()
+
+    def _to_nowhere(self) -> None:
+        # What the buffer holds is written again when the process ends, so the pipe itself is replaced.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, self._stream.fileno())
+        os.close(nowhere)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Runs one command and ends the process with its exit status."""
-    sys.exit(_run(arguments))
+    sys.stdout = _Patient(sys.stdout)  # type: ignore[assignment]
+    status = _run(arguments)
+    sys.stdout.flush()
+    sys.exit(status)
 
 
 def _run(arguments: Sequence[str] | None) -> int:
@@ -77,9 +113,6 @@ def _run(arguments: Sequence[str] | None) -> int:
         return _fail(problem)
     except (KeyboardInterrupt, typer.Abort):
         return _fail("interrupted; nothing half-written is left in --out", status=130)
-    except BrokenPipeError:  # `hydro-env ... | head`
-        sys.stderr.close()
-        return 1
     except ModuleNotFoundError as problem:
         extra = EXTRAS.get((problem.name or "").partition(".")[0])
         if extra is None:

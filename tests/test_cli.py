@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -317,3 +318,14 @@ def test_option_with_several_values() -> None:
     given = ["diagnose", "a", "b", "--sealed", "c", "d", "--seed", "1", "--sealed", "e"]
     expected = ["diagnose", "a", "b", "--sealed", "c", "--sealed", "d", "--seed", "1", "--sealed", "e"]
     assert cli._spread(given, "--sealed") == expected
+
+
+def test_a_reader_that_leaves_takes_no_results_with_it(tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    what = ["hide", "dead_zone:1", "--duration", "3", "--rate", "100", "--out", str(tmp_path / "practice")]
+    command = [sys.executable, "-u", "-m", "hydro_env", *what]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writer)
+    assert done.returncode == 0 and "Error" not in done.stderr
+    assert (tmp_path / "practice" / "truth.json").is_file()
