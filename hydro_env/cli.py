@@ -98,6 +98,8 @@ class _Patient:
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Runs one command and ends the process with its exit status."""
+    if sys.stdout is None:  # closed before it began (`>&-`)
+        sys.exit(_run(arguments))
     sys.stdout = _Patient(sys.stdout)  # type: ignore[assignment]
     status = _run(arguments)
     sys.stdout.flush()
