@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
-import inspect
 import json
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Plant, effects, losses, rhs
+from hydro_env.plant import BUILT_IN, CATALOGUE, Plant
 
 PATH = Path(__file__).parent / "golden" / "trajectories.json"
 SIGNALS = ("measured_speed", "pressure")
 PERIOD, ROWS, EVERY = 0.01, 31, 5  # s; commands of 10 ms, every fifth row is kept
-
-
-def fingerprint() -> str:
-    """Hash of what the trajectories depend on: parameters, and the text of effects, loss models and right-hand side."""
-    base = "".join(f"{p.name} {p.nominal!r}\n" for p in PARAMETERS.values())
-    text = base + "".join(inspect.getsource(module) for module in (effects, losses, rhs))
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def trajectories() -> dict[str, NDArray[np.float64]]:
@@ -45,7 +36,7 @@ def main() -> None:
     }
     lines = ",\n".join(f" {json.dumps(name)}: {json.dumps(row)}" for name, row in rows.items())
     PATH.parent.mkdir(exist_ok=True)
-    PATH.write_text(f'{{"fingerprint": "{fingerprint()}",\n"rows": {{\n{lines}\n}}}}\n', encoding="utf-8")
+    PATH.write_text(f'{{"rows": {{\n{lines}\n}}}}\n', encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ from typing import Any
 import numpy as np
 
 from ..files import write_json, write_text
-from ..plant import BUILT_IN, CATALOGUE, simulate
+from ..plant import CATALOGUE, simulate
 from ..units import RPM
 from .command import diagnose
 from .hide import Practice, make_practice
@@ -87,6 +87,24 @@ GROUPS: dict[str, dict[str, Any]] = {
     "noisy": {"noise": 10.0},
     "no_twins": {"unlisted": True, "twins": False},
 }
+#: What the seeds of the groups begin with. Frozen: a seed means the same trial whatever is added later.
+_GROUP_SEEDS = {
+    "nothing": 0, "parameters": 1000, "medium": 2000, "two": 3000, "unlisted": 4000, "small": 5000, "large": 6000,
+    "speed_only": 7000, "current_too": 8000, "quiet": 9000, "noisy": 10000, "no_twins": 11000,
+}  # fmt: skip
+#: The effects that are hidden one by one, in the order of their seeds. Frozen: a new effect goes to the end.
+_ORDER = (
+    "command_delay", "driver_saturation", "coil_heating", "magnetic_hysteresis", "spool_stiction", "spring_preload",
+    "flow_force", "null_offset", "dead_zone", "flow_saturation", "directional_gain", "flow_gain_nonlinearity",
+    "pressure_dependent_flow", "supply_droop", "entrained_air", "line_loss", "crossport_relief", "speed_dependent_leakage",
+    "motor_coulomb_friction", "quadratic_drag", "displacement_ripple", "load_bias", "eccentric_load", "shaft_backlash",
+    "viscosity_drift", "sensor_lag", "sensor_gain", "sensor_offset",
+)  # fmt: skip
+#: The same for those whose declared twins are taken out, too.
+_ORDER_WITHOUT_TWINS = (
+    "command_delay", "magnetic_hysteresis", "spool_stiction", "spring_preload", "dead_zone", "line_loss", "quadratic_drag",
+    "sensor_lag",
+)  # fmt: skip
 #: Groups in which something is hidden that may be named.
 _WITH_CHANNEL = frozenset(GROUPS) - {"nothing", "parameters", "unlisted", "no_twins"}
 #: Trials of each group that hides nothing, unless told otherwise.
@@ -136,16 +154,14 @@ def cases(groups: Sequence[str], seed: int, empty: int = EMPTY) -> list[Case]:
     """
     found = []
     for group in groups:
-        first = seed + 1000 * list(GROUPS).index(group)
+        first = seed + _GROUP_SEEDS[group]
         sets: list[tuple[str, ...]]
         if group in ("nothing", "parameters"):
             sets = [()] * empty
         elif group == "two":
             sets = list(PAIRS)
         else:
-            names = [n for n in BUILT_IN if not CATALOGUE[n].family]
-            if group == "no_twins":
-                names = [n for n in names if CATALOGUE[n].indistinguishable_from]
+            names = _ORDER_WITHOUT_TWINS if group == "no_twins" else _ORDER
             sets = [
                 (n if CATALOGUE[n].scope == "rig" else f"{n}:{1 + number % 2}",)
                 for number, n in enumerate(names)
@@ -437,7 +453,7 @@ def commands(rows: Sequence[dict[str, Any]]) -> list[str]:
     one for the others."""
     found = []
     done = {(r["group"], r["seed"]) for r in rows}
-    blocks = {(g, s): s - 1000 * list(GROUPS).index(g) for g, s in done}
+    blocks = {(g, s): s - _GROUP_SEEDS[g] for g, s in done}
     for block in sorted({b - b % 1000 for b in blocks.values()}):
         own = {key for key, b in blocks.items() if b - b % 1000 == block}
         # Groups that hide nothing may have any number of trials.
