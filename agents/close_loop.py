@@ -20,7 +20,7 @@ from typing import Any
 
 from agents.config import Config, read_config
 from agents.train import cleanly, train
-from hydro_env.controllers.policy import NumpyPolicy
+from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.errors import InputError
 from hydro_env.experiments import close_loop
 from hydro_env.experiments.truth_drive import drive

@@ -25,7 +25,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
-from hydro_env.controllers.view import make_view
+from hydro_env.controllers.learned.policy_interface import make_view
 from hydro_env.errors import InputError
 from hydro_env.tasks.scenarios import SCENARIOS
 
@@ -47,9 +47,9 @@ class Training:
 
     Attributes:
         algorithm: "ppo" or "sac".
-        view: settings of `hydro_env.controllers.view.make_view`; the plain observation if empty.
+        view: settings of `hydro_env.controllers.learned.policy_interface.make_view`; the plain observation if empty.
         peak: what a speed difference of 20 rpm costs beside the environment's reward; grows with the square, see
-            `agents.view_env`.
+            `agents.policy_env`.
         seed: of networks, exploration and environment.
         checkpoint_every: env steps between checkpoints.
         evaluate_every: env steps between evaluations.

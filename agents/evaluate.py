@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import trim_mean
 
-from hydro_env.controllers.policy import NumpyPolicy
+from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.rollout import roll_out
 
 __all__ = ["METRICS", "evaluate"]

@@ -23,7 +23,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 from agents.checkpoint import write_whole
-from hydro_env.controllers.policy import SCHEMA, read_policy
+from hydro_env.controllers.learned.policy import SCHEMA, read_policy
 
 __all__ = ["export_onnx", "export_policy", "policy_arrays"]
 
@@ -103,7 +103,7 @@ def export_onnx(policy: str | Path, path: str | Path) -> None:
 def main() -> None:
     from agents.config import read_config
     from agents.train import cleanly
-    from hydro_env.controllers.view import make_view
+    from hydro_env.controllers.learned.policy_interface import make_view
     from hydro_env.errors import InputError
 
     parser = argparse.ArgumentParser(description=__doc__)

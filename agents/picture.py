@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from agents.checkpoint import write_whole
 from hydro_env.controllers import make_controller
-from hydro_env.controllers.flow_view import FlowView
-from hydro_env.controllers.valve_map import true_map
+from hydro_env.controllers.estimation.valve_map import true_map
+from hydro_env.controllers.mpc.flow_controller import FlowView
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 
 __all__ = ["course", "draw"]

@@ -20,11 +20,11 @@ from agents.train import cleanly
 from hydro_env.benchmark.statistics import iqm
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.base import Floats
-from hydro_env.controllers.flow_law import NOMINAL
-from hydro_env.controllers.flow_view import RATED_TRAVEL
-from hydro_env.controllers.probing import ProbingFlow
+from hydro_env.controllers.estimation.valve_estimate import ValveEstimate
+from hydro_env.controllers.mpc.flow_controller import RATED_TRAVEL
+from hydro_env.controllers.mpc.flow_law import NOMINAL
+from hydro_env.controllers.mpc.probing_flow import ProbingFlow
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.controllers.valve_estimate import ValveEstimate
 from hydro_env.plant import Plant
 
 __all__ = ["STRETCHES", "TOLD", "Told", "lines", "parts"]

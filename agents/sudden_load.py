@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from agents.train import cleanly
 from hydro_env.benchmark.statistics import iqm
 from hydro_env.controllers.base import Floats
-from hydro_env.controllers.probing import ProbingFlow
+from hydro_env.controllers.mpc.probing_flow import ProbingFlow
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.envs.observation import decode
 

@@ -27,11 +27,11 @@ from agents.config import Config, read_config
 from agents.evaluate import METRICS
 from agents.train import cleanly, make_model, train
 from hydro_env.benchmark.statistics import bootstrap_interval, iqm
-from hydro_env.controllers.policy import NumpyPolicy
+from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.engine import ENGINES, Failure, check_engine, run
 from hydro_env.errors import InputError
 from hydro_env.files import write_json
+from hydro_env.parallel import ENGINES, Failure, check_engine, run
 
 __all__ = ["SCHEMA", "main", "sweep"]
 
@@ -54,7 +54,7 @@ def sweep(
     Args:
         config: the training file; its own seed has no say.
         seeds: different numbers of at least 0.
-        engine, jobs: see `hydro_env.engine`.
+        engine, jobs: see `hydro_env.parallel`.
         pairs: how many pairs of `val` a finished policy drives in each of the file's `evaluate_scenarios`. They follow
             those that chose the policy.
 

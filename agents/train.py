@@ -33,8 +33,8 @@ from agents import checkpoint
 from agents.config import Config, read_config
 from agents.evaluate import evaluate
 from agents.export import export_policy
-from agents.view_env import ViewVecEnv
-from hydro_env.controllers.view import make_view
+from agents.policy_env import ViewVecEnv
+from hydro_env.controllers.learned.policy_interface import make_view
 from hydro_env.errors import InputError
 from hydro_env.sb3 import HydraulicSyncVecEnv
 

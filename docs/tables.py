@@ -20,10 +20,10 @@ import numpy as np
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Controller
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, parameter_of, preset_names
-from hydro_env.plant.losses import FAMILY as LOSSES
+from hydro_env.plant.catalogue.form_corrections import CORRECTIONS, follows
+from hydro_env.plant.catalogue.form_corrections import FAMILY as SHAPES
+from hydro_env.plant.catalogue.losses import FAMILY as LOSSES
 from hydro_env.plant.model import sources_of
-from hydro_env.plant.shapes import CORRECTIONS, follows
-from hydro_env.plant.shapes import FAMILY as SHAPES
 
 HERE = Path(__file__).parent
 

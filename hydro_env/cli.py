@@ -359,20 +359,20 @@ def tune(
     --seed and --only matter then. `--linear` takes --plant and --max-sensitivity.
     """
     if controller == "all":
-        from hydro_env.controllers.tune import run_all
+        from hydro_env.controllers.tuning.tune import run_all
 
         names = run_all(out, names=only.split(",") if only else None, seed=seed)
         print(f"In {out}: {', '.join(f'{name}.json' for name in names)}")
         return
     with _writing(out) as folder:
         if linear:
-            from hydro_env.controllers import linear as tuner
+            from hydro_env.controllers.tuning import linearised as tuner
 
             # The linearised plant has no dead zone: the paper's own is the one to be asked unless another one is named.
             chosen = "paper" if plant == "paper_dead_zone" else plant
             print(tuner.summary(tuner.run(folder, plant=chosen, max_sensitivity=max_sensitivity, name=name)))
             return
-        from hydro_env.controllers import tune as work
+        from hydro_env.controllers.tuning import tune as work
 
         work.run(
             folder,
@@ -482,8 +482,8 @@ def hide(
     Writes logs, model.yaml and truth.json.
     """
     with _writing(out) as folder:
-        from hydro_env.diagnosis import hide as work
         from hydro_env.plant import load_effects
+        from hydro_env.practice import generate as work
 
         load_effects(effect_files or [])
         work.run(
@@ -550,7 +550,7 @@ def diagnose(
             if proposal:
                 (folder / "mapping.yaml").write_text(proposal)
             return
-        from hydro_env.diagnosis import command
+        from hydro_env.diagnosis import workflow as command
         from hydro_env.plant import load_effects
 
         load_effects(effect_files or [])

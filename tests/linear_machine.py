@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydro_env.diagnosis.fit import Problem, solve
-from hydro_env.diagnosis.machine import Request, Segment
-from hydro_env.diagnosis.unknowns import base_unknown
+from hydro_env.diagnosis.estimation.least_squares import Problem, solve
+from hydro_env.diagnosis.estimation.unknowns import base_unknown
+from hydro_env.diagnosis.models.base import Request, Segment
 from hydro_env.plant import PARAMETERS
 
 #: Noise of the speed, rad/s.

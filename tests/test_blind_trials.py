@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hydro_env.diagnosis import trials
+from hydro_env.experiments import blind_trials as trials
 from hydro_env.plant import BUILT_IN, CATALOGUE
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from hydro_env import cli
 from hydro_env.controllers import make_controller
-from hydro_env.controllers.model_inverse import ModelInverse, flow_curve
+from hydro_env.controllers.classical.model_inverse import ModelInverse, flow_curve
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
 from hydro_env.experiments import close_loop

@@ -9,15 +9,17 @@ import pytest
 from scipy import signal
 from scipy.linalg import expm
 
-from hydro_env.controllers import CONTROLLERS, LAWS, linear, make_controller, tune
-from hydro_env.controllers.adaptive import ValveLearner
+from hydro_env.controllers import CONTROLLERS, LAWS, make_controller
 from hydro_env.controllers.base import FRACTION_PER_V, RPM
-from hydro_env.controllers.bench_map import on_the_bench
-from hydro_env.controllers.gains import read_gains
-from hydro_env.controllers.linear import largest_sensitivity
-from hydro_env.controllers.pid import TABLE_III, Pid, per_rpm
+from hydro_env.controllers.classical.adaptive_flow import ValveLearner
+from hydro_env.controllers.classical.pid import TABLE_III, Pid, per_rpm
+from hydro_env.controllers.estimation.bench_map import on_the_bench
+from hydro_env.controllers.estimation.valve_map import MOTOR_RATE, ValveMap, flow_for, true_map
 from hydro_env.controllers.spool import Spool, shaper
-from hydro_env.controllers.valve_map import MOTOR_RATE, ValveMap, flow_for, true_map
+from hydro_env.controllers.tuning import linearised as linear
+from hydro_env.controllers.tuning import tune
+from hydro_env.controllers.tuning.gains import read_gains
+from hydro_env.controllers.tuning.linearised import largest_sensitivity
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant, load_model
 
@@ -344,7 +346,7 @@ def test_unknown_names_are_answered_with_the_nearest():
     with pytest.raises(InputError, match="cannot be imported"):
         make_controller("no_such_module_at_all:Thing")
     with pytest.raises(InputError, match="did you mean 'PidController'"):
-        make_controller("hydro_env.controllers.pid:PidControler")
+        make_controller("hydro_env.controllers.classical.pid:PidControler")
     with pytest.raises(InputError, match="no method 'reset'"):
         make_controller(object())
     with pytest.raises(InputError, match="'Ti' is missing"):

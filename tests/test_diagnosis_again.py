@@ -3,10 +3,19 @@
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.fit import Problem, solve
-from hydro_env.diagnosis.select import EDGE, MOST, Choice, Trial, _lost, _once_more, _verdict, extended
-from hydro_env.diagnosis.signatures import Look
-from hydro_env.diagnosis.unknowns import starts
+from hydro_env.diagnosis.estimation.least_squares import Problem, solve
+from hydro_env.diagnosis.estimation.unknowns import starts
+from hydro_env.diagnosis.stages.screening import Look
+from hydro_env.diagnosis.stages.selection import (
+    EDGE,
+    MOST,
+    Choice,
+    Trial,
+    _lost,
+    _once_more,
+    _verdict,
+    extended,
+)
 from hydro_env.plant import CATALOGUE
 from tests.linear_machine import FLOORS, LinearMachine, logged, time_of
 

@@ -7,20 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis import restarts, trials
-from hydro_env.diagnosis.calibrate import as_given, base_unknowns, calibrate
-from hydro_env.diagnosis.certainty import _bootstrap
-from hydro_env.diagnosis.fit import Problem, evaluate, floors_from
-from hydro_env.diagnosis.hide import make_practice, parse_effects
-from hydro_env.diagnosis.machine import Request
-from hydro_env.diagnosis.motor import MotorRig
-from hydro_env.diagnosis.noise import noise_floor
-from hydro_env.diagnosis.parts import read_parts
-from hydro_env.diagnosis.signatures import Look, absorb, first_look, hidden_by_calibration
-from hydro_env.diagnosis.unknowns import less_taken
-from hydro_env.diagnosis.where import shape
+from hydro_env.diagnosis.estimation import multistart as restarts
+from hydro_env.diagnosis.estimation.least_squares import Problem, evaluate, floors_from
+from hydro_env.diagnosis.estimation.noise import noise_floor
+from hydro_env.diagnosis.estimation.uncertainty import _bootstrap
+from hydro_env.diagnosis.estimation.unknowns import less_taken
+from hydro_env.diagnosis.input.parts import read_parts
+from hydro_env.diagnosis.models.base import Request
+from hydro_env.diagnosis.models.dynamic_rig import MotorRig
+from hydro_env.diagnosis.stages.calibration import as_given, base_unknowns, calibrate
+from hydro_env.diagnosis.stages.localisation import shape
+from hydro_env.diagnosis.stages.screening import Look, absorb, first_look, hidden_by_calibration
+from hydro_env.experiments import blind_trials as trials
 from hydro_env.files import write_json
 from hydro_env.plant import load_model
+from hydro_env.practice.generate import make_practice, parse_effects
 
 
 def test_bootstrap_has_the_spread_of_the_mean() -> None:

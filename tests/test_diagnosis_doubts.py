@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.certainty import Certainty, undetermined
-from hydro_env.diagnosis.fit import Problem, evaluate, solve
-from hydro_env.diagnosis.machine import Segment
-from hydro_env.diagnosis.prove import Proof
-from hydro_env.diagnosis.result import doubts
-from hydro_env.diagnosis.select import (
+from hydro_env.diagnosis.estimation.least_squares import Problem, evaluate, solve
+from hydro_env.diagnosis.estimation.uncertainty import Certainty, undetermined
+from hydro_env.diagnosis.models.base import Segment
+from hydro_env.diagnosis.stages.screening import Look
+from hydro_env.diagnosis.stages.selection import (
     Choice,
     Selection,
     Trial,
@@ -17,7 +16,8 @@ from hydro_env.diagnosis.select import (
     at_edge,
     extended,
 )
-from hydro_env.diagnosis.signatures import Look
+from hydro_env.diagnosis.stages.validation import Proof
+from hydro_env.diagnosis.stages.verdict import doubts
 from hydro_env.plant import CATALOGUE
 from tests.linear_machine import FLOORS, LinearMachine, logged, time_of
 

@@ -5,17 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.command import diagnose
-from hydro_env.diagnosis.experiments import next_experiment, simulated
-from hydro_env.diagnosis.fit import Problem
-from hydro_env.diagnosis.hide import make_practice
-from hydro_env.diagnosis.machine import Request
-from hydro_env.diagnosis.motor import PARTED_SUBSTEP, SUBSTEP, MotorRig
-from hydro_env.diagnosis.parts import read_parts
-from hydro_env.diagnosis.result import Named
-from hydro_env.diagnosis.select import Selection, Trial
-from hydro_env.diagnosis.unknowns import base_unknown, effect_unknowns, starts
+from hydro_env.diagnosis.estimation.least_squares import Problem
+from hydro_env.diagnosis.estimation.unknowns import base_unknown, effect_unknowns, starts
+from hydro_env.diagnosis.input.parts import read_parts
+from hydro_env.diagnosis.models.base import Request
+from hydro_env.diagnosis.models.dynamic_rig import PARTED_SUBSTEP, SUBSTEP, MotorRig
+from hydro_env.diagnosis.stages.next_experiment import next_experiment, simulated
+from hydro_env.diagnosis.stages.selection import Selection, Trial
+from hydro_env.diagnosis.stages.verdict import Named
+from hydro_env.diagnosis.workflow import diagnose
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, load_model
+from hydro_env.practice.generate import make_practice
 from hydro_env.units import RPM
 
 

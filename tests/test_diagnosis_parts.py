@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.parts import overlap, read_parts
+from hydro_env.diagnosis.input.parts import overlap, read_parts
 from hydro_env.errors import InputError
 
 

@@ -3,10 +3,17 @@
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.fit import at_noise, beside, evaluate, solve
-from hydro_env.diagnosis.result import named_effects
-from hydro_env.diagnosis.select import Choice, Selection, Trial, _needed_after_all, _rivals_again, extended
-from hydro_env.diagnosis.signatures import Look, first_look
+from hydro_env.diagnosis.estimation.least_squares import at_noise, beside, evaluate, solve
+from hydro_env.diagnosis.stages.screening import Look, first_look
+from hydro_env.diagnosis.stages.selection import (
+    Choice,
+    Selection,
+    Trial,
+    _needed_after_all,
+    _rivals_again,
+    extended,
+)
+from hydro_env.diagnosis.stages.verdict import named_effects
 from hydro_env.plant import CATALOGUE
 from tests.linear_machine import FLOORS, LinearMachine, logged, time_of
 

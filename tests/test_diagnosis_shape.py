@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.calibrate import base_unknowns
-from hydro_env.diagnosis.fit import Floors, Problem, evaluate, floors_from, rms, solve
-from hydro_env.diagnosis.hide import make_practice
-from hydro_env.diagnosis.machine import Request
-from hydro_env.diagnosis.motor import MotorRig
-from hydro_env.diagnosis.parts import read_parts
-from hydro_env.diagnosis.select import Choice, Trial, _still_there, joined
-from hydro_env.diagnosis.shape import (
+from hydro_env.diagnosis.estimation.least_squares import Floors, Problem, evaluate, floors_from, rms, solve
+from hydro_env.diagnosis.estimation.unknowns import effect_unknowns
+from hydro_env.diagnosis.input.parts import read_parts
+from hydro_env.diagnosis.models.base import Request
+from hydro_env.diagnosis.models.dynamic_rig import MotorRig
+from hydro_env.diagnosis.stages.calibration import base_unknowns
+from hydro_env.diagnosis.stages.form_correction import (
     Corrected,
     _take_up,
     corrected,
@@ -24,8 +23,9 @@ from hydro_env.diagnosis.shape import (
     placebo_too,
     with_correction,
 )
-from hydro_env.diagnosis.unknowns import effect_unknowns
+from hydro_env.diagnosis.stages.selection import Choice, Trial, _still_there, joined
 from hydro_env.plant import CATALOGUE, load_model
+from hydro_env.practice.generate import make_practice
 
 PER_NUMBER = 18.0
 SIZES = ("overlap_positive", "overlap_negative")

@@ -8,8 +8,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.command import diagnose, run
-from hydro_env.diagnosis.laws import elementwise
+from hydro_env.diagnosis.models.array_laws import elementwise
+from hydro_env.diagnosis.workflow import diagnose, run
 from hydro_env.errors import InputError
 from hydro_env.plant import CATALOGUE, load_model
 

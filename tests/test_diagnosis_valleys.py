@@ -9,15 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.calibrate import as_given, base_unknowns, calibrate
-from hydro_env.diagnosis.fit import Problem, at_noise, beside, differentiate, floors_from, solve
-from hydro_env.diagnosis.hide import make_practice
-from hydro_env.diagnosis.machine import Request
-from hydro_env.diagnosis.motor import MotorRig
-from hydro_env.diagnosis.parts import read_parts
-from hydro_env.diagnosis.restarts import _beginning, from_given, take_over, unfolded
-from hydro_env.diagnosis.unknowns import TOGETHER, Unknown, base_unknown, effect_unknowns, scaled
+from hydro_env.diagnosis.estimation.least_squares import (
+    Problem,
+    at_noise,
+    beside,
+    differentiate,
+    floors_from,
+    solve,
+)
+from hydro_env.diagnosis.estimation.multistart import _beginning, from_given, take_over, unfolded
+from hydro_env.diagnosis.estimation.unknowns import TOGETHER, Unknown, base_unknown, effect_unknowns, scaled
+from hydro_env.diagnosis.input.parts import read_parts
+from hydro_env.diagnosis.models.base import Request
+from hydro_env.diagnosis.models.dynamic_rig import MotorRig
+from hydro_env.diagnosis.stages.calibration import as_given, base_unknowns, calibrate
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, simulate
+from hydro_env.practice.generate import make_practice
 
 NAMES = ("D", "m", "R", "alpha", "k", "Fc", "Fs", "vs", "Kq", "J", "beta")
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.parts import overlap, read_parts
-from hydro_env.diagnosis.windows import choose, rest_starts
+from hydro_env.diagnosis.input.parts import overlap, read_parts
+from hydro_env.diagnosis.input.windows import choose, rest_starts
 from hydro_env.errors import InputError
 from hydro_env.measured import RigLog, read_log, write_log
 

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hydro_env.plant import BUILT_IN, CATALOGUE, Plant
-from hydro_env.plant.losses import FAMILY
+from hydro_env.plant.catalogue.losses import FAMILY
 
 PERIOD = 0.01
 K, ALPHA, R = 17000.0, 20.0, 100.0  # spring, force per current, resistance of the paper's valves

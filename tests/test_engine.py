@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from hydro_env.benchmark import command
-from hydro_env.engine import ATTEMPTS, Failure, Store, run
 from hydro_env.errors import InputError
+from hydro_env.parallel import ATTEMPTS, Failure, Store, run
 
 ROOT = Path(__file__).parents[1]
 SMALL = {"splits": ["val"], "scenarios": ["setpoint_steps", "sine"], "cases": 3, "progress": False}
@@ -137,7 +137,7 @@ import pathlib, signal, sys
 sys.path[:0] = [{root!r}, {tests!r}]
 from functools import partial
 from test_engine import note
-from hydro_env.engine import run
+from hydro_env.parallel import run
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background begins with it ignored
     run(range(100), partial(note, pathlib.Path({folder!r}), range(100)), jobs=2, progress=False)
@@ -297,7 +297,7 @@ def test_ray_gives_the_same(cluster, tmp_path):
 
 @pytest.mark.slow
 def test_ray_node_with_another_hydro_env(cluster, monkeypatch):
-    monkeypatch.setattr("hydro_env.engine.fingerprint", lambda: "something else")
+    monkeypatch.setattr("hydro_env.parallel.fingerprint", lambda: "something else")
     with pytest.raises(InputError, match="another hydro_env"):
         run([1], numbers, engine="ray", progress=False)
 

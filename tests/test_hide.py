@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.hide import NOISE, make_practice, parse_effects, parse_values, run
 from hydro_env.errors import InputError
 from hydro_env.plant import CATALOGUE, load_model, simulate
+from hydro_env.practice.generate import NOISE, make_practice, parse_effects, parse_values, run
 from hydro_env.units import RPM
 
 HEADER = (

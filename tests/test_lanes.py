@@ -14,14 +14,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from hydro_env.plant import lanemath
-from hydro_env.plant.lanes import check
+from hydro_env.plant import vector_math
+from hydro_env.plant.kernel.vector_ir import check
 
 LANES = 12  # three vectors of four, or six of two: not a power of two
 
 TEXT = '''
 from math import floor, sqrt
-from hydro_env.plant.lanes import vectors
+from hydro_env.plant.kernel.vector_ir import vectors
 
 LANES = 12
 
@@ -127,12 +127,12 @@ def test_what_cannot_run_on_lanes_is_named(law, named):
 
 @pytest.mark.parametrize("name", ["clip", "sign", "exp", "bell", "tanh", "cos", "sin"])
 def test_helpers_of_laws_can_run_on_lanes(name):
-    source = textwrap.dedent(inspect.getsource(getattr(lanemath, name)))
-    check(ast.parse(source).body[0], lanemath.__all__)
+    source = textwrap.dedent(inspect.getsource(getattr(vector_math, name)))
+    check(ast.parse(source).body[0], vector_math.__all__)
 
 
 def test_bell_is_the_bell():
     x = np.linspace(-6.0, 6.0, 2001)
-    error = np.abs([lanemath.bell(value) - np.exp(-value * value) for value in x])
+    error = np.abs([vector_math.bell(value) - np.exp(-value * value) for value in x])
     assert error.max() < 2e-6
     assert error[np.abs(x) < 1.0].max() < 1e-9

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_env.diagnosis.hide import make_practice
-from hydro_env.diagnosis.motor import MotorRig
+from hydro_env.diagnosis.models.dynamic_rig import MotorRig
 from hydro_env.envs import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
 from hydro_env.plant import BUILT_IN, CATALOGUE, Plant, load_model, simulate
-from hydro_env.plant.losses import FAMILY
+from hydro_env.plant.catalogue.losses import FAMILY
 from hydro_env.plant.motor_map import motor_map
 from hydro_env.plant.plant import SIGNALS
-from hydro_env.plant.reference import simulate_reference
+from hydro_env.practice.generate import make_practice
+from hydro_env.practice.reference import simulate_reference
 from hydro_env.tasks.mismatch import load_mismatch
 from tests.test_plant_accuracy import _strong
 

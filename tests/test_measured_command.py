@@ -20,10 +20,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hydro_env import cli
-from hydro_env.diagnosis.hide import make_practice
 from hydro_env.errors import InputError
 from hydro_env.measured import read_log
 from hydro_env.plant import load_model, simulate
+from hydro_env.practice.generate import make_practice
 from hydro_env.units import BAR, RPM
 
 Columns = dict[str, np.ndarray]

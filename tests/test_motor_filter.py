@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from hydro_env.controllers.motor_filter import DISPLACEMENT, FRICTION, INERTIA, READING, MotorFilter
+from hydro_env.controllers.estimation.motor_filter import (
+    DISPLACEMENT,
+    FRICTION,
+    INERTIA,
+    READING,
+    MotorFilter,
+)
 
 PERIOD = 0.01
 

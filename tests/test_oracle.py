@@ -8,8 +8,8 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from hydro_env.controllers import make_controller
+from hydro_env.controllers.mpc.shooting import minimise_in_box
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.controllers.shooting import minimise_in_box
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.plant import Plant
 from hydro_env.tasks import load_scenario

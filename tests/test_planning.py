@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from hydro_env.controllers.flow_law import NOMINAL
-from hydro_env.controllers.flow_view import FRICTION, RATED_TRAVEL, FlowView, Motor
-from hydro_env.controllers.planning_view import HORIZON, STEPS, PlanningView
-from hydro_env.controllers.rollout import roll_out
-from hydro_env.controllers.spool_plan import (
+from hydro_env.controllers.estimation.valve_estimate import SpoolModel, ValveEstimate
+from hydro_env.controllers.learned.policy_interface import make_view
+from hydro_env.controllers.mpc.flow_controller import FRICTION, RATED_TRAVEL, FlowView, Motor
+from hydro_env.controllers.mpc.flow_law import NOMINAL
+from hydro_env.controllers.mpc.planner import (
     Weights,
     _drive,
     _normal,
@@ -18,8 +18,8 @@ from hydro_env.controllers.spool_plan import (
     throw_to,
     wait_out,
 )
-from hydro_env.controllers.valve_estimate import SpoolModel, ValveEstimate
-from hydro_env.controllers.view import make_view
+from hydro_env.controllers.mpc.planning_controller import HORIZON, STEPS, PlanningView
+from hydro_env.controllers.rollout import roll_out
 from hydro_env.envs.observation import FRAME
 from hydro_env.errors import InputError
 from hydro_env.plant import load_model, simulate

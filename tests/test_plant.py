@@ -22,11 +22,11 @@ from hydro_env.plant import (
     simulate,
     unregister,
 )
-from hydro_env.plant.compile import STATES, rosenbrock_coefficients
+from hydro_env.plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
+from hydro_env.plant.kernel.codegen import STATES, rosenbrock_coefficients
 from hydro_env.plant.model import SUBSTEP
 from hydro_env.plant.plant import SIGNALS
 from hydro_env.plant.rhs import rates
-from hydro_env.plant.shapes import CORRECTIONS, FAMILY, follows
 from tests.test_plant_accuracy import _strong
 
 PERIOD = 0.01

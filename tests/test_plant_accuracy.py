@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydro_env.plant import BUILT_IN, CATALOGUE, Plant, load_model, simulate
-from hydro_env.plant.reference import run_closed_loop, simulate_reference
+from hydro_env.practice.reference import run_closed_loop, simulate_reference
 from tests.test_reference import PaperPID
 
 RPM = math.pi / 30

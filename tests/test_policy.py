@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
-from hydro_env.controllers.flow_view import FlowView
-from hydro_env.controllers.planning_view import PlanningView
-from hydro_env.controllers.policy import SCHEMA, NumpyPolicy, read_policy
+from hydro_env.controllers.learned.policy import SCHEMA, NumpyPolicy, read_policy
+from hydro_env.controllers.learned.policy_interface import FramesView, ValveView, make_view
+from hydro_env.controllers.mpc.flow_controller import FlowView
+from hydro_env.controllers.mpc.planning_controller import PlanningView
 from hydro_env.controllers.registry import make_controller
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.controllers.view import FramesView, ValveView, make_view
 from hydro_env.envs import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
 

@@ -9,7 +9,7 @@ import pytest
 
 from hydro_env.errors import InputError
 from hydro_env.plant import BUILT_IN, CATALOGUE, load_model
-from hydro_env.plant.reference import REFERENCE_SIGNALS, ReferenceRig, run_closed_loop, simulate_reference
+from hydro_env.practice.reference import REFERENCE_SIGNALS, ReferenceRig, run_closed_loop, simulate_reference
 
 RPM = math.pi / 30
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hydro_env.controllers.flow_view import FlowView
-from hydro_env.controllers.sensor_check import SensorCheck
+from hydro_env.controllers.estimation.sensor_supervision import SensorCheck
+from hydro_env.controllers.mpc.flow_controller import FlowView
 from hydro_env.envs import HydraulicSyncVectorEnv
 from hydro_env.envs.observation import NOISE, Measurements
 from hydro_env.plant import load_model

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydro_env.plant import BUILT_IN, CATALOGUE, PlantModel, load_model, simulate
-from hydro_env.plant.shapes import CORRECTIONS, FAMILY, follows
+from hydro_env.plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
 
 SHAPES = [e.name for e in CATALOGUE.values() if e.family == FAMILY]
 TIME = np.arange(1200) * 1e-3

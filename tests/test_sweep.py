@@ -17,7 +17,7 @@ pytest.importorskip("stable_baselines3")
 from agents import checkpoint
 from agents.config import read_config
 from agents.sweep import sweep
-from hydro_env.controllers.policy import read_policy
+from hydro_env.controllers.learned.policy import read_policy
 from hydro_env.errors import InputError
 
 ROOT = Path(__file__).parents[1]

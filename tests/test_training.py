@@ -18,7 +18,7 @@ import json
 from agents import checkpoint
 from agents.config import read_config
 from agents.train import train
-from hydro_env.controllers.policy import SCHEMA, NumpyPolicy, read_policy
+from hydro_env.controllers.learned.policy import SCHEMA, NumpyPolicy, read_policy
 from hydro_env.errors import InputError
 
 ROOT = Path(__file__).parents[1]

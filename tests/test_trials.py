@@ -9,8 +9,8 @@ pytest.importorskip("stable_baselines3")
 
 import torch
 
-from agents import trials
-from agents.trials import TRIALS, Net, clone, config_of, narrowed, reinforce, view_of
+from agents import ablations as trials
+from agents.ablations import TRIALS, Net, clone, config_of, narrowed, reinforce, view_of
 from hydro_env.tasks.mismatch import load_mismatch
 
 

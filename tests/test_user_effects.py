@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from hydro_env.cli import _run
-from hydro_env.diagnosis.command import diagnose
-from hydro_env.diagnosis.hide import make_practice
-from hydro_env.diagnosis.motor import MotorRig
-from hydro_env.diagnosis.parts import read_parts
+from hydro_env.diagnosis.input.parts import read_parts
+from hydro_env.diagnosis.models.dynamic_rig import MotorRig
+from hydro_env.diagnosis.workflow import diagnose
 from hydro_env.errors import InputError
 from hydro_env.plant import CATALOGUE, load_effects, load_model, simulate, unregister
-from hydro_env.plant.reference import ReferenceRig
+from hydro_env.practice.generate import make_practice
+from hydro_env.practice.reference import ReferenceRig
 
 NAME = "narrowing_edge"
 

@@ -26,11 +26,11 @@ from hydro_env.benchmark.suite import Suite, check_suite, load_suite
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.engine import Failure, Store, check_engine
-from hydro_env.engine import run as run_tasks
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
 from hydro_env.files import output_folder, write_json, write_text
+from hydro_env.parallel import Failure, Store, check_engine
+from hydro_env.parallel import run as run_tasks
 from hydro_env.tasks import METRICS, SCENARIOS, SPLITS, Trace
 
 __all__ = ["SCHEMA", "run"]
@@ -96,7 +96,7 @@ def run(
         plant: preset or model file under test.
         control_period: s.
         limit: s that a controller may take by itself for one split and scenario; one that takes longer has failed there.
-        engine, jobs: where the cells run, see `hydro_env.engine`; makes no difference to the scores.
+        engine, jobs: where the cells run, see `hydro_env.parallel`; makes no difference to the scores.
         cells_folder: keeps finished cells, and gives back those that are still the same.
         progress: whether to show a progress bar.
 

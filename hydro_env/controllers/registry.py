@@ -12,16 +12,21 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from hydro_env.controllers.adaptive import AdaptiveFlow
 from hydro_env.controllers.base import Controller
-from hydro_env.controllers.bench_flow import BenchFlow
-from hydro_env.controllers.compensated import Compensated
-from hydro_env.controllers.coupled import CrossCoupled, MasterSlave, RelativeCoupled, VirtualLeader
-from hydro_env.controllers.gains import read_gains
-from hydro_env.controllers.observer import DisturbanceObserver
-from hydro_env.controllers.oracle import Oracle
-from hydro_env.controllers.pid import TABLE_III, PidController, RampedPid
-from hydro_env.controllers.probing import ProbingFlow
+from hydro_env.controllers.classical.adaptive_flow import AdaptiveFlow
+from hydro_env.controllers.classical.compensated import Compensated
+from hydro_env.controllers.classical.cross_coupling import (
+    CrossCoupled,
+    MasterSlave,
+    RelativeCoupled,
+    VirtualLeader,
+)
+from hydro_env.controllers.classical.disturbance_observer import DisturbanceObserver
+from hydro_env.controllers.classical.pid import TABLE_III, PidController, RampedPid
+from hydro_env.controllers.mpc.bench_flow import BenchFlow
+from hydro_env.controllers.mpc.oracle import Oracle
+from hydro_env.controllers.mpc.probing_flow import ProbingFlow
+from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.errors import InputError
 
 __all__ = ["CONTROLLERS", "LAWS", "Entry", "make_controller"]
@@ -167,7 +172,7 @@ def _from_gains(path: Path, name: str) -> Controller:
 def _from_policy(path: Path, name: str) -> Any:
     if not path.is_file():
         raise InputError(f"{path}: no such policy file")
-    from hydro_env.controllers.policy import NumpyPolicy
+    from hydro_env.controllers.learned.policy import NumpyPolicy
 
     return NumpyPolicy(path, name)
 

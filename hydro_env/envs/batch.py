@@ -22,10 +22,10 @@ from ..plant import Plant, PlantModel, load_model
 from ..plant.plant import machine_memory
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, load_mismatch, own_values
 from ..tasks.scenarios import Reference, Scenario, load_scenario
-from .glue import COLUMNS, SIGNALS, TRUE, apply, look
 from .observation import FRAME, LIMIT, SCALES, noise_levels
-from .picture import Recorder
+from .render import Recorder
 from .reward import Reward, load_reward
+from .step_kernels import COLUMNS, SIGNALS, TRUE, apply, look
 
 __all__ = ["HydraulicSyncVectorEnv", "Result"]
 

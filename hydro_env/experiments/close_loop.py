@@ -29,15 +29,15 @@ from scipy.stats import qmc
 
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.base import Controller, Floats, Gain
-from hydro_env.controllers.coupled import CrossCoupled
-from hydro_env.controllers.model_inverse import ModelInverse
-from hydro_env.controllers.pid import PidController
+from hydro_env.controllers.classical.cross_coupling import CrossCoupled
+from hydro_env.controllers.classical.model_inverse import ModelInverse
+from hydro_env.controllers.classical.pid import PidController
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.engine import Failure, Store
-from hydro_env.engine import run as run_tasks
 from hydro_env.errors import InputError
 from hydro_env.experiments.truth_drive import drive
 from hydro_env.files import write_json, write_text
+from hydro_env.parallel import Failure, Store
+from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import PlantModel
 from hydro_env.tasks import Trace, compute, load_scenario
 
@@ -204,7 +204,7 @@ class Rig:
 
     def row(self) -> dict[str, Any]:
         """What the table of rigs says."""
-        from hydro_env.diagnosis.trials import judge
+        from hydro_env.experiments.blind_trials import judge
 
         sides = {"both": ("1", "2")}
         hidden = {
@@ -221,8 +221,8 @@ class Rig:
 
 def make_rig(task: RigTask) -> Rig:
     """Hides, logs and diagnoses."""
-    from hydro_env.diagnosis.command import diagnose
-    from hydro_env.diagnosis.hide import make_practice
+    from hydro_env.diagnosis.workflow import diagnose
+    from hydro_env.practice.generate import make_practice
 
     practice = make_practice(
         CASES[task.case], model="paper", base_error=BASE_ERROR, seed=task.number, duration=task.duration
@@ -438,7 +438,7 @@ def run(
         cases: names of `CASES`; None: all.
         seeds: rigs of each case, with the seeds `seed`, `seed + 1`, ...
         cells: folder that keeps what is done, so that a run that was stopped goes on; None: nothing is kept.
-        jobs, engine: see `hydro_env.engine`.
+        jobs, engine: see `hydro_env.parallel`.
         duration: of each log, s.
         generations: of every search.
         pictures: whether to draw close_loop.png (needs the extra `report`).

@@ -2,7 +2,7 @@
 
 Once more in C++: how much speed does the Python tool chain cost?
 
-The statements of the generated substep (see `hydro_env.plant.compile`) are translated one by one to C++ and compiled by
+The statements of the generated substep (see `hydro_env.plant.kernel.codegen`) are translated one by one to C++ and compiled by
 the machine's own compiler with vector instructions for this processor. Both run the same block from the same state, so
 both the time and the result can be compared: the states must agree to the last bits.
 
@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.plant.compile import STATES
+from hydro_env.plant.kernel.codegen import STATES
 from hydro_env.plant.model import SUBSTEP
 from hydro_env.plant.plant import Plant
 

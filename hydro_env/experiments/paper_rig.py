@@ -14,7 +14,7 @@ from math import inf
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hydro_env.controllers.pid import TABLE_III, Pid
+from hydro_env.controllers.classical.pid import TABLE_III, Pid
 from hydro_env.plant import Plant, PlantModel
 from hydro_env.units import RPM
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from hydro_env.experiments.calibrate import (
+from hydro_env.experiments.paper_calibration import (
     PUBLISHED_LOAD_RPM,
     PUBLISHED_STEPS_RPM,
     Calibration,

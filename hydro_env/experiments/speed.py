@@ -124,7 +124,7 @@ def measure_batch(num_envs: int, seconds: float = 1.0, dtype: str = "float64") -
 
 def measure_error(dtype: str = "float64") -> dict[str, float]:
     """Largest error of the speed in rpm against the reference, for the paper's rig with its calibrated dead zone."""
-    from hydro_env.plant.reference import simulate_reference
+    from hydro_env.practice.reference import simulate_reference
 
     rng = np.random.default_rng(0)
     model = load_model("paper_dead_zone")

@@ -13,7 +13,7 @@ import numpy as np
 
 from hydro_env.envs.observation import LIMIT, SCALES, noise_levels
 from hydro_env.plant import PlantModel
-from hydro_env.plant.reference import ReferenceRig
+from hydro_env.practice.reference import ReferenceRig
 from hydro_env.tasks import Scenario, Trace, load_scenario
 from hydro_env.units import RPM
 

@@ -10,8 +10,8 @@ plant       many rigs side by side
 reference   an independent simulator on the plain equations, which checks the kernel
 """
 
-from .effect_files import load_effects
-from .effects import BUILT_IN, CATALOGUE, Effect, State, register, unregister
+from .catalogue.effects import BUILT_IN, CATALOGUE, Effect, State, register, unregister
+from .catalogue.user_files import load_effects
 from .model import PlantModel, load_model, parameter_of, preset_names
 from .parameters import PARAMETERS, Parameter
 from .plant import SIGNALS, Plant, simulate

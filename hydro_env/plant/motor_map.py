@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .effects import CATALOGUE
-from .losses import FAMILY
+from .catalogue.effects import CATALOGUE
+from .catalogue.losses import FAMILY
 from .model import PlantModel
 
 __all__ = ["MotorMap", "motor_map"]

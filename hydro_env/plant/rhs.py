@@ -7,7 +7,7 @@ kernel that the environments, the benchmark and the diagnosis run. Equation numb
 
 from __future__ import annotations
 
-from .lanemath import bell, sqrt
+from .vector_math import bell, sqrt
 
 __all__ = ["rates"]
 

@@ -1,0 +1,97 @@
+"""The rigs as a policy's network meets them: a Stable-Baselines3 environment behind a view."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnvWrapper
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+
+from hydro_env.controllers.learned.policy_interface import View
+from hydro_env.sb3 import HydraulicSyncVecEnv
+from hydro_env.units import RPM
+
+__all__ = ["ViewVecEnv"]
+
+PEAK_RPM = 20.0
+
+
+class ViewVecEnv(VecEnvWrapper):
+    """Shows the network's inputs as observations and takes its outputs as actions.
+
+    A view with several rows per rig makes several environments of each rig, which share its reward and its end. Episode
+    returns are kept here, since Stable-Baselines3 reports them only for environments that do.
+
+    `peak` is what a (true) speed difference of 20 rpm costs in a control period, beside the environment's own reward. The
+    cost grows with the square, since the largest difference is what counts in the end, up to 40 rpm: what a sudden load on
+    one motor does before any control can answer is not to drown the rest.
+    """
+
+    def __init__(self, venv: HydraulicSyncVecEnv, view: View, period: float, peak: float = 0.0) -> None:
+        self.view, self.period, self.rows, self.peak = view, period, view.rows_per_rig, float(peak)
+        self.num_rigs = venv.num_envs
+        super().__init__(
+            venv,
+            observation_space=spaces.Box(-np.inf, np.inf, (view.num_features,), np.float32),
+            action_space=spaces.Box(-1.0, 1.0, (view.num_actions,), np.float32),
+        )
+        self.num_envs = self.num_rigs * self.rows
+        self._return = np.zeros(self.num_rigs)
+        self._length = np.zeros(self.num_rigs, dtype=int)
+
+    def reset(self) -> VecEnvObs:
+        observation = self.venv.reset()
+        self._return[:], self._length[:] = 0.0, 0
+        return self.view.start(np.asarray(observation), self.period)
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        self.venv.step_async(self.view.command(actions).astype(np.float32))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        observation, reward, done, infos = self.venv.step_wait()
+        observation = np.asarray(observation)
+        if self.peak:
+            speed = self.venv.batch.plant.speed  # type: ignore[attr-defined]
+            apart = np.abs(speed[:, 0] - speed[:, 1]) / (PEAK_RPM * RPM)
+            reward = (reward - self.peak * np.minimum(apart**2, 4.0)).astype(np.float32)
+        self._return += reward
+        self._length += 1
+        ended = np.flatnonzero(done)
+        last = observation
+        if ended.size:
+            last = observation.copy()
+            for row in ended:
+                last[row] = infos[row]["terminal_observation"]
+        seen = self.view.see(last)
+        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if ended.size:
+            for row in ended:
+                own = slice(row * self.rows, (row + 1) * self.rows)
+                for info, inputs in zip(told[own], seen[own].copy(), strict=True):
+                    info["terminal_observation"] = inputs
+                    info["TimeLimit.truncated"] = infos[row].get("TimeLimit.truncated", False)
+                    info["episode"] = {"r": float(self._return[row]), "l": int(self._length[row]), "t": 0.0}
+            fresh = self.view.restart(ended, observation[ended]).reshape(ended.size, self.rows, -1)
+            seen = seen.reshape(self.num_rigs, self.rows, -1).copy()
+            seen[ended] = fresh
+            seen = seen.reshape(self.num_envs, -1)
+            self._return[ended], self._length[ended] = 0.0, 0
+        return seen, np.repeat(reward, self.rows), np.repeat(done, self.rows), told
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the table of class members that the base class keeps, which cannot be pickled."""
+        return {key: value for key, value in self.__dict__.items() if key != "class_attributes"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, class_attributes=dict(inspect.getmembers(type(self))))
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        return [False] * self.num_envs
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        return list(self.venv.seed(seed)) * self.rows

@@ -1,0 +1,1 @@
+"""Classical controllers: PID, coupling, observers, feed-forward."""

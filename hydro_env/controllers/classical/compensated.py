@@ -1,0 +1,71 @@
+"""Dead-zone inverse and flow feed-forward from a valve bench, with cross-coupled PI for the rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydro_env.controllers.base import OUTLET, Controller, Floats, Gain, Measurements
+from hydro_env.controllers.classical.cross_coupling import COUPLING, FILTER, SIDES, Smoothed
+from hydro_env.controllers.classical.pid import KP, TI, Pid, per_rpm
+from hydro_env.controllers.estimation.bench_map import on_the_bench
+from hydro_env.controllers.estimation.valve_map import ValveMap, flow_for
+from hydro_env.plant import Plant
+
+__all__ = ["Compensated"]
+
+
+class Compensated(Controller):
+    """Asks for flow, and turns flow into a command by the inverse of each valve's measured curve.
+
+    The flow that the smoothed set-point takes is fed forward; a cross-coupled PI corrects it. Needs both
+    valves on a bench beforehand (`prepare`) and does not notice when they change afterwards.
+    """
+
+    needs = "bench"
+    GAINS = (
+        KP,
+        TI,
+        *COUPLING,
+        FILTER,
+        Gain(
+            "blend",
+            "1",
+            1e-3,
+            0.1,
+            summary="flow, as a share of the rated, below which the inverse is a ramp",
+        ),
+        *OUTLET,
+    )
+    valves: ValveMap | None = None
+
+    def prepare(self, plant: Plant) -> None:
+        self.valves = on_the_bench(plant)
+
+    def start(self, measured: Measurements) -> None:
+        if self.valves is None:
+            raise RuntimeError(
+                f"{self.name} needs prepare(plant) before the episode: it identifies the valves on a bench"
+            )
+        self._reference = Smoothed(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
+        self._track = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"])
+        self._couple = Pid(per_rpm(self.gains["Kc"]), self.gains["Tic"])
+        self._track.start(self.period, np.zeros_like(measured.speed))
+        self._couple.start(self.period, np.zeros((len(measured.speed), 1)))
+
+    def command(self, measured: Measurements) -> Floats:
+        assert self.valves is not None
+        before = self._reference.value
+        reference = self._reference.step(measured.setpoint)
+        ahead = flow_for(reference, (reference - before) / self.period, np.zeros_like(reference))[:, None]
+        behind = measured.speed[:, 1:] - measured.speed[:, :1]
+        correction = SIDES * self._couple.step(behind)
+        integral = self._track.integral
+        flow = self._track.step(reference[:, None] - measured.speed, ahead + correction)
+        asked = self.valves.command(flow, self.gains["blend"])
+        # What would be integrated further into a limit of the command is not.
+        low, high = self.limits
+        grown = self._track.integral - integral
+        self._track.integral = np.where(
+            ((asked > high) & (grown > 0.0)) | ((asked < low) & (grown < 0.0)), integral, integral + grown
+        )
+        return asked

@@ -1,0 +1,1 @@
+"""On-line estimation of motors, valves and sensors."""

@@ -1,0 +1,59 @@
+"""The valves of rigs as the valve bench finds them, for controllers that had each pair there beforehand."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from hydro_env.controllers.base import Floats
+from hydro_env.controllers.estimation.valve_map import RATED_FLOW, ValveMap
+from hydro_env.errors import InputError
+from hydro_env.plant import Plant
+from hydro_env.valve_bench import Curve, identify, record_rigs
+
+__all__ = ["on_the_bench"]
+
+UNREAD = ((0.1, 0.8), (0.1, 0.8))
+"""Edge and gain, each way, that a valve is taken to have whose curve the bench cannot read: about the mean of its type."""
+
+
+def on_the_bench(plant: Plant) -> ValveMap:
+    """What the valve bench finds of both valves of every rig: a slow sweep of each, its dead zones and normal flow gains
+    as `hydro-env valve-test` reports them. Nothing else of the plant is looked at; its state is used up: pass a copy.
+    """
+    found = _measured(_Rigs(plant))
+    return ValveMap(edge=found[..., 0].copy(), gain=found[..., 1].copy())
+
+
+class _Rigs:
+    """A plant that equals another one of the same model, parameters and state."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant = plant
+        self.key = plant.model.name, plant.effects, plant.substep, plant.memory.tobytes()
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Rigs) and self.key == other.key
+
+
+@lru_cache(maxsize=8)  # the same pairs come back in every scenario of a suite, for every controller
+def _measured(rigs: _Rigs) -> Floats:
+    """Edge and gain, (num_rigs, 2 channels, 2 sides, 2)."""
+    return np.array([[_read(curve) for curve in pair] for pair in record_rigs(rigs.plant)])
+
+
+def _read(curve: Curve) -> tuple[tuple[float, float], ...]:
+    """Edge and gain of a valve each way, as shares of its rated command and of the rated flow over that."""
+    try:
+        figures = identify(curve)
+    except InputError:
+        return UNREAD
+    sides = (figures.positive, figures.negative)
+    return tuple(
+        missing if side is None else (side.dead_zone / curve.rated, side.gain * curve.rated / RATED_FLOW)
+        for side, missing in zip(sides, UNREAD, strict=True)
+    )

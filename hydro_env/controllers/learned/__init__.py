@@ -1,0 +1,1 @@
+"""Trained policies: the file, the network and its interface to the rig."""

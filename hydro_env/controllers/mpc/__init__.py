@@ -1,0 +1,1 @@
+"""Controllers that plan their commands on a model."""

@@ -1,0 +1,221 @@
+"""The oracle: model-predictive control with the plant itself as its model. What it leaves is what no knowledge removes.
+
+It is told everything that a controller on a rig has to do without: the parameters of both valves and motors, the true
+state, and the loads, now and to come. It may not foresee the set-point, which it sees as everyone does; where that
+changes smoothly it expects it to go on as it does. So it bounds what can be gained by knowing valves, state and loads,
+at this control period and with these valves; a controller that has learnt by heart when a set-point will step is not
+bounded in its tracking.
+
+In each control period copies of the rigs drive the plan of the next `HORIZON` periods, and the plan is improved by what
+they show (`hydro_env.controllers.mpc.shooting`), some more times where the set-point has just stepped. Then its first
+command is sent. The state needs no measurement: a twin of the plant, given the same commands and loads, is in the same
+state bit for bit, as the noise is in the sensors alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
+from hydro_env.controllers.mpc.shooting import DAMPING, improve, keep
+from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
+from hydro_env.units import RPM
+
+__all__ = ["Oracle"]
+
+HORIZON = 5
+"""Control periods that are planned."""
+SAMPLES = 10
+"""Samples of a period at which the planned motion is looked at."""
+TURNS, AFTER_A_STEP = 3, 30
+"""How often a plan is driven, and then improved, in every period, and when the set-point has just stepped."""
+FREE = 0.6
+"""Share of the turns in which a plan is taken whatever it costs."""
+STEP = 50.0 * RPM
+"""Change of the set-point from one period to the next that is a step, rad/s."""
+APART = 4.0 * RPM
+"""Speed difference in a plan from which on another is looked for, rad/s."""
+RETRIES = (6, 30)
+"""Turns of those other plans, one after the other."""
+SUBSTEP = 250e-6
+"""Substep in which plans are simulated, s: wrong by about 0.1 rpm at worst, for less than half the time."""
+TRAVEL, MARGIN = 0.95, 0.96
+"""Shares of the stroke: where the largest command lets a spool rest, and how far it should swing."""
+
+
+class Oracle(Controller):
+    """See the module's text. `prepare` and `foresee` have to be called before the episode."""
+
+    needs = "everything"
+    GAINS = (
+        Gain("difference", "1", 30.0, 3000.0, summary="weight of the squared speed difference"),
+        Gain("smooth", "rad2/s2", 30.0, 1000.0, summary="weight of the squared moves of a command"),
+        Gain("stops", "rad2/(s2 mm2)", 100.0, 1e4, summary="weight of the squared travel beyond the margin"),
+    )
+    _twin: Plant | None = None
+    _load: Floats | None = None
+
+    def prepare(self, plant: Plant) -> None:
+        self._twin = plant
+
+    def foresee(self, load: Floats) -> None:
+        self._load = load
+
+    def start(self, measured: Measurements) -> None:
+        if self._twin is None or self._load is None:
+            raise RuntimeError(
+                f"{self.name} needs prepare(plant) and foresee(load) before the episode: it is told everything"
+            )
+        twin, n = self._twin, len(measured.speed)
+        get = twin.get
+        self._rated = get("u_rated")
+        self._weights = [np.broadcast_to(np.ravel(self.gains[g.name]), (n,)).copy() for g in self.GAINS]
+        self._plan = np.zeros((n, HORIZON, 2))
+        self._sent = np.zeros((n, 2))
+        self._row = 0
+        self._setpoint = measured.setpoint
+        self._step = self.period / SAMPLES
+        self._travel = _travel(twin, self.period)
+        self._motor = _motor(twin, self._step)
+        self._copies = _copies(twin, np.arange(n))
+        stroke = get("x_max")
+        self._margin = MARGIN * stroke
+        self._most = np.minimum(1.0, TRAVEL * stroke * get("k") * get("R") / (get("alpha") * self._rated))
+
+    def command(self, measured: Measurements) -> Floats:
+        assert self._twin is not None and self._load is not None
+        change = measured.setpoint - self._setpoint
+        self._setpoint = measured.setpoint
+        stepped = np.abs(change) > STEP
+        slope = np.where(stepped, 0.0, change)
+        ahead = measured.setpoint[:, None] + slope[:, None] * np.arange(HORIZON + 1)
+        # The last load stays, as the samples after the last period do.
+        rows = np.minimum(np.arange(self._row, self._row + HORIZON + 1), len(self._load) - 1)
+        load = np.repeat(self._load[rows], SAMPLES, axis=0)[: HORIZON * SAMPLES + 1]
+        self._search(np.where(stepped | (self._row == 0), AFTER_A_STEP, TURNS), ahead, load)
+        sent = self._plan[:, 0].astype(np.float32).astype(float)  # as actions are passed on
+        self._twin.step(sent * self._rated, self._load[rows[0]], self.period)
+        self._sent = sent
+        self._row += 1
+        self._plan[:, :-1] = self._plan[:, 1:].copy()
+        return sent
+
+    def _search(self, turns: NDArray[np.int64], ahead: Floats, load: Floats) -> None:
+        """Improves every plan for its `turns` (N,); one that would still let the motors fall apart begins once more, for
+        longer: the way of a single descent is at times blocked by a stop or a spool that sticks.
+        """
+        start = self._plan
+        found, lowest = start.copy(), np.empty(len(start))
+        speed = np.empty((HORIZON, len(start), 2))
+        for count in np.unique(turns):
+            rows = np.flatnonzero(turns == count)
+            found[rows], lowest[rows], speed[:, rows] = self._descend(rows, count, start, ahead, load)
+        for attempt in RETRIES:
+            poor = np.flatnonzero(np.abs(speed[:2, :, 0] - speed[:2, :, 1]).max(axis=0) > APART)
+            if not len(poor):
+                break
+            other, reached, instead = self._descend(poor, attempt, start, ahead, load)
+            # Motors that stay at rest are in step too but get nowhere.
+            late, later = (np.abs(e[-1] - ahead[poor, -1:]).sum(axis=1) for e in (speed[:, poor], instead))
+            better = (reached < lowest[poor]) & (later < late + APART)
+            rows = poor[better]
+            found[rows], lowest[rows], speed[:, rows] = other[better], reached[better], instead[:, better]
+        self._plan = found
+
+    def _descend(
+        self, rows: NDArray[np.int64], turns: int, start: Floats, ahead: Floats, load: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Plans (n, HORIZON, 2) of the n rigs `rows`, their costs (n,) and the speeds (HORIZON, n, 2) they lead to at control
+        instants, after `turns` of Levenberg and Marquardt: copies of the rigs drive the plan, and a change that did not help
+        is taken back and tried smaller.
+        """
+        assert self._twin is not None
+        every = len(rows) == len(start)
+        copies = self._copies if every else _copies(self._twin, rows)
+        plan, sent, aim, load = start[rows], self._sent[rows], ahead[rows], load[:, rows]
+        travel, motor, margin, most, rated = (
+            each[rows] for each in (self._travel, self._motor, self._margin, self._most, self._rated)
+        )
+        weights = [weight[rows] for weight in self._weights]
+        best, lowest = plan.copy(), np.full(len(rows), np.inf)
+        damping = np.full(len(rows), DAMPING)
+        signals = np.array([copies.row_of(name) for name in ("speed", "flow", "spool")])
+        volts = np.empty((HORIZON * SAMPLES + 1, len(rows), 2))
+        seen = np.empty((len(signals), *volts.shape))
+        kept = np.empty_like(seen)
+        for turn in range(turns):
+            copies.take_state(self._twin, None if every else rows)
+            # The last command stays: what follows its last sample is not looked at.
+            volts[:-1].reshape(HORIZON, SAMPLES, -1, 2)[:] = (plan * rated[:, None]).transpose(1, 0, 2)[
+                :, None
+            ]
+            volts[-1] = volts[-2]
+            copies.run_into(seen, volts, load, self._step, signals)
+            # Out of standstill the way leads over a ridge: at first a plan need not be better than the one before.
+            keep(
+                plan,
+                turn < FREE * turns,
+                best,
+                lowest,
+                damping,
+                kept,
+                seen,
+                sent,
+                aim,
+                SAMPLES,
+                margin,
+                *weights,
+            )
+            plan = best.copy()
+            if turn < turns - 1:
+                improve(plan, damping, most, sent, aim, *kept, travel, motor, SAMPLES, margin, *weights)
+        return best, lowest, kept[0][SAMPLES::SAMPLES]
+
+
+def _copies(plant: Plant, rows: NDArray[np.int64]) -> Plant:
+    """Rigs with the parameters of the plant's rigs `rows`, simulated as coarsely as plans need."""
+    delayed = "command_delay" in plant.effects  # its delay line has a slot for every substep
+    substep = plant.substep if delayed else max(SUBSTEP, plant.substep)
+    copies = Plant(plant.model, len(rows), effects=plant.effects, substep=substep, dtype=np.float32)
+    for name in (*PARAMETERS, *(f"{e}.{p.name}" for e in plant.effects for p in CATALOGUE[e].parameters)):
+        copies.set(name, plant.get(name)[rows])
+    return copies
+
+
+def _travel(plant: Plant, period: float) -> Floats:
+    """Travel of every spool in m, (N, 2, HORIZON SAMPLES + 1), at the samples after a command of 1 that lasts one period:
+    coil, back-EMF, mass and spring, (5) and (6), without friction and stops.
+    """
+    get = plant.get
+    mass = get("m")
+    rates = np.zeros((plant.num_rigs, 2, 4, 4))  # current, travel, speed, command
+    rates[..., 0, 0], rates[..., 0, 2] = -get("R") / get("L"), -get("alpha") / get("L")
+    rates[..., 0, 3] = get("u_rated") / get("L")
+    rates[..., 1, 2] = 1.0
+    rates[..., 2, 0], rates[..., 2, 1] = get("alpha") / mass, -get("k") / mass
+    rates[..., 2, 2] = -(get("C") + get("s2")) / mass
+    held = expm(rates * (period / SAMPLES))
+    state = np.zeros((plant.num_rigs, 2, 4))
+    state[..., 3] = 1.0
+    travel = np.zeros((plant.num_rigs, 2, HORIZON * SAMPLES + 1))
+    for sample in range(1, travel.shape[2]):
+        state = np.sum(held * state[..., None, :], axis=-1)
+        if sample == SAMPLES:
+            state[..., 3] = 0.0
+        travel[..., sample] = state[..., 1]
+    return travel
+
+
+def _motor(plant: Plant, step: float) -> Floats:
+    """Pressure and speed of every motor a step later, (N, 2, 2, 3): from pressure, speed and the travel of the spool, (1),
+    (2) and (8), without what effects add.
+    """
+    get = plant.get
+    stiffness = get("beta") / get("V")
+    rates = np.zeros((plant.num_rigs, 2, 3, 3))
+    rates[..., 0, 0], rates[..., 0, 1] = -stiffness * get("Km"), -stiffness * get("D")
+    rates[..., 0, 2] = stiffness * get("Kq")
+    rates[..., 1, 0], rates[..., 1, 1] = get("D") / get("J"), -get("B") / get("J")
+    return np.ascontiguousarray(expm(rates * step)[..., :2, :])

@@ -1,0 +1,1 @@
+"""Searching gains, and the files that keep them."""

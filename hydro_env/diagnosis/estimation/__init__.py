@@ -1,0 +1,1 @@
+"""Parameter estimation: unknowns, noise, least squares, multistart, uncertainty."""

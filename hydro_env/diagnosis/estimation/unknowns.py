@@ -1,0 +1,220 @@
+"""What is estimated: numbers with a start, plausible bounds and a scale on which steps are of order one.
+
+A calibrated base parameter has a prior about the value in the model as given; a parameter of an effect has none beyond
+its bounds. Estimation works in the coordinate q: 0 at the centre, 1 one scale away (logarithmic where the parameter
+varies by factors).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...plant import CATALOGUE, Effect, Parameter
+
+__all__ = [
+    "Unknown",
+    "base_unknown",
+    "bases_of",
+    "effect_unknowns",
+    "TOGETHER",
+    "less_taken",
+    "limited_by_effects",
+    "scaled",
+    "starts",
+]
+
+#: Largest standard deviation of the prior of a base parameter, relative (or share of its range).
+PRIOR_SPREAD = 0.3
+#: Base parameters that an effect of the catalogue adds to may be calibrated by this factor only: more has a name there.
+BASE_OF_EFFECT_FACTOR = 1.35
+
+#: Effect parameters that take their amount from a base parameter: the inertia behind a coupling is part of the calibrated J.
+TAKEN_FROM = {"shaft_backlash.inertia": "J"}
+
+
+#: Base parameters that logs tell by their ratios only, or nearly so, each with the power of the common factor. Twice the force
+#: on twice the mass, spring and friction moves a spool nearly alike; half the travel, by twice the stiffness and mass, gives
+#: the same flow with twice the gain; twice the displacement with twice the flow, leakage, inertia and damping, and half the
+#: bulk modulus, turns a shaft alike but for the load. The first of each names the direction.
+TOGETHER: dict[str, dict[str, float]] = {
+    "k": {"k": 1.0, "alpha": 1.0, "m": 1.0, "Fc": 1.0, "Fs": 1.0},
+    "Kq": {"Kq": 1.0, "k": 1.0, "m": 1.0, "vs": -1.0},
+    "D": {"D": 1.0, "J": 1.0, "B": 1.0, "Km": 1.0, "Kq": 1.0, "beta": -1.0},
+}
+#: Units of the effects' parameters that go with them, and their power: forces on the spool, or one per opening and pressure, by
+#: port as well; torques, flows and losses behind the valve.
+_FORCE_UNITS = {"N": 1.0, "m": 1.0}
+_SHAFT_UNITS = {
+    "N m": 1.0, "N m/rad": 1.0, "N m s/rad": 1.0, "N m s2/rad2": 1.0, "kg m2": 1.0, "m3/rad": 1.0, "m3/(s Pa)": 1.0,
+    "Pa s2/m6": -2.0,
+}  # fmt: skip
+
+
+def bases_of(effect: str) -> set[str]:
+    """The base parameters that an effect takes from."""
+    return {base for name, base in TAKEN_FROM.items() if name.split(".")[0] == effect}
+
+
+def less_taken(values: dict[str, float], effect: str, start: dict[str, float]) -> dict[str, float]:
+    """The base parameters in `values` that an effect with the values `start` {own name: value} takes from, reduced by that."""
+    return {
+        base: max(values[base] - start[name.split(".")[1]], 0.25 * values[base])
+        for name, base in TAKEN_FROM.items()
+        if name.split(".")[0] == effect and base in values
+    }
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One number to be estimated. `prior` is whether leaving q = 0 costs anything; `channel` whose number it is, None for
+    one that both channels share.
+    """
+
+    name: str
+    unit: str
+    center: float
+    low: float
+    high: float
+    scale: float
+    log: bool
+    prior: bool
+    channel: int | None = None
+
+    def value(self, q: float) -> float:
+        return self.center * math.exp(self.scale * q) if self.log else self.center + self.scale * q
+
+    def q(self, value: float) -> float:
+        if self.log:
+            return math.log(value / self.center) / self.scale
+        return (value - self.center) / self.scale
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Bounds of q."""
+        return self.q(self.low), self.q(self.high)
+
+    def at_bound(self, q: float) -> bool:
+        """Whether the estimate sits at the end of what is plausible."""
+        low, high = self.bounds
+        return q <= low + 1e-3 * (high - low) or q >= high - 1e-3 * (high - low)
+
+
+def limited_by_effects() -> set[str]:
+    """Base parameters that some effect adds to."""
+    return {name for effect in CATALOGUE.values() for name in effect.adds_to}
+
+
+def base_unknown(parameter: Parameter, value: float, limited: bool = False) -> Unknown:
+    """A base parameter about the value `value` of the model as given."""
+    low, high = min(parameter.low, value), max(parameter.high, value)
+    log = parameter.log and value > 0.0
+    if log:
+        low = max(low, value / 20.0)
+        if limited:
+            low, high = max(low, value / BASE_OF_EFFECT_FACTOR), min(high, value * BASE_OF_EFFECT_FACTOR)
+        scale = min(math.log(high / low) / 4.0, PRIOR_SPREAD)
+    else:
+        scale = min((high - low) / 4.0, PRIOR_SPREAD * max(abs(value), 0.25 * (high - low)))
+    return Unknown(parameter.name, parameter.unit, value, low, high, scale, log, True)
+
+
+def starts(effect: Effect, seconds: float, whole: bool = False) -> list[dict[str, float]]:
+    """Values of the effect's parameters worth a first look: sizes together, small to large, with every shape.
+
+    `seconds` is the length of the longest log: nobody sees a drift of minutes in seconds. What comes in many shapes is given
+    in one size unless the `whole` list is wanted.
+    """
+    sizes = [p for p in effect.parameters if not _is_shape(p)]
+    shapes = [p for p in effect.parameters if _is_shape(p)]
+    rows = []
+    for factor in (0.35, 1.0, 2.2, -0.35, -1.0, -2.2):
+        row = {p.name: _sized(p, factor) for p in sizes}
+        if all(v is not None for v in row.values()):
+            rows.append(row)
+    if len({p.unit for p in sizes}) == 1 and len(sizes) == 2 and all(math.isfinite(p.nominal) for p in sizes):
+        # Two sizes of a kind, such as the overlaps of the two directions, may be unequal.
+        rows += [{p.name: _sized(p, 1.0 if p is alone else 0.0) for p in sizes} for alone in sizes]
+    variants: list[dict[str, float]] = [{}]
+    for p in shapes:
+        variants = [{**v, p.name: value} for v in variants for value in _shapes(p, seconds)]
+    if len(variants) > 3 and not whole:
+        rows = rows[1:2]
+    rows = [{**row, **shape} for row in rows for shape in variants]
+    return rows  # type: ignore[return-value]
+
+
+def _is_shape(p: Parameter) -> bool:
+    """Whether a parameter only shapes an effect; its size is carried by another one."""
+    return p.typical is None or p.typical == p.nominal
+
+
+def _sized(p: Parameter, factor: float) -> float | None:
+    assert p.typical is not None
+    if math.isinf(p.nominal):
+        return {0.35: min(2.0 * p.typical, 0.95 * p.high), 1.0: p.typical, 2.2: 0.55 * p.typical}.get(factor)
+    if p.log and p.nominal > 0.0:
+        value = p.nominal * math.exp(math.log(p.typical / p.nominal) * factor)
+    else:
+        value = p.nominal + (p.typical - p.nominal) * factor
+    return value if p.low <= value <= p.high else None
+
+
+def _shapes(p: Parameter, seconds: float) -> list[float]:
+    if p.unit == "rad" and p.low <= -3.0:
+        return [-0.75 * math.pi, -0.25 * math.pi, 0.25 * math.pi, 0.75 * math.pi]
+    if p.name == "order":
+        return [float(n) for n in range(math.ceil(p.low), math.floor(p.high) + 1)]
+    if p.name == "time_constant" and p.nominal > seconds:
+        return [min(max(0.4 * seconds, p.low), p.high)]
+    return [p.nominal]
+
+
+def effect_unknowns(effect: Effect, start: dict[str, float]) -> list[Unknown]:
+    """The parameters of an effect; `start` gives their values {own name: value} at the first look."""
+    return [_effect_unknown(effect.name, p, start[p.name]) for p in effect.parameters]
+
+
+def _effect_unknown(effect: str, p: Parameter, start: float) -> Unknown:
+    name, shape = f"{effect}.{p.name}", _is_shape(p)
+    low, high = min(p.low, start), max(p.high, start)
+    if p.low > 0.0 and (p.log or math.isinf(p.nominal)):
+        return Unknown(name, p.unit, start, low, high, 0.5 if shape else 0.25, True, shape)
+    scale = 0.15 * (p.high - p.low) if shape or p.typical is None else abs(p.typical - p.nominal)
+    if p.name == "order":
+        scale = 0.1
+    return Unknown(name, p.unit, start, low, high, scale, False, shape and p.name != "order")
+
+
+def scaled(unknowns: Sequence[Unknown], q: np.ndarray, j: int, size: float) -> np.ndarray:
+    """The change of q (n,) that scales all that the direction of unknown j (`TOGETHER`) has on its channel, as a step `size`
+    of j does.
+
+    On the spool all that moves it is scaled but the damping and the bristles, which are not calibrated. What logs
+    say of such a direction is little, so it must be seen as one, not as a difference of large changes.
+    """
+    own = unknowns[j]
+    factor = own.value(float(q[j]) + size) / own.value(float(q[j]))
+    change = np.zeros(len(unknowns))
+    for n, u in enumerate(unknowns):
+        power = _power(u, own.name) if u.channel in (None, own.channel) else 0.0
+        if power:
+            value = u.value(float(q[n]))
+            change[n] = u.q(value * factor**power) - q[n]
+    return change
+
+
+def _power(unknown: Unknown, direction: str) -> float:
+    """The power of the common factor of a direction that an unknown has, 0 for one that is no part of it."""
+    effect, _, own = unknown.name.rpartition(".")
+    if not effect:
+        return TOGETHER[direction].get(unknown.name, 0.0)
+    unit = CATALOGUE[effect].parameter(own).unit
+    if direction == "Kq":
+        return -1.0 if unit == "m" and CATALOGUE[effect].port != "force" else 0.0
+    if direction == "k":
+        return _FORCE_UNITS.get(unit, 0.0) if CATALOGUE[effect].port == "force" else 0.0
+    return _SHAFT_UNITS.get(unit, 0.0)

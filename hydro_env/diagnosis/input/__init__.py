@@ -1,0 +1,1 @@
+"""Which rows and signals of the logs a diagnosis uses."""

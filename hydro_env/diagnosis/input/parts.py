@@ -1,0 +1,161 @@
+"""Logs and parts of logs: which rows a diagnosis may fit to, and which stay sealed.
+
+A log is named by its path; `PATH@FROM:TO` (seconds of the log's own clock, either may be left out) names a part of
+it. `PATH@0:13,23:34` names two windows of one run. A run is simulated from its beginning with all logged
+commands, so that the state at a window's beginning is the simulated one; only the measurements inside the windows count.
+A log of more than two minutes is taken in windows instead, chosen where none are named (`windows`), each a run of its own.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError
+from ...measured import Mapping, RigLog, load_mapping, read_log
+from ...measured.gate import jump_size
+from .windows import LONG_S, WARM_S, choose, rest_starts
+
+__all__ = ["Part", "overlap", "read_parts"]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A run on an even grid, cut at the end of the last window; `inside` (T,) marks the rows that count; `note` says what was
+    chosen for the user."""
+
+    label: str
+    log: RigLog
+    inside: np.ndarray
+    windows: tuple[tuple[float, float], ...]
+    note: str = ""
+
+    @property
+    def seconds(self) -> float:
+        return float(self.inside.sum()) * self.log.period
+
+
+def read_parts(
+    words: Iterable[str | Path], mapping: Mapping | str | Path | None, accept: Collection[str] = ()
+) -> list[Part]:
+    """Reads `PATH[@FROM:TO[,FROM:TO...]]` words. InputError for a bad log, window or clock, and for a log that is surely
+    wrong unless the code of that finding is in `accept`."""
+    if mapping is not None and not isinstance(mapping, Mapping):
+        mapping = load_mapping(mapping)
+    read: dict[str, RigLog] = {}
+    parts = []
+    for word in words:
+        path, windows = _split(str(word))
+        if path not in read:
+            read[path] = read_log(path, mapping)
+        parts += _parts(str(word), _even(_usable(path, read[path], windows, accept)), windows)
+    return parts
+
+
+def _parts(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[Part]:
+    """One run, or several of a long log."""
+    ends = [min(end, float(log.time_s[-1]) + log.period) for _, end in windows]
+    if max(ends) - log.time_s[0] <= LONG_S:
+        return [_cut(word, log, windows)]
+    resting = log.time_s[rest_starts(log)]
+    parts = []
+    for (start, _), end in zip(windows, ends, strict=True):
+        start = max(start, float(log.time_s[0]))
+        if end - start > LONG_S:
+            chosen = choose(log, start, end)
+            shown = ", ".join(f"{a:.6g} to {b:.6g} s" for a, b, _ in chosen)
+            note = f"{word}: {end - start:.6g} s are too long to simulate; looked at {shown}, where the commands move most"
+        else:
+            chosen, note = [(start, end, False)], ""
+        for a, b, at_rest in chosen:
+            before = resting[(resting <= a) & (resting >= a - LONG_S)]
+            begin = a if at_rest or not before.size else float(before[-1])
+            known = at_rest or bool(before.size) or a <= log.time_s[0]
+            counts = a if known else a + WARM_S
+            if not known:
+                note += "; " if note else f"{word}: "
+                note += f"nothing rests before {a:.6g} s, so the first {WARM_S:g} s there do not count"
+            parts.append(replace(_cut(word, log.window(begin, b), [(counts, b)]), note=note))
+            note = ""
+    return parts
+
+
+def _split(word: str) -> tuple[str, list[tuple[float, float]]]:
+    path, at, text = word.rpartition("@")
+    if not at or Path(word).exists():
+        return word, [(-np.inf, np.inf)]
+    windows = []
+    for piece in text.split(","):
+        start, colon, end = piece.partition(":")
+        try:
+            window = (float(start) if start else -np.inf, float(end) if end else np.inf)
+        except ValueError:
+            colon = ""
+        if not colon or not window[0] < window[1]:
+            raise InputError(f"{word}: window {piece!r} is not FROM:TO in seconds, e.g. {path}@0:25")
+        windows.append(window)
+    return path, windows
+
+
+def _usable(path: str, log: RigLog, windows: list[tuple[float, float]], accept: Collection[str]) -> RigLog:
+    """The log, if nothing is surely wrong with it: what a diagnosis finds would be that mistake.
+
+    Nobody knows what the rig did while the clock jumped: only the stretch without a jump that holds all windows is given.
+    """
+    for finding in log.findings:
+        if not finding.sure or finding.code in accept:
+            continue
+        if finding.code == "clock_jump":
+            steps = np.diff(log.time_s)
+            jumps = np.flatnonzero(steps > jump_size(log.time_s))
+            edges = [-np.inf, *(0.5 * (log.time_s[jumps] + log.time_s[jumps + 1])), np.inf]
+            first, last = min(w[0] for w in windows), max(w[1] for w in windows)
+            for start, end in itertools.pairwise(edges):
+                if start <= first and last <= end:
+                    return log.window(start, end)
+        row = "" if finding.row is None else f"row {finding.row}"
+        named = finding.column is None or repr(finding.column) in finding.message
+        column = "" if named else f"column {finding.column!r}"
+        place = ", ".join(word for word in (row, column) if word)
+        place += ": " if place else ""
+        way_out = "" if finding.code == "clock_jump" else f"; if it is right, --accept {finding.code}"
+        raise InputError(f"{path}: {place}{finding.text}{way_out}")
+    return log
+
+
+def _even(log: RigLog) -> RigLog:
+    return log if log.uniform else log.resample(log.period)
+
+
+def _cut(word: str, log: RigLog, windows: list[tuple[float, float]]) -> Part:
+    time = log.time_s
+    inside = np.zeros(len(log), bool)
+    for start, end in windows:
+        rows = (time >= start) & (time < end)
+        if rows.sum() < 20:
+            raise InputError(
+                f"{word}: only {int(rows.sum())} rows between {start:g} and {end:g} s; "
+                f"the log runs from {time[0]:g} to {time[-1]:g} s"
+            )
+        inside |= rows
+    last = int(np.flatnonzero(inside)[-1]) + 1
+    if last < len(log):
+        log = log.window(time[0], time[last])
+    shown = tuple((max(a, float(time[0])), min(b, float(time[-1]))) for a, b in windows)
+    return Part(word, log, inside[: len(log)], shown)
+
+
+def overlap(fit: Iterable[Part], sealed: Iterable[Part]) -> None:
+    """InputError if a row counts both for the fit and for the proof."""
+    for a in fit:
+        for b in sealed:
+            if a.log.sha256 == b.log.sha256:
+                mine, other = (np.round(p.log.time_s[p.inside] / p.log.period) for p in (a, b))
+                if np.intersect1d(mine, other).size:
+                    raise InputError(
+                        f"{b.label} is sealed but shares rows with {a.label}, which is fitted; name parts that are apart"
+                    )

@@ -1,0 +1,90 @@
+"""Windows of long logs: an hour is not simulated as a whole, but in a few stretches that say most.
+
+A stretch may begin where the rig is at rest, because a simulation does; where there is no rest it begins anywhere and its
+first second does not count. How much a stretch says is judged by its commands: how far and how often they move, in both
+directions, on both channels, and how much the load changes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...measured import RigLog
+
+__all__ = ["LONG_S", "WARM_S", "choose", "rest_starts"]
+
+#: Beyond this length a log is looked at in windows, s; length and number of the windows.
+LONG_S = 120.0
+WINDOW_S, WINDOWS = 12.0, 2
+#: How long a rig must have been quiet to be at rest, s, and what does not count where it was not.
+QUIET_S, WARM_S = 0.3, 1.0
+
+
+def rest_starts(log: RigLog) -> np.ndarray:
+    """Rows (m,) before which the whole rig was quiet: no command and no speed for QUIET_S."""
+    quiet = np.ones(len(log), bool)
+    speed = log.get("speed")
+    assert speed is not None
+    for c in log.channels:
+        for values, share in ((log.command_V[:, c], 0.005), (speed[:, c], 0.02)):
+            known = np.nan_to_num(values)
+            quiet &= np.abs(known) <= share * max(float(np.quantile(np.abs(known), 0.999)), 1e-12)
+    need = max(2, round(QUIET_S / log.period))
+    run = np.concatenate([[0], np.cumsum(quiet)])
+    rows = np.arange(need, len(log))
+    return rows[run[rows] - run[rows - need] == need]
+
+
+def _worth(log: RigLog, step: int) -> np.ndarray:
+    """How much each piece of `step` rows says, (n,), for a sum over pieces."""
+    count = len(log) // step
+    total = np.zeros(count)
+    for c in log.channels:
+        command = np.nan_to_num(log.command_V[:, c])
+        size = max(float(np.std(command)), 1e-12)
+        pieces = command[: count * step].reshape(count, step) / size
+        moves = np.abs(np.diff(pieces, axis=1)).sum(axis=1)
+        total += (
+            np.minimum(moves, 20.0)
+            + pieces.std(axis=1)
+            + (pieces.max(axis=1) > 0.3)
+            + (pieces.min(axis=1) < -0.3)
+        )
+        if log.load is not None and log.has("load", c):
+            load = np.nan_to_num(log.load[: count * step, c]).reshape(count, step)
+            total += load.std(axis=1) / max(float(np.nanstd(log.load[:, c])), 1e-12)
+    return total
+
+
+def choose(log: RigLog, first: float, last: float, count: int = WINDOWS) -> list[tuple[float, float, bool]]:
+    """Up to `count` windows (from, to, begins at rest) in seconds between `first` and `last`, earliest first.
+
+    They do not overlap. Those that begin at rest are preferred unless they say less than half as much.
+    """
+    step = max(1, round(1.0 / log.period))
+    worth = _worth(log, step)
+    time = log.time_s
+    width = round(WINDOW_S)
+    if worth.size <= width:
+        return [(first, last, True)]
+    sums = np.convolve(worth, np.ones(width), "valid")  # of the window that begins with each piece
+    starts = np.arange(sums.size) * step
+    usable = (time[starts] >= first - 1e-9) & (time[starts] + WINDOW_S <= last + 1e-9)
+    score = np.where(usable, sums, -np.inf)
+    resting = rest_starts(log)
+    begin = starts.copy()
+    at_rest = np.zeros(starts.size, bool)
+    if resting.size:
+        near = np.minimum(np.searchsorted(resting, starts), resting.size - 1)
+        at_rest = (resting[near] >= starts) & (resting[near] < starts + step)
+        begin = np.where(at_rest, resting[near], starts)
+    score = np.where(at_rest, 2.0 * score, score)
+    found: list[tuple[float, float, bool]] = []
+    for _ in range(count):
+        best = int(np.argmax(score))
+        if not np.isfinite(score[best]):
+            break
+        start = float(time[begin[best]])
+        found.append((start, start + WINDOW_S, bool(at_rest[best])))
+        score[np.abs(starts - starts[best]) * log.period < WINDOW_S + 1.0] = -np.inf
+    return sorted(found)

@@ -1,0 +1,1 @@
+"""Models of the rig that can be fitted to logs."""

@@ -1,0 +1,318 @@
+"""The dynamic rig as a machine of the diagnosis: many parameter variants as lanes of the batched plant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, simulate
+from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY
+from ..input.parts import Part
+from .base import Request, Segment, measured_segments
+
+__all__ = ["MotorRig"]
+
+#: Longest substep of the fit and of the proof, s. With 200 us the speeds are off by less than 0.2 rpm; from 300 us on a spool
+#: that meets its end stop may be lost.
+SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
+#: The fit's substep where an effect has every substep taken in parts (of 20 to 50 us then), s.
+PARTED_SUBSTEP = 500e-6
+#: Rigs that go through the kernel together: many where there are many, few where lanes would be idle, which cost as much as
+#: others.
+BLOCKS = (4, 8, 16)
+#: Numbers of the fit and of the proof. Single precision moves a speed by a tenth of what the fit's substep does.
+DTYPE, PROOF_DTYPE = np.float32, np.float64
+#: Functions that make an effect's law too slow to be carried along by every candidate.
+_SLOW = frozenset({"exp", "tanh", "cos", "sin"})
+#: Base parameters that calibration may adjust. V is left out (never told from beta), u_rated and x_max are settings.
+BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
+_RECORDED = {
+    "speed": "measured_speed",
+    "current": "current",
+    "pressure": "pressure",
+    "spool": "spool",
+    "flow": "flow",
+}
+
+
+class MotorRig:
+    """See `machine.Machine`. `progress` is called with the number of rig simulations done."""
+
+    def __init__(
+        self, model: PlantModel, parts: list[Part], *, every_row: bool = False, substep: float = SUBSTEP,
+        dtype: type[np.floating[Any]] = DTYPE, jobs: int = 1, progress: Callable[[int], None] | None = None,
+        without: frozenset[str] = frozenset(),
+    ) -> None:  # fmt: skip
+        self.without, self.dtype = without, dtype
+        self.model, self.parts, self.substep, self.jobs, self.progress = model, parts, substep, jobs, progress
+        self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
+        self.segments: dict[int, list[Segment]] = measured_segments(
+            parts, self.channels, tuple(_RECORDED), every_row
+        )
+        self.signals = tuple(
+            s for s in _RECORDED if any(seg.signal == s for segs in self.segments.values() for seg in segs)
+        )
+        self.period = min(part.log.period for part in parts)
+        self.every_row = every_row
+        # The plant's kernel lets other threads of this process run beside it.
+        self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
+        self.coupled = any(CATALOGUE[e].scope == "rig" for e in model.declared)
+        names = [*PARAMETERS, *(f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters)]
+        self._unequal = {name for name in names if model.value(name, 0) != model.value(name, 1)}
+        self.quick = False
+        #: Whether the refits to come are many of few effects, see `kernel`.
+        self.exact = False
+        self.notes: list[str] = []
+        self.own: dict[str, Parameter] = {}
+
+    def with_parts(self, parts: list[Part], every_row: bool) -> MotorRig:
+        return MotorRig(
+            self.model,
+            parts,
+            every_row=every_row,
+            substep=PROOF_SUBSTEP,
+            dtype=PROOF_DTYPE,
+            jobs=self.jobs,
+            progress=self.progress,
+            without=self.without,
+        )
+
+    def written(self, model: PlantModel) -> PlantModel:
+        return model
+
+    def base(self, channel: int) -> list[str]:
+        return list(BASE)
+
+    def candidates(self) -> list[str]:
+        both = len(self.channels) == 2
+        return [
+            e.name
+            for e in CATALOGUE.values()
+            if (both or e.name != "supply_droop")
+            and e.name not in self.without
+            and not self._present(e.name)
+            and e.family != FAMILY
+            and (not e.family or e.name in self.model.declared)
+        ]
+
+    def _present(self, effect: str) -> bool:
+        """Whether the model as given has the effect already: its parameters are then calibrated, not discovered."""
+        acts = self.model.effects.get(effect)
+        return acts is not None and any(not CATALOGUE[effect].is_neutral(acts[c]) for c in self.channels)
+
+    def given(self, name: str, channel: int) -> float:
+        return self.model.value(name, channel)
+
+    # --- simulation -----------------------------------------------------------------------------------------------------
+    def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
+        # Where nothing ties the channels together, a rig is two single channels, of which many are asked for again and again.
+        wanted: dict[tuple[object, ...], int] = {}
+        single: list[Request] = []
+        sides: list[list[tuple[int, int]]] = []
+        for request in requests:
+            own = []
+            for part in self._apart(request):
+                number = wanted.setdefault((part.channel, *sorted(part.values.items())), len(single))
+                if number == len(single):
+                    single.append(part)
+                own += [(number, c) for c in self._seen(part)]
+            sides.append(own)
+        found = self._predict(single)
+        return [{c: found[number][c] for number, c in own} for own in sides]
+
+    def _apart(self, request: Request) -> list[Request]:
+        """The request as one for each channel, if they do not act on each other."""
+        if request.channel is not None or self.coupled or any(_ties(CATALOGUE[e]) for e in request.effects):
+            return [request]
+        pairs = {name: np.broadcast_to(value, 2).tolist() for name, value in request.values.items()}
+        return [Request(c, {name: pair[c] for name, pair in pairs.items()}) for c in self.channels]
+
+    def _predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
+        results: list[dict[int, np.ndarray]] = [{} for _ in requests]
+        by_kernel: dict[tuple[tuple[str, ...], int, float], list[int]] = {}
+        for number, request in enumerate(requests):
+            # Rigs are simulated in step: one that takes its substeps in parts holds up those beside it.
+            parts = max((_parts(CATALOGUE[e]) for e in request.effects), default=1)
+            key = (self.kernel(request.effects), parts, self._step(request))
+            by_kernel.setdefault(key, []).append(number)
+        pieces: list[tuple[tuple[str, ...], float, list[list[int]], int]] = []
+        for (effects, _, step), numbers in by_kernel.items():
+            rows = self._pack([(n, requests[n]) for n in numbers])
+            pieces += [
+                (effects, step, rows[start:stop], block)
+                for start, stop, block in _pieces(len(rows), self.jobs)
+            ]
+
+        def work(piece: tuple[tuple[str, ...], float, list[list[int]], int]) -> None:
+            effects, step, rigs, block = piece
+            self._run(effects, step, rigs, requests, results, block)
+
+        # A request's result does not depend on who simulates it or beside what; every one has its place in `results`.
+        for _ in map(work, pieces) if self._pool is None else self._pool.map(work, pieces):
+            pass
+        return results
+
+    def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
+        """The effects to compile in; what is neutral changes no bit, but costs time.
+
+        So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for these
+        and each heavy one. Long refits are many of few effects: there is one kernel for these and all corrections of their
+        form."""
+        if not effects:
+            return ()
+        if self._of_few(effects):
+            forms = {name for effect in effects for name in CORRECTIONS.get(effect, {})}
+            return tuple(n for n in CATALOGUE if n in effects or n in forms)
+        library = {*self.candidates(), *self.without, *effects}
+        return tuple(n for n in CATALOGUE if n in effects or (n in library and _light(CATALOGUE[n])))
+
+    def _of_few(self, effects: Collection[str]) -> bool:
+        return self.exact or any(CATALOGUE[n].family == FAMILY for n in effects)
+
+    def _step(self, request: Request) -> float:
+        """The substep of a request, which does not depend on what is simulated beside it."""
+        parted = (
+            not (self.coupled and request.channel is not None)
+            and self.substep == SUBSTEP
+            and any(_all_parted(CATALOGUE[e], request) for e in request.effects)
+        )
+        return PARTED_SUBSTEP if parted and self.period >= PARTED_SUBSTEP else self.substep
+
+    def close(self) -> None:
+        """Ends the threads, if there are any."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
+
+    def _pack(self, wanted: list[tuple[int, Request]]) -> list[list[int]]:
+        """Rigs, each a list of request numbers: two of a single channel where the channels do not act on each other.
+
+        Both sides of a rig are alike, so a side may play either channel.
+        """
+        whole = [[n] for n, r in wanted if r.channel is None or self.coupled]
+        single = [n for n, r in wanted if r.channel is not None and not self.coupled]
+        return whole + [single[k : k + 2] for k in range(0, len(single), 2)]
+
+    def _run(
+        self,
+        effects: tuple[str, ...],
+        step: float,
+        rigs: list[list[int]],
+        requests: Sequence[Request],
+        results: list[dict[int, np.ndarray]],
+        block: int,
+    ) -> None:
+        lanes = len(rigs)
+        # Which channel each side of each rig plays, and which side answers a request.
+        plays = np.tile([0, 1], (lanes, 1))
+        sides: dict[int, tuple[int, dict[int, int]]] = {}
+        for lane, rig in enumerate(rigs):
+            for side, n in enumerate(rig):
+                channel = requests[n].channel
+                if channel is None or self.coupled:
+                    sides[n] = (lane, {c: c for c in self._seen(requests[n])})
+                else:
+                    plays[lane, side] = channel
+                    sides[n] = (lane, {channel: side})
+        swapped = bool((plays != [0, 1]).any())
+        names = {name for rig in rigs for n in rig for name in requests[n].values}
+        if swapped:
+            names |= self._unequal
+        values = {name: np.array(self.model.pair(name))[plays] for name in names}
+        for n, (lane, answers) in sides.items():
+            request = requests[n]
+            for name, value in request.values.items():
+                if request.channel is None:
+                    values[name][lane] = value
+                else:
+                    values[name][lane, answers[request.channel] if not self.coupled else request.channel] = (
+                        value
+                    )
+            for channel in answers:
+                results[n][channel] = np.empty(self._length(channel))
+        for number, part in enumerate(self.parts):
+            out = self._simulate(part, values, plays if swapped else None, lanes, effects, step, block)
+            for channel in self.channels:
+                for segment in self.segments[channel]:
+                    if segment.log != number:
+                        continue
+                    signal = out[_RECORDED[segment.signal]]
+                    for n, (lane, answers) in sides.items():
+                        if channel in answers:
+                            results[n][channel][segment.place] = signal[segment.rows, lane, answers[channel]]
+        if self.progress is not None:
+            self.progress(len(sides))
+
+    def _seen(self, request: Request) -> tuple[int, ...]:
+        return self.channels if request.channel is None else (request.channel,)
+
+    def _length(self, channel: int) -> int:
+        return self.segments[channel][-1].place.stop
+
+    def _simulate(
+        self,
+        part: Part,
+        values: dict[str, np.ndarray],
+        plays: np.ndarray | None,
+        lanes: int,
+        effects: tuple[str, ...],
+        step: float,
+        block: int,
+    ) -> dict[str, np.ndarray]:
+        """`plays` (lanes, 2): the channel whose command and load each side has; None: its own."""
+        command = np.nan_to_num(part.log.command_V)
+        load = None if part.log.load is None else np.nan_to_num(part.log.load)
+        if plays is not None:
+            command = command[:, plays]
+            load = None if load is None else load[:, plays]
+        with np.errstate(all="ignore"):
+            return simulate(
+                self.model, command, load, part.log.period, values=values, num_rigs=lanes, effects=effects,
+                record=[_RECORDED[s] for s in self.signals], substep=step, dtype=self.dtype, block=block,
+            )  # fmt: skip
+
+
+def _pieces(count: int, jobs: int) -> Iterator[tuple[int, int, int]]:
+    """Rigs from, to, and the block they go in, for `jobs` threads that share them."""
+
+    def block_of(rigs: int) -> int:
+        return next((b for b in BLOCKS if b >= rigs), BLOCKS[-1])
+
+    step = block_of(-(-count // jobs))
+    for start in range(0, count, step):
+        stop = min(start + step, count)
+        yield start, stop, block_of(stop - start)
+
+
+def _parts(effect: Effect) -> int:
+    return effect.corner_parts if effect.corner is not None else 1
+
+
+def _all_parted(effect: Effect, request: Request) -> bool:
+    """Whether the effect has every substep taken in parts, wherever the rig is and on all of its channels: its corner asks for
+    its parameters only."""
+    if effect.corner is None:
+        return False
+    code = effect.corner.__code__
+    names = code.co_varnames[: code.co_argcount]
+    own = {p.name: request.values.get(f"{effect.name}.{p.name}", p.nominal) for p in effect.parameters}
+    if not {*names} <= {*own}:
+        return False
+    sides = zip(*(np.broadcast_to(own[name], 2).tolist() for name in names), strict=True)
+    return all(effect.corner(*side) for side in sides)
+
+
+def _ties(effect: Effect) -> bool:
+    """Whether the effect lets the channels of a rig act on each other."""
+    laws = [*effect.laws.values(), *(state.rate for state in effect.states)]
+    return any("other_flow" in law.__code__.co_varnames[: law.__code__.co_argcount] for law in laws)
+
+
+def _light(effect: Effect) -> bool:
+    """Whether the effect costs next to nothing where it is compiled in but neutral."""
+    words = {word for law in effect.laws.values() for word in law.__code__.co_names}
+    memory = len(effect.states) > 1 or effect.corner is not None or effect.name == "command_delay"
+    return effect.scope == "channel" and not memory and not words & _SLOW

@@ -1,0 +1,223 @@
+"""The reduced model for an axis of which only command, speed and perhaps pressure are known: a valve that is always steady.
+
+    spool = alpha u / (R k)          opening = effects of the port opening (spool)
+    flow = Kq opening sqrt(drive)    drive = 1, or what effects of the port flow make of the measured pressure
+    speed = flow / D, seen through a lag of first order that stands for spool, line and inertia together
+
+Parameters, effects, laws and their names are those of the plant, so that selection, proof and report are the same. A
+cylinder axis is a motor axis whose displacement is its piston area; what can be told from command and speed is Kq / D
+only, so Kq is estimated and D is the mapping's or the model's.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...plant import CATALOGUE, PARAMETERS, Parameter, PlantModel
+from ..input.parts import Part
+from ..stages.localisation import filled
+from .array_laws import apply_laws, argument, elementwise
+from .base import Request, Segment, measured_segments
+
+__all__ = ["SteadyValve"]
+
+#: Effects of the catalogue that this model can show. Force thresholds look like overlap, speed scale like flow gain.
+SUPPORTED = (
+    "command_delay", "driver_saturation", "magnetic_hysteresis", "null_offset", "dead_zone", "flow_saturation",
+    "directional_gain", "flow_gain_nonlinearity", "pressure_dependent_flow", "sensor_offset",
+)  # fmt: skip
+LAG = Parameter(
+    "lag",
+    "s",
+    0.02,
+    0.001,
+    0.6,
+    "valve, line and inertia of a large axis together",
+    "lag of the speed behind the command",
+    log=True,
+)
+
+
+class SteadyValve:
+    """See `machine.Machine`. The flow gain of the model as given is set by least squares on the fit logs, because no
+    preset knows the axis."""
+
+    def __init__(
+        self, model: PlantModel, parts: list[Part], *, every_row: bool = False, progress: Callable[[int], None] | None = None,
+        flow_gain: dict[int, float] | None = None, without: frozenset[str] = frozenset(),
+    ) -> None:  # fmt: skip
+        self.without = without
+        self.model, self.parts, self.progress = model, parts, progress
+        self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
+        self.segments: dict[int, list[Segment]] = measured_segments(
+            parts, self.channels, ("speed",), every_row
+        )
+        self.displacement = {c: parts[0].log.displacement[c] or model.value("D", c) for c in self.channels}
+        self.flow_gain = flow_gain or {c: self._flow_gain(c) for c in self.channels}
+        widest = [v * f for v in self.flow_gain.values() for f in (0.2, 5.0)]
+        kq = PARAMETERS["Kq"]
+        self.own = {
+            "lag": LAG,
+            "Kq": Parameter(
+                "Kq", kq.unit, kq.nominal, min(widest), max(widest), "least squares", kq.note, log=True
+            ),
+        }
+        self.quick = True
+        self.exact = False
+        self.notes: list[str] = [
+            "steady-valve model: the flow gain as given is set by least squares on the fit logs, the lag stands for all dynamics"
+        ]
+
+    def with_parts(self, parts: list[Part], every_row: bool) -> SteadyValve:
+        return SteadyValve(
+            self.model,
+            parts,
+            every_row=every_row,
+            progress=self.progress,
+            flow_gain=self.flow_gain,
+            without=self.without,
+        )
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def written(self, model: PlantModel) -> PlantModel:
+        """The model as a rig of the dynamic plant: the axis' displacement, or its flow gain scaled to the model's own."""
+        return model.with_values({"D": tuple(self.displacement.get(c, model.value("D", c)) for c in (0, 1))})
+
+    def base(self, channel: int) -> list[str]:
+        return ["Kq", "lag"]
+
+    def candidates(self) -> list[str]:
+        pressure = all(part.log.has("pressure", c) for part in self.parts for c in self.channels)
+        return [
+            n
+            for n in SUPPORTED
+            if n in CATALOGUE and n not in self.without and (pressure or n != "pressure_dependent_flow")
+        ]
+
+    def given(self, name: str, channel: int) -> float:
+        if name == "Kq":
+            return self.flow_gain[channel]
+        return LAG.nominal if name == "lag" else self.model.value(name, channel)
+
+    def _flow_gain(self, channel: int) -> float:
+        """The flow gain that explains the speeds best with nothing else in the model."""
+        over = under = 0.0
+        for s in self.segments[channel]:
+            opening = self._spool(self.parts[s.log], channel)[s.rows][s.used]
+            over += float(opening @ s.measured[s.used])
+            under += float(opening @ opening)
+        return abs(over) / max(under, 1e-30) * self.displacement[channel]
+
+    def _spool(self, part: Part, channel: int) -> np.ndarray:
+        alpha, resistance, spring = (self.model.value(n, channel) for n in ("alpha", "R", "k"))
+        return alpha * np.nan_to_num(part.log.command_V[:, channel]) / (resistance * spring)
+
+    # --- simulation -----------------------------------------------------------------------------------------------------
+    def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
+        results: list[dict[int, np.ndarray]] = [{} for _ in requests]
+        groups: dict[tuple[int, frozenset[str]], list[int]] = {}
+        for number, request in enumerate(requests):
+            for channel in self.channels if request.channel is None else (request.channel,):
+                groups.setdefault((channel, request.effects), []).append(number)
+        for (channel, effects), numbers in groups.items():
+            values = {
+                name: np.array(
+                    [[_of(requests[n].values.get(name, self.given(name, channel)), channel)] for n in numbers]
+                )
+                for name in {*("Kq", "lag"), *(k for n in numbers for k in requests[n].values)}
+            }
+            ordered = [n for n in CATALOGUE if n in effects]
+            speeds = [self._speed(part, channel, values, ordered) for part in self.parts]
+            for lane, n in enumerate(numbers):
+                out = np.empty(self.segments[channel][-1].place.stop)
+                for s in self.segments[channel]:
+                    out[s.place] = speeds[s.log][lane, s.rows]
+                results[n][channel] = out
+        if self.progress is not None:
+            self.progress(len(requests))
+        return results
+
+    def _speed(
+        self, part: Part, channel: int, values: dict[str, np.ndarray], effects: list[str]
+    ) -> np.ndarray:
+        """Speeds (lanes, T) for values (lanes, 1)."""
+        log, period = part.log, part.log.period
+        known: dict[str, Any] = {n: self.model.value(n, channel) for n in PARAMETERS} | values
+        command = np.nan_to_num(log.command_V[:, channel])[None, :]
+        if "command_delay" in effects:
+            command = _delayed(command[0], values["command_delay.delay"], period)
+        voltage = apply_laws("voltage", command, effects, known)
+        known["current"] = voltage / known["R"]
+        force = known["alpha"] * known["current"]
+        for name in effects:
+            if CATALOGUE[name].states and "force" in CATALOGUE[name].laws:
+                known[f"{name}.{CATALOGUE[name].states[0].name}"] = _state(name, known, period)
+        known["spool"] = apply_laws("force", force, effects, known) / known["k"]
+        known["opening"] = apply_laws("opening", known["spool"], effects, known)
+        pressure = (
+            log.pressure[:, channel]
+            if log.has("pressure", channel) and log.pressure is not None
+            else np.zeros(len(log))
+        )
+        known["pressure"] = filled(pressure)[None, :]
+        drive = apply_laws("drive", np.ones_like(known["opening"]), effects, known)
+        speed = known["Kq"] * known["opening"] * np.sqrt(np.maximum(drive, 0.0)) / self.displacement[channel]
+        speed = _lagged(np.broadcast_to(speed, (values["Kq"].shape[0], len(log))), values["lag"], period)
+        return apply_laws("measured_speed", speed, effects, known)
+
+
+def _of(value: float | tuple[float, float], channel: int) -> float:
+    return value[channel] if isinstance(value, tuple) else value
+
+
+def _delayed(command: np.ndarray, delay: np.ndarray, period: float) -> np.ndarray:
+    """The command (T,) late by delay (lanes, 1), interpolated so that the result is smooth in the delay."""
+    rows = np.arange(command.size)
+    return np.stack([np.interp(rows - d / period, rows, command) for d in delay[:, 0]])
+
+
+def _lagged(value: np.ndarray, lag: np.ndarray, period: float) -> np.ndarray:
+    """First-order lag of a value that is held from row to row; the output at a row is before that row's command acts."""
+    from scipy.signal import lfilter
+
+    out = np.empty(value.shape)
+    for lane in range(value.shape[0]):
+        keep = float(np.exp(-period / lag[lane, 0]))
+        out[lane] = lfilter([0.0, 1.0 - keep], [1.0, -keep], value[lane])
+    return out
+
+
+def _state(effect: str, known: dict[str, Any], period: float) -> np.ndarray:
+    """The memory of an effect that is driven by the current, by implicit steps from row to row; (lanes, T)."""
+    described = CATALOGUE[effect]
+    state = described.states[0]
+    assert state.decay is not None
+    current = known["current"]
+    width = max(
+        np.shape(v)[0]
+        for v in (current, *(v for n, v in known.items() if n.startswith(f"{effect}.")))
+        if np.ndim(v)
+    )
+    rate_of, decay_of = elementwise(state.rate), elementwise(state.decay)
+    changes = np.diff(current, axis=1, prepend=current[:, :1]) / period
+    out = np.zeros((width, current.shape[1]))
+    loop = np.zeros(width)
+    rate_names, decay_names = (list(inspect.signature(f).parameters) for f in (state.rate, state.decay))
+    own = {
+        n: np.broadcast_to(argument(described, n, known), (width, 1))[:, 0]
+        for n in {*rate_names, *decay_names} - {state.name, "current_rate"}
+    }
+    for row in range(current.shape[1]):
+        inputs = {**own, state.name: loop, "current_rate": np.broadcast_to(changes[:, row], (width,))}
+        decay = decay_of(*(inputs[n] for n in decay_names))
+        loop = (loop + period * (rate_of(*(inputs[n] for n in rate_names)) + decay * loop)) / (
+            1.0 + period * decay
+        )
+        out[:, row] = loop
+    return out

@@ -1,0 +1,162 @@
+"""The words and units in which a diagnosis is told: names that a fluid-power engineer uses, numbers in the units of the bench.
+
+diagnosis.json stays in the catalogue's names and in SI; everything that a person reads goes through here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ...plant import PARAMETERS, PlantModel
+
+__all__ = [
+    "equation",
+    "interval",
+    "known",
+    "listed",
+    "number",
+    "of_command",
+    "parameter",
+    "plain",
+    "signal",
+    "title",
+    "unit_of",
+    "where",
+]
+
+_TITLES = {
+    "command_delay": "a dead time of the command", "driver_saturation": "saturation of the driver",
+    "coil_heating": "heating of the coil", "magnetic_hysteresis": "magnetic hysteresis",
+    "spool_stiction": "sticking friction of the spool", "spring_preload": "preloaded centring springs",
+    "flow_force": "flow force on the spool", "null_offset": "an offset of the hydraulic null",
+    "dead_zone": "spool overlap (dead zone)", "flow_saturation": "saturation of the flow",
+    "directional_gain": "different flow gains of the two directions",
+    "flow_gain_nonlinearity": "a progressive flow gain", "pressure_dependent_flow": "flow that falls with load pressure",
+    "supply_droop": "a drooping supply pressure", "entrained_air": "air in the oil",
+    "line_loss": "pressure loss in the lines", "crossport_relief": "opening of the cross-port relief valves",
+    "speed_dependent_leakage": "leakage that grows with speed", "motor_coulomb_friction": "dry friction of the motor",
+    "quadratic_drag": "drag that grows with speed squared", "displacement_ripple": "displacement ripple of the motor",
+    "load_bias": "a constant load that was not logged", "eccentric_load": "an unbalanced load",
+    "shaft_backlash": "backlash of the coupling", "viscosity_drift": "drifting oil viscosity (temperature)",
+    "sensor_lag": "a lag of the speed sensor", "sensor_offset": "a zero error of the speed sensor",
+    "sensor_gain": "a scale error of the speed sensor",
+}  # fmt: skip
+_EQUATIONS = {
+    "coil": "the coil (current from the command)", "valve_flow": "the valve (flow from command and pressure)",
+    "shaft": "the shaft (speed from pressure and load)", "valve and motor": "valve and motor together (no pressure logged)",
+}  # fmt: skip
+_SIGNALS = {
+    "speed": "speed", "current": "coil current", "pressure": "pressure difference", "spool": "spool position", "flow": "flow",
+}  # fmt: skip
+_KEY_UNITS = {"mm_per_s": "mm/s", "lpm": "l/min"}
+_PARAMETERS = {
+    "overlap_positive": "overlap, positive direction", "overlap_negative": "overlap, negative direction",
+    "ratio": "gain of the negative direction over the positive", "fraction": "share of free air",
+    "supply_pressure": "supply pressure at which no flow is left", "amplitude": "amplitude", "width": "width of the loop",
+    "relative_drop": "relative drop at rated flow of both valves", "opening_limit": "opening at which flow saturates",
+}  # fmt: skip
+#: Known parameters that only a reduced model has.
+_OWN = {"lag": "lag of the speed behind the command"}
+#: Effects' parameters that are a spool position or a force on the spool: they can be told as a share of the command.
+_STROKES = {
+    "dead_zone.overlap_positive", "dead_zone.overlap_negative", "null_offset.offset", "flow_saturation.opening_limit",
+}  # fmt: skip
+_FORCES = {
+    "magnetic_hysteresis.amplitude", "spool_stiction.coulomb", "spool_stiction.static", "spring_preload.preload",
+}  # fmt: skip
+
+
+def plain(name: str) -> str:
+    """A name of the catalogue without its underscores."""
+    return name.replace("_", " ")
+
+
+def title(effect: str) -> str:
+    """An effect as one would say it: "spool overlap (dead zone)"."""
+    return _TITLES.get(effect, plain(effect))
+
+
+def parameter(name: str) -> str:
+    """An effect's own parameter."""
+    return _PARAMETERS.get(name, plain(name))
+
+
+def where(channel: str) -> str:
+    """ "1", "2", "both" or "rig" in words."""
+    return {"rig": "the whole rig", "both": "both channels"}.get(channel, f"channel {channel}")
+
+
+def equation(name: str) -> str:
+    """An equation of `where`."""
+    return _EQUATIONS.get(name, plain(name))
+
+
+def signal(key: str) -> tuple[str, str, str]:
+    """(signal, channel, unit) of a key such as `speed_1_rpm`."""
+    name, channel, unit = key.split("_", 2)
+    return _SIGNALS[name], channel, _KEY_UNITS.get(unit, unit)
+
+
+def listed(words: Sequence[str]) -> str:
+    """ "a", "a and b", "a, b and c"."""
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+def unit_of(unit: str, size: float) -> tuple[str, float]:
+    """The unit in which a value (SI, of magnitude `size`) reads best, and its size in SI."""
+    for_unit = {
+        "m": ("mm", 1e-3) if size >= 1e-3 else ("um", 1e-6), "s": ("s", 1.0) if size >= 0.5 else ("ms", 1e-3),
+        "A": ("A", 1.0) if size >= 0.1 else ("mA", 1e-3), "Pa": ("bar", 1e5), "rad/s": ("rpm", math.pi / 30.0),
+        "m/s": ("mm/s", 1e-3), "rad": ("deg", math.pi / 180.0),
+    }  # fmt: skip
+    return for_unit.get(unit, ("" if unit == "1" else unit, 1.0))
+
+
+def number(value: float, digits: int = 3) -> str:
+    """So many digits, without an exponent where that reads well."""
+    if not math.isfinite(value):
+        return "none"
+    if value == 0.0:
+        return "0"
+    after = digits - 1 - math.floor(math.log10(abs(value)))
+    return f"{value:.{max(after, 0)}f}" if -3 <= math.log10(abs(value)) < 6 else f"{value:.{digits}g}"
+
+
+def interval(entry: Mapping[str, Any]) -> str:
+    """ "47.0 um (40.2 to 53.7)", with as many digits as it takes to see the interval."""
+    values = [entry[k] for k in ("value", "low", "high")]
+    sizes = [abs(v) for v in values if math.isfinite(v)]
+    unit, size = unit_of(entry["unit"], max(sizes, default=0.0))
+    for digits in (3, 4, 5):
+        value, low, high = (number(v / size, digits) for v in values)
+        if low != high:
+            break
+    return f"{value}{' ' if unit else ''}{unit} ({low} to {high})"
+
+
+def known(name: str, value: float, model: PlantModel) -> str:
+    """A base parameter of a channel ("Kq_1") in words; of a flow gain also the flow that full command would give."""
+    symbol, _, channel = name.rpartition("_")
+    text = PARAMETERS[symbol].note.split(";")[0] if symbol in PARAMETERS else _OWN.get(symbol, plain(symbol))
+    if symbol == "Kq":
+        c = int(channel) - 1
+        stroke = (
+            model.value("alpha", c) * model.value("u_rated", c) / (model.value("R", c) * model.value("k", c))
+        )
+        text += f" ({number(value * stroke * 6e4)} l/min at full command)"
+    return text
+
+
+def of_command(name: str, value: float, model: PlantModel, channel: int) -> str:
+    """A spool position or a force on the spool ("effect.parameter") as a share of full command, or nothing."""
+    rated = model.value("u_rated", channel)
+    force = model.value("alpha", channel) * rated / model.value("R", channel)
+    if name in _STROKES:
+        share = value * model.value("k", channel) / force
+    elif name in _FORCES:
+        share = value / force
+    else:
+        return ""
+    return f"{100.0 * share:.2g} % of full command"

@@ -1,0 +1,296 @@
+"""Does the log fit the model's machine at all? Signs, units and exchanged sensors that only a model can tell.
+
+The model as given is simulated anyway. A signal that is its mirror image, a tenth or a hundred of it, or the other channel's
+is no missing effect but a mistake in the recording (or a model of another machine); what a diagnosis named then would be
+wrong. Where pressure and speed are logged the shaft says more: it ties them together whatever the valve does. The gate of
+`hydro_env.measured` has looked before at what needs no model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+
+import numpy as np
+from scipy.signal import lfilter
+
+from ...errors import InputError
+from ...measured import Finding
+from ...units import UNITS
+from ..estimation.least_squares import Problem
+from ..models.base import Machine
+
+__all__ = ["implausible", "stop_if_sure"]
+
+#: Units in which a signal is really recorded.
+_UNITS = {
+    "speed": ("rpm", "rad/s", "deg/s"), "pressure": ("bar", "kPa", "Pa", "MPa", "psi"), "current": ("A", "mA"),
+    "spool": ("mm", "um", "m"), "flow": ("l/min", "l/s", "m3/s", "GPM"),
+}  # fmt: skip
+#: A ratio this near to one of a unit (factor) is no accident; within the wider factor it is worth a warning.
+_SURE, _NEAR = 1.3, 1.7
+#: A shaft that fits to this is no accident (see `_misfit`).
+_FITS = 0.6
+#: A missing effect changes a signal by less than this factor.
+_EFFECTS = 3.0
+_HINT = "give the right unit in a mapping, or a model of this machine"
+#: A signal belongs to the channel whose model leaves this much less of it, ...
+_LESS = 4.0
+
+
+def implausible(machine: Machine, given: dict[int, Problem]) -> list[Finding]:
+    """Findings about the logs of `machine` beside the model as given."""
+    if machine.quick:  # the steady-valve model takes its scale from the log
+        return []
+    found: list[Finding] = []
+    likes: dict[tuple[str, int], tuple[float, float]] = {}
+    for channel in machine.channels:
+        for signal in dict.fromkeys(s.signal for s in machine.segments[channel]):
+            measured, simulated = _pair(machine, given, channel, channel, signal)
+            if measured.size < 100 or not (np.std(measured) > 0.0 and np.std(simulated) > 0.0):
+                continue
+            like = float(np.corrcoef(measured, simulated)[0, 1])
+            ratio = float(np.sqrt(np.mean(measured**2) / np.mean(simulated**2)))
+            likes[signal, channel] = like, ratio
+            if like < -0.5:
+                message = f"the {signal} of channel {channel + 1} is the mirror image of the model's (correlation {like:.2f})"
+                hint = f"give `sign: -1` for the {signal} in a mapping"
+                found.append(Finding("sign", message, hint, signal, channel + 1, sure=like < -0.8))
+    found += _units(machine, likes)
+    found += _load(machine)
+    found += _command(machine, given)
+    if machine.channels == (0, 1):
+        found += _exchanged(machine, given)
+    return found
+
+
+def _load(machine: Machine) -> Iterator[Finding]:
+    """Loads of the other sign: the shaft then fits with the mirrored load and not with the one as logged."""
+    for channel in machine.channels:
+        own, mirrored = (_unlike(_shaft(machine, channel, channel, load_scale=sign)) for sign in (1.0, -1.0))
+        if own > _LESS * max(mirrored, 1e-3) and mirrored < 0.1:
+            message = (
+                f"the shaft of channel {channel + 1} turns as if its load had the other sign (correlation {1.0 - mirrored:.3f} "
+                f"that way, {1.0 - own:.3f} as logged)"
+            )
+            hint = (
+                "a load is positive where it brakes positive speed; give `sign: -1` for the load in a mapping"
+            )
+            yield Finding("sign", message, hint, "load", channel + 1, sure=True)
+
+
+def _units(machine: Machine, likes: dict[tuple[str, int], tuple[float, float]]) -> Iterator[Finding]:
+    """Signals whose size is off by the factor between two units."""
+    for channel in machine.channels:
+        tied = {"speed", "pressure"} <= {signal for signal, c in likes if c == channel}
+        if tied:
+            yield from _tied_units(machine, channel, likes)
+        for signal in _UNITS:
+            if (signal, channel) not in likes or (tied and signal in ("speed", "pressure")):
+                continue
+            like, ratio = likes[signal, channel]
+            factors = _factors(machine, signal, channel)
+            meant = min(factors, key=lambda unit: abs(math.log(ratio / factors[unit])))
+            off = math.exp(abs(math.log(ratio / factors[meant])))
+            if off < _NEAR and abs(like) > 0.7:
+                yield _unit(machine, signal, channel, ratio, meant, off < _SURE and abs(like) > 0.85)
+
+
+def _tied_units(
+    machine: Machine, channel: int, likes: dict[tuple[str, int], tuple[float, float]]
+) -> Iterator[Finding]:
+    """Speed or pressure in another unit: what the shaft makes of the two, each taken in every unit that it may be in.
+
+    Without a load the shaft cannot say which of the two is off; the valve's model then does, roughly.
+    """
+    best: tuple[float, str, str] | None = None
+    plain = _misfit(_shaft(machine, channel, channel))
+    for signal, other in (("speed", "pressure"), ("pressure", "speed")):
+        for unit, factor in _factors(machine, signal, channel).items():
+            beside = likes[signal, channel][1] / factor
+            if not (
+                1.0 / _EFFECTS < beside < _EFFECTS and 1.0 / _EFFECTS < likes[other, channel][1] < _EFFECTS
+            ):
+                continue
+            fast, pressing = (1.0 / factor, 1.0) if signal == "speed" else (1.0, 1.0 / factor)
+            misfit = _misfit(_shaft(machine, channel, channel, speed_scale=fast, pressure_scale=pressing))
+            if best is None or misfit < best[0]:
+                best = misfit, signal, unit
+    if best is not None and best[0] < _FITS and plain > best[0] + 1.0:
+        yield _unit(machine, best[1], channel, likes[best[1], channel][1], best[2], True)
+        return
+    shaft = _shaft(machine, channel, channel)
+    if shaft is not None and shaft[0] > 0.9 and not 1.0 / _EFFECTS < shaft[1] < _EFFECTS:
+        message = (
+            f"the speed of channel {channel + 1} is {shaft[1]:.3g} times what its pressure and load give to the shaft: "
+            "is one of them in another unit?"
+        )
+        yield Finding("unit", message, _HINT, "speed", channel + 1, sure=True)
+
+
+def _factors(machine: Machine, signal: str, channel: int) -> dict[str, float]:
+    """How many times too large a signal is read that is recorded in each of the other units."""
+    read = machine.parts[0].log.read_as.get(f"{signal}_{channel + 1}", ("", _UNITS[signal][0]))[1]
+    size = UNITS[read].scale
+    return {other: size / UNITS[other].scale for other in _UNITS[signal] if other != read}
+
+
+def _unit(machine: Machine, signal: str, channel: int, ratio: float, meant: str, sure: bool) -> Finding:
+    column, unit = machine.parts[0].log.read_as.get(f"{signal}_{channel + 1}", ("", ""))
+    what = f"{column!r} (read as {unit})" if column else f"the {signal} of channel {channel + 1}"
+    message = f"{what} is {ratio:.3g} times the model's {signal} of channel {channel + 1}: is it in {meant}?"
+    fix = {f"channel_{channel + 1}": {signal: {"unit": meant}}}
+    return Finding("unit", message, _HINT, signal, channel + 1, sure=sure, fix=fix)
+
+
+def _misfit(shaft: tuple[float, float] | None) -> float:
+    """How far correlation and ratio of sizes are from one."""
+    return math.inf if shaft is None else abs(math.log(shaft[1])) + 2.0 * (1.0 - shaft[0])
+
+
+def _command(machine: Machine, given: dict[int, Problem]) -> Iterator[Finding]:
+    """Commands in percent or as a fraction of full command, called volts: then every current is off by the same factor."""
+    ratios, rated, peak = [], 1.0, 0.0
+    for channel in machine.channels:
+        rated = machine.model.value("u_rated", channel)
+        measured, simulated = [np.zeros(0)], [np.zeros(0)]
+        for s in (s for s in machine.segments[channel] if s.signal == "current"):
+            command = np.abs(machine.parts[s.log].log.command_V[s.rows, channel])
+            peak = max(peak, float(command.max(initial=0.0)))
+            values = given[channel].simulated[channel][s.place]
+            keep = (
+                s.used & np.isfinite(values) & (command < 0.95 * rated)
+            )  # beyond that the model's is limited
+            measured.append(s.measured[keep])
+            simulated.append(values[keep])
+        one, two = np.concatenate(measured), np.concatenate(simulated)
+        if one.size < 100 or not float(two @ two) > 0.0 or np.corrcoef(one, two)[0, 1] < 0.95:
+            return
+        ratios.append(float(one @ two) / float(two @ two))
+    for meant, full, near in (("percent", 100.0, 1.05), ("a fraction of full command", 1.0, 1.5)):
+        factor = rated / full
+        hit = all(math.exp(abs(math.log(max(r, 1e-9) / factor))) < near for r in ratios)
+        if ratios and hit and abs(math.log(factor)) > math.log(1.2) and peak < 1.05 * full:
+            message = f"the currents are {ratios[0]:.3g} times what the commands give: are these in {meant}?"
+            hint = "give `unit: percent` or `unit: fraction` and `full_scale` for the commands in a mapping"
+            yield Finding("unit", message, hint, "command", sure=True)
+
+
+def _exchanged(machine: Machine, given: dict[int, Problem]) -> Iterator[Finding]:
+    """Signals that belong to the other channel."""
+    signals = [
+        s
+        for s in dict.fromkeys(s.signal for s in machine.segments[0])
+        if any(other.signal == s for other in machine.segments[1])
+    ]
+    if {"speed", "pressure"} <= {*signals}:
+        wrong = _shafts_exchanged(machine)
+        if wrong:
+            message = f"the pressure of each channel drives the shaft of the other one: are the columns of {wrong} swapped?"
+            yield Finding("swapped", message, f"exchange the columns of {wrong} in a mapping", sure=True)
+            return
+    for signal in signals:
+        likes = {}
+        for own in (0, 1):
+            for other in (0, 1):
+                measured, simulated = _pair(machine, given, own, other, signal)
+                if measured.size < 100 or not (np.std(measured) > 0.0 and np.std(simulated) > 0.0):
+                    return
+                likes[own, other] = float(np.corrcoef(measured, simulated)[0, 1])
+        apart = min(likes[0, 1], likes[1, 0]) - max(likes[0, 0], likes[1, 1])
+        # The coil hardly depends on what is missing elsewhere, so that much smaller differences count there.
+        coil = signal == "current" and all(
+            1.0 - likes[c, c] > _LESS * max(1.0 - likes[c, 1 - c], 1e-4) for c in (0, 1)
+        )
+        if apart > 0.2 or coil:
+            message = (
+                f"the {signal} of each channel is like the model's of the other channel: are they swapped?"
+            )
+            hint = f"exchange the {signal} columns in a mapping"
+            yield Finding("swapped", message, hint, signal, sure=apart > 0.4 or coil)
+
+
+def _shafts_exchanged(machine: Machine) -> str:
+    """What is swapped if the pressure of each channel fits the other one's shaft and not its own, or nothing.
+
+    The load stays with the motor whose column it is in: it tells exchanged speeds from exchanged pressures.
+    """
+    own = [_unlike(_shaft(machine, c, c)) for c in (0, 1)]
+    best, what = math.inf, ""
+    for name, loads in (("speed", (0, 1)), ("pressure", (1, 0))):
+        crossed = [_unlike(_shaft(machine, c, 1 - c, load_of=loads[c])) for c in (0, 1)]
+        if (
+            all(own[c] > _LESS * max(crossed[c], 1e-3) and crossed[c] < 0.1 for c in (0, 1))
+            and max(crossed) <= best
+        ):
+            tie = math.isfinite(best) and max(crossed) > 0.8 * best
+            best, what = max(crossed), "speed or of pressure" if tie else name
+    return what
+
+
+def _unlike(shaft: tuple[float, float] | None) -> float:
+    """One less the correlation; 2 where there is none."""
+    return 2.0 if shaft is None else 1.0 - shaft[0]
+
+
+def _shaft(
+    machine: Machine,
+    pressing: int,
+    turning: int,
+    *,
+    load_of: int | None = None,
+    load_scale: float = 1.0,
+    speed_scale: float = 1.0,
+    pressure_scale: float = 1.0,
+) -> tuple[float, float] | None:
+    """The speed of channel `turning` beside the one that the measured pressure of channel `pressing` gives to the shaft:
+    correlation and ratio of their sizes; None where they are not logged. All may be scaled before; the load is that of
+    channel `load_of`, of `turning` if None."""
+    measured, replayed = [], []
+    value = machine.model.value
+    for part in machine.parts:
+        log = part.log
+        if log.pressure is None or not (log.has("pressure", pressing) and log.has("speed", turning)):
+            return None
+        pressure, speed = pressure_scale * log.pressure[:, pressing], speed_scale * log.speed[:, turning]
+        known = np.isfinite(pressure)
+        if known.mean() < 0.9:
+            return None
+        rows = np.arange(len(pressure))
+        pressure = np.interp(rows, rows[known], pressure[known])
+        load = np.zeros(len(log))
+        loaded = turning if load_of is None else load_of
+        if log.load is not None and log.has("load", loaded):
+            load = load_scale * np.nan_to_num(log.load[:, loaded])
+        drag = max(value("B", pressing), 1e-6)
+        keep = math.exp(-log.period * drag / value("J", pressing))
+        torque = (value("D", pressing) * pressure - load) / drag
+        used = part.inside & np.isfinite(speed)
+        measured.append(speed[used])
+        replayed.append(lfilter([0.0, 1.0 - keep], [1.0, -keep], torque)[used])
+    one, two = np.concatenate(measured), np.concatenate(replayed)
+    if one.size < 100 or not (np.std(one) > 0.0 and np.std(two) > 0.0):
+        return None
+    return float(np.corrcoef(one, two)[0, 1]), float(np.std(one) / np.std(two))
+
+
+def _pair(
+    machine: Machine, given: dict[int, Problem], own: int, other: int, signal: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Measured samples of channel `own` and the model's of channel `other`, over all logs."""
+    measured, simulated = [], []
+    by_log = {s.log: s for s in machine.segments[other] if s.signal == signal}
+    for mine in machine.segments[own]:
+        if mine.signal == signal and mine.log in by_log:
+            values = given[other].simulated[other][by_log[mine.log].place]
+            keep = mine.used & np.isfinite(values)
+            measured.append(mine.measured[keep])
+            simulated.append(values[keep])
+    return np.concatenate(measured or [np.zeros(0)]), np.concatenate(simulated or [np.zeros(0)])
+
+
+def stop_if_sure(findings: list[Finding], logs: str, accept: Collection[str]) -> None:
+    """InputError for the first finding that is sure and not accepted."""
+    for finding in findings:
+        if finding.sure and finding.code not in accept:
+            raise InputError(f"{logs}: {finding.text}; if it is right, --accept {finding.code}")

@@ -1,0 +1,314 @@
+"""Where the gap is: every component replayed with measured neighbours, and the conditions under which it errs.
+
+coil         measured current against the simulated one (only the command acts on it)
+shaft        measured speed against the shaft driven by the measured pressure and the logged load
+valve_flow   flow that the measured speed and pressure need against the flow that the model's valve gives
+
+A component whose own replay errs by more than its noise owns part of the gap. Only what the logs hold can be replayed; with
+speed alone the whole gap is the valve's and motor's together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter, savgol_filter
+
+from ..estimation.least_squares import Problem
+from ..estimation.noise import effective_samples, noise_floor
+from ..input.parts import Part
+from ..models.base import Machine, Segment
+
+__all__ = ["Place", "filled", "locate", "shape"]
+
+RPM = np.pi / 30.0
+_FLOW = ("command, V", "flow over displacement, rpm", RPM)
+
+
+@dataclass(frozen=True)
+class Place:
+    """An equation that errs on a channel: its share of the gap, in which regime, with what shape, and the windows that hold
+    most of it, `logs` the number of the fit log that each window is in."""
+
+    equation: str
+    channel: int
+    share: float
+    regime: str
+    windows: list[tuple[float, float]]
+    ratio: float
+    shape: dict[str, Any]
+    logs: list[int]
+
+    def as_dict(self) -> dict[str, object]:
+        return {
+            "equation": self.equation, "channel": str(self.channel + 1), "share_of_gap": round(self.share, 3),
+            "regime": self.regime,
+            "windows_s": [[round(a, 3), round(b, 3)] for a, b in self.windows], "windows_log": self.logs,
+            "shape": self.shape,
+        }  # fmt: skip
+
+
+@dataclass
+class _Replay:
+    equation: str
+    error: np.ndarray
+    noise: float
+    time: np.ndarray
+    log: np.ndarray
+    regimes: dict[str, np.ndarray]
+    over: np.ndarray
+    units: tuple[str, str, float]  # of `over`, of `error`, size of the latter in SI
+
+    @property
+    def ratio(self) -> float:
+        return float(np.sqrt(np.mean(self.error**2)) / max(self.noise, 1e-30))
+
+
+def locate(machine: Machine, problems: dict[int, Problem]) -> list[Place]:
+    """The equations that err beside the models `problems` on the fit logs, largest share first."""
+    places = []
+    for channel, problem in problems.items():
+        replays = _replays(machine, problem, channel)
+        excess = {r.equation: max(r.ratio**2 - 1.1, 0.0) for r in replays}
+        whole = sum(excess.values())
+        for r in replays:
+            if whole > 0.0 and excess[r.equation] > 0.02 * whole and r.ratio > 1.1:
+                windows, logs = _windows(r)
+                places.append(
+                    Place(
+                        r.equation,
+                        channel,
+                        excess[r.equation] / whole,
+                        _regime(r),
+                        windows,
+                        r.ratio,
+                        shape(r.over, r.error, *r.units),
+                        logs,
+                    )
+                )
+    return sorted(places, key=lambda p: (p.channel, -p.share))
+
+
+def _replays(machine: Machine, problem: Problem, channel: int) -> list[_Replay]:
+    """Replays of the components over all fit logs, one behind the other."""
+    parts: dict[str, list[_Replay]] = {}
+    for number, part in enumerate(machine.parts):
+        mine = {s.signal: s for s in machine.segments[channel] if s.log == number}
+        speed = mine["speed"]
+        simulated = {n: problem.simulated[channel][s.place] for n, s in mine.items()}
+        used = speed.used
+        time = part.log.time_s[speed.rows]
+        fast = float(np.nanmax(np.abs(speed.measured)))
+        base = {
+            "speed near zero": np.abs(speed.measured) < 0.15 * fast,
+            "positive speed": speed.measured > 0.0, "negative speed": speed.measured < 0.0,
+        }  # fmt: skip
+        command = part.log.command_V[speed.rows, channel]
+        rated = machine.model.value("u_rated", channel)
+        opening = {
+            "opening near zero": np.abs(command) < 0.25 * rated,
+            "medium opening": (np.abs(command) >= 0.25 * rated) & (np.abs(command) < 0.6 * rated),
+            "large opening": np.abs(command) >= 0.6 * rated,
+            "opening positive": command > 0.02 * rated, "opening negative": command < -0.02 * rated,
+        }  # fmt: skip
+        found: list[_Replay] = []
+        if "current" in mine:
+            error = mine["current"].measured - simulated["current"]
+            late = time > time[0] + 0.6 * (time[-1] - time[0])
+            regimes = {"large current": np.abs(command) > 0.6 * rated, "late in the log": late}
+            found.append(
+                _replay(
+                    "coil",
+                    error,
+                    speed.period,
+                    time,
+                    regimes,
+                    used,
+                    command,
+                    ("command, V", "current, A", 1.0),
+                )
+            )
+        if "pressure" in mine and not machine.quick:
+            value = problem.values(channel)
+            names = ("J", "B", "D", "Km", "V", "beta")
+            numbers = {n: value.get(n, machine.model.value(n, channel)) for n in names}
+            found += _hydraulic(
+                part, speed, mine["pressure"].measured, simulated, numbers, base, opening, command
+            )
+        elif "pressure" not in mine or machine.quick:
+            name = "valve_flow" if machine.quick else "valve and motor"
+            found.append(
+                _replay(
+                    name,
+                    speed.measured - simulated["speed"],
+                    speed.period,
+                    time,
+                    {**opening, **base},
+                    used,
+                    command,
+                    _FLOW
+                    if machine.parts[0].log.kinds[channel] == "motor"
+                    else ("command, V", "speed, mm/s", 1e-3),
+                )
+            )
+        for replay in found:
+            replay.log[:] = number
+            parts.setdefault(replay.equation, []).append(replay)
+    return [_joined(list_) for list_ in parts.values()]
+
+
+def _hydraulic(
+    part: Part, segment: Segment, pressure: np.ndarray, simulated: dict[str, np.ndarray], numbers: dict[str, float],
+    speeds: dict[str, np.ndarray], openings: dict[str, np.ndarray], command: np.ndarray,
+) -> list[_Replay]:  # fmt: skip
+    """Shaft from the measured pressure; valve from the flow that measured speed and pressure need."""
+    h, used, time = segment.period, segment.used, part.log.time_s[segment.rows]
+    used = used & np.isfinite(pressure)
+    speed, pressure = filled(segment.measured), filled(pressure)
+    load = np.zeros(speed.size)
+    if part.log.load is not None and part.log.has("load", segment.channel):
+        load = np.nan_to_num(part.log.load[segment.rows, segment.channel])
+    drag = max(numbers["B"], 1e-6)
+    keep = float(np.exp(-h * drag / numbers["J"]))
+    replayed = lfilter([0.0, 1.0 - keep], [1.0, -keep], (numbers["D"] * pressure - load) / drag)
+    # Only what the shaft loses against measurement within a second counts: errors do not pile up.
+    forget = float(np.exp(-h / 1.0))
+    error = lfilter([(1.0 + forget) / 2.0, -(1.0 + forget) / 2.0], [1.0, -forget], speed - replayed)
+    shaft = ("speed, rpm", "speed lost or gained within a second, rpm", RPM)
+    found = [_replay("shaft", error, h, time, speeds, used, speed / RPM, shaft)]
+
+    width = max(5, 2 * round(0.01 / h) + 1)
+
+    def flow(w: np.ndarray, dp: np.ndarray) -> np.ndarray:
+        squeezed = numbers["V"] / numbers["beta"] * savgol_filter(dp, width, 2, deriv=1, delta=h)
+        return (
+            numbers["D"] * savgol_filter(w, width, 2) + numbers["Km"] * savgol_filter(dp, width, 2) + squeezed
+        )
+
+    missing = flow(speed, pressure) - flow(simulated["speed"], simulated["pressure"])
+    found.append(_replay("valve_flow", missing / numbers["D"], h, time, openings, used, command, _FLOW))
+    return found
+
+
+def filled(values: np.ndarray) -> np.ndarray:
+    """Holes filled along straight lines, so that a replay runs through them."""
+    known = np.isfinite(values)
+    rows = np.arange(values.size)
+    return (
+        values
+        if known.all()
+        else np.interp(rows, rows[known], values[known])
+        if known.any()
+        else np.zeros(values.size)
+    )
+
+
+def _replay(
+    equation: str,
+    error: np.ndarray,
+    period: float,
+    time: np.ndarray,
+    regimes: dict[str, np.ndarray],
+    used: np.ndarray,
+    over: np.ndarray,
+    units: tuple[str, str, float],
+) -> _Replay:
+    noise = noise_floor(error, used, period)
+    return _Replay(
+        equation,
+        error[used],
+        noise,
+        time[used],
+        np.zeros(int(used.sum()), int),
+        {n: m[used] for n, m in regimes.items()},
+        over[used],
+        units,
+    )
+
+
+def _joined(replays: list[_Replay]) -> _Replay:
+    first = replays[0]
+    error, time, log, over = (
+        np.concatenate([getattr(r, name) for r in replays]) for name in ("error", "time", "log", "over")
+    )
+    regimes = {n: np.concatenate([r.regimes[n] for r in replays]) for n in first.regimes}
+    noise = float(np.nanmin([r.noise for r in replays]))
+    return _Replay(first.equation, error, noise, time, log, regimes, over, first.units)
+
+
+def shape(
+    over: np.ndarray, error: np.ndarray, over_unit: str, error_unit: str, size: float, bins: int = 15
+) -> dict[str, Any]:
+    """The error as a curve over the quantity that its equation depends on: not physics, but what physics would have to give.
+
+    `points` are [middle, mean, standard error] of bins with equally many rows; `explains` is the share of the error's
+    power that the curve holds, `with_direction` the share that two curves hold, one for a rising and one for a falling quantity:
+    much more means memory (hysteresis, play, lag). A small share of both means time, angle or another channel.
+    """
+    edges = np.unique(np.quantile(over, np.linspace(0.0, 1.0, bins + 1)))
+    number = np.clip(np.searchsorted(edges, over, side="right") - 1, 0, max(len(edges) - 2, 0))
+    # Whether the quantity rises, by its last change: commands come in steps.
+    change = np.sign(np.diff(over, prepend=over[:1]))
+    last = np.maximum.accumulate(np.where(change != 0.0, np.arange(change.size), 0))
+    rising = change[last] > 0.0
+    power = max(float(np.mean(error**2)), 1e-300)
+
+    def held(groups: np.ndarray) -> float:
+        counts = np.maximum(np.bincount(groups), 1)
+        means = np.bincount(groups, error) / counts
+        return float(np.sum(counts * means**2) / error.size / power)
+
+    points = []
+    for n in range(number.max() + 1 if number.size else 0):
+        rows = number == n
+        if rows.sum() > 1:
+            mean, spread = float(np.mean(error[rows])), float(np.std(error[rows]))
+            apart = spread / np.sqrt(effective_samples(error[rows]))
+            points.append([float(f"{v:.4g}") for v in (np.mean(over[rows]), mean / size, apart / size)])
+    return {
+        "over": over_unit, "error": error_unit, "points": points, "explains": round(held(number), 3),
+        "with_direction": round(held(2 * number + rising), 3),
+    }  # fmt: skip
+
+
+def _regime(replay: _Replay) -> str:
+    """The condition under which the error is most above its mean."""
+    power = replay.error**2
+    mean = float(np.mean(power))
+    best, strongest = "everywhere", 1.3
+    for name, rows in replay.regimes.items():
+        if 0.03 < rows.mean() < 0.9:
+            contrast = float(np.mean(power[rows])) / max(mean, 1e-30)
+            if contrast > strongest:
+                best, strongest = name, contrast
+    return best
+
+
+def _windows(replay: _Replay, most: int = 3) -> tuple[list[tuple[float, float]], list[int]]:
+    """Up to `most` windows of a fortieth of the logs with the largest error, and the log that each is in; neighbours are
+    joined."""
+    width = max(10, replay.error.size // 40)
+    count = replay.error.size // width
+    power = (replay.error[: count * width] ** 2).reshape(count, width).mean(axis=1)
+    found: list[tuple[float, float]] = []
+    logs: list[int] = []
+    last = -2
+    for i in sorted(np.argsort(power)[::-1][:most]):
+        rows = slice(i * width, (i + 1) * width)
+        number = int(replay.log[rows.start])
+        rows = slice(rows.start, rows.start + int((replay.log[rows] == number).sum()))
+        start, end = float(replay.time[rows.start]), float(replay.time[rows.stop - 1])
+        if (
+            i == last + 1
+            and logs
+            and logs[-1] == number
+            and start - found[-1][1] < 0.5 * (end - start) + 1e-9
+        ):
+            found[-1] = (found[-1][0], end)
+        else:
+            found.append((start, end))
+            logs.append(number)
+        last = i
+    return found, logs

@@ -1,0 +1,197 @@
+"""Which experiment would tell apart what the logs cannot: from a table for known pairs, and by simulating both models.
+
+`simulated` drives the model with the named effect and the one with its rival, both as refitted to the logs, through a few
+manoeuvres of a bench, and says in which of them, and in which signal, they differ most in units of that signal's noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...plant import simulate
+from ...practice.generate import NOISE
+from ..estimation.least_squares import Problem
+from ..models.base import UNITS, Machine
+from ..models.dynamic_rig import MotorRig
+
+if TYPE_CHECKING:
+    from .selection import Selection
+    from .verdict import Named
+
+__all__ = ["MANOEUVRES", "MENU", "Separation", "next_experiment", "simulated"]
+
+#: Rows of the simulated manoeuvres, s, and the difference (RMS in noise units) from which two models count as told apart.
+PERIOD, APART = 1e-3, 2.0
+
+
+def _triangle(seconds: float, cycle: float, size: float) -> np.ndarray:
+    phase = np.arange(round(seconds / PERIOD)) * PERIOD / cycle
+    return np.asarray(size * (1.0 - np.abs((4.0 * phase + 3.0) % 4.0 - 2.0)))
+
+
+def _sweep(seconds: float, middle: float, size: float, high: float) -> np.ndarray:
+    t = np.arange(round(seconds / PERIOD)) * PERIOD
+    return np.asarray(middle + size * np.sin(np.pi * high * t * t / seconds))
+
+
+def _steps(levels: Sequence[float], dwell: float) -> np.ndarray:
+    return np.repeat(np.asarray(levels), round(dwell / PERIOD))
+
+
+#: name: (command as a share of the rated one, load torque in N m)
+MANOEUVRES: dict[str, tuple[np.ndarray, float]] = {
+    "a slow triangle of 60 % of the rated command, 10 s a cycle": (_triangle(10.0, 10.0, 0.6), 0.0),
+    "fast triangles of 40 %, 1 s a cycle": (_triangle(6.0, 1.0, 0.4), 0.0),
+    "triangles of 15 %, 4 s a cycle": (_triangle(8.0, 4.0, 0.15), 0.0),
+    "a sine about 35 % with rising frequency, up to 20 Hz": (_sweep(6.0, 0.35, 0.15, 20.0), 0.0),
+    "steps of 20 to 100 % both ways": (_steps([0.2, -0.2, 0.5, -0.5, 0.8, -0.8, 1.0, -1.0, 0.0], 0.6), 0.0),
+    "steps of 40 % both ways under a load of 0.6 N m": (_steps([0.4, -0.4, 0.0, 0.4, -0.4, 0.0], 0.8), 0.6),
+    "a constant 80 % for 20 s": (_steps([0.8], 20.0), 0.0),
+}
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How far two models are apart: RMS difference of a signal in a manoeuvre, in units of that signal's noise."""
+
+    manoeuvre: str
+    signal: str
+    distance: float
+
+
+def simulated(machine: MotorRig, channel: int, first: Problem, second: Problem) -> list[Separation]:
+    """All manoeuvres and signals, those that tell the two models apart best first."""
+    names = {u.name for p in (first, second) for u in p.unknowns}
+    pairs = [machine.model.pair(name) for name in sorted(names)]
+    values = {name: np.array([pair, pair]) for name, pair in zip(sorted(names), pairs, strict=True)}
+    for lane, problem in enumerate((first, second)):
+        for name, value in problem.values(channel).items():
+            values[name][lane, channel] = value
+    effects = machine.kernel(first.request().effects | second.request().effects)
+    rated = machine.model.value("u_rated", channel)
+    found = []
+    for manoeuvre, (share, torque) in MANOEUVRES.items():
+        command = np.zeros((share.size, 2))
+        command[:, channel] = share * rated
+        load = np.zeros_like(command)
+        load[:, channel] = torque * np.sign(share)
+        recorded = {"speed": "measured_speed", "current": "current", "pressure": "pressure", "spool": "spool"}
+        out = simulate(
+            machine.model, command, load, PERIOD, values=values, num_rigs=2, effects=effects,
+            record=list(recorded.values()), substep=machine.substep,
+        )  # fmt: skip
+        for signal, name in recorded.items():
+            noise = NOISE[signal][0] * UNITS[signal][1]
+            apart = out[name][:, 0, channel] - out[name][:, 1, channel]
+            found.append(Separation(manoeuvre, signal, float(np.sqrt(np.mean(apart**2))) / noise))
+    return sorted(found, key=lambda s: -s.distance)
+
+
+def _by_simulation(
+    machine: Machine, selection: Selection, effect: Named, rival: str
+) -> dict[str, Any] | None:
+    """The manoeuvre that separates an effect from its rival, from the models that were refitted with each of them."""
+    if not isinstance(machine, MotorRig) or effect.channel not in ("1", "2"):
+        return None
+    channel = int(effect.channel) - 1
+    trials = [t for t in selection.trials if t.channel == channel and t.problem is not None]
+    own = next((t for t in reversed(trials) if t.effect == effect.name and t.fate == "taken"), None)
+    other = next(
+        (t for t in reversed(trials) if t.effect == rival and (own is None or t.round == own.round)), None
+    )
+    if own is None or other is None or own.problem is None or other.problem is None:
+        return None
+    found = simulated(machine, channel, own.problem, other.problem)
+    logged = {s for s in UNITS if any(p.log.has(s, channel) for p in machine.parts)}
+    best = next((s for s in found if s.signal in logged), None)
+    if best is None or best.distance < APART:
+        best = found[0]
+    more = "" if best.signal in logged else f" with the {best.signal} recorded"
+    if best.distance < APART:
+        text = f"none of {len(MANOEUVRES)} bench manoeuvres would tell them apart: at most {best.distance:.1f} times the noise"
+        return {
+            "description": text,
+            "separates": sorted((effect.name, rival)),
+            "distance": round(best.distance, 2),
+        }
+    text = f"{best.manoeuvre}{more}: there the two differ by {best.distance:.1f} times the noise of the {best.signal}"
+    return {
+        "description": text,
+        "separates": sorted((effect.name, rival)),
+        "distance": round(best.distance, 1),
+    }
+
+
+#: Pairs that are often confused, and the experiment under which they differ.
+MENU: tuple[tuple[frozenset[str], str], ...] = (
+    (
+        frozenset({"dead_zone", "spring_preload"}),
+        "record the spool position: overlap lets the spool move without flow, a preload does not let it move",
+    ),
+    (
+        frozenset({"magnetic_hysteresis", "spool_stiction"}),
+        "triangles of +-60 % of the rated command with 0.5 s and 20 s per cycle, then again with a dither of "
+        "5 % at 100 Hz: dither shrinks stiction, not magnetic hysteresis (`hydro-env valve-test` reads the loops over the rate)",
+    ),
+    (
+        frozenset({"command_delay", "sensor_lag"}),
+        "sine sweep of 1 to 20 Hz about a bias with the pressure recorded: the pressure shows a delay of the "
+        "command, not the lag of the speed sensor",
+    ),
+    (
+        frozenset({"load_bias", "motor_coulomb_friction"}),
+        "the same slow ramp in both directions of rotation: friction changes its sign, a load does not",
+    ),
+    (
+        frozenset({"line_loss", "quadratic_drag"}),
+        "drive the motor from outside with the valve closed and both ports connected: drag acts, line loss "
+        "does not; or measure the pressure at the motor's ports",
+    ),
+    (
+        frozenset({"dead_zone", "flow_gain_nonlinearity"}),
+        "slow triangles of 20, 40 and 80 % of the rated command: overlap is the same width in all",
+    ),
+    (
+        frozenset({"dead_zone", "null_offset"}),
+        "slow triangle through zero with at least 10 s per cycle",
+    ),
+    (
+        frozenset({"supply_droop", "pressure_dependent_flow"}),
+        "record the supply pressure; drive the other channel alone while this one holds its command",
+    ),
+    (
+        frozenset({"sensor_gain", "directional_gain"}),
+        "count revolutions over a minute at constant speed, both directions",
+    ),
+)  # fmt: skip
+
+
+def next_experiment(named: Sequence[Named], machine: Machine, selection: Selection) -> dict[str, Any] | None:
+    """The experiment that separates the names that stayed tied, or None."""
+    for effect in named:
+        for rival in effect.indistinguishable_from:
+            found = _by_simulation(machine, selection, effect, rival)
+            if found is not None:
+                known = next((text for pair, text in MENU if pair == {effect.name, rival}), "")
+                return {**found, "description": "; or ".join(filter(None, (found["description"], known)))}
+    for effect in named:
+        for rival in effect.indistinguishable_from:
+            for pair, text in MENU:
+                if pair == {effect.name, rival}:
+                    return {"description": text, "separates": sorted(pair)}
+    for effect in named:
+        if effect.indistinguishable_from:
+            missing = [
+                s for s in ("current", "pressure", "load") if not any(p.log.has(s) for p in machine.parts)
+            ]
+            text = (
+                f"record {', '.join(missing)} as well"
+                if missing
+                else "slow triangles of three amplitudes, then steps under load"
+            )
+            return {"description": text, "separates": [effect.name, *effect.indistinguishable_from]}
+    return None

@@ -1,0 +1,119 @@
+"""The compiled part of a step around the plant: commands in; sensors, reward and true signals out.
+
+Both functions work row by row on arrays of any number of rigs, with the same arithmetic in the same order for each,
+so that a row of a batch is bit for bit the same as that row alone.
+"""
+
+from __future__ import annotations
+
+from math import isfinite, pi
+
+from ..jit import compiled
+
+__all__ = ["COLUMNS", "SIGNALS", "apply", "look"]
+
+#: Signals of the plant's memory that `look` reads, in the order of its argument `where`.
+SIGNALS = ("speed", "angle", "measured_speed", "current", "pressure", "diverged")
+
+#: Columns of the table of true signals that `look` fills.
+COLUMNS: dict[str, slice | int] = {
+    "speed_rpm": slice(0, 2),
+    "setpoint_rpm": 2,
+    "speed_difference_rpm": 3,
+    "command_V": slice(4, 6),
+    "angle_difference_deg": 6,
+    "reward_tracking": 7,
+    "reward_difference": 8,
+    "reward_variation": 9,
+}
+TRUE = 10
+
+_TO_RPM = 60.0 / (2.0 * pi)
+_TO_DEG = 180.0 / pi
+
+
+@compiled
+def apply(actions, rated, step, last, loads, fraction, moved, command, load):
+    """Turns actions (N, 2) into commands and loads (N, 2) of the period that begins; False if one is not finite.
+
+    rated (N, 2) in V; step, last (N,): row of the episode, its last row; loads (N, rows, 2) in N m; fraction (N, 2):
+    the command in force, replaced; moved (N,): its mean absolute change.
+    """
+    for i in range(actions.shape[0]):
+        if not (isfinite(actions[i, 0]) and isfinite(actions[i, 1])):
+            return False
+    for i in range(actions.shape[0]):
+        row = step[i] if step[i] < last[i] else last[i]
+        moved[i] = 0.0
+        for c in range(2):
+            action = actions[i, c]
+            action = action if action < 1.0 else 1.0
+            action = action if action > -1.0 else -1.0
+            moved[i] += 0.5 * abs(action - fraction[i, c])
+            fraction[i, c] = action
+            command[i, c] = action * rated[i, c]
+            load[i, c] = loads[i, row, c]
+    return True
+
+
+@compiled
+def look(
+    rows, memory, half, where, step, last, setpoint, noise, levels, scales, limit, factor, stuck, held, fraction, moved,
+    rated, weights, observation, true, reward, terminated, truncated,
+):  # fmt: skip
+    """Sensors, reward and true signals of some rows at the instant `step` (N,) of their episodes.
+
+    rows: numbers of the rows. memory, half, where: the plant's memory and the rows of `SIGNALS` in it. setpoint
+    (N, rows) in rad/s; noise (N, rows, 6), standard normal; levels (6,) and scales (9,) of the observation. factor,
+    stuck, held (N, 2): noise factor of the speed sensors, row from which on one is stuck, and what it last showed.
+    The last five are filled: observation (N, n), its last frame alone; true (N, TRUE), reward, terminated, truncated (N,).
+
+    Every operation here costs a millisecond or two of the first start, in which all this is compiled.
+    """
+    newest = observation.shape[1] - scales.shape[0]
+    for i in rows:
+        block = i // half
+        lane = i - block * half
+        cells = memory[block]
+        now, end = step[i], last[i]
+        t = now if now < end else end
+        target = setpoint[i, t]
+        observation[i, newest] = target / scales[0]
+        for j in range(6):
+            c = j % 2
+            noisy = noise[i, t, j] * levels[j]
+            if j < 2:
+                noisy *= factor[i, c]
+            value = cells[where[2 + j // 2], lane + c * half] / scales[1 + j] + noisy
+            if j < 2:
+                if now >= stuck[i, c]:
+                    value = held[i, c]
+                held[i, c] = value
+            observation[i, newest + 1 + j] = value
+        observation[i, newest + 7] = fraction[i, 0]
+        observation[i, newest + 8] = fraction[i, 1]
+        for j in range(newest, observation.shape[1]):
+            value = observation[i, j]
+            value = value if value < limit else limit
+            observation[i, j] = value if value > -limit else -limit
+
+        one = cells[where[0], lane] * _TO_RPM
+        two = cells[where[0], lane + half] * _TO_RPM
+        aim = setpoint[i, t - 1 if t > 0 else 0] * _TO_RPM  # the set-point that was in force
+        tracking = -weights[0] * 0.5 * (abs(one - aim) + abs(two - aim))
+        difference = -weights[1] * abs(one - two)
+        variation = -weights[2] * moved[i]
+        lost = cells[where[5], lane] > 0.0 or cells[where[5], lane + half] > 0.0
+        true[i, 0] = one
+        true[i, 1] = two
+        true[i, 2] = target * _TO_RPM
+        true[i, 3] = one - two
+        true[i, 4] = fraction[i, 0] * rated[i, 0]
+        true[i, 5] = fraction[i, 1] * rated[i, 1]
+        true[i, 6] = (cells[where[1], lane] - cells[where[1], lane + half]) * _TO_DEG
+        true[i, 7] = tracking
+        true[i, 8] = difference
+        true[i, 9] = variation
+        reward[i] = tracking + difference + variation - (weights[3] if lost else 0.0)
+        terminated[i] = lost
+        truncated[i] = now >= end

@@ -1,0 +1,56 @@
+"""Files of users' own effects: Python files that call `register`, loaded because the user named them."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+from ...errors import InputError
+from ..kernel.codegen import compile_kernel
+from .effects import CATALOGUE
+
+__all__ = ["load_effects"]
+
+_LOADED: dict[Path, tuple[str, ...]] = {}
+
+
+def load_effects(paths: Iterable[str | Path]) -> tuple[str, ...]:
+    """Runs Python files that register effects and returns the names of these; a file loaded before is not run again.
+
+    InputError in one line if a file cannot be read or run, registers nothing, or has a law that cannot be compiled;
+    nothing of that file stays in the catalogue then.
+    """
+    names: list[str] = []
+    for path in paths:
+        file = Path(path).resolve()
+        if file not in _LOADED or any(name not in CATALOGUE for name in _LOADED[file]):
+            _LOADED[file] = _run(file, str(path))
+        names += _LOADED[file]
+    return tuple(names)
+
+
+def _run(file: Path, shown: str) -> tuple[str, ...]:
+    if not file.is_file() or file.suffix != ".py":
+        raise InputError(
+            f"{shown}: not a Python file with effects; one that calls hydro_env.plant.register is right"
+        )
+    before = set(CATALOGUE)
+    module_name = f"hydro_env_user_{file.stem}"
+    specification = importlib.util.spec_from_file_location(module_name, file)
+    assert specification is not None and specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[module_name] = module
+    try:
+        specification.loader.exec_module(module)
+        names = tuple(name for name in CATALOGUE if name not in before)
+        if not names:
+            raise InputError("registers no effect; it must call hydro_env.plant.register(Effect(...))")
+        compile_kernel(names)
+    except Exception as problem:  # a user's file may fail in any way
+        for name in [name for name in CATALOGUE if name not in before]:
+            del CATALOGUE[name]
+        kind = "" if isinstance(problem, ValueError) else f"{type(problem).__name__}: "
+        raise InputError(f"{shown}: {kind}{problem}") from None
+    return names

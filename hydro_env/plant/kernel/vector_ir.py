@@ -1,0 +1,299 @@
+"""Vector instructions for plain Python statements that work lane by lane.
+
+A function of a generated kernel that is marked `@vectors` consists of statements on scalars and of loops
+
+    for l in range(LANES):
+        a = cells[3 * LANES + l]
+        cells[5 * LANES + l] = a if a > 0.0 else other(a)
+
+It is translated here straight to vector instructions, as many lanes to a vector as the widest registers hold. Left to
+itself the compiler would have to find out types, variables and that the loop can be vectorised at all, and spend most of
+its time on that. What a statement computes is fixed by its text: nothing is fused or reordered.
+
+Statements: assignments to variables and cells, `found |= test` in a loop to learn whether any lane passes a test (before
+the loop `found = False`, and `return found` at the end), and in the functions called also `if` and `return`. Expressions:
++ - * /, whole powers, comparisons, and/or/&/|/not, conditional expressions, abs, sqrt, floor, fma, and other functions of
+the same module. TypeError, naming the function, for anything else.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import sys
+from collections.abc import Callable, Collection, Mapping
+from functools import lru_cache
+from typing import Any
+
+from llvmlite import ir
+from numba.core import types
+from numba.extending import intrinsic
+
+__all__ = ["check", "vectors"]
+
+#: Bytes of the widest vector register that is made use of; narrower machines take several.
+_WIDEST = 64
+_COMPARISONS = {ast.Lt: "<", ast.Gt: ">", ast.LtE: "<=", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+_ARITHMETIC = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
+_LOGIC = {ast.BitAnd: "and_", ast.BitOr: "or_", ast.And: "and_", ast.Or: "or_"}
+_INSTRUCTIONS = {"abs": "llvm.fabs", "sqrt": "llvm.sqrt", "floor": "llvm.floor", "fma": "llvm.fma"}
+
+Functions = Mapping[str, ast.FunctionDef]
+
+
+class _Emitter:
+    """Emits the statements of one function; values are vectors of `width` lanes."""
+
+    def __init__(
+        self,
+        builder: ir.IRBuilder,
+        module: Any,
+        functions: Functions,
+        cells: ir.Value,
+        kind: ir.Type,
+        name: str,
+    ) -> None:
+        self.builder, self.module, self.functions, self.name = builder, module, functions, name
+        self.cells, self.kind = cells, kind
+        self.lane: ir.Value | None = None  # index of the first lane of the vector at hand
+        self.width = 1
+
+    # --- values -----------------------------------------------------------------------------------------------------
+    def _fail(self, node: ast.AST) -> TypeError:
+        return TypeError(
+            f"{self.name}: {ast.unparse(node)!r} cannot run on many lanes at once; use +, -, *, /, comparisons, "
+            "conditional expressions, if, return, and the functions of hydro_env.plant.vector_math"
+        )
+
+    @property
+    def _vector(self) -> ir.VectorType:
+        return ir.VectorType(self.kind, self.width)
+
+    def _constant(self, value: float) -> ir.Value:
+        return ir.Constant(self._vector, [float(value)] * self.width)
+
+    def _splat(self, scalar: ir.Value) -> ir.Value:
+        """A scalar on all lanes."""
+        vector = ir.Constant(self._vector, ir.Undefined)
+        first = self.builder.insert_element(vector, scalar, ir.Constant(ir.IntType(32), 0))
+        return self.builder.shuffle_vector(
+            first, vector, ir.Constant(ir.VectorType(ir.IntType(32), self.width), [0] * self.width)
+        )
+
+    def _address(self, node: ast.Subscript) -> ir.Value:
+        """Address of cells[... + l]: all but the lane is known now."""
+        if not (isinstance(node.value, ast.Name) and node.value.id == "cells" and self.lane is not None):
+            raise self._fail(node)
+        offset = eval(compile(ast.Expression(node.slice), "<index>", "eval"), vars(self.module), {"l": 0})
+        index = self.builder.add(self.lane, ir.Constant(ir.IntType(64), int(offset)))
+        pointer = self.builder.gep(self.cells, [index])
+        return self.builder.bitcast(pointer, ir.PointerType(self._vector))
+
+    @property
+    def _align(self) -> int:
+        return 4 if isinstance(self.kind, ir.FloatType) else 8
+
+    def value(self, node: ast.expr, names: dict[str, ir.Value]) -> ir.Value:
+        """The value of an expression."""
+        emit = self.builder
+        match node:
+            case ast.Constant(bool() as truth):
+                return ir.Constant(ir.VectorType(ir.IntType(1), self.width), [int(truth)] * self.width)
+            case ast.Constant(int() | float() as number):
+                return self._constant(number)
+            case ast.Name(name) if name in names:
+                found = names[name]
+                return found if isinstance(found.type, ir.VectorType) else self._splat(found)
+            case ast.Subscript():
+                return emit.load(self._address(node), align=self._align)
+            case ast.BinOp(left, ast.Pow(), ast.Constant(int() as power)) if 1 <= power <= 8:
+                factor = result = self.value(left, names)
+                for _ in range(power - 1):
+                    result = emit.fmul(result, factor)
+                return result
+            case ast.BinOp(left, operator, right) if type(operator) in _ARITHMETIC | _LOGIC:
+                operation = getattr(emit, (_ARITHMETIC | _LOGIC)[type(operator)])
+                return operation(self.value(left, names), self.value(right, names))
+            case ast.BoolOp(operator, parts):
+                result = self.value(parts[0], names)
+                for part in parts[1:]:
+                    result = getattr(emit, _LOGIC[type(operator)])(result, self.value(part, names))
+                return result
+            case ast.UnaryOp(ast.USub(), ast.Constant(int() | float() as number)):
+                return self._constant(-number)
+            case ast.UnaryOp(ast.USub(), operand):
+                return emit.fneg(self.value(operand, names))
+            case ast.UnaryOp(ast.Not(), operand):
+                return emit.not_(self.value(operand, names))
+            case ast.Compare(left, operators, others) if all(type(o) in _COMPARISONS for o in operators):
+                result, first = None, self.value(left, names)
+                for comparison, other in zip(operators, others, strict=True):
+                    second = self.value(other, names)
+                    test = emit.fcmp_ordered(_COMPARISONS[type(comparison)], first, second)
+                    result = test if result is None else emit.and_(result, test)
+                    first = second
+                return result
+            case ast.IfExp(test, body, orelse):
+                return emit.select(
+                    self.value(test, names), self.value(body, names), self.value(orelse, names)
+                )
+            case ast.Call(ast.Name("real"), [operand], []):
+                return self.value(operand, names)
+            case ast.Call(ast.Name(called), arguments, []) if called in _INSTRUCTIONS:
+                return self._instruction(_INSTRUCTIONS[called], [self.value(a, names) for a in arguments])
+            case ast.Call(ast.Name(called), arguments, []) if called in self.functions:
+                return self._call(self.functions[called], [self.value(a, names) for a in arguments])
+        raise self._fail(node)
+
+    def _instruction(self, name: str, operands: list[ir.Value]) -> ir.Value:
+        kind = f"v{self.width}f{32 if isinstance(self.kind, ir.FloatType) else 64}"
+        signature = ir.FunctionType(self._vector, [self._vector] * len(operands))
+        module = self.builder.module
+        function = module.globals.get(f"{name}.{kind}") or ir.Function(module, signature, f"{name}.{kind}")
+        return self.builder.call(function, operands)
+
+    # --- statements -------------------------------------------------------------------------------------------------
+    def _call(self, function: ast.FunctionDef, operands: list[ir.Value]) -> ir.Value:
+        names = dict(zip((a.arg for a in function.args.args), operands, strict=True))
+        outer, self.name = self.name, function.name
+        result = self._block(function.body, names)
+        if result is None:
+            raise TypeError(f"{self.name} returns nothing")
+        self.name = outer
+        return result
+
+    def _block(self, statements: list[ast.stmt], names: dict[str, ir.Value]) -> ir.Value | None:
+        """Runs statements; the value of the `return` they end in, None if they do not."""
+        for number, node in enumerate(statements):
+            match node:
+                case ast.Expr(ast.Constant()) | ast.Pass():
+                    pass
+                case ast.Assign([ast.Name(name)], value):
+                    names[name] = self.value(value, names)
+                case ast.Assign([ast.Subscript() as target], value):
+                    self.builder.store(self.value(value, names), self._address(target), align=self._align)
+                case ast.AugAssign(ast.Name(name), ast.BitOr(), value) if self.lane is not None:
+                    names[name] = self.builder.or_(names[name], self.value(value, names))
+                case ast.Return(ast.expr() as value):
+                    return self.value(value, names)
+                case ast.If(test, body, orelse):
+                    # Both ways are computed on every lane; what follows belongs to each of them.
+                    rest = statements[number + 1 :]
+                    chosen = self.value(test, names)
+                    left, right = (
+                        self._block([*body, *rest], dict(names)),
+                        self._block([*orelse, *rest], dict(names)),
+                    )
+                    if left is None or right is None:
+                        raise self._fail(node)
+                    return self.builder.select(chosen, left, right)
+                case ast.For(ast.Name("l"), ast.Call(ast.Name("range"), [bound]), body, []):
+                    self._lanes(bound, body, names)
+                case _:
+                    raise self._fail(node)
+        return None
+
+    def _lanes(self, bound: ast.expr, body: list[ast.stmt], names: dict[str, ir.Value]) -> None:
+        """A loop over lanes, a vector at a time."""
+        lanes = eval(compile(ast.Expression(bound), "<lanes>", "eval"), vars(self.module))
+        widest = _WIDEST // (4 if isinstance(self.kind, ir.FloatType) else 8)
+        width = next(w for w in (16, 8, 4, 2, 1) if w <= widest and lanes % w == 0)
+        index = ir.IntType(64)
+        before, loop = self.builder.block, self.builder.append_basic_block("lanes")
+        after = self.builder.append_basic_block("done")
+        self.builder.branch(loop)
+        self.builder.position_at_end(loop)
+        self.lane = self.builder.phi(index)
+        self.width = width
+        inner = dict(names)
+        found = {node.target.id for node in body if isinstance(node, ast.AugAssign)}  # type: ignore[union-attr]
+        nowhere = ir.Constant(ir.VectorType(ir.IntType(1), width), [0] * width)
+        marks = {name: self.builder.phi(nowhere.type) for name in found}
+        inner.update(marks)
+        self._block(body, inner)
+        for name, mark in marks.items():
+            mark.add_incoming(nowhere, before)
+            mark.add_incoming(inner[name], self.builder.block)
+        onward = self.builder.add(self.lane, ir.Constant(index, width))
+        self.lane.add_incoming(ir.Constant(index, 0), before)
+        self.lane.add_incoming(onward, self.builder.block)
+        self.builder.cbranch(self.builder.icmp_signed("<", onward, ir.Constant(index, lanes)), loop, after)
+        self.builder.position_at_end(after)
+        for name in found:
+            bits = self.builder.bitcast(inner[name], ir.IntType(width))
+            names[name] = self.builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
+        self.lane, self.width = None, 1
+
+    def scalars(self, statements: list[ast.stmt], names: dict[str, ir.Value]) -> ir.Value | None:
+        """The statements of the function itself: scalars, one lane wide, and loops over lanes. What it returns."""
+        for node in statements:
+            if isinstance(node, ast.Return) and isinstance(node.value, ast.Name):
+                return names[node.value.id]
+            self._block([node], names)
+            for name, value in names.items():
+                if isinstance(value.type, ir.VectorType):
+                    names[name] = self.builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
+        return None
+
+
+#: What a function called from a loop over lanes may consist of.
+_ALLOWED = (
+    ast.FunctionDef, ast.arguments, ast.arg, ast.Expr, ast.Pass, ast.Assign, ast.Return, ast.If, ast.Name, ast.Constant,
+    ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp, ast.Call, ast.expr_context, ast.USub, ast.Not, ast.Pow,
+    *_ARITHMETIC, *_LOGIC, *_COMPARISONS,
+)  # fmt: skip
+
+
+def check(function: ast.FunctionDef, known: Collection[str]) -> None:
+    """ValueError, in one line, if a function cannot run on many lanes at once; `known` are the functions it may call."""
+    hint = "a law may use + - * / and whole powers, comparisons, conditional expressions, if and return, and "
+    hint += ", ".join(sorted({*known, *_INSTRUCTIONS} - {"fma"}))
+    body = [node for statement in function.body for node in ast.walk(statement)]
+    for node in body:
+        parts = [node.op] if isinstance(node, ast.BinOp) else [node]
+        if not all(isinstance(part, _ALLOWED) for part in parts):
+            raise ValueError(f"{function.name}: {ast.unparse(node).splitlines()[0]!r}: {hint}")
+        if isinstance(node, ast.Call) and ast.unparse(node.func) not in {*known, *_INSTRUCTIONS}:
+            raise ValueError(f"{function.name}: {ast.unparse(node.func)!r} cannot be called: {hint}")
+    assigned = {n.id for n in body if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    called = {ast.unparse(n.func) for n in body if isinstance(n, ast.Call)}
+    names = (
+        {n.id for n in body if isinstance(n, ast.Name)}
+        - called
+        - assigned
+        - {a.arg for a in function.args.args}
+    )
+    if names:
+        raise ValueError(f"{function.name}: {sorted(names)[0]!r} is not an argument of the law")
+
+
+@lru_cache(maxsize=1)  # a module's functions are compiled one after the other
+def _functions(module: Any) -> dict[str, ast.FunctionDef]:
+    tree = ast.parse(inspect.getsource(module))
+    return {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+def vectors(function: Callable[..., Any]) -> Any:
+    """Makes of `function(cells, h)` or `function(cells)` an intrinsic of the compiler; see the head of this file.
+
+    `cells` is a one-dimensional array of float32 or float64, `h` a scalar. The text is read only when a caller is
+    compiled, so that a kernel from the cache costs nothing.
+    """
+
+    def emit(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> ir.Value:
+        module = sys.modules[function.__module__]
+        functions = _functions(module)
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        kind = context.get_value_type(signature.args[0].dtype)
+        node = functions[function.__name__]
+        names = {}
+        for argument, value, given in zip(node.args.args[1:], arguments[1:], signature.args[1:], strict=True):
+            names[argument.arg] = context.cast(builder, value, given, signature.args[0].dtype)
+        emitter = _Emitter(builder, module, functions, array.data, kind, function.__name__)
+        found = emitter.scalars(node.body, names)
+        return context.get_dummy_value() if found is None else found
+
+    returned = types.boolean if function.__annotations__.get("return") in (bool, "bool") else types.void
+    if function.__code__.co_argcount == 1:
+        return intrinsic(lambda typing, cells: (returned(cells), emit))
+    return intrinsic(lambda typing, cells, h: (returned(cells, h), emit))
