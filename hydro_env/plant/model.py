@@ -37,7 +37,7 @@ import yaml
 
 from ..errors import InputError
 from ..files import write_text
-from .catalogue.effects import CATALOGUE
+from .catalogue import CATALOGUE
 from .parameters import PARAMETERS, Parameter
 
 __all__ = [

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .catalogue.effects import CATALOGUE
+from .catalogue import CATALOGUE
 from .catalogue.losses import FAMILY
 from .model import PlantModel
 

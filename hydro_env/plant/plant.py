@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from ..errors import InputError
-from .catalogue.effects import CATALOGUE
+from .catalogue import CATALOGUE
 from .kernel.codegen import LONGEST_DELAY, STATES, Kernel, compile_kernel
 from .model import PlantModel, load_model, parameter_of
 from .parameters import PARAMETERS

@@ -46,7 +46,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import odeint, solve_ivp
 
 from ..errors import InputError
-from ..plant.catalogue.effects import BUILT_IN, CATALOGUE
+from ..plant.catalogue import BUILT_IN, CATALOGUE
 from ..plant.catalogue.losses import FAMILY
 from ..plant.model import PlantModel, load_model
 from ..plant.parameters import PARAMETERS

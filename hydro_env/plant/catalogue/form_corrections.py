@@ -1,12 +1,11 @@
-"""Shape corrections: bends, curves and second elements at the port of a named effect, which are no physics.
+"""Corrections of form: bends, curves and second elements at the port of a named effect, which are no physics.
 
 The law of an effect in the catalogue is one form of many that a real valve or motor may have: a corner is rounded, a gain is
 no straight line, a lag has a second pole. What a form leaves can be put right by a correction with a few numbers once the
 effect itself has a name. The corrections here are such: rounded corners, curves by straight lines between fixed knots, more
 elements of the same kind, more terms of a series. Each is an effect like any other, described once and simulated by the
 same kernel, exactly absent at its neutral value; so a model file can carry it. None is a candidate of the
-diagnosis and none ever explains anything by itself. Parameters with the remark "as NAME" repeat those of the effect that is
-corrected.
+diagnosis and none ever explains anything by itself.
 
 They belong to the family `shape` and are no part of `BUILT_IN`: the reference simulator does not know them.
 """
@@ -15,19 +14,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from math import inf
+from typing import Any
 
 from ..parameters import Parameter
 from ..vector_math import bell, clip, cos, exp, sign, sin, tanh
-from .effects import CATALOGUE, Effect, State, register
+from .effect import Effect, State
+from .force import MAGNETIC_HYSTERESIS
 
-__all__ = ["CORRECTIONS", "FAMILY", "follows"]
+__all__ = ["CORRECTIONS", "EFFECTS", "FAMILY", "follows"]
 
 #: The family of these effects.
 FAMILY = "shape"
-
-#: Corrections that fit an effect, by the effect's name, each with the parameters that repeat something of that effect:
-#: the name of one of its parameters (with a minus: its opposite), or a number.
-CORRECTIONS: dict[str, dict[str, Mapping[str, str | float]]] = {}
 
 _NO_PHYSICS = "a correction of form, fitted; no physics"
 
@@ -52,29 +49,12 @@ def _taken(name: str, unit: str, low: float, typical: float) -> Parameter:
 
 def _correction(
     name: str, port: str, summary: str, parameters: tuple[Parameter, ...], laws: Mapping[str, Callable[..., float]],
-    of: Mapping[str, Mapping[str, str | float]], states: tuple[State, ...] = (), scope: str = "channel",
-    adds_to: Mapping[str, str] | None = None, corner: Callable[..., bool] | None = None,
-) -> None:  # fmt: skip
-    register(
-        Effect(
-            name=name, port=port, parameters=parameters, summary=summary, signature="what the form of a named effect leaves",
-            source=_NO_PHYSICS, laws=laws, states=states, scope=scope, family=FAMILY,
-            adds_to=adds_to or {}, corner=corner,
-        )
+    corrects: Mapping[str, Mapping[str, str | float]], states: tuple[State, ...] = (), **more: Any,
+) -> Effect:  # fmt: skip
+    return Effect(
+        name=name, port=port, parameters=parameters, summary=summary, signature="what the form of a named effect leaves",
+        source=_NO_PHYSICS, laws=laws, corrects=corrects, states=states, family=FAMILY, **more,
     )  # fmt: skip
-    for effect, repeated in of.items():
-        CORRECTIONS.setdefault(effect, {})[name] = repeated
-
-
-def follows(correction: str, effect: str) -> dict[str, str | float]:
-    """The parameters of a correction that are not its own: by full name the full name (with a minus where they repeat
-    its opposite), or the number, that they repeat."""
-    found: dict[str, str | float] = {}
-    for own, source in CORRECTIONS[effect][correction].items():
-        if isinstance(source, str):
-            source = f"-{effect}.{source[1:]}" if source.startswith("-") else f"{effect}.{source}"
-        found[f"{correction}.{own}"] = source
-    return found
 
 
 # --- driver -----------------------------------------------------------------------------------------------------------
@@ -86,7 +66,7 @@ def _knee(voltage, command, drop, reach, voltage_limit):
     return voltage - sign(command) * (lack if drop > 0.0 else 0.0)
 
 
-_correction(
+KNEE_SHAPE = _correction(
     "knee_shape", "driver", "the driver gives less than is asked for even before its limit",
     (
         _amount("drop", "1", 0.02, "share of the limit that is lacking when the limit is asked for", 0.0),
@@ -110,7 +90,7 @@ def _rounded(opening, spool, rounding, turn, corner_positive, corner_negative):
     return opening + 0.25 * turn * (near * near - far * far) / (rounding if rounding > 1e-9 else 1e-9)
 
 
-_correction(
+CORNER_SHAPE = _correction(
     "corner_shape", "opening", "corners of the opening are rounded",
     (
         _amount("rounding", "m", 1e-5, "half the travel over which a corner is rounded", 0.0),
@@ -145,7 +125,7 @@ def _gain_curve(opening, gain_0, gain_1, gain_2, gain_3, gain_4, gain_5, gain_6,
     return opening * (1.0 + curve)
 
 
-_correction(
+OPENING_SHAPE = _correction(
     "opening_shape", "opening", "gain of the opening as a curve over the logarithm of the opening",
     tuple(
         # A gain may be several times another; it cannot lose more than all.
@@ -170,7 +150,7 @@ def _centring(force, spool, force_1, force_2, force_3, force_4, force_5):
     return force - sign(spool) * curve
 
 
-_correction(
+CENTRING_SHAPE = _correction(
     "centring_shape", "force", "centring force as a curve over the travel",
     tuple(
         _amount(f"force_{n}", "N", 0.15, f"centring force at {x} um of travel") for n, x in enumerate((5, 15, 35, 80, 200), 1)
@@ -214,9 +194,9 @@ def _stop_decay(stop, current_rate, times, amplitude, width, alpha):
 #: Travels of the stops until they give way, over the width of the effect's own loop.
 _STOPS = (0.25, 0.5, 1.0, 2.0)
 # The loop of the catalogue's law, from which the stops take over.
-(_LOOP,) = CATALOGUE["magnetic_hysteresis"].states
+(_LOOP,) = MAGNETIC_HYSTERESIS.states
 
-_correction(
+STOP_SHAPE = _correction(
     "stop_shape", "force", "loop of the magnet from four stops that give way one after the other (Prandtl-Ishlinskii)",
     (
         *(
@@ -268,7 +248,7 @@ def _bristle_decay(spool_speed, coulomb, static, stiffness, vs, s0):
     return abs(spool_speed) * s0 * stiffness / (level if level > 1e-6 else 1e-6)
 
 
-_correction(
+BRISTLE_SHAPE = _correction(
     "bristle_shape", "force", "what friction the spool has more is held by a second bristle, which gives way late",
     (
         _amount("damping", "1", 0.5, "damping of the second bristle over the first one's", 0.0),
@@ -309,7 +289,7 @@ def _second_decay(delay):
     return 1.0 / (delay if delay > 1e-5 else 1e-5)
 
 
-_correction(
+SUPPLY_SHAPE = _correction(
     "supply_shape", "supply", "the supply follows the flow with a second lag",
     (
         _amount("delay", "s", 0.02, "time constant of the second lag", 0.0),
@@ -319,7 +299,7 @@ _correction(
     {"drive": _late_drive},
     {"supply_droop": {"relative_drop": "relative_drop", "time_constant": "time_constant"}},
     (State("first", _first_rate), State("second", _second_rate, _second_decay)),
-    "rig",
+    scope="rig",
 )  # fmt: skip
 
 
@@ -333,7 +313,7 @@ def _softness_curve(bulk_modulus, pressure, soft_0, soft_1, soft_2, soft_3, soft
     return bulk_modulus * exp(-curve)
 
 
-_correction(
+SOFTNESS_SHAPE = _correction(
     "softness_shape", "line", "softness of the fluid as a curve over the pressure",
     tuple(
         _amount(f"soft_{n}", "1", 0.15, f"log of the relative softness at {p:g} bar") for n, p in enumerate((0, 1, 2.5, 6, 20))
@@ -353,7 +333,7 @@ def _override(leakage, pressure, rounding, steepening, relief_pressure, conducta
     return leakage + sign(pressure) * conductance * more
 
 
-_correction(
+OVERRIDE_SHAPE = _correction(
     "override_shape", "line", "relief valves crack gradually, and their slope changes with the excess",
     (
         _amount("rounding", "Pa", 5e4, "half the range of pressure over which they crack", 0.0),
@@ -378,7 +358,7 @@ def _torque_curve(torque, speed, torque_1, torque_2, torque_3, torque_4, torque_
     return torque - sign(speed) * curve
 
 
-_correction(
+TORQUE_SHAPE = _correction(
     "torque_shape", "motor", "torque that is lost as a curve over the speed",
     tuple(
         _amount(f"torque_{n}", "N m", 0.04, f"torque lost at {w:g} rad/s") for n, w in enumerate((0.2, 0.7, 2.5, 8, 25, 80), 1)
@@ -409,7 +389,7 @@ def _rest_corner(speed, travel):
     return travel > 0.0 and abs(speed) < 1.0
 
 
-_correction(
+REST_SHAPE = _correction(
     "rest_shape", "motor", "dry friction builds up over a small turn (Dahl) in the place of a smooth step",
     (
         _amount("travel", "rad", 0.003, "turn over which the friction builds up", 0.0),
@@ -436,7 +416,7 @@ def _more_ripple(displacement, angle, sine_1, cosine_2, sine_2, cosine_3, sine_3
     return displacement + D * more
 
 
-_correction(
+RIPPLE_SHAPE = _correction(
     "ripple_shape", "motor", "phase and harmonics of the ripple of the displacement",
     (
         *(
@@ -458,7 +438,7 @@ def _more_turns(torque, angle, cosine_2, sine_2, cosine_3, sine_3):
     return torque - (cosine_2 * c2 + sine_2 * s2 + cosine_3 * (c2 * c - s2 * s) + sine_3 * (s2 * c + c2 * s))
 
 
-_correction(
+TURNING_SHAPE = _correction(
     "turning_shape", "load", "harmonics of a torque that turns with the shaft",
     tuple(
         _amount(n, "N m", 0.05, f"{'co' * n.startswith('co')}sine of {n[-1]} times the shaft's angle")
@@ -478,7 +458,7 @@ def _second_drift_friction(viscous_friction, more, time, time_constant):
     return viscous_friction * exp(more * (1.0 - exp(-time / time_constant)))
 
 
-_correction(
+DRIFT_SHAPE = _correction(
     "drift_shape", "fluid", "a second, faster or slower part of the drift",
     (
         _amount("more", "1", 0.2, "log of final over initial viscosity, second part"),
@@ -503,7 +483,7 @@ def _sensor_first_decay(time_constant):
     return 1.0 / (time_constant if time_constant > 1e-5 else 1e-5)
 
 
-_correction(
+SENSOR_SHAPE = _correction(
     "sensor_shape", "sensor", "the sensor follows with a second lag",
     (
         _amount("delay", "s", 0.005, "time constant of the second lag", 0.0),
@@ -513,3 +493,29 @@ _correction(
     {"sensor_lag": {"time_constant": "time_constant"}},
     (State("first", _sensor_first, _sensor_first_decay), State("second", _second_rate, _second_decay)),
 )  # fmt: skip
+
+
+# fmt: off
+#: In the order in which they act.
+EFFECTS = (
+    KNEE_SHAPE, CORNER_SHAPE, OPENING_SHAPE, CENTRING_SHAPE, STOP_SHAPE, BRISTLE_SHAPE, SUPPLY_SHAPE, SOFTNESS_SHAPE,
+    OVERRIDE_SHAPE, TORQUE_SHAPE, REST_SHAPE, RIPPLE_SHAPE, TURNING_SHAPE, DRIFT_SHAPE, SENSOR_SHAPE,
+)
+# fmt: on
+
+#: Corrections that fit an effect, by the effect's name; see `Effect.corrects` for what belongs to each.
+CORRECTIONS: dict[str, dict[str, Mapping[str, str | float]]] = {}
+for _effect in EFFECTS:
+    for _corrected, _repeats in _effect.corrects.items():
+        CORRECTIONS.setdefault(_corrected, {})[_effect.name] = _repeats
+
+
+def follows(correction: str, effect: str) -> dict[str, str | float]:
+    """The parameters of a correction that are not its own: by full name the full name (with a minus where they repeat
+    its opposite), or the number, that they repeat."""
+    found: dict[str, str | float] = {}
+    for own, source in CORRECTIONS[effect][correction].items():
+        if isinstance(source, str):
+            source = f"-{effect}.{source[1:]}" if source.startswith("-") else f"{effect}.{source}"
+        found[f"{correction}.{own}"] = source
+    return found

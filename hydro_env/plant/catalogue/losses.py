@@ -17,9 +17,9 @@ from __future__ import annotations
 
 from ..parameters import Parameter
 from ..vector_math import exp, sqrt, tanh
-from .effects import Effect, register
+from .effect import Effect
 
-__all__ = ["FAMILY"]
+__all__ = ["EFFECTS", "FAMILY"]
 
 #: Effects of this family compete with the simpler terms of the catalogue for the same facts, so the diagnosis takes them
 #: as candidates only when the model as given lists them.
@@ -64,12 +64,11 @@ _HYDRODYNAMIC = Parameter(
 )  # fmt: skip
 
 
-def _loss_model(name: str, summary: str, signature: str, source: str, parameters, laws) -> None:  # type: ignore[no-untyped-def]
-    effect = Effect(
+def _loss_model(name: str, summary: str, signature: str, source: str, parameters, laws) -> Effect:  # type: ignore[no-untyped-def]
+    return Effect(
         name=name, port="motor", parameters=parameters, summary=summary, signature=signature, source=source, laws=laws,
         indistinguishable_from=_ALIKE, family=FAMILY,
     )  # fmt: skip
-    register(effect)
 
 
 # --- Wilson -----------------------------------------------------------------------------------------------------------
@@ -82,7 +81,7 @@ def _wilson_torque(torque, motor_pressure, speed, drag, friction, constant_torqu
     return torque - drag * D * viscosity * speed - sliding * tanh(speed * 10.0)
 
 
-_loss_model(
+WILSON_LOSSES = _loss_model(
     name="wilson_losses",
     summary="Wilson's losses: laminar slip, viscous drag, friction with pressure, constant friction",
     signature="torque lost with the sign of the speed, growing with pressure",
@@ -106,7 +105,7 @@ def _schloesser_torque(
     return torque - fluid * speed - sliding * tanh(speed * 10.0)
 
 
-_loss_model(
+SCHLOESSER_LOSSES = _loss_model(
     name="schloesser_losses",
     summary="Schloesser's losses: Wilson's, turbulent slip, and a hydrodynamic loss with speed squared",
     signature="leakage with the root of pressure, torque curved over speed",
@@ -135,7 +134,7 @@ def _dorey_torque(torque, motor_pressure, speed, drag, friction, boundary, bound
     return torque - drag * D * viscosity * speed - sliding * tanh(speed * 10.0)
 
 
-_loss_model(
+DOREY_LOSSES = _loss_model(
     name="dorey_losses",
     summary="Dorey's losses: Wilson's linear model with coefficients that depend on pressure and speed, and compression",
     signature="slip grows faster than pressure, friction falls with speed",
@@ -174,7 +173,7 @@ def _jeong_torque(
     return torque - fluid * speed - sliding * tanh(speed * 10.0)
 
 
-_loss_model(
+JEONG_LOSSES = _loss_model(
     name="jeong_losses",
     summary="Jeong's kinds of loss, lumped: gaps that widen with pressure, mixed friction of the sliding pairs, momentum",
     signature="slip with the cube of a widening gap, Stribeck curve at any pressure",
@@ -204,7 +203,7 @@ def _ivantysyn_torque(torque, motor_pressure, speed, torque_0, torque_p, torque_
     return torque - fluid * speed - (torque_0 + torque_p * size) * tanh(speed * 10.0)
 
 
-_loss_model(
+IVANTYSYN_LOSSES = _loss_model(
     name="ivantysyn_losses",
     summary="Ivantysyn and Ivantysynova's polynomials in pressure and speed, of second degree, for measured loss maps",
     signature="whatever the map shows",
@@ -219,3 +218,7 @@ _loss_model(
     ),
     laws={"leakage": _ivantysyn_leakage, "torque": _ivantysyn_torque},
 )  # fmt: skip
+
+
+#: In the order in which they act.
+EFFECTS = (WILSON_LOSSES, SCHLOESSER_LOSSES, DOREY_LOSSES, JEONG_LOSSES, IVANTYSYN_LOSSES)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ...errors import InputError
 from ..kernel.codegen import compile_kernel
-from .effects import CATALOGUE
+from .effect import CATALOGUE
 
 __all__ = ["load_effects"]
 

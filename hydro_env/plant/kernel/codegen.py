@@ -41,7 +41,7 @@ from typing import Any
 import numpy as np
 
 from .. import vector_math
-from ..catalogue.effects import CATALOGUE, Effect
+from ..catalogue import CATALOGUE, Effect
 from ..parameters import PARAMETERS
 from ..rhs import rates
 from . import vector_ir

@@ -1,0 +1,125 @@
+"""What an effect is, and the catalogue that holds all of them.
+
+An effect is a term of the one right-hand side (`rhs.py`) that vanishes at its neutral value. It is described once: name,
+port, parameters (unit, neutral value, bounds, typical size, source) and its law. The same description extends the
+plant, randomises the mismatch, hides effects in practice logs and supplies the candidates of the diagnosis.
+
+A *law* is a scalar function. Its name is the quantity of `rates` that it changes and its first argument is that
+quantity; every further argument is looked up by name among the effect's own parameters and states, the signals and
+parameters of `rates`, and `other_flow`, the valve flow of the rig's other channel. It returns the changed quantity,
+*exactly* unchanged when the parameters are neutral. It may use +, -, *, /, comparisons, conditional expressions, `abs`
+and the functions of `vector_math`.
+
+A *state* is memory of an effect: a rate (law of the same kind) and, where it is fast, its decay rate -d(rate)/d(state),
+which the implicit integrator then uses. Several states may share their laws, each with arguments of its own (`given`).
+
+A law that reads a function's own arguments only is what makes user effects possible: see `register`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from ..parameters import Parameter
+
+__all__ = ["CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "register", "unregister"]
+
+#: Ports in the order in which the signal passes them.
+PORTS = ("driver", "coil", "force", "opening", "flow", "supply", "line", "motor", "load", "fluid", "sensor")
+
+#: Quantities of `rates` (and of the sensor) that a law may change, and base parameters that an effect may add to.
+QUANTITIES = (
+    "voltage", "resistance", "force", "opening", "drive", "bulk_modulus", "displacement", "leakage_coefficient",
+    "leakage", "viscous_friction", "motor_pressure", "torque", "measured_speed",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class State:
+    """Memory of an effect: `rate` is d(state)/dt, `decay` its own stiffness -d(rate)/d(state) in 1/s, or None.
+
+    `given` says what arguments of the two are here, where several states share them: the name of what is looked up instead,
+    or a number.
+    """
+
+    name: str
+    rate: Callable[..., float]
+    decay: Callable[..., float] | None = None
+    given: Mapping[str, str | float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """One effect of the catalogue; see the module's text for what laws and states are.
+
+    `corner` says, by a law that may also ask for `substep` (s), whether a channel is about to pass a bend of the effect that
+    is too sharp for a whole substep, or wants short ones everywhere; it then takes the substep in
+    `corner_parts` parts. It must be false when the effect is neutral.
+    `adds_to` names base parameters of the channel that one of the effect's parameters is simply added to.
+    `scope` is "channel" (each valve and motor has its own) or "rig" (both share the same values).
+    `indistinguishable_from` lists effects that no data of the usual channels separate from this one.
+    `family` names a group of effects that compete with each other and with simpler ones; the diagnosis tries a member only
+    if the model as given lists it among its effects.
+    `corrects` is for a correction of form: the effects that it corrects, each with the parameters of the correction that
+    repeat something of that effect: the name of one of its parameters (with a minus: its opposite), or a number.
+    """
+
+    name: str
+    port: str
+    parameters: tuple[Parameter, ...]
+    summary: str
+    signature: str
+    source: str
+    laws: Mapping[str, Callable[..., float]] = field(default_factory=dict)
+    states: tuple[State, ...] = ()
+    adds_to: Mapping[str, str] = field(default_factory=dict)
+    corner: Callable[..., bool] | None = None
+    corner_parts: int = 5
+    scope: str = "channel"
+    indistinguishable_from: tuple[str, ...] = ()
+    family: str = ""
+    corrects: Mapping[str, Mapping[str, str | float]] = field(default_factory=dict)
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter of that name; KeyError if there is none."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise KeyError(name)
+
+    def is_neutral(self, values: Mapping[str, float]) -> bool:
+        """Whether the effect vanishes at these parameter values (missing ones count as neutral).
+
+        An effect vanishes when the parameters that carry its size are neutral; the others only shape it.
+        """
+        return all(
+            values.get(p.name, p.nominal) == p.nominal for p in self.parameters if p.typical != p.nominal
+        )
+
+
+#: All effects by name, in the order in which they act.
+CATALOGUE: dict[str, Effect] = {}
+
+
+def register(effect: Effect) -> Effect:
+    """Adds an effect to the catalogue; it is at once simulated, hideable and diagnosable.
+
+    ValueError if the name is taken, the port or a changed quantity is unknown.
+    """
+    if effect.name in CATALOGUE:
+        raise ValueError(f"effect {effect.name!r} is in the catalogue already")
+    if effect.port not in PORTS:
+        raise ValueError(f"effect {effect.name!r}: port {effect.port!r} is none of {', '.join(PORTS)}")
+    for quantity in effect.laws:
+        if quantity not in QUANTITIES:
+            raise ValueError(
+                f"effect {effect.name!r}: a law changes {quantity!r}, none of {', '.join(QUANTITIES)}"
+            )
+    CATALOGUE[effect.name] = effect
+    return effect
+
+
+def unregister(name: str) -> None:
+    """Takes an effect out of the catalogue (tests of user effects; KeyError if it is not there)."""
+    del CATALOGUE[name]

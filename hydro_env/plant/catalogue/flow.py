@@ -1,0 +1,32 @@
+"""Effects on the flow through the opened valve."""
+
+from __future__ import annotations
+
+from math import inf
+
+from ..parameters import Parameter
+from ..vector_math import sign
+from .effect import Effect
+
+__all__ = ["EFFECTS"]
+
+
+def _pressure_dependent_flow(drive, opening, pressure, supply_pressure):
+    return drive - sign(opening) * pressure / supply_pressure
+
+
+PRESSURE_DEPENDENT_FLOW = Effect(
+    name="pressure_dependent_flow",
+    port="flow",
+    summary="orifice law: flow falls as the load takes its share of the supply pressure",
+    signature="flow falls as load pressure rises",
+    source="paper, (7), which it replaces by (8); Merritt 1967: sqrt((ps - sign(x) dp) / ps)",
+    parameters=(
+        Parameter("supply_pressure", "Pa", inf, 20e5, 350e5, "assumed", "supply pressure", 100e5, log=True),
+    ),
+    laws={"drive": _pressure_dependent_flow},
+)
+
+
+#: In the order in which they act.
+EFFECTS = (PRESSURE_DEPENDENT_FLOW,)

@@ -1,0 +1,55 @@
+"""Effects of the fluid that act on the whole rig."""
+
+from __future__ import annotations
+
+from ..parameters import Parameter
+from ..vector_math import exp
+from .effect import Effect
+
+__all__ = ["EFFECTS"]
+
+
+def _drift_leakage(leakage_coefficient, change, time, time_constant):
+    return leakage_coefficient * exp(-change * (1.0 - exp(-time / time_constant)))
+
+
+def _drift_friction(viscous_friction, change, time, time_constant):
+    return viscous_friction * exp(change * (1.0 - exp(-time / time_constant)))
+
+
+VISCOSITY_DRIFT = Effect(
+    name="viscosity_drift",
+    port="fluid",
+    scope="rig",
+    summary="the fluid warms up (or cools): leakage and viscous friction drift opposite ways",
+    signature="slow opposite trends of leakage and friction",
+    source="leakage ~ 1/viscosity, viscous friction ~ viscosity",
+    parameters=(
+        Parameter(
+            "change",
+            "1",
+            0.0,
+            -2.0,
+            2.0,
+            "20 K of warming halve the viscosity of HLP 46",
+            "log of final over initial viscosity",
+            -0.7,
+        ),
+        Parameter(
+            "time_constant",
+            "s",
+            100.0,
+            3.0,
+            3000.0,
+            "assumed",
+            "time constant of the warming",
+            100.0,
+            log=True,
+        ),
+    ),
+    laws={"leakage_coefficient": _drift_leakage, "viscous_friction": _drift_friction},
+)
+
+
+#: In the order in which they act.
+EFFECTS = (VISCOSITY_DRIFT,)

@@ -1,0 +1,138 @@
+"""Effects on the force that moves the spool."""
+
+from __future__ import annotations
+
+from ..parameters import Parameter
+from ..vector_math import sign, tanh
+from .effect import Effect, State
+
+__all__ = ["EFFECTS"]
+
+
+def _hysteresis_force(force, amplitude, loop):
+    return force - amplitude * loop
+
+
+def _loop_rate(loop, current_rate, amplitude, width, alpha):
+    # Bouc-Wen with n = 1 and beta = gamma: rate-independent, saturates at +-1 (loop opposes the change of current).
+    # Never so narrow that more current would mean less force, which no magnet does and which would not be stable.
+    least = 2.0 * amplitude / alpha
+    return (current_rate - abs(current_rate) * loop) / (width if width > least else least)
+
+
+def _loop_decay(current_rate, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    return abs(current_rate) / (width if width > least else least)
+
+
+MAGNETIC_HYSTERESIS = Effect(
+    name="magnetic_hysteresis",
+    port="force",
+    summary="rate-independent loop between current and magnetic force",
+    signature="loop in flow over current whose width does not depend on the sweep rate",
+    source="Bouc 1967, Wen 1976; Vaughan and Gamble 1996 for proportional solenoids",
+    parameters=(
+        Parameter(
+            "amplitude",
+            "N",
+            0.0,
+            0.0,
+            2.0,
+            "2-7 % of the rated force are usual",
+            "half height of the loop",
+            0.3,
+        ),
+        Parameter(
+            "width",
+            "A",
+            0.03,
+            0.01,
+            0.2,
+            "assumed",
+            "change of current that turns the loop; at least 2 amplitude/alpha",
+            0.03,
+            log=True,
+        ),
+    ),
+    laws={"force": _hysteresis_force},
+    states=(State("loop", _loop_rate, _loop_decay),),
+    indistinguishable_from=("spool_stiction",),
+)
+
+
+SPOOL_STICTION = Effect(
+    name="spool_stiction",
+    port="force",
+    summary="more Coulomb and static friction on the spool (dirt, gum, side load)",
+    signature="stick and jump, threshold for small signals",
+    source="Olsson et al. 1998; adds to Fc and Fs of the paper's LuGre model",
+    parameters=(
+        Parameter("coulomb", "N", 0.0, 0.0, 2.0, "assumed", "more Coulomb friction", 0.3),
+        Parameter("static", "N", 0.0, 0.0, 3.0, "assumed", "more static friction", 0.6),
+    ),
+    adds_to={"Fc": "coulomb", "Fs": "static"},
+    indistinguishable_from=("magnetic_hysteresis",),
+)
+
+
+def _preload_force(force, spool, preload):
+    # Smooth over 20 um of spool travel.
+    return force - preload * tanh(spool * 5e4)
+
+
+def _preload_corner(preload):
+    # Everywhere: a preloaded spool that is pushed over its centre magnifies errors made long before.
+    return preload > 0.0
+
+
+SPRING_PRELOAD = Effect(
+    name="spring_preload",
+    port="force",
+    summary="centring springs are preloaded: a force threshold before the spool leaves its centre",
+    signature="threshold in current, none in opening",
+    source="construction of spring-centred directional valves",
+    parameters=(
+        Parameter("preload", "N", 0.0, 0.0, 6.0, "assumed: up to 40 % of the rated force", "preload", 1.5),
+    ),
+    laws={"force": _preload_force},
+    corner=_preload_corner,
+    corner_parts=10,
+    indistinguishable_from=("dead_zone",),
+)
+
+
+def _flow_force(force, spool, pressure, coefficient, supply_pressure):
+    drop = supply_pressure - sign(spool) * pressure
+    return force - coefficient * spool * (drop if drop > 0.0 else 0.0)
+
+
+FLOW_FORCE = Effect(
+    name="flow_force",
+    port="force",
+    summary="steady flow force, which closes the valve",
+    signature="opening sags with the pressure drop over the valve",
+    source="Merritt 1967, ch. 5: F = 0.43 w x dp for a sharp-edged spool",
+    parameters=(
+        Parameter(
+            "coefficient",
+            "m",
+            0.0,
+            0.0,
+            1.2e-3,
+            "0.43 times the area gradient w",
+            "force per opening and pressure drop",
+            3e-4,
+        ),
+        Parameter("supply_pressure", "Pa", 100e5, 50e5, 350e5, "assumed", "supply pressure", 100e5, log=True),
+    ),
+    laws={"force": _flow_force},
+)
+
+
+#: In the order in which they act.
+EFFECTS = (
+    MAGNETIC_HYSTERESIS,
+    SPOOL_STICTION,
+    SPRING_PRELOAD,
+    FLOW_FORCE,
+)

@@ -1,0 +1,104 @@
+"""Effects of what the motor drives."""
+
+from __future__ import annotations
+
+from math import pi
+
+from ..parameters import Parameter
+from ..vector_math import clip, sin
+from .effect import Effect, State
+
+__all__ = ["EFFECTS"]
+
+
+def _load_bias(torque, bias):
+    return torque - bias
+
+
+LOAD_BIAS = Effect(
+    name="load_bias",
+    port="load",
+    summary="a constant load torque that nobody logged",
+    signature="same sign in both directions",
+    source="weights, belts, seals",
+    parameters=(Parameter("bias", "N m", 0.0, -3.0, 3.0, "assumed", "torque against positive speed", 0.4),),
+    laws={"torque": _load_bias},
+)
+
+
+def _eccentric_load(torque, angle, amplitude, phase):
+    return torque - amplitude * sin(angle + phase)
+
+
+ECCENTRIC_LOAD = Effect(
+    name="eccentric_load",
+    port="load",
+    summary="unbalanced weight on the shaft",
+    signature="line at the shaft speed",
+    source="statics: m g r sin(theta + phase)",
+    parameters=(
+        Parameter("amplitude", "N m", 0.0, 0.0, 2.0, "assumed", "largest torque", 0.3),
+        Parameter("phase", "rad", 0.0, -pi, pi, "unknown beforehand", "angle at the start", 0.0),
+    ),
+    laws={"torque": _eccentric_load},
+)
+
+
+def _backlash_torque(torque, twist, speed, load_speed, gap, stiffness, damping, load, inertia):
+    half = 0.5 * gap
+    wound = twist - clip(twist, -half, half)
+    # The damper grows over the first 20 mrad of winding, so that a blow begins smoothly.
+    contact = stiffness * wound + damping * (speed - load_speed) * clip(abs(wound) * 50.0, 0.0, 1.0)
+    contact = contact if contact * wound > 0.0 else 0.0
+    # The logged load acts behind the coupling.
+    return torque - contact + (load if inertia > 0.0 else 0.0)
+
+
+def _twist_rate(twist, speed, load_speed, inertia):
+    return speed - load_speed if inertia > 0.0 else 0.0
+
+
+def _load_speed_rate(load_speed, twist, speed, gap, stiffness, damping, load, inertia):
+    half = 0.5 * gap
+    wound = twist - clip(twist, -half, half)
+    # The damper grows over the first 20 mrad of winding, so that a blow begins smoothly.
+    contact = stiffness * wound + damping * (speed - load_speed) * clip(abs(wound) * 50.0, 0.0, 1.0)
+    contact = contact if contact * wound > 0.0 else 0.0
+    return (contact - load) / inertia if inertia > 0.0 else 0.0
+
+
+def _backlash_corner(inertia):
+    # Everywhere, and finely: when the coupling strikes next depends on all that came before, and a gap that rattles
+    # multiplies an error fivefold in a tenth of a second.
+    return inertia > 0.0
+
+
+SHAFT_BACKLASH = Effect(
+    name="shaft_backlash",
+    port="load",
+    summary="part of the inertia sits behind an elastic coupling with a gap",
+    signature="jump at reversal, anti-resonance",
+    source="Nordin and Gutman 2002, dead-zone model of backlash",
+    parameters=(
+        Parameter(
+            "inertia", "kg m2", 0.0, 1e-4, 1e-2, "assumed", "inertia behind the coupling", 2e-3, log=True
+        ),
+        Parameter("gap", "rad", 0.0, 0.0, 0.1, "assumed", "play of the coupling", 0.05),
+        Parameter(
+            "stiffness", "N m/rad", 300.0, 20.0, 2000.0, "assumed", "stiffness in contact", 300.0, log=True
+        ),
+        Parameter("damping", "N m s/rad", 0.3, 0.01, 2.0, "assumed", "damping in contact", 0.3, log=True),
+    ),
+    laws={"torque": _backlash_torque},
+    states=(State("twist", _twist_rate), State("load_speed", _load_speed_rate)),
+    corner=_backlash_corner,
+    corner_parts=20,
+)
+
+
+#: In the order in which they act.
+EFFECTS = (
+    LOAD_BIAS,
+    ECCENTRIC_LOAD,
+    SHAFT_BACKLASH,
+)

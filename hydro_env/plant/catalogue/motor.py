@@ -1,0 +1,115 @@
+"""Effects of the motor; its published loss models are in `losses`."""
+
+from __future__ import annotations
+
+from ..parameters import Parameter
+from ..vector_math import cos, exp, tanh
+from .effect import Effect
+
+__all__ = ["EFFECTS"]
+
+
+def _speed_dependent_leakage(leakage, speed, coefficient):
+    return leakage + coefficient * speed
+
+
+SPEED_DEPENDENT_LEAKAGE = Effect(
+    name="speed_dependent_leakage",
+    port="motor",
+    summary="leakage that grows with speed (filling losses, churning)",
+    signature="speed loss at no load, seen in the flow balance",
+    source="neglected by the paper in its own words; Wilson 1948, Schloesser 1961",
+    parameters=(
+        Parameter(
+            "coefficient",
+            "m3/rad",
+            0.0,
+            0.0,
+            6e-7,
+            "up to 45 % of the displacement",
+            "leakage per speed",
+            1.5e-7,
+        ),
+    ),
+    laws={"leakage": _speed_dependent_leakage},
+)
+
+
+def _motor_coulomb_friction(torque, speed, coulomb, static, stribeck_speed):
+    slip = speed / stribeck_speed
+    return torque - (coulomb + (static - coulomb) * exp(-slip * slip)) * tanh(speed * 10.0)
+
+
+def _motor_coulomb_friction_corner(speed, coulomb, static):
+    # The step at standstill is passed within a substep, and where the shaft sticks depends on how.
+    return coulomb + static > 0.0 and abs(speed) < 1.0
+
+
+MOTOR_COULOMB_FRICTION = Effect(
+    name="motor_coulomb_friction",
+    port="motor",
+    summary="dry friction of the motor with a Stribeck peak, smooth within 0.1 rad/s",
+    signature="step of torque with the sign of the speed, sticking at reversal",
+    source="Armstrong-Helouvry 1991; Olsson 1973 for hydraulic motors",
+    parameters=(
+        Parameter(
+            "coulomb", "N m", 0.0, 0.0, 2.0, "3-10 % of the nominal torque are usual", "Coulomb friction", 0.3
+        ),
+        Parameter("static", "N m", 0.0, 0.0, 3.0, "assumed", "static friction", 0.4),
+        Parameter("stribeck_speed", "rad/s", 3.0, 0.2, 20.0, "assumed", "Stribeck speed", 3.0, log=True),
+    ),
+    laws={"torque": _motor_coulomb_friction},
+    corner=_motor_coulomb_friction_corner,
+)
+
+
+def _quadratic_drag(torque, speed, coefficient):
+    return torque - coefficient * speed * abs(speed)
+
+
+QUADRATIC_DRAG = Effect(
+    name="quadratic_drag",
+    port="motor",
+    summary="hydrodynamic torque loss growing with speed squared",
+    signature="curvature of torque over speed",
+    source="Schloesser 1961, hydrodynamic loss",
+    parameters=(
+        Parameter("coefficient", "N m s2/rad2", 0.0, 0.0, 8e-4, "assumed", "torque per speed squared", 1e-4),
+    ),
+    laws={"torque": _quadratic_drag},
+    indistinguishable_from=("line_loss",),
+)
+
+
+def _displacement_ripple(displacement, angle, amplitude, order):
+    return displacement * (1.0 + amplitude * cos(order * angle))
+
+
+def _displacement_ripple_corner(amplitude):
+    # A ripple far beyond the usual nearly stalls the motor and magnifies errors a hundredfold there.
+    return amplitude > 0.1
+
+
+DISPLACEMENT_RIPPLE = Effect(
+    name="displacement_ripple",
+    port="motor",
+    summary="displacement varies with the shaft angle, in flow and in torque",
+    signature="line at `order` times the shaft speed",
+    source="kinematics of gear and orbit motors, Ivantysyn and Ivantysynova 2001",
+    parameters=(
+        Parameter("amplitude", "1", 0.0, 0.0, 0.3, "1-10 % are usual", "relative ripple", 0.05),
+        Parameter("order", "1", 7.0, 3.0, 13.0, "number of chambers", "periods in a turn", 7.0),
+    ),
+    laws={"displacement": _displacement_ripple},
+    corner=_displacement_ripple_corner,
+    corner_parts=20,
+)
+
+
+#: In the order in which they act.
+EFFECTS = (
+    SPEED_DEPENDENT_LEAKAGE,
+    MOTOR_COULOMB_FRICTION,
+    QUADRATIC_DRAG,
+    DISPLACEMENT_RIPPLE,
+)

@@ -1,0 +1,75 @@
+"""Effects of the speed sensor: they change what is measured and nothing else."""
+
+from __future__ import annotations
+
+from ..parameters import Parameter
+from .effect import Effect, State
+
+__all__ = ["EFFECTS"]
+
+
+def _sensor_lag(measured_speed, lagged_speed, time_constant):
+    return lagged_speed if time_constant > 0.0 else measured_speed
+
+
+def _lag_rate(lagged_speed, speed, time_constant):
+    return (speed - lagged_speed) / (time_constant if time_constant > 1e-5 else 1e-5)
+
+
+def _lag_decay(time_constant):
+    return 1.0 / (time_constant if time_constant > 1e-5 else 1e-5)
+
+
+SENSOR_LAG = Effect(
+    name="sensor_lag",
+    port="sensor",
+    summary="the measured speed lags the true one (filter of first order)",
+    signature="measured speed late against physics, torque balance broken",
+    source="counter gates and filters of speed sensors",
+    parameters=(Parameter("time_constant", "s", 0.0, 0.0, 0.1, "assumed", "time constant", 0.02),),
+    laws={"measured_speed": _sensor_lag},
+    states=(State("lagged_speed", _lag_rate, _lag_decay),),
+    indistinguishable_from=("command_delay",),
+)
+
+
+def _sensor_gain(measured_speed, gain):
+    return measured_speed * gain
+
+
+SENSOR_GAIN = Effect(
+    name="sensor_gain",
+    port="sensor",
+    summary="the speed sensor's scale is wrong",
+    signature="redundancy check fails, physics does not",
+    source="pulses per turn, calibration",
+    parameters=(
+        Parameter("gain", "1", 1.0, 0.7, 1.4, "assumed", "measured over true speed", 1.05, log=True),
+    ),
+    laws={"measured_speed": _sensor_gain},
+)
+
+
+def _sensor_offset(measured_speed, offset):
+    return measured_speed + offset
+
+
+SENSOR_OFFSET = Effect(
+    name="sensor_offset",
+    port="sensor",
+    summary="the speed sensor's zero is wrong",
+    signature="redundancy check fails, physics does not",
+    source="drift of analogue speed signals",
+    parameters=(
+        Parameter("offset", "rad/s", 0.0, -10.0, 10.0, "assumed", "measured speed at standstill", 1.0),
+    ),
+    laws={"measured_speed": _sensor_offset},
+)
+
+
+#: In the order in which they act.
+EFFECTS = (
+    SENSOR_LAG,
+    SENSOR_GAIN,
+    SENSOR_OFFSET,
+)
