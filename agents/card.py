@@ -21,8 +21,8 @@ from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
 
+from .command import run_command
 from .evaluate import METRICS
-from .train import cleanly
 
 __all__ = ["ROWS", "card_rows", "interval"]
 
@@ -102,7 +102,7 @@ def main() -> None:
         for name in chosen.controllers:
             print("\n".join(card_rows(name, chosen.first, chosen.cases)), flush=True)
 
-    cleanly(run)
+    run_command(run)
 
 
 if __name__ == "__main__":

@@ -18,8 +18,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from agents.command import run_command
 from agents.config import Config, read_config
-from agents.train import cleanly, train
+from agents.train import train
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.errors import InputError
 from hydro_env.experiments import close_loop
@@ -149,7 +150,7 @@ def main() -> None:
         )  # fmt: skip
         print(close_loop.summary(data))
 
-    cleanly(work)
+    run_command(work)
 
 
 if __name__ == "__main__":

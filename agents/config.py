@@ -7,7 +7,7 @@ HydraulicSync-v0:              # RL-Zoo's keys: n_envs, n_timesteps, policy, env
   policy_kwargs: dict(net_arch=[64, 64], activation_fn=nn.Tanh)
 training:                      # what RL-Zoo has no key for
   algorithm: ppo
-  view: {kind: valves}
+  view: {kind: plan}
 """
 
 from __future__ import annotations

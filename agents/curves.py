@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from agents.checkpoint import write_whole
+from agents.command import run_command
 from agents.config import read_config
-from agents.train import cleanly
 from hydro_env.errors import InputError
 
 __all__ = ["draw", "read_curves"]
@@ -91,7 +91,7 @@ def main() -> None:
         scores = roll_out(make_controller("probing_flow"), range(128), mismatch="val").metrics(METRICS)
         draw(curves, {"the law alone": float(iqm(scores[METRICS[0]]))}, chosen.out)
 
-    cleanly(run)
+    run_command(run)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,11 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 from agents.checkpoint import write_whole
+from agents.command import run_command
+from agents.config import read_config
 from hydro_env.controllers.learned.policy import SCHEMA, read_policy
+from hydro_env.controllers.learned.policy_interface import make_view
+from hydro_env.errors import InputError
 
 __all__ = ["export_onnx", "export_policy", "policy_arrays"]
 
@@ -101,11 +105,6 @@ def export_onnx(policy: str | Path, path: str | Path) -> None:
 
 
 def main() -> None:
-    from agents.config import read_config
-    from agents.train import cleanly
-    from hydro_env.controllers.learned.policy_interface import make_view
-    from hydro_env.errors import InputError
-
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "model", type=Path, help="a model saved by Stable-Baselines3 (.zip), or a policy file (.npz)"
@@ -138,7 +137,7 @@ def main() -> None:
         export_policy(model, arguments.out, view.settings(), about)
         print(f"wrote {arguments.out}")
 
-    cleanly(run)
+    run_command(run)
 
 
 if __name__ == "__main__":

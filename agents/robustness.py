@@ -19,7 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 from agents.checkpoint import write_whole
-from agents.train import cleanly
+from agents.command import run_command
 from hydro_env.benchmark.statistics import iqm
 from hydro_env.controllers import make_controller
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
@@ -159,7 +159,7 @@ def main() -> None:
         write_whole(chosen.out / "robustness.md", as_table(rows).encode())
         print(as_table(rows))
 
-    cleanly(run)
+    run_command(run)
 
 
 if __name__ == "__main__":

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from agents.command import run_command
 from agents.config import ENV_ID, read_config
-from agents.train import cleanly, train
+from agents.train import train
 from hydro_env.errors import InputError
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ def main() -> None:
         for key, value in study.best_params.items():
             print(f"  {key} {value:.4g}")
 
-    cleanly(run)
+    run_command(run)
 
 
 if __name__ == "__main__":

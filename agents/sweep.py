@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 
 from agents import checkpoint
+from agents.command import run_command
 from agents.config import Config, read_config
 from agents.evaluate import METRICS
-from agents.train import cleanly, make_model, train
+from agents.train import make_model, train
 from hydro_env.benchmark.statistics import bootstrap_interval, iqm
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.rollout import roll_out
@@ -187,7 +188,7 @@ def main() -> None:
         if summary["failed"]:
             raise SystemExit(1)
 
-    cleanly(work)
+    run_command(work)
 
 
 if __name__ == "__main__":

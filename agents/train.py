@@ -30,6 +30,7 @@ from stable_baselines3.common.logger import configure
 from tqdm import tqdm
 
 from agents import checkpoint
+from agents.command import run_command
 from agents.config import Config, read_config
 from agents.evaluate import evaluate
 from agents.export import export_policy
@@ -225,18 +226,6 @@ def train(
     return progress
 
 
-def cleanly(work: Callable[[], None]) -> None:
-    """Runs a command: bad input ends it with one line and status 2, Ctrl-C with 130."""
-    try:
-        work()
-    except InputError as problem:
-        print(f"error: {problem}", file=sys.stderr)
-        raise SystemExit(2) from None
-    except KeyboardInterrupt:
-        print("stopped; --resume goes on from the last checkpoint", file=sys.stderr)
-        raise SystemExit(130) from None
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m agents.train", description=__doc__)
     parser.add_argument("--config", type=Path, required=True, help="training file, see configs/")
@@ -258,7 +247,7 @@ def main() -> None:
             f"tracking error {last['tracking_mae_rpm']:.1f} rpm; {arguments.out / 'policy.npz'}"
         )
 
-    cleanly(run)
+    run_command(run)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import trim_mean
 
 from hydro_env.controllers.learned.policy import SCHEMA, NumpyPolicy, read_policy
-from hydro_env.controllers.learned.policy_interface import FramesView, ValveView, make_view
+from hydro_env.controllers.learned.policy_interface import FramesView, make_view
 from hydro_env.controllers.mpc.flow_controller import FlowView
 from hydro_env.controllers.mpc.planning_controller import PlanningView
 from hydro_env.controllers.registry import make_controller
@@ -53,7 +53,6 @@ def drive(policy, num_rigs, seeds, steps=60):
     "view",
     [
         {"kind": "frames", "frames": 2},
-        {"kind": "valves", "pull": 1.0, "couple": 1.0},
         {"kind": "flow"},
         {"kind": "plan"},
     ],
@@ -67,14 +66,13 @@ def test_a_row_of_a_batch_is_that_rig_alone(tmp_path, view):
 
 
 def test_reset_forgets_everything(tmp_path):
-    policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays({"kind": "valves"})))
+    policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays({"kind": "flow"})))
     np.testing.assert_array_equal(drive(policy, 2, [1, 2]), drive(policy, 2, [1, 2]))
 
 
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: ValveView(pull=1.0, couple=1.0, calm=0.1),
         lambda: FlowView(),
         lambda: PlanningView(),
         lambda: FramesView(3),
@@ -104,9 +102,7 @@ def test_restarting_rows_equals_starting_them(make):
         np.testing.assert_array_equal(seen[rows : 2 * rows], fresh.see(observations[n][[1]]))
 
 
-@pytest.mark.parametrize(
-    "make", [lambda: ValveView(pull=1.0, couple=1.0), lambda: FlowView(), lambda: PlanningView()]
-)
+@pytest.mark.parametrize("make", [lambda: FlowView(), lambda: PlanningView()])
 def test_views_treat_both_channels_alike(make):
     stream = np.random.default_rng(1)
     observations = stream.normal(0.0, 0.3, (5, 4, 9)).astype(np.float32)
@@ -150,19 +146,6 @@ def test_flow_view_knows_the_valves_before_the_first_step():
     assert np.std(view.valves.gain - gain) < 0.3 * np.std(guess[1])
 
 
-def test_valve_view_finds_the_valves():
-    """Edge and gain estimated while driving come far closer to the plant's own than the guess at the start."""
-    env, observation, edge, gain = rigs_and_truth()
-    view = ValveView(pull=1.2, couple=1.0)
-    view.start(observation, 0.01)
-    guess = view.edge[..., 0] - edge, view.gain[..., 0] - gain
-    for _ in range(190):
-        observation, *_ = env.step(view.command(np.zeros((2 * len(edge), 2))))
-        view.see(observation)
-    assert np.std(view.edge[..., 0] - edge) < 0.4 * np.std(guess[0])
-    assert np.std(view.gain[..., 0] - gain) < 0.6 * np.std(guess[1])
-
-
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -177,8 +160,8 @@ def test_valve_view_finds_the_valves():
         ({"metadata": np.array({"schema": SCHEMA}, dtype=object)}, "plain arrays"),
         ({"w0": np.zeros((16, 11), np.float32)}, "its view wants 9 and 2"),
         ({"activation": "sine"}, "activation 'sine' is unknown"),
-        ({"view": {"kind": "valves", "speed": 1}}, "'speed' is unknown"),
-        ({"view": {"kind": "valves", "frames": "many"}}, "frames 'many'"),
+        ({"view": {"kind": "flow", "speed": 1}}, "'speed' is unknown"),
+        ({"view": {"kind": "frames", "frames": "many"}}, "frames 'many'"),
         ({"view": 3}, "view"),
     ],
 )

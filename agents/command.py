@@ -1,0 +1,22 @@
+"""How every command of this folder ends: bad input in one line and status 2, Ctrl-C with status 130."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+from hydro_env.errors import InputError
+
+__all__ = ["run_command"]
+
+
+def run_command(work: Callable[[], None]) -> None:
+    """Runs the work of a command line."""
+    try:
+        work()
+    except InputError as problem:
+        print(f"error: {problem}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        print("stopped; --resume goes on from the last checkpoint", file=sys.stderr)
+        raise SystemExit(130) from None
