@@ -340,7 +340,11 @@ def test_third_party_controllers(tmp_path):
         "    def reset(self, num_rigs, control_period): pass\n"
         "    def act(self, observation): return np.full((len(observation), 2), 0.2)\n"
     )
-    got = run(None, controllers=[f"{file}:Mine", "hydro_env.controllers.classical.adaptive_flow:AdaptiveFlow"][:1], **SMALL)
+    got = run(
+        None,
+        controllers=[f"{file}:Mine", "hydro_env.controllers.classical.adaptive_flow:AdaptiveFlow"][:1],
+        **SMALL,
+    )
     assert got["controllers"] == ["Mine"] and not got["failed"] and got["rows"]
 
 

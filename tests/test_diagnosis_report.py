@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hydro_env.diagnosis.report.page.page import left_over, report_page, sentence, terminal_text
 
-from hydro_env.diagnosis.report.page import wording as words
+from hydro_env.diagnosis.report import wording as words
+from hydro_env.diagnosis.report.page import left_over, report_page, sentence, terminal_text
 from hydro_env.diagnosis.workflow import Diagnosis, diagnose
 from hydro_env.plant import CATALOGUE, load_model
 
