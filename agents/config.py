@@ -13,7 +13,6 @@ training:                      # what RL-Zoo has no key for
 from __future__ import annotations
 
 import ast
-import difflib
 import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
@@ -26,7 +25,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 from hydro_env.controllers.learned.policy_interface import make_view
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, suggestion
 from hydro_env.tasks.scenarios import SCENARIOS
 
 __all__ = ["ALGORITHMS", "ENV_ID", "Config", "Training", "read_config"]
@@ -133,9 +132,7 @@ def read_config(path: str | Path) -> Config:
 def _known(where: str, key: object, known: Iterable[str]) -> None:
     names = list(known)
     if key not in names:
-        near = difflib.get_close_matches(str(key), names, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(names)}"
-        raise InputError(f"{where}: unknown key {key!r}: {hint}")
+        raise InputError(f"{where}: unknown key {key!r}: {suggestion(key, names)}")
 
 
 def _whole(where: str, key: str, value: Any) -> int:

@@ -1,8 +1,14 @@
-"""The one error that users' input can cause."""
+"""The one error that users' input can cause, and what it says of a name that nobody knows."""
 
 from __future__ import annotations
 
-__all__ = ["InputError"]
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+__all__ = ["InputError", "nearest", "suggestion"]
+
+#: Similarity (`difflib.SequenceMatcher.ratio`) from which on a name counts as a misspelling of another.
+SIMILAR = 0.5
 
 
 class InputError(ValueError):
@@ -10,3 +16,17 @@ class InputError(ValueError):
 
     The command line prints it as `error: ...` and exits with status 2.
     """
+
+
+def nearest(word: object, known: Iterable[str]) -> str | None:
+    """The known name that `word` is most like, upper and lower case alike; None where none is like it."""
+    folded = {name.lower(): name for name in known}
+    near = get_close_matches(str(word).lower(), folded, n=1, cutoff=SIMILAR)
+    return folded[near[0]] if near else None
+
+
+def suggestion(word: object, known: Iterable[str]) -> str:
+    """What an error says of an unknown name: "did you mean 'x'?", or "known are a, b" where no known one is like it."""
+    names = list(known)
+    near = nearest(word, names)
+    return f"did you mean {near!r}?" if near else f"known are {', '.join(names)}"

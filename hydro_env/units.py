@@ -7,12 +7,11 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from dataclasses import dataclass
 from typing import Any
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, suggestion
 
 RPM = 2.0 * math.pi / 60.0  # rad/s
 DEGREE = math.pi / 180.0  # rad
@@ -121,9 +120,7 @@ def unit(name: str) -> Unit:
     same = [known for known in UNITS if known.lower().replace(" ", "") == folded]
     if len(same) == 1 and name[:2] != "mP":
         return UNITS[same[0]]
-    near = difflib.get_close_matches(name, list(UNITS), n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    raise InputError(f"unknown unit {name!r}; {hint}known units: {', '.join(UNITS)}")
+    raise InputError(f"unknown unit {name!r}; {suggestion(name, UNITS)} (of {', '.join(UNITS)})")
 
 
 def to_si(value: Any, name: str) -> Any:

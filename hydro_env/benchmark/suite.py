@@ -4,27 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, suggestion
 from hydro_env.plant.model import read_yaml
 
-__all__ = ["Suite", "load_suite", "nearest"]
+__all__ = ["Suite", "load_suite"]
 
 KEYS = ("splits", "scenarios", "metrics")
-
-
-def nearest(word: object, known: Iterable[str]) -> str:
-    """What an error line says of a name nobody knows."""
-    names = list(known)
-    near = get_close_matches(str(word), names, n=1, cutoff=0.4)
-    meant = f"did you mean {near[0]!r}? " if near else ""
-    return f"{meant}There are {', '.join(names)}"
 
 
 @dataclass(frozen=True)
@@ -69,7 +60,7 @@ def load_suite(
         return _checked(str(spec), own[str(spec)], known, "suite.yaml")
     path = Path(spec)
     if path.suffix not in (".yaml", ".yml"):
-        raise InputError(f"unknown suite {str(spec)!r}: {nearest(spec, own)}, or the path of a .yaml file")
+        raise InputError(f"unknown suite {str(spec)!r}: {suggestion(spec, own)}, or the path of a .yaml file")
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -86,7 +77,7 @@ def check_suite(suite: Suite, known: Mapping[str, Iterable[str]], where: str) ->
         names = list(getattr(suite, key))
         for name in names:
             if name not in known[key]:
-                raise InputError(f"{where}: unknown {key[:-1]} {name!r}: {nearest(name, known[key])}")
+                raise InputError(f"{where}: unknown {key[:-1]} {name!r}: {suggestion(name, known[key])}")
             if names.count(name) > 1:
                 raise InputError(f"{where}: {key[:-1]} {name!r} is named more than once")
     for split, cases in suite.splits.items():
@@ -100,7 +91,7 @@ def _checked(name: str, table: Any, known: dict[str, list[str]], where: str) -> 
         raise InputError(f"{where}: must be a table with the keys {', '.join(KEYS)}")
     for key in table:
         if key not in KEYS:
-            raise InputError(f"{where}: unknown key {key!r}: {nearest(key, KEYS)}")
+            raise InputError(f"{where}: unknown key {key!r}: {suggestion(key, KEYS)}")
     for key, kind, what in (
         ("splits", dict, "a table of cases per split"),
         ("scenarios", list, "a list"),

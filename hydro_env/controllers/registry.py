@@ -7,7 +7,6 @@ import importlib.util
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -27,7 +26,7 @@ from hydro_env.controllers.mpc.bench_flow import BenchFlow
 from hydro_env.controllers.mpc.oracle import Oracle
 from hydro_env.controllers.mpc.probing_flow import ProbingFlow
 from hydro_env.controllers.tuning.gains import read_gains
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, suggestion
 
 __all__ = ["CONTROLLERS", "LAWS", "Entry", "make_controller"]
 
@@ -127,12 +126,10 @@ def make_controller(spec: Any, **overrides: Any) -> Any:
     elif ":" in text:
         return _from_python(text, overrides)
     else:
-        near = get_close_matches(text, CONTROLLERS, n=1, cutoff=0.4)
-        meant = f"did you mean {near[0]!r}? " if near else ""
         if text.endswith(".py"):
-            meant = f"name its class too, as in {text}:MyController. "
-        others = "or a .json gains file, a .npz policy, module:Class or file.py:Class"
-        raise InputError(f"unknown controller {text!r}: {meant}There are {', '.join(CONTROLLERS)}, {others}")
+            raise InputError(f"controller {text!r}: name its class too, as in {text}:MyController")
+        others = "a .json gains file, a .npz policy, module:Class and file.py:Class will do too"
+        raise InputError(f"unknown controller {text!r}: {suggestion(text, CONTROLLERS)}; {others}")
     if overrides:
         if not isinstance(controller, Controller):
             raise InputError(f"controller {text!r}: has no gains that could be changed")
@@ -155,10 +152,8 @@ def _overrides(text: str) -> dict[str, float]:
 def _from_gains(path: Path, name: str) -> Controller:
     found = read_gains(path)
     if found.controller not in LAWS:
-        near = get_close_matches(found.controller, LAWS, n=1)
-        meant = f"; did you mean {near[0]!r}?" if near else ""
         raise InputError(
-            f"{path}: unknown control law {found.controller!r}{meant} There are {', '.join(LAWS)}"
+            f"{path}: unknown control law {found.controller!r}: {suggestion(found.controller, LAWS)}"
         )
     try:
         controller = LAWS[found.controller](found.name or name, **found.gains)
@@ -183,9 +178,7 @@ def _from_python(text: str, overrides: dict[str, Any]) -> Any:
     made = getattr(module, attribute, None)
     if made is None:
         names = [name for name, value in vars(module).items() if isinstance(value, type)]
-        near = get_close_matches(attribute, names, n=1)
-        meant = f"; did you mean {near[0]!r}?" if near else ""
-        raise InputError(f"{where}: has no {attribute!r}{meant}")
+        raise InputError(f"{where}: has no {attribute!r}: {suggestion(attribute, names)}")
     try:
         controller = made(**overrides) if callable(made) else made
     except InputError:

@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InputError
+from ..errors import InputError, suggestion
 from ..plant import Plant, PlantModel, load_model
 from ..plant.plant import machine_memory
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, load_mismatch, own_values
@@ -156,7 +156,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         options = dict(options or {})
         for key in options:
             if key not in OPTIONS:
-                raise InputError(f"reset: unknown option {key!r}: known are {', '.join(OPTIONS)}")
+                raise InputError(f"reset: unknown option {key!r}: {suggestion(key, OPTIONS)}")
         if "scenario" in options:
             options["scenario"] = load_scenario(options["scenario"])
         if "mismatch" in options:

@@ -9,19 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, suggestion
+from ..units import BAR, RPM
 
 __all__ = ["LIMIT", "NOISE", "OBSERVATION", "SCALES", "Measurements", "decode", "noise_levels"]
 
 Floats = NDArray[np.float64]
-
-_RPM = 2.0 * pi / 60.0
-_BAR = 1e5
 
 #: Signals of a frame, in order.
 OBSERVATION = (
@@ -30,7 +27,7 @@ OBSERVATION = (
 FRAME = len(OBSERVATION)
 
 #: What 1.0 stands for: 600 rpm, in rad/s; the rated current, A; 10 bar, in Pa; the rated command.
-SCALES: Floats = np.array([600 * _RPM] * 3 + [0.73] * 2 + [10 * _BAR] * 2 + [1.0] * 2)
+SCALES: Floats = np.array([600 * RPM] * 3 + [0.73] * 2 + [10 * BAR] * 2 + [1.0] * 2)
 SCALES.setflags(write=False)
 
 #: Scaled signals are clipped to +-LIMIT: 6000 rpm, 7.3 A, 100 bar, far beyond what the rig does.
@@ -78,12 +75,12 @@ def noise_levels(noise: float | Mapping[str, float]) -> Floats:
     if isinstance(noise, Mapping):
         for key, value in noise.items():
             if key not in levels:
-                raise InputError(f"noise: unknown key {key!r}: known are {', '.join(levels)}")
+                raise InputError(f"noise: unknown key {key!r}: {suggestion(key, levels)}")
             levels[key] = _level(key, value)
     else:
         factor = _level("factor", noise)
         levels = {key: factor * value for key, value in levels.items()}
-    speed, current, pressure = levels["speed_rpm"] * _RPM, levels["current_A"], levels["pressure_bar"] * _BAR
+    speed, current, pressure = levels["speed_rpm"] * RPM, levels["current_A"], levels["pressure_bar"] * BAR
     return np.array([speed, speed, current, current, pressure, pressure]) / SCALES[1:7]
 
 

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, suggestion
 
 __all__ = ["Reward", "load_reward"]
 
@@ -47,7 +47,7 @@ def load_reward(source: Mapping[str, float] | Reward | None) -> Reward:
     known = [each.name for each in fields(Reward)]
     for key, value in source.items():
         if key not in known:
-            raise InputError(f"reward: unknown weight {key!r}: known are {', '.join(known)}")
+            raise InputError(f"reward: unknown weight {key!r}: {suggestion(key, known)}")
         if not isinstance(value, (int, float)) or not 0.0 <= value < np.inf:
             raise InputError(f"reward: {key} is {value!r}, expected a number of at least 0")
     return Reward(**{**asdict(Reward()), **{key: float(value) for key, value in source.items()}})

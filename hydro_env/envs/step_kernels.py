@@ -6,9 +6,10 @@ so that a row of a batch is bit for bit the same as that row alone.
 
 from __future__ import annotations
 
-from math import isfinite, pi
+from math import isfinite
 
 from ..jit import compiled
+from ..units import DEGREE, RPM
 
 __all__ = ["COLUMNS", "SIGNALS", "apply", "look"]
 
@@ -28,8 +29,8 @@ COLUMNS: dict[str, slice | int] = {
 }
 TRUE = 10
 
-_TO_RPM = 60.0 / (2.0 * pi)
-_TO_DEG = 180.0 / pi
+_TO_RPM = 1.0 / RPM
+_TO_DEG = 1.0 / DEGREE
 
 
 @compiled

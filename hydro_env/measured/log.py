@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, nearest, suggestion
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.formats import BINARY, read_binary
 from hydro_env.measured.gate import Spoilt, after_gaps, check_clock, check_log, check_units
@@ -27,7 +27,7 @@ from hydro_env.measured.mapping import (
     load_mapping,
 )
 from hydro_env.measured.samples import MEASURED
-from hydro_env.measured.table import CsvStyle, Table, digest, nearest, read_csv
+from hydro_env.measured.table import CsvStyle, Table, digest, read_csv
 from hydro_env.units import from_si
 
 __all__ = ["RigLog", "read_log", "write_log"]
@@ -179,9 +179,8 @@ def read_log(path: str | Path, mapping: Mapping | str | Path | None = None) -> R
         chosen.append(mapping or contract_mapping(names, path))
         for column in chosen[0].columns():
             if column not in names:
-                hint = nearest(column, names) or f"; found: {', '.join(names[:8])}"
                 raise InputError(
-                    f"{path}: column {column!r} that the mapping names is not in the header{hint}"
+                    f"{path}: column {column!r} that the mapping names is not in the header; {suggestion(column, names)}"
                 )
         return chosen[0].columns()
 
@@ -245,7 +244,8 @@ def _from_table(table: Table, mapping: Mapping, native: bool) -> RigLog:
         known = set(contract_columns())
         for name in table.names:
             if name and name not in known:
-                hint = nearest(name, known)
+                near = nearest(name, known)
+                hint = f"; is {near!r} meant?" if near else ""
                 findings.append(
                     Finding(
                         "unknown_column", f"column {name!r} is not understood and ignored{hint}", column=name

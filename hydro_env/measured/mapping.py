@@ -22,7 +22,6 @@ its displacement in m2; everything else is the same. A channel that is not named
 
 from __future__ import annotations
 
-import difflib
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -30,7 +29,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, nearest, suggestion
 from hydro_env.units import to_si, unit
 
 __all__ = [
@@ -297,9 +296,7 @@ def _explain(error: ValidationError) -> str:
     where = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         known = _keys(first["loc"][:-1])
-        near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]!r}?" if near else f"known here: {', '.join(known)}"
-        return f"unknown key {where!r}; {hint}"
+        return f"unknown key {where!r}; {suggestion(first['loc'][-1], known)}"
     if first["type"] == "missing":
         return f"key {where!r} is missing; it is required here"
     message = first["msg"].removeprefix("Value error, ")
@@ -357,8 +354,8 @@ def contract_mapping(names: tuple[str, ...], path: Path) -> Mapping:
 
 def _missing(path: Path, column: str, names: tuple[str, ...]) -> InputError:
     known = set(contract_columns())
-    near = difflib.get_close_matches(column, [name for name in names if name not in known], n=1, cutoff=0.6)
-    hint = f"rename {near[0]!r}, or " if near else ""
+    near = nearest(column, (name for name in names if name not in known))
+    hint = f"rename {near!r}, or " if near else ""
     shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
     return InputError(
         f"{path}: row 1: required column {column!r} is missing (found: {shown}); "

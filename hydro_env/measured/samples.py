@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
 from hydro_env.measured.finding import Finding
+from hydro_env.units import BAR, LPM, MILLIMETRE, RPM
 
 if TYPE_CHECKING:
     from hydro_env.measured.log import RigLog
@@ -210,8 +211,8 @@ def _is_noisy(values: np.ndarray) -> bool:
 
 def _cell(value: float, place: dict[str, Any]) -> str:
     sizes = {
-        "speed": (np.pi / 30.0, "rpm"), "pressure": (1e5, "bar"), "current": (1.0, "A"), "command": (1.0, "V"),
-        "spool": (1e-3, "mm"), "flow": (1e-3 / 60.0, "l/min"),
+        "speed": (RPM, "rpm"), "pressure": (BAR, "bar"), "current": (1.0, "A"), "command": (1.0, "V"),
+        "spool": (MILLIMETRE, "mm"), "flow": (LPM, "l/min"),
     }  # fmt: skip
     size, unit = sizes.get(place["signal"], (1.0, "in SI"))
     return f"{value / size:.4g} {unit}"
@@ -320,7 +321,7 @@ def _disturbed(
     worst = int(np.argmax(np.where(wide, size, 0.0)))
     rate = float(turns[worst]) / (2.0 * _BURST_S)
     linear = log.kinds[channel] == "cylinder"
-    shown = f"{size[worst] / 1e-3:.3g} mm/s" if linear else f"{size[worst] / (np.pi / 30.0):.3g} rpm"
+    shown = f"{size[worst] / MILLIMETRE:.3g} mm/s" if linear else f"{size[worst] / RPM:.3g} rpm"
     message = (
         f"{place['column']!r} shakes at about {rate:.0f} Hz from {log.time_s[first]:.4g} to {log.time_s[last]:.4g} s "
         f"(rows {rows[first]} to {rows[last]}; up to {shown} RMS, {size[worst] / usual:.0f} times its usual noise) while "

@@ -7,7 +7,6 @@ delimiters and decimal commas are recognised. The binary formats are in `hydro_e
 from __future__ import annotations
 
 import csv
-import difflib
 import gzip
 import hashlib
 import itertools
@@ -15,7 +14,7 @@ import math
 import re
 import zlib
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,7 +26,7 @@ from hydro_env.errors import InputError
 from hydro_env.measured.finding import Finding
 from hydro_env.units import unit
 
-__all__ = ["CsvStyle", "Table", "digest", "nearest", "read_csv"]
+__all__ = ["CsvStyle", "Table", "digest", "read_csv"]
 
 _CHUNK = 50_000  # rows parsed at a time; bounds the memory taken by text
 _SI_SUFFIX = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
@@ -74,13 +73,6 @@ def digest(path: Path) -> str:
         while block := file.read(1 << 20):
             total.update(block)
     return total.hexdigest()
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """`"; did you mean 'x'?"` for the known name most like `name`, or nothing."""
-    folded = {candidate.lower(): candidate for candidate in known}
-    near = difflib.get_close_matches(name.lower(), list(folded), n=1, cutoff=0.5)
-    return f"; did you mean {folded[near[0]]!r}?" if near else ""
 
 
 def read_csv(

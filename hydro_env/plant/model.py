@@ -24,9 +24,8 @@ Values are SI. Anything unknown is refused with a line that names the file and t
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import resources
@@ -35,7 +34,7 @@ from typing import Any
 
 import yaml
 
-from ..errors import InputError
+from ..errors import InputError, suggestion
 from ..files import write_text
 from .catalogue import CATALOGUE
 from .parameters import PARAMETERS, Parameter
@@ -58,24 +57,18 @@ VALVE_PORTS = ("coil", "force", "opening")
 _SIDES = {"channel_1": (0,), "channel_2": (1,), "both": (0, 1), "rig": (0, 1)}
 
 
-def _nearest(word: object, known: Iterable[str]) -> str:
-    names = sorted(known)
-    close = difflib.get_close_matches(str(word), names, n=1)
-    return f"did you mean {close[0]!r}?" if close else f"known are {', '.join(names)}"
-
-
 def parameter_of(name: str) -> Parameter:
     """The description of "Kq" or "dead_zone.overlap_positive". InputError for an unknown name."""
     if "." in name:
         effect, own = name.split(".", 1)
         if effect not in CATALOGUE:
-            raise InputError(f"unknown effect {effect!r}: {_nearest(effect, CATALOGUE)}")
+            raise InputError(f"unknown effect {effect!r}: {suggestion(effect, CATALOGUE)}")
         known = {p.name: p for p in CATALOGUE[effect].parameters}
         if own not in known:
-            raise InputError(f"effect {effect!r} has no parameter {own!r}: {_nearest(own, known)}")
+            raise InputError(f"effect {effect!r} has no parameter {own!r}: {suggestion(own, known)}")
         return known[own]
     if name not in PARAMETERS:
-        raise InputError(f"unknown parameter {name!r}: {_nearest(name, PARAMETERS)}")
+        raise InputError(f"unknown parameter {name!r}: {suggestion(name, PARAMETERS)}")
     return PARAMETERS[name]
 
 
@@ -109,7 +102,7 @@ class PlantModel:
             clean[name] = (first, second)
         for name in self.declared:
             if name not in CATALOGUE:
-                raise InputError(f"model {self.name!r}: unknown effect {name!r}: {_nearest(name, CATALOGUE)}")
+                raise InputError(f"model {self.name!r}: unknown effect {name!r}: {suggestion(name, CATALOGUE)}")
         named = {n.split(".", 1)[0] for n in clean if "." in n} | set(self.declared)
         object.__setattr__(self, "values", clean)
         object.__setattr__(self, "declared", tuple(n for n in CATALOGUE if n in named))
@@ -243,7 +236,7 @@ def _from_dict(data: object, where: str) -> PlantModel:
     known = {"schema", "name", "base", "substep", "both", "channel_1", "channel_2", "effects", "sources"}
     for key in data:
         if key not in known:
-            raise InputError(f"{where}: unknown key {key!r}: {_nearest(key, known)}")
+            raise InputError(f"{where}: unknown key {key!r}: {suggestion(key, known)}")
     if data.get("schema") != SCHEMA:
         raise InputError(f"{where}: schema is {data.get('schema')!r}, expected {SCHEMA!r}")
     base = load_model(data["base"]) if "base" in data else PlantModel()
@@ -259,22 +252,22 @@ def _from_dict(data: object, where: str) -> PlantModel:
             if name == "valve":
                 continue
             if name not in PARAMETERS:
-                raise InputError(f"{where}: {side}: unknown parameter {name!r}: {_nearest(name, PARAMETERS)}")
+                raise InputError(f"{where}: {side}: unknown parameter {name!r}: {suggestion(name, PARAMETERS)}")
             for channel in _SIDES[side]:
                 pair = values.setdefault(name, [PARAMETERS[name].nominal] * 2)
                 pair[channel] = _number(value, f"{where}: {side}.{name}")
     for name, sides in _mapping(data.get("effects", {}), f"{where}: effects").items():
         if name not in CATALOGUE:
-            raise InputError(f"{where}: effects: unknown effect {name!r}: {_nearest(name, CATALOGUE)}")
+            raise InputError(f"{where}: effects: unknown effect {name!r}: {suggestion(name, CATALOGUE)}")
         declared.append(name)
         for side, parameters in _mapping(sides, f"{where}: effects.{name}").items():
             if side not in _SIDES:
-                raise InputError(f"{where}: effects.{name}: unknown key {side!r}: {_nearest(side, _SIDES)}")
+                raise InputError(f"{where}: effects.{name}: unknown key {side!r}: {suggestion(side, _SIDES)}")
             known_parameters = {p.name: p for p in CATALOGUE[name].parameters}
             for own, value in _mapping(parameters, f"{where}: effects.{name}.{side}").items():
                 at = f"{where}: effects.{name}.{side}"
                 if own not in known_parameters:
-                    raise InputError(f"{at}: unknown parameter {own!r}: {_nearest(own, known_parameters)}")
+                    raise InputError(f"{at}: unknown parameter {own!r}: {suggestion(own, known_parameters)}")
                 for channel in _SIDES[side]:
                     pair = values.setdefault(f"{name}.{own}", [known_parameters[own].nominal] * 2)
                     pair[channel] = _number(value, f"{at}.{own}")
@@ -429,4 +422,4 @@ def _data(source: str | Path | Mapping[str, Any]) -> tuple[Any, str]:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
         except UnicodeDecodeError:
             raise InputError(f"{path}: not a text file; a model is YAML") from None
-    raise InputError(f"unknown plant {text!r}: no such file, and {_nearest(text, preset_names())}")
+    raise InputError(f"unknown plant {text!r}: no such file, and {suggestion(text, preset_names())}")

@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf, pi
 
+from hydro_env.units import BAR, RPM
+
 __all__ = ["PARAMETERS", "Parameter"]
 
 
@@ -56,7 +58,7 @@ _ROWS = (
     Parameter(
         "B",
         "N m s/rad",
-        0.00045 * 60 / (2 * pi),
+        0.00045 / RPM,
         0.0,
         0.02,
         "paper, Table I: 0.00045 N m/rpm",
@@ -66,9 +68,9 @@ _ROWS = (
     Parameter(
         "Km",
         "m3/(s Pa)",
-        15.92e-6 / 1e5,
-        15.92e-6 / 1e5 / 100,
-        15.92e-6 / 1e5 * 3,
+        15.92e-6 / BAR,
+        15.92e-6 / BAR / 100,
+        15.92e-6 / BAR * 3,
         "paper, Table I: 15.92 cm3/bar",
         "internal leakage of the motor; the paper leaves out the time unit. Read as cm3/(s bar): with it both published "
         "loops are stable and Ti nearly cancels the motor's pole, as a PID tuner does; read per minute the published gains "

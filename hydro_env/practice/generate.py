@@ -19,7 +19,6 @@ Commands change every 10 ms (the control period of the rig); the log is faster. 
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import io
 import json
@@ -32,10 +31,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, suggestion
 from ..files import write_text
 from ..plant import BUILT_IN, CATALOGUE, PARAMETERS, Effect, Parameter, Plant, PlantModel, load_model
 from ..units import BAR, LPM, MILLIMETRE, RPM
+from ..waveforms import triangle
 from .reference import ReferenceRig
 
 __all__ = [
@@ -131,12 +131,6 @@ class Practice:
 
 
 # --- what to hide -----------------------------------------------------------------------------------------------------
-def _nearest(word: str, known: Iterable[str]) -> str:
-    names = sorted(known)
-    close = difflib.get_close_matches(word, names, n=1)
-    return f"did you mean {close[0]!r}?" if close else f"known are {', '.join(names)}"
-
-
 def parse_effects(words: Iterable[str]) -> dict[str, str]:
     """`["dead_zone:1", "supply_droop"]` -> `{"dead_zone": "1", "supply_droop": "rig"}`.
 
@@ -146,7 +140,7 @@ def parse_effects(words: Iterable[str]) -> dict[str, str]:
     for word in words:
         name, _, channel = word.partition(":")
         if name not in CATALOGUE:
-            raise InputError(f"unknown effect {name!r}: {_nearest(name, CATALOGUE)}")
+            raise InputError(f"unknown effect {name!r}: {suggestion(name, CATALOGUE)}")
         of_rig = CATALOGUE[name].scope == "rig"
         channel = channel or ("rig" if of_rig else "both")
         if of_rig and channel != "rig":
@@ -231,7 +225,7 @@ def _check_values(values: Mapping[str, float], effects: Mapping[str, str]) -> No
             )
         known = {p.name: p for p in CATALOGUE[name].parameters}
         if own not in known:
-            raise InputError(f"{key}: effect {name!r} has no parameter {own!r}: {_nearest(own, known)}")
+            raise InputError(f"{key}: effect {name!r} has no parameter {own!r}: {suggestion(own, known)}")
         p = known[own]
         if value != p.nominal and not p.low <= value <= p.high:
             raise InputError(
@@ -284,8 +278,7 @@ def _hold(levels: Iterable[float], dwell: float, period: float) -> Array:
 
 
 def _triangle(middle: float, amplitude: float, cycle: float, cycles: float, period: float) -> Array:
-    phase = np.arange(round(cycle * cycles / period)) * period / cycle
-    return middle + amplitude * (1.0 - np.abs((4.0 * phase + 3.0) % 4.0 - 2.0))
+    return middle - amplitude * triangle(np.arange(round(cycle * cycles / period)) * period / cycle)
 
 
 def _sweep(middle: float, amplitude: float, low: float, high: float, duration: float, period: float) -> Array:
@@ -557,10 +550,10 @@ def make_practice(
     _check_values(explicit, chosen)
     for name in record:
         if name not in RECORDABLE:
-            raise InputError(f"record: unknown signal {name!r}: {_nearest(name, RECORDABLE)}")
+            raise InputError(f"record: unknown signal {name!r}: {suggestion(name, RECORDABLE)}")
     for name in runs:
         if name not in _RUNS:
-            raise InputError(f"runs: unknown log {name!r}: {_nearest(name, _RUNS)}")
+            raise InputError(f"runs: unknown log {name!r}: {suggestion(name, _RUNS)}")
     if not 0.0 <= noise <= 100.0:
         raise InputError(
             f"noise is {noise:g}; a factor from 0 to 100 is right (1: as in the contract of the rig)"

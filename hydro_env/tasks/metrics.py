@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, suggestion
 
 __all__ = ["METRICS", "SETTLED_RPM", "SETTLED_S", "Metric", "Trace", "compute"]
 
@@ -144,5 +144,5 @@ def compute(trace: Trace, names: Iterable[str] | None = None) -> dict[str, Float
     chosen = list(METRICS if names is None else names)
     for name in chosen:
         if name not in METRICS:
-            raise InputError(f"unknown metric {name!r}: known are {', '.join(METRICS)}")
+            raise InputError(f"unknown metric {name!r}: {suggestion(name, METRICS)}")
     return {name: METRICS[name].of(trace) for name in chosen}

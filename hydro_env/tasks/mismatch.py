@@ -13,7 +13,6 @@ Parameters are those of the plant ("Kq", "dead_zone.overlap_positive", ...) and 
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -25,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, suggestion
 from ..plant import CATALOGUE, PARAMETERS, Parameter, PlantModel, parameter_of
 from ..plant.model import read_yaml
 
@@ -264,19 +263,13 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
             raise InputError(f"{path}: expected `parameter: value` lines")
         plain = data if "parameters" in data else {"parameters": data}
         return _read_split(path.stem, plain, str(path), SPLITS)
-    raise InputError(f"unknown mismatch {text!r}: {_nearest(text, named)}, or the path of a YAML file")
-
-
-def _nearest(word: object, known: Iterable[str]) -> str:
-    names = list(known)
-    close = difflib.get_close_matches(str(word), names, n=1)
-    return f"did you mean {close[0]!r}?" if close else f"known are {', '.join(names)}"
+    raise InputError(f"unknown mismatch {text!r}: {suggestion(text, named)}, or the path of a YAML file")
 
 
 def _check_keys(data: Mapping[Any, Any], known: Sequence[str], where: str) -> None:
     for key in data:
         if key not in known:
-            raise InputError(f"{where}: unknown key {key!r}: {_nearest(key, known)}")
+            raise InputError(f"{where}: unknown key {key!r}: {suggestion(key, known)}")
 
 
 def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[str, Mismatch]) -> Mismatch:
@@ -285,7 +278,7 @@ def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[
     outside: dict[str, Range] = {}
     if "outside" in data:
         if data["outside"] not in others:
-            hint = _nearest(data["outside"], others)
+            hint = suggestion(data["outside"], others)
             raise InputError(f"{where}: outside: unknown split {data['outside']!r}: {hint}")
         bounds = others[data["outside"]].ranges
         outside = {key: bounds[key] for key in bounds if key in ranges}
@@ -321,7 +314,7 @@ def _read_range(name: str, what: Any, where: str, before: Mapping[str, Range]) -
     if name not in SENSOR_PARAMETERS:
         if name.startswith("speed_sensor."):
             raise InputError(
-                f"{at}: the speed sensor has no such parameter: {_nearest(name, SENSOR_PARAMETERS)}"
+                f"{at}: the speed sensor has no such parameter: {suggestion(name, SENSOR_PARAMETERS)}"
             )
         try:
             parameter_of(name)

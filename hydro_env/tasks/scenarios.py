@@ -10,7 +10,6 @@ column per channel. A load acts against positive speed. Loads of the scenarios h
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,7 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InputError
+from ..errors import InputError, suggestion
+from ..units import RPM
 
 __all__ = ["NOMINAL_TORQUE", "SCENARIOS", "Reference", "Scenario", "load_scenario"]
 
@@ -31,8 +31,6 @@ Floats = NDArray[np.float64]
 #: paper's weaker valve V2 without dead zone, but only 0.8 N m for the weaker valve of the weakest twentieth of the
 #: pairs of `train`. So nearly all pairs can do what the scenarios ask.
 NOMINAL_TORQUE = 0.8
-
-_RPM = 2.0 * pi / 60.0
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ class Scenario:
     def reference(self, period: float, stream: np.random.Generator | None = None) -> Reference:
         """The course on the grid of a control period in s."""
         setpoint, load = self.course(_grid(self.steps(period), period), stream)
-        return Reference(np.asarray(setpoint, dtype=float) * _RPM, np.asarray(load, dtype=float))
+        return Reference(np.asarray(setpoint, dtype=float) * RPM, np.asarray(load, dtype=float))
 
 
 @lru_cache(maxsize=8)
@@ -201,9 +199,7 @@ def load_scenario(source: str | Mapping[str, Any] | Scenario) -> Scenario:
         return source
     if isinstance(source, str):
         if source not in SCENARIOS:
-            close = difflib.get_close_matches(source, SCENARIOS, n=1)
-            hint = f"did you mean {close[0]!r}?" if close else f"known are {', '.join(SCENARIOS)}"
-            raise InputError(f"unknown scenario {source!r}: {hint}")
+            raise InputError(f"unknown scenario {source!r}: {suggestion(source, SCENARIOS)}")
         return SCENARIOS[source]
     if not isinstance(source, Mapping):
         raise InputError(
@@ -212,7 +208,7 @@ def load_scenario(source: str | Mapping[str, Any] | Scenario) -> Scenario:
     known = ("name", "duration", "setpoint_rpm", "load_Nm")
     for key in source:
         if key not in known:
-            raise InputError(f"scenario: unknown key {key!r}: known are {', '.join(known)}")
+            raise InputError(f"scenario: unknown key {key!r}: {suggestion(key, known)}")
     try:
         duration = float(source["duration"])
     except (KeyError, TypeError, ValueError):

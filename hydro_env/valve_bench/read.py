@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, suggestion
 from hydro_env.measured.formats import BINARY, read_binary
-from hydro_env.measured.table import CsvStyle, Table, nearest, read_csv
+from hydro_env.measured.table import CsvStyle, Table, read_csv
 from hydro_env.units import Unit, to_si, unit
 from hydro_env.valve_bench.curve import Curve, Floats, branches_of
 
@@ -77,7 +77,7 @@ class _Choice:
         if name.isdigit() and 1 <= int(name) <= len(names):
             return names[int(name) - 1]
         raise InputError(
-            f"{self.path}: no column {name!r} for the {role}{nearest(name, names)}; there are {', '.join(names)}"
+            f"{self.path}: no column {name!r} for the {role}; {suggestion(name, names)}"
         )
 
 

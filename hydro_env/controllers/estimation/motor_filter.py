@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hydro_env.envs.observation import NOISE
 from hydro_env.jit import compiled
 from hydro_env.plant import PARAMETERS
-from hydro_env.units import RPM
+from hydro_env.units import BAR, RPM
 
 __all__ = ["MotorFilter"]
 
@@ -26,7 +26,7 @@ Rows = NDArray[Any] | slice
 INERTIA, DISPLACEMENT, FRICTION = (PARAMETERS[name].nominal for name in ("J", "D", "B"))
 READING = NOISE["speed_rpm"] * RPM
 """Standard deviation of a speed sensor, rad/s."""
-PUSH = DISPLACEMENT * NOISE["pressure_bar"] * 1e5
+PUSH = DISPLACEMENT * NOISE["pressure_bar"] * BAR
 """Standard deviation of the torque read from a pressure sensor, N m."""
 SUDDEN = 4.0
 """Standard deviations from which on a miss counts as a load that has jumped."""

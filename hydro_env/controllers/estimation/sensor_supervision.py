@@ -21,7 +21,7 @@ from hydro_env.envs.observation import NOISE as SENSOR_NOISE
 from hydro_env.envs.observation import Measurements
 from hydro_env.jit import compiled
 from hydro_env.plant import PARAMETERS
-from hydro_env.units import RPM
+from hydro_env.units import BAR, RPM
 
 __all__ = ["MOST_DELAY", "DelayEstimate", "SensorCheck"]
 
@@ -30,7 +30,7 @@ Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice
 
 NOMINAL = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
-SPEED_NOISE, PRESSURE_NOISE = SENSOR_NOISE["speed_rpm"] * RPM, SENSOR_NOISE["pressure_bar"] * 1e5
+SPEED_NOISE, PRESSURE_NOISE = SENSOR_NOISE["speed_rpm"] * RPM, SENSOR_NOISE["pressure_bar"] * BAR
 USUAL, USUAL_PRESSURE = 1.7, 1.4
 """Multiples of the usual noise up to which nothing is changed; estimates from three samples scatter so far, that of the
 pressures less as all four sensors tell of it."""

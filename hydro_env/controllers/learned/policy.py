@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.learned.policy_interface import View, make_view
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, suggestion
 
 __all__ = ["SCHEMA", "Network", "NumpyPolicy", "read_policy"]
 
@@ -103,7 +103,7 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
         raise InputError(f"{path}: 'metadata' should say schema {SCHEMA!r}")
     for key, known in (("activation", ACTIVATIONS), ("squash", SQUASHES)):
         if metadata.get(key) not in known:
-            raise InputError(f"{path}: {key} {metadata.get(key)!r} is unknown; known are {', '.join(known)}")
+            raise InputError(f"{path}: {key} {metadata.get(key)!r} is unknown: {suggestion(metadata.get(key), known)}")
     layers = _layers(path, arrays)
     return Network(layers, metadata["activation"], metadata["squash"]), metadata
 

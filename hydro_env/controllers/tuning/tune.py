@@ -21,7 +21,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import lru_cache
 from importlib.metadata import version
 from math import inf, log
@@ -36,7 +35,7 @@ from hydro_env.controllers.base import FRACTION_PER_V, RPM, Controller, Floats, 
 from hydro_env.controllers.registry import LAWS
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.controllers.tuning.gains import GainsFile, read_gains, write_gains
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, suggestion
 from hydro_env.files import output_folder
 from hydro_env.plant import load_model, simulate
 from hydro_env.tasks import load_scenario
@@ -126,9 +125,7 @@ def run_all(
     """
     for name in names or ():
         if name not in COMMON:
-            near = get_close_matches(name, COMMON, n=1)
-            meant = f"did you mean {near[0]!r}? " if near else ""
-            raise InputError(f"--only {name!r}: {meant}There are {', '.join(COMMON)}")
+            raise InputError(f"--only {name!r}: {suggestion(name, COMMON)}")
     return {name: _tuned(name, Path(out), seed, progress) for name in names or COMMON}
 
 

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from ...plant import Parameter, PlantModel
+from ...units import BAR, LPM, MILLIMETRE, RPM
 from ..input.parts import Part
 
 __all__ = ["BLOCK_S", "Machine", "Request", "UNITS", "Segment", "measured_segments"]
@@ -24,11 +25,11 @@ MAX_ROWS = 6000
 BLOCK_S = 0.1
 #: Signals that a machine may predict, with the unit they are shown in and its size in SI.
 UNITS = {
-    "speed": ("rpm", np.pi / 30.0),
+    "speed": ("rpm", RPM),
     "current": ("A", 1.0),
-    "pressure": ("bar", 1e5),
-    "spool": ("mm", 1e-3),
-    "flow": ("lpm", 1e-3 / 60.0),
+    "pressure": ("bar", BAR),
+    "spool": ("mm", MILLIMETRE),
+    "flow": ("lpm", LPM),
 }
 
 

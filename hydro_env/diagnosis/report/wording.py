@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...plant import PARAMETERS, PlantModel
+from ...units import BAR, DEGREE, LPM, MICROMETRE, MILLIAMPERE, MILLIMETRE, MILLISECOND, RPM
 
 __all__ = [
     "equation",
@@ -107,9 +108,10 @@ def listed(words: Sequence[str]) -> str:
 def unit_of(unit: str, size: float) -> tuple[str, float]:
     """The unit in which a value (SI, of magnitude `size`) reads best, and its size in SI."""
     for_unit = {
-        "m": ("mm", 1e-3) if size >= 1e-3 else ("um", 1e-6), "s": ("s", 1.0) if size >= 0.5 else ("ms", 1e-3),
-        "A": ("A", 1.0) if size >= 0.1 else ("mA", 1e-3), "Pa": ("bar", 1e5), "rad/s": ("rpm", math.pi / 30.0),
-        "m/s": ("mm/s", 1e-3), "rad": ("deg", math.pi / 180.0),
+        "m": ("mm", MILLIMETRE) if size >= 1e-3 else ("um", MICROMETRE),
+        "s": ("s", 1.0) if size >= 0.5 else ("ms", MILLISECOND),
+        "A": ("A", 1.0) if size >= 0.1 else ("mA", MILLIAMPERE), "Pa": ("bar", BAR), "rad/s": ("rpm", RPM),
+        "m/s": ("mm/s", MILLIMETRE), "rad": ("deg", DEGREE),
     }  # fmt: skip
     return for_unit.get(unit, ("" if unit == "1" else unit, 1.0))
 
@@ -145,7 +147,7 @@ def known(name: str, value: float, model: PlantModel) -> str:
         stroke = (
             model.value("alpha", c) * model.value("u_rated", c) / (model.value("R", c) * model.value("k", c))
         )
-        text += f" ({number(value * stroke * 6e4)} l/min at full command)"
+        text += f" ({number(value * stroke / LPM)} l/min at full command)"
     return text
 
 

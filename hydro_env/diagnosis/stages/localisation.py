@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
+from ...units import RPM
 from ..estimation.least_squares import Problem
 from ..estimation.noise import effective_samples, noise_floor
 from ..input.parts import Part
@@ -23,7 +24,6 @@ from ..models.base import Machine, Segment
 
 __all__ = ["Place", "filled", "locate", "shape"]
 
-RPM = np.pi / 30.0
 _FLOW = ("command, V", "flow over displacement, rpm", RPM)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ...plant import simulate
 from ...practice.generate import NOISE
+from ...waveforms import triangle
 from ..estimation.least_squares import Problem
 from ..models.base import UNITS, Machine
 from ..models.dynamic_rig import MotorRig
@@ -29,8 +30,7 @@ PERIOD, APART = 1e-3, 2.0
 
 
 def _triangle(seconds: float, cycle: float, size: float) -> np.ndarray:
-    phase = np.arange(round(seconds / PERIOD)) * PERIOD / cycle
-    return np.asarray(size * (1.0 - np.abs((4.0 * phase + 3.0) % 4.0 - 2.0)))
+    return np.asarray(-size * triangle(np.arange(round(seconds / PERIOD)) * PERIOD / cycle))
 
 
 def _sweep(seconds: float, middle: float, size: float, high: float) -> np.ndarray:
