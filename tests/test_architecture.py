@@ -20,7 +20,7 @@ ALLOWED = {
     "pages": "",
     "parallel": "errors files",
     "plant": "errors files units jit",
-    "practice": "errors files units plant",
+    "practice": "errors files units jit plant",
     "tasks": "errors files units plant",
     "measured": "errors files units",
     "envs": "errors files units jit plant tasks",

@@ -41,11 +41,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import odeint, solve_ivp
 
 from ..errors import InputError
+from ..jit import compiled
 from ..plant.catalogue import BUILT_IN, CATALOGUE
 from ..plant.catalogue.losses import FAMILY
 from ..plant.model import PlantModel, load_model
@@ -82,10 +82,7 @@ def _fields() -> list[tuple[str, Any]]:
 
 
 # --- laws, one by one; `p` is the record of a channel's parameters ---------------------------------------------------
-_law = njit(cache=True)
-
-
-@_law
+@compiled
 def _limited(value, limit, soft):
     if limit == np.inf:
         return value
@@ -94,7 +91,7 @@ def _limited(value, limit, soft):
     return min(max(value, -limit), limit)
 
 
-@_law
+@compiled
 def _opening(p, spool):
     """Opening of the metering edges, m, as a function of the spool's position."""
     x = spool + p.null_offset__offset
@@ -129,7 +126,7 @@ def _opening(p, spool):
     return x
 
 
-@_law
+@compiled
 def _valve_flow(p, spool, pressure, droop):
     """Flow through the valve, m3/s, (8) with the orifice law of (7) where an effect asks for it."""
     x = _opening(p, spool)
@@ -143,7 +140,7 @@ def _valve_flow(p, spool, pressure, droop):
     return p.Kq * x * math.sqrt(max(drive, 0.0))
 
 
-@_law
+@compiled
 def _magnetic_force(p, y, dy, current_rate):
     """Force of the solenoid, N; sets the rates of the hysteresis."""
     force = p.alpha * y[p.at_states]
@@ -164,7 +161,7 @@ def _magnetic_force(p, y, dy, current_rate):
     return force
 
 
-@_law
+@compiled
 def _spool_friction(p, y, dy):
     """LuGre friction of the spool, N, (9)-(11); sets the rates of its bristles."""
     v, z = y[p.at_states + 2], y[p.at_states + 3]
@@ -192,7 +189,7 @@ def _spool_friction(p, y, dy):
     return friction
 
 
-@_law
+@compiled
 def _spool_rates(p, y, dy, pressure):
     """Coil (6), spool (5) and all that acts on them."""
     at = p.at_states
@@ -236,7 +233,7 @@ def _spool_rates(p, y, dy, pressure):
     dy[at + 2] = (force + stop - p.k * x - p.C * v - friction) / p.m
 
 
-@_law
+@compiled
 def _shaft_torque(p, y, dy, speed, angle, load):
     """Torque on the motor's shaft besides that of the pressure and of viscous friction, N m."""
     torque = -load - p.load_bias__bias
@@ -278,7 +275,7 @@ def _shaft_torque(p, y, dy, speed, angle, load):
     return torque
 
 
-@_law
+@compiled
 def _loss_flow(p, difference, speed):
     """Flow that the loss models of the motor let past its chambers at a pressure difference, m3/s."""
     height = abs(difference)
@@ -310,7 +307,7 @@ def _loss_flow(p, difference, speed):
     return math.copysign(past, difference)
 
 
-@_law
+@compiled
 def _loss_torque(p, difference, speed):
     """Torque that the loss models of the motor take, N m, against the motion."""
     ideal, rate = abs(p.D * difference), abs(speed)
@@ -337,7 +334,7 @@ def _loss_torque(p, difference, speed):
     return dry * way + wet * speed
 
 
-@_law
+@compiled
 def _motor_rates(p, y, dy, flow, load, time):
     """Line (1), (3) and shaft (2)."""
     at = p.at_states
@@ -386,7 +383,7 @@ def _motor_rates(p, y, dy, flow, load, time):
     dy[at + 6] = speed
 
 
-@_law
+@compiled
 def _measured(p, y):
     """What the speed sensor shows, rad/s, without noise."""
     shown = y[p.at_states + 5]
@@ -395,7 +392,7 @@ def _measured(p, y):
     return shown * p.sensor_gain__gain + p.sensor_offset__offset
 
 
-@_law
+@compiled
 def _rates(time, y, channels):
     """Right-hand side of one or of both channels: `channels` is an array of parameter records."""
     dy = np.zeros(y.size)
@@ -430,7 +427,7 @@ def _rates(time, y, channels):
     return dy
 
 
-@_law
+@compiled
 def _look(y, channels, flow, shown):
     """Flow and measured speed of every row of states: y (T, states) -> flow, shown (T, channels)."""
     for t in range(y.shape[0]):

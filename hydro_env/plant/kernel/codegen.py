@@ -635,12 +635,14 @@ Its vector instructions are written by hydro_env.plant.kernel.vector_ir, whose o
 from math import floor, sqrt
 
 import numpy as np
+from hydro_env.jit import compiled
 from hydro_env.plant.kernel.vector_ir import vectors
-from numba import njit
 
 real = {real}
-# Threads may step plants of their own side by side.
-block = njit(error_model="numpy", cache=True, no_cfunc_wrapper=True, nogil=True)
+
+
+def block(function):
+    return compiled(function, nogil=True)  # threads may step plants of their own side by side
 
 HALF = {half}
 LANES = 2 * HALF
