@@ -1,4 +1,4 @@
-"""The code passes the linter, the formatter and the type checker, and the generated tables of the documents are up to date."""
+"""The code passes the linter and the type checker, and the generated tables of the documents are up to date."""
 
 from __future__ import annotations
 
