@@ -13,7 +13,8 @@ from typing import Any
 
 from hydro_env.errors import InputError, suggestion
 
-RPM = 2.0 * math.pi / 60.0  # rad/s
+REVOLUTION = 2.0 * math.pi  # rad
+RPM = REVOLUTION / 60.0  # rad/s
 DEGREE = math.pi / 180.0  # rad
 BAR = 1.0e5  # Pa
 KILOPASCAL = 1.0e3  # Pa
@@ -52,7 +53,7 @@ UNITS: dict[str, Unit] = _table(
     ("rad/s", "angular speed", 1.0),
     ("rpm", "angular speed", RPM),
     ("deg/s", "angular speed", DEGREE),
-    ("Hz", "angular speed", 2.0 * math.pi),
+    ("Hz", "angular speed", REVOLUTION),
     ("rad", "angle", 1.0),
     ("deg", "angle", DEGREE),
     ("m/s", "linear speed", 1.0),
@@ -88,7 +89,7 @@ UNITS: dict[str, Unit] = _table(
     ("mm2", "area", 1.0e-6),
     ("cm2", "area", 1.0e-4),
     ("m3/rad", "displacement", 1.0),
-    ("cm3/rev", "displacement", 1.0e-6 / (2.0 * math.pi)),
+    ("cm3/rev", "displacement", 1.0e-6 / REVOLUTION),
     ("fraction", "fraction", 1.0),
     ("percent", "fraction", PERCENT),
 )

@@ -8,12 +8,29 @@ inside them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import inf, pi
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import inf, isinf, isnan, nan
 
-from hydro_env.units import BAR, RPM
+from ..units import BAR, REVOLUTION, RPM
 
-__all__ = ["PARAMETERS", "Parameter"]
+__all__ = ["MOTOR_SIZE", "PARAMETERS", "ROLES", "SCALINGS", "SPOOL_FORCE", "SPOOL_TRAVEL", "Parameter"]
+
+#: Directions in which logs fix ratios of parameters only, or nearly so, named by a base parameter, with the reason. All
+#: parameters with a power in `Parameter.scaling` may be multiplied by a common factor to that power.
+SCALINGS = {
+    "k": "twice the force on twice the mass, spring and friction moves a spool nearly alike",
+    "Kq": "half the travel, by twice the stiffness and mass, gives the same flow with twice the gain",
+    "D": "twice the displacement with twice the flow, leakage, inertia and damping, and half the bulk modulus, turns a shaft "
+    "alike but for the load",
+}
+#: Scaling of what is a force on the spool, a travel of the spool, or a torque, flow, inertia ... that grows with the motor.
+SPOOL_FORCE = {"k": 1.0}
+SPOOL_TRAVEL = {"Kq": -1.0}
+MOTOR_SIZE = {"D": 1.0}
+
+#: What a parameter is in the law of its effect, see `Parameter`.
+ROLES = ("size", "limit", "shape", "phase", "order", "time_constant")
 
 
 @dataclass(frozen=True)
@@ -21,9 +38,18 @@ class Parameter:
     """One number of the model.
 
     `nominal` is the value of the base plant; for the parameter of an effect it is the `neutral` value, at which
-    the effect vanishes, and `typical` is a medium severity. `low` and `high` are the plausible bounds.
-    The first clause of `note`, up to a semicolon, is what the parameter is called in words.
+    the effect vanishes, and `typical` is a medium severity (`nominal` unless given). `low` and `high` are the plausible
+    bounds. `title`, the first clause of `note` up to a semicolon, is what the parameter is called in words.
     `log` says that the parameter is naturally varied by factors rather than by differences.
+
+    `role` is what the parameter of an effect is in its law: "size" and "limit" carry the amount of the effect, all others
+    only shape it. A "limit" is a size whose neutral value is infinite. A "phase" (rad) may be anywhere in a turn, an
+    "order" is a whole number, and a "time_constant" belongs to a memory that may be longer than a log. Unless given it is
+    "limit" or "size" where `typical` differs from `nominal`, else "shape".
+    `scaling` has the parameter's power in the directions `SCALINGS`. `part_of` names the base parameter whose calibrated
+    value contains this one, as the inertia of the shaft contains what sits behind a coupling.
+
+    ValueError for an unknown role or direction, or a size that has no size.
     """
 
     name: str
@@ -33,13 +59,48 @@ class Parameter:
     high: float
     source: str
     note: str = ""
-    typical: float | None = None
+    typical: float = nan
     log: bool = False
+    role: str = ""
+    scaling: Mapping[str, float] = field(default_factory=dict, hash=False)
+    part_of: str = ""
+
+    def __post_init__(self) -> None:
+        if isnan(self.typical):
+            object.__setattr__(self, "typical", self.nominal)
+        varies = self.typical != self.nominal
+        if not self.role:
+            amount = "limit" if isinf(self.nominal) else "size"
+            object.__setattr__(self, "role", amount if varies else "shape")
+        if self.role not in ROLES:
+            raise ValueError(f"parameter {self.name!r}: role {self.role!r} is none of {', '.join(ROLES)}")
+        if self.carries_size != varies:
+            problem = (
+                "needs a typical value besides its neutral one"
+                if self.carries_size
+                else "has no typical value"
+            )
+            raise ValueError(f"parameter {self.name!r}: a {self.role} {problem}")
+        for direction in self.scaling:
+            if direction not in SCALINGS:
+                raise ValueError(
+                    f"parameter {self.name!r}: scaling {direction!r} is none of {', '.join(SCALINGS)}"
+                )
 
     @property
     def neutral(self) -> float:
         """The value at which an effect vanishes (the nominal value of a base parameter)."""
         return self.nominal
+
+    @property
+    def carries_size(self) -> bool:
+        """Whether the parameter carries the amount of its effect, so that the effect vanishes at its neutral value."""
+        return self.role in ("size", "limit")
+
+    @property
+    def title(self) -> str:
+        """What the parameter is called in words."""
+        return self.note.split(";")[0] or self.name.replace("_", " ")
 
 
 _ROWS = (
@@ -47,169 +108,233 @@ _ROWS = (
     Parameter(
         "D",
         "m3/rad",
-        8.47e-6 / (2 * pi),
-        0.9 * 8.47e-6 / (2 * pi),
-        1.1 * 8.47e-6 / (2 * pi),
-        "paper, Table I: 8.47 cm3/rev",
-        "displacement of the motor",
+        8.47e-6 / REVOLUTION,
+        low=0.9 * 8.47e-6 / REVOLUTION,
+        high=1.1 * 8.47e-6 / REVOLUTION,
         log=True,
+        scaling={"D": 1.0},
+        note="displacement of the motor",
+        source="paper, Table I: 8.47 cm3/rev",
     ),
-    Parameter("J", "kg m2", 0.0028, 0.0014, 0.0056, "paper, Table I", "inertia of motor and load", log=True),
+    Parameter(
+        "J",
+        "kg m2",
+        0.0028,
+        low=0.0014,
+        high=0.0056,
+        log=True,
+        scaling=MOTOR_SIZE,
+        note="inertia of motor and load",
+        source="paper, Table I",
+    ),
     Parameter(
         "B",
         "N m s/rad",
         0.00045 / RPM,
-        0.0,
-        0.02,
-        "paper, Table I: 0.00045 N m/rpm",
-        "viscous friction of the motor",
+        low=0.0,
+        high=0.02,
         log=True,
+        scaling=MOTOR_SIZE,
+        note="viscous friction of the motor",
+        source="paper, Table I: 0.00045 N m/rpm",
     ),
     Parameter(
         "Km",
         "m3/(s Pa)",
         15.92e-6 / BAR,
-        15.92e-6 / BAR / 100,
-        15.92e-6 / BAR * 3,
-        "paper, Table I: 15.92 cm3/bar",
-        "internal leakage of the motor; the paper leaves out the time unit. Read as cm3/(s bar): with it both published "
+        low=15.92e-6 / BAR / 100,
+        high=15.92e-6 / BAR * 3,
+        log=True,
+        scaling=MOTOR_SIZE,
+        note="internal leakage of the motor; the paper leaves out the time unit. Read as cm3/(s bar): with it both published "
         "loops are stable and Ti nearly cancels the motor's pole, as a PID tuner does; read per minute the published gains "
         "are unstable",
-        log=True,
+        source="paper, Table I: 15.92 cm3/bar",
     ),
     Parameter(
-        "beta", "Pa", 12670e5, 4e8, 1.9e9, "paper, Table I: 12670 bar", "bulk modulus of the fluid", log=True
+        "beta",
+        "Pa",
+        12670 * BAR,
+        low=4e8,
+        high=1.9e9,
+        log=True,
+        scaling={"D": -1.0},
+        note="bulk modulus of the fluid",
+        source="paper, Table I: 12670 bar",
     ),
     Parameter(
         "V",
         "m3",
         1e-4,
-        2e-5,
-        1e-3,
-        "assumed: the paper gives no value",
-        "volume under pressure; results hardly depend on it",
+        low=2e-5,
+        high=1e-3,
         log=True,
+        note="volume under pressure; results hardly depend on it",
+        source="assumed: the paper gives no value",
     ),
     # --- valve: equations (5), (6), (8), Table II --------------------------------------------------------------
-    Parameter("m", "kg", 0.4, 0.2, 0.8, "paper, Table II", "mass of spool and solenoid core", log=True),
+    Parameter(
+        "m",
+        "kg",
+        0.4,
+        low=0.2,
+        high=0.8,
+        log=True,
+        scaling={"k": 1.0, "Kq": 1.0},
+        note="mass of spool and solenoid core",
+        source="paper, Table II",
+    ),
     Parameter(
         "R",
         "Ohm",
         100.0,
-        80.0,
-        125.0,
-        "paper, Table II; (6) prints R_i for R i",
-        "resistance of the coil",
+        low=80.0,
+        high=125.0,
         log=True,
+        note="resistance of the coil",
+        source="paper, Table II; (6) prints R_i for R i",
     ),
-    Parameter("L", "H", 0.1, 0.05, 0.2, "paper, Table II", "inductance of the coil", log=True),
+    Parameter(
+        "L", "H", 0.1, low=0.05, high=0.2, log=True, note="inductance of the coil", source="paper, Table II"
+    ),
     Parameter(
         "alpha",
         "N/A",
         20.0,
-        14.0,
-        28.0,
-        "paper, Table II: 20 V s/m",
-        "force of the coil per current; also its back-EMF",
+        low=14.0,
+        high=28.0,
         log=True,
+        scaling=SPOOL_FORCE,
+        note="force of the coil per current; also its back-EMF",
+        source="paper, Table II: 20 V s/m",
     ),
     Parameter(
-        "k", "N/m", 17000.0, 12000.0, 24000.0, "paper, Table II", "rate of the centring springs", log=True
+        "k",
+        "N/m",
+        17000.0,
+        low=12000.0,
+        high=24000.0,
+        log=True,
+        scaling={"k": 1.0, "Kq": 1.0},
+        note="rate of the centring springs",
+        source="paper, Table II",
     ),
     Parameter(
         "C",
         "N s/m",
         0.2,
-        0.0,
-        40.0,
-        "paper, Table II: 0.2 without unit, read as N s/m",
-        "viscous damping of the spool",
+        low=0.0,
+        high=40.0,
+        note="viscous damping of the spool",
+        source="paper, Table II: 0.2 without unit, read as N s/m",
     ),
     Parameter(
         "Kq",
         "m2/s",
         476106e-6,
-        0.15,
-        0.75,
-        "paper, Table II: 476106 (V1), 315000 (V2), no unit",
-        "flow gain of the valve; flow per opening, read as cm3/s per m, which gives 24.5 l/min at 730 mA on V1, the class of "
-        "this valve",
+        low=0.15,
+        high=0.75,
         log=True,
+        scaling={"Kq": 1.0, "D": 1.0},
+        note="flow gain of the valve; flow per opening, read as cm3/s per m, which gives 24.5 l/min at 730 mA on V1, the class "
+        "of this valve",
+        source="paper, Table II: 476106 (V1), 315000 (V2), no unit",
     ),
     # --- friction of the spool: LuGre, equations (9)-(11), Table II --------------------------------------------
-    Parameter("Fc", "N", 0.1, 0.02, 1.0, "paper, Table II", "Coulomb friction of the spool", log=True),
+    Parameter(
+        "Fc",
+        "N",
+        0.1,
+        low=0.02,
+        high=1.0,
+        log=True,
+        scaling=SPOOL_FORCE,
+        note="Coulomb friction of the spool",
+        source="paper, Table II",
+    ),
     Parameter(
         "Fs",
         "N",
         0.2,
-        0.02,
-        1.5,
-        "paper, Table II: 0.2 (V1), 0.15 (V2)",
-        "static friction of the spool",
+        low=0.02,
+        high=1.5,
         log=True,
+        scaling=SPOOL_FORCE,
+        note="static friction of the spool",
+        source="paper, Table II: 0.2 (V1), 0.15 (V2)",
     ),
     Parameter(
         "vs",
         "m/s",
         0.007,
-        1e-4,
-        2e-2,
-        "paper, Table II: 0.007 (V1), 0.0001 (V2)",
-        "Stribeck speed of the spool",
+        low=1e-4,
+        high=2e-2,
         log=True,
+        scaling=SPOOL_TRAVEL,
+        note="Stribeck speed of the spool",
+        source="paper, Table II: 0.007 (V1), 0.0001 (V2)",
     ),
     Parameter(
         "s0",
         "N/m",
         1e5,
-        3e4,
-        3e5,
-        "paper, Table II, which prints N s/m",
-        "stiffness of the spool's bristles",
+        low=3e4,
+        high=3e5,
         log=True,
+        note="stiffness of the spool's bristles",
+        source="paper, Table II, which prints N s/m",
     ),
     Parameter(
-        "s1", "N s/m", 470.0, 100.0, 1000.0, "paper, Table II", "damping of the spool's bristles", log=True
+        "s1",
+        "N s/m",
+        470.0,
+        low=100.0,
+        high=1000.0,
+        log=True,
+        note="damping of the spool's bristles",
+        source="paper, Table II",
     ),
-    Parameter("s2", "N s/m", 0.2, 0.0, 40.0, "paper, Table II", "viscous friction of the spool"),
+    Parameter(
+        "s2", "N s/m", 0.2, low=0.0, high=40.0, note="viscous friction of the spool", source="paper, Table II"
+    ),
     # --- limits of the real valve, which the paper's equations leave out ----------------------------------------
     Parameter(
         "x_max",
         "m",
         1e-3,
-        0.9e-3,
-        1.2e-3,
-        "assumed: the rated spool position is 0.86 mm",
-        "half stroke between the end stops; without stops full-range random commands reach 0.4-0.7 m/s",
+        low=0.9e-3,
+        high=1.2e-3,
+        note="half stroke between the end stops; without stops full-range random commands reach 0.4-0.7 m/s",
+        source="assumed: the rated spool position is 0.86 mm",
     ),
     Parameter(
         "k_stop",
         "N/m",
         5e5,
-        1e5,
-        5e6,
-        "assumed",
-        "stiffness of the end stops: the coil's full force compresses them by 30 um",
+        low=1e5,
+        high=5e6,
         log=True,
+        note="stiffness of the end stops: the coil's full force compresses them by 30 um",
+        source="assumed",
     ),
     Parameter(
         "v_stop",
         "m/s",
         0.05,
-        0.01,
-        0.2,
-        "assumed: squeeze film, hardly any rebound",
-        "greatest rebound speed of the end stops",
+        low=0.01,
+        high=0.2,
         log=True,
+        note="greatest rebound speed of the end stops",
+        source="assumed: squeeze film, hardly any rebound",
     ),
     Parameter(
         "u_rated",
         "V",
         73.0,
-        1.0,
-        inf,
-        "paper, Fig. 2: 730 mA over R = 100 Ohm",
-        "limit of the command, both ways",
+        low=1.0,
+        high=inf,
+        note="limit of the command, both ways",
+        source="paper, Fig. 2: 730 mA over R = 100 Ohm",
     ),
 )
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.errors import InputError
-from hydro_env.plant import Plant, PlantModel
+from hydro_env.plant import CATALOGUE, Plant, PlantModel
 from hydro_env.valve_bench.curve import Curve
 
 __all__ = ["SIGNALS", "own_channels", "record", "record_rates", "record_rigs"]
@@ -79,7 +79,7 @@ def record_rigs(plant: Plant, *, seconds: float = 8.0, period: float = 0.01) -> 
     share, quarter = _triangle(seconds, period)
     rated = plant.get("u_rated")
     flow = np.empty((len(share), plant.num_rigs, 2))
-    for channels in ((0,), (1,)) if "supply_droop" in plant.effects else ((0, 1),):
+    for channels in ((0,), (1,)) if any(CATALOGUE[e].couples_channels for e in plant.effects) else ((0, 1),):
         plant.reset()
         command = np.zeros_like(flow)
         for channel in channels:

@@ -176,7 +176,7 @@ class Oracle(Controller):
 
 def _copies(plant: Plant, rows: NDArray[np.int64]) -> Plant:
     """Rigs with the parameters of the plant's rigs `rows`, simulated as coarsely as plans need."""
-    delayed = "command_delay" in plant.effects  # its delay line has a slot for every substep
+    delayed = plant.kernel.has_delay  # the delay line has a slot for every substep
     substep = plant.substep if delayed else max(SUBSTEP, plant.substep)
     copies = Plant(plant.model, len(rows), effects=plant.effects, substep=substep, dtype=np.float32)
     for name in (*PARAMETERS, *(f"{e}.{p.name}" for e in plant.effects for p in CATALOGUE[e].parameters)):

@@ -25,8 +25,6 @@ PARTED_SUBSTEP = 500e-6
 BLOCKS = (4, 8, 16)
 #: Numbers of the fit and of the proof. Single precision moves a speed by a tenth of what the fit's substep does.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
-#: Functions that make an effect's law too slow to be carried along by every candidate.
-_SLOW = frozenset({"exp", "tanh", "cos", "sin"})
 #: Base parameters that calibration may adjust. V is left out (never told from beta), u_rated and x_max are settings.
 BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
 _RECORDED = {
@@ -91,7 +89,7 @@ class MotorRig:
         return [
             e.name
             for e in CATALOGUE.values()
-            if (both or e.name != "supply_droop")
+            if (both or not e.couples_channels)
             and e.name not in self.without
             and not self._present(e.name)
             and e.family != FAMILY
@@ -125,7 +123,11 @@ class MotorRig:
 
     def _apart(self, request: Request) -> list[Request]:
         """The request as one for each channel, if they do not act on each other."""
-        if request.channel is not None or self.coupled or any(_ties(CATALOGUE[e]) for e in request.effects):
+        if (
+            request.channel is not None
+            or self.coupled
+            or any(CATALOGUE[e].couples_channels for e in request.effects)
+        ):
             return [request]
         pairs = {name: np.broadcast_to(value, 2).tolist() for name, value in request.values.items()}
         return [Request(c, {name: pair[c] for name, pair in pairs.items()}) for c in self.channels]
@@ -167,7 +169,7 @@ class MotorRig:
             forms = {name for effect in effects for name in CORRECTIONS.get(effect, {})}
             return tuple(n for n in CATALOGUE if n in effects or n in forms)
         library = {*self.candidates(), *self.without, *effects}
-        return tuple(n for n in CATALOGUE if n in effects or (n in library and _light(CATALOGUE[n])))
+        return tuple(n for n in CATALOGUE if n in effects or (n in library and CATALOGUE[n].is_cheap))
 
     def _of_few(self, effects: Collection[str]) -> bool:
         return self.exact or any(CATALOGUE[n].family == FAMILY for n in effects)
@@ -292,27 +294,10 @@ def _parts(effect: Effect) -> int:
 
 
 def _all_parted(effect: Effect, request: Request) -> bool:
-    """Whether the effect has every substep taken in parts, wherever the rig is and on all of its channels: its corner asks for
-    its parameters only."""
-    if effect.corner is None:
-        return False
-    code = effect.corner.__code__
-    names = code.co_varnames[: code.co_argcount]
+    """Whether the effect has every substep taken in parts, wherever the rig is and on all of its channels."""
     own = {p.name: request.values.get(f"{effect.name}.{p.name}", p.nominal) for p in effect.parameters}
-    if not {*names} <= {*own}:
-        return False
-    sides = zip(*(np.broadcast_to(own[name], 2).tolist() for name in names), strict=True)
-    return all(effect.corner(*side) for side in sides)
-
-
-def _ties(effect: Effect) -> bool:
-    """Whether the effect lets the channels of a rig act on each other."""
-    laws = [*effect.laws.values(), *(state.rate for state in effect.states)]
-    return any("other_flow" in law.__code__.co_varnames[: law.__code__.co_argcount] for law in laws)
-
-
-def _light(effect: Effect) -> bool:
-    """Whether the effect costs next to nothing where it is compiled in but neutral."""
-    words = {word for law in effect.laws.values() for word in law.__code__.co_names}
-    memory = len(effect.states) > 1 or effect.corner is not None or effect.name == "command_delay"
-    return effect.scope == "channel" and not memory and not words & _SLOW
+    sides = (
+        dict(zip(own, side, strict=True))
+        for side in zip(*(np.broadcast_to(v, 2) for v in own.values()), strict=True)
+    )
+    return all(effect.parts_every_step(side) for side in sides)

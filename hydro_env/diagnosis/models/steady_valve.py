@@ -97,7 +97,7 @@ class SteadyValve:
         return [
             n
             for n in SUPPORTED
-            if n in CATALOGUE and n not in self.without and (pressure or n != "pressure_dependent_flow")
+            if n in CATALOGUE and n not in self.without and (pressure or not CATALOGUE[n].reads("pressure"))
         ]
 
     def given(self, name: str, channel: int) -> float:
@@ -150,8 +150,9 @@ class SteadyValve:
         log, period = part.log, part.log.period
         known: dict[str, Any] = {n: self.model.value(n, channel) for n in PARAMETERS} | values
         command = np.nan_to_num(log.command_V[:, channel])[None, :]
-        if "command_delay" in effects:
-            command = _delayed(command[0], values["command_delay.delay"], period)
+        delays = [values[f"{e}.{own}"] for e in effects if (own := CATALOGUE[e].delays_command)]
+        if delays:
+            command = _delayed(command[0], np.sum(delays, axis=0), period)
         voltage = apply_laws("voltage", command, effects, known)
         known["current"] = voltage / known["R"]
         force = known["alpha"] * known["current"]

@@ -188,9 +188,9 @@ def _values(found: Diagnosis, n: Named) -> list[tuple[str, str, str]]:
     channel = int(n.channel) - 1 if n.channel in ("1", "2") else found.machine.channels[0]
     return [
         (
-            words.parameter(own),
+            words.parameter(n.name, own),
             words.interval(p),
-            words.of_command(f"{n.name}.{own}", p["value"], found.machine.model, channel),
+            words.of_command(n.name, own, p["value"], found.machine.model, channel),
         )
         for own, p in n.parameters.items()
     ]

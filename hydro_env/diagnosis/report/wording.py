@@ -9,7 +9,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ...plant import PARAMETERS, PlantModel
+from ...plant import CATALOGUE, PARAMETERS, PlantModel
+from ...plant.parameters import SPOOL_FORCE, SPOOL_TRAVEL
 from ...units import BAR, DEGREE, LPM, MICROMETRE, MILLIAMPERE, MILLIMETRE, MILLISECOND, RPM
 
 __all__ = [
@@ -27,23 +28,6 @@ __all__ = [
     "where",
 ]
 
-_TITLES = {
-    "command_delay": "a dead time of the command", "driver_saturation": "saturation of the driver",
-    "coil_heating": "heating of the coil", "magnetic_hysteresis": "magnetic hysteresis",
-    "spool_stiction": "sticking friction of the spool", "spring_preload": "preloaded centring springs",
-    "flow_force": "flow force on the spool", "null_offset": "an offset of the hydraulic null",
-    "dead_zone": "spool overlap (dead zone)", "flow_saturation": "saturation of the flow",
-    "directional_gain": "different flow gains of the two directions",
-    "flow_gain_nonlinearity": "a progressive flow gain", "pressure_dependent_flow": "flow that falls with load pressure",
-    "supply_droop": "a drooping supply pressure", "entrained_air": "air in the oil",
-    "line_loss": "pressure loss in the lines", "crossport_relief": "opening of the cross-port relief valves",
-    "speed_dependent_leakage": "leakage that grows with speed", "motor_coulomb_friction": "dry friction of the motor",
-    "quadratic_drag": "drag that grows with speed squared", "displacement_ripple": "displacement ripple of the motor",
-    "load_bias": "a constant load that was not logged", "eccentric_load": "an unbalanced load",
-    "shaft_backlash": "backlash of the coupling", "viscosity_drift": "drifting oil viscosity (temperature)",
-    "sensor_lag": "a lag of the speed sensor", "sensor_offset": "a zero error of the speed sensor",
-    "sensor_gain": "a scale error of the speed sensor",
-}  # fmt: skip
 _EQUATIONS = {
     "coil": "the coil (current from the command)", "valve_flow": "the valve (flow from command and pressure)",
     "shaft": "the shaft (speed from pressure and load)", "valve and motor": "valve and motor together (no pressure logged)",
@@ -52,21 +36,8 @@ _SIGNALS = {
     "speed": "speed", "current": "coil current", "pressure": "pressure difference", "spool": "spool position", "flow": "flow",
 }  # fmt: skip
 _KEY_UNITS = {"mm_per_s": "mm/s", "lpm": "l/min"}
-_PARAMETERS = {
-    "overlap_positive": "overlap, positive direction", "overlap_negative": "overlap, negative direction",
-    "ratio": "gain of the negative direction over the positive", "fraction": "share of free air",
-    "supply_pressure": "supply pressure at which no flow is left", "amplitude": "amplitude", "width": "width of the loop",
-    "relative_drop": "relative drop at rated flow of both valves", "opening_limit": "opening at which flow saturates",
-}  # fmt: skip
 #: Known parameters that only a reduced model has.
 _OWN = {"lag": "lag of the speed behind the command"}
-#: Effects' parameters that are a spool position or a force on the spool: they can be told as a share of the command.
-_STROKES = {
-    "dead_zone.overlap_positive", "dead_zone.overlap_negative", "null_offset.offset", "flow_saturation.opening_limit",
-}  # fmt: skip
-_FORCES = {
-    "magnetic_hysteresis.amplitude", "spool_stiction.coulomb", "spool_stiction.static", "spring_preload.preload",
-}  # fmt: skip
 
 
 def plain(name: str) -> str:
@@ -76,12 +47,12 @@ def plain(name: str) -> str:
 
 def title(effect: str) -> str:
     """An effect as one would say it: "spool overlap (dead zone)"."""
-    return _TITLES.get(effect, plain(effect))
+    return CATALOGUE[effect].title if effect in CATALOGUE else plain(effect)
 
 
-def parameter(name: str) -> str:
+def parameter(effect: str, name: str) -> str:
     """An effect's own parameter."""
-    return _PARAMETERS.get(name, plain(name))
+    return CATALOGUE[effect].parameter(name).title
 
 
 def where(channel: str) -> str:
@@ -141,7 +112,7 @@ def interval(entry: Mapping[str, Any]) -> str:
 def known(name: str, value: float, model: PlantModel) -> str:
     """A base parameter of a channel ("Kq_1") in words; of a flow gain also the flow that full command would give."""
     symbol, _, channel = name.rpartition("_")
-    text = PARAMETERS[symbol].note.split(";")[0] if symbol in PARAMETERS else _OWN.get(symbol, plain(symbol))
+    text = PARAMETERS[symbol].title if symbol in PARAMETERS else _OWN.get(symbol, plain(symbol))
     if symbol == "Kq":
         c = int(channel) - 1
         stroke = (
@@ -151,13 +122,14 @@ def known(name: str, value: float, model: PlantModel) -> str:
     return text
 
 
-def of_command(name: str, value: float, model: PlantModel, channel: int) -> str:
-    """A spool position or a force on the spool ("effect.parameter") as a share of full command, or nothing."""
+def of_command(effect: str, name: str, value: float, model: PlantModel, channel: int) -> str:
+    """A spool position or a force on the spool, a parameter of an effect, as a share of full command, or nothing."""
+    described = CATALOGUE[effect].parameter(name)
     rated = model.value("u_rated", channel)
     force = model.value("alpha", channel) * rated / model.value("R", channel)
-    if name in _STROKES:
+    if described.unit == "m" and described.scaling == SPOOL_TRAVEL:
         share = value * model.value("k", channel) / force
-    elif name in _FORCES:
+    elif described.unit == "N" and described.scaling == SPOOL_FORCE:
         share = value / force
     else:
         return ""

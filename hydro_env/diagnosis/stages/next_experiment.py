@@ -1,4 +1,4 @@
-"""Which experiment would tell apart what the logs cannot: from a table for known pairs, and by simulating both models.
+"""Which experiment would tell apart what the logs cannot: from the catalogue for known pairs, and by simulating both models.
 
 `simulated` drives the model with the named effect and the one with its rival, both as refitted to the logs, through a few
 manoeuvres of a bench, and says in which of them, and in which signal, they differ most in units of that signal's noise.
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...plant import simulate
+from ...plant.catalogue import separating_experiment
 from ...practice.generate import NOISE
 from ...waveforms import triangle
 from ..estimation.least_squares import Problem
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from .selection import Selection
     from .verdict import Named
 
-__all__ = ["MANOEUVRES", "MENU", "Separation", "next_experiment", "simulated"]
+__all__ = ["MANOEUVRES", "Separation", "next_experiment", "simulated"]
 
 #: Rows of the simulated manoeuvres, s, and the difference (RMS in noise units) from which two models count as told apart.
 PERIOD, APART = 1e-3, 2.0
@@ -126,63 +127,18 @@ def _by_simulation(
     }
 
 
-#: Pairs that are often confused, and the experiment under which they differ.
-MENU: tuple[tuple[frozenset[str], str], ...] = (
-    (
-        frozenset({"dead_zone", "spring_preload"}),
-        "record the spool position: overlap lets the spool move without flow, a preload does not let it move",
-    ),
-    (
-        frozenset({"magnetic_hysteresis", "spool_stiction"}),
-        "triangles of +-60 % of the rated command with 0.5 s and 20 s per cycle, then again with a dither of "
-        "5 % at 100 Hz: dither shrinks stiction, not magnetic hysteresis (`hydro-env valve-test` reads the loops over the rate)",
-    ),
-    (
-        frozenset({"command_delay", "sensor_lag"}),
-        "sine sweep of 1 to 20 Hz about a bias with the pressure recorded: the pressure shows a delay of the "
-        "command, not the lag of the speed sensor",
-    ),
-    (
-        frozenset({"load_bias", "motor_coulomb_friction"}),
-        "the same slow ramp in both directions of rotation: friction changes its sign, a load does not",
-    ),
-    (
-        frozenset({"line_loss", "quadratic_drag"}),
-        "drive the motor from outside with the valve closed and both ports connected: drag acts, line loss "
-        "does not; or measure the pressure at the motor's ports",
-    ),
-    (
-        frozenset({"dead_zone", "flow_gain_nonlinearity"}),
-        "slow triangles of 20, 40 and 80 % of the rated command: overlap is the same width in all",
-    ),
-    (
-        frozenset({"dead_zone", "null_offset"}),
-        "slow triangle through zero with at least 10 s per cycle",
-    ),
-    (
-        frozenset({"supply_droop", "pressure_dependent_flow"}),
-        "record the supply pressure; drive the other channel alone while this one holds its command",
-    ),
-    (
-        frozenset({"sensor_gain", "directional_gain"}),
-        "count revolutions over a minute at constant speed, both directions",
-    ),
-)  # fmt: skip
-
-
 def next_experiment(named: Sequence[Named], machine: Machine, selection: Selection) -> dict[str, Any] | None:
     """The experiment that separates the names that stayed tied, or None."""
     for effect in named:
         for rival in effect.indistinguishable_from:
             found = _by_simulation(machine, selection, effect, rival)
             if found is not None:
-                known = next((text for pair, text in MENU if pair == {effect.name, rival}), "")
+                known = separating_experiment(effect.name, rival)
                 return {**found, "description": "; or ".join(filter(None, (found["description"], known)))}
     for effect in named:
         for rival in effect.indistinguishable_from:
-            for pair, text in MENU:
-                if pair == {effect.name, rival}:
-                    return {"description": text, "separates": sorted(pair)}
+            if text := separating_experiment(effect.name, rival):
+                return {"description": text, "separates": sorted({effect.name, rival})}
     for effect in named:
         if effect.indistinguishable_from:
             missing = [

@@ -25,9 +25,19 @@ from . import (
     sensor,
     supply,
 )  # fmt: skip
-from .effect import CATALOGUE, PORTS, QUANTITIES, Effect, State, register, unregister
+from .effect import CATALOGUE, PORTS, QUANTITIES, Effect, State, register, separating_experiment, unregister
 
-__all__ = ["BUILT_IN", "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "register", "unregister"]
+__all__ = [
+    "BUILT_IN",
+    "CATALOGUE",
+    "PORTS",
+    "QUANTITIES",
+    "Effect",
+    "State",
+    "register",
+    "separating_experiment",
+    "unregister",
+]
 
 for _file in (driver, coil, force, opening, flow, supply, line, motor, load, fluid, sensor, losses):
     for _effect in _file.EFFECTS:

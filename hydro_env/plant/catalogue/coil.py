@@ -21,15 +21,31 @@ def _heating_rate(heat, R, current, u_rated, time_constant):
 COIL_HEATING = Effect(
     name="coil_heating",
     port="coil",
+    title="heating of the coil",
     summary="the coil's resistance rises as the coil warms up",
     signature="slow loss of force at constant voltage, seen in the current",
     source="copper, 0.39 %/K; 60-100 K of coil temperature rise are usual for wet-pin solenoids",
     parameters=(
         Parameter(
-            "rise", "1", 0.0, 0.0, 0.5, "0.39 %/K over up to 130 K", "relative rise of R at rated power", 0.25
+            "rise",
+            "1",
+            0.0,
+            low=0.0,
+            high=0.5,
+            typical=0.25,
+            note="relative rise of R at rated power",
+            source="0.39 %/K over up to 130 K",
         ),
         Parameter(
-            "time_constant", "s", 300.0, 2.0, 1200.0, "assumed", "thermal time constant", 300.0, log=True
+            "time_constant",
+            "s",
+            300.0,
+            low=2.0,
+            high=1200.0,
+            log=True,
+            role="time_constant",
+            note="thermal time constant",
+            source="assumed",
         ),
     ),
     laws={"resistance": _heating_resistance},

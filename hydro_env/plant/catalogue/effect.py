@@ -18,12 +18,17 @@ A law that reads a function's own arguments only is what makes user effects poss
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
 
 from ..parameters import Parameter
 
-__all__ = ["CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "register", "unregister"]
+__all__ = [
+    "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "arguments", "register", "separating_experiment", "unregister",
+]  # fmt: skip
 
 #: Ports in the order in which the signal passes them.
 PORTS = ("driver", "coil", "force", "opening", "flow", "supply", "line", "motor", "load", "fluid", "sensor")
@@ -33,6 +38,16 @@ QUANTITIES = (
     "voltage", "resistance", "force", "opening", "drive", "bulk_modulus", "displacement", "leakage_coefficient",
     "leakage", "viscous_friction", "motor_pressure", "torque", "measured_speed",
 )  # fmt: skip
+
+
+#: Functions of `vector_math` that cost as much as tens of products.
+TRANSCENDENTAL = frozenset({"exp", "tanh", "cos", "sin"})
+
+
+@lru_cache(maxsize=1024)
+def arguments(law: Callable[..., Any]) -> tuple[str, ...]:
+    """Names of what a law asks for, in order."""
+    return tuple(inspect.signature(law).parameters)
 
 
 @dataclass(frozen=True)
@@ -53,14 +68,21 @@ class State:
 class Effect:
     """One effect of the catalogue; see the module's text for what laws and states are.
 
+    What it is: `title` says it in a sentence ("spool overlap (dead zone)"; the name in words unless given), `summary` in a
+    line of a table, `signature` how it shows in a log.
+    `scope` is "channel" (each valve and motor has its own) or "rig" (both share the same values).
+    `family` names a group of effects that compete with each other and with simpler ones; the diagnosis tries a member only
+    if the model as given lists it among its effects.
+
+    What it does, beside laws and states: `adds_to` names base parameters of the channel that one of the effect's parameters
+    is simply added to. `delays_command` names a parameter (s) by which the command is late; the delay line itself lives in
+    the kernel, which hands `rates` the delayed command.
     `corner` says, by a law that may also ask for `substep` (s), whether a channel is about to pass a bend of the effect that
     is too sharp for a whole substep, or wants short ones everywhere; it then takes the substep in
     `corner_parts` parts. It must be false when the effect is neutral.
-    `adds_to` names base parameters of the channel that one of the effect's parameters is simply added to.
-    `scope` is "channel" (each valve and motor has its own) or "rig" (both share the same values).
-    `indistinguishable_from` lists effects that no data of the usual channels separate from this one.
-    `family` names a group of effects that compete with each other and with simpler ones; the diagnosis tries a member only
-    if the model as given lists it among its effects.
+
+    What it is confused with: `indistinguishable_from` lists effects that no data of the usual channels separate from this
+    one, `separated_by` experiments that do, by the name of the other effect; a pair needs its experiment on one side only.
     `corrects` is for a correction of form: the effects that it corrects, each with the parameters of the correction that
     repeat something of that effect: the name of one of its parameters (with a minus: its opposite), or a number.
     """
@@ -79,7 +101,14 @@ class Effect:
     scope: str = "channel"
     indistinguishable_from: tuple[str, ...] = ()
     family: str = ""
+    title: str = ""
+    delays_command: str = ""
+    separated_by: Mapping[str, str] = field(default_factory=dict)
     corrects: Mapping[str, Mapping[str, str | float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.title:
+            object.__setattr__(self, "title", self.name.replace("_", " "))
 
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name; KeyError if there is none."""
@@ -93,8 +122,36 @@ class Effect:
 
         An effect vanishes when the parameters that carry its size are neutral; the others only shape it.
         """
-        return all(
-            values.get(p.name, p.nominal) == p.nominal for p in self.parameters if p.typical != p.nominal
+        return all(values.get(p.name, p.nominal) == p.nominal for p in self.parameters if p.carries_size)
+
+    def reads(self, signal: str) -> bool:
+        """Whether a law or a state asks for this signal."""
+        asked = {a for law in self.laws.values() for a in arguments(law)}
+        asked |= {str(state.given.get(a, a)) for state in self.states for a in arguments(state.rate)}
+        return signal in asked
+
+    @property
+    def couples_channels(self) -> bool:
+        """Whether the effect lets the two channels of a rig act on each other."""
+        return self.reads("other_flow")
+
+    @property
+    def is_cheap(self) -> bool:
+        """Whether the effect costs next to nothing where it is compiled in but neutral."""
+        called = {name for law in self.laws.values() for name in law.__code__.co_names}
+        costly = self.corner or self.delays_command or len(self.states) > 1 or called & TRANSCENDENTAL
+        return self.scope == "channel" and not costly
+
+    def parts_every_step(self, values: Mapping[str, float]) -> bool:
+        """Whether a channel with these parameter values takes every substep in parts, wherever it is.
+
+        That is so if `corner` asks for parameters only and is true for these.
+        """
+        if self.corner is None:
+            return False
+        names = arguments(self.corner)
+        return {*names} <= {p.name for p in self.parameters} and bool(
+            self.corner(*(values[n] for n in names))
         )
 
 
@@ -105,7 +162,8 @@ CATALOGUE: dict[str, Effect] = {}
 def register(effect: Effect) -> Effect:
     """Adds an effect to the catalogue; it is at once simulated, hideable and diagnosable.
 
-    ValueError if the name is taken, the port or a changed quantity is unknown.
+    ValueError if the name is taken, the port or a changed quantity is unknown, a named parameter is missing, or no parameter
+    carries the effect's size.
     """
     if effect.name in CATALOGUE:
         raise ValueError(f"effect {effect.name!r} is in the catalogue already")
@@ -116,6 +174,16 @@ def register(effect: Effect) -> Effect:
             raise ValueError(
                 f"effect {effect.name!r}: a law changes {quantity!r}, none of {', '.join(QUANTITIES)}"
             )
+    own = {p.name for p in effect.parameters}
+    for name in (*effect.adds_to.values(), *filter(None, [effect.delays_command])):
+        if name not in own:
+            raise ValueError(
+                f"effect {effect.name!r} has no parameter {name!r}, none of {', '.join(sorted(own))}"
+            )
+    if not any(p.carries_size for p in effect.parameters):
+        raise ValueError(
+            f"effect {effect.name!r}: one of its parameters must have a typical value besides its neutral one"
+        )
     CATALOGUE[effect.name] = effect
     return effect
 
@@ -123,3 +191,8 @@ def register(effect: Effect) -> Effect:
 def unregister(name: str) -> None:
     """Takes an effect out of the catalogue (tests of user effects; KeyError if it is not there)."""
     del CATALOGUE[name]
+
+
+def separating_experiment(first: str, second: str) -> str:
+    """The experiment under which two effects, by name, differ; "" where the catalogue knows none."""
+    return CATALOGUE[first].separated_by.get(second, "") or CATALOGUE[second].separated_by.get(first, "")

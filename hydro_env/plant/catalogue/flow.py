@@ -18,11 +18,22 @@ def _pressure_dependent_flow(drive, opening, pressure, supply_pressure):
 PRESSURE_DEPENDENT_FLOW = Effect(
     name="pressure_dependent_flow",
     port="flow",
+    title="flow that falls with load pressure",
     summary="orifice law: flow falls as the load takes its share of the supply pressure",
     signature="flow falls as load pressure rises",
     source="paper, (7), which it replaces by (8); Merritt 1967: sqrt((ps - sign(x) dp) / ps)",
     parameters=(
-        Parameter("supply_pressure", "Pa", inf, 20e5, 350e5, "assumed", "supply pressure", 100e5, log=True),
+        Parameter(
+            "supply_pressure",
+            "Pa",
+            inf,
+            low=20e5,
+            high=350e5,
+            typical=100e5,
+            log=True,
+            note="supply pressure at which no flow is left",
+            source="assumed",
+        ),
     ),
     laws={"drive": _pressure_dependent_flow},
 )

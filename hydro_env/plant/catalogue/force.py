@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..parameters import Parameter
+from ..parameters import SPOOL_FORCE, Parameter
 from ..vector_math import sign, tanh
 from .effect import Effect, State
 
@@ -28,6 +28,7 @@ def _loop_decay(current_rate, amplitude, width, alpha):
 MAGNETIC_HYSTERESIS = Effect(
     name="magnetic_hysteresis",
     port="force",
+    title="magnetic hysteresis",
     summary="rate-independent loop between current and magnetic force",
     signature="loop in flow over current whose width does not depend on the sweep rate",
     source="Bouc 1967, Wen 1976; Vaughan and Gamble 1996 for proportional solenoids",
@@ -36,39 +37,67 @@ MAGNETIC_HYSTERESIS = Effect(
             "amplitude",
             "N",
             0.0,
-            0.0,
-            2.0,
-            "2-7 % of the rated force are usual",
-            "half height of the loop",
-            0.3,
+            low=0.0,
+            high=2.0,
+            typical=0.3,
+            scaling=SPOOL_FORCE,
+            note="half height of the loop",
+            source="2-7 % of the rated force are usual",
         ),
         Parameter(
             "width",
             "A",
             0.03,
-            0.01,
-            0.2,
-            "assumed",
-            "change of current that turns the loop; at least 2 amplitude/alpha",
-            0.03,
+            low=0.01,
+            high=0.2,
             log=True,
+            note="width of the loop; change of current that turns it, at least 2 amplitude/alpha",
+            source="assumed",
         ),
     ),
     laws={"force": _hysteresis_force},
     states=(State("loop", _loop_rate, _loop_decay),),
     indistinguishable_from=("spool_stiction",),
+    separated_by={
+        "spool_stiction": (
+            "triangles of +-60 % of the rated command with 0.5 s and 20 s per cycle, then again with a "
+            "dither of 5 % at 100 Hz: dither shrinks stiction, not magnetic hysteresis "
+            "(`hydro-env valve-test` reads the loops over the rate)"
+        )
+    },
 )
 
 
 SPOOL_STICTION = Effect(
     name="spool_stiction",
     port="force",
+    title="sticking friction of the spool",
     summary="more Coulomb and static friction on the spool (dirt, gum, side load)",
     signature="stick and jump, threshold for small signals",
     source="Olsson et al. 1998; adds to Fc and Fs of the paper's LuGre model",
     parameters=(
-        Parameter("coulomb", "N", 0.0, 0.0, 2.0, "assumed", "more Coulomb friction", 0.3),
-        Parameter("static", "N", 0.0, 0.0, 3.0, "assumed", "more static friction", 0.6),
+        Parameter(
+            "coulomb",
+            "N",
+            0.0,
+            low=0.0,
+            high=2.0,
+            typical=0.3,
+            scaling=SPOOL_FORCE,
+            note="more Coulomb friction",
+            source="assumed",
+        ),
+        Parameter(
+            "static",
+            "N",
+            0.0,
+            low=0.0,
+            high=3.0,
+            typical=0.6,
+            scaling=SPOOL_FORCE,
+            note="more static friction",
+            source="assumed",
+        ),
     ),
     adds_to={"Fc": "coulomb", "Fs": "static"},
     indistinguishable_from=("magnetic_hysteresis",),
@@ -88,11 +117,22 @@ def _preload_corner(preload):
 SPRING_PRELOAD = Effect(
     name="spring_preload",
     port="force",
+    title="preloaded centring springs",
     summary="centring springs are preloaded: a force threshold before the spool leaves its centre",
     signature="threshold in current, none in opening",
     source="construction of spring-centred directional valves",
     parameters=(
-        Parameter("preload", "N", 0.0, 0.0, 6.0, "assumed: up to 40 % of the rated force", "preload", 1.5),
+        Parameter(
+            "preload",
+            "N",
+            0.0,
+            low=0.0,
+            high=6.0,
+            typical=1.5,
+            scaling=SPOOL_FORCE,
+            note="preload of the springs",
+            source="assumed: up to 40 % of the rated force",
+        ),
     ),
     laws={"force": _preload_force},
     corner=_preload_corner,
@@ -109,6 +149,7 @@ def _flow_force(force, spool, pressure, coefficient, supply_pressure):
 FLOW_FORCE = Effect(
     name="flow_force",
     port="force",
+    title="flow force on the spool",
     summary="steady flow force, which closes the valve",
     signature="opening sags with the pressure drop over the valve",
     source="Merritt 1967, ch. 5: F = 0.43 w x dp for a sharp-edged spool",
@@ -117,13 +158,23 @@ FLOW_FORCE = Effect(
             "coefficient",
             "m",
             0.0,
-            0.0,
-            1.2e-3,
-            "0.43 times the area gradient w",
-            "force per opening and pressure drop",
-            3e-4,
+            low=0.0,
+            high=1.2e-3,
+            typical=3e-4,
+            scaling=SPOOL_FORCE,
+            note="force per opening and pressure drop",
+            source="0.43 times the area gradient w",
         ),
-        Parameter("supply_pressure", "Pa", 100e5, 50e5, 350e5, "assumed", "supply pressure", 100e5, log=True),
+        Parameter(
+            "supply_pressure",
+            "Pa",
+            100e5,
+            low=50e5,
+            high=350e5,
+            log=True,
+            note="supply pressure",
+            source="assumed",
+        ),
     ),
     laws={"force": _flow_force},
 )

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from math import inf
 from typing import Any
 
-from ..parameters import Parameter
+from ..parameters import MOTOR_SIZE, SPOOL_FORCE, SPOOL_TRAVEL, Parameter
 from ..vector_math import bell, clip, cos, exp, sign, sin, tanh
 from .effect import Effect, State
 from .force import MAGNETIC_HYSTERESIS
@@ -29,22 +29,22 @@ FAMILY = "shape"
 _NO_PHYSICS = "a correction of form, fitted; no physics"
 
 
-def _amount(name: str, unit: str, typical: float, note: str, low: float | None = None) -> Parameter:
+def _amount(
+    name: str, unit: str, typical: float, note: str, low: float | None = None, scaling: Mapping[str, float] | None = None
+) -> Parameter:  # fmt: skip
     """A number of a correction: neutral at 0, up to four times `typical` either way."""
-    return Parameter(
-        name, unit, 0.0, -4.0 * typical if low is None else low, 4.0 * typical, _NO_PHYSICS, note, typical
-    )
+    low = -4.0 * typical if low is None else low
+    return Parameter(name, unit, 0.0, low, 4.0 * typical, _NO_PHYSICS, note, typical, scaling=scaling or {})
 
 
-def _repeated(name: str, unit: str, nominal: float, low: float, high: float) -> Parameter:
-    return Parameter(name, unit, nominal, low, high, _NO_PHYSICS, "repeats what is corrected", nominal)
+def _repeated(name: str, unit: str, nominal: float, low: float, high: float, **more: Any) -> Parameter:
+    return Parameter(name, unit, nominal, low, high, _NO_PHYSICS, "repeats what is corrected", **more)
 
 
 def _taken(name: str, unit: str, low: float, typical: float) -> Parameter:
-    """What a correction takes away of a base parameter to which the effect has added it."""
-    return Parameter(
-        name, unit, 0.0, low, 0.0, _NO_PHYSICS, "repeats what is corrected, taken away", -typical
-    )
+    """What a correction takes away of a force to which the effect has added it."""
+    note = "repeats what is corrected, taken away"
+    return Parameter(name, unit, 0.0, low, 0.0, _NO_PHYSICS, note, -typical, scaling=SPOOL_FORCE)
 
 
 def _correction(
@@ -93,10 +93,10 @@ def _rounded(opening, spool, rounding, turn, corner_positive, corner_negative):
 CORNER_SHAPE = _correction(
     "corner_shape", "opening", "corners of the opening are rounded",
     (
-        _amount("rounding", "m", 1e-5, "half the travel over which a corner is rounded", 0.0),
+        _amount("rounding", "m", 1e-5, "half the travel over which a corner is rounded", 0.0, SPOOL_TRAVEL),
         _repeated("turn", "1", 1.0, -1.0, 1.0),
-        _repeated("corner_positive", "m", 0.0, 0.0, inf),
-        _repeated("corner_negative", "m", 0.0, 0.0, inf),
+        _repeated("corner_positive", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
+        _repeated("corner_negative", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
     ),
     {"opening": _rounded},
     {
@@ -153,7 +153,8 @@ def _centring(force, spool, force_1, force_2, force_3, force_4, force_5):
 CENTRING_SHAPE = _correction(
     "centring_shape", "force", "centring force as a curve over the travel",
     tuple(
-        _amount(f"force_{n}", "N", 0.15, f"centring force at {x} um of travel") for n, x in enumerate((5, 15, 35, 80, 200), 1)
+        _amount(f"force_{n}", "N", 0.15, f"centring force at {x} um of travel", scaling=SPOOL_FORCE)
+        for n, x in enumerate((5, 15, 35, 80, 200), 1)
     ),
     {"force": _centring},
     {"spring_preload": {}, "flow_force": {}},
@@ -203,7 +204,7 @@ STOP_SHAPE = _correction(
             _amount(f"height_{n}", "1", 0.25, f"share of the height held by the stop of {s:g} times the width")
             for n, s in enumerate(_STOPS, 1)
         ),
-        _repeated("amplitude", "N", 0.0, 0.0, 2.0),
+        _repeated("amplitude", "N", 0.0, 0.0, 2.0, scaling=SPOOL_FORCE),
         _repeated("width", "A", 0.03, 0.01, 0.2),
     ),
     {"force": _stops_force},
@@ -256,8 +257,8 @@ BRISTLE_SHAPE = _correction(
         Parameter(
             "stiffness", "1", 1.0, 0.2, 5.0, _NO_PHYSICS, "stiffness of the second bristle over the first one's", 1.0, log=True
         ),
-        _repeated("coulomb", "N", 0.0, 0.0, 2.0),
-        _repeated("static", "N", 0.0, 0.0, 3.0),
+        _repeated("coulomb", "N", 0.0, 0.0, 2.0, scaling=SPOOL_FORCE),
+        _repeated("static", "N", 0.0, 0.0, 3.0, scaling=SPOOL_FORCE),
         _taken("coulomb_taken", "N", -2.0, 0.3),
         _taken("static_taken", "N", -3.0, 0.6),
     ),
@@ -339,7 +340,7 @@ OVERRIDE_SHAPE = _correction(
         _amount("rounding", "Pa", 5e4, "half the range of pressure over which they crack", 0.0),
         Parameter("steepening", "1/MPa", 0.0, -0.5, 2.0, _NO_PHYSICS, "growth of the slope with the excess", 0.3),
         _repeated("relief_pressure", "Pa", inf, 5e5, inf),
-        _repeated("conductance", "m3/(s Pa)", 1e-9, 1e-10, 3e-9),
+        _repeated("conductance", "m3/(s Pa)", 1e-9, 1e-10, 3e-9, scaling=MOTOR_SIZE),
     ),
     {"leakage": _override},
     {"crossport_relief": {"relief_pressure": "relief_pressure", "conductance": "conductance"}},
@@ -361,7 +362,8 @@ def _torque_curve(torque, speed, torque_1, torque_2, torque_3, torque_4, torque_
 TORQUE_SHAPE = _correction(
     "torque_shape", "motor", "torque that is lost as a curve over the speed",
     tuple(
-        _amount(f"torque_{n}", "N m", 0.04, f"torque lost at {w:g} rad/s") for n, w in enumerate((0.2, 0.7, 2.5, 8, 25, 80), 1)
+        _amount(f"torque_{n}", "N m", 0.04, f"torque lost at {w:g} rad/s", scaling=MOTOR_SIZE)
+        for n, w in enumerate((0.2, 0.7, 2.5, 8, 25, 80), 1)
     ),
     {"torque": _torque_curve},
     {"motor_coulomb_friction": {}, "quadratic_drag": {}, "line_loss": {}},
@@ -394,8 +396,8 @@ REST_SHAPE = _correction(
     (
         _amount("travel", "rad", 0.003, "turn over which the friction builds up", 0.0),
         Parameter("damping", "s", 0.002, 0.0, 0.02, _NO_PHYSICS, "damping while it builds up, over the friction", 0.002),
-        _repeated("coulomb", "N m", 0.0, 0.0, 2.0),
-        _repeated("static", "N m", 0.0, 0.0, 3.0),
+        _repeated("coulomb", "N m", 0.0, 0.0, 2.0, scaling=MOTOR_SIZE),
+        _repeated("static", "N m", 0.0, 0.0, 3.0, scaling=MOTOR_SIZE),
         _repeated("stribeck_speed", "rad/s", 3.0, 0.2, 20.0),
     ),
     {"torque": _dahl_torque},
@@ -441,7 +443,7 @@ def _more_turns(torque, angle, cosine_2, sine_2, cosine_3, sine_3):
 TURNING_SHAPE = _correction(
     "turning_shape", "load", "harmonics of a torque that turns with the shaft",
     tuple(
-        _amount(n, "N m", 0.05, f"{'co' * n.startswith('co')}sine of {n[-1]} times the shaft's angle")
+        _amount(n, "N m", 0.05, f"{'co' * n.startswith('co')}sine of {n[-1]} times the shaft's angle", scaling=MOTOR_SIZE)
         for n in ("cosine_2", "sine_2", "cosine_3", "sine_3")
     ),
     {"torque": _more_turns},

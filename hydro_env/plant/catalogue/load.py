@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import pi
 
-from ..parameters import Parameter
+from ..parameters import MOTOR_SIZE, Parameter
 from ..vector_math import clip, sin
 from .effect import Effect, State
 
@@ -18,11 +18,27 @@ def _load_bias(torque, bias):
 LOAD_BIAS = Effect(
     name="load_bias",
     port="load",
+    title="a constant load that was not logged",
     summary="a constant load torque that nobody logged",
     signature="same sign in both directions",
     source="weights, belts, seals",
-    parameters=(Parameter("bias", "N m", 0.0, -3.0, 3.0, "assumed", "torque against positive speed", 0.4),),
+    parameters=(
+        Parameter(
+            "bias",
+            "N m",
+            0.0,
+            low=-3.0,
+            high=3.0,
+            typical=0.4,
+            scaling=MOTOR_SIZE,
+            note="torque against positive speed",
+            source="assumed",
+        ),
+    ),
     laws={"torque": _load_bias},
+    separated_by={
+        "motor_coulomb_friction": "the same slow ramp in both directions of rotation: friction changes its sign, a load does not"
+    },
 )
 
 
@@ -33,12 +49,32 @@ def _eccentric_load(torque, angle, amplitude, phase):
 ECCENTRIC_LOAD = Effect(
     name="eccentric_load",
     port="load",
+    title="an unbalanced load",
     summary="unbalanced weight on the shaft",
     signature="line at the shaft speed",
     source="statics: m g r sin(theta + phase)",
     parameters=(
-        Parameter("amplitude", "N m", 0.0, 0.0, 2.0, "assumed", "largest torque", 0.3),
-        Parameter("phase", "rad", 0.0, -pi, pi, "unknown beforehand", "angle at the start", 0.0),
+        Parameter(
+            "amplitude",
+            "N m",
+            0.0,
+            low=0.0,
+            high=2.0,
+            typical=0.3,
+            scaling=MOTOR_SIZE,
+            note="largest torque",
+            source="assumed",
+        ),
+        Parameter(
+            "phase",
+            "rad",
+            0.0,
+            low=-pi,
+            high=pi,
+            role="phase",
+            note="angle at the start",
+            source="unknown beforehand",
+        ),
     ),
     laws={"torque": _eccentric_load},
 )
@@ -76,18 +112,49 @@ def _backlash_corner(inertia):
 SHAFT_BACKLASH = Effect(
     name="shaft_backlash",
     port="load",
+    title="backlash of the coupling",
     summary="part of the inertia sits behind an elastic coupling with a gap",
     signature="jump at reversal, anti-resonance",
     source="Nordin and Gutman 2002, dead-zone model of backlash",
     parameters=(
         Parameter(
-            "inertia", "kg m2", 0.0, 1e-4, 1e-2, "assumed", "inertia behind the coupling", 2e-3, log=True
+            "inertia",
+            "kg m2",
+            0.0,
+            low=1e-4,
+            high=1e-2,
+            typical=2e-3,
+            log=True,
+            scaling=MOTOR_SIZE,
+            part_of="J",
+            note="inertia behind the coupling",
+            source="assumed",
         ),
-        Parameter("gap", "rad", 0.0, 0.0, 0.1, "assumed", "play of the coupling", 0.05),
         Parameter(
-            "stiffness", "N m/rad", 300.0, 20.0, 2000.0, "assumed", "stiffness in contact", 300.0, log=True
+            "gap", "rad", 0.0, low=0.0, high=0.1, typical=0.05, note="play of the coupling", source="assumed"
         ),
-        Parameter("damping", "N m s/rad", 0.3, 0.01, 2.0, "assumed", "damping in contact", 0.3, log=True),
+        Parameter(
+            "stiffness",
+            "N m/rad",
+            300.0,
+            low=20.0,
+            high=2000.0,
+            log=True,
+            scaling=MOTOR_SIZE,
+            note="stiffness of the coupling in contact",
+            source="assumed",
+        ),
+        Parameter(
+            "damping",
+            "N m s/rad",
+            0.3,
+            low=0.01,
+            high=2.0,
+            log=True,
+            scaling=MOTOR_SIZE,
+            note="damping of the coupling in contact",
+            source="assumed",
+        ),
     ),
     laws={"torque": _backlash_torque},
     states=(State("twist", _twist_rate), State("load_speed", _load_speed_rate)),

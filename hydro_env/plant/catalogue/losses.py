@@ -15,7 +15,7 @@ growth that is ours stands for it; it is zero unless given.
 
 from __future__ import annotations
 
-from ..parameters import Parameter
+from ..parameters import MOTOR_SIZE, Parameter
 from ..vector_math import exp, sqrt, tanh
 from .effect import Effect
 
@@ -30,7 +30,7 @@ _ALIKE = ("motor_coulomb_friction", "quadratic_drag", "speed_dependent_leakage")
 
 _VISCOSITY = Parameter(
     "viscosity", "Pa s", 0.040, 0.005, 0.4, "ISO VG 46 at 40 °C: 46 mm2/s (ISO 3448) times 870 kg/m3", "dynamic viscosity",
-    0.040, log=True,
+    log=True,
 )  # fmt: skip
 _DENSITY = Parameter(
     "density",
@@ -40,7 +40,6 @@ _DENSITY = Parameter(
     1200.0,
     "mineral oil; up to 1200 for phosphate esters",
     "density",
-    870.0,
     log=True,
 )
 _SLIP = Parameter(
@@ -56,18 +55,18 @@ _FRICTION = Parameter(
 )  # fmt: skip
 _CONSTANT = Parameter(
     "constant_torque", "N m", 0.0, 0.0, 0.5, "assumed: seals and springs, some per cent of the nominal torque",
-    "Tc: friction that depends on nothing, against the motion", 0.1,
+    "Tc: friction that depends on nothing, against the motion", 0.1, scaling=MOTOR_SIZE,
 )  # fmt: skip
 _HYDRODYNAMIC = Parameter(
     "hydrodynamic", "m5", 0.0, 0.0, 2e-7, "Ch D^(5/3)/2, with Ch about 50 for a piston machine 4e-9 m5",
-    "torque over density and speed squared", 5e-8,
+    "torque over density and speed squared", 5e-8, scaling=MOTOR_SIZE,
 )  # fmt: skip
 
 
-def _loss_model(name: str, summary: str, signature: str, source: str, parameters, laws) -> Effect:  # type: ignore[no-untyped-def]
+def _loss_model(name: str, title: str, summary: str, signature: str, source: str, parameters, laws) -> Effect:  # type: ignore[no-untyped-def]
     return Effect(
-        name=name, port="motor", parameters=parameters, summary=summary, signature=signature, source=source, laws=laws,
-        indistinguishable_from=_ALIKE, family=FAMILY,
+        name=name, port="motor", parameters=parameters, title=title, summary=summary, signature=signature, source=source,
+        laws=laws, indistinguishable_from=_ALIKE, family=FAMILY,
     )  # fmt: skip
 
 
@@ -83,6 +82,7 @@ def _wilson_torque(torque, motor_pressure, speed, drag, friction, constant_torqu
 
 WILSON_LOSSES = _loss_model(
     name="wilson_losses",
+    title="Wilson's losses of the motor",
     summary="Wilson's losses: laminar slip, viscous drag, friction with pressure, constant friction",
     signature="torque lost with the sign of the speed, growing with pressure",
     source="Wilson, Positive-Displacement Pumps and Fluid Motors, 1950; Merritt 1967, section 4-3",
@@ -107,6 +107,7 @@ def _schloesser_torque(
 
 SCHLOESSER_LOSSES = _loss_model(
     name="schloesser_losses",
+    title="Schloesser's losses of the motor",
     summary="Schloesser's losses: Wilson's, turbulent slip, and a hydrodynamic loss with speed squared",
     signature="leakage with the root of pressure, torque curved over speed",
     source="Schloesser, Mathematical model for displacement pumps and motors, Hydraulic Power Transmission, 1961",
@@ -114,7 +115,7 @@ SCHLOESSER_LOSSES = _loss_model(
         _SLIP,
         Parameter(
             "turbulent_area", "m2", 0.0, 0.0, 5e-7, "assumed; Cst D^(2/3), of the order 1e-9 m2 for a piston machine",
-            "area of the orifice that the gaps make", 1e-7,
+            "area of the orifice that the gaps make", 1e-7, scaling=MOTOR_SIZE,
         ),
         _DRAG, _FRICTION, _HYDRODYNAMIC, _CONSTANT, _VISCOSITY, _DENSITY,
     ),
@@ -136,6 +137,7 @@ def _dorey_torque(torque, motor_pressure, speed, drag, friction, boundary, bound
 
 DOREY_LOSSES = _loss_model(
     name="dorey_losses",
+    title="Dorey's losses of the motor",
     summary="Dorey's losses: Wilson's linear model with coefficients that depend on pressure and speed, and compression",
     signature="slip grows faster than pressure, friction falls with speed",
     source="McCandlish and Dorey, Proc. IMechE 198B, 1984; Dorey, Bath Fluid Power Workshop, 1988; linear part and "
@@ -150,7 +152,7 @@ DOREY_LOSSES = _loss_model(
         ),
         _DRAG, _FRICTION,
         Parameter("boundary", "1", 0.0, 0.0, 10.0, "assumed", "Cf at standstill over Cf at speed, less one", 2.0),
-        Parameter("boundary_speed", "rad/s", 10.0, 1.0, 100.0, "assumed", "speed over which Cf falls", 10.0, log=True),
+        Parameter("boundary_speed", "rad/s", 10.0, 1.0, 100.0, "assumed", "speed over which Cf falls", log=True),
         _VISCOSITY,
     ),
     laws={"leakage": _dorey_leakage, "torque": _dorey_torque},
@@ -175,6 +177,7 @@ def _jeong_torque(
 
 JEONG_LOSSES = _loss_model(
     name="jeong_losses",
+    title="Jeong's losses of the motor",
     summary="Jeong's kinds of loss, lumped: gaps that widen with pressure, mixed friction of the sliding pairs, momentum",
     signature="slip with the cube of a widening gap, Stribeck curve at any pressure",
     source="Jeong, J. Mech. Sci. Technol. 21, 2007 (two papers, with Kim); gap equations of Ivantysyn and Ivantysynova 2001",
@@ -184,7 +187,7 @@ JEONG_LOSSES = _loss_model(
         _DRAG, _FRICTION, _CONSTANT,
         Parameter("stribeck", "1", 0.0, 0.0, 5.0, "assumed", "friction at standstill over friction at speed, less one", 1.0),
         Parameter(
-            "stribeck_speed", "rad/s", 10.0, 1.0, 100.0, "assumed", "speed over which friction falls", 10.0, log=True
+            "stribeck_speed", "rad/s", 10.0, 1.0, 100.0, "assumed", "speed over which friction falls", log=True
         ),
         _HYDRODYNAMIC, _VISCOSITY, _DENSITY,
     ),
@@ -205,16 +208,23 @@ def _ivantysyn_torque(torque, motor_pressure, speed, torque_0, torque_p, torque_
 
 IVANTYSYN_LOSSES = _loss_model(
     name="ivantysyn_losses",
+    title="Ivantysyn and Ivantysynova's losses of the motor",
     summary="Ivantysyn and Ivantysynova's polynomials in pressure and speed, of second degree, for measured loss maps",
     signature="whatever the map shows",
     source="Ivantysyn and Ivantysynova, Hydrostatic Pumps and Motors, 2001 (POLYMOD); coefficients are fitted to each machine",
     parameters=(
-        Parameter("flow_pp", "m3/(s Pa2)", 0.0, 0.0, 1e-16, "assumed", "leakage with pressure squared", 3e-17),
-        Parameter("flow_pw", "m3/(rad Pa)", 0.0, 0.0, 1e-12, "assumed", "leakage with pressure times speed", 3e-13),
-        Parameter("torque_0", "N m", 0.0, 0.0, 0.5, "assumed", "constant friction", 0.1),
-        Parameter("torque_p", "m3/rad", 0.0, 0.0, 2.7e-7, "assumed", "friction with pressure", 7e-8),
-        Parameter("torque_ww", "N m s2/rad2", 0.0, 0.0, 2e-4, "assumed", "drag with speed squared", 5e-5),
-        Parameter("torque_pw", "m3 s/rad2", 0.0, 0.0, 2e-9, "assumed", "drag with pressure times speed", 5e-10),
+        Parameter("flow_pp", "m3/(s Pa2)", 0.0, 0.0, 1e-16, "assumed",
+                  "leakage with pressure squared", 3e-17, scaling=MOTOR_SIZE),
+        Parameter("flow_pw", "m3/(rad Pa)", 0.0, 0.0, 1e-12, "assumed",
+                  "leakage with pressure times speed", 3e-13, scaling=MOTOR_SIZE),
+        Parameter("torque_0", "N m", 0.0, 0.0, 0.5, "assumed",
+                  "constant friction", 0.1, scaling=MOTOR_SIZE),
+        Parameter("torque_p", "m3/rad", 0.0, 0.0, 2.7e-7, "assumed",
+                  "friction with pressure", 7e-8, scaling=MOTOR_SIZE),
+        Parameter("torque_ww", "N m s2/rad2", 0.0, 0.0, 2e-4, "assumed",
+                  "drag with speed squared", 5e-5, scaling=MOTOR_SIZE),
+        Parameter("torque_pw", "m3 s/rad2", 0.0, 0.0, 2e-9, "assumed",
+                  "drag with pressure times speed", 5e-10, scaling=MOTOR_SIZE),
     ),
     laws={"leakage": _ivantysyn_leakage, "torque": _ivantysyn_torque},
 )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..parameters import Parameter
+from ..parameters import MOTOR_SIZE, Parameter
 from ..vector_math import cos, exp, tanh
 from .effect import Effect
 
@@ -16,6 +16,7 @@ def _speed_dependent_leakage(leakage, speed, coefficient):
 SPEED_DEPENDENT_LEAKAGE = Effect(
     name="speed_dependent_leakage",
     port="motor",
+    title="leakage that grows with speed",
     summary="leakage that grows with speed (filling losses, churning)",
     signature="speed loss at no load, seen in the flow balance",
     source="neglected by the paper in its own words; Wilson 1948, Schloesser 1961",
@@ -24,11 +25,12 @@ SPEED_DEPENDENT_LEAKAGE = Effect(
             "coefficient",
             "m3/rad",
             0.0,
-            0.0,
-            6e-7,
-            "up to 45 % of the displacement",
-            "leakage per speed",
-            1.5e-7,
+            low=0.0,
+            high=6e-7,
+            typical=1.5e-7,
+            scaling=MOTOR_SIZE,
+            note="leakage per speed",
+            source="up to 45 % of the displacement",
         ),
     ),
     laws={"leakage": _speed_dependent_leakage},
@@ -48,15 +50,43 @@ def _motor_coulomb_friction_corner(speed, coulomb, static):
 MOTOR_COULOMB_FRICTION = Effect(
     name="motor_coulomb_friction",
     port="motor",
+    title="dry friction of the motor",
     summary="dry friction of the motor with a Stribeck peak, smooth within 0.1 rad/s",
     signature="step of torque with the sign of the speed, sticking at reversal",
     source="Armstrong-Helouvry 1991; Olsson 1973 for hydraulic motors",
     parameters=(
         Parameter(
-            "coulomb", "N m", 0.0, 0.0, 2.0, "3-10 % of the nominal torque are usual", "Coulomb friction", 0.3
+            "coulomb",
+            "N m",
+            0.0,
+            low=0.0,
+            high=2.0,
+            typical=0.3,
+            scaling=MOTOR_SIZE,
+            note="Coulomb friction",
+            source="3-10 % of the nominal torque are usual",
         ),
-        Parameter("static", "N m", 0.0, 0.0, 3.0, "assumed", "static friction", 0.4),
-        Parameter("stribeck_speed", "rad/s", 3.0, 0.2, 20.0, "assumed", "Stribeck speed", 3.0, log=True),
+        Parameter(
+            "static",
+            "N m",
+            0.0,
+            low=0.0,
+            high=3.0,
+            typical=0.4,
+            scaling=MOTOR_SIZE,
+            note="static friction",
+            source="assumed",
+        ),
+        Parameter(
+            "stribeck_speed",
+            "rad/s",
+            3.0,
+            low=0.2,
+            high=20.0,
+            log=True,
+            note="Stribeck speed",
+            source="assumed",
+        ),
     ),
     laws={"torque": _motor_coulomb_friction},
     corner=_motor_coulomb_friction_corner,
@@ -70,11 +100,22 @@ def _quadratic_drag(torque, speed, coefficient):
 QUADRATIC_DRAG = Effect(
     name="quadratic_drag",
     port="motor",
+    title="drag that grows with speed squared",
     summary="hydrodynamic torque loss growing with speed squared",
     signature="curvature of torque over speed",
     source="Schloesser 1961, hydrodynamic loss",
     parameters=(
-        Parameter("coefficient", "N m s2/rad2", 0.0, 0.0, 8e-4, "assumed", "torque per speed squared", 1e-4),
+        Parameter(
+            "coefficient",
+            "N m s2/rad2",
+            0.0,
+            low=0.0,
+            high=8e-4,
+            typical=1e-4,
+            scaling=MOTOR_SIZE,
+            note="torque per speed squared",
+            source="assumed",
+        ),
     ),
     laws={"torque": _quadratic_drag},
     indistinguishable_from=("line_loss",),
@@ -93,12 +134,31 @@ def _displacement_ripple_corner(amplitude):
 DISPLACEMENT_RIPPLE = Effect(
     name="displacement_ripple",
     port="motor",
+    title="displacement ripple of the motor",
     summary="displacement varies with the shaft angle, in flow and in torque",
     signature="line at `order` times the shaft speed",
     source="kinematics of gear and orbit motors, Ivantysyn and Ivantysynova 2001",
     parameters=(
-        Parameter("amplitude", "1", 0.0, 0.0, 0.3, "1-10 % are usual", "relative ripple", 0.05),
-        Parameter("order", "1", 7.0, 3.0, 13.0, "number of chambers", "periods in a turn", 7.0),
+        Parameter(
+            "amplitude",
+            "1",
+            0.0,
+            low=0.0,
+            high=0.3,
+            typical=0.05,
+            note="relative ripple of the displacement",
+            source="1-10 % are usual",
+        ),
+        Parameter(
+            "order",
+            "1",
+            7.0,
+            low=3.0,
+            high=13.0,
+            role="order",
+            note="periods in a turn",
+            source="number of chambers",
+        ),
     ),
     laws={"displacement": _displacement_ripple},
     corner=_displacement_ripple_corner,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-from ..parameters import Parameter
+from ..parameters import SPOOL_TRAVEL, Parameter
 from ..vector_math import clip
 from .effect import Effect
 
@@ -18,10 +18,23 @@ def _null_offset(opening, offset):
 NULL_OFFSET = Effect(
     name="null_offset",
     port="opening",
+    title="an offset of the hydraulic null",
     summary="hydraulic centre beside the electrical one",
     signature="asymmetric onset, offset at zero command",
     source="ISO 10770-1, null bias",
-    parameters=(Parameter("offset", "m", 0.0, -1.5e-4, 1.5e-4, "assumed", "opening at centred spool", 3e-5),),
+    parameters=(
+        Parameter(
+            "offset",
+            "m",
+            0.0,
+            low=-1.5e-4,
+            high=1.5e-4,
+            typical=3e-5,
+            scaling=SPOOL_TRAVEL,
+            note="opening at centred spool",
+            source="assumed",
+        ),
+    ),
     laws={"opening": _null_offset},
 )
 
@@ -33,6 +46,7 @@ def _dead_zone(opening, overlap_positive, overlap_negative):
 DEAD_ZONE = Effect(
     name="dead_zone",
     port="opening",
+    title="spool overlap (dead zone)",
     summary="positive overlap: no flow until the spool has passed it, each direction with its own",
     signature="flat flow around zero, each direction its own width",
     source="ISO 10770-1, dead band; the paper's Fig. 2 shows none below 300 mA",
@@ -41,25 +55,35 @@ DEAD_ZONE = Effect(
             "overlap_positive",
             "m",
             0.0,
-            0.0,
-            4.5e-4,
-            "Fig. 2: 300 mA are 353 um",
-            "overlap, positive flow",
-            1e-4,
+            low=0.0,
+            high=4.5e-4,
+            typical=1e-4,
+            scaling=SPOOL_TRAVEL,
+            note="overlap, positive direction",
+            source="Fig. 2: 300 mA are 353 um",
         ),
         Parameter(
             "overlap_negative",
             "m",
             0.0,
-            0.0,
-            4.5e-4,
-            "Fig. 2: 300 mA are 353 um",
-            "overlap, negative flow",
-            1e-4,
+            low=0.0,
+            high=4.5e-4,
+            typical=1e-4,
+            scaling=SPOOL_TRAVEL,
+            note="overlap, negative direction",
+            source="Fig. 2: 300 mA are 353 um",
         ),
     ),
     laws={"opening": _dead_zone},
     indistinguishable_from=("spring_preload",),
+    separated_by={
+        "spring_preload": (
+            "record the spool position: overlap lets the spool move without flow, a preload does not "
+            "let it move"
+        ),
+        "flow_gain_nonlinearity": "slow triangles of 20, 40 and 80 % of the rated command: overlap is the same width in all",
+        "null_offset": "slow triangle through zero with at least 10 s per cycle",
+    },
 )
 
 
@@ -70,11 +94,23 @@ def _flow_saturation(opening, opening_limit):
 FLOW_SATURATION = Effect(
     name="flow_saturation",
     port="opening",
+    title="saturation of the flow",
     summary="the opening stops growing although the spool moves on",
     signature="flat top at large commands",
     source="ISO 10770-1, flow saturation",
     parameters=(
-        Parameter("opening_limit", "m", inf, 1e-4, 8.6e-4, "assumed", "largest opening", 3e-4, log=True),
+        Parameter(
+            "opening_limit",
+            "m",
+            inf,
+            low=1e-4,
+            high=8.6e-4,
+            typical=3e-4,
+            log=True,
+            scaling=SPOOL_TRAVEL,
+            note="opening at which flow saturates",
+            source="assumed",
+        ),
     ),
     laws={"opening": _flow_saturation},
 )
@@ -87,11 +123,22 @@ def _directional_gain(opening, ratio):
 DIRECTIONAL_GAIN = Effect(
     name="directional_gain",
     port="opening",
+    title="different flow gains of the two directions",
     summary="the negative direction has another flow gain than the positive one",
     signature="gain split by the sign of the command",
     source="ISO 10770-1, symmetry",
     parameters=(
-        Parameter("ratio", "1", 1.0, 0.4, 2.5, "assumed", "negative over positive flow gain", 0.75, log=True),
+        Parameter(
+            "ratio",
+            "1",
+            1.0,
+            low=0.4,
+            high=2.5,
+            typical=0.75,
+            log=True,
+            note="gain of the negative direction over the positive",
+            source="assumed",
+        ),
     ),
     laws={"opening": _directional_gain},
 )
@@ -106,12 +153,20 @@ def _flow_gain_nonlinearity(opening, curvature, alpha, u_rated, R, k):
 FLOW_GAIN_NONLINEARITY = Effect(
     name="flow_gain_nonlinearity",
     port="opening",
+    title="a progressive flow gain",
     summary="progressive control edge: little gain at small openings",
     signature="residual over opening only",
     source="V-notches of proportional spools; ISO 10770-1, linearity",
     parameters=(
         Parameter(
-            "curvature", "1", 0.0, -0.8, 0.9, "assumed", "share of the gain that grows with the opening", 0.5
+            "curvature",
+            "1",
+            0.0,
+            low=-0.8,
+            high=0.9,
+            typical=0.5,
+            note="share of the gain that grows with the opening",
+            source="assumed",
         ),
     ),
     laws={"opening": _flow_gain_nonlinearity},

@@ -23,10 +23,22 @@ def _lag_decay(time_constant):
 SENSOR_LAG = Effect(
     name="sensor_lag",
     port="sensor",
+    title="a lag of the speed sensor",
     summary="the measured speed lags the true one (filter of first order)",
     signature="measured speed late against physics, torque balance broken",
     source="counter gates and filters of speed sensors",
-    parameters=(Parameter("time_constant", "s", 0.0, 0.0, 0.1, "assumed", "time constant", 0.02),),
+    parameters=(
+        Parameter(
+            "time_constant",
+            "s",
+            0.0,
+            low=0.0,
+            high=0.1,
+            typical=0.02,
+            note="time constant of the sensor",
+            source="assumed",
+        ),
+    ),
     laws={"measured_speed": _sensor_lag},
     states=(State("lagged_speed", _lag_rate, _lag_decay),),
     indistinguishable_from=("command_delay",),
@@ -40,13 +52,25 @@ def _sensor_gain(measured_speed, gain):
 SENSOR_GAIN = Effect(
     name="sensor_gain",
     port="sensor",
+    title="a scale error of the speed sensor",
     summary="the speed sensor's scale is wrong",
     signature="redundancy check fails, physics does not",
     source="pulses per turn, calibration",
     parameters=(
-        Parameter("gain", "1", 1.0, 0.7, 1.4, "assumed", "measured over true speed", 1.05, log=True),
+        Parameter(
+            "gain",
+            "1",
+            1.0,
+            low=0.7,
+            high=1.4,
+            typical=1.05,
+            log=True,
+            note="measured over true speed",
+            source="assumed",
+        ),
     ),
     laws={"measured_speed": _sensor_gain},
+    separated_by={"directional_gain": "count revolutions over a minute at constant speed, both directions"},
 )
 
 
@@ -57,11 +81,21 @@ def _sensor_offset(measured_speed, offset):
 SENSOR_OFFSET = Effect(
     name="sensor_offset",
     port="sensor",
+    title="a zero error of the speed sensor",
     summary="the speed sensor's zero is wrong",
     signature="redundancy check fails, physics does not",
     source="drift of analogue speed signals",
     parameters=(
-        Parameter("offset", "rad/s", 0.0, -10.0, 10.0, "assumed", "measured speed at standstill", 1.0),
+        Parameter(
+            "offset",
+            "rad/s",
+            0.0,
+            low=-10.0,
+            high=10.0,
+            typical=1.0,
+            note="measured speed at standstill",
+            source="assumed",
+        ),
     ),
     laws={"measured_speed": _sensor_offset},
 )

@@ -25,6 +25,7 @@ def _droop_corner(relative_drop):
 SUPPLY_DROOP = Effect(
     name="supply_droop",
     port="supply",
+    title="a drooping supply pressure",
     scope="rig",
     summary="the supply pressure falls with the total flow of both valves, with memory",
     signature="both motors slow down together; needs the other channel's flow",
@@ -34,17 +35,30 @@ SUPPLY_DROOP = Effect(
             "relative_drop",
             "1",
             0.0,
-            0.0,
-            0.9,
-            "assumed",
-            "share of the supply pressure lost at 49 l/min, the rated flow of two nominal valves",
-            0.5,
+            low=0.0,
+            high=0.9,
+            typical=0.5,
+            note="relative drop at rated flow of both valves; rated flow is 49 l/min for two nominal valves",
+            source="assumed",
         ),
-        Parameter("time_constant", "s", 0.1, 0.01, 5.0, "assumed", "memory of the supply", 0.1, log=True),
+        Parameter(
+            "time_constant",
+            "s",
+            0.1,
+            low=0.01,
+            high=5.0,
+            log=True,
+            role="time_constant",
+            note="memory of the supply",
+            source="assumed",
+        ),
     ),
     laws={"drive": _supply_droop},
     states=(State("droop", _droop_rate),),
     corner=_droop_corner,
+    separated_by={
+        "pressure_dependent_flow": "record the supply pressure; drive the other channel alone while this one holds its command"
+    },
 )
 
 

@@ -42,6 +42,7 @@ import numpy as np
 
 from .. import vector_math
 from ..catalogue import CATALOGUE, Effect
+from ..catalogue.effect import arguments
 from ..parameters import PARAMETERS
 from ..rhs import rates
 from . import vector_ir
@@ -56,7 +57,7 @@ STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "an
 STATE_CAPS = (1e2, 1e-2, 1e3, 1e-2, 1e10, 1e5, 1e12)
 #: A lane at an end stop takes a substep in so many parts; at a sharp bend of an effect, as many as the effect asks for.
 STOP_PARTS = 5
-#: Longest delay that the delay line of `command_delay` holds, s.
+#: Longest delay that the delay line of the command holds, s.
 LONGEST_DELAY = 0.05
 
 #: A state that nothing acts on but another one, of which it is the integral.
@@ -122,19 +123,12 @@ class Kernel:
     num_rows: int
     dtype: np.dtype[Any]
     num_cells: int
+    has_delay: bool
     advance: Callable[..., None]
     source: str
 
-    @property
-    def has_delay(self) -> bool:
-        return "command_delay" in self.effects
-
 
 # --- from laws to statements ------------------------------------------------------------------------------------------
-def _arguments(law: Callable[..., float]) -> list[str]:
-    return list(inspect.signature(law).parameters)
-
-
 class _Names:
     """What an argument of a law is called in the generated text."""
 
@@ -161,13 +155,13 @@ def _chain(quantity: str, effects: Iterable[Effect], changed: dict[str, str] | N
         law = effect.laws.get(quantity)
         if law is not None:
             names = _Names(effect)
-            arguments = [target] + [names(a, changed) for a in _arguments(law)[1:]]
-            lines.append(f"{target} = {_law_name(effect, quantity)}({', '.join(arguments)})")
+            asked = [target] + [names(a, changed) for a in arguments(law)[1:]]
+            lines.append(f"{target} = {_law_name(effect, quantity)}({', '.join(asked)})")
     return lines
 
 
 def _depends(quantity: str, effects: Iterable[Effect], argument: str) -> bool:
-    return any(argument in _arguments(e.laws[quantity])[1:] for e in effects if quantity in e.laws)
+    return any(argument in arguments(e.laws[quantity])[1:] for e in effects if quantity in e.laws)
 
 
 def _rates_body(effects: tuple[Effect, ...]) -> list[str]:
@@ -429,7 +423,7 @@ def _module_text(effects: tuple[Effect, ...], half: int, single: bool) -> tuple[
     effect_rates = []
     for effect, state in extra:
         names = _Names(effect, state.given)
-        call = ", ".join(names(a, {}) for a in _arguments(state.rate))
+        call = ", ".join(names(a, {}) for a in arguments(state.rate))
         effect_rates.append(
             f"{effect.name}__{state.name}_rate = {_law_name(effect, state.name + '_rate')}({call})"
         )
@@ -456,7 +450,7 @@ def _module_text(effects: tuple[Effect, ...], half: int, single: bool) -> tuple[
     for effect in effects:
         if effect.corner is not None:
             names = _Names(effect)
-            call = ", ".join("h" if a == "substep" else names(a, {}) for a in _arguments(effect.corner))
+            call = ", ".join("h" if a == "substep" else names(a, {}) for a in arguments(effect.corner))
             bends.append(f"{_law_name(effect, 'corner')}({call})")
             number_of_parts.append(effect.corner_parts)
     near = [f"near |= ({') | ('.join(bends)})"]
@@ -478,7 +472,7 @@ def _module_text(effects: tuple[Effect, ...], half: int, single: bool) -> tuple[
             first.append(f"f__{name} = 1.0 / ig")
         else:
             names = _Names(effect, state.given)
-            call = ", ".join(names(a, {}) for a in _arguments(state.decay))
+            call = ", ".join(names(a, {}) for a in arguments(state.decay))
             first.append(f"f__{name} = 1.0 / (ig + {_law_name(effect, state.name + '_decay')}({call}))")
         first.append(f"{row('f__' + name)} = f__{name}")
     prepare = _needed(set(kept_rows), hoist.lines)
@@ -581,13 +575,16 @@ def _module_text(effects: tuple[Effect, ...], half: int, single: bool) -> tuple[
                 pasted.append(_paste(state.decay, _law_name(effect, state.name + "_decay")))
 
     exchange = _EXCHANGE.format(flow=at["flow"], other=at["other_flow"]) if flows else ""
-    delay = at.get("command_delay__delay")
-    if delay is None:
+    delays = [
+        f"cells[{at[f'{e.name}__{e.delays_command}']} * LANES + l]" for e in effects if e.delays_command
+    ]
+    if not delays:
         apply = "cells[APPLIED * LANES + l] = cells[COMMAND * LANES + l]"
         ring = ""
     else:
         apply = "pass"
-        ring = _DELAY.format(delay=delay)
+        late = delays[0] if len(delays) == 1 else f"({' + '.join(delays)})"
+        ring = _DELAY.format(late=late)
     lanes_text = inspect.getsource(vector_ir)
     text = _MODULE.format(
         lanes=hashlib.sha256(lanes_text.encode()).hexdigest()[:16],
@@ -612,7 +609,7 @@ _DELAY = """\
                 slot = (head + t * substeps + n) % slots
                 for l in range(LANES):
                     ring[b, slot, l] = cells[COMMAND * LANES + l]
-                    late = cells[{delay} * LANES + l] / whole_step
+                    late = {late} / whole_step
                     late = late if late < slots - 2.0 else slots - 2.0
                     whole = int(late)
                     share = late - whole
@@ -840,7 +837,8 @@ def _compiled(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
     module = _import_text(text)
     names = tuple(e.name for e in effects)
     dtype = np.dtype(np.float32 if single else np.float64)
-    return Kernel(names, half, rows, kept, dtype, module.TOTAL * module.LANES, module.advance, text)
+    delay = any(e.delays_command for e in effects)
+    return Kernel(names, half, rows, kept, dtype, module.TOTAL * module.LANES, delay, module.advance, text)
 
 
 def compile_kernel(effects: Iterable[str] = (), half: int = 8, dtype: Any = np.float64) -> Kernel:
