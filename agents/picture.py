@@ -1,4 +1,4 @@
-"""Where the gain comes from: `python -m agents.picture --out docs/agents_start_and_reversal.png`.
+"""Where the gain comes from: `python -m agents.picture --out docs/images/agents_start_and_reversal.png`.
 
 The first second and the first reversal of one pair of `val` that no controller has met before, driven by the tuned PID,
 the same PID on servo valves, and an agent: speeds, speed difference, commands. For the agent the picture also shows where it

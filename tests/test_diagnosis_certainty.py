@@ -193,11 +193,12 @@ def test_interrupted_trials_go_on_where_they_were(tmp_path: Path, monkeypatch: p
     trials.run_trials(tmp_path, wanted[3:6], say=lambda text: None, name="trials_2_of_2.json")
     rows = trials.run_trials(tmp_path, wanted, say=lambda text: None)
     assert fake.runs == len(wanted) == len(rows)
-    trials.publish(rows, tmp_path)
-    trials.publish(rows, tmp_path)  # twice leaves one table
-    text = (tmp_path / "diagnosis.md").read_text()
-    assert text.count("| asked for |") == 1 and "10 of 10 (100 %)" in text
-    assert json.loads((tmp_path / "trials.json").read_text())["summary"]
+    (tmp_path / "docs").mkdir()
+    trials.publish(rows, tmp_path / "docs")
+    published = json.loads((tmp_path / "docs" / "trials.json").read_text())
+    assert published["summary"]
+    text = trials.table(published["rows"])
+    assert text == trials.table(rows) and "10 of 10 (100 %)" in text
 
 
 def test_what_the_true_values_leave_of_a_rig_in_another_form(tmp_path: Path) -> None:

@@ -331,8 +331,8 @@ def test_bad_models(effects, message, tmp_path):
 
 
 def test_the_model_of_the_document(tmp_path):
-    """The YAML of docs/losses.md is a model, and its best total efficiency is the one that stands there."""
-    text = (Path(__file__).parent.parent / "docs" / "losses.md").read_text(encoding="utf-8")
+    """The YAML of docs/reference/losses.md is a model, and its best total efficiency is the one that stands there."""
+    text = (Path(__file__).parent.parent / "docs" / "reference" / "losses.md").read_text(encoding="utf-8")
     example = re.search(r"```yaml\n(.*?)```", text, re.S)
     said = re.search(r"peaks at ([\d.]+) % at (\d+) bar\s+and (\d+) rpm", text)
     assert example is not None and said is not None

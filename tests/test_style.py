@@ -1,8 +1,7 @@
-"""The code passes the linter and the type checker, and the generated tables of the documents are up to date."""
+"""The code passes the linter, the formatter and the type checker."""
 
 from __future__ import annotations
 
-import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -22,10 +21,3 @@ def test_checker(command: list[str]) -> None:
         [sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
-
-
-@pytest.mark.parametrize("name", ["README.md", "docs/plant.md", "docs/effects.md", "docs/losses.md"])
-def test_tables_of_the_documents(name: str) -> None:
-    text = (ROOT / name).read_text(encoding="utf-8")
-    filled = runpy.run_path(str(ROOT / "docs" / "tables.py"))["filled"]
-    assert text == filled(text), "out of date: run `python docs/tables.py`"

@@ -2,7 +2,7 @@
 
     python -m hydro_env.experiments.blind_trials --out DIR [--groups medium two ...] [--seed N] [--minutes M] [--slice K/N]
         [--jobs N] [--empty N] [--only SEED FIRST-LAST ...]
-    python -m hydro_env.experiments.blind_trials --out DIR --write docs         # the table of what is in DIR, no new trial
+    python -m hydro_env.experiments.blind_trials --out DIR --write docs         # publishes what is in DIR, no new trial
     python -m hydro_env.experiments.blind_trials --out DIR --logs LOGS --make   # practice logs for later trials only
 
 A trial hides effects in a rig whose base parameters are up to 15 % off the given model's, each channel alone, with noise and
@@ -109,24 +109,24 @@ _WITH_CHANNEL = frozenset(GROUPS) - {"nothing", "parameters", "unlisted", "no_tw
 EMPTY = 10
 #: What is asked for: (what, counted by, over the groups, at least or at most this share).
 BARS: tuple[tuple[str, str, tuple[str, ...], float], ...] = (
-    ("right name or right declared set", "set", ("medium",), 0.95),
-    ("right name", "right", ("medium",), 0.0),
+    ("correct effect, or listed as indistinguishable from the named one", "set", ("medium",), 0.95),
+    ("correct effect", "right", ("medium",), 0.0),
     (
-        "the same, or `calibration` where the effect is declared as one that calibration hides",
+        "the same, or `calibration` that lists the effect as hidden by calibration",
         "declared_set",
         ("medium",),
         0.0,
     ),
-    ("right channel", "channel", ("medium",), 0.95),
-    ("an effect named though there is none (at most)", "alarm", ("nothing", "parameters"), 0.02),
+    ("correct channel", "channel", ("medium",), 0.95),
+    ("false alarm: an effect named though there is none (at most)", "alarm", ("nothing", "parameters"), 0.02),
     ("`unknown` where the effect is not among the candidates", "right", ("unlisted",), 0.90),
-    ("`unknown`, or what is declared not to be told apart from it", "open", ("unlisted",), 0.0),
-    ("`unknown` where no declared twin of it is among them either", "right", ("no_twins",), 0.0),
+    ("`unknown`, or an effect declared indistinguishable from it", "open", ("unlisted",), 0.0),
+    ("`unknown` where no indistinguishable effect is a candidate either", "right", ("no_twins",), 0.0),
     ("both of two effects", "both", ("two",), 0.85),
-    ("sealed speed within 1.3 times the noise", "sealed", ("medium",), 0.90),
-    ("the same with the named effects alone, no correction of their form", "sealed_named", ("medium",), 0.0),
-    ("sealed speed within 1.3 times what the true values leave", "sealed_form", ("medium",), 0.0),
-    ("the placebo wins (at most)", "placebo", ("medium", "two"), 0.0),
+    ("held-out speed error within 1.3 times the noise", "sealed", ("medium",), 0.90),
+    ("the same with the named effects alone, without form corrections", "sealed_named", ("medium",), 0.0),
+    ("held-out speed error within 1.3 times what the true values leave", "sealed_form", ("medium",), 0.0),
+    ("placebo better than the named effects (at most)", "placebo", ("medium", "two"), 0.0),
 )
 
 
@@ -356,7 +356,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """The table in Markdown: bars, counts by group, and every trial that went wrong."""
-    lines = ["| asked for | trials | bar | reached |", "|---|---|---|---|"]
+    lines = ["| criterion | trials | target | reached |", "|---|---|---|---|"]
     for s in summary(rows):
         if s["trials"]:
             bar = "" if s["bar"] == 0.0 and "most" not in s["what"] else f"{100 * s['bar']:.0f} %"
@@ -366,8 +366,8 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
             )
     lines += [
         "",
-        "| group | trials | right | right or in the declared set | or `calibration` that lists it | right channel "
-        "| sealed within 1.3 | median CPU, s |",
+        "| group | trials | correct | correct or indistinguishable | or `calibration` that lists it | correct channel "
+        "| held-out error within 1.3 | median CPU, s |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for group in GROUPS:
@@ -391,9 +391,9 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     wrong = [r for r in rows if not r["right"]]
     lines += [
         "",
-        "Trials that were not simply right:",
+        "Trials that were not simply correct:",
         "",
-        "| group | hidden | verdict | named | sealed speed, times the noise (true values) | seed |",
+        "| group | hidden | verdict | named | held-out speed error, times the noise (true values) | seed |",
         "|---|---|---|---|---|---|",
     ]
     for r in wrong:
@@ -403,7 +403,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
             for e in r["effects"]
         )
         hidden = (", ".join(r["hidden"]) or "nothing") + (
-            "" if r.get("visible", True) else " (said to be invisible here)"
+            "" if r.get("visible", True) else " (reported as not detectable here)"
         )
         lines.append(
             f"| {r['group']} | {hidden} | {r['verdict']} | {names or '-'} | {r['worst']:.2f} ({r['form']:.2f}) | {r['seed']} |"
@@ -418,15 +418,15 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         every = [(g, [r["seconds"] for r in timed if r["group"] == g]) for g in GROUPS]
         lines += [
             "",
-            f"On the wall, with {jobs} threads: {_within([r['seconds'] for r in timed])}; of these",
+            f"Elapsed time with {jobs} threads: {_within([r['seconds'] for r in timed])}; of these",
             "",
         ]
         lines += [f"* {group}: {_within(own)}" for group, own in every if own]
     rough = [r for r in rows if (r["right"] or r["set"]) and r["verdict"] == "effects" and not r["sealed"]]
     lines += [
         "",
-        "Rightly named, but the sealed speed stays above 1.3 times the noise (in brackets what the true values in the "
-        "catalogue's form leave): "
+        "Correctly named, but the held-out speed error stays above 1.3 times the noise (in brackets what the true values in "
+        "the catalogue's functional form leave): "
         + (
             "; ".join(
                 f"{', '.join(r['hidden'])} ({r['group']}) {r['worst']:.2f} ({r['form']:.2f})" for r in rough
@@ -491,18 +491,24 @@ def _numbers(text: str) -> range:
     return range(int(first), int(last or first) + 1)
 
 
-_BEGIN, _END = "<!-- trials -->", "<!-- end of trials -->"
+#: What a published row keeps: what the table shows and counts.
+_PUBLISHED = (
+    "group", "hidden", "seed", "verdict", "named", "right", "set", "declared_set", "open", "channel", "alarm", "both", "sealed",
+    "sealed_named", "sealed_form", "placebo", "worst", "form", "visible", "seconds", "cpu_s", "jobs", "method", "effects",
+)  # fmt: skip
 
 
 def publish(rows: Sequence[dict[str, Any]], folder: Path) -> None:
-    """Writes FOLDER/trials.json with all counts, and the table into FOLDER/diagnosis.md between its two marks."""
-    short = [{k: v for k, v in r.items() if k != "gap"} for r in rows]
-    write_json(folder / "trials.json", {"schema": SCHEMA, "summary": summary(rows), "rows": short})
-    page = folder / "diagnosis.md"
-    text = page.read_text() if page.exists() else f"# How often the diagnosis is right\n\n{_BEGIN}\n{_END}\n"
-    before, _, rest = text.partition(_BEGIN)
-    _, _, after = rest.partition(_END)
-    write_text(page, f"{before}{_BEGIN}\n{table(rows)}{_END}{after}")
+    """Writes FOLDER/trials.json, a line for each trial; `python docs/generate.py` then makes the page of it."""
+    own = [{key: row[key] for key in _PUBLISHED if key in row} for row in rows]
+    for row in own:
+        row["effects"] = [
+            {k: e[k] for k in ("name", "channel", "indistinguishable_from")} for e in row["effects"]
+        ]
+    lines = ",\n".join(f"  {json.dumps(row)}" for row in own)
+    counts = ",\n".join(f"  {json.dumps(each)}" for each in summary(rows))
+    text = f'{{\n "schema": "{SCHEMA}",\n "summary": [\n{counts}\n ],\n "rows": [\n{lines}\n ]\n}}\n'
+    write_text(folder / "trials.json", text)
 
 
 def _main() -> None:
@@ -523,7 +529,7 @@ def _main() -> None:
     )
     parser.add_argument("--logs", type=Path, help="folder in which practice logs are kept")
     parser.add_argument("--make", action="store_true", help="only makes the logs, in --logs")
-    parser.add_argument("--write", type=Path, help="folder of documents to write the table to; runs nothing")
+    parser.add_argument("--write", type=Path, help="folder that trials.json is published to; runs nothing")
     given = parser.parse_args()
     if given.write is not None:
         publish(rows_of(given.out), given.write)

@@ -2,7 +2,7 @@
 
 `adaptive_flow` learns edges and gains where the drive happens to take it. This one looks for them beforehand, in the rest
 before the set-point first moves, and goes on from there; `planning_view` and, beneath it, `flow_view` describe its parts.
-Its constants were found by an evolution strategy and by hand on pairs of `train` (docs/agents.md). Those that choose the
+Its constants were found by an evolution strategy and by hand on pairs of `train` (docs/explanation). Those that choose the
 place on the front of speed difference over tracking error are left to the user: how fast the reference runs, and how fast
 the spools look for their edges.
 """

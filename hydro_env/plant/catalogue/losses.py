@@ -8,9 +8,9 @@ the same term, keeps Km in place of Cs D/mu and B in place of Cv D mu: they are 
 All models act in all four quadrants. Leakage has the sign of the pressure difference and friction that of the speed, so
 that none ever gives power. Where a publication has a jump at standstill there is a steep line here, as in
 `motor_coulomb_friction`: sign(w) is tanh(10 w), full from 0.3 rad/s; and the square root of turbulent leakage is smooth
-within 0.1 bar. docs/losses.md has equations, sources, published coefficients, and what is missing of the models that are
-not here. Where a publication lets a coefficient depend on the operating point and its formula is not known here, a
-growth that is ours stands for it; it is zero unless given.
+within 0.1 bar. docs/reference/losses.md has equations, sources, published coefficients, and what is missing of the others.
+Where a publication lets a coefficient depend on the operating point and its formula is not known here, a growth that is
+ours stands for it; it is zero unless given.
 """
 
 from __future__ import annotations

@@ -1,0 +1,630 @@
+"""Writes the generated parts of README.md and of the pages in docs: `python docs/generate.py [FILE ...]`.
+
+A generated part stands between `<!-- generated: NAME -->` and `<!-- end -->` and is never edited by hand; tests/test_docs.py
+checks that all are up to date. The reference is made from the code, measured results from docs/results.json. To publish new
+results, name the files that hold them:
+
+    python docs/generate.py scores/scores.json speed/speed.json      # of `hydro-env benchmark` and `hydro-env speed`
+    python docs/generate.py robustness=runs/robustness/robustness.md # the first table of a Markdown file, by its name
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import math
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer.main
+import yaml
+
+import hydro_env.benchmark
+import hydro_env.tasks
+from hydro_env.cli import app
+from hydro_env.controllers import CONTROLLERS, make_controller
+from hydro_env.controllers.base import Controller
+from hydro_env.envs import HydraulicSyncEnv
+from hydro_env.experiments import blind_trials
+from hydro_env.measured import mapping
+from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, model, parameter_of, preset_names
+from hydro_env.plant.catalogue.form_corrections import CORRECTIONS, follows
+from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
+from hydro_env.plant.catalogue.losses import FAMILY as LOSSES
+from hydro_env.plant.model import sources_of
+from hydro_env.tasks import METRICS, SCENARIOS
+from hydro_env.units import UNITS
+
+HERE = Path(__file__).parent
+ROOT = HERE.parent
+RESULTS = HERE / "results.json"
+
+
+def pages() -> list[Path]:
+    """Every page that may hold generated parts."""
+    return [ROOT / "README.md", *sorted(HERE.rglob("*.md"))]
+
+
+def _number(value: float) -> str:
+    return "none" if math.isinf(value) else f"{value:.4g}"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+def _cell(text: object) -> str:
+    """The text in one line, with what would end a cell escaped."""
+    return " ".join(str(text).split()).replace("|", "\\|")
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    lines = ["| " + " | ".join(map(_cell, row)) + " |" for row in [head, ["---"] * len(head), *rows]]
+    return "\n".join(lines)
+
+
+# --- plant ------------------------------------------------------------------------------------------------------------
+def parameters() -> str:
+    rows = [
+        [
+            f"`{p.name}`",
+            p.note or "",
+            _number(p.nominal),
+            p.unit,
+            f"{_number(p.low)} to {_number(p.high)}",
+            p.source,
+        ]
+        for p in PARAMETERS.values()
+    ]
+    return _table(["symbol", "meaning, reading", "nominal", "unit", "plausible range", "source"], rows)
+
+
+def presets() -> str:
+    rows = []
+    for name in preset_names():
+        effects = load_model(name).effects
+        rows.append([f"`{name}`", ", ".join(f"`{effect}`" for effect in effects) or "none"])
+    return _table(["preset", "effects beyond the paper's equations"], rows)
+
+
+def preset_values() -> str:
+    """Every value that a preset gives or takes from its base or valve; both channels in one row where they agree."""
+    rows = []
+    for name in preset_names():
+        preset, sources = load_model(name), sources_of(name)
+        first = True
+        for value, pair in preset.values.items():
+            texts = [sources[value, channel] for channel in (0, 1)]
+            same = pair[0] == pair[1] and texts[0] == texts[1]
+            unit = _unit(parameter_of(value).unit)
+            for channel in (0,) if same else (0, 1):
+                where = "both" if same else channel + 1
+                label = f"`{name}`" if first else ""
+                rows.append([label, f"`{value}`", where, f"{pair[channel]:.6g}", unit, texts[channel]])
+                first = False
+    return _table(["preset", "parameter", "channel", "value", "unit", "source"], rows)
+
+
+def effects() -> str:
+    """The effects that are candidates of every diagnosis."""
+    rows = []
+    for effect in CATALOGUE.values():
+        if effect.family:
+            continue
+        sizes = [
+            f"`{p.name}` {_number(p.low)} to {_number(p.high)} {_unit(p.unit)}".strip()
+            for p in effect.parameters
+        ]
+        port = "rig" if effect.scope == "rig" else effect.port
+        rows.append(
+            [f"`{effect.name}`", port, effect.summary, effect.signature, "; ".join(sizes), effect.source]
+        )
+    return _table(["effect", "port", "what it is", "how it shows", "parameters", "source"], rows)
+
+
+def twins() -> str:
+    """What the catalogue declares indistinguishable."""
+    rows = [
+        [f"`{e.name}`", ", ".join(f"`{other}`" for other in e.indistinguishable_from)]
+        for e in CATALOGUE.values()
+        if e.indistinguishable_from and not e.family
+    ]
+    return _table(["effect", "indistinguishable from"], rows)
+
+
+def form_corrections() -> str:
+    rows = []
+    for effect in (e for e in CATALOGUE.values() if e.family == FORMS):
+        of = [name for name, own in CORRECTIONS.items() if effect.name in own]
+        repeated = {n.split(".")[1] for name in of for n in follows(effect.name, name)}
+        numbers = [f"`{p.name}`" for p in effect.parameters if p.name not in repeated]
+        serves = ", ".join(f"`{name}`" for name in of)
+        rows.append([f"`{effect.name}`", effect.port, effect.summary, ", ".join(numbers), serves])
+    return _table(["correction", "port", "what it is", "parameters", "of the effects"], rows)
+
+
+def losses() -> str:
+    rows = []
+    for effect in (e for e in CATALOGUE.values() if e.family == LOSSES):
+        for number, p in enumerate(effect.parameters):
+            medium = p.nominal if p.typical is None else p.typical
+            span = f"{_number(p.low)} to {_number(p.high)}"
+            label = f"`{effect.name}`" if number == 0 else ""
+            rows.append(
+                [
+                    label,
+                    f"`{p.name}`",
+                    p.note,
+                    _unit(p.unit),
+                    _number(p.nominal),
+                    _number(medium),
+                    span,
+                    p.source,
+                ]
+            )
+    head = ["effect", "parameter", "meaning", "unit", "neutral", "medium", "range", "source"]
+    return _table(head, rows)
+
+
+# --- controllers ------------------------------------------------------------------------------------------------------
+_KNOWS = {
+    "measurements": "none",
+    "bench": "valve-bench curves of each pair",
+    "parameters": "true valve parameters",
+    "everything": "true parameters, state and loads to come",
+}
+
+
+def controllers() -> str:
+    rows = []
+    for name, entry in CONTROLLERS.items():
+        controller = make_controller(name)
+        plant = getattr(controller, "plant", None)
+        rows.append(
+            [
+                f"`{name}`",
+                entry.summary,
+                _KNOWS[getattr(controller, "needs", "measurements")],
+                f"`{plant}`" if plant else "",
+            ]
+        )
+    return _table(["controller", "what it does", "privileged information", "plant of its own"], rows)
+
+
+def gains() -> str:
+    """Gains at a control period of 10 ms."""
+    rows = []
+    for name in CONTROLLERS:
+        controller = make_controller(name)
+        if isinstance(controller, Controller):
+            texts = []
+            for gain in controller.GAINS:
+                value = np.ravel(controller.gains[gain.name])
+                if np.all(np.isfinite(value)):
+                    numbers = ", ".join(f"{v:.0f}" if v >= 1000 else f"{v:.4g}" for v in value)
+                    texts.append(f"{gain.name} {numbers} {_unit(gain.unit)}".strip())
+            rows.append([f"`{name}`", "; ".join(texts)])
+    return _table(["controller", "gains at 10 ms"], rows)
+
+
+def searches() -> str:
+    """Cost on the 200 pairs after a search on few pairs and after one on many, from the gains files."""
+    rows = []
+    for name, entry in CONTROLLERS.items():
+        if entry.file is None or entry.file.suffix != ".json":
+            continue
+        found = json.loads(entry.file.read_text(encoding="utf-8"))["tuning"].get("searches", [])
+        if len(found) == 2:
+            rows.append([f"`{name}`", *(f"{each['cost_rpm']:.1f}" for each in found)])
+    return _table(["controller", "search on 12 pairs, rpm", "search on 200 pairs, rpm"], rows)
+
+
+# --- task -------------------------------------------------------------------------------------------------------------
+def _yaml(package: Any, name: str) -> Any:
+    return yaml.safe_load((Path(package.__file__).parent / name).read_text(encoding="utf-8"))
+
+
+def _drawn(value: Any) -> str:
+    if not isinstance(value, dict):
+        return str(value)
+    kind = next(k for k in ("uniform", "loguniform") if k in value)
+    low, high = value[kind]
+    text = f"{_number(low)} to {_number(high)}" + (", log-uniform" if kind == "loguniform" else "")
+    return text + (f", at most `{value['at_most']}`" if "at_most" in value else "")
+
+
+def splits() -> str:
+    """Ranges of the parameters that each split draws, independently for each valve."""
+    found = _yaml(hydro_env.tasks, "splits.yaml")["splits"]
+    names = list(dict.fromkeys(name for split in found.values() for name in split["parameters"]))
+    rows = [["pairs", *(split.get("cases", "unlimited") for split in found.values())]]
+    for name in names:
+        unit = _unit(parameter_of(name).unit)
+        cells = [
+            _drawn(split["parameters"][name]) if name in split["parameters"] else ""
+            for split in found.values()
+        ]
+        rows.append([f"`{name}`" + (f", {unit}" if unit else ""), *cells])
+    return _table(["parameter", *(f"`{name}`" for name in found)], rows)
+
+
+def faults() -> str:
+    rows = []
+    for name, values in _yaml(hydro_env.tasks, "splits.yaml")["splits"]["faulted"]["faults"].items():
+        rows.append([f"`{name}`", "; ".join(f"`{key}` {_drawn(value)}" for key, value in values.items())])
+    return _table(["fault", "drawn values (SI)"], rows)
+
+
+def scenarios() -> str:
+    rows = [[f"`{s.name}`", s.summary, f"{s.duration:g} s"] for s in SCENARIOS.values()]
+    return _table(["scenario", "what is driven", "length"], rows)
+
+
+def metrics() -> str:
+    rows = [[f"`{m.name}`", m.unit, m.definition] for m in METRICS.values()]
+    return _table(["metric", "unit", "definition"], rows)
+
+
+def suites() -> str:
+    rows = []
+    for name, suite in _yaml(hydro_env.benchmark, "suite.yaml").items():
+        pairs = ", ".join(f"`{split}` {count}" for split, count in suite["splits"].items())
+        rows.append([f"`{name}`", pairs, ", ".join(f"`{each}`" for each in suite["scenarios"])])
+    return _table(["suite", "pairs of each split", "scenarios"], rows)
+
+
+def environment() -> str:
+    """The docstring of the environment, one level of headings down."""
+    return inspect.cleandoc(HydraulicSyncEnv.__doc__ or "")
+
+
+# --- command line and files -------------------------------------------------------------------------------------------
+def _click() -> Any:
+    return typer.main.get_command(app)
+
+
+def commands() -> str:
+    """Every command with its arguments and options."""
+    parts = []
+    for name, command in sorted(_click().commands.items()):
+        rows = []
+        for parameter in command.params:
+            if getattr(parameter, "hidden", False):
+                continue
+            names = (
+                [*parameter.opts, *parameter.secondary_opts] if parameter.param_type_name == "option" else []
+            )
+            label = (
+                " / ".join(f"`{each}`" for each in names)
+                or f"`{parameter.metavar or parameter.name.upper()}`"
+            )
+            default = parameter.default
+            shown = (
+                ""
+                if default in (None, False, (), []) or callable(default) or parameter.required
+                else f"`{default}`"
+            )
+            if parameter.required:
+                shown = "required"
+            rows.append([label, getattr(parameter, "help", None) or "", shown])
+        text = inspect.cleandoc(command.help or "")
+        parts.append(f"## hydro-env {name}\n\n{text}\n\n{_table(['option', 'meaning', 'default'], rows)}")
+    return "\n\n".join(parts)
+
+
+def commands_short() -> str:
+    """The commands and their first lines."""
+    rows = [
+        [f"`hydro-env {name}`", (command.help or "").strip().splitlines()[0]]
+        for name, command in _click().commands.items()
+    ]
+    return _table(["command", "what it does"], rows)
+
+
+def log_columns() -> str:
+    rows = [["`time_s`", "s"]]
+    rows += [
+        [f"`{signal}_1_{end}`, `{signal}_2_{end}`", unit] for signal, (end, unit) in mapping.CONTRACT.items()
+    ]
+    rows += [[f"`{column}`", unit] for column, unit in mapping.CONTRACT_RIG.values()]
+    return _table(["column", "unit"], rows)
+
+
+def units() -> str:
+    by: dict[str, list[str]] = {}
+    for unit in UNITS.values():
+        by.setdefault(unit.quantity, []).append(f"`{unit.name}`")
+    return _table(["quantity", "units"], [[quantity, ", ".join(names)] for quantity, names in by.items()])
+
+
+def _docstring(module: Any) -> str:
+    return "```text\n" + inspect.cleandoc(module.__doc__ or "") + "\n```"
+
+
+# --- measured ---------------------------------------------------------------------------------------------------------
+PEAK, TRACKING = "max_speed_difference_rpm", "tracking_mae_rpm"
+SCORES = (
+    ("test_interp", "setpoint_steps", "set-point steps"),
+    ("test_interp", "load_step", "load step"),
+    ("test_interp", "sine", "sine"),
+    ("test_extrap", "setpoint_steps", "set-point steps, `test_extrap`"),
+)
+SCENARIOS_OF_VAL = ("setpoint_steps", "load_step", "staircase", "sine", "unequal_load", "disturbance")
+SHORT = ("pid_paper", "pid_tuned", "cross_coupled", "compensated", "ppo", "bench_flow", "servo_pid", "oracle")
+SPEED = (
+    "machine", "single", "batch", "error_rpm", "error_float32_rpm", "substep_s", "near_limit", "memory_bytes_per_env",
+    "effects", "start",
+)  # fmt: skip
+
+
+def take(argument: str) -> None:
+    """Keeps what the tables need of a result file, with the commit it was measured at."""
+    results = _results()
+    name, _, path = argument.rpartition("=")
+    if name:
+        if name not in results["tables"]:
+            raise SystemExit(f"{name}: no such table; there are {', '.join(results['tables'])}")
+        lines = [line.strip() for line in Path(path).read_text(encoding="utf-8").splitlines()]
+        rows = [
+            [cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")
+        ]
+        results["tables"][name] |= {"commit": _commit(), "head": rows[0], "rows": rows[2:]}
+    else:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+        if data["schema"] == "hydro_env/scores/1":
+            places = {column[:2] for column in SCORES} | {("val", scenario) for scenario in SCENARIOS_OF_VAL}
+            columns = ["controller", "split", "scenario", "metric", "iqm", "cvar95"]
+            rows = [
+                [*(r[c] for c in columns[:4]), *(round(r[c], 3) for c in columns[4:])]
+                for r in data["rows"]
+                if (r["split"], r["scenario"]) in places and r["metric"] in (PEAK, TRACKING)
+            ]
+            results["scores"] |= {
+                "commit": _commit(),
+                "seed": data["seed"],
+                "controllers": data["controllers"],
+            }
+            results["scores"] |= {"columns": columns, "rows": rows}
+        elif data["schema"] == "hydro_env/speed/1":
+            results["speed"] |= {"commit": _commit(), **{key: data[key] for key in SPEED}}
+        else:
+            raise SystemExit(f"{path}: schema {data['schema']!r}; scores.json and speed.json are right")
+    RESULTS.write_text(_json(results) + "\n", encoding="utf-8")
+
+
+def _commit() -> str:
+    done = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=HERE, capture_output=True, text=True, check=True
+    )
+    return done.stdout.strip()
+
+
+def _json(value: Any, depth: int = 0) -> str:
+    """JSON with a line for every row of plain values."""
+    pad = " " * (depth + 1)
+    if isinstance(value, dict) and any(isinstance(each, dict | list) for each in value.values()):
+        inner = [f"{pad}{json.dumps(k, ensure_ascii=False)}: {_json(v, depth + 1)}" for k, v in value.items()]
+        return "{\n" + ",\n".join(inner) + "\n" + " " * depth + "}"
+    if isinstance(value, list) and any(isinstance(each, dict | list) for each in value):
+        return "[\n" + ",\n".join(pad + _json(each, depth + 1) for each in value) + "\n" + " " * depth + "]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _results() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(RESULTS.read_text(encoding="utf-8"))
+    return found
+
+
+def _origin(found: dict[str, Any]) -> str:
+    if not found["command"]:
+        return f"Measured at commit `{found['commit']}`; the script that did so is not kept."
+    commands = " and ".join(f"`{command}`" for command in found["command"].split("; "))
+    return f"Measured with {commands} at commit `{found['commit']}`."
+
+
+def _stored(name: str) -> str:
+    """A measured table as it is kept, with its command."""
+    found = _results()["tables"][name]
+    return f"{_origin(found)}\n\n{_table(found['head'], found['rows'])}"
+
+
+def _scored() -> tuple[dict[str, Any], dict[tuple[str, ...], list[float]]]:
+    found = _results()["scores"]
+    return found, {tuple(row[:4]): row[4:] for row in found["rows"]}
+
+
+def _digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 100 else f"{value:.1f}"
+
+
+def _scores(names: Sequence[str], columns: Sequence[tuple[str, str, str]]) -> str:
+    found, cells = _scored()
+    rows = []
+    for name in (each for each in found["controllers"] if each in names):
+        row = [f"`{name}`"]
+        for split, scenario, _ in columns:
+            pair = [cells.get((name, split, scenario, metric)) for metric in (PEAK, TRACKING)]
+            row.append(" / ".join("–" if each is None else _digits(each[0]) for each in pair))
+        rows.append(row)
+    return _table(["controller", *(heading for _, _, heading in columns)], rows)
+
+
+def scores() -> str:
+    found = _results()["scores"]
+    return f"{_origin(found)}\n\n{_scores(found['controllers'], SCORES)}"
+
+
+def scores_short() -> str:
+    return _scores(SHORT, SCORES[:3])
+
+
+def classical() -> str:
+    """Of the controllers that are not learned: with the mean of the worst 5 % of the peak error in brackets."""
+    found, cells = _scored()
+    rows = []
+    for name in found["controllers"]:
+        if isinstance(make_controller(name), Controller):
+            row = [f"`{name}`"]
+            for scenario in SCENARIOS_OF_VAL:
+                peak, tracking = (cells[name, "val", scenario, metric] for metric in (PEAK, TRACKING))
+                row.append(f"{peak[0]:.1f} / {tracking[0]:.1f} ({peak[1]:.0f})")
+            rows.append(row)
+    head = ["controller", *(f"`{scenario}`" for scenario in SCENARIOS_OF_VAL)]
+    return f"{_origin(found)}\n\n{_table(head, rows)}"
+
+
+def agents() -> str:
+    """A row per controller, a column per scenario: peak [interval] / tracking (worst 5 %)."""
+    found = _results()["tables"]["agents"]
+    cells = {tuple(row[:3]): row[3:] for row in found["rows"]}
+    places = list(dict.fromkeys(tuple(row[1:3]) for row in found["rows"]))
+    rows = []
+    for name in dict.fromkeys(row[0] for row in found["rows"]):
+        row = [name]
+        for place in places:
+            peak, _, worst, tracking, _ = cells.get((name, *place), [""] * 5)
+            row.append(" / ".join(filter(None, (peak, tracking))) + (f" ({worst})" if worst else ""))
+        rows.append(row)
+    head = [
+        f"`{scenario}`" + (f", `{split}`" if split != "test_interp" else "") for split, scenario in places
+    ]
+    return f"{_origin(found)}\n\n{_table(['controller', *head], rows)}"
+
+
+def variation() -> str:
+    """Command variation and 95th percentile of the peak on `test_interp`."""
+    found = _results()["tables"]["agents"]
+    rows = []
+    for name in dict.fromkeys(row[0] for row in found["rows"]):
+        own = {row[2]: row for row in found["rows"] if row[0] == name and row[1] == "test_interp"}
+        if own["setpoint_steps"][7]:
+            rows.append([name, own["setpoint_steps"][4], *(row[7] for row in own.values())])
+    scenarios = [f"`{row[2]}`" for row in found["rows"][:5]]
+    return _table(["controller", "95th percentile of the peak, rpm", *(f"{s}, 1/s" for s in scenarios)], rows)
+
+
+def speed() -> str:
+    found = _results()["speed"]
+    rows = [
+        [
+            r["num_envs"],
+            r["dtype"],
+            f"{r['env_steps_per_s']:,.0f}",
+            f"{r['channel_substeps_per_s'] / 1e6:.1f}",
+            f"{r['times_real_time']:,.0f}",
+        ]
+        for r in found["batch"]
+    ]
+    head = [
+        "rigs",
+        "precision",
+        "environment steps per s",
+        "million channel substeps per s",
+        "times real time",
+    ]
+    return f"{_origin(found)}\n\n{_table(head, rows)}"
+
+
+def speed_short() -> str:
+    """The README's sentence."""
+    found = _results()["speed"]
+    best = max((r for r in found["batch"] if r["dtype"] == "float64"), key=lambda r: r["env_steps_per_s"])
+    return (
+        f"On one thread, {best['num_envs']} rigs in float64 take {best['env_steps_per_s']:,.0f} environment steps per second, "
+        f"{best['times_real_time']:,.0f} times real time. The largest speed error against SciPy's stiff solver is "
+        f"{found['error_rpm']['worst_against_reference']:.2g} rpm."
+    )
+
+
+def error() -> str:
+    found = _results()["speed"]
+    double, single = (found[key]["worst_against_reference"] for key in ("error_rpm", "error_float32_rpm"))
+    twin, start, cost = found["near_limit"], found["start"], found["effects"]
+    rows = [
+        ["one environment, time for a step", f"{1e6 / found['single']['env_steps_per_s']:.0f} us"],
+        ["largest error of a speed against SciPy's stiff solver, float64", f"{double:.2g} rpm"],
+        ["the same, float32", f"{single:.2g} rpm"],
+        ["substep of the integrator", f"{found['substep_s'] * 1e6:.0f} us"],
+        ["channel substep, this kernel", f"{twin['kernel_ns']:.0f} ns"],
+        ["channel substep, the same statements in C++ (same bits)", f"{twin['cpp_ns']:.0f} ns"],
+        ["float64 operations of a channel substep", f"{twin['operations']}"],
+        [
+            "share of the arithmetic limit of this thread",
+            f"{100 * twin['share_of_peak']:.0f} % of {twin['peak_gflops']:.0f} GFLOP/s",
+        ],
+        ["channel substep, base plant", f"{cost['base_ns']:.0f} ns"],
+        ["channel substep, with a dead zone", f"{cost['dead_zone_ns']:.0f} ns"],
+        ["channel substep, every effect compiled in", f"{cost['all_neutral_ns']:.0f} ns"],
+        ["start of Python to first environment step, nothing compiled yet", f"{start['cold_s']:.1f} s"],
+        ["the same, compiled before", f"{start['warm_s']:.1f} s"],
+        ["memory of one rig", f"{found['memory_bytes_per_env']:.0f} bytes"],
+    ]
+    return _table(["what", "value"], rows)
+
+
+def _trial_rows() -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = json.loads((HERE / "trials.json").read_text(encoding="utf-8"))["rows"]
+    return rows
+
+
+def trials() -> str:
+    """Counts of the blind trials and every one that failed."""
+    return blind_trials.table(_trial_rows()).strip()
+
+
+def diagnosis_short() -> str:
+    """The README's sentence on the blind trials."""
+    rows = _trial_rows()
+    single = [r for r in rows if r["group"] == "medium"]
+    none = [r for r in rows if r["group"] in ("nothing", "parameters")]
+    pairs = [r for r in rows if r["group"] == "two"]
+    return (
+        f"In blind trials against an independent simulator, {sum(r['set'] for r in single)} of {len(single)} single effects and "
+        f"{sum(r['both'] for r in pairs)} of {len(pairs)} pairs were named correctly, with {sum(r['alarm'] for r in none)} false "
+        f"alarms in {len(none)} rigs without a missing effect ([all trials](docs/blind_trials.md))."
+    )
+
+
+PARTS: dict[str, Callable[[], str]] = {
+    made.__name__: made
+    for made in (
+        parameters, presets, preset_values, effects, twins, form_corrections, losses, controllers, gains, searches, splits,
+        faults, scenarios, metrics, suites, environment, commands, commands_short, log_columns, units, scores, scores_short,
+        classical, agents, variation, speed, speed_short, error, trials, diagnosis_short,
+    )
+}  # fmt: skip
+PARTS["mapping_file"] = lambda: _docstring(mapping)
+PARTS["model_file"] = lambda: _docstring(model)
+
+
+def part(name: str) -> str:
+    """The generated part of that name; a measured table that is kept as it is if the code makes none."""
+    return PARTS[name]() if name in PARTS else _stored(name)
+
+
+def filled(text: str) -> str:
+    """The text with every generated part made anew."""
+
+    def fill(match: re.Match[str]) -> str:
+        return f"{match[1]}\n{part(match[2])}\n<!-- end -->"
+
+    return re.sub(r"(<!-- generated: (\w+) -->)\n.*?<!-- end -->", fill, text, flags=re.S)
+
+
+def main() -> None:
+    for argument in sys.argv[1:]:
+        take(argument)
+    for page in pages():
+        text = page.read_text(encoding="utf-8")
+        if text != filled(text):
+            page.write_text(filled(text), encoding="utf-8")
+            print(f"written: {page.relative_to(ROOT)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""The documents: generated parts are up to date; what a page names exists; what it claims and no command prints is true."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import runpy
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer.main
+
+from hydro_env.cli import app
+from hydro_env.experiments.paper_rig import SETPOINT_STEPS, run_paper
+from hydro_env.plant import load_model
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+GENERATE = runpy.run_path(str(DOCS / "generate.py"))
+PAGES: list[Path] = [page for page in (*GENERATE["pages"](), ROOT / "CONTRIBUTING.md") if page.exists()]
+COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+
+
+def names(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.fixture(params=PAGES, ids=names)
+def page(request: pytest.FixtureRequest) -> Path:
+    return request.param
+
+
+def anchors(text: str) -> set[str]:
+    """The anchors of a page's headings, as GitHub and others make them."""
+    headings = re.findall(r"^#+ (.*)$", re.sub(r"```.*?```", "", text, flags=re.S), flags=re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_generated_parts(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert text == GENERATE["filled"](text), "out of date: run `python docs/generate.py`"
+
+
+def test_links_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"```.*?```|`[^`]*`", "", page.read_text(encoding="utf-8"), flags=re.S)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if "://" in target:
+            continue
+        name, _, anchor = target.partition("#")
+        file = (page.parent / name).resolve() if name else page
+        assert file.exists(), target
+        if anchor:
+            assert anchor in anchors(file.read_text(encoding="utf-8")), target
+
+
+def test_named_files_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for path in re.findall(r"`((?:hydro_env|agents|configs|tests|docs)/(?!\w+/\d+`)[\w./-]*)`", text):
+        assert (ROOT / path).exists(), path
+
+
+def test_named_modules_exist(page: Path) -> None:
+    """`hydro_env.x.y` is a module or a name in one; so is what stands behind `python -m`."""
+    text = page.read_text(encoding="utf-8")
+    for module in re.findall(r"python -m ((?:hydro_env|agents)[\w.]*)", text):
+        assert importlib.util.find_spec(module), module
+    for name in re.findall(r"`(hydro_env(?:\.\w+)+)", text):
+        module, rest = name, []
+        while True:
+            try:
+                found: Any = importlib.import_module(module)
+                break
+            except ModuleNotFoundError:
+                module, _, last = module.rpartition(".")
+                rest.insert(0, last)
+        for each in rest:
+            assert hasattr(found, each), name
+            found = getattr(found, each)
+
+
+def test_named_commands_and_options_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    for command, rest in re.findall(r"hydro-env ([a-z][a-z-]+)([^\n`|#]*)", text):
+        assert command in COMMANDS, command
+        known = {opt for p in COMMANDS[command].params for opt in (*p.opts, *p.secondary_opts)} | {"--help"}
+        assert set(re.findall(r"(?<=\s)--[a-z-]+", rest)) <= known, f"hydro-env {command}{rest}"
+
+
+def test_sentences_are_short(page: Path) -> None:
+    """No sentence has more than 40 words; tables and code aside."""
+    text = re.sub(
+        r"```.*?```|^\|.*$|^#.*$|^<!--.*$", "\n\n", page.read_text(encoding="utf-8"), flags=re.S | re.M
+    )
+    text = re.sub(r"```.*?```", "", text, flags=re.S)
+    for sentence in re.split(r"(?<=[.:!?])\s+|\n\n|\n\s*[*\d]", text):
+        assert len(sentence.split()) <= 40, sentence
+
+
+@pytest.mark.parametrize("tutorial", sorted((DOCS / "tutorials").glob("*.md")), ids=names)
+def test_python_of_the_tutorials(tutorial: Path) -> None:
+    scope: dict[str, Any] = {"__name__": "tutorial"}
+    for block in re.findall(r"```python\n(.*?)```", tutorial.read_text(encoding="utf-8"), flags=re.S):
+        exec(compile(block, tutorial.name, "exec"), scope)
+
+
+@pytest.mark.parametrize("name", ["describe_your_rig.md", "train_an_agent.md"])
+def test_python_of_the_guides(name: str) -> None:
+    for block in re.findall(
+        r"```python\n(.*?)```", (DOCS / "howto" / name).read_text(encoding="utf-8"), flags=re.S
+    ):
+        exec(compile(block, name, "exec"), {"__name__": "guide"})
+
+
+def test_the_model_file_of_the_guide(tmp_path: Path) -> None:
+    text = (DOCS / "howto" / "describe_your_rig.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```yaml\n(schema: hydro_env/model/1.*?)```", text, flags=re.S)
+    (tmp_path / "model.yaml").write_text(example, encoding="utf-8")
+    assert load_model(tmp_path / "model.yaml").value("dead_zone.overlap_negative", 0) == 6e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["paper", "paper_dead_zone"])
+def test_the_volume_hardly_matters(name: str) -> None:
+    volumes = {"V": [[1e-4, 1e-4], [1e-3, 1e-3]]}
+    peaks = run_paper(load_model(name), SETPOINT_STEPS, values=volumes, num_rigs=2).peak
+    text = (DOCS / "explanation" / "plant.md").read_text(encoding="utf-8")
+    said = re.search(rf"from ([\d.]+) to ([\d.]+) rpm on `{name}`", text)
+    assert said is not None
+    assert [round(peak, 1) for peak in peaks] == [float(number) for number in said.groups()]
+
+
+def test_the_printed_readings_of_kq_agree() -> None:
+    """At 730 mA the spool stands at 0.86 mm, which gives 24.5 l/min on V1."""
+    model = load_model("paper")
+    spool = model.value("alpha", 0) * 0.73 / model.value("k", 0)
+    assert round(spool * 1e3, 2) == 0.86
+    assert round(model.value("Kq", 0) * spool * 60e3, 1) == 24.5
