@@ -19,10 +19,10 @@ import yaml
 
 from ..errors import InputError
 from ..units import UNITS, unit
+from .csv_file import CsvStyle, read_csv
 from .formats import BINARY, read_binary
 from .log import RigLog, read_log
 from .mapping import Mapping, contract_columns, contract_mapping, load_mapping
-from .table import CsvStyle, read_csv
 
 __all__ = ["Proposal", "propose", "shown"]
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hydro_env.errors import InputError, nearest, suggestion
+from hydro_env.measured.csv_file import CsvStyle, read_csv
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.formats import BINARY, read_binary
 from hydro_env.measured.gate import Spoilt, after_gaps, check_clock, check_log, check_units
@@ -27,7 +28,7 @@ from hydro_env.measured.mapping import (
     load_mapping,
 )
 from hydro_env.measured.samples import MEASURED
-from hydro_env.measured.table import CsvStyle, Table, digest, read_csv
+from hydro_env.measured.table import Table, digest
 from hydro_env.units import from_si
 
 __all__ = ["RigLog", "read_log", "write_log"]

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from hydro_env.errors import InputError, suggestion
+from hydro_env.measured.csv_file import CsvStyle, read_csv
 from hydro_env.measured.formats import BINARY, read_binary
-from hydro_env.measured.table import CsvStyle, Table, read_csv
+from hydro_env.measured.table import Table
 from hydro_env.units import Unit, to_si, unit
 from hydro_env.valve_bench.curve import Curve, Floats, branches_of
 

@@ -1,0 +1,238 @@
+"""Rows of a CSV file as columns of numbers: a fast reader for plain numbers and a careful one for everything else.
+
+The careful reader understands every spelling that a log may have and names the row and column of what it does not. The
+fast one (pyarrow, where it is installed) takes blocks in which every row is complete and every cell is a plain number or
+plainly missing, and refuses all others. What it takes the careful one reads as the same numbers, so it changes the time
+only.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import io
+import math
+import re
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_env.errors import InputError
+from hydro_env.measured.finding import Finding
+
+__all__ = ["MISSING", "SI_SUFFIX", "Cells", "Dialect", "is_number", "is_value", "seconds"]
+
+#: Powers of ten that circuit simulators and bench instruments write behind a number.
+SI_SUFFIX = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
+#: Cells that say that nothing was measured, in lower case.
+MISSING = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "#n/a"})
+_MISSING_SPELLINGS = sorted(
+    {spell(word) for word in MISSING for spell in (str, str.upper, str.title)} | {"NaN"}
+)
+_HOURS = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How the rows are written: `width` cells, separated by `delimiter` (of `blanks`, any run separates). `decimal` is the
+    decimal mark, None if it is to be recognised; with `si_suffixes` 25.1m is 0.0251."""
+
+    width: int
+    delimiter: str
+    blanks: bool = False
+    decimal: str | None = None
+    si_suffixes: bool = False
+
+
+class Cells:
+    """Reads blocks of rows of one file; `wanted` are the columns' names, `places` their numbers from 0.
+
+    Spellings that are understood but worth a word go to `findings`.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        dialect: Dialect,
+        wanted: Sequence[str],
+        places: Sequence[int],
+        findings: list[Finding],
+    ) -> None:
+        self.path, self.dialect, self.wanted, self.places = path, dialect, wanted, places
+        self.findings = findings
+        self.decimal_comma = dialect.decimal == ","
+
+    def read(self, text: str, start: int) -> tuple[list[np.ndarray], np.ndarray]:
+        """The wanted columns (rows,) of a block of whole lines, the first of which is line `start`, and the lines' numbers."""
+        if self.dialect.blanks:
+            text = "".join("\t".join(line.split()) + "\n" for line in io.StringIO(text, newline=""))
+        columns = self.fast(text)
+        if columns is not None:
+            return columns, np.arange(start, start + len(columns[0]))
+        return self.careful(text, start)
+
+    def fast(self, text: str) -> list[np.ndarray] | None:
+        """The columns of a block of complete rows of plain or missing numbers, None of any other block."""
+        library = _pyarrow()
+        # One column cannot be told from empty lines, and a quoted cell may hold a delimiter or the end of a line.
+        if library is None or self.dialect.width < 2 or not self.places or '"' in text:
+            return None
+        named = [str(place) for place in range(self.dialect.width)]
+        wanted = [named[place] for place in self.places]
+        try:
+            table = library.csv.read_csv(
+                library.BufferReader(text.encode()),
+                library.csv.ReadOptions(column_names=named, use_threads=False),
+                library.csv.ParseOptions(
+                    delimiter=self.dialect.delimiter, quote_char=False, ignore_empty_lines=False
+                ),
+                library.csv.ConvertOptions(
+                    column_types=dict.fromkeys(wanted, library.float64()), include_columns=wanted,
+                    decimal_point="," if self.decimal_comma else ".", null_values=_MISSING_SPELLINGS,
+                ),
+            )  # fmt: skip
+        except library.ArrowException:
+            return None
+        if all(column.null_count for column in table.columns):  # perhaps a row of delimiters only
+            return None
+        columns = [column.to_numpy() for column in table.columns]
+        # Spellings of NaN that the careful reader does not know, such as nan(1).
+        odd = any(
+            np.count_nonzero(np.isnan(values)) > column.null_count
+            for values, column in zip(columns, table.columns, strict=True)
+        )
+        return None if odd else columns
+
+    def careful(self, text: str, start: int) -> tuple[list[np.ndarray], np.ndarray]:
+        """The columns of any block cell by cell, and the numbers of its lines without the empty ones."""
+        values, kept = array("d"), array("q")
+        width = self.dialect.width
+        rows = csv.reader(io.StringIO(text, newline=""), delimiter=self.dialect.delimiter)
+        for row in rows:
+            if not self.decimal_comma and len(row) == width:
+                try:  # a row of plain numbers: most are
+                    values.extend([float(row[place]) for place in self.places])
+                    kept.append(start + rows.line_num - 1)
+                    continue
+                except ValueError:
+                    pass
+            if not any(cell.strip() for cell in row):
+                continue
+            line = start + rows.line_num - 1
+            if len(row) < width or any(row[width:]):
+                raise self._wrong_width(row, line)
+            kept.append(line)
+            values.extend(
+                self.cell(row[place], name, line)
+                for place, name in zip(self.places, self.wanted, strict=True)
+            )
+        block = np.array(values).reshape(len(kept), len(self.places))
+        return list(np.ascontiguousarray(block.T)), np.array(kept)
+
+    def _wrong_width(self, row: list[str], line: int) -> InputError:
+        hint = "a cell is missing, or the recording was cut off here"
+        if len(row) > self.dialect.width and self.dialect.delimiter == ",":
+            hint = "decimal commas need another delimiter: write 0.5, or separate the columns by ';'"
+        return InputError(
+            f"{self.path}: row {line} has {len(row)} cells, the header has {self.dialect.width}; {hint}"
+        )
+
+    def cell(self, text: str, name: str, line: int) -> float:
+        """The number in a cell of column `name`; NaN where it says that nothing was measured."""
+        if not (self.decimal_comma and "." in text):
+            try:
+                return float(text)
+            except ValueError:
+                pass
+        text = text.strip()
+        if text.lower() in MISSING:
+            return math.nan
+        if self._has_decimal_comma(text):
+            if not self.decimal_comma and self.dialect.decimal is None:
+                message = f"numbers are written with a decimal comma ({text!r} in row {line}), read so"
+                self.findings.append(
+                    Finding("decimal_comma", message, "write decimal points", column=name, row=line)
+                )
+                self.decimal_comma = True
+            return float(text.replace(",", "."))
+        stamp = seconds(text)
+        if stamp is not None:
+            if not any(f.code == "time_stamps" for f in self.findings):
+                message = f"times are written as dates or hours ({text!r} in row {line}), read as seconds"
+                self.findings.append(Finding("time_stamps", message, column=name, row=line))
+            return stamp
+        if self.dialect.si_suffixes and _has_suffix(text):
+            return float(text[:-1]) * SI_SUFFIX[text[-1]]
+        raise InputError(
+            f"{self.path}: row {line}, column {name!r}: {text!r} is not a number; {self._hint(text)}"
+        )
+
+    def _has_decimal_comma(self, text: str) -> bool:
+        # With another delimiter a comma inside a number can only be the decimal mark (or, far rarer, thousands).
+        possible = self.decimal_comma or (self.dialect.decimal is None and self.dialect.delimiter != ",")
+        return possible and text.count(",") == 1 and "." not in text and is_number(text.replace(",", "."))
+
+    def _hint(self, text: str) -> str:
+        """What would be right instead of a cell that cannot be understood."""
+        if self.decimal_comma and is_number(text):
+            return "decimal commas are used elsewhere in the file; write all numbers alike"
+        if "," in text and "." in text:
+            return "write it without thousands separators, with a decimal point"
+        if _has_suffix(text):
+            return "for suffixes such as m and k say `si_suffixes: true` under `table` in the mapping"
+        if ":" in text:
+            return "time stamps are seconds as a plain number, hh:mm:ss.sss, or yyyy-mm-dd hh:mm:ss.sss"
+        return "write a number, or leave the cell empty where nothing was measured"
+
+
+@cache
+def _pyarrow() -> Any:
+    """The library with its reader of CSV, or None where it is not installed."""
+    try:
+        importlib.import_module("pyarrow.csv")
+    except ImportError:
+        return None
+    return importlib.import_module("pyarrow")
+
+
+def seconds(text: str) -> float | None:
+    """The seconds of a time of day (since midnight) or of a date and time in ISO 8601 (since 1970), or None."""
+    match = _HOURS.fullmatch(text)
+    if match:
+        return _of_hours(match)
+    if text[4:5] != "-" or text[7:8] != "-":
+        return None
+    day, _, time = text.replace("T", " ").partition(" ")
+    match = _HOURS.fullmatch(time.rstrip("Z"))
+    try:
+        midnight = datetime.fromisoformat(day).replace(tzinfo=UTC).timestamp()
+    except ValueError:
+        return None
+    return midnight + _of_hours(match) if match else None
+
+
+def _of_hours(match: re.Match[str]) -> float:
+    return 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3].replace(",", "."))
+
+
+def is_value(text: str, si_suffixes: bool) -> bool:
+    """Whether `text` is a number, with an SI suffix where these are allowed."""
+    return is_number(text) or (si_suffixes and _has_suffix(text))
+
+
+def _has_suffix(text: str) -> bool:
+    return text[-1:] in SI_SUFFIX and is_number(text[:-1])
+
+
+def is_number(text: str) -> bool:
+    try:
+        float(text.strip())
+    except ValueError:
+        return False
+    return True
