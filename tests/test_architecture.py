@@ -30,8 +30,8 @@ ALLOWED = {
     "controllers": "errors files units jit plant tasks envs.observation valve_bench",
     "diagnosis": "errors files units pages waveforms parallel plant tasks measured",
     "benchmark": "errors files units pages parallel plant tasks envs controllers",
-    "experiments": "errors files units pages waveforms parallel plant practice tasks measured envs valve_bench controllers diagnosis"
-    " benchmark",
+    "experiments": "errors files units pages waveforms parallel plant practice tasks measured envs valve_bench"
+    " controllers diagnosis benchmark",
     "cli": "errors files units plant practice measured valve_bench controllers diagnosis benchmark experiments",
     "__main__": "cli",
 }

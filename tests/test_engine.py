@@ -15,45 +15,10 @@ import pytest
 from hydro_env.benchmark import command
 from hydro_env.errors import InputError
 from hydro_env.parallel import ATTEMPTS, Failure, Store, run
+from tests.engine_tasks import Kills, fragile, note, note_node, numbers
 
 ROOT = Path(__file__).parents[1]
 SMALL = {"splits": ["val"], "scenarios": ["setpoint_steps", "sine"], "cases": 3, "progress": False}
-
-
-def numbers(seed):
-    return np.random.default_rng(seed).normal(size=1000)
-
-
-def note(folder, stuck, task):
-    """Leaves the id of its process. A stuck task goes on only when it is begun a second time."""
-    first = not list(folder.glob(f"{task}.[0-9]*"))
-    (folder / f"{task}.{os.getpid()}").touch()
-    if first and task in stuck:
-        time.sleep(60.0)
-    return task, np.sqrt(task)
-
-
-def note_node(folder, lost, task):
-    """The same on a Ray cluster, where what runs on the node that is to be lost is stuck."""
-    import ray
-
-    on_it = ray.get_runtime_context().get_node_id() == lost
-    (folder / f"{task}.{'lost' if on_it else 'kept'}").touch()
-    if on_it:
-        time.sleep(60.0)
-    return note(folder, (0,), task)
-
-
-def fragile(task):
-    if task == "dies":
-        os.kill(os.getpid(), signal.SIGKILL)
-    if task == "raises":
-        raise KeyError("no such\nvalve")
-    if task == "leaves":
-        sys.exit(7)
-    if task == "returns a function":
-        return lambda: None
-    return task.upper()
 
 
 def begun(folder, task):
@@ -134,9 +99,9 @@ def test_task_that_cannot_be_sent_is_named():
 
 INTERRUPTED = """
 import pathlib, signal, sys
-sys.path[:0] = [{root!r}, {tests!r}]
+sys.path.insert(0, {root!r})
 from functools import partial
-from test_engine import note
+from tests.engine_tasks import note
 from hydro_env.parallel import run
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background begins with it ignored
@@ -150,8 +115,7 @@ def test_no_process_is_left_behind(tmp_path, how):
     script = tmp_path / "script.py"
     folder = tmp_path / "notes"
     folder.mkdir()
-    tests = str(Path(__file__).parent)
-    script.write_text(INTERRUPTED.format(root=str(ROOT), tests=tests, folder=str(folder)))
+    script.write_text(INTERRUPTED.format(root=str(ROOT), folder=str(folder)))
     main = subprocess.Popen([sys.executable, str(script)], stderr=subprocess.DEVNULL)
     pids = {*begun(folder, 0), *begun(folder, 1)}
     main.send_signal(how)
@@ -208,18 +172,6 @@ def test_benchmark_keeps_finished_cells(tmp_path, monkeypatch):
     assert driven[4:] == ["Mine"] * 2 and again != first
     command.run(None, **{**given, "seed": 1})
     assert len(driven) == 10
-
-
-class Kills:
-    """A controller that takes its process with it."""
-
-    name = "kills"
-
-    def reset(self, num_rigs, control_period):
-        pass
-
-    def act(self, observation):
-        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_benchmark_names_a_controller_that_kills():

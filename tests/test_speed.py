@@ -11,12 +11,7 @@ import pytest
 from hydro_env.experiments import near_limit, speed
 
 
-def test_speed_writes_rates_and_the_error_at_that_speed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(
-        speed, "measure_single", lambda seconds: {"env_steps_per_s": 1.0, "plant_steps_per_s": 1.0}
-    )
+def test_speed_writes_rates_and_the_error_at_that_speed(tmp_path: Path) -> None:
     result = speed.run(tmp_path, num_envs=[3], seconds=0.05)
     assert json.loads((tmp_path / "speed.json").read_text()) == result
     row, single = result["batch"]
@@ -35,7 +30,7 @@ def test_speed_writes_rates_and_the_error_at_that_speed(
 
 @pytest.mark.skipif(shutil.which("c++") is None, reason="needs a C++ compiler")
 def test_the_kernel_in_cpp_gives_the_same_bits() -> None:
-    twin = near_limit.measure_ratio(0.05)
+    twin = near_limit.measure_ratio(0.0)
     assert twin is not None and twin["largest_relative_difference"] == 0.0
     assert twin["ratio"] > 0.0
 
