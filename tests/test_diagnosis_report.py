@@ -38,7 +38,9 @@ def test_spool_positions_and_forces_are_shares_of_the_command() -> None:
     full = model.value("alpha", 0) * model.value("u_rated", 0) / model.value("R", 0)
     overlap = 0.1 * full / model.value("k", 0)
     assert words.of_command("dead_zone", "overlap_positive", overlap, model, 0) == "10 % of full command"
-    assert words.of_command("magnetic_hysteresis", "amplitude", 0.05 * full, model, 0) == "5 % of full command"
+    assert (
+        words.of_command("magnetic_hysteresis", "amplitude", 0.05 * full, model, 0) == "5 % of full command"
+    )
     assert words.of_command("sensor_gain", "gain", 1.1, model, 0) == ""
 
 

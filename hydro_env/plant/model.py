@@ -102,7 +102,9 @@ class PlantModel:
             clean[name] = (first, second)
         for name in self.declared:
             if name not in CATALOGUE:
-                raise InputError(f"model {self.name!r}: unknown effect {name!r}: {suggestion(name, CATALOGUE)}")
+                raise InputError(
+                    f"model {self.name!r}: unknown effect {name!r}: {suggestion(name, CATALOGUE)}"
+                )
         named = {n.split(".", 1)[0] for n in clean if "." in n} | set(self.declared)
         object.__setattr__(self, "values", clean)
         object.__setattr__(self, "declared", tuple(n for n in CATALOGUE if n in named))
@@ -252,7 +254,9 @@ def _from_dict(data: object, where: str) -> PlantModel:
             if name == "valve":
                 continue
             if name not in PARAMETERS:
-                raise InputError(f"{where}: {side}: unknown parameter {name!r}: {suggestion(name, PARAMETERS)}")
+                raise InputError(
+                    f"{where}: {side}: unknown parameter {name!r}: {suggestion(name, PARAMETERS)}"
+                )
             for channel in _SIDES[side]:
                 pair = values.setdefault(name, [PARAMETERS[name].nominal] * 2)
                 pair[channel] = _number(value, f"{where}: {side}.{name}")

@@ -77,9 +77,7 @@ class _Choice:
             return name
         if name.isdigit() and 1 <= int(name) <= len(names):
             return names[int(name) - 1]
-        raise InputError(
-            f"{self.path}: no column {name!r} for the {role}; {suggestion(name, names)}"
-        )
+        raise InputError(f"{self.path}: no column {name!r} for the {role}; {suggestion(name, names)}")
 
 
 def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | None = None) -> Curve:

@@ -103,7 +103,9 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
         raise InputError(f"{path}: 'metadata' should say schema {SCHEMA!r}")
     for key, known in (("activation", ACTIVATIONS), ("squash", SQUASHES)):
         if metadata.get(key) not in known:
-            raise InputError(f"{path}: {key} {metadata.get(key)!r} is unknown: {suggestion(metadata.get(key), known)}")
+            raise InputError(
+                f"{path}: {key} {metadata.get(key)!r} is unknown: {suggestion(metadata.get(key), known)}"
+            )
     layers = _layers(path, arrays)
     return Network(layers, metadata["activation"], metadata["squash"]), metadata
 
