@@ -27,6 +27,7 @@ from hydro_env.experiments import close_loop
 from hydro_env.experiments.truth_drive import drive
 from hydro_env.files import write_json
 from hydro_env.plant import load_model
+from hydro_env.practice.generate import constants_of
 
 __all__ = ["main", "run"]
 
@@ -84,8 +85,10 @@ def run(
                 print(f"{work.rig}: agent of the {work.source} model", flush=True)
             policy = _trained(work, model, out / "runs" / work.training, config, command, progress)
             truth = load_model(rigs / "rigs" / work.rig / "true.yaml")
+            hidden = json.loads((rigs / "rigs" / work.rig / "truth.json").read_text(encoding="utf-8"))
+            drawn: dict[str, Any] = {"forms": work.forms, "constants": constants_of(hidden)}
             drives = {
-                name: close_loop.scored(drive(NumpyPolicy(policy), truth, name, work.seed, forms=work.forms))
+                name: close_loop.scored(drive(NumpyPolicy(policy), truth, name, work.seed, **drawn))
                 for name in close_loop.SCENARIOS
             }
             write_json(kept, {**told, "drives": drives}, indent=None)

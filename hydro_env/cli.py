@@ -460,7 +460,9 @@ def hide(
     ] = None,
     none: Annotated[bool, typer.Option("--none", help="Hide nothing: logs that the model explains.")] = False,
     model: Model = "paper",
-    severity: Annotated[str, typer.Option(help="small, medium or large.")] = "medium",
+    severity: Annotated[
+        str, typer.Option(help="Range of the drawn sizes: small, medium or large.")
+    ] = "medium",
     value: Annotated[
         list[str] | None,
         typer.Option(metavar="EFFECT.PARAMETER=NUMBER", help="An exact value (SI); may be repeated."),
@@ -483,7 +485,7 @@ def hide(
     """
     with _writing(out) as folder:
         from hydro_env.plant import load_effects
-        from hydro_env.practice import generate as work
+        from hydro_env.practice import command as work
 
         load_effects(effect_files or [])
         work.run(

@@ -39,7 +39,6 @@ ALLOWED = {
 #: Imports against the table that are still to be removed. Add none.
 AGAINST_THE_TABLE = {
     "hydro_env.controllers.rollout -> hydro_env.envs.batch",  # drives controllers in the environment
-    "hydro_env.diagnosis.stages.next_experiment -> hydro_env.practice.generate",  # for its manoeuvres
 }
 
 MOST_LINES = 60
@@ -71,8 +70,6 @@ LONGER_FOR_NOW = {
     "hydro_env.measured.inspect._guessed",
     "hydro_env.measured.log._from_table",
     "hydro_env.plant.kernel.codegen._module_text",
-    "hydro_env.practice.generate._record",
-    "hydro_env.practice.generate.make_practice",
     "hydro_env.valve_bench.rates._decide",
 }
 
@@ -114,8 +111,6 @@ CROWDED_FOR_NOW = {
     "hydro_env.plant.catalogue.form_corrections._stops_force",
     "hydro_env.plant.catalogue.losses._jeong_torque",
     "hydro_env.plant.plant.simulate",
-    "hydro_env.practice.generate.make_practice",
-    "hydro_env.practice.generate.run",
 }
 
 

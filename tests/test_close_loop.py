@@ -192,7 +192,12 @@ def quick(monkeypatch: pytest.MonkeyPatch, truth: PlantModel) -> list[Any]:
         diagnosis = {"verdict": "effects", "gap": {"sealed": gap},
                      "effects": [{"name": "dead_zone", "channel": "1", "indistinguishable_from": []}]}  # fmt: skip
         return close_loop.Rig(
-            task.case, task.seed, "same", models, {"verdict": "effects", "effects": effects}, diagnosis
+            task.case,
+            task.seed,
+            "same",
+            models,
+            {"verdict": "effects", "effects": effects, "form_constants": {}},
+            diagnosis,
         )
 
     def noted(task: Any) -> Any:

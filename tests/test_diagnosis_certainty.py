@@ -21,7 +21,8 @@ from hydro_env.diagnosis.stages.screening import Look, absorb, first_look, hidde
 from hydro_env.experiments import blind_trials as trials
 from hydro_env.files import write_json
 from hydro_env.plant import load_model
-from hydro_env.practice.generate import make_practice, parse_effects
+from hydro_env.practice.generate import make_practice
+from hydro_env.practice.hidden import parse_effects
 
 
 def test_bootstrap_has_the_spread_of_the_mean() -> None:

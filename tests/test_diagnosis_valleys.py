@@ -141,7 +141,7 @@ def test_known_parameters_begin_again_as_given_and_effects_stay() -> None:
 
 
 def test_calibration_finds_a_rig_whose_spools_are_wrong_by_a_sixth(tmp_path: Path) -> None:
-    practice = make_practice((), base_error=0.15, duration=6.0, rate=500.0, seed=61005, runs=("fit_1",))
+    practice = make_practice((), base_error=0.15, duration=12.0, rate=500.0, seed=61005, runs=("fit_1",))
     practice.write(tmp_path)
     rig = MotorRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
     first = as_given(rig, {(c, s.signal): 1e-9 for c in (0, 1) for s in rig.segments[c]})
@@ -158,7 +158,7 @@ def test_calibration_finds_a_rig_whose_spools_are_wrong_by_a_sixth(tmp_path: Pat
 @pytest.mark.parametrize("off", [0.3, -2.0])
 def test_an_unbalanced_shaft_is_found_from_the_beginning_of_its_log(tmp_path: Path, off: float) -> None:
     make_practice(
-        ["eccentric_load:1"], base_error=0.15, seed=1, duration=8.0, rate=500.0, runs=("fit_1",)
+        ["eccentric_load:1"], base_error=0.15, seed=12, duration=8.0, rate=500.0, runs=("fit_1",)
     ).write(tmp_path)
     truth = json.loads((tmp_path / "truth.json").read_text())["effects"][0]["parameters"]
     true = {name: p["value"] for name, p in truth.items()}

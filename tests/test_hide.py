@@ -9,7 +9,12 @@ import pytest
 
 from hydro_env.errors import InputError
 from hydro_env.plant import CATALOGUE, load_model, simulate
-from hydro_env.practice.generate import NOISE, make_practice, parse_effects, parse_values, run
+from hydro_env.plant.sensors import NOISE
+from hydro_env.practice.command import run
+from hydro_env.practice.generate import make_practice
+from hydro_env.practice.hidden import SEVERITIES, parse_effects, parse_values
+from hydro_env.practice.manoeuvres import RUNS, plans
+from hydro_env.practice.reference.forms import CONSTANTS, STOPS, draw
 from hydro_env.units import RPM
 
 HEADER = (
@@ -78,9 +83,9 @@ def test_nothing_hidden_is_explained_by_the_model():
         simulated = simulate("paper", command, load, 1e-3, record=("speed", "current"))
         for c in (0, 1):
             left = log[f"speed_{c + 1}_rpm"] - simulated["speed"][:, 0, c] / RPM
-            assert np.std(left) == pytest.approx(NOISE["speed"][0], rel=0.1)
+            assert np.std(left) == pytest.approx(NOISE["speed_rpm"], rel=0.1)
             left = log[f"current_{c + 1}_A"] - simulated["current"][:, 0, c]
-            assert np.std(left) == pytest.approx(NOISE["current"][0], rel=0.1)
+            assert np.std(left) == pytest.approx(NOISE["current_A"], rel=0.1)
 
 
 def test_base_error_alone_is_calibration():
@@ -92,10 +97,11 @@ def test_base_error_alone_is_calibration():
 
 def test_noise_has_its_size_and_quantisation():
     noisy, clean = _quick(seed=3), _quick(seed=3, noise=0.0)
-    for signal, unit in (("speed", "rpm"), ("current", "A"), ("pressure", "bar")):
-        name = f"{signal}_1_{unit}"
-        size, resolution = NOISE[signal]
-        assert np.std(noisy.logs["fit_1"][name] - clean.logs["fit_1"][name]) == pytest.approx(size, rel=0.1)
+    for name, key, resolution in (
+        ("speed_1_rpm", "speed_rpm", 0.1), ("current_1_A", "current_A", 0.0005), ("pressure_1_bar", "pressure_bar", 0.01),
+    ):  # fmt: skip
+        error = noisy.logs["fit_1"][name] - clean.logs["fit_1"][name]
+        assert np.std(error) == pytest.approx(NOISE[key], rel=0.1)
         steps = noisy.logs["fit_1"][name] / resolution
         np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
 
@@ -129,23 +135,73 @@ def test_rate(rate):
     np.testing.assert_allclose(np.diff(log["time_s"]), 1.0 / rate)
 
 
-def test_severity_orders_the_sizes():
+def _multiple(p, value):
+    """How many typical distances a value of a parameter is from the neutral one; of a limit what stands for it."""
+    if np.isinf(p.nominal):
+        return (p.typical / value) ** 2
+    if p.log and p.nominal > 0.0:
+        return abs(np.log(value / p.nominal) / np.log(p.typical / p.nominal))
+    return abs((value - p.nominal) / (p.typical - p.nominal))
+
+
+@pytest.mark.parametrize("severity", SEVERITIES)
+def test_sizes_fill_the_range_of_a_severity(severity):
+    """Drawn sizes lie within the range and the bounds, and in all parts of it."""
+    low, high = SEVERITIES[severity]
+    below = []
     for name, effect in CATALOGUE.items():
-        sizes = []
-        for severity in ("small", "medium", "large"):
-            hidden = make_practice([name], severity=severity, runs=(), seed=11).hidden[0]
-            shift = 0.0
+        for seed in range(8):
+            hidden = make_practice([name], severity=severity, runs=(), seed=seed).hidden[0]
             for p in effect.parameters:
                 value = hidden.parameters[p.name]
-                assert p.low <= value <= p.high or value == p.nominal, (name, p.name, value)
-                if p.typical != p.nominal:
-                    shift += (
-                        1.0 / value
-                        if np.isinf(p.nominal)
-                        else abs(value - p.nominal) / abs(p.typical - p.nominal)
-                    )
-            sizes.append(shift)
-        assert sizes[0] < sizes[1] <= sizes[2], (name, sizes)
+                assert p.low <= value <= p.high, (name, p.name, value)
+                if p.typical not in (None, p.nominal):
+                    multiple = _multiple(p, value)
+                    inside = low * (1.0 - 1e-9) <= multiple <= high * (1.0 + 1e-9)
+                    assert inside or value in (p.low, p.high), (name, p.name, multiple)
+                    below.append(multiple < np.sqrt(low * high))
+    assert 0.3 < np.mean(below) < 0.7
+
+
+def test_signs_and_shapes_are_drawn():
+    rigs = [
+        make_practice(["load_bias:1", "displacement_ripple:2", "viscosity_drift"], runs=(), seed=s)
+        for s in range(12)
+    ]
+    values = [{f"{h.name}.{n}": v for h in rig.hidden for n, v in h.parameters.items()} for rig in rigs]
+    assert {np.sign(v["load_bias.bias"]) for v in values} == {-1.0, 1.0}
+    orders = {v["displacement_ripple.order"] for v in values}
+    assert len(orders) > 4 and all(float(n).is_integer() for n in orders)
+    # A drift of minutes would not be seen in a log of 12 s.
+    assert all(3.0 <= v["viscosity_drift.time_constant"] <= 18.0 for v in values)
+
+
+def test_forms_are_drawn_for_every_rig():
+    """All constants of form lie within their ranges, differ from rig to rig and are in the truth."""
+    sets = [draw(np.random.default_rng(s)) for s in range(20)]
+    for c in CONSTANTS:
+        found = [s[c.name] for s in sets]
+        assert c.low <= min(found) < max(found) <= c.high, c.name
+        assert len(set(found)) == len(sets), c.name
+    for s in sets:
+        travels, shares = np.array(s["stop_travels"]), np.array(s["stop_shares"])
+        assert len(travels) == STOPS and shares.sum() == pytest.approx(1.0)
+        # At a turn the force must not fall while the current grows, also in the narrowest loop: slope below 2.
+        assert (shares / travels).sum() < 2.0
+    practice = _quick(["dead_zone:1"], seed=5)
+    assert {n: e["value"] for n, e in practice.truth["form_constants"].items()} == practice.constants
+    assert _quick(["dead_zone:1"], forms="catalogue").truth["form_constants"] == {}
+
+
+def test_manoeuvres_differ_from_seed_to_seed():
+    """No two rigs are asked to do the same, and both channels are in closed loop at the same time."""
+    for name in RUNS:
+        first, second = (plans(name, np.random.SeedSequence(s), 0.01, 1200) for s in (1, 2))
+        np.testing.assert_array_equal(first[0].closed, first[1].closed)
+        assert np.mean(first[0].value == second[0].value) < 0.3
+        for plan in first:
+            assert plan.value.size == plan.load.size == 1200
+            assert np.abs(plan.value[~plan.closed]).max(initial=0.0) <= 1.0
 
 
 def test_explicit_values():

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, suggestion
+from ..plant.sensors import NOISE as SENSORS
 from ..units import BAR, RPM
 
 __all__ = ["LIMIT", "NOISE", "OBSERVATION", "SCALES", "Measurements", "decode", "noise_levels"]
@@ -34,7 +35,7 @@ SCALES.setflags(write=False)
 LIMIT = 10.0
 
 #: Standard deviations of the sensors' noise, by key of the `noise` argument, in the units these keys name.
-NOISE: dict[str, float] = {"speed_rpm": 1.0, "current_A": 0.002, "pressure_bar": 0.05}
+NOISE = {key: SENSORS[key] for key in ("speed_rpm", "current_A", "pressure_bar")}
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,8 @@ from hydro_env.files import write_json, write_text
 from hydro_env.parallel import Failure, Store
 from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import PlantModel
+from hydro_env.practice.generate import constants_of
+from hydro_env.practice.reference.forms import Constants
 from hydro_env.tasks import Trace, compute, load_scenario
 
 __all__ = [
@@ -259,13 +261,15 @@ class Score:
     gains: Mapping[str, Any] | None
     truth: PlantModel
     forms: str
+    constants: Constants | None
     seed: int
 
     @property
     def key(self) -> str:
         told = _text(self.model) if self.gains is not None else ""
         gains = json.dumps(self.gains)
-        return f"score {self.controller} {gains} {told} {_text(self.truth)} {self.forms} {self.scenario} {self.seed}"
+        rig = f"{_text(self.truth)} {self.forms} {json.dumps(self.constants)}"
+        return f"score {self.controller} {gains} {told} {rig} {self.scenario} {self.seed}"
 
 
 def score(task: Score) -> dict[str, Any]:
@@ -275,7 +279,8 @@ def score(task: Score) -> dict[str, Any]:
         if task.gains is None
         else LAWS[task.controller].build(task.controller, task.model, task.gains)
     )
-    return scored(drive(controller, task.truth, task.scenario, task.seed, forms=task.forms))
+    drawn: dict[str, Any] = {"forms": task.forms, "constants": task.constants}
+    return scored(drive(controller, task.truth, task.scenario, task.seed, **drawn))
 
 
 def scored(trace: Trace) -> dict[str, Any]:
@@ -481,7 +486,10 @@ def run(
     tuned = {(t.law, t.source, t.rig, t.seed): found for t, found in done(list(tunings.values()), "tuning")}
     drives = []
     for rig in rigs:
-        common = {"rig": rig.name, "truth": rig.models["true"], "forms": rig.forms, "seed": rig.seed}
+        common: dict[str, Any] = {
+            "rig": rig.name, "truth": rig.models["true"], "forms": rig.forms, "constants": constants_of(rig.truth),
+            "seed": rig.seed,
+        }  # fmt: skip
         for scenario in SCENARIOS:
             for law in LAWS:
                 for source in SOURCES:

@@ -25,7 +25,7 @@ from hydro_env.diagnosis import workflow as diagnosis
 from hydro_env.experiments import reproduce
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, figure, legend, png, render, svg
-from hydro_env.practice import generate as hide
+from hydro_env.practice import command as hide
 
 __all__ = ["run"]
 

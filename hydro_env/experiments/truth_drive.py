@@ -14,6 +14,7 @@ import numpy as np
 from hydro_env.envs.observation import LIMIT, SCALES, noise_levels
 from hydro_env.plant import PlantModel
 from hydro_env.practice.reference import ReferenceRig
+from hydro_env.practice.reference.forms import Constants
 from hydro_env.tasks import Scenario, Trace, load_scenario
 from hydro_env.units import RPM
 
@@ -30,6 +31,7 @@ def drive(
     seed: int,
     *,
     forms: str = "different",
+    constants: Constants | None = None,
     control_period: float = 0.01,
     noise: float = 1.0,
     tolerance: float = 1e-6,
@@ -42,7 +44,8 @@ def drive(
         truth: the rig.
         scenario: what is driven; a random one is drawn from `seed`.
         seed: of the sensors' noise, and of a random scenario.
-        forms: of the effects in the simulator, see `plant.reference.FORMS`.
+        forms: of the effects in the simulator, see `practice.reference.FORMS`.
+        constants: of these forms; None: the middle ones.
         control_period: s.
         noise: factor on the sensors' noise, as in the environment.
         tolerance: relative one of the solver.
@@ -52,7 +55,10 @@ def drive(
     course_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
     course = load_scenario(scenario).reference(control_period, np.random.default_rng(course_seed))
     stream, levels = np.random.default_rng(noise_seed), noise_levels(noise)
-    rig, rated = ReferenceRig(truth, forms=forms, tolerance=tolerance), np.array(truth.pair("u_rated"))
+    rig, rated = (
+        ReferenceRig(truth, forms=forms, constants=constants, tolerance=tolerance),
+        np.array(truth.pair("u_rated")),
+    )
     controller.reset(1, control_period)
     rows = len(course.setpoint)
     speed, angle, command = np.empty((rows, 1, 2)), np.empty((rows, 1)), np.zeros((rows, 1, 2))

@@ -51,6 +51,7 @@ from hydro_env.controllers.mpc.flow_law import (
     think,
 )
 from hydro_env.envs.observation import Measurements, decode
+from hydro_env.plant.sensors import NOISE as SENSORS
 from hydro_env.units import RPM
 
 __all__ = ["FlowView"]
@@ -113,8 +114,8 @@ TUNED_PERIOD = 0.01
 AT_REST = 5.0 * RPM
 SWEEP_FROM = -0.02
 PAUSE = 0.15  # s between two answers to sudden loads
-LEAK_NOISE = NOMINAL["Km"] * 0.05e5 / RATED_FLOW
-TURN_NOISE = NOMINAL["D"] * 1.0 * RPM / RATED_FLOW
+LEAK_NOISE = NOMINAL["Km"] * SENSORS["pressure_bar"] * 1e5 / RATED_FLOW
+TURN_NOISE = NOMINAL["D"] * SENSORS["speed_rpm"] * RPM / RATED_FLOW
 """Usual noise of the measured flow that comes from the pressure and from the speed."""
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...plant import simulate
 from ...plant.catalogue import separating_experiment
-from ...practice.generate import NOISE
+from ...plant.sensors import NOISE
 from ...waveforms import triangle
 from ..estimation.least_squares import Problem
 from ..models.base import UNITS, Machine
@@ -86,7 +86,7 @@ def simulated(machine: MotorRig, channel: int, first: Problem, second: Problem) 
             record=list(recorded.values()), substep=machine.substep,
         )  # fmt: skip
         for signal, name in recorded.items():
-            noise = NOISE[signal][0] * UNITS[signal][1]
+            noise = NOISE[f"{signal}_{UNITS[signal][0]}"] * UNITS[signal][1]
             apart = out[name][:, 0, channel] - out[name][:, 1, channel]
             found.append(Separation(manoeuvre, signal, float(np.sqrt(np.mean(apart**2))) / noise))
     return sorted(found, key=lambda s: -s.distance)

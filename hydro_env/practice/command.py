@@ -1,0 +1,44 @@
+"""The command `hydro-env hide EFFECT[:CHANNEL] ... --out DIR`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+from ..plant import CATALOGUE
+from .generate import Practice, make_practice
+from .hidden import parse_values
+from .manoeuvres import RUNS
+
+__all__ = ["run"]
+
+
+def run(
+    effects: Sequence[str], out: Path, *, none: bool = False, model: str = "paper", values: Sequence[str] = (),
+    base_error_percent: float = 0.0, **settings: Any,
+) -> Practice:  # fmt: skip
+    """Writes fit_1.csv, fit_2.csv, sealed.csv, model.yaml and truth.json to `out`.
+
+    `values` are words "effect.parameter=value"; `none` (--none) hides nothing and must be given when no effect is named;
+    `settings` as in `PracticeSettings`.
+    """
+    from tqdm import tqdm
+
+    if none and effects:
+        raise InputError(f"--none hides nothing, yet {effects[0]!r} is named; leave one of them out")
+    if not none and not effects:
+        raise InputError(f"name an effect to hide, or --none; effects are {', '.join(CATALOGUE)}")
+    with tqdm(total=len(RUNS), unit="log", leave=False, delay=0.5) as bar:
+
+        def begin(name: str) -> None:
+            bar.update(1 if bar.desc else 0)  # the one before is done
+            bar.set_description(name)
+
+        practice = make_practice(
+            effects, model=model, values=parse_values(values), base_error=base_error_percent / 100.0, progress=begin,
+            **settings,
+        )  # fmt: skip
+    practice.write(Path(out))
+    return practice

@@ -1,0 +1,220 @@
+"""What a practice rig hides: effects, their sizes, and base parameters that differ from the given model's.
+
+Sizes are drawn anew for every seed. A severity is a range of multiples of the catalogue's typical size, from what is barely
+visible to the end of what is plausible; the draw is log-uniform within it and within the parameter's bounds. What gives
+shape, not size, is drawn as well. None of it is taken from what a diagnosis assumes or begins with.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, suggestion
+from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel
+
+__all__ = [
+    "SEVERITIES", "UNCERTAIN", "Hidden", "check_values", "choose", "parse_effects", "parse_values", "true_model",
+]  # fmt: skip
+
+#: Sizes, as multiples of the typical distance of a parameter from its neutral value: least and greatest.
+SEVERITIES: dict[str, tuple[float, float]] = {"small": (0.2, 0.5), "medium": (0.4, 2.0), "large": (1.5, 3.0)}
+#: Base parameters that `base_error` makes wrong.
+UNCERTAIN = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs")
+#: What only shapes an effect is drawn within this factor of its usual value, both ways.
+_SHAPE_FACTOR = 3.0
+#: A drift slower than the log would not be seen: its time constant is drawn between these shares of the log's length.
+_DRIFT = (0.15, 1.5)
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """An effect that acts on a channel: "1", "2", "both" or (effects of the whole rig) "rig"; parameters in SI."""
+
+    name: str
+    channel: str
+    parameters: Mapping[str, float]
+
+    @property
+    def acts_on(self) -> tuple[bool, bool]:
+        """Whether it acts on channels 1 and 2."""
+        return self.channel != "2", self.channel != "1"
+
+
+# --- the words of the command -----------------------------------------------------------------------------------------
+def parse_effects(words: Iterable[str]) -> dict[str, str]:
+    """`["dead_zone:1", "supply_droop"]` -> `{"dead_zone": "1", "supply_droop": "rig"}`.
+
+    Without a channel both have the effect. InputError for an unknown effect or channel, or one that is named twice.
+    """
+    chosen: dict[str, str] = {}
+    for word in words:
+        name, _, channel = word.partition(":")
+        if name not in CATALOGUE:
+            raise InputError(f"unknown effect {name!r}: {suggestion(name, CATALOGUE)}")
+        of_rig = CATALOGUE[name].scope == "rig"
+        channel = channel or ("rig" if of_rig else "both")
+        if of_rig and channel != "rig":
+            raise InputError(f"{word}: {name} acts on the whole rig; leave the channel out")
+        if channel not in (("rig",) if of_rig else ("1", "2", "both")):
+            raise InputError(f"{word}: unknown channel {channel!r}; a channel is 1, 2 or both")
+        if name in chosen:
+            raise InputError(f"{word}: {name} is named twice; name it once, with channel 1, 2 or both")
+        chosen[name] = channel
+    return chosen
+
+
+def parse_values(words: Iterable[str]) -> dict[str, float]:
+    """`["dead_zone.overlap_positive=7e-5"]` -> `{"dead_zone.overlap_positive": 7e-5}` (SI). InputError if malformed."""
+    values: dict[str, float] = {}
+    for word in words:
+        name, equals, number = word.partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = math.nan
+        if not equals or not math.isfinite(value):
+            raise InputError(
+                f"{word}: expected EFFECT.PARAMETER=NUMBER in SI units, e.g. dead_zone.overlap_positive=7e-5"
+            )
+        values[name] = value
+    return values
+
+
+def check_values(values: Mapping[str, float], effects: Mapping[str, str]) -> None:
+    """InputError unless every `effect.parameter` is of an effect to hide and within its bounds."""
+    for key, value in values.items():
+        name, _, own = key.partition(".")
+        if name not in effects:
+            raise InputError(
+                f"{key}: {name!r} is not among the effects to hide ({', '.join(effects) or 'none'})"
+            )
+        known = {p.name: p for p in CATALOGUE[name].parameters}
+        if own not in known:
+            raise InputError(f"{key}: effect {name!r} has no parameter {own!r}: {suggestion(own, known)}")
+        p = known[own]
+        if value != p.nominal and not p.low <= value <= p.high:
+            raise InputError(
+                f"{key}: {value:g} {p.unit} is out of range; right is {p.low:g} to {p.high:g} {p.unit}"
+            )
+
+
+# --- drawing ----------------------------------------------------------------------------------------------------------
+def _between(low: float, high: float, share: float) -> float:
+    """A value between two positive ones, log-uniform where `share` is uniform in 0 to 1."""
+    return float(low * (high / low) ** share)
+
+
+def _inside(p: Parameter, low: float, high: float, share: float) -> float:
+    """The same, within the parameter's bounds."""
+    low, high = (min(max(v, p.low), p.high) for v in (low, high))
+    return _between(low, high, share)
+
+
+def _shape(p: Parameter, duration: float, share: float) -> float:
+    """A parameter that gives shape, not size."""
+    if p.name == "time_constant" and p.nominal > duration:
+        return _inside(p, _DRIFT[0] * duration, _DRIFT[1] * duration, share)
+    if p.name == "order":  # teeth, pistons or lobes to a turn
+        return float(math.floor(p.low + share * (p.high - p.low + 1.0)))
+    if p.log:
+        return _inside(p, p.nominal / _SHAPE_FACTOR, p.nominal * _SHAPE_FACTOR, share)
+    return p.low + share * (p.high - p.low) if math.isfinite(p.high - p.low) else p.nominal
+
+
+def _size(p: Parameter, severity: str, share: float, turned: bool) -> float:
+    """A parameter that gives size; `turned`: to the other side of the neutral value, where both make sense."""
+    least, most = SEVERITIES[severity]
+    typical = p.nominal if p.typical is None else p.typical
+    if math.isinf(p.nominal):  # a limit: the lower it is the more it does
+        return _inside(p, typical / math.sqrt(most), typical / math.sqrt(least), share)
+    by_factor = p.log and p.nominal > 0.0
+
+    def away(value: float) -> float:
+        return math.log(value / p.nominal) if by_factor else value - p.nominal
+
+    step = away(typical)
+    if turned and p.low < p.nominal < p.high:
+        step = -step
+    room = away(p.high if step > 0.0 else p.low) / step
+    moved = step * _between(min(least, room), min(most, room), share)
+    value = p.nominal * math.exp(moved) if by_factor else p.nominal + moved
+    return min(max(value, p.low), p.high)
+
+
+def _draw(effect: Effect, severity: str, duration: float, rng: np.random.Generator) -> dict[str, float]:
+    """Values of all parameters of an effect."""
+    found = {}
+    for p in effect.parameters:
+        share, side = rng.random(2)  # drawn always: a seed means the same rig
+        shape = p.typical is None or p.typical == p.nominal
+        found[p.name] = (
+            _shape(p, duration, share) if shape else _size(p, severity, share, turned=bool(side < 0.5))
+        )
+    if {"coulomb", "static"} <= found.keys():  # static friction is never below sliding friction
+        found["coulomb"], found["static"] = sorted((found["coulomb"], found["static"]))
+    return found
+
+
+def choose(
+    effects: Mapping[str, str], values: Mapping[str, float], severity: str, duration: float, rng: np.random.Generator
+) -> tuple[Hidden, ...]:  # fmt: skip
+    """What is hidden: `effects` {name: channel} with drawn parameters, but for the `values` {effect.parameter: SI}.
+
+    InputError if an effect would be neutral.
+    """
+    hidden = []
+    for name, channel in effects.items():
+        explicit = {key.split(".", 1)[1]: v for key, v in values.items() if key.split(".", 1)[0] == name}
+        # Everything is drawn, so that an explicit value changes no other one.
+        chosen = {**_draw(CATALOGUE[name], severity, duration, rng), **explicit}
+        if CATALOGUE[name].is_neutral(chosen):
+            raise InputError(
+                f"{name}: with these values nothing is hidden; a size away from the neutral one is needed"
+            )
+        hidden.append(Hidden(name, channel, chosen))
+    return tuple(hidden)
+
+
+# --- the rig ----------------------------------------------------------------------------------------------------------
+def true_model(
+    given: PlantModel, hidden: Sequence[Hidden], base_error: float, rng: np.random.Generator
+) -> tuple[PlantModel, dict[str, Any]]:
+    """The model that makes the logs, and what is wrong with the base parameters of the given one."""
+    changed: dict[str, tuple[float, float]] = {}
+    wrong: dict[str, Any] = {}
+    for name in UNCERTAIN:
+        factors = 1.0 + base_error * rng.uniform(-1.0, 1.0, 2)  # drawn always: a seed means the same rig
+        if base_error == 0.0:
+            continue
+        p = PARAMETERS[name]
+        old = given.pair(name)
+        new = tuple(min(max(v * f, min(p.low, v)), max(p.high, v)) for v, f in zip(old, factors, strict=True))
+        changed[name] = new
+        for c in (0, 1):
+            wrong[f"{name}_{c + 1}"] = {"nominal": old[c], "value": new[c], "unit": p.unit}
+    if changed:
+        # Static friction is never below sliding friction.
+        changed["Fs"] = tuple(max(s, c) for s, c in zip(changed["Fs"], changed["Fc"], strict=True))  # type: ignore[assignment]
+        for c in (0, 1):
+            wrong[f"Fs_{c + 1}"]["value"] = changed["Fs"][c]
+    true = given.with_values(changed, name="rig")
+    for h in hidden:
+        on = h.acts_on
+        for c in (0, 1):
+            acts = given.effects.get(h.name)
+            if on[c] and acts is not None and not CATALOGUE[h.name].is_neutral(acts[c]):
+                raise InputError(
+                    f"{h.name}: model {given.name!r} has this effect on channel {c + 1} already; "
+                    "choose another base model (e.g. paper) or effect"
+                )
+        values = {}
+        for own, value in h.parameters.items():
+            old = true.pair(f"{h.name}.{own}")
+            values[f"{h.name}.{own}"] = (value if on[0] else old[0], value if on[1] else old[1])
+        true = true.with_values(values)
+    return true, wrong

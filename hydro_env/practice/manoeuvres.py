@@ -1,0 +1,218 @@
+"""What a practice rig is asked to do: manoeuvres on the grid of control periods, each seed with its own.
+
+Amplitudes, levels, times and order are drawn. A round of a run lasts `ROUND` s; a longer log has more rounds with other
+values, a shorter one the beginning of the first.
+
+    fit_1   valve bench, open loop: slow and fast triangles, steps of many sizes both ways, steps under load, small loops
+            about a bias, a sine of rising frequency, full steps; each channel in its own order
+    fit_2   operation, closed loop: set-point steps, staircase, reversing sine, load steps both ways
+    sealed  other values, order and mixture of both
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..waveforms import triangle
+
+__all__ = ["ROUND", "RUNS", "Plan", "plans"]
+
+Array = NDArray[np.float64]
+Stream = np.random.Generator
+
+#: Length of a round, s.
+ROUND = 12.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What one channel is asked to do: `value` is a set-point in rpm where `closed`, else a fraction of the rated command;
+    `load` is in N m. Each (T,), one row for a control period."""
+
+    value: Array
+    closed: NDArray[np.bool_]
+    load: Array
+
+    @staticmethod
+    def join(parts: Iterable[Plan]) -> Plan:
+        """One after the other."""
+        rows = list(parts)
+        return Plan(*(np.concatenate([getattr(p, n) for p in rows]) for n in ("value", "closed", "load")))
+
+    def first(self, rows: int) -> Plan:
+        """The beginning of it."""
+        return Plan(self.value[:rows], self.closed[:rows], self.load[:rows])
+
+
+# --- courses: arrays over a number of periods ---------------------------------------------------------------------------
+def _hold(levels: Sequence[float] | Array, rows: int) -> Array:
+    """Levels of equal length, which fill the rows."""
+    at = np.arange(rows) * len(levels) // rows
+    return np.asarray(levels, dtype=float)[at]
+
+
+def _triangle(middle: float, amplitude: float, cycles: float, rows: int) -> Array:
+    return middle + amplitude * triangle(np.arange(rows) * cycles / rows)
+
+
+def _sweep(middle: float, amplitude: float, low: float, high: float, rows: int, dt: float) -> Array:
+    """Sine of rising frequency (Hz)."""
+    t, duration = np.arange(rows) * dt, rows * dt
+    phase = 2.0 * math.pi * low * duration / math.log(high / low) * (np.power(high / low, t / duration) - 1.0)
+    return middle + amplitude * np.sin(phase)
+
+
+def _open(value: Array, load: Array | float = 0.0) -> Plan:
+    return Plan(value, np.zeros(value.size, bool), np.broadcast_to(load, value.shape))
+
+
+def _closed(value: Array, load: Array | float = 0.0) -> Plan:
+    return Plan(value, np.ones(value.size, bool), np.broadcast_to(load, value.shape))
+
+
+def _rows(rng: Stream, usual: Sequence[float], dt: float) -> list[int]:
+    """Rows of the parts of a round: up to 35 % longer or shorter than usual (s) against each other."""
+    lengths = np.asarray(usual) * rng.uniform(0.65, 1.35, len(usual))
+    return [max(1, round(s / dt)) for s in lengths * (ROUND / lengths.sum())]
+
+
+def _sign(rng: Stream) -> float:
+    return float(rng.choice([-1.0, 1.0]))
+
+
+def _both_ways(rng: Stream, low: float, high: float, sizes: int) -> Array:
+    """Sizes from low to high (log-uniform within equal parts of that range), each with both signs, in random order."""
+    places = (np.arange(sizes) + rng.random(sizes)) / sizes
+    found = low * (high / low) ** places
+    return rng.permutation(np.concatenate([found, -found]))
+
+
+# --- parts of the valve bench: fractions of the rated command ------------------------------------------------------------
+def _slow_triangle(rng: Stream, rows: int, dt: float) -> Plan:
+    return _open(_triangle(0.0, _sign(rng) * rng.uniform(0.45, 0.9), 1.0, rows))
+
+
+def _fast_triangle(rng: Stream, rows: int, dt: float) -> Plan:
+    return _open(_triangle(0.0, _sign(rng) * rng.uniform(0.35, 0.75), 1.0, rows))
+
+
+def _steps(rng: Stream, rows: int, dt: float) -> Plan:
+    """Steps of many sizes both ways, every third back to zero."""
+    sizes = _both_ways(rng, 0.08, 0.9, 4)
+    return _open(_hold(np.insert(sizes, [2, 4, 6, 8], 0.0), rows))
+
+
+def _full_steps(rng: Stream, rows: int, dt: float) -> Plan:
+    sign = _sign(rng)
+    return _open(_hold([sign, -sign, 0.0], rows))
+
+
+def _loaded_steps(rng: Stream, rows: int, dt: float) -> Plan:
+    """Steps while a load is on, with it and against it."""
+    lift = _sign(rng) * rng.uniform(0.35, 0.85)
+    one, other = rng.uniform(0.25, 0.75, 3), -rng.uniform(0.25, 0.75, 3)
+    levels = [one[0], one[0], one[1], one[2], other[0], other[0], other[1], other[2]]
+    weight = np.array([0.0, lift, lift, lift, 0.0, -lift, -lift, -lift])
+    return _open(_hold(levels, rows), _hold(weight, rows))
+
+
+def _small_loops(rng: Stream, rows: int, dt: float) -> Plan:
+    bias = _sign(rng) * rng.uniform(0.25, 0.55)
+    return _open(_triangle(bias, rng.uniform(0.06, 0.16), 2.0, rows))
+
+
+def _rising_sine(rng: Stream, rows: int, dt: float) -> Plan:
+    bias = _sign(rng) * rng.uniform(0.25, 0.45)
+    return _open(_sweep(bias, rng.uniform(0.1, 0.2), rng.uniform(0.7, 1.5), rng.uniform(9.0, 18.0), rows, dt))
+
+
+def _random_steps(rng: Stream, rows: int, dt: float) -> Plan:
+    return _open(_hold(rng.uniform(-0.8, 0.8, 10), rows))
+
+
+def _steps_on_load(rng: Stream, rows: int, dt: float) -> Plan:
+    return _open(_hold(_sign(rng) * rng.uniform(0.2, 0.65, 4), rows), rng.uniform(0.3, 0.7))
+
+
+#: A part of the bench and its usual length, s.
+_BENCH = (
+    (_slow_triangle, 3.2), (_steps, 2.9), (_loaded_steps, 2.0), (_full_steps, 0.9), (_small_loops, 1.0),
+    (_rising_sine, 1.4), (_fast_triangle, 0.7),
+)  # fmt: skip
+_REST = 0.2
+
+
+# --- the runs: plans from draws that both channels share and draws of the channel's own ----------------------------------
+def _bench(_: Stream, own: Stream, dt: float) -> Plan:
+    """Open loop; each channel in its own order, so that the supply sees many pairs."""
+    rest, *rows = _rows(own, (_REST, *(usual for _, usual in _BENCH)), dt)
+    parts = [make(own, n, dt) for (make, _), n in zip(_BENCH, rows, strict=True)]
+    return Plan.join([_open(np.zeros(rest)), *(parts[n] for n in own.permutation(len(parts)))])
+
+
+def _operation(common: Stream, own: Stream, dt: float) -> Plan:
+    """Closed loop: set-points as in the paper's experiments, slow reversals, load steps both ways.
+
+    Both channels follow the same set-point, as on the rig; their loads differ.
+    """
+    rest, jumping, holding, waving, climbing, backing = _rows(common, (_REST, 3.0, 2.0, 2.6, 2.4, 2.0), dt)
+    sign = _sign(common)
+    jumps = sign * np.array([1.0, -1.0, 1.0]) * common.uniform(150.0, 690.0, 3)
+    up = common.uniform([40.0, 110.0, 240.0], [110.0, 240.0, 380.0])
+    stairs = sign * np.array([*up, -up[0], -up[1], 0.0])
+    held = _sign(common) * common.uniform(250.0, 550.0, 2) * np.array([1.0, -1.0])
+    wave = _sweep(
+        0.0, common.uniform(150.0, 330.0), common.uniform(0.3, 0.7), common.uniform(1.0, 2.0), waving, dt
+    )
+    order = common.permutation(5)
+    lift = _sign(own) * own.uniform(0.35, 0.75)
+    pushes = own.permutation([lift, 0.3 * lift, -0.5 * lift, 0.0])
+    parts = [
+        _closed(_hold(jumps, jumping)),
+        _closed(np.full(holding, held[0]), _hold([0.0, *pushes], holding)),
+        _closed(wave),
+        _closed(_hold(stairs, climbing)),
+        _closed(np.full(backing, held[1]), _hold([0.0, *-pushes], backing)),
+    ]
+    return Plan.join([_closed(np.zeros(rest)), *(parts[n] for n in order)])
+
+
+def _proof(common: Stream, own: Stream, dt: float) -> Plan:
+    """Other values and another mixture of both: four parts of a bench about one in closed loop, which comes at the same time
+    on both channels."""
+    rest, moving, *opened = _rows(common, (_REST, 4.5, 2.7, 1.3, 2.1, 1.6), dt)
+    before = common.integers(0, len(opened) + 1)
+    signs = _sign(common) * np.array([1.0, -1.0, 1.0, 1.0, -1.0])
+    levels = common.uniform(120.0, 650.0, 5) * signs
+    lift, late = own.uniform(0.3, 0.7), own.uniform(0.3, 0.7)
+    jumps = _hold(levels, moving)
+    within = (np.arange(moving) * len(levels) / moving) % 1.0
+    closed = _closed(jumps, np.where(within > late, lift, 0.0) * np.sign(jumps))
+    kinds = own.permutation(np.array([_random_steps, _steps_on_load, _slow_triangle, _rising_sine]))
+    parts = [make(own, rows, dt) for make, rows in zip(kinds, opened, strict=True)]
+    return Plan.join([_open(np.zeros(rest)), *parts[:before], closed, *parts[before:]])
+
+
+#: Makes a round of a channel's plan.
+RUNS: dict[str, Callable[[Stream, Stream, float], Plan]] = {
+    "fit_1": _bench, "fit_2": _operation, "sealed": _proof,
+}  # fmt: skip
+
+
+def plans(run: str, seeds: np.random.SeedSequence, dt: float, steps: int) -> list[Plan]:
+    """The plan of each channel in a run of `RUNS` of `steps` control periods of `dt` s."""
+    shared, *own = seeds.spawn(3)
+    found = []
+    for side in (0, 1):
+        # The shared stream starts afresh for each channel: both draw the same from it.
+        common, alone = np.random.default_rng(shared), np.random.default_rng(own[side])
+        rounds = [RUNS[run](common, alone, dt)]
+        while sum(r.value.size for r in rounds) < steps:
+            rounds.append(RUNS[run](common, alone, dt))
+        found.append(Plan.join(rounds).first(steps))
+    return found

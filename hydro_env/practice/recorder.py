@@ -1,0 +1,191 @@
+"""The rig that plays a manoeuvre, its speed controllers, its sensors, and the log that they leave.
+
+Commands change once in a control period of 10 ms; the log may be faster. Noise is that of `plant.sensors`; the recorded
+values are rounded to the resolution of each sensor.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..plant import Plant, PlantModel
+from ..plant.sensors import NOISE
+from ..units import BAR, LPM, MILLIMETRE, RPM
+from .manoeuvres import plans
+from .reference import ReferenceRig
+from .reference.forms import Constants
+
+__all__ = ["CATALOGUE_FORMS", "CONTROL_PERIOD", "RECORDABLE", "Recorder", "log_text"]
+
+Array = NDArray[np.float64]
+
+CONTROL_PERIOD = 0.01  # s
+#: Forms of a rig that the compiled plant plays, with the laws of the catalogue.
+CATALOGUE_FORMS = "catalogue"
+#: What may be recorded besides time, command and speed.
+RECORDABLE = ("setpoint", "current", "pressure", "load", "spool", "flow")
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A column of the log: the simulator's signal, the column's unit and its size in SI, noise and resolution in that unit."""
+
+    signal: str
+    unit: str
+    size: float
+    noise: float
+    resolution: float
+
+
+_SENSORS = {
+    "current": Sensor("current", "A", 1.0, NOISE["current_A"], 0.0005),
+    "pressure": Sensor("pressure", "bar", BAR, NOISE["pressure_bar"], 0.01),
+    "speed": Sensor("measured_speed", "rpm", RPM, NOISE["speed_rpm"], 0.1),
+    "spool": Sensor("spool", "mm", MILLIMETRE, NOISE["spool_mm"], 0.0005),
+    "flow": Sensor("flow", "lpm", LPM, NOISE["flow_lpm"], 0.01),
+}
+_COLUMN_ORDER = ("command", "current", "pressure", "speed", "load", "spool", "flow")
+_DECIMALS = {
+    "time": 6, "setpoint": 1, "command": 3, "current": 4, "pressure": 2, "speed": 1, "load": 3, "spool": 4, "flow": 2,
+}  # fmt: skip
+
+
+class _CatalogueRig:
+    """The compiled plant in the place of a `ReferenceRig`."""
+
+    def __init__(self, model: PlantModel) -> None:
+        self.plant = Plant(model)
+        self.names = [sensor.signal for sensor in _SENSORS.values()]
+
+    def signals(self) -> dict[str, Array]:
+        return {name: self.plant.get(name)[0] for name in self.names}
+
+    def advance(self, command_V: Array, load_Nm: Array, duration: float, samples: int) -> dict[str, Array]:
+        command, load = np.tile(command_V, (samples, 1)), np.tile(load_Nm, (samples, 1))
+        rows = self.plant.run(command, load, duration / samples, self.names)
+        if self.plant.diverged[0]:
+            raise InputError("the rig diverges with these effects; smaller values are right")
+        end = self.signals()
+        return {name: np.vstack([rows[name][1:, 0], end[name]]) for name in self.names}
+
+
+class _SpeedLoop:
+    """The PI controllers of the rig: the paper's V1 gains, scaled to the flow gain of the given model."""
+
+    def __init__(self, given: PlantModel, period: float) -> None:
+        self.gain = 0.016 * 476106e-6 / np.array(given.pair("Kq"))  # V/rpm
+        self.reset_time, self.period = 0.156, period  # s
+        self.limit = np.array(given.pair("u_rated"))
+        self.sum = np.zeros(2)  # rpm s
+
+    def __call__(self, setpoint: Array, speed: Array) -> Array:
+        error = setpoint - speed
+        wanted = self.gain * (error + self.sum / self.reset_time)
+        given = np.clip(wanted, -self.limit, self.limit)
+        self.sum = np.where(
+            (wanted != given) & (error * wanted > 0.0), self.sum, self.sum + error * self.period
+        )
+        return given
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """Logs runs of one rig.
+
+    given, true  the model an engineer has, to which the speed controllers are set, and the rig
+    forms        of the effects: `CATALOGUE_FORMS`, or one of `reference.FORMS` with its `constants`
+    record       signals besides time, command and speed, of `RECORDABLE`; without "load" none is applied
+    noise        factor on the sensors' noise; 0: no noise and no quantisation
+    rate         rows per second
+    duration     of a log, s
+    """
+
+    given: PlantModel
+    true: PlantModel
+    forms: str
+    constants: Constants | None
+    record: Sequence[str]
+    noise: float
+    rate: float
+    duration: float
+
+    def log(self, run: str, seeds: np.random.SeedSequence) -> dict[str, Array]:
+        """Drives one of `manoeuvres.RUNS` and returns the log's columns by header name."""
+        plan_seed, noise_seed = seeds.spawn(2)
+        period = max(CONTROL_PERIOD, 1.0 / self.rate)
+        samples = round(period * self.rate)
+        steps = max(1, round(self.duration / period))
+        channels = plans(run, plan_seed, period, steps)
+        closed = np.column_stack([p.closed for p in channels])
+        value = np.column_stack([p.value for p in channels])
+        load: Array = np.column_stack([p.load for p in channels]).round(3)
+        if "load" not in self.record:  # a load that nobody logs would be a second hidden effect
+            load = np.zeros_like(load)
+        # Every signal has a stream of its own: recording more of them changes none.
+        streams = dict(zip(_SENSORS, noise_seed.spawn(len(_SENSORS)), strict=True))
+        errors = {
+            n: self.noise * _SENSORS[n].noise * np.random.default_rng(s).standard_normal((steps * samples, 2))
+            for n, s in streams.items()
+        }
+        command, shown = self._drive(value, closed, load, errors["speed"][::samples, :], period, samples)
+        rows: dict[str, Array] = {
+            "command": np.repeat(command, samples, axis=0),
+            "load": np.repeat(load, samples, axis=0),
+            **{n: self._read(n, shown[n], errors[n]) for n in _SENSORS},
+        }
+        columns = {"time_s": np.arange(steps * samples) / self.rate}
+        if "setpoint" in self.record:
+            setpoint = np.where(closed, value, 0.0)[:, 0]
+            columns["setpoint_rpm"] = np.round(np.repeat(setpoint, samples), 1)
+        units = {"command": "V", "load": "Nm", **{n: s.unit for n, s in _SENSORS.items()}}
+        kept = [n for n in _COLUMN_ORDER if n in ("command", "speed") or n in self.record]
+        return columns | {f"{n}_{c + 1}_{units[n]}": rows[n][:, c] for c in (0, 1) for n in kept}
+
+    def _drive(
+        self, value: Array, closed: NDArray[np.bool_], load: Array, speed_error: Array, period: float, samples: int
+    ) -> tuple[Array, dict[str, Array]]:  # fmt: skip
+        """Command (steps, 2) in V and what each sensor sees, (steps * samples, 2) in SI without noise."""
+        steps = len(value)
+        loop, rated = _SpeedLoop(self.given, period), np.array(self.given.pair("u_rated"))
+        rig: ReferenceRig | _CatalogueRig
+        if self.forms == CATALOGUE_FORMS:
+            rig = _CatalogueRig(self.true)
+        else:
+            rig = ReferenceRig(self.true, forms=self.forms, constants=self.constants, tolerance=1e-6)
+        now = rig.signals()
+        command = np.empty((steps, 2))
+        shown = {n: np.empty((steps * samples, 2)) for n in _SENSORS}
+        for n in range(steps):
+            speed = now["measured_speed"] / RPM + speed_error[n]
+            by_loop = loop(np.where(closed[n], value[n], 0.0), speed)
+            loop.sum = np.where(closed[n], loop.sum, 0.0)
+            volts = np.round(np.where(closed[n], by_loop, value[n] * rated), 3)
+            command[n] = np.clip(volts, -rated, rated)
+            part = rig.advance(command[n], load[n], period, samples)
+            for name, sensor in _SENSORS.items():
+                shown[name][n * samples] = now[sensor.signal]
+                shown[name][n * samples + 1 : (n + 1) * samples] = part[sensor.signal][:-1]
+            now = {signal: values[-1] for signal, values in part.items()}
+        return command, shown
+
+    def _read(self, name: str, shown: Array, error: Array) -> Array:
+        sensor = _SENSORS[name]
+        raw = shown / sensor.size + error
+        return np.round(raw / sensor.resolution) * sensor.resolution if self.noise > 0.0 else raw
+
+
+def log_text(columns: Mapping[str, Array]) -> str:
+    """A rig log as CSV text."""
+    decimals = [_DECIMALS[name.split("_")[0]] for name in columns]
+    buffer = io.StringIO()
+    np.savetxt(
+        buffer, np.column_stack(list(columns.values())), fmt=[f"%.{d}f" for d in decimals], delimiter=",",
+        header=",".join(columns), comments="",
+    )  # fmt: skip
+    return buffer.getvalue()

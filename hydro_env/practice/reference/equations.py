@@ -1,0 +1,385 @@
+"""Equations of the rig, one by one, in both forms of every effect: coil and spool, valve flow, line, motor and load, sensor.
+
+`p` is the record of a channel: base parameters by symbol, those of effects as EFFECT__PARAMETER, constants of form as
+form_NAME, `different` for the form, and `at_...`, the places of its states in `y` (-1: it has none). Numbers in brackets are
+equations of the paper.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...jit import compiled
+from .forms import STOPS
+
+__all__ = ["outputs", "rates"]
+
+_SUPPLY_FLOW = 2.0 * 476106e-6 * 20.0 * 73.0 / (100.0 * 17000.0)  # m3/s; rated flow of two nominal valves
+
+
+@compiled
+def _limited(value, limit, knee):
+    """A limit, hard where `knee` is 0, else the p-norm with this exponent."""
+    if limit == np.inf:
+        return value
+    if knee > 0.0:
+        return value / (1.0 + (abs(value) / limit) ** knee) ** (1.0 / knee)
+    return min(max(value, -limit), limit)
+
+
+@compiled
+def _opening(p, spool):
+    """Opening of the metering edges, m, as a function of the spool's position."""
+    x = spool + p.null_offset__offset
+    high, low = p.dead_zone__overlap_positive, p.dead_zone__overlap_negative
+    if high != 0.0 or low != 0.0:
+        if p.different:
+            clearance = p.form_clearance
+            above, below = x - high, x + low
+            x = 0.5 * (above + math.sqrt(above * above + clearance**2))
+            x += 0.5 * (below - math.sqrt(below * below + clearance**2))
+        elif x > high:
+            x -= high
+        elif x < -low:
+            x += low
+        else:
+            x = 0.0
+    x = _limited(x, p.flow_saturation__opening_limit, p.form_saturation_knee if p.different else 0.0)
+    ratio = p.directional_gain__ratio
+    if ratio != 1.0:
+        if p.different:
+            x *= 0.5 * (1.0 + ratio) + 0.5 * (1.0 - ratio) * math.tanh(x / p.form_gain_blend)
+        elif x < 0.0:
+            x *= ratio
+    curvature = p.flow_gain_nonlinearity__curvature
+    if curvature != 0.0:
+        share = min(abs(x) * p.R * p.k / (p.alpha * p.u_rated), 1.0)
+        if p.different:
+            x *= 1.0 - curvature + curvature * share**p.form_notch_power
+        else:
+            x *= 1.0 - curvature + curvature * share
+    return x
+
+
+@compiled
+def _valve_flow(p, spool, pressure, droop):
+    """Flow through the valve, m3/s, (8) with the orifice law of (7) where an effect asks for it."""
+    x = _opening(p, spool)
+    against = pressure if x > 0.0 else (-pressure if x < 0.0 else 0.0)
+    drive = 1.0 - against / p.pressure_dependent_flow__supply_pressure - droop
+    if p.pressure_dependent_flow__supply_pressure == np.inf and p.supply_droop__relative_drop == 0.0:
+        return p.Kq * x
+    if p.different:
+        transition = p.form_orifice_transition**2
+        return p.Kq * x * drive * ((1.0 + transition) / (drive * drive + transition)) ** 0.25
+    return p.Kq * x * math.sqrt(max(drive, 0.0))
+
+
+@compiled
+def _magnetic_force(p, y, dy, current_rate):
+    """Force of the solenoid, N; sets the rates of the hysteresis."""
+    force = p.alpha * y[p.at_states]
+    if p.at_loop >= 0:
+        width = max(p.magnetic_hysteresis__width, 2.0 * p.magnetic_hysteresis__amplitude / p.alpha)
+        if p.different:
+            for j in range(STOPS):
+                s = y[p.at_loop + j]
+                free = 1.0
+                if s * current_rate > 0.0:
+                    free = max(1.0 - abs(s) ** p.form_stop_softness, 0.0)
+                dy[p.at_loop + j] = free * current_rate / (width * p.form_stop_travels[j])
+                force -= p.form_stop_shares[j] * p.magnetic_hysteresis__amplitude * s
+        else:
+            s = y[p.at_loop]
+            dy[p.at_loop] = (current_rate - abs(current_rate) * s) / width
+            force -= p.magnetic_hysteresis__amplitude * s
+    return force
+
+
+@compiled
+def _spool_friction(p, y, dy):
+    """LuGre friction of the spool, N, (9)-(11); sets the rates of its bristles."""
+    v, z = y[p.at_states + 2], y[p.at_states + 3]
+    coulomb, static = p.Fc, p.Fs
+    if not p.different:
+        coulomb += p.spool_stiction__coulomb
+        static += p.spool_stiction__static
+    peak = math.exp(-((v / p.vs) ** 2))
+    z_rate = v - abs(v) * p.s0 / (coulomb + (static - coulomb) * peak) * z
+    dy[p.at_states + 3] = z_rate
+    friction = p.s0 * z + p.s1 * z_rate + p.s2 * v
+    if p.at_second_bristle >= 0:
+        z = y[p.at_second_bristle]
+        coulomb, static = p.spool_stiction__coulomb, p.spool_stiction__static
+        stiffness = p.form_bristle_stiffness * p.s0
+        peak = math.exp(-((v / (p.form_bristle_stribeck * p.vs)) ** 2))
+        limit = (coulomb + (static - coulomb) * peak) / stiffness
+        # Purely elastic up to a share of the limit, then ever more plastic.
+        elastic = p.form_bristle_elastic
+        plastic = 0.0
+        if z * v > 0.0 and abs(z) > elastic * limit:
+            plastic = 1.0
+            if abs(z) < limit:
+                plastic = 0.5 - 0.5 * math.cos(math.pi * (abs(z) / limit - elastic) / (1.0 - elastic))
+        z_rate = v - plastic * abs(v) * z / limit
+        dy[p.at_second_bristle] = z_rate
+        friction += stiffness * z + p.form_bristle_damping * p.s1 * z_rate
+    return friction
+
+
+@compiled
+def _spool_rates(p, y, dy, pressure):
+    """Coil (6), spool (5) and all that acts on them."""
+    at = p.at_states
+    i, x, v = y[at], y[at + 1], y[at + 2]
+    voltage = _limited(
+        p.command, p.driver_saturation__voltage_limit, p.form_driver_knee if p.different else 0.0
+    )
+    resistance = p.R
+    if p.at_heat >= 0:
+        heat = y[p.at_heat]
+        resistance *= 1.0 + p.coil_heating__rise * heat
+        power = (i * p.R / p.u_rated) ** 2
+        if p.different:
+            power *= resistance / p.R
+        dy[p.at_heat] = (power - heat) / p.coil_heating__time_constant
+    i_rate = (voltage - resistance * i - p.alpha * v) / p.L
+    dy[at] = i_rate
+    dy[at + 1] = v
+
+    force = _magnetic_force(p, y, dy, i_rate)
+    preload = p.spring_preload__preload
+    if preload != 0.0:
+        if p.different:
+            force -= preload * x / math.sqrt(x * x + p.form_preload_travel**2)
+        else:
+            force -= preload * math.tanh(x / 20e-6)
+    if p.flow_force__coefficient != 0.0:
+        travel = x
+        if p.different:
+            open_ = _opening(p, x)
+            travel = open_ * math.sqrt(1.0 + (p.form_clearance / max(abs(open_), p.form_clearance)) ** 2)
+        against = pressure if travel > 0.0 else (-pressure if travel < 0.0 else 0.0)
+        force -= p.flow_force__coefficient * travel * max(p.flow_force__supply_pressure - against, 0.0)
+
+    stop = 0.0
+    beyond = abs(x) - p.x_max
+    if beyond > 0.0:
+        side = 1.0 if x > 0.0 else -1.0
+        stop = -side * max(
+            p.k_stop * beyond * (1.0 + v * side / p.v_stop), 0.0
+        )  # Hunt and Crossley: pushes, never pulls
+    friction = _spool_friction(p, y, dy)
+    dy[at + 2] = (force + stop - p.k * x - p.C * v - friction) / p.m
+
+
+@compiled
+def _shaft_torque(p, y, dy, speed, angle, load):
+    """Torque on the motor's shaft besides that of the pressure and of viscous friction, N m."""
+    torque = -load - p.load_bias__bias
+    coulomb, static = p.motor_coulomb_friction__coulomb, p.motor_coulomb_friction__static
+    if coulomb != 0.0 or static != 0.0:
+        power = p.form_shaft_stribeck if p.different else 2.0
+        peak = math.exp(-(abs(speed / p.motor_coulomb_friction__stribeck_speed) ** power))
+        level = coulomb + (static - coulomb) * peak
+        if p.different:
+            stiffness = max(coulomb, static) / p.form_shaft_travel
+            damping = 2.0 * p.form_shaft_damping * math.sqrt(stiffness * p.J)
+            damping *= math.exp(-((speed / p.form_shaft_damping_speed) ** 2))
+            z = y[p.at_shaft_bristle]
+            z_rate = speed - abs(speed) * stiffness * z / level
+            dy[p.at_shaft_bristle] = z_rate
+            torque -= stiffness * z + damping * z_rate
+        else:
+            torque -= level * math.tanh(10.0 * speed)
+    drag = p.quadratic_drag__coefficient
+    if p.different:
+        torque -= drag * speed * math.hypot(speed, p.form_drag_transition)
+    else:
+        torque -= drag * speed * abs(speed)
+    torque -= p.eccentric_load__amplitude * math.sin(angle + p.eccentric_load__phase)
+    if p.at_twist >= 0:
+        twist, outer = y[p.at_twist], y[p.at_twist + 1]
+        wound = max(abs(twist) - 0.5 * p.shaft_backlash__gap, 0.0)
+        passed = 0.0
+        if wound > 0.0:
+            side = 1.0 if twist > 0.0 else -1.0
+            damping = p.shaft_backlash__damping
+            if p.different:
+                damping *= wound / (wound + p.form_backlash_damping)
+            else:
+                damping *= min(50.0 * wound, 1.0)
+            passed = side * max(p.shaft_backlash__stiffness * wound + damping * (speed - outer) * side, 0.0)
+        dy[p.at_twist] = speed - outer
+        dy[p.at_twist + 1] = (passed - load) / p.shaft_backlash__inertia
+        torque += load - passed
+    return torque
+
+
+@compiled
+def _loss_flow(p, difference, speed):
+    """Flow that the loss models of the motor let past its chambers at a pressure difference, m3/s."""
+    height = abs(difference)
+    # Wilson: Cs D dp / mu.
+    past = height * p.wilson_losses__slip / p.wilson_losses__viscosity * p.D
+
+    # Schloesser: the same, and Cst D^(2/3) sqrt(2 dp / rho).
+    past += height * p.schloesser_losses__slip / p.schloesser_losses__viscosity * p.D
+    area = p.schloesser_losses__turbulent_area
+    if area > 0.0:
+        inertia = p.schloesser_losses__density / (2.0 * area * area)
+        if p.different:
+            gap = math.sqrt(inertia * p.form_gap_transition)
+            past += 2.0 * height / (gap + math.sqrt(gap * gap + 4.0 * inertia * height))
+        else:
+            past += math.sqrt(height * height / math.hypot(height, 1e4) / inertia)
+
+    # Dorey: Wilson's with a coefficient that grows, and what is compressed in every turn and lost.
+    coefficient = p.dorey_losses__slip * (1.0 + p.dorey_losses__slip_growth * height)
+    past += height * coefficient / p.dorey_losses__viscosity * p.D
+    past += p.dorey_losses__compression * p.D * height / p.beta * abs(speed)
+
+    # Jeong: flow in a gap goes with the cube of its height.
+    widening = (1.0 + p.jeong_losses__gap_growth * height) ** 3.0
+    past += height * widening * p.jeong_losses__slip / p.jeong_losses__viscosity * p.D
+
+    # Ivantysyn and Ivantysynova: terms of second degree.
+    past += p.ivantysyn_losses__flow_pp * height**2.0 + p.ivantysyn_losses__flow_pw * abs(speed) * height
+    return math.copysign(past, difference)
+
+
+@compiled
+def _loss_torque(p, difference, speed):
+    """Torque that the loss models of the motor take, N m, against the motion."""
+    ideal, rate = abs(p.D * difference), abs(speed)
+    dry = p.wilson_losses__constant_torque + p.wilson_losses__friction * ideal
+    wet = p.wilson_losses__drag * p.wilson_losses__viscosity * p.D
+
+    dry += p.schloesser_losses__constant_torque + p.schloesser_losses__friction * ideal
+    wet += p.schloesser_losses__drag * p.schloesser_losses__viscosity * p.D
+    wet += p.schloesser_losses__hydrodynamic * p.schloesser_losses__density * rate
+
+    rest = math.exp(-rate / p.dorey_losses__boundary_speed)
+    dry += p.dorey_losses__friction * ideal * (1.0 + p.dorey_losses__boundary * rest)
+    wet += p.dorey_losses__drag * p.dorey_losses__viscosity * p.D
+
+    rest = math.exp(-rate / p.jeong_losses__stribeck_speed)
+    contact = p.jeong_losses__constant_torque + p.jeong_losses__friction * ideal
+    dry += contact + contact * p.jeong_losses__stribeck * rest
+    wet += p.jeong_losses__drag * p.jeong_losses__viscosity * p.D
+    wet += p.jeong_losses__hydrodynamic * p.jeong_losses__density * rate
+
+    dry += p.ivantysyn_losses__torque_0 + p.ivantysyn_losses__torque_p * abs(difference)
+    wet += p.ivantysyn_losses__torque_ww * rate + p.ivantysyn_losses__torque_pw * abs(difference)
+    way = speed / math.hypot(speed, p.form_dry_speed) if p.different else math.tanh(10.0 * speed)
+    return dry * way + wet * speed
+
+
+@compiled
+def _motor_rates(p, y, dy, flow, load, time):
+    """Line (1), (3) and shaft (2)."""
+    at = p.at_states
+    pressure, speed, angle = y[at + 4], y[at + 5], y[at + 6]
+    change = p.viscosity_drift__change
+    if change != 0.0:
+        warm = 1.0 - math.exp(-time / p.viscosity_drift__time_constant)
+        if p.different:
+            warm += p.form_drift_bend * warm * (1.0 - warm)
+        change *= warm
+    softness = 1.0 / p.beta
+    air = p.entrained_air__fraction
+    if air != 0.0:
+        ratio = 101325.0 / (101325.0 + abs(pressure))
+        if p.different:
+            n = p.form_air_exponent
+            softness += air / (n * 101325.0) * ratio ** ((n + 1.0) / n)
+        else:
+            softness += air / 101325.0 * ratio**2
+    displacement = p.D
+    ripple = p.displacement_ripple__amplitude
+    if ripple != 0.0:
+        turn = p.displacement_ripple__order * angle
+        wave = math.cos(turn)
+        if p.different:
+            wave += p.form_ripple_second * math.cos(2.0 * turn + p.form_ripple_phase)
+        displacement *= 1.0 + ripple * wave
+    leakage = p.Km * math.exp(-change) * pressure + p.speed_dependent_leakage__coefficient * speed
+    setting = p.crossport_relief__relief_pressure
+    if setting != np.inf:
+        excess = abs(pressure) - setting
+        if p.different:
+            excess = 0.5 * (excess + math.hypot(excess, p.form_relief_rounding))
+            excess *= math.tanh(abs(pressure) / p.form_relief_rounding)
+            excess *= (abs(pressure) / setting) ** p.form_relief_growth
+        leakage += math.copysign(max(excess, 0.0) * p.crossport_relief__conductance, pressure)
+    if p.lossy:
+        leakage += _loss_flow(p, pressure, speed)
+    motor_flow = displacement * speed
+    dy[at + 4] = (flow - motor_flow - leakage) / (p.V * softness)
+
+    lost = p.line_loss__coefficient * motor_flow
+    lost *= math.hypot(motor_flow, p.form_line_transition) if p.different else abs(motor_flow)
+    torque = displacement * (pressure - lost) - p.B * math.exp(change) * speed
+    if p.lossy:
+        torque -= _loss_torque(p, pressure - lost, speed)
+    dy[at + 5] = (torque + _shaft_torque(p, y, dy, speed, angle, load)) / p.J
+    dy[at + 6] = speed
+
+
+@compiled
+def _measured(p, y):
+    """What the speed sensor shows, rad/s, without noise."""
+    shown = y[p.at_states + 5]
+    if p.at_lag >= 0:
+        shown = y[p.at_lag + 1] if p.different else y[p.at_lag]
+    return shown * p.sensor_gain__gain + p.sensor_offset__offset
+
+
+@compiled
+def rates(time, y, channels):
+    """Right-hand side of one or of both channels: `channels` is an array of parameter records."""
+    dy = np.zeros(y.size)
+    total = 0.0
+    for p in channels:
+        at = p.at_states
+        droop = 0.0
+        if p.at_droop >= 0:
+            droop = y[p.at_droop + 1] if p.different else y[p.at_droop]
+        pressure = y[at + 4]
+        flow = _valve_flow(p, y[at + 1], pressure, droop)
+        total += abs(flow)
+        _spool_rates(p, y, dy, pressure)
+        _motor_rates(p, y, dy, flow, p.load, time)
+        if p.at_lag >= 0:
+            whole = p.sensor_lag__time_constant
+            if p.different:
+                dy[p.at_lag] = (y[at + 5] - y[p.at_lag]) / (p.form_lag_share * whole)
+                dy[p.at_lag + 1] = (y[p.at_lag] - y[p.at_lag + 1]) / ((1.0 - p.form_lag_share) * whole)
+            else:
+                dy[p.at_lag] = (y[at + 5] - y[p.at_lag]) / whole
+    p = channels[0]
+    if p.at_droop >= 0:
+        # One supply for both valves; `relative_drop` is the drop at the rated flow of two nominal valves.
+        target = p.supply_droop__relative_drop * total / _SUPPLY_FLOW
+        memory = p.supply_droop__time_constant
+        if p.different:
+            dy[p.at_droop] = (target - y[p.at_droop]) / (p.form_supply_share * memory)
+            dy[p.at_droop + 1] = (y[p.at_droop] - y[p.at_droop + 1]) / ((1.0 - p.form_supply_share) * memory)
+        else:
+            dy[p.at_droop] = (target - y[p.at_droop]) / memory
+    return dy
+
+
+@compiled
+def outputs(y, channels, flow, shown):
+    """Flow and measured speed of every row of states: y (T, states) -> flow, shown (T, channels)."""
+    for t in range(y.shape[0]):
+        for c in range(channels.shape[0]):
+            p = channels[c]
+            droop = 0.0
+            if p.at_droop >= 0:
+                droop = y[t, p.at_droop + 1] if p.different else y[t, p.at_droop]
+            flow[t, c] = _valve_flow(p, y[t, p.at_states + 1], y[t, p.at_states + 4], droop)
+            shown[t, c] = _measured(p, y[t])

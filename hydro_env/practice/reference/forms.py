@@ -1,0 +1,193 @@
+"""Constants of the "different" forms of the effects: what real valves and motors have in many sizes.
+
+A parameter of an effect says how large it is, a form how it looks: how sharp a corner is, over which travel friction builds
+up, how many elements make a loop. Nobody knows these of a rig, so a practice rig draws them (`draw`), each from a range that
+its reason explains; none is shared with what is fitted to its logs. `MIDDLE` has the median of each, for simulations that
+want one fixed rig.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import InputError
+
+__all__ = ["CONSTANTS", "MIDDLE", "STOPS", "Constants", "FormConstant", "checked", "draw", "units"]
+
+#: Constants of a rig: numbers by name, and of the loop's stops `stop_travels` and `stop_shares`, (STOPS,) each.
+Constants = Mapping[str, float | tuple[float, ...]]
+
+#: Stop operators of the magnetic loop.
+STOPS = 6
+#: Greatest slope of the loop at a turn, over amplitude / width: from 2 on, a loop as narrow as `width` allows would have
+#: more current mean less force, which no magnet does.
+_STEEPEST = 1.8
+
+
+@dataclass(frozen=True)
+class FormConstant:
+    """One constant: drawn between `low` and `high`, evenly or (`log`) by factors, for a stated reason."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    log: bool
+    reason: str
+
+    def at(self, share: float) -> float:
+        """The value below which this share of the draws is."""
+        if self.log:
+            return float(self.low * (self.high / self.low) ** share)
+        return float(self.low + (self.high - self.low) * share)
+
+
+CONSTANTS = (
+    # --- driver ---
+    FormConstant(
+        "driver_knee", "1", 6.0, 60.0, True, "exponent of the p-norm: an output stage lacks 11 to 1 % at its limit"
+    ),
+    # --- opening ---
+    FormConstant(
+        "clearance", "m", 1.5e-6, 1.5e-5, True, "radial clearance of spool and sleeve: 2 to 5 um new, more where edges wear"
+    ),
+    FormConstant(
+        "saturation_knee", "1", 4.0, 40.0, True, "exponent of the p-norm: round ports lack 16 to 1.7 % at the limit"
+    ),
+    FormConstant(
+        "gain_blend", "m", 3e-7, 1e-5, True, "opening over which the gains of the directions blend: of the edges' radius"
+    ),
+    FormConstant(
+        "notch_power", "1", 0.5, 2.0, True,
+        "power with which the gain grows with the opening: 0.5 for round grooves, 1 for triangular, 2 for parabolic ones",
+    ),
+    # --- flow and supply ---
+    FormConstant(
+        "orifice_transition", "1", 0.003, 0.05, True,
+        "pressure drop over the supply's below which an edge's flow is laminar: 0.3 to 5 bar of 100 bar",
+    ),
+    FormConstant(
+        "supply_share", "1", 0.5, 0.95, False, "share of the memory in the first of two lags, pump and line; 1 would be one lag"
+    ),
+    # --- force on the spool ---
+    FormConstant(
+        "stop_reach", "1", 0.75, 1.35, True, "mean travel of the loop's stops over its width: steels differ in their curves"
+    ),
+    FormConstant(
+        "stop_softness", "1", 4.0, 30.0, True, "power with which a stop gives way: rounded to nearly square minor loops"
+    ),
+    FormConstant(
+        "bristle_elastic", "1", 0.3, 0.95, False, "share of its limit up to which the second bristle is elastic (Dupont 2002)"
+    ),
+    FormConstant(
+        "bristle_damping", "1", 0.1, 3.0, True, "damping of the second bristle over the first's: oil film to gum"
+    ),
+    FormConstant(
+        "bristle_stiffness", "1", 0.3, 3.0, True, "stiffness of the second bristle over the first's: particles and varnish"
+    ),
+    FormConstant(
+        "bristle_stribeck", "1", 0.3, 3.0, True, "Stribeck speed of the second bristle over the first's, set by the film"
+    ),
+    FormConstant(
+        "preload_travel", "m", 3e-6, 3e-5, True, "travel over which a preloaded spring takes hold: play of its washers"
+    ),
+    # --- line ---
+    FormConstant(
+        "air_exponent", "1", 1.0, 1.4, False, "polytropic exponent of the air: isothermal to adiabatic"
+    ),
+    FormConstant(
+        "line_transition", "m3/s", 2e-6, 4e-5, True, "flow below which a fitting is laminar: Re of 10 to 100 in 4 to 10 mm"
+    ),
+    FormConstant(
+        "relief_rounding", "Pa", 1e4, 1.5e5, True, "pressure over which a poppet cracks: seat leakage and friction"
+    ),
+    FormConstant(
+        "relief_growth", "1", 0.0, 1.0, False,
+        "power of pressure over setting in the conductance: 0.5 for a poppet whose edge is an orifice, more with a wide cone",
+    ),
+    # --- motor and load ---
+    FormConstant(
+        "drag_transition", "rad/s", 0.3, 10.0, True, "speed below which churning is laminar: 3 to 100 rpm"
+    ),
+    FormConstant(
+        "shaft_travel", "rad", 5e-4, 2e-2, True, "turn over which the shaft's friction builds up: hard contacts to lip seals"
+    ),
+    FormConstant(
+        "shaft_damping", "1", 0.1, 2.0, True, "damping of that bristle over critical with the inertia"
+    ),
+    FormConstant(
+        "shaft_damping_speed", "rad/s", 0.1, 3.0, True, "speed over which that damping fades, so that sliding is not damped"
+    ),
+    FormConstant(
+        "shaft_stribeck", "1", 1.0, 2.0, False, "power in the Stribeck curve: Tustin's 1 to Gauss' 2"
+    ),
+    FormConstant("ripple_second", "1", 0.0, 0.5, False, "second harmonic of the ripple over the first"),
+    FormConstant("ripple_phase", "rad", -math.pi, math.pi, False, "phase of the second harmonic, of no preference"),
+    FormConstant(
+        "dry_speed", "rad/s", 0.03, 1.0, True, "speed over which the dry friction of loss models turns: 0.3 to 10 rpm"
+    ),
+    FormConstant(
+        "gap_transition", "Pa", 2e3, 1e5, True, "pressure below which the turbulent leak of a gap is laminar"
+    ),
+    FormConstant(
+        "backlash_damping", "rad", 1e-3, 3e-2, True, "twist at which a coupling's damping is half its own: its rubber wets"
+    ),
+    # --- fluid and sensor ---
+    FormConstant(
+        "drift_bend", "1", -0.5, 0.8, False, "how much faster (or slower) than a single exponential a tank warms at first"
+    ),
+    FormConstant(
+        "lag_share", "1", 0.5, 0.95, False, "share of the lag in the first of two filters, gate and display; 1 would be one"
+    ),
+)  # fmt: skip
+
+_REACH = 8.0  # widest over narrowest stop, at most
+
+
+def _stops(reach: float, places: np.ndarray, weights: np.ndarray) -> dict[str, tuple[float, ...]]:
+    """Travels of the stops, over the loop's width, and their shares of its amplitude.
+
+    `places` (STOPS,) in 0 to 1 lie on a logarithmic scale. The mean travel is `reach`, or what keeps the slope at a turn.
+    """
+    shares = weights / weights.sum()
+    travels = _REACH**places
+    travels *= reach / (shares @ travels)
+    travels *= max(1.0, (shares / travels).sum() / _STEEPEST)
+    order = np.argsort(travels)
+    return {"stop_travels": tuple(travels[order].tolist()), "stop_shares": tuple(shares[order].tolist())}
+
+
+def draw(rng: np.random.Generator) -> dict[str, float | tuple[float, ...]]:
+    """The constants of one rig."""
+    found: dict[str, float | tuple[float, ...]] = {c.name: c.at(rng.random()) for c in CONSTANTS}
+    reach = found["stop_reach"]
+    assert isinstance(reach, float)
+    return {**found, **_stops(reach, rng.random(STOPS), rng.gamma(2.0, size=STOPS))}
+
+
+_MEDIANS = {c.name: c.at(0.5) for c in CONSTANTS}
+#: The median of every constant, stops evenly spread.
+MIDDLE: Constants = {
+    **_MEDIANS, **_stops(_MEDIANS["stop_reach"], (np.arange(STOPS) + 0.5) / STOPS, np.ones(STOPS))
+}  # fmt: skip
+
+
+def units() -> dict[str, str]:
+    """Unit of every constant."""
+    return {**{c.name: c.unit for c in CONSTANTS}, "stop_travels": "1", "stop_shares": "1"}
+
+
+def checked(constants: Constants | None) -> Constants:
+    """`MIDDLE` where nothing is given. InputError for a name that is missing or unknown."""
+    if constants is None:
+        return MIDDLE
+    wrong = sorted({*constants} ^ {*MIDDLE})
+    if wrong:
+        raise InputError(
+            f"form constants: {wrong[0]!r} is {'unknown' if wrong[0] in constants else 'missing'}"
+        )
+    return constants
