@@ -69,7 +69,6 @@ LONGER_FOR_NOW = {
     "hydro_env.experiments.valve_test.run",
     "hydro_env.measured.inspect._guessed",
     "hydro_env.measured.log._from_table",
-    "hydro_env.plant.kernel.codegen._module_text",
     "hydro_env.valve_bench.rates._decide",
 }
 

@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Plant, load_model, preset_names
-from hydro_env.plant.kernel.codegen import STATES
+from hydro_env.plant.kernel import STATES
 
 Array = NDArray[np.float64]
 

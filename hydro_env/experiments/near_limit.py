@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.plant.kernel.codegen import STATES
+from hydro_env.plant.kernel import STATES
 from hydro_env.plant.model import SUBSTEP
 from hydro_env.plant.plant import Plant
 

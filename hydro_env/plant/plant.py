@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from ..errors import InputError
 from .catalogue import CATALOGUE
-from .kernel.codegen import LONGEST_DELAY, STATES, Kernel, compile_kernel
+from .kernel import STATES, Kernel, compile_kernel
 from .model import PlantModel, load_model, parameter_of
 from .parameters import PARAMETERS
 
@@ -25,8 +25,10 @@ __all__ = ["SIGNALS", "Plant", "machine_memory", "simulate"]
 #: Signals that can be read and recorded.
 SIGNALS = (*STATES, "flow", "measured_speed")
 
+#: Rigs that the kernel can be compiled to take together.
 BLOCKS = (1, 2, 4, 8, 16)
-"""Rigs that the kernel can be compiled to take together."""
+#: Longest delay of the command that the delay line holds, s; a longer one counts as this.
+LONGEST_DELAY = 0.05
 
 Array = NDArray[np.float64]
 _NO_RECORD = np.zeros(0, np.int64)

@@ -1,6 +1,6 @@
 """The one right-hand side: two lines of physics for every state of a channel.
 
-`rates` is ordinary Python and can be called as it stands. The compiler (`compile.py`) reads its source, inserts
+`rates` is ordinary Python and can be called as it stands. The compiler (`kernel`) reads its source, inserts
 the laws of the chosen effects at the lines that begin with `# effects on`, and turns the result into the vectorised
 kernel that the environments, the benchmark and the diagnosis run. Equation numbers are the paper's.
 """

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ...errors import InputError
-from ..kernel.codegen import compile_kernel
+from ..kernel import compile_kernel
 from .effect import CATALOGUE
 
 __all__ = ["load_effects"]

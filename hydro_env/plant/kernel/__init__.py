@@ -1,1 +1,88 @@
-"""The compiled step: the right-hand side and chosen effects as vectorised machine code."""
+"""The compiled step: the right-hand side and chosen effects as vectorised machine code.
+
+integrator  the tableau of the method, with its reference
+layout      where states, parameters and stages lie in the memory of a block
+statements  from the right-hand side and the laws of the effects to statements
+template    the text of a generated module
+codegen     writes the module: sweeps over lanes, and the loop over substeps around them
+vector_ir   writes statements as vector instructions
+cache       keeps generated modules
+
+Method: ROS34PW2 (see `integrator`), with a matrix W that holds the stiff loops of a channel (coil, spool, bristle; pressure,
+speed), as far as they damp, and every effect's own decay.
+
+Layout: the loop over substeps is outside and the loops over lanes inside. Nothing is fused or reordered by the compiler: the
+text names each `fma` itself, so every lane gets the same bits whatever its neighbours, its place, the width of the block
+and the neutral effects that are compiled in.
+
+Source text: `rates` (rhs.py), the laws of the effects and the functions of vector_math are pasted into one generated
+module, which is kept in the user's cache under a hash of its own text: compiled once for a set of effects, and never
+stale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from ..catalogue import CATALOGUE, Effect
+from .cache import import_text
+from .codegen import module_text
+from .layout import STATES
+
+__all__ = ["STATES", "Kernel", "compile_kernel"]
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A compiled step for a set of effects.
+
+    `advance(memory, cells, ring, head, commands, loads, substeps, h, record, every, out)` runs every block through all rows of
+    `commands`; see the generated text. `rows` maps names of states, parameters and outputs to rows of the memory.
+    `has_delay`: commands go through a delay line.
+    """
+
+    effects: tuple[str, ...]
+    half: int
+    rows: dict[str, int]
+    num_rows: int
+    dtype: np.dtype[Any]
+    num_cells: int
+    has_delay: bool
+    advance: Callable[..., None]
+    source: str
+
+
+@lru_cache(maxsize=64)
+def _compiled(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
+    generated = module_text(effects, half, single)
+    module = import_text(generated.text)
+    return Kernel(
+        effects=tuple(e.name for e in effects),
+        half=half,
+        rows=generated.rows,
+        num_rows=generated.num_rows,
+        dtype=np.dtype(np.float32 if single else np.float64),
+        num_cells=module.TOTAL * module.LANES,
+        has_delay=any(e.delays_command for e in effects),
+        advance=module.advance,
+        source=generated.text,
+    )
+
+
+def compile_kernel(effects: Iterable[str] = (), half: int = 8, dtype: Any = np.float64) -> Kernel:
+    """The kernel for these effects, compiled on its first call. KeyError for an effect the catalogue lacks.
+
+    `dtype` is float64, or float32 for twice the lanes to a vector.
+
+    The effects act in the order of the catalogue, whatever order they are named in.
+    """
+    wanted = set(effects)
+    for name in wanted:
+        CATALOGUE[name]
+    single = np.dtype(dtype) == np.float32
+    return _compiled(tuple(e for e in CATALOGUE.values() if e.name in wanted), half, single)

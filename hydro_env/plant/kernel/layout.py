@@ -1,0 +1,112 @@
+"""Where everything lies in the memory of a block: states, parameters, stages, and what is computed once.
+
+A block is `half` rigs side by side; lanes 0..half-1 are their first channels, lanes half..2*half-1 their second ones. A row
+holds one name of all lanes; all rows of a block lie one after the other in a flat array.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+from ..catalogue import Effect
+from ..parameters import PARAMETERS
+
+__all__ = ["DIVISORS", "FACTORS", "INTEGRAL", "STATES", "Layout", "in_text", "layout_of", "uses"]
+
+#: States of a channel, in the order of `rates`.
+STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
+#: A state that nothing acts on but another one, of which it is the integral.
+INTEGRAL = {"angle": "speed"}
+#: Base parameters that are divided by: their reciprocals are rows of their own, since a division costs ten products.
+DIVISORS = ("L", "m", "V", "J", "vs", "v_stop")
+#: Factors of the matrix that the stages share, see `statements.FACTORISATION`.
+FACTORS = (
+    "e_current", "e_bristle", "e_spool_speed", "w_spool", "w_bristle", "w_current", "w_back", "w_slope", "e_speed",
+    "e_pressure", "w_flow", "w_pump", "w_lift",
+)  # fmt: skip
+_OUTPUTS = ("time", "flow", "measured_speed", "diverged", "command", "load")
+
+
+def in_text(effect: Effect, own: str) -> str:
+    """What a parameter or state of an effect is called in the generated text."""
+    return f"{effect.name}__{own}"
+
+
+def uses(name: str, text: str) -> bool:
+    """Whether a text has this name in it."""
+    return re.search(rf"\b{name}\b", text) is not None
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Names and rows of a block. `states` are those of `rates` and of the effects, `settled` what is computed once for all
+    substeps of a length. The first `moving` rows change with time, the first `kept` ones stay between calls.
+    """
+
+    effects: tuple[Effect, ...]
+    half: int
+    states: tuple[str, ...]
+    parameters: tuple[str, ...]
+    rows: Mapping[str, int]
+    moving: int
+    kept: int
+    settled: tuple[str, ...] = ()
+
+    @property
+    def staged(self) -> list[str]:
+        """States with stages of their own."""
+        return [name for name in self.states if name not in INTEGRAL]
+
+    @property
+    def own_states(self) -> tuple[str, ...]:
+        """States of the effects."""
+        return self.states[len(STATES) :]
+
+    @property
+    def saved(self) -> int:
+        """States, time and flow: all that a step changes. They come first."""
+        return len(self.states) + 2
+
+    @property
+    def reciprocals(self) -> list[str]:
+        return [f"per_{name}" for name in DIVISORS]
+
+    @property
+    def constants(self) -> list[str]:
+        """What the parameters and the length of the step settle."""
+        return [*self.parameters, *self.reciprocals, *self.settled]
+
+    def with_settled(self, names: Iterable[str]) -> Layout:
+        """The layout with rows for what is computed once."""
+        added = {name: len(self.rows) + n for n, name in enumerate(names)}
+        return replace(self, rows={**self.rows, **added}, settled=tuple(added))
+
+    def cell(self, name: str) -> str:
+        """The cell of a name on lane `l`."""
+        return f"cells[{self.rows[name] * 2 * self.half} + l]"
+
+    def load(self, names: Iterable[str], text: str) -> list[str]:
+        """Statements that load those of the names that a text uses."""
+        return [f"{name} = {self.cell(name)}" for name in names if uses(name, text)]
+
+
+def layout_of(effects: tuple[Effect, ...], half: int) -> Layout:
+    """The layout of a block of `half` rigs with these effects."""
+    parameters = (*PARAMETERS, *(in_text(e, p.name) for e in effects for p in e.parameters))
+    own_states = tuple(in_text(e, s.name) for e in effects for s in e.states)
+    states = STATES + own_states
+    moving = [*states, *_OUTPUTS]
+    kept = [*moving, *parameters]
+    bare = Layout(effects, half, states, parameters, {}, len(moving), len(kept))
+    names = [
+        *kept,
+        *(f"f__{name}" for name in (*FACTORS, *own_states)),
+        *(f"u{stage}__{name}" for stage in range(3) for name in bare.staged),
+        "applied", "next_flow", "other_flow",
+        *bare.reciprocals,
+        "asked",
+        *(f"{copy}{row}" for copy in ("before", "after") for row in range(bare.saved)),
+    ]  # fmt: skip
+    return replace(bare, rows={name: row for row, name in enumerate(names)})

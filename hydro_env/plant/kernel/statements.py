@@ -1,0 +1,333 @@
+"""From `rates` and the laws of the effects to statements of the generated text, one assignment to a line.
+
+What depends on the parameters and the length of the step alone is taken out of them (`Substep.settling`), divisions by
+parameters become products, and every product with a sum becomes one fused operation (`fused`).
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import textwrap
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from .. import vector_math
+from ..catalogue import Effect
+from ..catalogue.effect import arguments
+from ..rhs import rates
+from . import vector_ir
+from .layout import DIVISORS, Layout, in_text, uses
+
+__all__ = ["Substep", "call", "chain", "functions", "fused", "needed", "substep_of"]
+
+#: Functions of vector_math that laws may call.
+_HELPERS = ("clip", "sign", "exp", "bell", "tanh", "cos", "sin")
+
+
+# --- laws -------------------------------------------------------------------------------------------------------------
+def _law_name(effect: Effect, part: str) -> str:
+    return f"{effect.name}__{part}__law"
+
+
+def _names(effect: Effect, law: Callable[..., Any], given: Mapping[str, str | float]) -> list[str]:
+    """What the arguments of a law are called in the generated text; `given` says what else an argument stands for."""
+    own = {
+        own: in_text(effect, own)
+        for own in [*(p.name for p in effect.parameters), *(s.name for s in effect.states)]
+    }
+    own |= {argument: own.get(str(source), str(source)) for argument, source in given.items()}
+    return [own.get(argument, argument) for argument in arguments(law)]
+
+
+def call(
+    effect: Effect, part: str, law: Callable[..., Any], given: Mapping[str, str | float] | None = None
+) -> str:
+    """A call of a law of an effect: of its corner, or of a rate or decay of one of its states."""
+    return f"{_law_name(effect, part)}({', '.join(_names(effect, law, given or {}))})"
+
+
+def chain(quantity: str, effects: Iterable[Effect], changed: Mapping[str, str] | None = None) -> list[str]:
+    """Statements that pass `quantity` through the laws of the effects; `changed` renames arguments."""
+    changed = changed or {}
+    target = changed.get(quantity, quantity)
+    lines = []
+    for effect in effects:
+        law = effect.laws.get(quantity)
+        if law is not None:
+            asked = [target, *(changed.get(name, name) for name in _names(effect, law, {})[1:])]
+            lines.append(f"{target} = {_law_name(effect, quantity)}({', '.join(asked)})")
+    return lines
+
+
+def functions(effects: Iterable[Effect]) -> list[str]:
+    """The text of the functions that statements call: those of `vector_math` and the laws."""
+    pasted = [_paste(f, f.__name__) for f in (getattr(vector_math, name) for name in _HELPERS)]
+    for effect in effects:
+        pasted += [_paste(law, _law_name(effect, quantity)) for quantity, law in effect.laws.items()]
+        if effect.corner is not None:
+            pasted.append(_paste(effect.corner, _law_name(effect, "corner")))
+        for state in effect.states:
+            pasted.append(_paste(state.rate, _law_name(effect, state.name + "_rate")))
+            if state.decay is not None:
+                pasted.append(_paste(state.decay, _law_name(effect, state.name + "_decay")))
+    return pasted
+
+
+@lru_cache(maxsize=256)
+def _paste(function: Callable[..., Any], name: str) -> str:
+    """Source of a plain function under another name. ValueError if it cannot run on many lanes at once."""
+    try:
+        source = textwrap.dedent(inspect.getsource(function))
+    except OSError:
+        raise ValueError(
+            f"the source of law {function.__name__!r} cannot be read; define it in a file"
+        ) from None
+    if not source.startswith("def "):
+        raise ValueError(
+            f"law {function.__name__!r} must be a plain function (def), not a lambda or decorated"
+        )
+    text = re.sub(r"^def \w+\(", f"def {name}(", source)
+    vector_ir.check(ast.parse(source).body[0], _HELPERS)  # type: ignore[arg-type]
+    return fused(text)
+
+
+# --- rates and their slopes -------------------------------------------------------------------------------------------
+def _rates_body(effects: tuple[Effect, ...]) -> list[str]:
+    """The lines of `rates` with the laws of the effects in their places."""
+    source = textwrap.dedent(inspect.getsource(rates))
+    docstring = ast.parse(source).body[0].body[0]  # type: ignore[attr-defined]
+    lines = source.splitlines()[docstring.end_lineno :]
+    body = []
+    for line in textwrap.dedent("\n".join(lines)).splitlines():
+        marker = re.fullmatch(r"# effects on (\w+)", line.strip())
+        if marker:
+            body += chain(marker[1], effects)
+        elif line.strip() and not line.startswith(("#", "return")):
+            body.append(line)
+    return body
+
+
+def _depends(quantity: str, effects: Iterable[Effect], argument: str) -> bool:
+    return any(argument in arguments(e.laws[quantity])[1:] for e in effects if quantity in e.laws)
+
+
+def _slopes(effects: tuple[Effect, ...]) -> list[str]:
+    """Statements for the entries of W that close a loop; by differences where an effect changes them."""
+    lines = [
+        # LuGre, without the slope of the Stribeck curve
+        "bristle_decay = s0 * abs(spool_speed) / breakaway",
+        "decay_slope = sign(spool_speed) * s0 / breakaway",
+        "bristle_slope = clip(1.0 - decay_slope * bristle, 0.0, 2.0)",
+        "friction_bristle = s0 - s1 * bristle_decay",
+        "friction_slope = s1 * bristle_slope + s2 + C + (k_stop * past / v_stop if contact > 0.0 else 0.0)",
+        "stiffness = k + (k_stop * grip if contact > 0.0 else 0.0)",
+    ]
+    if _depends("force", effects, "spool"):
+        lines += ["spool__d = spool + 1e-7", "force__d = alpha * current"]
+        lines += chain("force", effects, {"force": "force__d", "spool": "spool__d"})
+        lines += ["stiffness = stiffness + positive((force - force__d) * 1e7)"]
+    return lines + _leakage_slope(effects) + _shaft_slope(effects)
+
+
+def _leakage_slope(effects: tuple[Effect, ...]) -> list[str]:
+    """How fast flow is lost as the pressure rises."""
+    lines = ["pressure__d = pressure + 1e3", "leakage_slope = leakage_coefficient"]
+    if _depends("leakage", effects, "pressure"):
+        lines += [
+            "laminar__d = leakage_coefficient * pressure__d",
+            "laminar = leakage_coefficient * pressure",
+            "leakage__d = laminar__d",
+            *chain("leakage", effects, {"leakage": "leakage__d", "pressure": "pressure__d"}),
+            # Only what the effects add, so that a neutral one changes no bit.
+            "leakage_slope = leakage_slope + positive(((leakage__d - laminar__d) - (leakage - laminar)) * 1e-3)",
+        ]
+    if _depends("drive", effects, "pressure"):
+        lines += [
+            "drive__d = 1.0",
+            *chain("drive", effects, {"drive": "drive__d", "pressure": "pressure__d"}),
+            "flow__d = Kq * opening * sqrt(drive__d if drive__d > 0.0 else 0.0)",
+            "leakage_slope = leakage_slope + positive((flow - flow__d) * 1e-3)",
+        ]
+    return lines
+
+
+def _shaft_slope(effects: tuple[Effect, ...]) -> list[str]:
+    """How fast torque is lost as the speed rises."""
+    lines = ["shaft_slope = viscous_friction"]
+    if _depends("torque", effects, "speed") or _depends("motor_pressure", effects, "speed"):
+        changed = {"torque": "torque__d", "motor_pressure": "motor_pressure__d", "speed": "speed__d"}
+        lines += ["speed__d = speed + 1e-3", "torque__d = -load", "motor_pressure__d = pressure"]
+        lines += chain("motor_pressure", effects, changed) + chain("torque", effects, changed)
+        lines += [
+            "shaft_slope = shaft_slope + positive("
+            "(displacement * (motor_pressure - motor_pressure__d) + torque - torque__d) * 1e3)"
+        ]
+    return lines
+
+
+#: The factors of W = ig - slopes, by elimination: current, spool and bristle into the spool speed, pressure into the speed.
+FACTORISATION = [
+    "inertia = per_m",
+    "e_current = 1.0 / (ig + resistance * per_L)",
+    "e_bristle = 1.0 / (ig + bristle_decay)",
+    "w_spool = stiffness * inertia * gh",
+    "w_bristle = friction_bristle * inertia * e_bristle",
+    "w_current = alpha * inertia * e_current",
+    "w_back = alpha * per_L",
+    "w_slope = bristle_slope",
+    "e_spool_speed = 1.0 / (ig + positive(friction_slope * inertia + w_spool * gh + w_bristle * w_slope + w_current * w_back))",
+    "softness = bulk_modulus * per_V",
+    "w_flow = softness * Kq",
+    "w_pump = softness * displacement",
+    "e_pressure = 1.0 / (ig + softness * leakage_slope)",
+    "w_lift = displacement * per_J * e_pressure",
+    "e_speed = 1.0 / (ig + shaft_slope * per_J + w_lift * w_pump)",
+]
+
+
+# --- what is computed once --------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Substep:
+    """Statements of a substep, from which what is computed once has been taken out.
+
+    `rates`: those of the seven states, `own_rates` those of the effects' states; `slopes` and `factors`: the matrix and its
+    factors; `settling`: what makes the names in `settled`, computed once for all substeps of a length. `factor_rows` says in
+    which row the stages find a factor, `whole_rates` are the rates with nothing taken out.
+    """
+
+    rates: list[str]
+    own_rates: list[str]
+    slopes: list[str]
+    factors: list[str]
+    settling: list[str]
+    settled: list[str]
+    factor_rows: dict[str, str]
+    whole_rates: list[str]
+
+    @property
+    def rates_text(self) -> str:
+        return "\n".join(self.rates + self.own_rates)
+
+
+def substep_of(layout: Layout) -> Substep:
+    """The statements of a substep with the effects of a layout."""
+    effects = layout.effects
+    whole = _by_reciprocals(_rates_body(effects))
+    own = [
+        f"{in_text(e, s.name)}_rate = {call(e, s.name + '_rate', s.rate, s.given)}"
+        for e in effects
+        for s in e.states
+    ]
+    hoist = _Hoist({*layout.parameters, *layout.reciprocals, "ig", "gh"})
+    taken = hoist.take(whole)
+    slopes = hoist.take(_by_reciprocals(_slopes(effects)))
+    factors = hoist.take(FACTORISATION)
+    used = "\n".join([*taken, *slopes, *factors])
+    found = (re.fullmatch(r"(\w+) = (k__\d+)", line) for line in factors)
+    return Substep(
+        rates=taken, own_rates=own, slopes=slopes, factors=factors, settling=hoist.lines,
+        settled=[name for name in hoist.names if uses(name, used)],
+        factor_rows={match[1]: match[2] for match in found if match}, whole_rates=whole,
+    )  # fmt: skip
+
+
+def _by_reciprocals(lines: Iterable[str]) -> list[str]:
+    return [re.sub(rf"/ ({'|'.join(DIVISORS)})\b", r"* per_\1", line) for line in lines]
+
+
+def needed(wanted: set[str], lines: Iterable[str]) -> list[str]:
+    """The assignments among `lines` that the wanted names depend on."""
+    kept: list[str] = []
+    for line in reversed(list(lines)):
+        target, expression = line.split(" = ", 1)
+        if target in wanted:
+            kept.append(line)
+            wanted = wanted | set(re.findall(r"[A-Za-z_]\w*", expression))
+    return kept[::-1]
+
+
+class _Hoist(ast.NodeTransformer):
+    """Takes what depends on the parameters and the length of the step alone out of the statements of a sweep.
+
+    `constant` names what is known beforehand. `take(lines)` gives the lines back with a name `k__n` in place of each
+    constant part; `lines` then holds the assignments that make these names, in order.
+    """
+
+    def __init__(self, constant: Iterable[str]) -> None:
+        self.constant = set(constant)
+        self.lines: list[str] = []
+        self.names: dict[str, str] = {}
+
+    def _is_constant(self, node: ast.AST) -> bool:
+        called = {n.func for n in ast.walk(node) if isinstance(n, ast.Call)}
+        names = {n for n in ast.walk(node) if isinstance(n, ast.Name)} - called
+        return bool(names) and all(n.id in self.constant for n in names)
+
+    def _name(self, node: ast.AST) -> str:
+        text = ast.unparse(node)
+        # A variable may be assigned several times, so the same text need not mean the same.
+        name = f"k__{len(self.names)}"
+        self.lines.append(f"{name} = {text}")
+        self.names[name] = text
+        return name
+
+    def visit(self, node: ast.AST) -> Any:
+        if isinstance(node, ast.BinOp | ast.Call | ast.IfExp) and self._is_constant(node):
+            return ast.Name(self._name(node), ast.Load())
+        return super().visit(node)
+
+    def take(self, lines: Iterable[str]) -> list[str]:
+        taken = []
+        for line in lines:
+            target, expression = line.split(" = ", 1)
+            node = ast.parse(expression, mode="eval").body
+            if self._is_constant(node) or isinstance(node, ast.Constant):
+                self.constant.add(target)
+                self.lines.append(line)
+                if not isinstance(node, ast.Name | ast.Constant):
+                    line = f"{target} = {self._name(ast.Name(target, ast.Load()))}"
+            else:
+                self.constant.discard(target)
+                line = f"{target} = {ast.unparse(self.visit(node))}"
+            taken.append(line)
+        return taken
+
+
+# --- fused multiply-add ---------------------------------------------------------------------------------------------
+class _Fuse(ast.NodeTransformer):
+    """Writes a * b + c, c + a * b, a * b - c and c - a * b as one fused operation.
+
+    The compiler may not fuse on its own: what it fuses would depend on the effects compiled in and on the width of the
+    block. Fused here, statement by statement, a statement gives the same bits wherever it stands.
+    """
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        node = self.generic_visit(node)  # type: ignore[assignment]
+        if not isinstance(node.op, ast.Add | ast.Sub):
+            return node
+        minus = isinstance(node.op, ast.Sub)
+        left, right = node.left, node.right
+        if isinstance(right, ast.BinOp) and isinstance(right.op, ast.Mult):
+            factor = ast.UnaryOp(ast.USub(), right.left) if minus else right.left
+            return _fma(factor, right.right, left)
+        if isinstance(left, ast.BinOp) and isinstance(left.op, ast.Mult):
+            term = ast.UnaryOp(ast.USub(), right) if minus else right
+            return _fma(left.left, left.right, term)
+        return node
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+        return node  # an index is whole numbers
+
+
+def _fma(*operands: ast.expr) -> ast.Call:
+    return ast.Call(ast.Name("fma", ast.Load()), list(operands), [])
+
+
+@lru_cache(maxsize=1024)  # kernels of different effects share most of their text
+def fused(text: str) -> str:
+    """The text with its products and sums fused."""
+    return ast.unparse(_Fuse().visit(ast.parse(textwrap.dedent(text))))
