@@ -64,13 +64,13 @@ def registered() -> Iterator[None]:
         unregister(effect.name)
 
 
-def _tables() -> dict[str, str]:
-    path = Path(__file__).parent.parent / "docs" / "tables.py"
-    specification = importlib.util.spec_from_file_location("tables", path)
+def _effects_table() -> str:
+    path = Path(__file__).parent.parent / "docs" / "generate.py"
+    specification = importlib.util.spec_from_file_location("docs_generate", path)
     assert specification is not None and specification.loader is not None
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
-    return {name: module.TABLES[name]() for name in ("effects",)}
+    return str(module.effects())
 
 
 def test_a_new_effect_is_simulated_hidden_a_candidate_and_in_the_documents(tmp_path: Path) -> None:
@@ -84,7 +84,7 @@ def test_a_new_effect_is_simulated_hidden_a_candidate_and_in_the_documents(tmp_p
     rig = MotorRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
     assert NAME in rig.candidates()
 
-    row = next(line for line in _tables()["effects"].splitlines() if f"`{NAME}`" in line)
+    row = next(line for line in _effects_table().splitlines() if f"`{NAME}`" in line)
     assert SWELLING.summary in row and "`amount` 0 to 0.02" in row and "`drift` 0.5 to 600 s" in row
 
 
