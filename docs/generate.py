@@ -26,6 +26,7 @@ import yaml
 
 import hydro_env.benchmark
 import hydro_env.tasks
+from hydro_env.benchmark.report import NEEDS
 from hydro_env.cli import app
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Controller
@@ -120,10 +121,9 @@ def effects() -> str:
             f"`{p.name}` {_number(p.low)} to {_number(p.high)} {_unit(p.unit)}".strip()
             for p in effect.parameters
         ]
+        name = f"`{effect.name}`<br>{effect.title}"
         port = "rig" if effect.scope == "rig" else effect.port
-        rows.append(
-            [f"`{effect.name}`", port, effect.summary, effect.signature, "; ".join(sizes), effect.source]
-        )
+        rows.append([name, port, effect.summary, effect.signature, "; ".join(sizes), effect.source])
     return _table(["effect", "port", "what it is", "how it shows", "parameters", "source"], rows)
 
 
@@ -172,14 +172,6 @@ def losses() -> str:
 
 
 # --- controllers ------------------------------------------------------------------------------------------------------
-_KNOWS = {
-    "measurements": "none",
-    "bench": "valve-bench curves of each pair",
-    "parameters": "true valve parameters",
-    "everything": "true parameters, state and loads to come",
-}
-
-
 def controllers() -> str:
     rows = []
     for name, entry in CONTROLLERS.items():
@@ -189,7 +181,7 @@ def controllers() -> str:
             [
                 f"`{name}`",
                 entry.summary,
-                _KNOWS[getattr(controller, "needs", "measurements")],
+                NEEDS[getattr(controller, "needs", "measurements")] or "none",
                 f"`{plant}`" if plant else "",
             ]
         )
@@ -304,11 +296,7 @@ def commands() -> str:
                 or f"`{parameter.metavar or parameter.name.upper()}`"
             )
             default = parameter.default
-            shown = (
-                ""
-                if default in (None, False, (), []) or callable(default) or parameter.required
-                else f"`{default}`"
-            )
+            shown = "" if default is None or default is False or callable(default) else f"`{default}`"
             if parameter.required:
                 shown = "required"
             rows.append([label, getattr(parameter, "help", None) or "", shown])

@@ -109,8 +109,8 @@ def test_a_crowded_summary_stays_within_twenty_lines(found: Diagnosis) -> None:
 def test_the_page_has_every_part_and_needs_no_network(found: Diagnosis) -> None:
     page = report_page(found)
     for heading in (
-        "What the model lacks", "Where the calibrated model errs", "Proof on logs", "Next experiment", "Warnings",
-        "why it was rejected", "Known parameters", "What could be seen",
+        "What the model lacks", "Where the calibrated model errs", "Validation on held-out logs", "Next experiment", "Warnings",
+        "why they were rejected", "Known parameters", "Which effects these logs can show",
     ):  # fmt: skip
         assert heading in page, heading
     assert page.count("<svg") >= 3
@@ -138,5 +138,5 @@ def test_an_unlikely_name_is_put_as_a_perhaps(found: Diagnosis) -> None:
     text = sentence(dataclasses.replace(found, named=[*found.named, extra]))
     assert (
         "Perhaps also different flow gains" in text
-        and "(or saturation of the flow: these logs cannot tell)" in text
+        and "(or saturation of the flow: these logs cannot distinguish them)" in text
     )

@@ -1,7 +1,7 @@
-"""The score board as a table for the terminal and as one page of HTML that needs no network.
+"""The leaderboard as a table for the terminal and as one page of HTML that needs no network.
 
 The page carries its data as JSON and draws with a few lines of JavaScript into SVG: a table that sorts, the
-front (speed difference over tracking error) and the typical and the worst case behind every row.
+Pareto front (synchronisation error over tracking error) and the typical and the worst case behind every row.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ __all__ = ["knows", "scores_page", "scores_table"]
 NEEDS = {
     "measurements": "",
     "bench": "valve bench",
-    "parameters": "told the valves",
-    "everything": "told everything",
+    "parameters": "true valve parameters",
+    "everything": "true parameters, state, future loads",
 }
-"""What a controller has beyond the measurements on the rig, by what it says that it needs."""
+"""Privileged information: what a controller has beyond the measurements on the rig, by its attribute `needs`."""
 
 
 def scores_table(scores: dict[str, Any]) -> str:
@@ -55,7 +55,7 @@ def scores_table(scores: dict[str, Any]) -> str:
 
 
 EXTRAS = ("better", "gap closed")
-"""Of the largest speed difference: the probability of improvement, and the share of the oracle's gap closed."""
+"""Of the peak synchronisation error: the probability of improvement, and the share of the oracle's gap closed."""
 
 
 def _extras(scores: dict[str, Any]) -> dict[tuple[str, str, str, str], str]:
@@ -73,8 +73,12 @@ def _row(texts: list[str], widths: list[int]) -> str:
 
 
 def _short(metric: str) -> str:
-    """`max_speed_difference_rpm` as `max diff, rpm`, so that a line fits a terminal."""
-    for long, short in (("_speed_difference_", " diff_"), ("shaft_angle_difference_", "shaft angle_")):
+    """`max_speed_difference_rpm` as `peak sync error, rpm`, so that a line fits a terminal."""
+    for long, short in (
+        ("max_speed_difference_", "peak sync error_"),
+        ("_speed_difference_", " diff_"),
+        ("shaft_angle_difference_", "shaft angle_"),
+    ):
         metric = metric.replace(long, short)
     head, _, unit = metric.rpartition("_")
     return f"{head.replace('_', ' ')}, {unit}" if unit in ("rpm", "s", "deg") else metric.replace("_", " ")
@@ -87,7 +91,7 @@ def _cell(row: dict[str, Any] | None) -> str:
 
 
 def knows(scores: dict[str, Any], name: str) -> str:
-    """What a controller has beyond the measurements, in a few words: a reader must know it to compare it with the others."""
+    """The privileged information of a controller in a few words; without it scores cannot be compared."""
     needs, plant = scores["needs"][name], scores["own_plant"].get(name)
     return ", ".join(filter(None, [NEEDS.get(needs, needs), plant and f"on {plant} valves"]))
 

@@ -81,24 +81,26 @@ CONTROLLERS: dict[str, Entry] = {
         _tuned("pid_tuned", "the same law, gains found by search"),
         _tuned("master_slave", "motor 2 follows motor 1"),
         _tuned("cross_coupled", "PI with a PI on the speed difference"),
-        _tuned("relative_coupling", "PI on the error plus the weighted lag behind the other motor"),
+        _tuned("relative_coupling", "PI on the error plus the weighted speed difference"),
         _tuned("virtual_leader", "cross coupling behind a leader that waits for the slower motor"),
-        _tuned("disturbance_observer", "takes off what a rated motor would not show"),
+        _tuned("disturbance_observer", "estimates and compensates deviations from a rated motor"),
         _tuned("compensated", "dead-zone inverse from a valve bench, with cross coupling"),
-        _tuned("adaptive_flow", "learns the valves while it drives them"),
+        _tuned("adaptive_flow", "estimates dead-zone edges and gains on line"),
         Entry(
-            "probing_flow", "probes the valves at rest, then learns on", lambda: ProbingFlow("probing_flow")
+            "probing_flow",
+            "probes the valves at rest, estimates on line, plans ahead",
+            lambda: ProbingFlow("probing_flow"),
         ),
-        Entry("bench_flow", "the same, with valves from a valve bench", lambda: BenchFlow("bench_flow")),
+        Entry("bench_flow", "the same, starting from valve-bench curves", lambda: BenchFlow("bench_flow")),
         _tuned("servo_pid", "PID behind a ramp, on the same motors behind servo valves"),
-        _tuned("oracle", "told everything but the set-point to come: model-predictive"),
-        _policy("ppo", "neural policy trained with PPO"),
-        _policy("ppo_calm", "the same on a slower reference: less difference, more tracking error"),
-        _policy("sac", "neural policy trained with SAC"),
+        _tuned("oracle", "model-predictive control with the true plant: the bound"),
+        _policy("ppo", "neural policy on a model-based law, trained with PPO"),
+        _policy("ppo_calm", "the same on a slower reference: better synchronised, more tracking error"),
+        _policy("sac", "neural policy on a model-based law, trained with SAC"),
         _policy("ppo_rig", "neural policy for the preset `rig`", apart=True),
     )
 }
-"""The controllers that ship with the package, in the order of the score board."""
+"""The controllers that ship with the package, in the order of the leaderboard."""
 
 
 def make_controller(spec: Any, **overrides: Any) -> Any:

@@ -38,7 +38,7 @@ NOISE_STREAM, SCENARIO_STREAM = 1, 2
 #: Keys of the `options` of `reset`.
 OPTIONS = ("mismatch", "scenario", "case", "reset_mask")
 #: Why an episode may be terminated.
-DIVERGED = "diverged: a state of the plant left the bounds of sense"
+DIVERGED = "diverged: the simulation of the plant is no longer finite or plausible"
 
 _NEVER = np.iinfo(np.int64).max
 #: What a row keeps of every step of its episode: set-point (8), loads (16), noise (24 bytes).

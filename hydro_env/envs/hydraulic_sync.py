@@ -1,4 +1,4 @@
-"""The environment: keep two hydraulic motors in step although their valves differ."""
+"""The environment: synchronise two hydraulic motors although their valves differ."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """
     ## Description
 
-    Two hydraulic motors, each behind its own proportional valve, are to turn at the same speed, the set-point's. The
-    valves are of one type and yet differ: dead zone, gain, friction, offset. Who commands them sees what the sensors of
-    such a rig show, and knows nothing of the valves.
+    Synchronise two hydraulic motors, each driven by its own proportional valve, at the speed of the set-point. The valves
+    are of one type and yet differ in dead zone, gain, friction and offset. The agent observes only the rig's sensors; the
+    valves' parameters are hidden.
 
     The plant is that of the paper "Impact of proportional valves' differences to ensure uniform motion of hydraulic
     motors", extended by what its equations leave out; see `hydro_env.plant`.
@@ -59,12 +59,12 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Start
 
-    Both motors at rest, both spools centred, a pair of valves drawn from `mismatch`, a random scenario drawn anew.
+    Both motors at rest, both spools centred. A pair of valves is drawn from `mismatch`, a random scenario is drawn again.
 
     ## End
 
-    *Truncation* at the end of the scenario. *Termination* only if the simulation leaves the bounds of sense, which
-    costs 10 once; `info["termination"]` then says so.
+    *Truncation* at the end of the scenario. *Termination* only if the simulation diverges numerically, which costs 10
+    once; `info["termination"]` then says so.
 
     ## Info
 

@@ -20,7 +20,7 @@ class Reward:
     tracking * |speed - set-point| / 100 rpm, mean of both motors
     difference * |speed 1 - speed 2| / 100 rpm
     variation * |command - command before|, mean of both valves, as a fraction of the rated command
-    divergence, once, if the simulation leaves the bounds of sense (which ends the episode)
+    divergence, once, if the simulation diverges numerically (which ends the episode)
 
     Speeds are the true ones at the end of the period, the set-point is the one in force during it. With the defaults a
     motor 100 rpm off costs 0.25 and 100 rpm between the motors cost 1.5; a good controller loses about 0.2 a step.

@@ -1,4 +1,4 @@
-"""`hydro-env demo`: the paper's experiment, a score board and one diagnosis, on one page.
+"""`hydro-env demo`: the paper's experiment, a leaderboard and one diagnosis, on one page.
 
 Every number on the page is computed in the same run, but for the paper's published ones. The parts are the commands
 `reproduce`, `benchmark`, `hide` and `diagnose`, whose own results stand in folders beside the page.
@@ -172,7 +172,7 @@ def _drawing(traces: Any, published: float) -> Any:
     return drawing
 
 
-# --- 2. the score board -----------------------------------------------------------------------------------------------
+# --- 2. the leaderboard -----------------------------------------------------------------------------------------------
 def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
     scores = benchmark.run(out, suite="quick", seed=seed, jobs=jobs)
     cells = {(row["controller"], row["scenario"], row["metric"]): row for row in scores["rows"]}
@@ -181,7 +181,7 @@ def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
         found = [cells.get((name, scenario, metric)) for scenario, metric, _ in BOARD]
         file = CONTROLLERS[name].file
         learned = file is not None and file.suffix == ".npz"
-        notes = ["learned: a network on top of a control law" if learned else "", knows(scores, name)]
+        notes = ["learned: a network on a model-based law" if learned else "", knows(scores, name)]
         rows.append(
             {
                 "name": name,
@@ -197,7 +197,7 @@ def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
         "rows": rows,
         "picture": svg(
             _dots(scores["controllers"], cells),
-            "largest speed difference and tracking error of every controller",
+            "peak synchronisation error and tracking error of every controller",
         ),
         "numbers": [
             row for row in scores["rows"] if (row["scenario"], row["metric"]) in {key[:2] for key in BOARD}
@@ -216,7 +216,7 @@ def _dots(controllers: list[str], cells: dict[Any, Any]) -> Any:
     """A line for each controller: largest difference and tracking error on the set-point steps, with their intervals."""
     drawing, (axis,) = figure(height=0.7 + 0.3 * len(controllers))
     marks = (
-        (BOARD[0], "largest speed difference", "o", COLOURS[0]),
+        (BOARD[0], "peak synchronisation error", "o", COLOURS[0]),
         (BOARD[1], "tracking error", "D", COLOURS[1]),
     )
     for column, label, mark, colour in marks:

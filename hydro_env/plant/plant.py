@@ -248,7 +248,7 @@ class Plant:
     def step(self, command_V: ArrayLike, load_Nm: ArrayLike, period: float) -> None:
         """Holds commands (V) and loads (N m), each broadcast to (num_rigs, 2), over `period` s.
 
-        Commands beyond the rated one are clipped. A rig that leaves the bounds of sense is put to rest and marked in
+        Commands beyond the rated one are clipped. A rig that diverges numerically is put to rest and marked in
         `diverged`, so no signal is ever NaN. ValueError if a command or load is not finite.
         """
         shape = (1, self.num_rigs, 2)
@@ -367,7 +367,7 @@ class Plant:
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
-        """Rigs that left the bounds of sense since their reset, (num_rigs,)."""
+        """Rigs that diverged numerically since their reset, (num_rigs,)."""
         marked = self.get("diverged") > 0.0
         return marked[:, 0] | marked[:, 1]
 

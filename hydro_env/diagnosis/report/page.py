@@ -39,7 +39,7 @@ def sentence(found: Diagnosis) -> str:
     word, data = found.data["verdict"], found.data
     key, entry = headline(data)
     signal, channel, unit = words.signal(key)
-    gap = f"On the sealed logs the {signal} of channel {channel} is off by {entry['after']:.3g} {unit} RMS"
+    gap = f"On the held-out logs the error of the {signal} of channel {channel} is {entry['after']:.3g} {unit} RMS"
     noise = f"the noise is {entry['noise']:.3g}"
     other = "".join(
         f" Channel {words.signal(k)[1]}: {e['after']:.3g} {unit}, {e['before']:.3g} as given; noise {e['noise']:.3g}."
@@ -50,7 +50,7 @@ def sentence(found: Diagnosis) -> str:
         return f"Nothing is missing: the model as given explains the logs. {gap}; {noise}.{other}"
     if word == "calibration":
         return (
-            "Only known parameters were off: adjusted inside their plausible ranges, the model explains the logs. "
+            "Calibration is enough: with known parameters adjusted inside their plausible ranges, the model explains the logs. "
             f"{gap}, {entry['before']:.3g} before; {noise}.{other}"
         )
     before = f"{entry['before']:.3g} as given, {entry['calibrated']:.3g} after calibration alone; {noise}"
@@ -72,7 +72,7 @@ def sentence(found: Diagnosis) -> str:
     text = f"Something is missing that no effect of the catalogue explains; it shows in {places or 'all signals'}."
     if found.named:
         names = words.listed([words.title(n.name) + f" on {words.where(n.channel)}" for n in found.named])
-        text += f" What explains a part is {names}."
+        text += f" A part is explained by {names}."
     return f"{text} {gap}: {before}.{other}"
 
 
@@ -80,7 +80,7 @@ def _said(n: Named) -> str:
     """An effect with its channel and what it cannot be told from."""
     tied = words.listed([words.title(name) for name in n.indistinguishable_from[:3]])
     return f"{words.title(n.name)} on {words.where(n.channel)}" + (
-        f" (or {tied}: these logs cannot tell)" if tied else ""
+        f" (or {tied}: these logs cannot distinguish them)" if tied else ""
     )
 
 
@@ -124,7 +124,7 @@ def left_over(found: Diagnosis) -> str:
         fast = float(np.sqrt(max(entry["after"] ** 2 * (1.0 - share) - entry["noise"] ** 2, 0.0)))
         more = f", with short events of {fast:.2g} {unit} in it" if fast > entry["noise"] else ""
         return f"{text}; the rest is as fast as noise is{more}."
-    return f"{text}: something is still missing there, or the effect has another form than the catalogue's."
+    return f"{text}: something is still missing there, or the effect has another functional form than the catalogue's."
 
 
 def weak_proof(found: Diagnosis) -> str:
@@ -143,8 +143,8 @@ def weak_proof(found: Diagnosis) -> str:
         if "." in name
     }
     return (
-        f"a placebo ({words.listed(sorted(names)) or 'another effect'}) does nearly as well on the sealed logs: they prove the "
-        "names only weakly"
+        f"a placebo ({words.listed(sorted(names)) or 'another effect'}) does nearly as well on the held-out logs: they are "
+        "weak evidence for the names"
     )
 
 
@@ -166,7 +166,7 @@ def _shown_places(found: Diagnosis) -> list[Place]:
 def _place_text(found: Diagnosis, place: Place) -> str:
     regime = f"most at {place.regime}" if place.regime != "everywhere" else "everywhere"
     return (
-        f"{words.equation(place.equation)} of channel {place.channel + 1}: {100.0 * place.share:.0f} % of its gap, "
+        f"{words.equation(place.equation)} of channel {place.channel + 1}: {100.0 * place.share:.0f} % of the residual, "
         f"{regime}; worst {_spans(found, place)}"
     )
 
@@ -215,7 +215,7 @@ def correction_texts(found: Diagnosis) -> list[str]:
         )
         more = f" and {len(k['parameters']) - 2} more numbers" if len(k["parameters"]) > 2 else ""
         size = (
-            f"; it moves the {name} by {k['changes'][key]:.2g} {unit} RMS on the sealed logs" if key else ""
+            f"; it moves the {name} by {k['changes'][key]:.2g} {unit} RMS on the held-out logs" if key else ""
         )
         texts.append(
             f"{k['what']}, {words.where(k['channel'])} (for {words.title(k['effect'])}): {values}{more}{size}"
@@ -246,7 +246,7 @@ def terminal_text(found: Diagnosis) -> str:
     lines += [f"  shape correction, not physics: {text}" for text in correction_texts(found)]
     columns = _columns(found)
     heads = "".join(f"{heading:>{width}}" for _, heading, width in columns)
-    lines.append(f"  {'sealed logs, RMS error':<29}{heads}")
+    lines.append(f"  {'held-out logs, RMS error':<29}{heads}")
     quiet = []
     for key, e in data["gap"]["sealed"].items():
         name, channel, unit = words.signal(key)
@@ -301,7 +301,7 @@ def _calibrated_line(found: Diagnosis) -> list[str]:
     rows = [p for p in rows if not p["low"] <= p["nominal"] <= p["high"] and abs(p["change"]) >= 0.005]
     rows.sort(key=lambda p: -abs(p["change"]))
     if not rows:
-        return ["  known parameters: none differs surely from the model's"]
+        return ["  known parameters: no interval excludes the given value"]
     own = found.machine.own  # of a reduced model: its nominal values stand for nothing
     text = ", ".join(
         f"{p['name']} = {words.interval(p)}"
@@ -321,10 +321,10 @@ def _hidden_line(found: Diagnosis) -> list[str]:
                 hidden.setdefault(name, []).append(c)
     if not hidden:
         all_of = "this reduced model" if found.machine.quick else "the catalogue"
-        return [f"  every effect of {all_of} would have been seen at medium size"]
+        return [f"  every effect of {all_of} is detectable at medium size"]
     text = ", ".join(f"{words.plain(n)} ({', '.join(c)})" for n, c in list(hidden.items())[:6])
     more = f" and {len(hidden) - 6} more" if len(hidden) > 6 else ""
-    return [f"  could not be seen in these logs at medium size: {text}{more}"]
+    return [f"  not detectable in these logs at medium size: {text}{more}"]
 
 
 def report_page(found: Diagnosis) -> str:
@@ -403,8 +403,8 @@ def _trace(found: Diagnosis, segment: Segment) -> Any:
     for axis in axes:
         axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
     caption = (
-        f"Channel {channel + 1}, {name} on the sealed log {log.name}: what was measured, what the models say, and measured "
-        "less modelled below" + (", last what is left alone" if apart else "")
+        f"Channel {channel + 1}, {name} on the held-out log {log.name}: measured and simulated; below, the residual (measured "
+        "minus simulated)" + (", last that of the final model alone" if apart else "")
     )
     return caption, svg(drawing, f"{name} of channel {channel + 1} and its error")
 
