@@ -552,7 +552,7 @@ def diagnose(
             if proposal:
                 (folder / "mapping.yaml").write_text(proposal)
             return
-        from hydro_env.diagnosis import workflow as command
+        from hydro_env.diagnosis import command
         from hydro_env.plant import load_effects
 
         load_effects(effect_files or [])

@@ -59,9 +59,6 @@ LONGER_FOR_NOW = {
     "hydro_env.controllers.mpc.shooting.improve",
     "hydro_env.controllers.mpc.shooting.minimise_in_box",
     "hydro_env.controllers.tuning.tune._search",
-    "hydro_env.diagnosis.stages.localisation._replays",
-    "hydro_env.diagnosis.stages.selection._round",
-    "hydro_env.diagnosis.workflow._workflow",
     "hydro_env.envs.batch.HydraulicSyncVectorEnv.__init__",
     "hydro_env.experiments.blind_trials.table",
     "hydro_env.experiments.close_loop.run",
@@ -81,6 +78,7 @@ CROWDED = {
     "hydro_env.cli.hide": "an option each",
     "hydro_env.cli.tune": "an option each",
     "hydro_env.cli.valve_test": "an option each",
+    "hydro_env.diagnosis.workflow.diagnose": "an option each",
 }
 CROWDED_FOR_NOW = {
     "hydro_env.benchmark.command.run",
@@ -99,8 +97,6 @@ CROWDED_FOR_NOW = {
     "hydro_env.controllers.mpc.shooting.improve",
     "hydro_env.controllers.mpc.shooting.keep",
     "hydro_env.controllers.tuning.tune.run",
-    "hydro_env.diagnosis.stages.verdict.diagnosis_dict",
-    "hydro_env.diagnosis.workflow.diagnose",
     "hydro_env.envs.batch.HydraulicSyncVectorEnv.__init__",
     "hydro_env.envs.step_kernels.look",
     "hydro_env.experiments.close_loop.run",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis.input.parts import read_parts
-from hydro_env.diagnosis.models.dynamic_rig import MotorRig
+from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.report import wording
 from hydro_env.plant import CATALOGUE, Effect, Parameter, load_model, register, simulate, unregister
 from hydro_env.plant.catalogue import separating_experiment
@@ -81,7 +81,7 @@ def test_a_new_effect_is_simulated_hidden_a_candidate_and_in_the_documents(tmp_p
     practice = make_practice([f"{NAME}:1"], runs=("fit_1",), duration=3.0, rate=100.0, noise=0.0, seed=3)
     assert [e["name"] for e in practice.truth["effects"]] == [NAME]
     practice.write(tmp_path)
-    rig = MotorRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+    rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
     assert NAME in rig.candidates()
 
     row = next(line for line in _effects_table().splitlines() if f"`{NAME}`" in line)
@@ -111,7 +111,7 @@ def test_an_effect_that_reads_the_other_flow_couples_the_channels(tmp_path: Path
     lines = (tmp_path / "fit_1.csv").read_text().splitlines()
     keep = [n for n, column in enumerate(lines[0].split(",")) if "_2_" not in column]
     (tmp_path / "one.csv").write_text("\n".join(",".join(line.split(",")[n] for n in keep) for line in lines))
-    rig = MotorRig(load_model("paper"), read_parts([tmp_path / "one.csv"], None))
+    rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "one.csv"], None))
     assert rig.channels == (0,)
     assert {"shared_return", "supply_droop"}.isdisjoint(rig.candidates()) and NAME in rig.candidates()
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import dataclasses
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from hydro_env.diagnosis import Diagnosis, diagnose
 from hydro_env.diagnosis.report import wording as words
-from hydro_env.diagnosis.report.page import left_over, report_page, sentence, terminal_text
-from hydro_env.diagnosis.workflow import Diagnosis, diagnose
+from hydro_env.diagnosis.report.findings import left_over, sentence
+from hydro_env.diagnosis.report.page import report_page
+from hydro_env.diagnosis.stages.naming import Interval
 from hydro_env.plant import CATALOGUE, load_model
 
 
@@ -30,7 +33,7 @@ from hydro_env.plant import CATALOGUE, load_model
 def test_values_are_told_in_units_of_the_bench(
     value: float, low: float, high: float, unit: str, text: str
 ) -> None:
-    assert words.interval({"value": value, "low": low, "high": high, "unit": unit}) == text
+    assert words.interval(Interval(value, low, high, unit)) == text
 
 
 def test_spool_positions_and_forces_are_shares_of_the_command() -> None:
@@ -73,8 +76,13 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
     return diagnose([_log(folder / "fit.csv", 6.0, 1)], [_log(folder / "sealed.csv", 6.0, 2)], steady=True)
 
 
+def _with(found: Diagnosis, **changes: Any) -> Diagnosis:
+    """The same with another state."""
+    return dataclasses.replace(found, state=dataclasses.replace(found.state, **changes))
+
+
 def test_the_terminal_says_it_all_in_about_twenty_lines(found: Diagnosis) -> None:
-    text = terminal_text(found)
+    text = found.summary()
     lines = text.splitlines()
     assert len(lines) <= 20
     assert lines[0] == "verdict: effects"
@@ -92,18 +100,14 @@ def test_the_terminal_says_it_all_in_about_twenty_lines(found: Diagnosis) -> Non
 
 
 def test_a_crowded_summary_stays_within_twenty_lines(found: Diagnosis) -> None:
-    entry = dict(found.data["gap"]["sealed"]["speed_1_rpm"])
-    gap = dict.fromkeys(
-        ("speed_1_rpm", "current_1_A", "pressure_1_bar", "speed_2_rpm", "current_2_A", "flow_2_lpm"), entry
-    )
-    crowded = dataclasses.replace(
-        found,
-        named=4 * found.named,
-        warnings=[f"w{n}" for n in range(7)],
-        data={**found.data, "gap": {"sealed": gap}},
-    )
-    lines = terminal_text(crowded).splitlines()
-    assert len(lines) <= 20 and "warning: w0" in terminal_text(crowded) and " more in the report" in lines[-1]
+    proof = found.state.on_held_out
+    signals = ((0, "speed"), (0, "current"), (0, "pressure"), (1, "speed"), (1, "current"), (1, "flow"))
+    crowded = _with(
+        found, effects=4 * found.effects, warnings=[f"w{n}" for n in range(7)],
+        on_held_out=dataclasses.replace(proof, errors=dict.fromkeys(signals, proof.errors[0, "speed"])),
+    )  # fmt: skip
+    lines = crowded.summary().splitlines()
+    assert len(lines) <= 20 and "warning: w0" in crowded.summary() and " more in the report" in lines[-1]
 
 
 def test_the_page_has_every_part_and_needs_no_network(found: Diagnosis) -> None:
@@ -120,22 +124,20 @@ def test_the_page_has_every_part_and_needs_no_network(found: Diagnosis) -> None:
 
 def test_what_is_left_is_told_slow_from_fast(found: Diagnosis) -> None:
     assert left_over(found) == "" or "slower than 4 Hz" in left_over(found)
-    data = {
-        **found.data,
-        "gap": {"sealed": {"speed_1_rpm": dict(found.data["gap"]["sealed"]["speed_1_rpm"], noise=0.1)}},
-    }
-    noisy = dataclasses.replace(found, data=data)
+    proof = found.state.on_held_out
+    quiet = dataclasses.replace(proof, errors={(0, "speed"): {**proof.errors[0, "speed"], "noise": 0.1}})
+    noisy = _with(found, on_held_out=quiet)
     assert "as fast as noise" in left_over(noisy)
-    traces = {**found.sealed.traces, "after": {0: found.sealed.traces["after"][0] + 3.0}}
-    shifted = dataclasses.replace(noisy, sealed=dataclasses.replace(found.sealed, traces=traces))
+    traces = {**proof.traces, "after": {0: proof.traces["after"][0] + 3.0}}
+    shifted = _with(noisy, on_held_out=dataclasses.replace(quiet, traces=traces))
     assert "something is still missing" in left_over(shifted)
 
 
 def test_an_unlikely_name_is_put_as_a_perhaps(found: Diagnosis) -> None:
     extra = dataclasses.replace(
-        found.named[0], name="directional_gain", probability=0.3, indistinguishable_from=["flow_saturation"]
+        found.effects[0], name="directional_gain", probability=0.3, indistinguishable_from=["flow_saturation"]
     )
-    text = sentence(dataclasses.replace(found, named=[*found.named, extra]))
+    text = sentence(_with(found, effects=[*found.effects, extra]))
     assert (
         "Perhaps also different flow gains" in text
         and "(or saturation of the flow: these logs cannot distinguish them)" in text

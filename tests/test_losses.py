@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_env.diagnosis.models.dynamic_rig import MotorRig
+from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.envs import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
 from hydro_env.plant import BUILT_IN, CATALOGUE, Plant, load_model, simulate
@@ -303,7 +303,7 @@ def test_losses_may_differ_from_motor_to_motor_and_rig_to_rig():
 
 
 def test_diagnosis_tries_them_only_when_the_model_lists_them():
-    rig = object.__new__(MotorRig)
+    rig = object.__new__(DynamicRig)
     rig.channels = (0, 1)
     rig.without = ()
     rig.model = load_model("paper")

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from hydro_env.cli import _run
+from hydro_env.diagnosis import diagnose
 from hydro_env.diagnosis.input.parts import read_parts
-from hydro_env.diagnosis.models.dynamic_rig import MotorRig
-from hydro_env.diagnosis.workflow import diagnose
+from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.errors import InputError
 from hydro_env.plant import CATALOGUE, load_effects, load_model, simulate, unregister
 from hydro_env.practice.generate import make_practice
@@ -57,7 +57,7 @@ def test_it_is_hidden_and_a_candidate(file: Path, tmp_path: Path) -> None:
     }
     assert gap[1] > 30.0 > 10.0 > gap[2]  # rpm; channel 2 differs by the simulator only
     with_it.write(tmp_path)
-    rig = MotorRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+    rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
     assert NAME in rig.candidates()
     with pytest.raises(InputError, match=NAME):
         ReferenceRig(with_it.true)
@@ -97,5 +97,5 @@ def test_it_is_diagnosed(file: Path, tmp_path: Path) -> None:
     make_practice([f"{NAME}:1"], duration=6.0, rate=500.0).write(tmp_path)
     logs = [tmp_path / f"{name}.csv" for name in ("fit_1", "fit_2")]
     found = diagnose(logs, [tmp_path / "sealed.csv"], jobs=2)
-    assert found.data["verdict"] == "effects"
-    assert f'"{NAME}"' in json.dumps(found.data["effects"])
+    assert found.verdict == "effects"
+    assert f'"{NAME}"' in json.dumps(found.as_dict()["effects"])

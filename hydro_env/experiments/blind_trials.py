@@ -40,7 +40,7 @@ from typing import Any
 
 import numpy as np
 
-from ..diagnosis.workflow import diagnose
+from ..diagnosis import diagnose
 from ..files import write_json, write_text
 from ..plant import CATALOGUE, simulate
 from ..practice.generate import Practice, make_practice
@@ -220,7 +220,7 @@ def run_case(
         if not case.twins:
             without += [twin for name in without for twin in CATALOGUE[name].indistinguishable_from]
         begin, cpu = time.perf_counter(), time.process_time()
-        data = diagnose(files[:2], files[2:], model=folder / "model.yaml", without=without, jobs=jobs).data
+        data = diagnose(files[:2], files[2:], model=folder / "model.yaml", without=without, jobs=jobs).as_dict()
         seconds, cpu_s = time.perf_counter() - begin, time.process_time() - cpu
     sizes = {
         f"{h['name']}.{n}": p["value"]

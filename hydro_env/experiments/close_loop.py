@@ -223,7 +223,7 @@ class Rig:
 
 def make_rig(task: RigTask) -> Rig:
     """Hides, logs and diagnoses."""
-    from hydro_env.diagnosis.workflow import diagnose
+    from hydro_env.diagnosis import diagnose
     from hydro_env.practice.generate import make_practice
 
     practice = make_practice(
@@ -234,7 +234,7 @@ def make_rig(task: RigTask) -> Rig:
         logs = [Path(folder) / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
         found = diagnose(logs[:2], logs[2:], model=Path(folder) / "model.yaml")
     models = {"wrong": practice.given, "repaired": found.model, "true": practice.true}
-    return Rig(task.case, task.seed, practice.truth["forms"], models, practice.truth, found.data)
+    return Rig(task.case, task.seed, practice.truth["forms"], models, practice.truth, found.as_dict())
 
 
 def write_rigs(folder: Path, rigs: Sequence[Rig]) -> None:

@@ -21,7 +21,7 @@ from hydro_env import __version__
 from hydro_env.benchmark import command as benchmark
 from hydro_env.benchmark.report import knows
 from hydro_env.controllers.registry import CONTROLLERS
-from hydro_env.diagnosis import workflow as diagnosis
+from hydro_env.diagnosis import command as diagnosis
 from hydro_env.experiments import reproduce
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, figure, legend, png, render, svg

@@ -1,4 +1,4 @@
-"""How sure: block bootstrap and leave-one-manoeuvre-out, on the derivatives at the estimate, without a new simulation.
+"""Uncertainty: block bootstrap and leave-one-manoeuvre-out, on the derivatives at the estimate, without a new simulation.
 
 The logs are cut into stretches of `STRETCH_S`; each holds all signals of that time. A replica draws as many stretches with
 replacement, solves the linearised normal equations and counts the deviance that an effect saves. Stretches are much longer
@@ -11,23 +11,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..models.base import Machine
-from .least_squares import Floors, Problem, channels_of, normal_parts, saved_by_stretch
+from .estimate import Estimate
+from .fit import Fit
 
-__all__ = ["Certainty", "certainty", "chance", "spread_of", "undetermined"]
+__all__ = [
+    "CANNOT_BE_PREDICTED", "Intervals", "bootstrap", "courses_apart", "intervals_of", "probability_of_gain", "unpredictable",
+]  # fmt: skip
 
 #: Length of a stretch that is drawn or left out as a whole, s.
 STRETCH_S = 0.5
 #: Length of a manoeuvre that is left out as a whole, s.
 MANOEUVRE_S = 2.0
 REPLICAS = 200
-#: Replicas that are simulated on the sealed logs, and times the noise by which their courses differ where these cannot be
-#: foretold.
-DRAWS, APART = 8, 5.0
+#: Replicas that are simulated on the held-out logs, and times the noise by which their courses differ where these cannot be
+#: predicted.
+DRAWS, CANNOT_BE_PREDICTED = 8, 5.0
 
 
 @dataclass(frozen=True)
-class Certainty:
+class Intervals:
     """`low` and `high` (k,) hold 95 % of the replicas' estimates of q; `without` (k,) is the largest move of q when one
     manoeuvre is left out. `draws` (DRAWS, k) are some of the replicas' estimates."""
 
@@ -37,32 +39,28 @@ class Certainty:
     draws: np.ndarray
 
 
-def certainty(machine: Machine, problem: Problem, floors: Floors, seed: int = 0) -> Certainty:
-    """Intervals of all unknowns of a problem whose `columns` are at the estimate, never narrower than its `spread` says."""
-    prior = np.diag([1.0 if u.prior else 0.0 for u in problem.unknowns]) + 1e-9 * np.eye(
-        len(problem.unknowns)
-    )
-    matrices, sides = normal_parts(machine, problem, floors, STRETCH_S)
-    moves = _bootstrap(matrices, sides, prior, problem.q, np.random.default_rng(seed))
+def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
+    """Intervals of all unknowns of an estimate whose `columns` are at its q, never narrower than its `spread` says."""
+    size, bounds = len(estimate.unknowns), estimate.bounds
+    prior = np.diag([1.0 if u.prior else 0.0 for u in estimate.unknowns]) + 1e-9 * np.eye(size)
+    matrices, sides = fit.normal_equations_by_stretch(estimate, STRETCH_S)
+    moves = bootstrap(matrices, sides, prior, estimate.q, np.random.default_rng(fit.settings.seed))
     low, high = np.quantile(moves, [0.025, 0.975], axis=0)
-    spread = np.zeros(len(low)) if problem.spread is None else 1.96 * problem.spread
-    bounds = problem.bounds
-    low = np.clip(problem.q + np.minimum(low, -spread), *bounds)
-    high = np.clip(problem.q + np.maximum(high, spread), *bounds)
-    whole, right = matrices.sum(axis=0) + prior, sides.sum(axis=0) - prior @ problem.q
+    spread = np.zeros(size) if estimate.spread is None else 1.96 * estimate.spread
+    low = np.clip(estimate.q + np.minimum(low, -spread), *bounds)
+    high = np.clip(estimate.q + np.maximum(high, spread), *bounds)
+    whole, right = matrices.sum(axis=0) + prior, sides.sum(axis=0) - prior @ estimate.q
     start = np.linalg.lstsq(whole, right, rcond=None)[0]
     width = round(MANOEUVRE_S / STRETCH_S)
-    without = np.zeros(len(low))
+    without = np.zeros(size)
     for first in range(0, len(matrices), width):
         gone = slice(first, first + width)
-        less = np.linalg.lstsq(
-            whole - matrices[gone].sum(axis=0), right - sides[gone].sum(axis=0), rcond=None
-        )[0]
-        without = np.maximum(without, np.abs(less - start))
-    return Certainty(low, high, without, np.clip(problem.q + moves[:DRAWS], *bounds))
+        matrix, side = whole - matrices[gone].sum(axis=0), right - sides[gone].sum(axis=0)
+        without = np.maximum(without, np.abs(np.linalg.lstsq(matrix, side, rcond=None)[0] - start))
+    return Intervals(low, high, without, np.clip(estimate.q + moves[:DRAWS], *bounds))
 
 
-def _bootstrap(
+def bootstrap(
     matrices: np.ndarray, sides: np.ndarray, prior: np.ndarray, q: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """Moves of q (REPLICAS, k) about their middle."""
@@ -75,41 +73,35 @@ def _bootstrap(
     return moves - np.median(moves, axis=0)
 
 
-def chance(
-    machine: Machine, smaller: Problem, larger: Problem, needed: float, floors: Floors, seed: int = 0
-) -> float:
-    """Share of the replicas in which `larger` saves more deviance than the `needed` one, as (n + 1/2) / (N + 1)."""
-    saved = np.concatenate(
-        [
-            saved_by_stretch(machine, smaller, larger, c, floors, STRETCH_S)
-            for c in channels_of(larger, machine)
-        ]
-    )
-    rng = np.random.default_rng(seed)
-    drawn = saved[rng.integers(len(saved), size=(REPLICAS, len(saved)))].sum(axis=1)
+def probability_of_gain(fit: Fit, smaller: Estimate, larger: Estimate, needed: float) -> float:
+    """Share of the replicas in which `larger` gains more deviance than the `needed` one, as (n + 1/2) / (N + 1)."""
+    channels = fit.channels_of(larger)
+    gains = np.concatenate([fit.gain_by_stretch(smaller, larger, c, STRETCH_S) for c in channels])
+    rng = np.random.default_rng(fit.settings.seed)
+    drawn = gains[rng.integers(len(gains), size=(REPLICAS, len(gains)))].sum(axis=1)
     return float((np.sum(drawn > needed) + 0.5) / (REPLICAS + 1.0))
 
 
-def spread_of(machine: Machine, problem: Problem, channel: int, floors: Floors) -> dict[str, float]:
+def courses_apart(fit: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
     """By signal of a channel how far the courses of the replicas' estimates are apart from that of the estimate on the logs of
-    `machine`, which may be others than those of the fit: RMS of the farthest, in times the noise.
+    `fit`, which may be others than those fitted: RMS of the farthest, in times the noise.
 
     A spool that sticks now here, now there, or a shaft that comes nearly to rest and turns on this way or that, does so by
     parts in a thousand of a parameter, which no fit knows.
     """
-    if problem.certainty is None:
+    if estimate.intervals is None:
         return {}
-    requests = [problem.request(), *(problem.request(q) for q in problem.certainty.draws)]
-    first, *others = (result[channel] for result in machine.predict(requests))
+    requests = [estimate.request(), *(estimate.request(q) for q in estimate.intervals.draws)]
+    first, *others = (result[channel] for result in fit.rig.predict(requests))
     apart: dict[str, float] = {}
-    for s in machine.segments[channel]:
+    for s in fit.rig.segments[channel]:
         far = max(float(np.sqrt(np.mean((o - first)[s.place][s.used] ** 2))) for o in others)
-        apart[s.signal] = max(apart.get(s.signal, 0.0), far / floors[channel, s.signal])
+        apart[s.signal] = max(apart.get(s.signal, 0.0), far / fit.noise[channel, s.signal])
     return apart
 
 
-def undetermined(sealed: Machine, problem: Problem, channel: int, floors: Floors) -> dict[str, float]:
-    """By signal of a channel how far the replicas' courses are apart on the logs of `sealed` (`spread_of`), where that is
-    so far that the logs cannot be foretold."""
-    found = spread_of(sealed, problem, channel, floors)
-    return {name: value for name, value in found.items() if value > APART}
+def unpredictable(held_out: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
+    """By signal of a channel how far the replicas' courses are apart (`courses_apart`), where that is so far that the held-out
+    logs cannot be predicted."""
+    found = courses_apart(held_out, estimate, channel)
+    return {name: value for name, value in found.items() if value > CANNOT_BE_PREDICTED}

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +21,7 @@ __all__ = [
     "base_unknown",
     "bases_of",
     "effect_unknowns",
-    "TOGETHER",
+    "SCALED_TOGETHER",
     "less_taken",
     "limited_by_effects",
     "scaled",
@@ -33,14 +34,14 @@ PRIOR_SPREAD = 0.3
 BASE_OF_EFFECT_FACTOR = 1.35
 
 #: Effect parameters that take their amount from a base parameter: the inertia behind a coupling is part of the calibrated J.
-TAKEN_FROM = {"shaft_backlash.inertia": "J"}
+TAKEN_FROM = {"shaft_backlash": {"inertia": "J"}}
 
 
 #: Base parameters that logs tell by their ratios only, or nearly so, each with the power of the common factor. Twice the force
 #: on twice the mass, spring and friction moves a spool nearly alike; half the travel, by twice the stiffness and mass, gives
 #: the same flow with twice the gain; twice the displacement with twice the flow, leakage, inertia and damping, and half the
 #: bulk modulus, turns a shaft alike but for the load. The first of each names the direction.
-TOGETHER: dict[str, dict[str, float]] = {
+SCALED_TOGETHER: dict[str, dict[str, float]] = {
     "k": {"k": 1.0, "alpha": 1.0, "m": 1.0, "Fc": 1.0, "Fs": 1.0},
     "Kq": {"Kq": 1.0, "k": 1.0, "m": 1.0, "vs": -1.0},
     "D": {"D": 1.0, "J": 1.0, "B": 1.0, "Km": 1.0, "Kq": 1.0, "beta": -1.0},
@@ -56,25 +57,26 @@ _SHAFT_UNITS = {
 
 def bases_of(effect: str) -> set[str]:
     """The base parameters that an effect takes from."""
-    return {base for name, base in TAKEN_FROM.items() if name.split(".")[0] == effect}
+    return {*TAKEN_FROM.get(effect, {}).values()}
 
 
 def less_taken(values: dict[str, float], effect: str, start: dict[str, float]) -> dict[str, float]:
     """The base parameters in `values` that an effect with the values `start` {own name: value} takes from, reduced by that."""
     return {
-        base: max(values[base] - start[name.split(".")[1]], 0.25 * values[base])
-        for name, base in TAKEN_FROM.items()
-        if name.split(".")[0] == effect and base in values
+        base: max(values[base] - start[own], 0.25 * values[base])
+        for own, base in TAKEN_FROM.get(effect, {}).items()
+        if base in values
     }
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """One number to be estimated. `prior` is whether leaving q = 0 costs anything; `channel` whose number it is, None for
-    one that both channels share.
+    """One number to be estimated: a base parameter of the plant, or one of an `effect`.
+
+    `prior` is whether leaving q = 0 costs anything; `channel` whose number it is, None for one that both channels share.
     """
 
-    name: str
+    parameter: str
     unit: str
     center: float
     low: float
@@ -83,6 +85,12 @@ class Unknown:
     log: bool
     prior: bool
     channel: int | None = None
+    effect: str = ""
+
+    @cached_property
+    def name(self) -> str:
+        """The name in a model: "Kq" or "dead_zone.overlap_positive"."""
+        return f"{self.effect}.{self.parameter}" if self.effect else self.parameter
 
     def value(self, q: float) -> float:
         return self.center * math.exp(self.scale * q) if self.log else self.center + self.scale * q
@@ -179,19 +187,20 @@ def effect_unknowns(effect: Effect, start: dict[str, float]) -> list[Unknown]:
 
 
 def _effect_unknown(effect: str, p: Parameter, start: float) -> Unknown:
-    name, shape = f"{effect}.{p.name}", _is_shape(p)
+    shape = _is_shape(p)
     low, high = min(p.low, start), max(p.high, start)
     if p.low > 0.0 and (p.log or math.isinf(p.nominal)):
-        return Unknown(name, p.unit, start, low, high, 0.5 if shape else 0.25, True, shape)
+        scale = 0.5 if shape else 0.25
+        return Unknown(p.name, p.unit, start, low, high, scale, True, shape, effect=effect)
     scale = 0.15 * (p.high - p.low) if shape or p.typical is None else abs(p.typical - p.nominal)
     if p.name == "order":
         scale = 0.1
-    return Unknown(name, p.unit, start, low, high, scale, False, shape and p.name != "order")
+    return Unknown(p.name, p.unit, start, low, high, scale, False, shape and p.name != "order", effect=effect)
 
 
 def scaled(unknowns: Sequence[Unknown], q: np.ndarray, j: int, size: float) -> np.ndarray:
-    """The change of q (n,) that scales all that the direction of unknown j (`TOGETHER`) has on its channel, as a step `size`
-    of j does.
+    """The change of q (n,) that scales all that the direction of unknown j (`SCALED_TOGETHER`) has on its channel, as a step
+    `size` of j does.
 
     On the spool all that moves it is scaled but the damping and the bristles, which are not calibrated. What logs
     say of such a direction is little, so it must be seen as one, not as a difference of large changes.
@@ -209,12 +218,11 @@ def scaled(unknowns: Sequence[Unknown], q: np.ndarray, j: int, size: float) -> n
 
 def _power(unknown: Unknown, direction: str) -> float:
     """The power of the common factor of a direction that an unknown has, 0 for one that is no part of it."""
-    effect, _, own = unknown.name.rpartition(".")
-    if not effect:
-        return TOGETHER[direction].get(unknown.name, 0.0)
-    unit = CATALOGUE[effect].parameter(own).unit
+    if not unknown.effect:
+        return SCALED_TOGETHER[direction].get(unknown.parameter, 0.0)
+    unit, on_spool = unknown.unit, CATALOGUE[unknown.effect].port == "force"
     if direction == "Kq":
-        return -1.0 if unit == "m" and CATALOGUE[effect].port != "force" else 0.0
+        return -1.0 if unit == "m" and not on_spool else 0.0
     if direction == "k":
-        return _FORCE_UNITS.get(unit, 0.0) if CATALOGUE[effect].port == "force" else 0.0
+        return _FORCE_UNITS.get(unit, 0.0) if on_spool else 0.0
     return _SHAFT_UNITS.get(unit, 0.0)

@@ -20,7 +20,10 @@ from ...measured import Mapping, RigLog, load_mapping, read_log
 from ...measured.gate import jump_size
 from .windows import LONG_S, WARM_S, choose, rest_starts
 
-__all__ = ["Part", "overlap", "read_parts"]
+__all__ = ["Part", "filled", "overlap", "read_parts"]
+
+#: The windows of a log of which no part is named.
+ALL = [(-np.inf, np.inf)]
 
 
 @dataclass(frozen=True)
@@ -40,15 +43,18 @@ class Part:
 
 
 def read_parts(
-    words: Iterable[str | Path], mapping: Mapping | str | Path | None, accept: Collection[str] = ()
+    words: Iterable[str | Path | RigLog], mapping: Mapping | str | Path | None, accept: Collection[str] = ()
 ) -> list[Part]:
-    """Reads `PATH[@FROM:TO[,FROM:TO...]]` words. InputError for a bad log, window or clock, and for a log that is surely
-    wrong unless the code of that finding is in `accept`."""
+    """Reads `PATH[@FROM:TO[,FROM:TO...]]` words, or takes logs that are loaded. InputError for a bad log, window or clock,
+    and for a log that is surely wrong unless the code of that finding is in `accept`."""
     if mapping is not None and not isinstance(mapping, Mapping):
         mapping = load_mapping(mapping)
     read: dict[str, RigLog] = {}
     parts = []
     for word in words:
+        if isinstance(word, RigLog):
+            parts += _parts(word.name, _even(_usable(word.name, word, ALL, accept)), ALL)
+            continue
         path, windows = _split(str(word))
         if path not in read:
             read[path] = read_log(path, mapping)
@@ -87,7 +93,7 @@ def _parts(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[P
 def _split(word: str) -> tuple[str, list[tuple[float, float]]]:
     path, at, text = word.rpartition("@")
     if not at or Path(word).exists():
-        return word, [(-np.inf, np.inf)]
+        return word, ALL
     windows = []
     for piece in text.split(","):
         start, colon, end = piece.partition(":")
@@ -159,3 +165,12 @@ def overlap(fit: Iterable[Part], sealed: Iterable[Part]) -> None:
                     raise InputError(
                         f"{b.label} is sealed but shares rows with {a.label}, which is fitted; name parts that are apart"
                     )
+
+
+def filled(values: np.ndarray) -> np.ndarray:
+    """Samples (n,) with holes filled along straight lines, so that a simulation or a filter runs through them."""
+    known = np.isfinite(values)
+    if known.all():
+        return values
+    rows = np.arange(values.size)
+    return np.interp(rows, rows[known], values[known]) if known.any() else np.zeros(values.size)

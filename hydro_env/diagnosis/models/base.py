@@ -1,15 +1,16 @@
-"""What the workflow needs to know of a machine: its channels, unknowns and candidates, and its simulated measurements.
+"""What a diagnosis needs of a model of the rig: channels, unknowns, candidates, and simulated measurements.
 
-Two machines exist: `motor.MotorRig`, the dynamic plant, and `steady_valve.SteadyValve`, the reduced model for axes of
+Two models exist: `dynamic_rig.DynamicRig`, the dynamic plant, and `steady_valve.SteadyValve`, the reduced model for axes of
 which only command and speed (and perhaps pressure) are known. Everything after this file works on either.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -17,13 +18,13 @@ from ...plant import Parameter, PlantModel
 from ...units import BAR, LPM, MILLIMETRE, RPM
 from ..input.parts import Part
 
-__all__ = ["BLOCK_S", "Machine", "Request", "UNITS", "Segment", "measured_segments"]
+__all__ = ["BLOCK_S", "Request", "RigModel", "UNITS", "Segment", "measured_segments", "view"]
 
 #: Rows of one log and signal that a fit looks at, at most; the proof looks at all of them.
 MAX_ROWS = 6000
 #: Length of the blocks that have a variance of their own, s.
 BLOCK_S = 0.1
-#: Signals that a machine may predict, with the unit they are shown in and its size in SI.
+#: Signals that a model may predict, with the unit they are shown in and its size in SI.
 UNITS = {
     "speed": ("rpm", RPM),
     "current": ("A", 1.0),
@@ -74,13 +75,21 @@ class Segment:
         first = np.arange(0, self.rows.size, max(10, round(BLOCK_S / self.period)))
         return first, np.add.reduceat(self.used.astype(float), first)
 
+    def stretches(self, stretch_s: float) -> np.ndarray:
+        """The number of the stretch of so many seconds that each row is in (n,)."""
+        return (np.arange(self.rows.size) * self.period / stretch_s).astype(int)
+
     def error(self, simulated: np.ndarray) -> np.ndarray:
         """Measured less simulated (n,), 0 where a row does not count."""
         return np.where(self.used, self.filled - simulated[self.place], 0.0)
 
 
-class Machine(Protocol):
-    """A model of the rig with the logs it is fitted to."""
+class RigModel(Protocol):
+    """A model of the rig with the logs it is fitted to.
+
+    `simulation_is_cheap`: every candidate may be refitted as far as it goes. `has_hidden_states`: friction and inertia make local
+    minima, the parameters are those of a machine, and what is left of a signal can be its noise.
+    """
 
     model: PlantModel
     parts: list[Part]
@@ -88,14 +97,14 @@ class Machine(Protocol):
     segments: dict[int, list[Segment]]
     notes: list[str]
     own: dict[str, Parameter]
-    quick: bool
-    exact: bool
+    simulation_is_cheap: bool
+    has_hidden_states: bool
 
     def base(self, channel: int) -> list[str]:
         """Names of the parameters that calibration may adjust."""
 
     def candidates(self) -> list[str]:
-        """Effects of the catalogue that this machine can have."""
+        """Effects of the catalogue that this model can have."""
 
     def given(self, name: str, channel: int) -> float:
         """The value of a parameter in the model as given."""
@@ -104,13 +113,27 @@ class Machine(Protocol):
         """For every request, by channel: the simulated samples (n,) in the order of `segments[channel]`."""
 
     def close(self) -> None:
-        """Ends what the machine holds open."""
+        """Ends what the model holds open."""
 
     def written(self, model: PlantModel) -> PlantModel:
         """The estimated model as it goes to a model file of the plant."""
 
-    def with_parts(self, parts: list[Part], every_row: bool) -> Machine:
-        """The same machine on other logs."""
+    def with_parts(self, parts: list[Part], every_row: bool) -> RigModel:
+        """The same model on other logs, with the accuracy of the proof."""
+
+    def for_long_refits(self) -> RigModel:
+        """The same model, quicker where few effects are refitted for long."""
+
+
+Rig = TypeVar("Rig", bound=RigModel)
+
+
+def view(rig: Rig, **changes: Any) -> Rig:
+    """The same model with other values of some attributes; what it holds open is shared."""
+    twin = copy(rig)
+    for name, value in changes.items():
+        setattr(twin, name, value)
+    return twin
 
 
 def measured_segments(

@@ -1,4 +1,4 @@
-"""The dynamic rig as a machine of the diagnosis: many parameter variants as lanes of the batched plant."""
+"""The dynamic plant as a model of the diagnosis: many parameter variants as lanes of the batched kernel."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, simulate
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY
 from ..input.parts import Part
-from .base import Request, Segment, measured_segments
+from .base import Request, Segment, measured_segments, view
 
-__all__ = ["MotorRig"]
+__all__ = ["DynamicRig"]
 
 #: Longest substep of the fit and of the proof, s. With 200 us the speeds are off by less than 0.2 rpm; from 300 us on a spool
 #: that meets its end stop may be lost.
@@ -36,8 +36,8 @@ _RECORDED = {
 }
 
 
-class MotorRig:
-    """See `machine.Machine`. `progress` is called with the number of rig simulations done."""
+class DynamicRig:
+    """See `base.RigModel`. `progress` is called with the number of rig simulations done."""
 
     def __init__(
         self, model: PlantModel, parts: list[Part], *, every_row: bool = False, substep: float = SUBSTEP,
@@ -60,14 +60,14 @@ class MotorRig:
         self.coupled = any(CATALOGUE[e].scope == "rig" for e in model.declared)
         names = [*PARAMETERS, *(f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters)]
         self._unequal = {name for name in names if model.value(name, 0) != model.value(name, 1)}
-        self.quick = False
-        #: Whether the refits to come are many of few effects, see `kernel`.
-        self.exact = False
+        self.simulation_is_cheap, self.has_hidden_states = False, True
+        #: Whether a set of effects has a kernel of its own, see `kernel`.
+        self.own_kernels = False
         self.notes: list[str] = []
         self.own: dict[str, Parameter] = {}
 
-    def with_parts(self, parts: list[Part], every_row: bool) -> MotorRig:
-        return MotorRig(
+    def with_parts(self, parts: list[Part], every_row: bool) -> DynamicRig:
+        return DynamicRig(
             self.model,
             parts,
             every_row=every_row,
@@ -77,6 +77,9 @@ class MotorRig:
             progress=self.progress,
             without=self.without,
         )
+
+    def for_long_refits(self) -> DynamicRig:
+        return view(self, own_kernels=True)
 
     def written(self, model: PlantModel) -> PlantModel:
         return model
@@ -172,7 +175,7 @@ class MotorRig:
         return tuple(n for n in CATALOGUE if n in effects or (n in library and CATALOGUE[n].is_cheap))
 
     def _of_few(self, effects: Collection[str]) -> bool:
-        return self.exact or any(CATALOGUE[n].family == FAMILY for n in effects)
+        return self.own_kernels or any(CATALOGUE[n].family == FAMILY for n in effects)
 
     def _step(self, request: Request) -> float:
         """The substep of a request, which does not depend on what is simulated beside it."""

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from ...plant import CATALOGUE, PARAMETERS, Parameter, PlantModel
-from ..input.parts import Part
-from ..stages.localisation import filled
+from ..input.parts import Part, filled
 from .array_laws import apply_laws, argument, elementwise
 from .base import Request, Segment, measured_segments
 
@@ -43,7 +42,7 @@ LAG = Parameter(
 
 
 class SteadyValve:
-    """See `machine.Machine`. The flow gain of the model as given is set by least squares on the fit logs, because no
+    """See `base.RigModel`. The flow gain of the model as given is set by least squares on the fit logs, because no
     preset knows the axis."""
 
     def __init__(
@@ -66,8 +65,7 @@ class SteadyValve:
                 "Kq", kq.unit, kq.nominal, min(widest), max(widest), "least squares", kq.note, log=True
             ),
         }
-        self.quick = True
-        self.exact = False
+        self.simulation_is_cheap, self.has_hidden_states = True, False
         self.notes: list[str] = [
             "steady-valve model: the flow gain as given is set by least squares on the fit logs, the lag stands for all dynamics"
         ]
@@ -84,6 +82,9 @@ class SteadyValve:
 
     def close(self) -> None:
         """Nothing is held open."""
+
+    def for_long_refits(self) -> SteadyValve:
+        return self
 
     def written(self, model: PlantModel) -> PlantModel:
         """The model as a rig of the dynamic plant: the axis' displacement, or its flow gain scaled to the model's own."""

@@ -6,12 +6,15 @@ diagnosis.json stays in the catalogue's names and in SI; everything that a perso
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from ...plant import CATALOGUE, PARAMETERS, PlantModel
 from ...plant.parameters import SPOOL_FORCE, SPOOL_TRAVEL
 from ...units import BAR, DEGREE, LPM, MICROMETRE, MILLIAMPERE, MILLIMETRE, MILLISECOND, RPM
+
+if TYPE_CHECKING:
+    from ..stages.naming import Interval
 
 __all__ = [
     "equation",
@@ -23,6 +26,7 @@ __all__ = [
     "parameter",
     "plain",
     "signal",
+    "signal_unit",
     "title",
     "unit_of",
     "where",
@@ -65,10 +69,14 @@ def equation(name: str) -> str:
     return _EQUATIONS.get(name, plain(name))
 
 
-def signal(key: str) -> tuple[str, str, str]:
-    """(signal, channel, unit) of a key such as `speed_1_rpm`."""
-    name, channel, unit = key.split("_", 2)
-    return _SIGNALS[name], channel, _KEY_UNITS.get(unit, unit)
+def signal(name: str) -> str:
+    """A signal of the logs."""
+    return _SIGNALS[name]
+
+
+def signal_unit(unit: str) -> str:
+    """A unit as the keys of diagnosis.json have it."""
+    return _KEY_UNITS.get(unit, unit)
 
 
 def listed(words: Sequence[str]) -> str:
@@ -97,11 +105,11 @@ def number(value: float, digits: int = 3) -> str:
     return f"{value:.{max(after, 0)}f}" if -3 <= math.log10(abs(value)) < 6 else f"{value:.{digits}g}"
 
 
-def interval(entry: Mapping[str, Any]) -> str:
+def interval(entry: Interval) -> str:
     """ "47.0 um (40.2 to 53.7)", with as many digits as it takes to see the interval."""
-    values = [entry[k] for k in ("value", "low", "high")]
+    values = [entry.value, entry.low, entry.high]
     sizes = [abs(v) for v in values if math.isfinite(v)]
-    unit, size = unit_of(entry["unit"], max(sizes, default=0.0))
+    unit, size = unit_of(entry.unit, max(sizes, default=0.0))
     for digits in (3, 4, 5):
         value, low, high = (number(v / size, digits) for v in values)
         if low != high:
@@ -109,12 +117,10 @@ def interval(entry: Mapping[str, Any]) -> str:
     return f"{value}{' ' if unit else ''}{unit} ({low} to {high})"
 
 
-def known(name: str, value: float, model: PlantModel) -> str:
-    """A base parameter of a channel ("Kq_1") in words; of a flow gain also the flow that full command would give."""
-    symbol, _, channel = name.rpartition("_")
+def known(symbol: str, c: int, value: float, model: PlantModel) -> str:
+    """A base parameter of channel c in words; of a flow gain also the flow that full command would give."""
     text = PARAMETERS[symbol].title if symbol in PARAMETERS else _OWN.get(symbol, plain(symbol))
     if symbol == "Kq":
-        c = int(channel) - 1
         stroke = (
             model.value("alpha", c) * model.value("u_rated", c) / (model.value("R", c) * model.value("k", c))
         )

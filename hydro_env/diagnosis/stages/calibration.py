@@ -7,75 +7,90 @@ from dataclasses import replace
 import numpy as np
 
 from ...plant import parameter_of
-from ..estimation.least_squares import Floors, Problem, evaluate, solve
-from ..estimation.multistart import along_directions, begun_anew, take_over
+from ..estimation.estimate import Estimate
+from ..estimation.fit import Fit
+from ..estimation.gauss_newton import solve
+from ..estimation.multistart import restart_friction, solve_in_all_directions
 from ..estimation.unknowns import Unknown, base_unknown, limited_by_effects
-from ..models.base import Machine
+from ..models.base import RigModel
+from ..settings import rule
+from ..state import Estimates, State
 
-__all__ = ["as_given", "base_unknowns", "calibrate"]
+__all__ = ["as_given", "base_unknowns", "calibrate", "run"]
 
+CALIBRATE_TWICE = rule("calibrate_twice", "calibrate also without the direction in which all forces on the spool scale")
 
 #: Parameters that act on the current alone of all signals before the spool.
 COIL = ("R", "L")
+#: Iterations of the calibration, and of the coil alone.
+ITERATIONS, COIL_ITERATIONS = 18, 6
+#: Factor on the noise of signals that are not to count.
+IGNORED = 1e6
 
 
-def base_unknowns(machine: Machine, channel: int) -> list[Unknown]:
-    """The parameters that calibration may adjust, about their values in the model as given.
+def run(state: State) -> State:
+    """Calibrates every channel; the noise is then seen better."""
+    calibrated = calibrate(state.fit)
+    fit = state.fit.with_noise_seen_by(calibrated)
+    fit.rescore(list(calibrated.values()))
+    return replace(state, fit=fit, calibrated=calibrated)
 
-    Parameters of effects that the model has already are among them.
-    """
+
+def base_unknowns(rig: RigModel, channel: int) -> list[Unknown]:
+    """The parameters that calibration may adjust, about their values in the model as given."""
     limited = limited_by_effects()
     found = []
-    for name in machine.base(channel):
-        parameter = parameter_of(name) if name not in machine.own else machine.own[name]
-        value = machine.given(name, channel)
-        found.append(replace(base_unknown(parameter, value, name in limited), name=name, channel=channel))
+    for name in rig.base(channel):
+        parameter = rig.own[name] if name in rig.own else parameter_of(name)
+        unknown = base_unknown(parameter, rig.given(name, channel), name in limited)
+        found.append(replace(unknown, channel=channel))
     return found
 
 
-def as_given(machine: Machine, floors: Floors) -> dict[int, Problem]:
+def as_given(fit: Fit) -> Estimates:
     """The model as given, by channel."""
-    problems = {c: Problem(c, [], np.zeros(0), "as given") for c in machine.channels}
-    evaluate(machine, list(problems.values()), floors)
-    return problems
+    estimates = {c: Estimate(c, [], np.zeros(0), "as given") for c in fit.rig.channels}
+    fit.evaluate(list(estimates.values()))
+    return estimates
 
 
-def calibrate(machine: Machine, floors: Floors, iterations: int = 18) -> dict[int, Problem]:
+def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     """Adjusts the base parameters of every channel, with priors about the model as given.
 
     The coil comes first, by the current alone: nothing behind it acts back, so that no missing effect can pull it away.
-    What is not at the noise then is begun anew with other friction of the spool.
+    What is not at the noise then begins anew with other friction of the spool.
     """
-    problems = {}
-    for channel in machine.channels:
-        unknowns = base_unknowns(machine, channel)
-        problems[channel] = Problem(channel, unknowns, np.zeros(len(unknowns)), "calibrated")
-    _coil_first(machine, problems, floors)
-    # Two ways, of which either may end in a valley of the spool's friction: with and without the forces scaled together. Without
-    # what is missing the other directions would lead far away from where it is found.
-    apart = {} if machine.quick else {c: replace(p, q=p.q.copy(), together=()) for c, p in problems.items()}
-    solve(machine, [*problems.values(), *apart.values()], floors, iterations)
-    further = [problems[c] for c, other in apart.items() if take_over(problems[c], other)]
-    solve(machine, further, floors, iterations // 3)
-    if not machine.quick:
-        solve(machine, begun_anew(machine, list(problems.values()), floors), floors, iterations)
-        along_directions(machine, list(problems.values()), floors)
-    return problems
+    rig, estimates = fit.rig, {}
+    for channel in rig.channels:
+        unknowns = base_unknowns(rig, channel)
+        estimates[channel] = Estimate(channel, unknowns, np.zeros(len(unknowns)), "calibrated")
+    _coil_first(fit, estimates)
+    # Two ways, of which either may end in a local minimum of the spool's friction: with and without the forces scaled together.
+    # Without what is missing the other directions would lead far away from where it is found.
+    twice = rig.has_hidden_states and fit.settings.uses(CALIBRATE_TWICE)
+    apart = {c: replace(p, q=p.q.copy(), together=()) for c, p in estimates.items()} if twice else {}
+    solve(fit, [*estimates.values(), *apart.values()], iterations)
+    further = [estimates[c] for c, other in apart.items() if estimates[c].adopt(other)]
+    solve(fit, further, iterations // 3)
+    if rig.has_hidden_states:
+        solve(fit, restart_friction(fit, list(estimates.values())), iterations)
+        solve_in_all_directions(fit, list(estimates.values()))
+    return estimates
 
 
-def _coil_first(machine: Machine, problems: dict[int, Problem], floors: Floors) -> None:
+def _coil_first(fit: Fit, estimates: Estimates) -> None:
     """Starts the coil's parameters where they explain the measured current best."""
     coils = {}
-    for channel, problem in problems.items():
-        own = [j for j, u in enumerate(problem.unknowns) if u.name in COIL]
-        if own and any(s.signal == "current" for s in machine.segments[channel]):
+    for channel, estimate in estimates.items():
+        own = [j for j, u in enumerate(estimate.unknowns) if u.name in COIL]
+        if own and any(s.signal == "current" for s in fit.rig.segments[channel]):
             coils[channel] = own
     # Signals behind the coil are given so much noise that they do not count.
-    deaf = {key: floor if key[1] == "current" else 1e6 * floor for key, floor in floors.items()}
+    noise = {key: value if key[1] == "current" else IGNORED * value for key, value in fit.noise.items()}
     alone = {
-        c: Problem(c, [problems[c].unknowns[j] for j in own], np.zeros(len(own)), "coil")
+        c: Estimate(c, [estimates[c].unknowns[j] for j in own], np.zeros(len(own)), "coil")
         for c, own in coils.items()
     }
-    solve(machine, list(alone.values()), deaf, 6)
+    solve(replace(fit, noise=noise), list(alone.values()), COIL_ITERATIONS)
     for channel, own in coils.items():
-        problems[channel].q[own] = alone[channel].q
+        estimates[channel].q[own] = alone[channel].q

@@ -1,4 +1,4 @@
-"""Does the log fit the model's machine at all? Signs, units and exchanged sensors that only a model can tell.
+"""Do the logs fit the model at all? Signs, units and exchanged sensors that only a model can tell.
 
 The model as given is simulated anyway. A signal that is its mirror image, a tenth or a hundred of it, or the other channel's
 is no missing effect but a mistake in the recording (or a model of another machine); what a diagnosis named then would be
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -17,10 +18,12 @@ from scipy.signal import lfilter
 from ...errors import InputError
 from ...measured import Finding
 from ...units import UNITS
-from ..estimation.least_squares import Problem
-from ..models.base import Machine
+from ..estimation.fit import Fit, noise_of
+from ..models.base import RigModel
+from ..state import Estimates, State
+from .calibration import as_given
 
-__all__ = ["implausible", "stop_if_sure"]
+__all__ = ["implausible", "run", "stop_if_sure"]
 
 #: Units in which a signal is really recorded.
 _UNITS = {
@@ -38,15 +41,25 @@ _HINT = "give the right unit in a mapping, or a model of this machine"
 _LESS = 4.0
 
 
-def implausible(machine: Machine, given: dict[int, Problem]) -> list[Finding]:
-    """Findings about the logs of `machine` beside the model as given."""
-    if machine.quick:  # the steady-valve model takes its scale from the log
+def run(state: State) -> State:
+    """Simulates the model as given; InputError if the logs are surely not of this machine. The noise is seen first here."""
+    rig = state.rig
+    none = {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]}
+    given = as_given(Fit(rig, none, state.settings))
+    findings = implausible(rig, given)
+    stop_if_sure(findings, ", ".join(p.label for p in rig.parts), state.accept)
+    return replace(state, given=given, findings=findings, fit=replace(state.fit, noise=noise_of(rig, given)))
+
+
+def implausible(rig: RigModel, given: Estimates) -> list[Finding]:
+    """Findings about the logs of `rig` beside the model as given."""
+    if not rig.has_hidden_states:  # the steady-valve model takes its scale from the log
         return []
     found: list[Finding] = []
     likes: dict[tuple[str, int], tuple[float, float]] = {}
-    for channel in machine.channels:
-        for signal in dict.fromkeys(s.signal for s in machine.segments[channel]):
-            measured, simulated = _pair(machine, given, channel, channel, signal)
+    for channel in rig.channels:
+        for signal in dict.fromkeys(s.signal for s in rig.segments[channel]):
+            measured, simulated = _pair(rig, given, channel, channel, signal)
             if measured.size < 100 or not (np.std(measured) > 0.0 and np.std(simulated) > 0.0):
                 continue
             like = float(np.corrcoef(measured, simulated)[0, 1])
@@ -56,18 +69,18 @@ def implausible(machine: Machine, given: dict[int, Problem]) -> list[Finding]:
                 message = f"the {signal} of channel {channel + 1} is the mirror image of the model's (correlation {like:.2f})"
                 hint = f"give `sign: -1` for the {signal} in a mapping"
                 found.append(Finding("sign", message, hint, signal, channel + 1, sure=like < -0.8))
-    found += _units(machine, likes)
-    found += _load(machine)
-    found += _command(machine, given)
-    if machine.channels == (0, 1):
-        found += _exchanged(machine, given)
+    found += _units(rig, likes)
+    found += _load(rig)
+    found += _command(rig, given)
+    if rig.channels == (0, 1):
+        found += _exchanged(rig, given)
     return found
 
 
-def _load(machine: Machine) -> Iterator[Finding]:
+def _load(rig: RigModel) -> Iterator[Finding]:
     """Loads of the other sign: the shaft then fits with the mirrored load and not with the one as logged."""
-    for channel in machine.channels:
-        own, mirrored = (_unlike(_shaft(machine, channel, channel, load_scale=sign)) for sign in (1.0, -1.0))
+    for channel in rig.channels:
+        own, mirrored = (_unlike(_shaft(rig, channel, channel, load_scale=sign)) for sign in (1.0, -1.0))
         if own > _LESS * max(mirrored, 1e-3) and mirrored < 0.1:
             message = (
                 f"the shaft of channel {channel + 1} turns as if its load had the other sign (correlation {1.0 - mirrored:.3f} "
@@ -79,47 +92,47 @@ def _load(machine: Machine) -> Iterator[Finding]:
             yield Finding("sign", message, hint, "load", channel + 1, sure=True)
 
 
-def _units(machine: Machine, likes: dict[tuple[str, int], tuple[float, float]]) -> Iterator[Finding]:
+def _units(rig: RigModel, likes: dict[tuple[str, int], tuple[float, float]]) -> Iterator[Finding]:
     """Signals whose size is off by the factor between two units."""
-    for channel in machine.channels:
+    for channel in rig.channels:
         tied = {"speed", "pressure"} <= {signal for signal, c in likes if c == channel}
         if tied:
-            yield from _tied_units(machine, channel, likes)
+            yield from _tied_units(rig, channel, likes)
         for signal in _UNITS:
             if (signal, channel) not in likes or (tied and signal in ("speed", "pressure")):
                 continue
             like, ratio = likes[signal, channel]
-            factors = _factors(machine, signal, channel)
+            factors = _factors(rig, signal, channel)
             meant = min(factors, key=lambda unit: abs(math.log(ratio / factors[unit])))
             off = math.exp(abs(math.log(ratio / factors[meant])))
             if off < _NEAR and abs(like) > 0.7:
-                yield _unit(machine, signal, channel, ratio, meant, off < _SURE and abs(like) > 0.85)
+                yield _unit(rig, signal, channel, ratio, meant, off < _SURE and abs(like) > 0.85)
 
 
 def _tied_units(
-    machine: Machine, channel: int, likes: dict[tuple[str, int], tuple[float, float]]
+    rig: RigModel, channel: int, likes: dict[tuple[str, int], tuple[float, float]]
 ) -> Iterator[Finding]:
     """Speed or pressure in another unit: what the shaft makes of the two, each taken in every unit that it may be in.
 
     Without a load the shaft cannot say which of the two is off; the valve's model then does, roughly.
     """
     best: tuple[float, str, str] | None = None
-    plain = _misfit(_shaft(machine, channel, channel))
+    plain = _misfit(_shaft(rig, channel, channel))
     for signal, other in (("speed", "pressure"), ("pressure", "speed")):
-        for unit, factor in _factors(machine, signal, channel).items():
+        for unit, factor in _factors(rig, signal, channel).items():
             beside = likes[signal, channel][1] / factor
             if not (
                 1.0 / _EFFECTS < beside < _EFFECTS and 1.0 / _EFFECTS < likes[other, channel][1] < _EFFECTS
             ):
                 continue
             fast, pressing = (1.0 / factor, 1.0) if signal == "speed" else (1.0, 1.0 / factor)
-            misfit = _misfit(_shaft(machine, channel, channel, speed_scale=fast, pressure_scale=pressing))
+            misfit = _misfit(_shaft(rig, channel, channel, speed_scale=fast, pressure_scale=pressing))
             if best is None or misfit < best[0]:
                 best = misfit, signal, unit
     if best is not None and best[0] < _FITS and plain > best[0] + 1.0:
-        yield _unit(machine, best[1], channel, likes[best[1], channel][1], best[2], True)
+        yield _unit(rig, best[1], channel, likes[best[1], channel][1], best[2], True)
         return
-    shaft = _shaft(machine, channel, channel)
+    shaft = _shaft(rig, channel, channel)
     if shaft is not None and shaft[0] > 0.9 and not 1.0 / _EFFECTS < shaft[1] < _EFFECTS:
         message = (
             f"the speed of channel {channel + 1} is {shaft[1]:.3g} times what its pressure and load give to the shaft: "
@@ -128,15 +141,15 @@ def _tied_units(
         yield Finding("unit", message, _HINT, "speed", channel + 1, sure=True)
 
 
-def _factors(machine: Machine, signal: str, channel: int) -> dict[str, float]:
+def _factors(rig: RigModel, signal: str, channel: int) -> dict[str, float]:
     """How many times too large a signal is read that is recorded in each of the other units."""
-    read = machine.parts[0].log.read_as.get(f"{signal}_{channel + 1}", ("", _UNITS[signal][0]))[1]
+    read = rig.parts[0].log.read_as.get(f"{signal}_{channel + 1}", ("", _UNITS[signal][0]))[1]
     size = UNITS[read].scale
     return {other: size / UNITS[other].scale for other in _UNITS[signal] if other != read}
 
 
-def _unit(machine: Machine, signal: str, channel: int, ratio: float, meant: str, sure: bool) -> Finding:
-    column, unit = machine.parts[0].log.read_as.get(f"{signal}_{channel + 1}", ("", ""))
+def _unit(rig: RigModel, signal: str, channel: int, ratio: float, meant: str, sure: bool) -> Finding:
+    column, unit = rig.parts[0].log.read_as.get(f"{signal}_{channel + 1}", ("", ""))
     what = f"{column!r} (read as {unit})" if column else f"the {signal} of channel {channel + 1}"
     message = f"{what} is {ratio:.3g} times the model's {signal} of channel {channel + 1}: is it in {meant}?"
     fix = {f"channel_{channel + 1}": {signal: {"unit": meant}}}
@@ -148,14 +161,14 @@ def _misfit(shaft: tuple[float, float] | None) -> float:
     return math.inf if shaft is None else abs(math.log(shaft[1])) + 2.0 * (1.0 - shaft[0])
 
 
-def _command(machine: Machine, given: dict[int, Problem]) -> Iterator[Finding]:
+def _command(rig: RigModel, given: Estimates) -> Iterator[Finding]:
     """Commands in percent or as a fraction of full command, called volts: then every current is off by the same factor."""
     ratios, rated, peak = [], 1.0, 0.0
-    for channel in machine.channels:
-        rated = machine.model.value("u_rated", channel)
+    for channel in rig.channels:
+        rated = rig.model.value("u_rated", channel)
         measured, simulated = [np.zeros(0)], [np.zeros(0)]
-        for s in (s for s in machine.segments[channel] if s.signal == "current"):
-            command = np.abs(machine.parts[s.log].log.command_V[s.rows, channel])
+        for s in (s for s in rig.segments[channel] if s.signal == "current"):
+            command = np.abs(rig.parts[s.log].log.command_V[s.rows, channel])
             peak = max(peak, float(command.max(initial=0.0)))
             values = given[channel].simulated[channel][s.place]
             keep = (
@@ -176,15 +189,15 @@ def _command(machine: Machine, given: dict[int, Problem]) -> Iterator[Finding]:
             yield Finding("unit", message, hint, "command", sure=True)
 
 
-def _exchanged(machine: Machine, given: dict[int, Problem]) -> Iterator[Finding]:
+def _exchanged(rig: RigModel, given: Estimates) -> Iterator[Finding]:
     """Signals that belong to the other channel."""
     signals = [
         s
-        for s in dict.fromkeys(s.signal for s in machine.segments[0])
-        if any(other.signal == s for other in machine.segments[1])
+        for s in dict.fromkeys(s.signal for s in rig.segments[0])
+        if any(other.signal == s for other in rig.segments[1])
     ]
     if {"speed", "pressure"} <= {*signals}:
-        wrong = _shafts_exchanged(machine)
+        wrong = _shafts_exchanged(rig)
         if wrong:
             message = f"the pressure of each channel drives the shaft of the other one: are the columns of {wrong} swapped?"
             yield Finding("swapped", message, f"exchange the columns of {wrong} in a mapping", sure=True)
@@ -193,7 +206,7 @@ def _exchanged(machine: Machine, given: dict[int, Problem]) -> Iterator[Finding]
         likes = {}
         for own in (0, 1):
             for other in (0, 1):
-                measured, simulated = _pair(machine, given, own, other, signal)
+                measured, simulated = _pair(rig, given, own, other, signal)
                 if measured.size < 100 or not (np.std(measured) > 0.0 and np.std(simulated) > 0.0):
                     return
                 likes[own, other] = float(np.corrcoef(measured, simulated)[0, 1])
@@ -210,15 +223,15 @@ def _exchanged(machine: Machine, given: dict[int, Problem]) -> Iterator[Finding]
             yield Finding("swapped", message, hint, signal, sure=apart > 0.4 or coil)
 
 
-def _shafts_exchanged(machine: Machine) -> str:
+def _shafts_exchanged(rig: RigModel) -> str:
     """What is swapped if the pressure of each channel fits the other one's shaft and not its own, or nothing.
 
     The load stays with the motor whose column it is in: it tells exchanged speeds from exchanged pressures.
     """
-    own = [_unlike(_shaft(machine, c, c)) for c in (0, 1)]
+    own = [_unlike(_shaft(rig, c, c)) for c in (0, 1)]
     best, what = math.inf, ""
     for name, loads in (("speed", (0, 1)), ("pressure", (1, 0))):
-        crossed = [_unlike(_shaft(machine, c, 1 - c, load_of=loads[c])) for c in (0, 1)]
+        crossed = [_unlike(_shaft(rig, c, 1 - c, load_of=loads[c])) for c in (0, 1)]
         if (
             all(own[c] > _LESS * max(crossed[c], 1e-3) and crossed[c] < 0.1 for c in (0, 1))
             and max(crossed) <= best
@@ -234,7 +247,7 @@ def _unlike(shaft: tuple[float, float] | None) -> float:
 
 
 def _shaft(
-    machine: Machine,
+    rig: RigModel,
     pressing: int,
     turning: int,
     *,
@@ -247,8 +260,8 @@ def _shaft(
     correlation and ratio of their sizes; None where they are not logged. All may be scaled before; the load is that of
     channel `load_of`, of `turning` if None."""
     measured, replayed = [], []
-    value = machine.model.value
-    for part in machine.parts:
+    value = rig.model.value
+    for part in rig.parts:
         log = part.log
         if log.pressure is None or not (log.has("pressure", pressing) and log.has("speed", turning)):
             return None
@@ -275,12 +288,12 @@ def _shaft(
 
 
 def _pair(
-    machine: Machine, given: dict[int, Problem], own: int, other: int, signal: str
+    rig: RigModel, given: Estimates, own: int, other: int, signal: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Measured samples of channel `own` and the model's of channel `other`, over all logs."""
     measured, simulated = [], []
-    by_log = {s.log: s for s in machine.segments[other] if s.signal == signal}
-    for mine in machine.segments[own]:
+    by_log = {s.log: s for s in rig.segments[other] if s.signal == signal}
+    for mine in rig.segments[own]:
         if mine.signal == signal and mine.log in by_log:
             values = given[other].simulated[other][by_log[mine.log].place]
             keep = mine.used & np.isfinite(values)

@@ -1,35 +1,50 @@
-"""Where the gap is: every component replayed with measured neighbours, and the conditions under which it errs.
+"""Localisation: every component replayed with measured neighbours, and the conditions under which it errs.
 
 coil         measured current against the simulated one (only the command acts on it)
 shaft        measured speed against the shaft driven by the measured pressure and the logged load
 valve_flow   flow that the measured speed and pressure need against the flow that the model's valve gives
 
-A component whose own replay errs by more than its noise owns part of the gap. Only what the logs hold can be replayed; with
-speed alone the whole gap is the valve's and motor's together.
+A component whose own replay errs by more than its noise owns part of the residual. Only what the logs hold can be replayed; with
+speed alone the whole residual is the valve's and motor's together.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
 from ...units import RPM
-from ..estimation.least_squares import Problem
+from ..estimation.estimate import Estimate
 from ..estimation.noise import effective_samples, noise_floor
-from ..input.parts import Part
-from ..models.base import Machine, Segment
+from ..input.parts import Part, filled
+from ..models.base import RigModel, Segment
+from ..state import Estimates, State
 
-__all__ = ["Place", "filled", "locate", "shape"]
+__all__ = ["Location", "Shape", "locate", "run", "shape"]
 
 _FLOW = ("command, V", "flow over displacement, rpm", RPM)
+#: An equation errs if its mean square error is above so many times the noise's; from what share of all equations it is listed.
+ERRS, LISTED = 1.1, 0.02
+#: A regime is named if its mean square error is so many times that of all, and it holds neither next to nothing nor nearly all.
+CONTRAST, LEAST_ROWS, MOST_ROWS = 1.3, 0.03, 0.9
 
 
 @dataclass(frozen=True)
-class Place:
-    """An equation that errs on a channel: its share of the gap, in which regime, with what shape, and the windows that hold
+class Shape:
+    """The error as a curve over the quantity that its equation depends on, see `shape`."""
+
+    over: str
+    error: str
+    points: list[list[float]]
+    explains: float
+    with_direction: float
+
+
+@dataclass(frozen=True)
+class Location:
+    """An equation that errs on a channel: its share of the residual, in which regime, with what shape, and the windows that hold
     most of it, `logs` the number of the fit log that each window is in."""
 
     equation: str
@@ -38,7 +53,7 @@ class Place:
     regime: str
     windows: list[tuple[float, float]]
     ratio: float
-    shape: dict[str, Any]
+    shape: Shape
     logs: list[int]
 
     def as_dict(self) -> dict[str, object]:
@@ -46,7 +61,7 @@ class Place:
             "equation": self.equation, "channel": str(self.channel + 1), "share_of_gap": round(self.share, 3),
             "regime": self.regime,
             "windows_s": [[round(a, 3), round(b, 3)] for a, b in self.windows], "windows_log": self.logs,
-            "shape": self.shape,
+            "shape": vars(self.shape),
         }  # fmt: skip
 
 
@@ -66,97 +81,84 @@ class _Replay:
         return float(np.sqrt(np.mean(self.error**2)) / max(self.noise, 1e-30))
 
 
-def locate(machine: Machine, problems: dict[int, Problem]) -> list[Place]:
-    """The equations that err beside the models `problems` on the fit logs, largest share first."""
-    places = []
-    for channel, problem in problems.items():
-        replays = _replays(machine, problem, channel)
-        excess = {r.equation: max(r.ratio**2 - 1.1, 0.0) for r in replays}
+def run(state: State) -> State:
+    """Locates what the calibrated model leaves, where effects are missing."""
+    if state.verdict in ("none", "calibration"):
+        return state
+    return replace(state, locations=locate(state.rig, state.calibrated))
+
+
+def locate(rig: RigModel, estimates: Estimates) -> list[Location]:
+    """The equations that err beside the models `estimates` on the fit logs, largest share first."""
+    found = []
+    for channel, estimate in estimates.items():
+        replays = _replays(rig, estimate, channel)
+        excess = {r.equation: max(r.ratio**2 - ERRS, 0.0) for r in replays}
         whole = sum(excess.values())
         for r in replays:
-            if whole > 0.0 and excess[r.equation] > 0.02 * whole and r.ratio > 1.1:
+            if whole > 0.0 and excess[r.equation] > LISTED * whole and r.ratio > ERRS:
                 windows, logs = _windows(r)
-                places.append(
-                    Place(
-                        r.equation,
-                        channel,
-                        excess[r.equation] / whole,
-                        _regime(r),
-                        windows,
-                        r.ratio,
-                        shape(r.over, r.error, *r.units),
-                        logs,
-                    )
-                )
-    return sorted(places, key=lambda p: (p.channel, -p.share))
+                form, share = shape(r.over, r.error, *r.units), excess[r.equation] / whole
+                found.append(Location(r.equation, channel, share, _regime(r), windows, r.ratio, form, logs))
+    return sorted(found, key=lambda p: (p.channel, -p.share))
 
 
-def _replays(machine: Machine, problem: Problem, channel: int) -> list[_Replay]:
+def _replays(rig: RigModel, estimate: Estimate, channel: int) -> list[_Replay]:
     """Replays of the components over all fit logs, one behind the other."""
-    parts: dict[str, list[_Replay]] = {}
-    for number, part in enumerate(machine.parts):
-        mine = {s.signal: s for s in machine.segments[channel] if s.log == number}
-        speed = mine["speed"]
-        simulated = {n: problem.simulated[channel][s.place] for n, s in mine.items()}
-        used = speed.used
-        time = part.log.time_s[speed.rows]
-        fast = float(np.nanmax(np.abs(speed.measured)))
-        base = {
-            "speed near zero": np.abs(speed.measured) < 0.15 * fast,
-            "positive speed": speed.measured > 0.0, "negative speed": speed.measured < 0.0,
-        }  # fmt: skip
-        command = part.log.command_V[speed.rows, channel]
-        rated = machine.model.value("u_rated", channel)
-        opening = {
-            "opening near zero": np.abs(command) < 0.25 * rated,
-            "medium opening": (np.abs(command) >= 0.25 * rated) & (np.abs(command) < 0.6 * rated),
-            "large opening": np.abs(command) >= 0.6 * rated,
-            "opening positive": command > 0.02 * rated, "opening negative": command < -0.02 * rated,
-        }  # fmt: skip
-        found: list[_Replay] = []
-        if "current" in mine:
-            error = mine["current"].measured - simulated["current"]
-            late = time > time[0] + 0.6 * (time[-1] - time[0])
-            regimes = {"large current": np.abs(command) > 0.6 * rated, "late in the log": late}
-            found.append(
-                _replay(
-                    "coil",
-                    error,
-                    speed.period,
-                    time,
-                    regimes,
-                    used,
-                    command,
-                    ("command, V", "current, A", 1.0),
-                )
-            )
-        if "pressure" in mine and not machine.quick:
-            value = problem.values(channel)
-            names = ("J", "B", "D", "Km", "V", "beta")
-            numbers = {n: value.get(n, machine.model.value(n, channel)) for n in names}
-            found += _hydraulic(
-                part, speed, mine["pressure"].measured, simulated, numbers, base, opening, command
-            )
-        elif "pressure" not in mine or machine.quick:
-            name = "valve_flow" if machine.quick else "valve and motor"
-            found.append(
-                _replay(
-                    name,
-                    speed.measured - simulated["speed"],
-                    speed.period,
-                    time,
-                    {**opening, **base},
-                    used,
-                    command,
-                    _FLOW
-                    if machine.parts[0].log.kinds[channel] == "motor"
-                    else ("command, V", "speed, mm/s", 1e-3),
-                )
-            )
-        for replay in found:
+    by_equation: dict[str, list[_Replay]] = {}
+    for number in range(len(rig.parts)):
+        for replay in _replays_of_log(rig, estimate, channel, number):
             replay.log[:] = number
-            parts.setdefault(replay.equation, []).append(replay)
-    return [_joined(list_) for list_ in parts.values()]
+            by_equation.setdefault(replay.equation, []).append(replay)
+    return [_joined(replays) for replays in by_equation.values()]
+
+
+def _replays_of_log(rig: RigModel, estimate: Estimate, channel: int, number: int) -> list[_Replay]:
+    """What can be replayed of the signals of one log."""
+    part = rig.parts[number]
+    mine = {s.signal: s for s in rig.segments[channel] if s.log == number}
+    speed = mine["speed"]
+    simulated = {n: estimate.simulated[channel][s.place] for n, s in mine.items()}
+    used, period, time = speed.used, speed.period, part.log.time_s[speed.rows]
+    command, rated = part.log.command_V[speed.rows, channel], rig.model.value("u_rated", channel)
+    openings, speeds = _openings(command, rated), _speeds(speed.measured)
+    found: list[_Replay] = []
+    if "current" in mine:
+        error = mine["current"].measured - simulated["current"]
+        late = time > time[0] + 0.6 * (time[-1] - time[0])
+        regimes = {"large current": np.abs(command) > 0.6 * rated, "late in the log": late}
+        units = ("command, V", "current, A", 1.0)
+        found.append(_replay("coil", error, period, time, regimes, used, command, units))
+    if "pressure" in mine and rig.has_hidden_states:
+        value = estimate.values(channel)
+        numbers = {
+            n: value.get(n, rig.model.value(n, channel)) for n in ("J", "B", "D", "Km", "V", "beta")
+        }
+        pressure = mine["pressure"].measured
+        found += _hydraulic(part, speed, pressure, simulated, numbers, speeds, openings, command)
+    else:
+        name = "valve and motor" if rig.has_hidden_states else "valve_flow"
+        motor = rig.parts[0].log.kinds[channel] == "motor"
+        units = _FLOW if motor else ("command, V", "speed, mm/s", 1e-3)
+        error = speed.measured - simulated["speed"]
+        found.append(_replay(name, error, period, time, {**openings, **speeds}, used, command, units))
+    return found
+
+
+def _openings(command: np.ndarray, rated: float) -> dict[str, np.ndarray]:
+    """Regimes (n,) of the valve by its command."""
+    size = np.abs(command)
+    return {
+        "opening near zero": size < 0.25 * rated, "medium opening": (size >= 0.25 * rated) & (size < 0.6 * rated),
+        "large opening": size >= 0.6 * rated,
+        "opening positive": command > 0.02 * rated, "opening negative": command < -0.02 * rated,
+    }  # fmt: skip
+
+
+def _speeds(speed: np.ndarray) -> dict[str, np.ndarray]:
+    """Regimes (n,) of the shaft."""
+    fast = float(np.nanmax(np.abs(speed)))
+    return {"speed near zero": np.abs(speed) < 0.15 * fast, "positive speed": speed > 0.0, "negative speed": speed < 0.0}
 
 
 def _hydraulic(
@@ -190,19 +192,6 @@ def _hydraulic(
     missing = flow(speed, pressure) - flow(simulated["speed"], simulated["pressure"])
     found.append(_replay("valve_flow", missing / numbers["D"], h, time, openings, used, command, _FLOW))
     return found
-
-
-def filled(values: np.ndarray) -> np.ndarray:
-    """Holes filled along straight lines, so that a replay runs through them."""
-    known = np.isfinite(values)
-    rows = np.arange(values.size)
-    return (
-        values
-        if known.all()
-        else np.interp(rows, rows[known], values[known])
-        if known.any()
-        else np.zeros(values.size)
-    )
 
 
 def _replay(
@@ -240,7 +229,7 @@ def _joined(replays: list[_Replay]) -> _Replay:
 
 def shape(
     over: np.ndarray, error: np.ndarray, over_unit: str, error_unit: str, size: float, bins: int = 15
-) -> dict[str, Any]:
+) -> Shape:
     """The error as a curve over the quantity that its equation depends on: not physics, but what physics would have to give.
 
     `points` are [middle, mean, standard error] of bins with equally many rows; `explains` is the share of the error's
@@ -267,19 +256,17 @@ def shape(
             mean, spread = float(np.mean(error[rows])), float(np.std(error[rows]))
             apart = spread / np.sqrt(effective_samples(error[rows]))
             points.append([float(f"{v:.4g}") for v in (np.mean(over[rows]), mean / size, apart / size)])
-    return {
-        "over": over_unit, "error": error_unit, "points": points, "explains": round(held(number), 3),
-        "with_direction": round(held(2 * number + rising), 3),
-    }  # fmt: skip
+    explains, with_direction = round(held(number), 3), round(held(2 * number + rising), 3)
+    return Shape(over_unit, error_unit, points, explains, with_direction)
 
 
 def _regime(replay: _Replay) -> str:
     """The condition under which the error is most above its mean."""
     power = replay.error**2
     mean = float(np.mean(power))
-    best, strongest = "everywhere", 1.3
+    best, strongest = "everywhere", CONTRAST
     for name, rows in replay.regimes.items():
-        if 0.03 < rows.mean() < 0.9:
+        if LEAST_ROWS < rows.mean() < MOST_ROWS:
             contrast = float(np.mean(power[rows])) / max(mean, 1e-30)
             if contrast > strongest:
                 best, strongest = name, contrast

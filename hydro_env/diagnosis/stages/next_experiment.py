@@ -7,8 +7,8 @@ manoeuvres of a bench, and says in which of them, and in which signal, they diff
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,18 +16,17 @@ from ...plant import simulate
 from ...plant.catalogue import separating_experiment
 from ...plant.sensors import NOISE
 from ...waveforms import triangle
-from ..estimation.least_squares import Problem
-from ..models.base import UNITS, Machine
-from ..models.dynamic_rig import MotorRig
+from ..estimation.estimate import Estimate
+from ..models.base import UNITS, RigModel
+from ..models.dynamic_rig import DynamicRig
+from ..state import State
+from .candidates import ACCEPTED, Candidate
+from .naming import NamedEffect
 
-if TYPE_CHECKING:
-    from .selection import Selection
-    from .verdict import Named
-
-__all__ = ["MANOEUVRES", "Separation", "next_experiment", "simulated"]
+__all__ = ["MANOEUVRES", "Separation", "next_experiment", "run", "simulated"]
 
 #: Rows of the simulated manoeuvres, s, and the difference (RMS in noise units) from which two models count as told apart.
-PERIOD, APART = 1e-3, 2.0
+PERIOD, TOLD_APART = 1e-3, 2.0
 
 
 def _triangle(seconds: float, cycle: float, size: float) -> np.ndarray:
@@ -64,16 +63,16 @@ class Separation:
     distance: float
 
 
-def simulated(machine: MotorRig, channel: int, first: Problem, second: Problem) -> list[Separation]:
+def simulated(rig: DynamicRig, channel: int, first: Estimate, second: Estimate) -> list[Separation]:
     """All manoeuvres and signals, those that tell the two models apart best first."""
     names = {u.name for p in (first, second) for u in p.unknowns}
-    pairs = [machine.model.pair(name) for name in sorted(names)]
+    pairs = [rig.model.pair(name) for name in sorted(names)]
     values = {name: np.array([pair, pair]) for name, pair in zip(sorted(names), pairs, strict=True)}
-    for lane, problem in enumerate((first, second)):
-        for name, value in problem.values(channel).items():
+    for lane, estimate in enumerate((first, second)):
+        for name, value in estimate.values(channel).items():
             values[name][lane, channel] = value
-    effects = machine.kernel(first.request().effects | second.request().effects)
-    rated = machine.model.value("u_rated", channel)
+    effects = rig.kernel(first.request().effects | second.request().effects)
+    rated = rig.model.value("u_rated", channel)
     found = []
     for manoeuvre, (share, torque) in MANOEUVRES.items():
         command = np.zeros((share.size, 2))
@@ -82,8 +81,8 @@ def simulated(machine: MotorRig, channel: int, first: Problem, second: Problem) 
         load[:, channel] = torque * np.sign(share)
         recorded = {"speed": "measured_speed", "current": "current", "pressure": "pressure", "spool": "spool"}
         out = simulate(
-            machine.model, command, load, PERIOD, values=values, num_rigs=2, effects=effects,
-            record=list(recorded.values()), substep=machine.substep,
+            rig.model, command, load, PERIOD, values=values, num_rigs=2, effects=effects,
+            record=list(recorded.values()), substep=rig.substep,
         )  # fmt: skip
         for signal, name in recorded.items():
             noise = NOISE[f"{signal}_{UNITS[signal][0]}"] * UNITS[signal][1]
@@ -93,26 +92,24 @@ def simulated(machine: MotorRig, channel: int, first: Problem, second: Problem) 
 
 
 def _by_simulation(
-    machine: Machine, selection: Selection, effect: Named, rival: str
+    rig: RigModel, candidates: Sequence[Candidate], effect: NamedEffect, rival: str
 ) -> dict[str, Any] | None:
     """The manoeuvre that separates an effect from its rival, from the models that were refitted with each of them."""
-    if not isinstance(machine, MotorRig) or effect.channel not in ("1", "2"):
+    if not isinstance(rig, DynamicRig) or len(effect.channels) != 1:
         return None
-    channel = int(effect.channel) - 1
-    trials = [t for t in selection.trials if t.channel == channel and t.problem is not None]
-    own = next((t for t in reversed(trials) if t.effect == effect.name and t.fate == "taken"), None)
-    other = next(
-        (t for t in reversed(trials) if t.effect == rival and (own is None or t.round == own.round)), None
-    )
-    if own is None or other is None or own.problem is None or other.problem is None:
+    (channel,) = effect.channels
+    tried = [t for t in reversed(candidates) if t.channel == channel and t.estimate is not None]
+    own = next((t for t in tried if t.effect == effect.name and t.outcome == ACCEPTED), None)
+    other = next((t for t in tried if t.effect == rival and (own is None or t.round == own.round)), None)
+    if own is None or other is None or own.estimate is None or other.estimate is None:
         return None
-    found = simulated(machine, channel, own.problem, other.problem)
-    logged = {s for s in UNITS if any(p.log.has(s, channel) for p in machine.parts)}
+    found = simulated(rig, channel, own.estimate, other.estimate)
+    logged = {s for s in UNITS if any(p.log.has(s, channel) for p in rig.parts)}
     best = next((s for s in found if s.signal in logged), None)
-    if best is None or best.distance < APART:
+    if best is None or best.distance < TOLD_APART:
         best = found[0]
     more = "" if best.signal in logged else f" with the {best.signal} recorded"
-    if best.distance < APART:
+    if best.distance < TOLD_APART:
         text = f"none of {len(MANOEUVRES)} bench manoeuvres would tell them apart: at most {best.distance:.1f} times the noise"
         return {
             "description": text,
@@ -127,11 +124,19 @@ def _by_simulation(
     }
 
 
-def next_experiment(named: Sequence[Named], machine: Machine, selection: Selection) -> dict[str, Any] | None:
+def run(state: State) -> State:
+    """Proposes what to record next."""
+    found = next_experiment(state.effects, state.rig, state.selection.candidates)
+    return replace(state, next_experiment=found)
+
+
+def next_experiment(
+    named: Sequence[NamedEffect], rig: RigModel, candidates: Sequence[Candidate]
+) -> dict[str, Any] | None:
     """The experiment that separates the names that stayed tied, or None."""
     for effect in named:
         for rival in effect.indistinguishable_from:
-            found = _by_simulation(machine, selection, effect, rival)
+            found = _by_simulation(rig, candidates, effect, rival)
             if found is not None:
                 known = separating_experiment(effect.name, rival)
                 return {**found, "description": "; or ".join(filter(None, (found["description"], known)))}
@@ -142,7 +147,7 @@ def next_experiment(named: Sequence[Named], machine: Machine, selection: Selecti
     for effect in named:
         if effect.indistinguishable_from:
             missing = [
-                s for s in ("current", "pressure", "load") if not any(p.log.has(s) for p in machine.parts)
+                s for s in ("current", "pressure", "load") if not any(p.log.has(s) for p in rig.parts)
             ]
             text = (
                 f"record {', '.join(missing)} as well"

@@ -1,17 +1,18 @@
-"""The proof: how far the models are from manoeuvres that took no part in the fit."""
+"""Validation: how far the models are from manoeuvres that took no part in the fit."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..estimation.least_squares import Problem, channels_of
 from ..estimation.noise import noise_floor
-from ..models.base import UNITS, Machine
+from ..models.base import UNITS, RigModel
+from ..state import Estimates, State
+from .form_correction import changes
 
-__all__ = ["MODELS", "NAMED", "Proof", "prove", "shown_unit"]
+__all__ = ["MODELS", "NAMED", "Proof", "prove", "proved", "run", "shown_unit", "signal_key"]
 
 #: The models that are always compared, in this order. Where the form of an effect was corrected there is `NAMED` besides: the
 #: named effects without that correction.
@@ -21,57 +22,79 @@ NAMED = "named"
 
 @dataclass(frozen=True)
 class Proof:
-    """`gap[key][model]` are RMS errors in the unit of `key` (speed_1_rpm, ...), beside "noise"; `traces[model][channel]` the
-    simulated samples (n,) in the order of `machine.segments[channel]`."""
+    """`errors[channel, signal][model]` are RMS errors in the unit of `shown_unit`, beside "noise"; `traces[model][channel]` the
+    simulated samples (n,) in the order of `rig.segments[channel]`."""
 
-    machine: Machine
-    gap: dict[str, dict[str, float]]
+    rig: RigModel
+    errors: dict[tuple[int, str], dict[str, float]]
     traces: dict[str, dict[int, np.ndarray]]
 
+    def as_dict(self) -> dict[str, dict[str, float]]:
+        """The errors by `speed_1_rpm`."""
+        return {signal_key(self.rig, signal, c): entry for (c, signal), entry in self.errors.items()}
 
-def shown_unit(machine: Machine, signal: str, channel: int) -> tuple[str, float]:
+
+def run(state: State) -> State:
+    """Compares all models with the logs to fit and with those held out."""
+    sized = []
+    for k in state.corrections:
+        channels = state.rig.channels if k.channel is None else (k.channel,)
+        each = [changes(state.held_out, state.final[c], k.correction, c) for c in channels]
+        sized.append(replace(k, changes={key: value for found in each for key, value in found.items()}))
+    return proved(replace(state, corrections=sized))
+
+
+def proved(state: State) -> State:
+    """The state with the proofs of its models."""
+    models: dict[str, Estimates] = {
+        "before": state.given, "calibrated": state.calibrated, "after": state.final,
+        "placebo": {**state.calibrated, **state.placebo},
+    }  # fmt: skip
+    if state.corrections:
+        models[NAMED] = state.selection.estimates
+    return replace(state, on_fit=prove(state.fine, models), on_held_out=prove(state.held_out, models))
+
+
+def shown_unit(rig: RigModel, signal: str, channel: int) -> tuple[str, float]:
     """Unit in which a signal is reported, and its size in SI; a cylinder's speed is in mm/s."""
-    if signal == "speed" and machine.parts[0].log.kinds[channel] == "cylinder":
+    if signal == "speed" and rig.parts[0].log.kinds[channel] == "cylinder":
         return "mm_per_s", 1e-3
     return UNITS[signal]
 
 
-def prove(machine: Machine, models: Mapping[str, Mapping[int, Problem]]) -> Proof:
-    """Simulates every model freely from the logged commands and compares with all logs of `machine`."""
+def signal_key(rig: RigModel, signal: str, channel: int) -> str:
+    """The name of a signal in diagnosis.json: `speed_1_rpm`."""
+    return f"{signal}_{channel + 1}_{shown_unit(rig, signal, channel)[0]}"
+
+
+def prove(rig: RigModel, models: Mapping[str, Estimates]) -> Proof:
+    """Simulates every model freely from the logged commands and compares with all logs of `rig`."""
     traces: dict[str, dict[int, np.ndarray]] = {}
-    for name in models:
-        problems = list({id(p): p for p in models[name].values()}.values())
-        found: dict[int, np.ndarray] = {}
-        for problem, result in zip(problems, machine.predict([p.request() for p in problems]), strict=True):
-            for channel in channels_of(problem, machine):
-                if models[name][channel] is problem:
-                    found[channel] = result[channel]
-        traces[name] = found
-    gap: dict[str, dict[str, float]] = {}
-    for channel in machine.channels:
-        signals = list(dict.fromkeys(s.signal for s in machine.segments[channel]))
-        for signal in signals:
-            unit, size = shown_unit(machine, signal, channel)
-            entry = {"noise": _noise(machine, traces, channel, signal) / size}
+    for name, estimates in models.items():
+        every = list({id(p): p for p in estimates.values()}.values())
+        results = {id(p): r for p, r in zip(every, rig.predict([p.request() for p in every]), strict=True)}
+        traces[name] = {c: results[id(p)][c] for c, p in estimates.items()}
+    errors: dict[tuple[int, str], dict[str, float]] = {}
+    for channel in rig.channels:
+        for signal in dict.fromkeys(s.signal for s in rig.segments[channel]):
+            size = shown_unit(rig, signal, channel)[1]
+            entry = {"noise": _noise(rig, traces, channel, signal) / size}
             for name in models:
-                errors = [
+                error = [
                     (s.measured - traces[name][channel][s.place])[s.used]
-                    for s in machine.segments[channel]
+                    for s in rig.segments[channel]
                     if s.signal == signal
                 ]
-                entry[name] = float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) / size
-            gap[f"{signal}_{channel + 1}_{unit}"] = entry
-    return Proof(machine, gap, traces)
+                entry[name] = float(np.sqrt(np.mean(np.concatenate(error) ** 2))) / size
+            errors[channel, signal] = entry
+    return Proof(rig, errors, traces)
 
 
-def _noise(machine: Machine, traces: dict[str, dict[int, np.ndarray]], channel: int, signal: str) -> float:
-    """The floor by the residual that is smoothest of all models'."""
+def _noise(rig: RigModel, traces: dict[str, dict[int, np.ndarray]], channel: int, signal: str) -> float:
+    """The noise by the residual that is smoothest of all models'."""
     found = []
-    for s in machine.segments[channel]:
+    for s in rig.segments[channel]:
         if s.signal == signal:
-            each = [
-                noise_floor(s.measured - traces[name][channel][s.place], s.used, s.period)
-                for name in ("calibrated", "after")
-            ]
-            found.append(min(each))
+            errors = [s.measured - traces[name][channel][s.place] for name in ("calibrated", "after")]
+            found.append(min(noise_floor(error, s.used, s.period) for error in errors))
     return float(np.median(found))

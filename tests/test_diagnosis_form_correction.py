@@ -8,30 +8,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation.least_squares import Floors, Problem, evaluate, floors_from, rms, solve
+from hydro_env.diagnosis.estimation.estimate import Estimate, joined
+from hydro_env.diagnosis.estimation.fit import Fit, noise_of
+from hydro_env.diagnosis.estimation.gauss_newton import solve
 from hydro_env.diagnosis.estimation.unknowns import effect_unknowns
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
-from hydro_env.diagnosis.models.dynamic_rig import MotorRig
+from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns
+from hydro_env.diagnosis.stages.candidates import Accepted, Candidate
 from hydro_env.diagnosis.stages.form_correction import (
-    Corrected,
-    _take_up,
-    corrected,
-    corrected_all,
+    adopt_earlier,
+    correct,
+    correct_all,
+    correct_placebo,
     is_correction,
-    placebo_too,
     with_correction,
 )
-from hydro_env.diagnosis.stages.selection import Choice, Trial, _still_there, joined
+from hydro_env.diagnosis.stages.rig_effects import drop_vanished
 from hydro_env.plant import CATALOGUE, load_model
 from hydro_env.practice.generate import make_practice
 
-PER_NUMBER = 18.0
 SIZES = ("overlap_positive", "overlap_negative")
 
 
-def _fitted(folder: Path, forms: str) -> tuple[MotorRig, Problem, Floors]:
+def _fitted(folder: Path, forms: str) -> tuple[Fit, Estimate]:
     """A rig with overlap on channel 1, whose corners are round or (forms "same") sharp, with the right effect fitted."""
     sizes = {"overlap_positive": 1e-4, "overlap_negative": 7e-5}
     practice = make_practice(
@@ -39,23 +40,23 @@ def _fitted(folder: Path, forms: str) -> tuple[MotorRig, Problem, Floors]:
         runs=("fit_1",), forms=forms, noise=0.3,
     )  # fmt: skip
     practice.write(folder)
-    rig = MotorRig(load_model("paper"), read_parts([folder / "fit_1.csv"], None))
+    rig = DynamicRig(load_model("paper"), read_parts([folder / "fit_1.csv"], None))
     rig.channels = (0,)
     unknowns = [*base_unknowns(rig, 0), *effect_unknowns(CATALOGUE["dead_zone"], sizes)]
-    problem = Problem(0, unknowns, np.zeros(len(unknowns)), "dead_zone")
-    evaluate(rig, [problem], {(0, s.signal): 1e-9 for s in rig.segments[0]})
-    floors = floors_from(rig, {0: problem})
-    evaluate(rig, [problem], floors)
-    solve(rig, [problem], floors, 6)
-    return rig, problem, floors
+    found = Estimate(0, unknowns, np.zeros(len(unknowns)), "dead_zone")
+    Fit(rig, {(0, s.signal): 1e-9 for s in rig.segments[0]}).evaluate([found])
+    fit = Fit(rig, noise_of(rig, {0: found}))
+    fit.evaluate([found])
+    solve(fit, [found], 6)
+    return fit, found
 
 
 def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None:
-    rig, problem, floors = _fitted(tmp_path, "different")
-    better, kept = corrected(rig, problem, [("dead_zone", 0)], floors, PER_NUMBER)
-    assert "corner_shape" in [k.correction for k in kept] and better.cost < problem.cost
+    fit, found = _fitted(tmp_path, "different")
+    better, kept = correct(fit, found, [("dead_zone", 0)])
+    assert "corner_shape" in [k.correction for k in kept] and better.cost < found.cost
     left = [
-        max(v / floors[0, s] for (_, s), v in rms(rig, p.simulated[0], 0).items()) for p in (problem, better)
+        max(v / fit.noise[0, s] for (_, s), v in fit.rms(p.simulated[0], 0).items()) for p in (found, better)
     ]
     assert left[1] < left[0]
     values = better.values(0)
@@ -65,38 +66,38 @@ def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None
 
 
 def test_a_right_form_is_left_alone(tmp_path: Path) -> None:
-    rig, problem, floors = _fitted(tmp_path, "same")
-    better, kept = corrected(rig, problem, [("dead_zone", 0)], floors, PER_NUMBER)
-    assert not kept and better is problem
+    fit, found = _fitted(tmp_path, "same")
+    better, kept = correct(fit, found, [("dead_zone", 0)])
+    assert not kept and better is found
 
 
 def test_a_form_that_was_found_before_is_taken_up_where_it_is_better(tmp_path: Path) -> None:
-    rig, problem, floors = _fitted(tmp_path, "different")
-    found, _ = corrected(rig, problem, [("dead_zone", 0)], floors, PER_NUMBER, check=False)
+    fit, problem = _fitted(tmp_path, "different")
+    found, _ = correct(fit, problem, [("dead_zone", 0)], check=False)
     names = [e for e in found.effects() if is_correction(e)]
     lost = with_correction(problem, "dead_zone", names[0])
     lost.q[: len(problem.q)] = np.clip(problem.q + 1.0, *(b[: len(problem.q)] for b in lost.bounds))
-    evaluate(rig, [lost], floors)
+    fit.evaluate([lost])
     other = with_correction(
         problem, "dead_zone", "opening_shape" if names[0] != "opening_shape" else "corner_shape"
     )
-    evaluate(rig, [other], floors)
+    fit.evaluate([other])
     before = lost.cost, other.cost
     one = replace(found, unknowns=found.unknowns[: len(lost.unknowns)], q=found.q[: len(lost.q)])
-    _take_up(rig, [lost, other], one, floors)
+    adopt_earlier(fit, [lost, other], one)
     assert lost.cost < before[0] and other.cost == before[1]  # of other unknowns nothing can be taken
-    _take_up(rig, [lost], None, floors)
+    adopt_earlier(fit, [lost], None)
 
 
-def _bare() -> Problem:
+def _bare() -> Estimate:
     unknowns = effect_unknowns(CATALOGUE["dead_zone"], {"overlap_positive": 1e-4, "overlap_negative": 8e-5})
-    return Problem(0, unknowns, np.zeros(len(unknowns)), "dead_zone")
+    return Estimate(0, unknowns, np.zeros(len(unknowns)), "dead_zone")
 
 
 class _Silent:
-    """A machine that must not be asked."""
+    """A model that must not be asked."""
 
-    quick = False
+    has_hidden_states = True
     channels = (0, 1)
 
     def predict(self, requests: list[Request]) -> list[dict[int, np.ndarray]]:
@@ -105,8 +106,9 @@ class _Silent:
 
 def test_without_a_name_nothing_is_corrected() -> None:
     problems = {0: _bare()}
-    assert corrected_all(_Silent(), problems, {}, {}, PER_NUMBER) == (problems, [])  # type: ignore[arg-type]
-    assert placebo_too(_Silent(), problems, [], {}) == problems  # type: ignore[arg-type]
+    fit = Fit(_Silent(), {})  # type: ignore[arg-type]
+    assert correct_all(fit, problems, {}, {}) == (problems, [])
+    assert correct_placebo(fit, problems, []) == problems
 
 
 def test_a_correction_repeats_what_it_corrects_and_a_placebo_does_not_have_it() -> None:
@@ -117,13 +119,13 @@ def test_a_correction_repeats_what_it_corrects_and_a_placebo_does_not_have_it() 
         u.name for u in problem.unknowns
     ]
     unknowns = effect_unknowns(CATALOGUE["load_bias"], {"bias": 0.1})
-    wrong = with_correction(Problem(0, unknowns, np.zeros(1)), "dead_zone", "corner_shape")
+    wrong = with_correction(Estimate(0, unknowns, np.zeros(1)), "dead_zone", "corner_shape")
     assert "corner_shape.corner_negative" not in wrong.request().values
 
 
 def test_channels_that_are_joined_keep_their_own_effects() -> None:
     sizes = {"overlap_positive": 3e-5, "overlap_negative": 3e-5}
-    other = Problem(1, effect_unknowns(CATALOGUE["dead_zone"], sizes), np.zeros(2))
+    other = Estimate(1, effect_unknowns(CATALOGUE["dead_zone"], sizes), np.zeros(2))
     first = _bare()
     first.simulated, other.simulated = {0: np.zeros(3)}, {1: np.zeros(3)}
     values = joined({0: first, 1: other}).request().values
@@ -142,18 +144,13 @@ def test_channels_that_are_joined_keep_their_own_effects() -> None:
 def test_an_effect_that_vanishes_beside_one_of_the_rig_is_not_named() -> None:
     first, other = (
         _bare(),
-        Problem(1, effect_unknowns(CATALOGUE["dead_zone"], dict.fromkeys(SIZES, 0.0)), np.zeros(2)),
+        Estimate(1, effect_unknowns(CATALOGUE["dead_zone"], dict.fromkeys(SIZES, 0.0)), np.zeros(2)),
     )
     first.simulated, other.simulated = {0: np.zeros(3)}, {1: np.zeros(3)}
-    choices = [Choice("dead_zone", c, 50.0, 36.0) for c in (0, 1)] + [
-        Choice("supply_droop", None, 90.0, 36.0)
+    choices = [Accepted("dead_zone", c, 50.0, 36.0) for c in (0, 1)] + [
+        Accepted("supply_droop", None, 90.0, 36.0)
     ]
-    trials: list[Trial] = []
-    left = _still_there(joined({0: first, 1: other}), choices, trials)
+    trials: list[Candidate] = []
+    left = drop_vanished(joined({0: first, 1: other}), choices, trials)
     assert [(k.effect, k.channel) for k in left] == [("dead_zone", 0), ("supply_droop", None)]
-    assert [(t.effect, t.channel) for t in trials] == [("dead_zone", 1)] and "vanishes" in trials[0].fate
-
-
-def test_what_stayed_is_told() -> None:
-    kept = Corrected("dead_zone", "corner_shape", 0, 1200.0, 2.5)
-    assert kept.effect in CATALOGUE and kept.correction in CATALOGUE
+    assert [(t.effect, t.channel) for t in trials] == [("dead_zone", 1)] and "vanishes" in trials[0].outcome

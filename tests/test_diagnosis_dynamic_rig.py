@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation.least_squares import Problem
+from hydro_env.diagnosis import diagnose
+from hydro_env.diagnosis.estimation.estimate import Estimate
 from hydro_env.diagnosis.estimation.unknowns import base_unknown, effect_unknowns, starts
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
-from hydro_env.diagnosis.models.dynamic_rig import PARTED_SUBSTEP, SUBSTEP, MotorRig
+from hydro_env.diagnosis.models.dynamic_rig import PARTED_SUBSTEP, SUBSTEP, DynamicRig
+from hydro_env.diagnosis.stages.candidates import Candidate
+from hydro_env.diagnosis.stages.naming import NamedEffect
 from hydro_env.diagnosis.stages.next_experiment import next_experiment, simulated
-from hydro_env.diagnosis.stages.selection import Selection, Trial
-from hydro_env.diagnosis.stages.verdict import Named
-from hydro_env.diagnosis.workflow import diagnose
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, load_model
 from hydro_env.practice.generate import make_practice
 from hydro_env.units import RPM
@@ -27,7 +27,7 @@ def fit_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_request_is_answered_the_same_beside_others(fit_log: Path) -> None:
-    rig = MotorRig(load_model("paper"), read_parts([fit_log], None))
+    rig = DynamicRig(load_model("paper"), read_parts([fit_log], None))
     one = Request(0, {"Kq": 0.4})
     both = Request(None, {"Kq": (0.4, 0.3)})
     alone = rig.predict([one])[0]
@@ -42,8 +42,8 @@ def test_threads_change_no_bit(fit_log: Path) -> None:
     wanted = [Request(c, {"Kq": 0.2 + 0.01 * n}) for n in range(20) for c in (0, 1)]
     wanted += [Request(0, {"dead_zone.overlap_positive": 1e-5 * n}) for n in range(3)]
     wanted += [Request(None, {"supply_droop.relative_drop": (0.1 * n, 0.1 * n)}) for n in range(1, 9)]
-    shared = MotorRig(load_model("paper"), parts, jobs=3)
-    alone, beside = MotorRig(load_model("paper"), parts).predict(wanted), shared.predict(wanted)
+    shared = DynamicRig(load_model("paper"), parts, jobs=3)
+    alone, beside = DynamicRig(load_model("paper"), parts).predict(wanted), shared.predict(wanted)
     shared.close()
     for one, other in zip(alone, beside, strict=True):
         assert one.keys() == other.keys()
@@ -60,7 +60,7 @@ def test_the_fits_numbers_are_near_those_of_the_proof(fit_log: Path, name: str) 
     parts = read_parts([fit_log], None)
     typical = {f"{name}.{p.name}": p.typical for p in CATALOGUE[name].parameters if p.typical} if name else {}
     pairs = {key: (value, value) for key, value in typical.items()}
-    fit = MotorRig(load_model("paper"), parts)
+    fit = DynamicRig(load_model("paper"), parts)
     proof = fit.with_parts(parts, True)
     found = [m.predict([Request(None, pairs)])[0] for m in (fit, proof)]
     for c in (0, 1):
@@ -71,7 +71,7 @@ def test_the_fits_numbers_are_near_those_of_the_proof(fit_log: Path, name: str) 
 
 def test_a_rig_takes_longer_substeps_only_where_both_channels_are_in_parts(fit_log: Path) -> None:
     parts = read_parts([fit_log], None)
-    rig = MotorRig(load_model("paper"), parts)
+    rig = DynamicRig(load_model("paper"), parts)
     ripple = {"displacement_ripple.amplitude": (0.15, 0.0)}
     weak = {"supply_droop.relative_drop": (0.7, 0.7), "supply_droop.time_constant": (0.1, 0.1)}
     assert rig._step(Request(None, ripple)) == SUBSTEP and rig._step(Request(None, weak)) == PARTED_SUBSTEP
@@ -84,7 +84,7 @@ def test_a_rig_takes_longer_substeps_only_where_both_channels_are_in_parts(fit_l
 
 
 def test_the_model_as_given_explains_a_rig_without_surprise(fit_log: Path) -> None:
-    rig = MotorRig(load_model("paper"), read_parts([fit_log], None))
+    rig = DynamicRig(load_model("paper"), read_parts([fit_log], None))
     simulated = rig.predict([Request(0, {})])[0][0]
     speed = next(s for s in rig.segments[0] if s.signal == "speed")
     error = speed.measured - simulated[speed.place]
@@ -100,7 +100,7 @@ def test_every_effect_has_sensible_starts(name: str) -> None:
         for unknown in effect_unknowns(effect, row):
             low, high = unknown.bounds
             assert low <= 0.0 <= high and np.isfinite(unknown.scale) and unknown.scale > 0.0
-            assert unknown.value(0.0) == row[unknown.name.split(".", 1)[1]]
+            assert unknown.value(0.0) == row[unknown.parameter]
     assert any(not effect.is_neutral(row) for row in rows)
 
 
@@ -125,29 +125,29 @@ def test_practice_logs(tmp_path: Path, hidden: list[str], base_error: float, ver
         [tmp_path / "sealed.csv"],
         model=tmp_path / "model.yaml",
     )
-    assert found.data["verdict"] == verdict
-    assert [f"{e['name']}:{e['channel']}" for e in found.data["effects"]] == hidden
-    for key, gap in found.data["gap"]["sealed"].items():
+    assert found.verdict == verdict
+    assert [f"{e.name}:{e.channel}" for e in found.effects] == hidden
+    for key, gap in found.as_dict()["gap"]["sealed"].items():
         assert gap["after"] < 1.5 * gap["noise"], key
 
 
 def test_the_next_experiment_is_the_one_in_which_two_models_differ(fit_log: Path) -> None:
-    rig = MotorRig(load_model("paper"), read_parts([fit_log], None))
+    rig = DynamicRig(load_model("paper"), read_parts([fit_log], None))
     models = []
     for name in ("line_loss", "quadratic_drag"):
         effect = CATALOGUE[name]
         unknowns = effect_unknowns(effect, {p.name: p.typical or p.nominal for p in effect.parameters})
-        models.append(Problem(0, unknowns, np.zeros(len(unknowns)), name))
+        models.append(Estimate(0, unknowns, np.zeros(len(unknowns)), name))
     found = simulated(rig, 0, *models)
     assert found[0].distance > 2.0 and found[0].distance >= found[-1].distance
     # Current and spool know nothing of what happens behind the valve.
     assert all(s.distance < 1e-6 for s in found if s.signal in ("current", "spool"))
     assert all(s.distance == 0.0 for s in simulated(rig, 0, models[0], models[0]))
     trials = [
-        Trial("line_loss", 0, 1, 9.0, 1.0, "taken", models[0]),
-        Trial("quadratic_drag", 0, 1, 8.0, 1.0, "near", models[1]),
+        Candidate("line_loss", 0, 1, 9.0, 1.0, "taken", models[0]),
+        Candidate("quadratic_drag", 0, 1, 8.0, 1.0, "near", models[1]),
     ]
-    named = [Named("line_loss", "1", 0.5, ["quadratic_drag"], {})]
-    advice = next_experiment(named, rig, Selection({}, [], trials, {}))
+    named = [NamedEffect("line_loss", (0,), 0.5, ["quadratic_drag"], {})]
+    advice = next_experiment(named, rig, trials)
     assert advice is not None and advice["separates"] == ["line_loss", "quadratic_drag"]
     assert "times the noise" in advice["description"] and "; or " in advice["description"]

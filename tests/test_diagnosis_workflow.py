@@ -8,8 +8,9 @@ import gymnasium
 import numpy as np
 import pytest
 
+from hydro_env.diagnosis import diagnose
+from hydro_env.diagnosis.command import run
 from hydro_env.diagnosis.models.array_laws import elementwise
-from hydro_env.diagnosis.workflow import diagnose, run
 from hydro_env.errors import InputError
 from hydro_env.plant import CATALOGUE, load_model
 
@@ -76,13 +77,13 @@ def test_a_dead_zone_is_named_and_proved(tmp_path: Path) -> None:
     assert "dead zone" in page and "<svg" in page and "http://" not in page.replace("http://www.w3.org", "")
     model = load_model(tmp_path / "out/model.yaml")
     assert model.value("dead_zone.overlap_negative", 0) == pytest.approx(
-        found.named[0].parameters["overlap_negative"]["value"]
+        found.effects[0].parameters["overlap_negative"].value
     )
 
 
 def test_nothing_is_named_where_only_the_gain_is_unknown(tmp_path: Path) -> None:
     fit, sealed = _axis(tmp_path, "fit", lambda u: u), _axis(tmp_path, "sealed", lambda u: u, seed=1)
-    data = diagnose([fit], [sealed], mapping=tmp_path / "map.yaml").data
+    data = diagnose([fit], [sealed], mapping=tmp_path / "map.yaml").as_dict()
     assert data["verdict"] in ("none", "calibration")
     assert data["effects"] == []
 
@@ -126,7 +127,7 @@ channel_1:
 """
     )
     log = Path(os.environ["HYDRO_ENV_REALDATA"]) / "crane_two_axes" / "main_sine.csv.gz"
-    data = diagnose([f"{log}@0:13,23:34"], [f"{log}@13:23,34:47"], mapping=mapping).data
+    data = diagnose([f"{log}@0:13,23:34"], [f"{log}@13:23,34:47"], mapping=mapping).as_dict()
     assert data["verdict"] == "effects"
     assert data["effects"][0]["name"] == "dead_zone"
     gap = data["gap"]["sealed"]["speed_1_mm_per_s"]

@@ -7,17 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation import multistart as restarts
-from hydro_env.diagnosis.estimation.least_squares import Problem, evaluate, floors_from
+from hydro_env.diagnosis.estimation.estimate import Estimate
+from hydro_env.diagnosis.estimation.fit import Fit, noise_of
+from hydro_env.diagnosis.estimation.multistart import restart_friction
 from hydro_env.diagnosis.estimation.noise import noise_floor
-from hydro_env.diagnosis.estimation.uncertainty import _bootstrap
+from hydro_env.diagnosis.estimation.uncertainty import bootstrap
 from hydro_env.diagnosis.estimation.unknowns import less_taken
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
-from hydro_env.diagnosis.models.dynamic_rig import MotorRig
+from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import as_given, base_unknowns, calibrate
 from hydro_env.diagnosis.stages.localisation import shape
-from hydro_env.diagnosis.stages.screening import Look, absorb, first_look, hidden_by_calibration
+from hydro_env.diagnosis.stages.screening import Screening, absorb, hidden_by_calibration, screen
 from hydro_env.experiments import blind_trials as trials
 from hydro_env.files import write_json
 from hydro_env.plant import load_model
@@ -25,12 +26,18 @@ from hydro_env.practice.generate import make_practice
 from hydro_env.practice.hidden import parse_effects
 
 
+def _fit(rig: DynamicRig) -> Fit:
+    """The noise by the model as given."""
+    given = as_given(Fit(rig, {(c, s.signal): 1e-3 for c in rig.channels for s in rig.segments[c]}))
+    return Fit(rig, noise_of(rig, given))
+
+
 def test_bootstrap_has_the_spread_of_the_mean() -> None:
     rng = np.random.default_rng(0)
     truth, count = 2.0, 400
     noise = rng.standard_normal(count)
     matrices, sides = np.ones((count, 1, 1)), (truth + noise)[:, None]
-    moves = _bootstrap(matrices, sides, np.zeros((1, 1)), np.zeros(1), rng)
+    moves = bootstrap(matrices, sides, np.zeros((1, 1)), np.zeros(1), rng)
     assert np.std(moves) == pytest.approx(1.0 / np.sqrt(count), rel=0.2)
 
 
@@ -51,7 +58,7 @@ def test_inertia_behind_a_coupling_comes_out_of_the_calibrated_one() -> None:
 def test_either_side_of_a_rig_serves_either_channel(tmp_path: Path) -> None:
     make_practice([], duration=3.0, rate=200.0, runs=("fit_1",), base_error=0.1, seed=3).write(tmp_path)
     model = load_model("paper").with_values({"Kq": (4e-4, 3e-4), "J": (3e-3, 2e-3)})
-    rig = MotorRig(model, read_parts([tmp_path / "fit_1.csv"], None))
+    rig = DynamicRig(model, read_parts([tmp_path / "fit_1.csv"], None))
     requests = [Request(0, {"R": 100.0 + n}) for n in range(3)] + [
         Request(1, {"load_bias.bias": 0.1}),
         Request(1, {}),
@@ -94,45 +101,39 @@ def test_what_calibration_hides_is_declared_but_never_counted_as_a_name() -> Non
 
 def test_calibration_hides_a_wrong_scale_of_the_speed_and_not_a_dead_zone(tmp_path: Path) -> None:
     make_practice([], duration=4.0, rate=500.0, runs=("fit_1",), seed=3).write(tmp_path)
-    rig = MotorRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
-    floors = {(c, s.signal): 1e-3 for c in rig.channels for s in rig.segments[c]}
-    floors = floors_from(rig, as_given(rig, floors))
-    problems = calibrate(rig, floors, 2)
-    looks = first_look(rig, problems, floors, ["sensor_gain", "dead_zone", "speed_dependent_leakage"], 4.0)
-    linear = {(k.effect, k.channel): k.visible for k in looks}
-    absorb(rig, problems, floors, looks)
-    assert all(k.visible <= linear[k.effect, k.channel] for k in looks)
-    hidden = hidden_by_calibration(looks)
+    rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+    fit = _fit(rig)
+    calibrated = calibrate(fit, 2)
+    found = screen(fit, calibrated, ["sensor_gain", "dead_zone", "speed_dependent_leakage"], 4.0)
+    linear = {(k.effect, k.channel): k.visible for k in found}
+    absorb(fit, calibrated, found)
+    assert all(k.visible <= linear[k.effect, k.channel] for k in found)
+    hidden = hidden_by_calibration(found)
     assert "sensor_gain" in hidden and "dead_zone" not in hidden
 
 
 def test_what_calibration_takes_up_but_for_next_to_nothing_is_hidden() -> None:
-    def look(visible: float, plain: float) -> Look:
-        return Look("sensor_gain", 0, {}, 0.0, visible, np.zeros(1), plain)
+    def seen(visible: float, unprojected: float) -> Screening:
+        return Screening("sensor_gain", 0, {}, 0.0, visible, np.zeros(1), unprojected)
 
-    assert look(50.0, 1e4).hidden and not look(50.0, 1e4).shows
-    assert look(213.0, 6.5e6).hidden and not look(213.0, 6.5e6).shows
-    assert not look(1e4, 6.5e6).hidden and look(1e4, 6.5e6).shows
-    assert (
-        not look(10.0, 20.0).hidden and not look(10.0, 20.0).shows
-    )  # nothing there that calibration could take
+    assert seen(50.0, 1e4).hidden and not seen(50.0, 1e4).shows
+    assert seen(213.0, 6.5e6).hidden and not seen(213.0, 6.5e6).shows
+    assert not seen(1e4, 6.5e6).hidden and seen(1e4, 6.5e6).shows
+    small = seen(10.0, 20.0)  # nothing there that calibration could take
+    assert not small.hidden and not small.shows
 
 
-def test_estimates_leave_a_valley_of_friction(tmp_path: Path) -> None:
+def test_estimates_leave_a_local_minimum_of_friction(tmp_path: Path) -> None:
     make_practice([], duration=4.0, rate=500.0, runs=("fit_1",), seed=3).write(tmp_path)
-    rig = MotorRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
-    floors = floors_from(
-        rig, as_given(rig, {(c, s.signal): 1e-3 for c in rig.channels for s in rig.segments[c]})
-    )
-    unknowns = base_unknowns(rig, 0)
+    rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+    fit, unknowns = _fit(rig), base_unknowns(rig, 0)
     q = np.array([{"Fc": 1.5, "Fs": 1.5, "vs": -1.0}.get(u.name, 0.0) for u in unknowns])
-    problem = Problem(0, unknowns, q)
-    evaluate(rig, [problem], floors)
-    before = problem.cost
-    assert not restarts.begun_anew(rig, [problem], floors)  # so far off it may be an effect that is missing
-    better = restarts.begun_anew(rig, [problem], floors, whole=True)
-    assert better == [problem] and problem.cost < before
-    assert not restarts.begun_anew(rig, [Problem(0, [], np.zeros(0), simulated=problem.simulated)], floors)
+    found = Estimate(0, unknowns, q)
+    fit.evaluate([found])
+    before = found.cost
+    assert not restart_friction(fit, [found])  # so far off it may be an effect that is missing
+    assert restart_friction(fit, [found], whole=True) == [found] and found.cost < before
+    assert not restart_friction(fit, [Estimate(0, [], np.zeros(0), simulated=found.simulated)])
 
 
 def test_cases_have_seeds_of_their_own_and_loss_models_are_none() -> None:
@@ -228,10 +229,10 @@ def test_the_shape_of_a_gap_tells_a_curve_from_memory() -> None:
     t = np.arange(6000) * 1e-3
     command = 40.0 * np.sin(2.0 * np.pi * t)
     overlap = shape(command, -np.clip(command, -10.0, 10.0), "command, V", "flow", 1.0)
-    assert overlap["explains"] > 0.95
-    assert next(p[1] for p in overlap["points"]) == pytest.approx(10.0, rel=0.01)
+    assert overlap.explains > 0.95
+    assert next(p[1] for p in overlap.points) == pytest.approx(10.0, rel=0.01)
     loop = shape(command, np.sign(np.cos(2.0 * np.pi * t)), "command, V", "flow", 1.0)
-    assert loop["explains"] < 0.1 and loop["with_direction"] > 0.95
+    assert loop.explains < 0.1 and loop.with_direction > 0.95
 
 
 def test_a_trial_that_two_slices_ran_counts_once(tmp_path: Path) -> None:

@@ -1,22 +1,24 @@
-"""A machine for tests of the diagnosis whose speed is a sum of known curves, so that every answer is known beforehand."""
+"""A model of a rig for tests of the diagnosis whose speed is a sum of known curves, so that every answer is known beforehand."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydro_env.diagnosis.estimation.least_squares import Problem, solve
+from hydro_env.diagnosis.estimation.estimate import Estimate
+from hydro_env.diagnosis.estimation.fit import Fit
+from hydro_env.diagnosis.estimation.gauss_newton import solve
 from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.models.base import Request, Segment
 from hydro_env.plant import PARAMETERS
 
 #: Noise of the speed, rad/s.
-FLOORS = {(0, "speed"): 0.01}
+NOISE = {(0, "speed"): 0.01}
 PERIOD = 1e-3
 
 
 @dataclass
-class LinearMachine:
+class LinearRig:
     """One channel's speed: a sine by the inertia, and for every effect's parameter its value times a curve.
 
     `curves` holds these by "effect.parameter"; those of two effects may be equal. With more `signals` all are alike.
@@ -25,7 +27,8 @@ class LinearMachine:
     curves: dict[str, np.ndarray]
     time: np.ndarray
     channels: tuple[int, ...] = (0,)
-    quick: bool = False
+    simulation_is_cheap: bool = False
+    has_hidden_states: bool = True
     signals: int = 1
     segments: dict[int, list[Segment]] = field(default_factory=dict)
 
@@ -35,6 +38,9 @@ class LinearMachine:
     def speed(self, values: dict[str, float]) -> np.ndarray:
         total = values.get("J", PARAMETERS["J"].nominal) / PARAMETERS["J"].nominal * np.sin(3.0 * self.time)
         return total + sum(values.get(name, 0.0) * curve for name, curve in self.curves.items())
+
+    def for_long_refits(self) -> "LinearRig":
+        return self
 
     def candidates(self) -> list[str]:
         return list(dict.fromkeys(name.split(".")[0] for name in self.curves))
@@ -47,12 +53,13 @@ def time_of(rows: int) -> np.ndarray:
 
 def logged(
     curves: dict[str, np.ndarray], truth: dict[str, float], rows: int
-) -> tuple[LinearMachine, Problem]:
+) -> tuple[Fit, Estimate]:
     """A rig with these curves, whose log of so many rows has the `truth` and noise, and its calibration."""
-    rig, every = LinearMachine(curves, time_of(rows)), np.arange(rows)
-    noise = FLOORS[0, "speed"] * np.random.default_rng(0).standard_normal(rows)
+    rig, every = LinearRig(curves, time_of(rows)), np.arange(rows)
+    noise = NOISE[0, "speed"] * np.random.default_rng(0).standard_normal(rows)
     used, place = np.ones(rows, bool), slice(0, rows)
     rig.segments[0] = [Segment(0, 0, "speed", rig.speed(truth) + noise, every, used, PERIOD, place)]
-    base = Problem(0, [base_unknown(PARAMETERS["J"], PARAMETERS["J"].nominal)], np.zeros(1), "calibrated")
-    solve(rig, [base], FLOORS, 4)  # type: ignore[arg-type]
-    return rig, base
+    base = Estimate(0, [base_unknown(PARAMETERS["J"], PARAMETERS["J"].nominal)], np.zeros(1), "calibrated")
+    fit = Fit(rig, NOISE)  # type: ignore[arg-type]
+    solve(fit, [base], 4)
+    return fit, base

@@ -1,4 +1,4 @@
-"""Valleys of friction: the direction in which all forces scale is seen as one, and known parameters begin again as given."""
+"""Local minima: directions that only ratios tell, restarts from the model as given, fits to a growing horizon."""
 
 from __future__ import annotations
 
@@ -9,24 +9,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation.least_squares import (
-    Problem,
-    at_noise,
-    beside,
-    differentiate,
-    floors_from,
-    solve,
+from hydro_env.diagnosis.estimation.estimate import Estimate
+from hydro_env.diagnosis.estimation.fit import Fit, noise_of
+from hydro_env.diagnosis.estimation.gauss_newton import differentiate, solve
+from hydro_env.diagnosis.estimation.growing_horizon import beginning_of, grow_horizon
+from hydro_env.diagnosis.estimation.unknowns import (
+    SCALED_TOGETHER,
+    Unknown,
+    base_unknown,
+    effect_unknowns,
+    scaled,
 )
-from hydro_env.diagnosis.estimation.multistart import _beginning, from_given, take_over, unfolded
-from hydro_env.diagnosis.estimation.unknowns import TOGETHER, Unknown, base_unknown, effect_unknowns, scaled
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
-from hydro_env.diagnosis.models.dynamic_rig import MotorRig
+from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import as_given, base_unknowns, calibrate
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, simulate
 from hydro_env.practice.generate import make_practice
 
 NAMES = ("D", "m", "R", "alpha", "k", "Fc", "Fs", "vs", "Kq", "J", "beta")
+
+
+def _fit(rig: DynamicRig) -> Fit:
+    """The noise by the model as given."""
+    given = as_given(Fit(rig, {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]}))
+    return Fit(rig, noise_of(rig, given))
 
 
 def _unknowns() -> list[Unknown]:
@@ -90,17 +97,17 @@ def test_half_the_travel_with_twice_the_gain_turns_a_shaft_alike() -> None:
     assert np.std(together - plain) < 0.4 * np.std(other - plain)
 
 
-def test_a_copy_of_a_problem_keeps_its_own_derivatives() -> None:
+def test_a_copy_of_an_estimate_keeps_its_own_derivatives() -> None:
     machine = _Linear(_unknowns())
-    problem = Problem(0, machine.unknowns, np.full(len(machine.unknowns), 0.2), together=tuple(TOGETHER))
+    problem = Estimate(0, machine.unknowns, np.full(len(machine.unknowns), 0.2), together=tuple(SCALED_TOGETHER))
     problem.simulated = machine.predict([problem.request()])[0]
-    differentiate(machine, [problem], {})  # type: ignore[arg-type]
+    differentiate(Fit(machine, {}), [problem])  # type: ignore[arg-type]
     before = problem.columns[0].copy()
     twin = replace(problem, q=problem.q.copy())
     machine.matrix = 2.0 * machine.matrix
     for only in (None, [[1, 2]]):
         twin.simulated = machine.predict([twin.request()])[0]
-        differentiate(machine, [twin], {}, only)  # type: ignore[arg-type]
+        differentiate(Fit(machine, {}), [twin], only)  # type: ignore[arg-type]
         np.testing.assert_array_equal(problem.columns[0], before)
         assert not np.array_equal(twin.columns[0], before)
 
@@ -122,33 +129,32 @@ class _Linear:
 
 def test_derivatives_along_a_direction_are_those_of_every_unknown() -> None:
     machine = _Linear(_unknowns())
-    problem = Problem(0, machine.unknowns, np.full(len(machine.unknowns), 0.2), together=tuple(TOGETHER))
+    problem = Estimate(0, machine.unknowns, np.full(len(machine.unknowns), 0.2), together=tuple(SCALED_TOGETHER))
     problem.simulated = machine.predict([problem.request()])[0]
-    differentiate(machine, [problem], {})  # type: ignore[arg-type]
+    differentiate(Fit(machine, {}), [problem])  # type: ignore[arg-type]
     np.testing.assert_allclose(problem.columns[0], machine.matrix, rtol=1e-9, atol=1e-9)
 
 
 def test_known_parameters_begin_again_as_given_and_effects_stay() -> None:
     unknowns = _unknowns()
-    problem = Problem(0, unknowns, np.linspace(0.1, 0.9, len(unknowns)), "spool_stiction", follow={"C": 0.3})
-    again = from_given(problem)
+    problem = Estimate(0, unknowns, np.linspace(0.1, 0.9, len(unknowns)), "spool_stiction", follow={"C": 0.3})
+    again = problem.from_given()
     kept = [u.name for u, q in zip(unknowns, again.q, strict=True) if q != 0.0]
     assert kept == ["R", "spool_stiction.coulomb", "spool_stiction.static"] and again.follow == problem.follow
     problem.cost, again.cost = 5.0, 7.0
-    assert not take_over(problem, again) and problem.q[0] == 0.1
+    assert not problem.adopt(again) and problem.q[0] == 0.1
     again.cost = 3.0
-    assert take_over(problem, again) and problem.q[0] == 0.0 and problem.cost == 3.0
+    assert problem.adopt(again) and problem.q[0] == 0.0 and problem.cost == 3.0
 
 
 def test_calibration_finds_a_rig_whose_spools_are_wrong_by_a_sixth(tmp_path: Path) -> None:
     practice = make_practice((), base_error=0.15, duration=12.0, rate=500.0, seed=61005, runs=("fit_1",))
     practice.write(tmp_path)
-    rig = MotorRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
-    first = as_given(rig, {(c, s.signal): 1e-9 for c in (0, 1) for s in rig.segments[c]})
-    found = calibrate(rig, floors_from(rig, first))
-    floors = floors_from(rig, found)
+    rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+    found = calibrate(_fit(rig))
+    fit = Fit(rig, noise_of(rig, found))
     for c in (0, 1):
-        assert at_noise(rig, found[c], floors, 1.1)
+        assert fit.at_noise(found[c], 1.1)
         values = found[c].values(c)
         for name in ("alpha", "k", "m"):
             assert values[name] == pytest.approx(practice.true.value(name, c), rel=0.05), (name, c)
@@ -162,29 +168,26 @@ def test_an_unbalanced_shaft_is_found_from_the_beginning_of_its_log(tmp_path: Pa
     ).write(tmp_path)
     truth = json.loads((tmp_path / "truth.json").read_text())["effects"][0]["parameters"]
     true = {name: p["value"] for name, p in truth.items()}
-    rig = MotorRig(load_model(tmp_path / "model.yaml"), read_parts([tmp_path / "fit_1.csv"], None))
-    floors = floors_from(
-        rig, as_given(rig, {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]})
-    )
-    known = base_unknowns(rig, 0)
+    rig = DynamicRig(load_model(tmp_path / "model.yaml"), read_parts([tmp_path / "fit_1.csv"], None))
+    fit, known = _fit(rig), base_unknowns(rig, 0)
     phase = (true["phase"] + off + np.pi) % (2.0 * np.pi) - np.pi
     near = {"amplitude": 0.7 * true["amplitude"], "phase": phase}
-    problem = beside(Problem(0, known, np.zeros(len(known))), "eccentric_load", near)
-    solve(rig, [problem], floors, 24)
+    problem = Estimate(0, known, np.zeros(len(known))).with_effect("eccentric_load", near)
+    solve(fit, [problem], 24)
     # Once the shaft has turned the other way all later steps are lost.
-    assert not at_noise(rig, problem, floors, 3.0)
-    assert unfolded(rig, [problem], floors) == [problem] and at_noise(rig, problem, floors)
+    assert not fit.at_noise(problem, 3.0)
+    assert grow_horizon(fit, [problem]) == [problem] and fit.at_noise(problem)
     found = {u.name: u.value(q) for u, q in zip(problem.unknowns, problem.q, strict=True)}
     for name, value in true.items():
         assert found[f"eccentric_load.{name}"] == pytest.approx(value, abs=0.005)
-    assert unfolded(rig, [problem], floors) == []
+    assert grow_horizon(fit, [problem]) == []
 
 
 def test_the_beginning_of_a_log_is_simulated_as_in_the_whole(tmp_path: Path) -> None:
     make_practice((), seed=2, duration=4.0, rate=500.0, runs=("fit_1", "fit_2")).write(tmp_path)
     parts = read_parts([tmp_path / "fit_1.csv", tmp_path / "fit_2.csv"], None)
-    rig = MotorRig(load_model("paper"), parts)
-    short = _beginning(rig, 0.3)
+    rig = DynamicRig(load_model("paper"), parts)
+    short = beginning_of(rig, 0.3)
     request = [Request(c, {"k": 1.1e4}) for c in (0, 1)]
     whole, part = rig.predict(request), short.predict(request)
     for c in (0, 1):

@@ -1,0 +1,55 @@
+"""The command `hydro-env diagnose`.
+
+    hydro-env diagnose FIT_LOG... --sealed LOG... [--model PRESET_OR_YAML] [--mapping YAML] [--jobs N] [--seed N] --out DIR
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from ..files import write_json
+from .result import Diagnosis
+from .workflow import diagnose
+
+__all__ = ["run"]
+
+
+def run(
+    fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], out: str | Path, *, model: str | Path = "paper",
+    mapping: str | Path | None = None, jobs: int | None = None, seed: int = 0, steady: bool = False,
+    accept: Collection[str] = (), quiet: bool = False,
+) -> Diagnosis:  # fmt: skip
+    """Diagnoses, prints about twenty lines, writes diagnosis.json, report.html and model.yaml to `out`.
+
+    `jobs` threads (None: one for every core that this process may use), the rest as in `diagnose`.
+    """
+    from tqdm import tqdm
+
+    with tqdm(unit=" simulations", disable=quiet or None, leave=False) as bar:
+
+        def progress(text: str, simulations: int) -> None:
+            if simulations:
+                bar.update(simulations)
+            else:
+                bar.set_description(text)
+
+        found = diagnose(
+            fit_logs, sealed, model, mapping, jobs=jobs or _cores(), seed=seed, steady=steady, accept=accept,
+            progress=progress,
+        )  # fmt: skip
+        bar.set_description("writing the report")
+        folder = Path(out)
+        folder.mkdir(parents=True, exist_ok=True)
+        found.report(folder / "report.html")
+        write_json(folder / "diagnosis.json", found.as_dict())
+        found.model.to_yaml(folder / "model.yaml")
+    if not quiet:
+        print(found.summary())
+    return found
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,152 @@
+"""An estimate: the unknowns of a channel or of the whole rig, their values so far, and what was simulated with these."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...plant import CATALOGUE, parameter_of
+from ..models.base import Request
+from .unknowns import SCALED_TOGETHER, Unknown, effect_unknowns, less_taken
+
+if TYPE_CHECKING:
+    from .uncertainty import Intervals
+
+__all__ = ["Estimate", "Vector", "joined"]
+
+Vector = np.ndarray
+
+
+@dataclass
+class Estimate:
+    """Unknowns of a channel (None: of the whole rig) and their values, on the scale `q` of each.
+
+    `simulated` holds, by channel, the samples at `q`; `columns` their derivatives (n, number of unknowns) where they were
+    last computed; `cost` twice the negative log-likelihood at `q`; `spread` the standard deviations of q. `follow` holds
+    parameters that are not estimated but repeat another one, by name (with a minus: its opposite), or a number. `together`
+    names the directions of `SCALED_TOGETHER` along which derivatives are taken.
+    """
+
+    channel: int | None
+    unknowns: list[Unknown]
+    q: Vector
+    label: str = ""
+    simulated: dict[int, Vector] = field(default_factory=dict)
+    columns: dict[int, Vector] = field(default_factory=dict)
+    spread: Vector | None = None
+    cost: float = np.inf
+    intervals: Intervals | None = None
+    follow: dict[str, str | float] = field(default_factory=dict)
+    together: tuple[str, ...] = ("k",)
+
+    def request(self, q: Vector | None = None) -> Request:
+        """The simulation at q (default: at the estimate)."""
+        q = self.q if q is None else q
+        if self.channel is not None:
+            values = {u.name: u.value(v) for u, v in zip(self.unknowns, q, strict=True)}
+            return Request(self.channel, self._with_followers(values))
+        pairs: dict[str, list[float]] = {}
+        for u, v in zip(self.unknowns, q, strict=True):
+            value = u.value(v)
+            # What is estimated for one channel alone is an effect that the other one does not have.
+            other = parameter_of(u.name).nominal if u.effect else value
+            pair = pairs.setdefault(u.name, [other, other])
+            for c in (0, 1) if u.channel is None else (u.channel,):
+                pair[c] = value
+        sides = [self._with_followers({name: pair[c] for name, pair in pairs.items()}) for c in (0, 1)]
+        return Request(None, {name: (sides[0][name], sides[1][name]) for name in sides[0]})
+
+    def _with_followers(self, values: dict[str, float]) -> dict[str, float]:
+        for name, source in self.follow.items():
+            if not isinstance(source, str):
+                values[name] = source
+            elif source.removeprefix("-") in values:
+                value = values[source.removeprefix("-")]
+                values[name] = -value if source.startswith("-") else value
+        return values
+
+    @property
+    def bounds(self) -> tuple[Vector, Vector]:
+        pairs = np.array([u.bounds for u in self.unknowns]).reshape(-1, 2)
+        return pairs[:, 0], pairs[:, 1]
+
+    def values(self, channel: int) -> dict[str, float]:
+        """The estimated values that act on a channel, by name."""
+        own = zip(self.unknowns, self.q, strict=True)
+        return self._with_followers({u.name: u.value(v) for u, v in own if u.channel in (None, channel)})
+
+    def effects(self) -> list[str]:
+        """The effects of which parameters are estimated."""
+        return list(dict.fromkeys(u.effect for u in self.unknowns if u.effect))
+
+    # --- other estimates made from this one -------------------------------------------------------------------------------
+    def at(self, q: Vector, label: str | None = None) -> Estimate:
+        """The same unknowns at q, not yet simulated."""
+        label = self.label if label is None else label
+        return Estimate(self.channel, self.unknowns, q, label, follow=self.follow, together=self.together)
+
+    def from_given(self, kept: Collection[str] = ("R", "L")) -> Estimate:
+        """Known parameters as given, but those `kept` (of the coil: the current tells them, whatever is missing behind), and
+        effects as they are: known parameters that were fitted while an effect was missing have moved to make up for it."""
+        known = np.array([not u.effect and u.name not in kept for u in self.unknowns])
+        return self.at(np.clip(np.where(known, 0.0, self.q), *self.bounds))
+
+    def in_all_directions(self) -> Estimate:
+        """The same values, to go on with derivatives along every direction of `SCALED_TOGETHER`: for where nothing is missing."""
+        twin = self.at(self.q.copy())
+        twin.together = tuple(SCALED_TOGETHER)
+        return twin
+
+    def with_effect(self, effect: str, start: dict[str, float]) -> Estimate:
+        """An effect more, at the values `start` {own name: value}."""
+        added = effect_unknowns(CATALOGUE[effect], start)
+        q = np.concatenate([self.q, np.zeros(len(added))])
+        if self.channel is not None:
+            taken = less_taken(self.values(self.channel), effect, start)
+            for j, u in enumerate(self.unknowns):
+                if u.name in taken:
+                    q[j] = np.clip(u.q(taken[u.name]), *u.bounds)
+        return Estimate(self.channel, [*self.unknowns, *added], q, effect, follow=self.follow)
+
+    def extended(self, effect: str, start: dict[str, float]) -> Estimate:
+        """An effect more, with the derivatives taken along; those of the new parameters are zero."""
+        twin = self.with_effect(effect, start)
+        added = len(twin.unknowns) - len(self.unknowns)
+        twin.columns = {c: np.hstack([m, np.zeros((m.shape[0], added))]) for c, m in self.columns.items()}
+        return twin
+
+    def without(self, effect: str) -> Estimate:
+        """An effect less, at the same values of everything else."""
+        keep = [j for j, u in enumerate(self.unknowns) if u.effect != effect]
+        return Estimate(self.channel, [self.unknowns[j] for j in keep], self.q[keep], f"without {effect}")
+
+    def adopt(self, other: Estimate) -> bool:
+        """Takes over the values of `other`, of the same unknowns, if it explains the logs better; whether it does."""
+        if not other.cost < self.cost:
+            return False
+        self.q, self.cost, self.spread = other.q, other.cost, other.spread
+        self.simulated, self.columns = other.simulated, other.columns
+        return True
+
+
+def joined(estimates: dict[int, Estimate]) -> Estimate:
+    """The estimates of the channels as one of the rig."""
+    first = next(iter(estimates.values()))
+    if first.channel is None:
+        return first
+    # What a channel's estimate holds is that channel's own, also beside the other one.
+    unknowns = [replace(u, channel=c) for c, p in estimates.items() for u in p.unknowns]
+    q = np.concatenate([p.q for p in estimates.values()])
+    whole = Estimate(None, unknowns, q, "rig", simulated={c: p.simulated[c] for c, p in estimates.items()})
+    place = 0
+    for c, p in estimates.items():
+        matrix = np.zeros((p.simulated[c].size, len(unknowns)))
+        if c in p.columns:
+            matrix[:, place : place + len(p.unknowns)] = p.columns[c]
+        whole.columns[c] = matrix
+        place += len(p.unknowns)
+    whole.cost = sum(p.cost for p in estimates.values())
+    return whole

@@ -1,0 +1,102 @@
+"""How much of a residual is explained: the criteria by which a candidate, a name or a verdict is accepted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .estimate import Estimate, Vector
+from .fit import Fit
+from .noise import effective_samples
+
+__all__ = [
+    "could_pay",
+    "explained_share",
+    "mostly_explained",
+    "nearly_all",
+    "nearly_explained",
+    "smallest_share",
+    "unexplained",
+]
+
+#: A residual that is so many times the noise, in a signal of a log, stays unexplained.
+UNEXPLAINED = 1.5
+#: Share of the residual that must be explained for most of it to be, in `Fit.levels` or in power.
+MOST_OF_LEVEL, MOST_OF_POWER = 0.5, 0.8
+#: Signals above so many times the noise count where power is compared.
+CLEARLY_ABOVE = 2.0
+#: A residual (in `Fit.levels`, summed over the signals) that is too small to speak of something unknown.
+SMALL_SUM = 0.15
+#: Share of the residual (in `Fit.levels`) that may be left where next to nothing is.
+NEXT_TO_NOTHING = 0.15
+#: A log whose mean square error is above so many times the noise's could pay for an effect, if its deviance is worth so much.
+ABOVE_NOISE, WORTH = 1.04, 20.0
+
+
+def could_pay(fit: Fit, estimate: Estimate, channel: int) -> bool:
+    """Whether a channel has a residual above its noise that could pay for an effect."""
+    worth, seen = 0.0, False
+    for s in fit.rig.segments[channel]:
+        error = (s.measured - estimate.simulated[channel][s.place])[s.used]
+        if error.size:
+            ratio = float(np.mean(error**2)) / fit.noise[channel, s.signal] ** 2
+            seen = seen or ratio > ABOVE_NOISE
+            worth += effective_samples(error) * max(np.log(ratio), 0.0)
+    return seen and worth > WORTH
+
+
+def unexplained(fit: Fit, estimate: Estimate, channel: int) -> bool:
+    """Whether a residual stays that is half as large again as the noise, in a signal of a log."""
+    left = fit.rms(estimate.simulated[channel], channel)
+    return any(v > UNEXPLAINED * fit.noise[channel, signal] for (_, signal), v in left.items())
+
+
+def mostly_explained(fit: Fit, before: Estimate, after: Estimate, c: int) -> bool:
+    """Whether most of the residual that `before` leaves on channel c is explained by `after`, by level or by power.
+
+    By level a few events count little, such as a spool that meets its end stop late in a model of another functional form;
+    by power what is small everywhere counts little, such as the ripple that a steady model leaves.
+    """
+    old, new = (sum(fit.levels(p.simulated[c], c).values()) for p in (before, after))
+    by_level = new < SMALL_SUM or new < (1.0 - MOST_OF_LEVEL) * old
+    was, left = (fit.rms(p.simulated[c], c) for p in (before, after))
+    noise = {k: fit.noise[c, k[1]] for k in left}
+    excess = {k: left[k] ** 2 - noise[k] ** 2 for k in left if left[k] > CLEARLY_ABOVE * noise[k]}
+    by_power = all(e < (1.0 - MOST_OF_POWER) * (was[k] ** 2 - noise[k] ** 2) for k, e in excess.items())
+    return by_level or by_power
+
+
+def nearly_explained(fit: Fit, before: Estimate, after: Estimate, c: int) -> bool:
+    """Whether next to nothing of the residual that `before` leaves on channel c is left by `after`, by level."""
+    return nearly_all(fit, before.simulated[c], after.simulated[c], c)
+
+
+def nearly_all(fit: Fit, before: Vector, after: Vector, c: int) -> bool:
+    """The same of simulated samples (n,)."""
+    old, new = (sum(fit.levels(each, c).values()) for each in (before, after))
+    return new < max(SMALL_SUM, NEXT_TO_NOTHING * old)
+
+
+def explained_share(fit: Fit, before: Estimate, after: Estimate, channels: Sequence[int]) -> float:
+    """Share of the residual (in `Fit.levels`) that is explained, in the signal where it is largest."""
+    best = 0.0
+    for c in channels:
+        old, new = (fit.levels(p.simulated[c], c) for p in (before, after))
+        best = max([best, *(1.0 - new[s] / old[s] for s in old if old[s] > 0.01)])
+    return best
+
+
+def smallest_share(fit: Fit, before: Estimate, after: Estimate, channel: int) -> float:
+    """Share of the variance above the noise that is explained, in the signal and log where it is smallest of those that
+    mattered."""
+    shares = [1.0]
+    for s in fit.rig.segments[channel]:
+        floor = fit.noise[channel, s.signal] ** 2
+        old, new = (
+            float(np.mean((s.measured - p.simulated[channel][s.place])[s.used] ** 2)) / floor - 1.0
+            for p in (before, after)
+        )
+        if old > 0.5:
+            shares.append(1.0 - new / old)
+    return min(shares)

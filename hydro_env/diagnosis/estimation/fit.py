@@ -1,0 +1,234 @@
+"""How well an estimate explains the logs: residuals, likelihood, and the deviance between two models.
+
+The likelihood follows the residual: every block of a tenth of a second of every signal has a variance of its own, at least
+the noise's, which is maximum likelihood for variances that are unknown. What the model explains well thereby counts, and a
+few events that it misses (a spool that sticks a moment longer) do not drown the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..models.base import BLOCK_S, RigModel, Segment
+from ..settings import Settings
+from .estimate import Estimate, Vector
+from .noise import effective_samples, noise_floor
+
+__all__ = ["Fit", "Noise", "lower", "noise_of"]
+
+#: Standard deviations of the noise by (channel, signal), in SI.
+Noise = dict[tuple[int, str], float]
+#: Signals with fewer samples than this say nothing of their correlation.
+FEWEST = 8
+
+
+def noise_of(rig: RigModel, estimates: dict[int, Estimate]) -> Noise:
+    """The smallest noise that the residual of a model or the bare signal shows, SI."""
+    noise: Noise = {}
+    for channel, estimate in estimates.items():
+        found: dict[str, list[float]] = {}
+        for s in rig.segments[channel]:
+            # Of the residual: a model, even a poor one, takes the fast movements out.
+            error = s.measured - estimate.simulated[channel][s.place]
+            both = [noise_floor(x, s.used, s.period) for x in (error, s.measured)]
+            found.setdefault(s.signal, []).append(float(np.nanmin(both)))
+        for signal, values in found.items():
+            noise[channel, signal] = max(float(np.nanmedian(values)), 1e-12)
+    return noise
+
+
+def lower(old: Noise, new: Noise) -> Noise:
+    """The lower of two noises, for all that `old` has."""
+    return {key: min(value, new.get(key, value)) for key, value in old.items()}
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model of the rig with its logs, and the noise of their signals: what every estimate is compared with."""
+
+    rig: RigModel
+    noise: Noise
+    settings: Settings = field(default_factory=Settings)
+
+    def on(self, rig: RigModel) -> Fit:
+        """The same with other logs, or another view of the model."""
+        return replace(self, rig=rig)
+
+    def with_noise_seen_by(self, estimates: dict[int, Estimate]) -> Fit:
+        """The same with the noise as these estimates show it, where that is lower: what is missing makes it look larger."""
+        return replace(self, noise=lower(self.noise, noise_of(self.rig, estimates)))
+
+    def channels_of(self, estimate: Estimate) -> tuple[int, ...]:
+        return self.rig.channels if estimate.channel is None else (estimate.channel,)
+
+    # --- residuals --------------------------------------------------------------------------------------------------------
+    def rms(self, simulated: Vector, channel: int) -> dict[tuple[int, str], float]:
+        """RMS error by (log, signal) over the rows that count, SI."""
+        found = {}
+        for s in self.rig.segments[channel]:
+            error = (s.measured - simulated[s.place])[s.used]
+            found[s.log, s.signal] = float(np.sqrt(np.mean(error * error))) if error.size else float("nan")
+        return found
+
+    def levels(self, simulated: Vector, channel: int) -> dict[str, float]:
+        """By signal: how far the errors are above the noise, as the mean over blocks of log(power), 0 at the noise.
+
+        Unlike an RMS it is not a matter of a few events, such as a spool that meets its end stop a millisecond late.
+        """
+        sums: dict[str, list[float]] = {}
+        for s, _, count, power in self._powers(simulated, channel):
+            entry = sums.setdefault(s.signal, [0.0, 0.0])
+            entry[0] += float(count @ np.log(power / self.noise[channel, s.signal] ** 2))
+            entry[1] += float(count.sum())
+        return {name: max(total / max(n, 1.0) - float(np.log(2.0)), 0.0) for name, (total, n) in sums.items()}
+
+    def level(self, estimate: Estimate) -> float:
+        """The largest level of all signals of an estimate's channels."""
+        found = (self.levels(estimate.simulated[c], c) for c in self.channels_of(estimate))
+        return max(v for each in found for v in each.values())
+
+    def at_noise(self, estimate: Estimate, within: float = 1.02) -> bool:
+        """Whether no signal of any log is left with more than its noise, or so many times it."""
+        return all(
+            value < within * self.noise[channel, signal]
+            for channel in self.channels_of(estimate)
+            for (_, signal), value in self.rms(estimate.simulated[channel], channel).items()
+        )
+
+    # --- likelihood -------------------------------------------------------------------------------------------------------
+    def _powers(self, simulated: Vector, channel: int) -> Iterator[tuple[Segment, Vector, Vector, Vector]]:
+        """By segment: the first row of every block (b,), the rows of it that count, and the power of noise and error (b,).
+
+        The power is the mean square of the error plus the noise's.
+        """
+        for s in self.rig.segments[channel]:
+            first, count = s.blocks
+            error = s.error(simulated)
+            mean = np.add.reduceat(error * error, first) / np.maximum(count, 1.0)
+            yield s, first, count, mean + self.noise[channel, s.signal] ** 2
+
+    def cost(self, estimate: Estimate, simulated: dict[int, Vector], q: Vector) -> float:
+        """Twice the negative log-likelihood with an unknown variance in every block, plus priors; inf for a failed simulation."""
+        total = float(sum(v * v for u, v in zip(estimate.unknowns, q, strict=True) if u.prior))
+        for channel in self.channels_of(estimate):
+            if not np.isfinite(simulated[channel]).all():
+                return np.inf
+            for _, _, count, power in self._powers(simulated[channel], channel):
+                total += float(count @ np.log(power))
+        return total
+
+    def evaluate(self, estimates: Sequence[Estimate]) -> None:
+        """Simulates every estimate and sets `simulated` and `cost`."""
+        for one, result in zip(estimates, self.rig.predict([p.request() for p in estimates]), strict=True):
+            one.simulated = result
+            one.cost = self.cost(one, result, one.q)
+
+    def rescore(self, estimates: Sequence[Estimate]) -> None:
+        """Sets `cost` anew, for another noise."""
+        for one in estimates:
+            one.cost = self.cost(one, one.simulated, one.q)
+
+    def weights(self, simulated: Vector, channel: int) -> Vector:
+        """One over the standard deviation of every sample (n,), 0 for rows that do not count."""
+        weights = np.zeros(simulated.size)
+        for s, first, _, power in self._powers(simulated, channel):
+            sizes = np.diff(first, append=s.rows.size)
+            weights[s.place] = s.used / np.sqrt(np.repeat(power, sizes))
+        return weights
+
+    # --- likelihood ratio -------------------------------------------------------------------------------------------------
+    def gain(self, smaller: Estimate, larger: Estimate, channels: Sequence[int] | None = None) -> float:
+        """How much better `larger` explains the data: the fall of the deviance, counted in independent samples.
+
+        As in the cost that is minimised, every block has a variance of its own: one effect of two is a gain although the
+        events that only the other one explains spoil any RMS.
+        """
+        own = self.channels_of(larger) if channels is None else channels
+        return float(sum(self.gain_by_stretch(smaller, larger, c, BLOCK_S).sum() for c in own))
+
+    def gain_by_stretch(self, smaller: Estimate, larger: Estimate, channel: int, stretch_s: float) -> Vector:
+        """Fall of the deviance from `smaller` to `larger` (m,) in every stretch of a channel's logs, in independent samples.
+
+        The share of samples that is independent is that of the signal with the longest memory: were every signal counted by
+        its own, a current at its white noise would outweigh a pressure that is far off for seconds.
+        """
+        found: dict[tuple[int, int], float] = {}
+        shares = []
+        for s in self.rig.segments[channel]:
+            if s.used.sum() < FEWEST:
+                continue
+            floor = self.noise[channel, s.signal] ** 2
+            number = s.stretches(stretch_s)
+            errors = [s.error(p.simulated[channel]) for p in (smaller, larger)]
+            weights = self.weights(larger.simulated[channel], channel)[s.place]
+            shares.append(effective_samples((errors[1] * weights)[s.used]) / float(s.used.sum()))
+            counts = np.bincount(number, s.used.astype(float))
+            powers = [np.bincount(number, e * e) / np.maximum(counts, 1.0) + floor for e in errors]
+            for n, value in enumerate(counts * np.log(powers[0] / powers[1])):
+                found[s.log, n] = found.get((s.log, n), 0.0) + float(value)
+        return min(shares, default=1.0) * np.array([found[key] for key in sorted(found)])
+
+    def cost_by_stretch(self, estimate: Estimate, channel: int, stretch_s: float) -> Vector:
+        """The cost, without priors, of a channel's logs in stretches of time (m,)."""
+        found: dict[tuple[int, int], float] = {}
+        for s, first, count, power in self._powers(estimate.simulated[channel], channel):
+            for n, value in zip(s.stretches(stretch_s)[first], count * np.log(power), strict=True):
+                found[s.log, n] = found.get((s.log, n), 0.0) + float(value)
+        return np.array([found[key] for key in sorted(found)])
+
+    # --- normal equations -------------------------------------------------------------------------------------------------
+    def normal_equations(self, estimate: Estimate) -> tuple[Vector, Vector]:
+        """Normal matrix (k, k) and right-hand side (k,) of the linearised estimation, priors included."""
+        prior = np.array([1.0 if u.prior else 0.0 for u in estimate.unknowns])
+        matrix, side = np.diag(prior), -prior * estimate.q
+        for channel in self.channels_of(estimate):
+            simulated = estimate.simulated[channel]
+            weights = self.weights(simulated, channel)
+            columns = estimate.columns[channel] * weights[:, None]
+            measured = np.concatenate([s.filled for s in self.rig.segments[channel]])
+            matrix += columns.T @ columns
+            side += columns.T @ ((measured - simulated) * weights)
+        return matrix.reshape(prior.size, prior.size), side
+
+    def normal_equations_by_stretch(self, estimate: Estimate, stretch_s: float) -> tuple[Vector, Vector]:
+        """Normal matrices (m, k, k) and right-hand sides (m, k), without priors, of m stretches of time of all logs.
+
+        Samples count by the share of them that is independent.
+        """
+        size = len(estimate.unknowns)
+        found: dict[tuple[int, int], tuple[Vector, Vector]] = {}
+        for channel in self.channels_of(estimate):
+            weights = self.weights(estimate.simulated[channel], channel)
+            for s in self.rig.segments[channel]:
+                if s.used.sum() < FEWEST:
+                    continue
+                error = s.error(estimate.simulated[channel])
+                share = effective_samples(error[s.used]) / float(s.used.sum())
+                columns = estimate.columns[channel][s.place] * weights[s.place, None]
+                number = s.stretches(stretch_s)
+                for n in range(number[-1] + 1):
+                    rows = number == n
+                    matrix, side = found.setdefault((s.log, n), (np.zeros((size, size)), np.zeros(size)))
+                    part = columns[rows]
+                    matrix += share * (part.T @ part)
+                    side += share * (part.T @ (error[rows] * weights[s.place][rows]))
+        ordered = [found[key] for key in sorted(found)]
+        return np.array([m for m, _ in ordered]), np.array([v for _, v in ordered])
+
+    def spread(self, estimate: Estimate) -> Vector:
+        """Standard deviations of q (k,), widened for the correlation of the residual."""
+        matrix = np.diag([1.0 if u.prior else 0.0 for u in estimate.unknowns])
+        matrix = matrix + 1e-12 * np.eye(len(estimate.unknowns))
+        for channel in self.channels_of(estimate):
+            weights = self.weights(estimate.simulated[channel], channel)
+            for s in self.rig.segments[channel]:
+                if s.used.sum() < FEWEST:
+                    continue
+                error = (s.measured - estimate.simulated[channel][s.place])[s.used]
+                share = effective_samples(error) / error.size
+                columns = estimate.columns[channel][s.place] * weights[s.place, None]
+                matrix = matrix + share * (columns.T @ columns)
+        return np.sqrt(np.maximum(np.diag(np.linalg.pinv(matrix, hermitian=True)), 0.0))

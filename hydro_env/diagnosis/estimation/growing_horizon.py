@@ -1,0 +1,133 @@
+"""Fits to a growing horizon: to the beginning of the logs first, then to more and more of them.
+
+A shaft that nearly comes to rest turns on this way or that, and from then on is one revolution off, which dominates the
+remaining residual: no small step repairs it. What lies before that moment determines the parameters, and these carry the
+simulation past it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...plant import CATALOGUE
+from ..models.base import RigModel, Segment, view
+from ..settings import rule
+from .estimate import Estimate
+from .fit import Fit
+from .gauss_newton import solve
+from .multistart import restart_friction
+from .unknowns import starts as effect_starts
+
+__all__ = ["beginning_of", "grow_horizon"]
+
+GROW_HORIZON = rule("grow_horizon", "fit what is far from the noise to the beginning of the logs first")
+
+#: Times the noise from which on an estimate is fitted to the beginning of the logs first.
+FAR = 2.0
+#: The shares of the logs in turn, and the share by which at least they are lengthened.
+HORIZONS = (0.02, 0.04, 0.07, 0.11, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+LEAST_GROWTH = 0.02
+#: Share up to which a beginning is short: it costs little, so there are more iterations, and it is too short to show the noise.
+SHORT_HORIZON = 0.1
+#: Iterations with each horizon, with a short one, and with the whole logs.
+ITERATIONS, SHORT_ITERATIONS, LAST_ITERATIONS = 2, 12, 4
+#: Residual (`Fit.level`) from which on a beginning is not followed.
+LOST_LEVEL = 0.3
+#: Starts that are improved on the first beginning, and that go on from there.
+FIRST_STARTS, KEPT_STARTS = 6, 2
+
+
+def grow_horizon(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
+    """Improves in place those of `estimates` that are far from the noise; returns the ones that became better."""
+    if not fit.settings.uses(GROW_HORIZON):
+        return []
+    found = []
+    for estimate in estimates:
+        seen = fit.with_noise_seen_by(dict.fromkeys(fit.channels_of(estimate), estimate))
+        if not seen.at_noise(estimate, FAR) and estimate.adopt(_grown(fit, seen, estimate)):
+            found.append(estimate)
+    return found
+
+
+def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
+    """The best of several starts, where the estimate is and where the known parameters were given, there with other values of the
+    effects too, fitted to more and more of the logs; on the way by the noise that is `seen`."""
+    given = estimate.from_given()
+    starts = [p.in_all_directions() for p in (estimate, given, *_elsewhere(given))]
+    seen.on(beginning_of(fit.rig, HORIZONS[0])).evaluate(starts[KEPT_STARTS:])
+    starts[KEPT_STARTS:] = sorted(starts[KEPT_STARTS:], key=lambda p: p.cost)[: FIRST_STARTS - KEPT_STARTS]
+    ahead, reached, good = [*HORIZONS], 0.0, starts
+    while ahead:
+        share = ahead[0]
+        beginning = seen.on(beginning_of(fit.rig, share))
+        starts = [p.at(p.q.copy()) for p in good]
+        solve(beginning, starts, SHORT_ITERATIONS if share < SHORT_HORIZON else ITERATIONS)
+        starts.sort(key=lambda p: p.cost)
+        del starts[KEPT_STARTS:]
+        if share > SHORT_HORIZON:
+            beginning = beginning.with_noise_seen_by(dict.fromkeys(fit.channels_of(estimate), starts[0]))
+            seen = beginning.on(fit.rig)
+            beginning.rescore(starts)
+        if not _followed(beginning, starts[0]):
+            if reached and share - reached > LEAST_GROWTH:
+                ahead.insert(0, 0.5 * (reached + share))  # not so far at once
+                continue
+            # A spool that sticks a moment longer, now, is worth other frictions before anything later is looked at.
+            restart_friction(beginning, starts[:1])
+            if not _followed(beginning, starts[0]):
+                break  # something is missing that this effect does not make up for
+        reached, good = ahead.pop(0), starts
+    for start in starts:
+        start.columns = {}
+    fit.evaluate(starts)
+    solve(fit, starts, LAST_ITERATIONS)
+    return min(starts, key=lambda p: p.cost)
+
+
+def _followed(fit: Fit, estimate: Estimate) -> bool:
+    """Whether nothing but a few events is missed in any signal: a shaft that went the other way stays off, a spool that stuck
+    a moment longer does not."""
+    return fit.level(estimate) < LOST_LEVEL
+
+
+def _elsewhere(estimate: Estimate) -> list[Estimate]:
+    """The estimate with each of its effects at every size and shape that is worth a first simulation: from the wrong side of a
+    turn no small step leads to the right one."""
+    found = []
+    for effect in estimate.effects():
+        if estimate.channel is None or CATALOGUE[effect].family:
+            continue
+        own = {u.parameter: j for j, u in enumerate(estimate.unknowns) if u.effect == effect}
+        for values in effect_starts(CATALOGUE[effect], math.inf, whole=True):
+            q = estimate.q.copy()
+            for name, value in values.items():
+                if name in own:
+                    q[own[name]] = estimate.unknowns[own[name]].q(value)
+            found.append(estimate.at(np.clip(q, *estimate.bounds)))
+    return found
+
+
+def beginning_of(rig: RigModel, share: float) -> RigModel:
+    """The model with only this share of each log, from its beginning, of which it also simulates no more."""
+    rows = [max(2, math.ceil(share * len(part.log))) for part in rig.parts]
+    parts = [
+        replace(part, log=part.log.first(n), inside=part.inside[:n])
+        for part, n in zip(rig.parts, rows, strict=True)
+    ]
+    return view(rig, parts=parts, segments={c: _first(own, rows) for c, own in rig.segments.items()})
+
+
+def _first(segments: Sequence[Segment], rows: Sequence[int]) -> list[Segment]:
+    """The samples of the first so many rows of each log, which again lie one behind the other in a vector."""
+    place, found = 0, []
+    for s in segments:
+        n = int(np.searchsorted(s.rows, rows[s.log]))
+        cut = replace(s, measured=s.measured[:n], rows=s.rows[:n], inside=s.inside[:n])
+        cut.place = slice(place, place + n)
+        place += n
+        found.append(cut)
+    return found

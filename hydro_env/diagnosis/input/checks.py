@@ -1,0 +1,117 @@
+"""Logs that go together: the same channels and signals in all, every channel driven, and nothing fitted that is held out."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError
+from ...measured import Mapping, RigLog
+from .parts import Part, overlap, read_parts
+
+__all__ = ["read_logs"]
+
+#: A channel stands still if its speed (RMS) is below this share of the other channel's peak.
+STANDS_STILL = 0.02
+
+
+def read_logs(
+    fit: Sequence[str | Path | RigLog], held_out: Sequence[str | Path | RigLog], mapping: Mapping | str | Path | None,
+    accept: Collection[str] = (),
+) -> tuple[list[Part], list[Part]]:  # fmt: skip
+    """The logs to fit and those held out. InputError for anything that cannot be used, and for rows that are in both."""
+    if not fit:
+        raise InputError("no fit log; name at least one log to fit")
+    if not held_out:
+        raise InputError("no sealed log; name at least one with --sealed (or a part of a run, LOG@FROM:TO)")
+    parts, proofs = read_parts(fit, mapping, accept), read_parts(held_out, mapping, accept)
+    overlap(parts, proofs)
+    parts, proofs = _with_common_signals(*_without_idle(parts, proofs))
+    _check_channels(parts, proofs)
+    return parts, proofs
+
+
+def _without_idle(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], list[Part]]:
+    """The logs without a channel that was never driven and never moved, while the other one was."""
+    idle = []
+    for c in parts[0].log.channels:
+        others = [o for o in parts[0].log.channels if o != c]
+        peak = max(
+            (float(np.nanmax(np.abs(p.log.speed[:, others]), initial=0.0)) for p in parts), default=0.0
+        )
+        still = all(
+            c in p.log.channels
+            and not p.log.command_V[:, c].any()
+            and np.sqrt(np.nanmean(p.log.speed[:, c] ** 2)) < STANDS_STILL * peak
+            for p in parts
+        )
+        if still and others:
+            idle.append(c)
+    if len(idle) != 1:
+        return parts, proofs
+    text = f"channel {idle[0] + 1} was neither driven nor did it move: only the other one is diagnosed"
+    parts, proofs = ([_without_channel(p, idle[0]) for p in each] for each in (parts, proofs))
+    return [_noted(parts[0], text), *parts[1:]], proofs
+
+
+def _with_common_signals(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], list[Part]]:
+    """The logs without the signals that only some of the fit logs have."""
+    for signal in ("current", "pressure", "spool", "flow"):
+        for c in parts[0].log.channels:
+            having = [part.log.has(signal, c) for part in parts]
+            if any(having) and not all(having):
+                without = parts[having.index(False)].label
+                text = (
+                    f"{signal} of channel {c + 1} is not in every fit log (not in {without}): left out of all"
+                )
+                parts, proofs = ([_without_signal(p, signal, c) for p in each] for each in (parts, proofs))
+                parts[0] = _noted(parts[0], text)
+    return parts, proofs
+
+
+def _noted(part: Part, text: str) -> Part:
+    return replace(part, note="; ".join(t for t in (part.note, text) if t))
+
+
+def _without_signal(part: Part, signal: str, channel: int) -> Part:
+    if not part.log.has(signal, channel):
+        return part
+    values = part.log.get(signal)
+    assert values is not None
+    values = values.copy()
+    values[:, channel] = np.nan
+    return replace(part, log=replace(part.log, **{signal: None if np.isnan(values).all() else values}))  # type: ignore[arg-type]
+
+
+def _without_channel(part: Part, channel: int) -> Part:
+    command, speed = part.log.command_V.copy(), part.log.speed.copy()
+    command[:, channel] = speed[:, channel] = np.nan
+    return replace(part, log=replace(part.log, command_V=command, speed=speed))
+
+
+def _check_channels(parts: list[Part], proofs: list[Part]) -> None:
+    for part in (*parts, *proofs):
+        if part.log.channels != parts[0].log.channels:
+            raise InputError(
+                f"{part.label}: has channels {_listed(part)}, {parts[0].label} has {_listed(parts[0])}; "
+                "all logs need the same"
+            )
+    for c in parts[0].log.channels:
+        if not any(abs(part.log.command_V[:, c]).max() > 0.0 for part in parts):
+            raise InputError(
+                f"{parts[0].label}: the command of channel {c + 1} is zero throughout{_yet_moves(parts, c)}; "
+                "record the signal that drives the valve"
+            )
+
+
+def _yet_moves(parts: list[Part], c: int) -> str:
+    peaks = [float(np.nanmax(np.abs(p.log.speed[p.inside, c]), initial=0.0)) for p in parts]
+    moves = max(peaks) > 0.0 and max(peaks) >= 0.01
+    return " though the axis moves: something else drove it" if moves else ""
+
+
+def _listed(part: Part) -> str:
+    return " and ".join(str(c + 1) for c in part.log.channels)

@@ -1,0 +1,316 @@
+"""What the report and the summary say: sentences and rows made of a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...plant import CATALOGUE
+from ..models.base import RigModel
+from ..stages.candidates import ACCEPTED, Candidate
+from ..stages.naming import Interval, NamedEffect, calibrated_values
+from ..stages.naming import effect_values as values_of_effect
+from ..stages.validation import NAMED, Proof, shown_unit
+from . import wording as words
+
+if TYPE_CHECKING:
+    from ..result import Diagnosis
+    from ..stages.localisation import Location
+
+__all__ = [
+    "AT_NOISE", "Known", "Ranked", "SignalErrors", "correction_texts", "effect_values", "error_columns", "errors_of", "headline",
+    "known_parameters", "left_over", "ranking", "sentence", "shown_locations", "unit_of", "weak_proof", "windows_text",
+]  # fmt: skip
+
+#: A signal is at the noise if its error is less than this factor above it.
+AT_NOISE = 1.1
+#: Slower than this a model could follow, s; what is faster is noise, or sensors.
+SLOW_S = 0.25
+#: A name less likely than this is not put forward as a fact.
+LIKELY = 0.5
+#: A placebo that leaves less than so many times what the names leave makes the proof weak, where calibration left so many times
+#: the noise.
+PLACEBO_NEAR, WORTH_PROVING = 1.15, 1.2
+_COLUMNS = (("noise", 9), ("before", 9), ("calibrated", 11), ("after", 9), ("placebo", 9))
+
+
+@dataclass(frozen=True)
+class SignalErrors:
+    """RMS errors of a signal by model, beside "noise", in `unit`."""
+
+    signal: str
+    channel: int
+    unit: str
+    errors: dict[str, float]
+
+    @property
+    def name(self) -> str:
+        return words.signal(self.signal)
+
+    @property
+    def above_noise(self) -> float:
+        """What the final model leaves, in times the noise."""
+        return self.errors["after"] / max(self.errors["noise"], 1e-30)
+
+
+def unit_of(rig: RigModel, signal: str, channel: int) -> tuple[str, float]:
+    """The unit that a signal is shown in, and its size in SI."""
+    key, size = shown_unit(rig, signal, channel)
+    return words.signal_unit(key), size
+
+
+def errors_of(proof: Proof) -> list[SignalErrors]:
+    """All signals of a proof."""
+    return [
+        SignalErrors(signal, c, unit_of(proof.rig, signal, c)[0], entry)
+        for (c, signal), entry in proof.errors.items()
+    ]
+
+
+def _speeds(found: Diagnosis) -> list[SignalErrors]:
+    return [e for e in errors_of(found.state.on_held_out) if e.signal == "speed"]
+
+
+def headline(found: Diagnosis) -> SignalErrors:
+    """The signal that says most: the speed whose residual fell most, in noise units."""
+    return max(
+        _speeds(found), key=lambda e: (e.errors["before"] - e.errors["after"]) / max(e.errors["noise"], 1e-30)
+    )
+
+
+# --- the verdict ----------------------------------------------------------------------------------------------------------
+def sentence(found: Diagnosis) -> str:
+    """The verdict in a sentence, and the proof in another."""
+    head = headline(found)
+    entry, unit = head.errors, head.unit
+    gap = f"On the held-out logs the error of the {head.name} of channel {head.channel + 1} is {entry['after']:.3g} {unit} RMS"
+    noise = f"the noise is {entry['noise']:.3g}"
+    other = "".join(
+        f" Channel {s.channel + 1}: {s.errors['after']:.3g} {unit}, {s.errors['before']:.3g} as given; "
+        f"noise {s.errors['noise']:.3g}."
+        for s in _speeds(found)
+        if s != head and max(s.errors["after"], s.errors["before"]) > AT_NOISE * s.errors["noise"]
+    )
+    if found.verdict == "none":
+        return f"Nothing is missing: the model as given explains the logs. {gap}; {noise}.{other}"
+    if found.verdict == "calibration":
+        return (
+            "Calibration is enough: with known parameters adjusted inside their plausible ranges, the model explains the logs. "
+            f"{gap}, {entry['before']:.3g} before; {noise}.{other}"
+        )
+    before = f"{entry['before']:.3g} as given, {entry['calibrated']:.3g} after calibration alone; {noise}"
+    lacks = _lacks(found) if found.verdict == "effects" else _unknown(found)
+    return f"{lacks} {gap}: {before}.{other}"
+
+
+def _lacks(found: Diagnosis) -> str:
+    sure = [n for n in found.effects if n.probability >= LIKELY or len(found.effects) == 1]
+    perhaps = [n for n in found.effects if n not in sure]
+    text = f"The model lacks {words.listed([_said(n) for n in sure or perhaps])}."
+    if sure and perhaps:
+        text += f" Perhaps also {words.listed([_said(n) for n in perhaps])}."
+    return text
+
+
+def _unknown(found: Diagnosis) -> str:
+    places = [
+        f"{words.equation(p.equation)} of channel {p.channel + 1}, {p.regime}" for p in shown_locations(found)[:2]
+    ]
+    where = words.listed(list(dict.fromkeys(places))) or "all signals"
+    text = f"Something is missing that no effect of the catalogue explains; it shows in {where}."
+    if found.effects:
+        names = words.listed([f"{words.title(n.name)} on {words.where(n.channel)}" for n in found.effects])
+        text += f" A part is explained by {names}."
+    return text
+
+
+def _said(n: NamedEffect) -> str:
+    """An effect with its channel and what it cannot be told from."""
+    tied = words.listed([words.title(name) for name in n.indistinguishable_from[:3]])
+    return f"{words.title(n.name)} on {words.where(n.channel)}" + (
+        f" (or {tied}: these logs cannot distinguish them)" if tied else ""
+    )
+
+
+# --- what is left ---------------------------------------------------------------------------------------------------------
+def left_over(found: Diagnosis) -> str:
+    """What the final model leaves on the held-out logs of the speed that is worst: slow (physics) or fast (noise); or nothing."""
+    worst = max(_speeds(found), key=lambda e: e.above_noise)
+    after, noise, unit, c = worst.errors["after"], worst.errors["noise"], worst.unit, worst.channel
+    if after < AT_NOISE * noise:
+        return ""
+    share = _slow_share(found.state.on_held_out, c)
+    if share is None:
+        return ""
+    text = (
+        f"Of the {after:.3g} {unit} that are left on channel {c + 1}, "
+        f"{np.sqrt(share) * after:.2g} {unit} are slower than "
+        f"{1.0 / SLOW_S:g} Hz, where a model could follow"
+    )
+    if share < 0.25:
+        fast = float(np.sqrt(max(after**2 * (1.0 - share) - noise**2, 0.0)))
+        more = f", with short events of {fast:.2g} {unit} in it" if fast > noise else ""
+        return f"{text}; the rest is as fast as noise is{more}."
+    return f"{text}: something is still missing there, or the effect has another functional form than the catalogue's."
+
+
+def _slow_share(proof: Proof, c: int) -> float | None:
+    """The share of the power of a speed's error that is slower than `SLOW_S`; None where there is no error."""
+    power = slow = 0.0
+    size = shown_unit(proof.rig, "speed", c)[1]
+    for s in proof.rig.segments[c]:
+        if s.signal != "speed":
+            continue
+        error = np.where(s.used, s.measured - proof.traces["after"][c][s.place], np.nan) / size
+        width = max(1, round(SLOW_S / s.period))
+        pieces = error[: error.size // width * width].reshape(-1, width)
+        whole = np.isfinite(pieces).all(axis=1)
+        power += float(np.sum(pieces[whole] ** 2))
+        slow += float(np.sum(width * pieces[whole].mean(axis=1) ** 2))
+    return slow / power if power > 0.0 else None
+
+
+def weak_proof(found: Diagnosis) -> str:
+    """A remark where the best wrong effect does nearly as well on the held-out logs as what was named, or nothing."""
+    entry = headline(found).errors
+    near = entry["placebo"] <= PLACEBO_NEAR * entry["after"]
+    if not found.effects or not near or entry["calibrated"] < WORTH_PROVING * entry["noise"]:
+        return ""
+    names = {words.title(name) for p in found.state.selection.placebo.values() for name in p.effects()}
+    return (
+        f"a placebo ({words.listed(sorted(names)) or 'another effect'}) does nearly as well on the held-out logs: they are "
+        "weak evidence for the names"
+    )
+
+
+# --- where it is ----------------------------------------------------------------------------------------------------------
+def shown_locations(found: Diagnosis) -> list[Location]:
+    """Locations on channels where the calibrated model leaves anything of the fit logs, the largest share first."""
+    left = {
+        c for (c, _), e in found.state.on_fit.errors.items() if e["calibrated"] > AT_NOISE * e["noise"]
+    }
+    return sorted((p for p in found.state.locations if p.channel in left), key=lambda p: -p.share)
+
+
+def windows_text(found: Diagnosis, location: Location) -> str:
+    """The windows of a location, by log."""
+    texts, parts = [], found.state.rig.parts
+    for number in dict.fromkeys(location.logs):
+        mine = [w for w, log in zip(location.windows, location.logs, strict=True) if log == number]
+        text = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in mine) + " s"
+        texts.append(text + (f" of {parts[number].log.name}" if len(parts) > 1 else ""))
+    return "; ".join(texts)
+
+
+# --- numbers --------------------------------------------------------------------------------------------------------------
+def effect_values(found: Diagnosis, n: NamedEffect) -> list[tuple[str, str, str]]:
+    """(parameter, estimate with interval, what that is of full command) of a named effect."""
+    rig = found.state.rig
+    c = n.channels[0] if len(n.channels) == 1 else rig.channels[0]
+    return [
+        (words.parameter(n.name, own), words.interval(p), words.of_command(n.name, own, p.value, rig.model, c))
+        for own, p in n.parameters.items()
+    ]
+
+
+def error_columns(found: Diagnosis) -> list[tuple[str, str, int]]:
+    """(model, heading, width) of the table of errors; where a form was corrected, the names alone have a column."""
+    plain = [(model, model, width) for model, width in _COLUMNS]
+    return [*plain[:3], (NAMED, "names only", 12), *plain[3:]] if found.state.corrections else plain
+
+
+def correction_texts(found: Diagnosis) -> list[str]:
+    """What each shape correction is and how large, in a line."""
+    state, texts = found.state, []
+    for k in state.corrections:
+        where = "rig" if k.channel is None else str(k.channel + 1)
+        first = state.rig.channels[0] if k.channel is None else k.channel
+        values = list(values_of_effect(state.final[first], k.correction, first).items())
+        shown = "; ".join(f"{words.plain(own)} {words.interval(p)}" for own, p in values[:2])
+        more = f" and {len(values) - 2} more numbers" if len(values) > 2 else ""
+        size = ""
+        speeds = {key: change for key, change in k.changes.items() if key[1] == "speed"}
+        if speeds:
+            c, signal = max(speeds, key=lambda key: speeds[key])
+            unit, scale = unit_of(state.held_out, signal, c)
+            change = speeds[c, signal] / scale
+            size = f"; it moves the {words.signal(signal)} by {change:.2g} {unit} RMS on the held-out logs"
+        what = f"{CATALOGUE[k.correction].summary}, {words.where(where)} (for {words.title(k.effect)})"
+        texts.append(f"{what}: {shown}{more}{size}")
+    return texts
+
+
+@dataclass(frozen=True)
+class Known:
+    """A known parameter: as given, and as estimated."""
+
+    symbol: str
+    channel: int
+    said: str
+    nominal: float
+    estimate: Interval
+
+    @property
+    def name(self) -> str:
+        return f"{self.symbol}_{self.channel + 1}"
+
+    @property
+    def change(self) -> float:
+        """The relative change."""
+        return self.estimate.value / self.nominal - 1.0 if self.nominal else 0.0
+
+    @property
+    def moved(self) -> bool:
+        """Whether the interval leaves out the nominal value."""
+        return not self.estimate.low <= self.nominal <= self.estimate.high
+
+
+def known_parameters(found: Diagnosis) -> list[Known]:
+    rig = found.state.rig
+    return [
+        Known(name, c, words.known(name, c, value.value, rig.model), nominal, value)
+        for (name, c), (nominal, value) in calibrated_values(rig, found.state.shown).items()
+    ]
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A candidate as it is listed; `outcome` in words."""
+
+    effect: str
+    where: str
+    gain: float
+    needed: float
+    refitted: bool
+    outcome: str
+
+    @property
+    def accepted(self) -> bool:
+        return self.outcome == ACCEPTED
+
+
+def ranking(found: Diagnosis) -> list[Ranked]:
+    """Candidates by gain in their last try: accepted ones first, then by gain."""
+    last: dict[tuple[str, int | None], Candidate] = {}
+    for t in found.state.selection.candidates:
+        known = last.get((t.effect, t.channel))
+        better = known is None or (
+            known.outcome != ACCEPTED and t.estimate is not None and t.gain > known.gain
+        )
+        if better or t.outcome == ACCEPTED:
+            last[t.effect, t.channel] = t
+    rows = sorted(last.values(), key=lambda t: (t.outcome != ACCEPTED, t.estimate is None, -t.gain))
+    tied = {(rival, c): n.name for n in found.effects for rival in n.indistinguishable_from for c in n.channels or (None,)}
+    ranked = []
+    for t in rows:
+        twin = tied.get((t.effect, t.channel))
+        outcome = t.outcome
+        if twin and outcome != ACCEPTED:
+            outcome = f"as good: cannot be told from {words.plain(twin)}"
+        where = "rig" if t.channel is None else str(t.channel + 1)
+        ranked.append(
+            Ranked(t.effect, where, float(t.gain), float(t.needed), t.estimate is not None, outcome)
+        )
+    return ranked

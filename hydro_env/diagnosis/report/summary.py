@@ -1,0 +1,149 @@
+"""The report in about twenty lines of text, for a terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..stages.screening import detectable
+from . import wording as words
+from .findings import (
+    AT_NOISE,
+    correction_texts,
+    effect_values,
+    error_columns,
+    errors_of,
+    known_parameters,
+    left_over,
+    ranking,
+    sentence,
+    shown_locations,
+    weak_proof,
+    windows_text,
+)
+
+if TYPE_CHECKING:
+    from ..result import Diagnosis
+
+__all__ = ["summary"]
+
+#: Lines at most.
+LINES = 20
+
+
+def summary(found: Diagnosis) -> str:
+    """What the page says, shorter."""
+    places, tried, known = _places(found), _tried(found), _known(found)
+    lines = [f"verdict: {found.verdict}", sentence(found)]
+    lines += [text[0].upper() + text[1:] for text in (left_over(found), weak_proof(found)) if text]
+    lines += [*_effects(found), *places, *_shape(found)]
+    lines += [f"  shape correction, not physics: {text}" for text in correction_texts(found)]
+    lines += [*_errors(found), *tried, known, _hidden(found)]
+    if found.state.next_experiment:
+        lines.append(f"  next experiment: {found.state.next_experiment['description']}")
+    # What a full screen can spare first: the second place, then what was rejected, then known parameters.
+    spare = [known, *tried, *places[1:]]
+    while len(lines) > LINES - min(2, len(found.warnings)) and spare:
+        lines.remove(spare.pop())
+    most = min(3, max(1, LINES - len(lines)))
+    shown = found.warnings if len(found.warnings) <= most else found.warnings[: max(1, most - 1)]
+    lines += [f"  warning: {text}" for text in shown]
+    if len(found.warnings) > len(shown):
+        lines.append(f"  warning: {len(found.warnings) - len(shown)} more in the report")
+    return "\n".join(lines)
+
+
+def _effects(found: Diagnosis) -> list[str]:
+    lines = []
+    for n in found.effects:
+        values = "; ".join(
+            f"{name} {value}" + (f" = {share}" if share else "")
+            for name, value, share in effect_values(found, n)
+        )
+        lines.append(f"  {n.name}, {words.where(n.channel)}, probability {n.probability:.2f}: {values}")
+    return lines
+
+
+def _places(found: Diagnosis) -> list[str]:
+    lines = []
+    for p in shown_locations(found)[:2]:
+        regime = f"most at {p.regime}" if p.regime != "everywhere" else "everywhere"
+        where = f"{words.equation(p.equation)} of channel {p.channel + 1}: {100.0 * p.share:.0f} % of the residual"
+        lines.append(f"  where: {where}, {regime}; worst {windows_text(found, p)}")
+    return lines
+
+
+def _shape(found: Diagnosis) -> list[str]:
+    """The shape of what no effect explains."""
+    channels = {p.channel for p in shown_locations(found)}
+    first = next((p for p in found.state.locations if p.channel in channels), None)
+    if found.verdict != "unknown" or first is None:
+        return []
+    form = first.shape
+    return [
+        f"  its shape: a curve over {form.over} holds {100 * form.explains:.0f} % of the error, "
+        f"{100 * form.with_direction:.0f} % rising and falling apart"
+    ]
+
+
+def _errors(found: Diagnosis) -> list[str]:
+    """The table of errors on the held-out logs."""
+    columns = error_columns(found)
+    heads = "".join(f"{heading:>{width}}" for _, heading, width in columns)
+    lines = [f"  {'held-out logs, RMS error':<29}{heads}"]
+    quiet = []
+    for s in errors_of(found.state.on_held_out):
+        name, e = f"{s.name} {s.channel + 1}", s.errors
+        if max(e["before"], e["calibrated"], e["after"]) < AT_NOISE * e["noise"]:
+            quiet.append(name)
+            continue
+        row = "".join(f"{e.get(model, e['after']):{width}.3g}" for model, _, width in columns)
+        lines.append(f"    {f'{name}, {s.unit}':<27}{row}")
+    if quiet:
+        lines.append(f"    at the noise with every model: {', '.join(quiet)}")
+    return lines
+
+
+def _tried(found: Diagnosis) -> list[str]:
+    """The best candidates that were refitted and rejected."""
+    rows = ranking(found)
+    tried = [r for r in rows if r.refitted and not r.accepted]
+    if found.verdict in ("none", "calibration") and not found.effects:
+        if not tried:
+            return ["  no effect was worth a closer look"]
+        text = ", ".join(f"{words.plain(r.effect)} on {r.where} ({r.gain:.0f})" for r in tried[:2])
+        least = min(r.needed for r in tried[:2])
+        return [f"  also tried: {text}; each would have to gain {least:.0f} or more"]
+    if not tried:
+        return []
+    text = ", ".join(f"{words.plain(r.effect)} on {r.where} ({r.gain:.0f}: {r.outcome})" for r in tried[:3])
+    names = {n.name for n in found.effects}
+    gains = ", ".join(f"{r.gain:.0f}" for r in rows if r.accepted and r.effect in names)
+    return [f"  rejected, by gain: {text}{f'; taken with {gains}' if gains else ''}"]
+
+
+def _known(found: Diagnosis) -> str:
+    """The known parameters that moved most, in half-widths of their intervals."""
+    rows = [p for p in known_parameters(found) if p.estimate.high > p.estimate.low and p.moved]
+    rows = sorted((p for p in rows if abs(p.change) >= 0.005), key=lambda p: -abs(p.change))
+    if not rows:
+        return "  known parameters: no interval excludes the given value"
+    own = found.state.rig.own  # of a reduced model: its nominal values stand for nothing
+    text = ", ".join(
+        f"{p.name} = {words.interval(p.estimate)}"
+        if p.symbol in own
+        else f"{p.name} {100.0 * p.change:+.0f} %"
+        for p in rows[:6]
+    )
+    more = f" and {len(rows) - 6} more" if len(rows) > 6 else ""
+    return f"  known parameters that moved: {text}{more}"
+
+
+def _hidden(found: Diagnosis) -> str:
+    seen = detectable(found.state.screening)
+    hidden = {name: [c for c, shows in row.items() if not shows] for name, row in seen.items()}
+    texts = [f"{words.plain(name)} ({', '.join(row)})" for name, row in hidden.items() if row]
+    if not texts:
+        all_of = "the catalogue" if found.state.rig.has_hidden_states else "this reduced model"
+        return f"  every effect of {all_of} is detectable at medium size"
+    more = f" and {len(texts) - 6} more" if len(texts) > 6 else ""
+    return f"  not detectable in these logs at medium size: {', '.join(texts[:6])}{more}"

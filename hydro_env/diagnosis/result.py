@@ -1,0 +1,105 @@
+"""The result of a diagnosis: verdict, effects, improved model, and diagnosis.json."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ..files import write_text
+from ..plant import CATALOGUE, PlantModel
+from .stages.form_correction import Correction
+from .stages.naming import NamedEffect, calibrated_values, effect_values, estimated_model
+from .stages.screening import detectable, hidden_by_calibration
+from .stages.validation import shown_unit, signal_key
+from .state import State
+
+__all__ = ["SCHEMA", "Diagnosis"]
+
+SCHEMA = "hydro_env/diagnosis/1"
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found. `state` holds the estimates, simulated signals and proofs behind it; `seconds` is the time it took."""
+
+    state: State
+    seconds: float
+
+    @property
+    def verdict(self) -> str:
+        """`none`: the model as given explains the logs; `calibration`: adjusting known parameters does; `effects`: the named
+        effects do; `unknown`: something is missing that the catalogue does not explain."""
+        return self.state.verdict
+
+    @property
+    def effects(self) -> list[NamedEffect]:
+        return self.state.effects
+
+    @property
+    def warnings(self) -> list[str]:
+        return self.state.warnings
+
+    @cached_property
+    def model(self) -> PlantModel:
+        """The model with what was found; the one given where nothing is missing."""
+        if self.verdict == "none":
+            return self.state.model
+        return estimated_model(self.state.rig, self.state.final, f"{self.state.model.name} diagnosed")
+
+    def report(self, path: str | Path) -> None:
+        """Writes the report, an HTML page that needs no network. Needs the extra `report`."""
+        from .report.page import report_page
+
+        write_text(Path(path), report_page(self))
+
+    def summary(self) -> str:
+        """The report in about twenty lines of text."""
+        from .report.summary import summary
+
+        return summary(self)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of diagnosis.json, of schema `SCHEMA`.
+
+        `trials`, `warnings`, `hidden_by_calibration` and `shape_corrections` go beyond the contract. Where there are shape
+        corrections, "after" is the model with them, "named" in `gap` the one with the effects alone.
+        """
+        state = self.state
+        logs = (*state.rig.parts, *state.held_out_parts)
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "effects": [n.as_dict() for n in self.effects],
+            "where": [p.as_dict() for p in state.locations],
+            "calibrated": {
+                f"{name}_{c + 1}": {"nominal": nominal, **vars(value)}
+                for (name, c), (nominal, value) in calibrated_values(state.rig, state.shown).items()
+            },
+            "gap": {"sealed": state.on_held_out.as_dict(), "fit": state.on_fit.as_dict()},
+            "shape_corrections": [self._correction(k) for k in state.corrections],
+            "next_experiment": state.next_experiment,
+            "detectable": detectable(state.screening),
+            "hidden_by_calibration": hidden_by_calibration(state.screening),
+            "seconds": round(self.seconds, 1),
+            "log_sha256": {p.log.name: p.log.sha256 for p in logs},
+            "trials": [t.as_dict() for t in state.selection.candidates],
+            "warnings": self.warnings,
+        }
+
+    def _correction(self, kept: Correction) -> dict[str, Any]:
+        """What a shape correction corrects, its numbers, and its size as RMS change of the signals on the held-out logs."""
+        state = self.state
+        first = state.rig.channels[0] if kept.channel is None else kept.channel
+        values = effect_values(state.final[first], kept.correction, first)
+        sizes = {
+            signal_key(state.held_out, signal, c): size / shown_unit(state.held_out, signal, c)[1]
+            for (c, signal), size in kept.changes.items()
+        }
+        return {
+            "effect": kept.effect, "correction": kept.correction, "what": CATALOGUE[kept.correction].summary,
+            "channel": "rig" if kept.channel is None else str(kept.channel + 1), "note": "shape correction, not physics",
+            "parameters": {name: vars(p) for name, p in values.items()},
+            "changes": sizes, "fall": round(float(kept.fall), 1), "held_out": round(float(kept.fall_on_left_out), 1),
+        }  # fmt: skip

@@ -1,0 +1,62 @@
+"""What may be set for a diagnosis, and which of its rules are switched off.
+
+A rule is a step that rescues a fit or questions a name. Each has a switch, so that an ablation can measure what it is worth:
+`diagnose(..., rules_off=["friction_restarts"])`. The names are declared beside the rules, with `rule`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection
+from dataclasses import dataclass
+
+from ..errors import InputError
+
+__all__ = ["RULES", "Settings", "rule"]
+
+#: What each rule does, by its name.
+RULES: dict[str, str] = {}
+
+
+def rule(name: str, what: str) -> str:
+    """Declares a rule that can be switched off; returns its name."""
+    RULES[name] = what
+    return name
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The choices of a diagnosis that a user may change. Numbers of the numerics stand where they are used.
+
+    ValueError never; InputError for a rule that does not exist.
+    """
+
+    #: Accepted chance of one superfluous effect: the `p` of PASTIS (Gerardos and Ronceray 2025).
+    false_alarm: float = 0.01
+    #: Effects on a channel at most.
+    max_effects: int = 3
+    #: Competing candidates whose gain is less than this share behind count as not told apart.
+    tied_share: float = 0.1
+    #: Factor on a deviance by which competing candidates fall behind: models are never exact, so a likelihood is tempered.
+    temper: float = 0.1
+    #: Share of the power above the noise that the named effects must explain on the held-out logs.
+    confirmed_share: float = 0.25
+    #: Seed of the bootstrap.
+    seed: int = 0
+    #: Rules that are switched off.
+    rules_off: frozenset[str] = frozenset()
+
+    def uses(self, name: str) -> bool:
+        """Whether a rule is on."""
+        assert name in RULES, name
+        return name not in self.rules_off
+
+
+def known_rules(names: Collection[str]) -> frozenset[str]:
+    """The names as a set; InputError for one that is no rule."""
+    for name in names:
+        if name not in RULES:
+            near = difflib.get_close_matches(name, RULES, 1)
+            hint = f"did you mean {near[0]}? " if near else ""
+            raise InputError(f"unknown rule {name!r}: {hint}known are {', '.join(sorted(RULES))}")
+    return frozenset(names)

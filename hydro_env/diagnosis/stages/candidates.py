@@ -1,0 +1,178 @@
+"""Candidates: what an effect must gain to be accepted, how a refitted one is judged, and what selection remembers of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...plant import CATALOGUE
+from ..estimation.estimate import Estimate
+from ..estimation.explained import explained_share, nearly_explained
+from ..estimation.fit import Fit
+from ..state import Estimates
+from .screening import Screening
+
+__all__ = [
+    "ACCEPTED", "AT_EDGE", "OUTDONE", "Accepted", "Candidate", "Search", "Selection", "at_edge", "is_neutral", "judge",
+    "penalty", "penalty_per_parameter",
+]  # fmt: skip
+
+#: What becomes of a candidate, in words that the report shows.
+ACCEPTED = "taken"
+OUTDONE = "others explain more"
+AT_EDGE = "only at the edge of its plausible range"
+#: An effect must explain this share of what is left above the noise, in the signal where it explains most.
+LEAST_SHARE = 0.05
+#: An estimate that is nearer to neutral than this share of the usual size has vanished.
+VANISHED = 0.02
+#: The round under which candidates are listed that were judged after the forward rounds.
+AFTER_ROUNDS = 9
+
+
+@dataclass
+class Candidate:
+    """What became of a candidate: `gain` is the fall of the deviance, `needed` what it takes; `outcome` in words."""
+
+    effect: str
+    channel: int | None
+    round: int
+    gain: float
+    needed: float
+    outcome: str
+    estimate: Estimate | None = None
+
+    def as_dict(self) -> dict[str, object]:
+        return {
+            "effect": self.effect, "channel": "rig" if self.channel is None else str(self.channel + 1), "round": self.round,
+            "gain": round(float(self.gain), 1), "needed": round(float(self.needed), 1),
+            "refitted": self.estimate is not None, "fate": self.outcome,
+        }  # fmt: skip
+
+
+@dataclass
+class Accepted:
+    """An effect that was accepted, its gain over leaving it out (`without`), and the candidates that did nearly as well in its
+    place, by name with how far their deviance is behind."""
+
+    effect: str
+    channel: int | None
+    gain: float
+    needed: float
+    competing: dict[str, float] = field(default_factory=dict)
+    without: Estimate | None = None
+
+
+@dataclass
+class Selection:
+    """The result: final estimates by channel (the same joint one for both where an effect of the rig was accepted).
+
+    `corrected` are estimates of channels with the form corrected of what had been accepted when a further effect was tried.
+    """
+
+    estimates: Estimates
+    accepted: list[Accepted]
+    candidates: list[Candidate]
+    placebo: Estimates
+    corrected: Estimates = field(default_factory=dict)
+
+    def effects_by_channel(self) -> dict[int | None, list[str]]:
+        """The accepted effects by channel, None for those of the whole rig."""
+        found: dict[int | None, list[str]] = {}
+        for one in self.accepted:
+            found.setdefault(one.channel, []).append(one.effect)
+        return found
+
+
+@dataclass
+class Search:
+    """A selection under way: `present` are the estimates so far, from `calibrated`; the rest as in `Selection`."""
+
+    fit: Fit
+    calibrated: Estimates
+    screening: Sequence[Screening]
+    seconds: float
+    present: Estimates
+    progress: Callable[[str], None] = lambda text: None
+    accepted: list[Accepted] = field(default_factory=list)
+    candidates: list[Candidate] = field(default_factory=list)
+    placebo: Estimates = field(default_factory=dict)
+    corrected: Estimates = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        """The candidates that act on one channel."""
+        return [n for n in self.fit.rig.candidates() if CATALOGUE[n].scope == "channel"]
+
+    def on(self, channel: int | None) -> list[Accepted]:
+        """What was accepted on a channel."""
+        return [k for k in self.accepted if k.channel == channel]
+
+    def record(
+        self, effect: str, channel: int | None, number: int, gain: float, outcome: str, estimate: Estimate | None = None,
+        needed: float | None = None,
+    ) -> None:  # fmt: skip
+        """Remembers what became of a candidate in a round."""
+        needed = penalty(self.fit, effect) if needed is None else needed
+        self.candidates.append(Candidate(effect, channel, number, gain, needed, outcome, estimate))
+
+    def competing(self, effect: str, gains: dict[str, float]) -> dict[str, float]:
+        """Those of other effects' `gains` that are nearly as large as that of `effect`, as how far they are behind."""
+        found, needed = gains[effect], penalty(self.fit, effect)
+        behind = {name: max(0.0, found - g) for name, g in gains.items() if name != effect}
+        return {n: d for n, d in behind.items() if d < self.fit.settings.tied_share * found or d < needed}
+
+
+def penalty_per_parameter(fit: Fit) -> float:
+    """Fall of the deviance that every parameter of an effect must pay for: 2 ln(n0 / p) with n0 parameters in the library and p
+    the accepted chance of a superfluous effect (PASTIS, Gerardos and Ronceray 2025)."""
+    library = sum(len(CATALOGUE[name].parameters) for name in fit.rig.candidates()) * len(fit.rig.channels)
+    return float(2.0 * np.log(max(library, 2) / fit.settings.false_alarm))
+
+
+def penalty(fit: Fit, effect: str) -> float:
+    """Fall of the deviance that the effect's parameters must pay for."""
+    return penalty_per_parameter(fit) * len(CATALOGUE[effect].parameters)
+
+
+def judge(fit: Fit, before: Estimate, after: Estimate, effect: str, gain: float) -> str:
+    """What becomes of a candidate that gains so much: `ACCEPTED`, or why not."""
+    if gain < penalty(fit, effect):
+        return "gains less than chance could"
+    channels = fit.channels_of(after)
+    if explained_share(fit, before, after, channels) < LEAST_SHARE:
+        return "explains no noticeable share of the gap"
+    if is_neutral(after, effect):
+        return "vanishes when refitted"
+    # A size beyond what rigs have makes up for something else; where the last plausible one leaves nothing it does not.
+    if at_edge(after, effect) and not all(nearly_explained(fit, before, after, c) for c in channels):
+        return AT_EDGE
+    return ACCEPTED
+
+
+def at_edge(estimate: Estimate, effect: str) -> bool:
+    """Whether a size of an effect ends at a bound of its range that is not its neutral value."""
+    for u, q in zip(estimate.unknowns, estimate.q, strict=True):
+        if u.effect != effect or u.prior or not u.at_bound(float(q)):
+            continue
+        parameter = CATALOGUE[effect].parameter(u.parameter)
+        near = u.low if u.value(float(q)) < 0.5 * (u.low + u.high) else u.high
+        neutral = parameter.nominal
+        if parameter.typical != neutral and near != neutral and np.isfinite(neutral):
+            return True
+    return False
+
+
+def is_neutral(estimate: Estimate, effect: str, channel: int | None = None) -> bool:
+    """Whether the estimate of an effect is its neutral value; `channel` says whose, where the estimate is the rig's."""
+    values = {
+        u.parameter: u.value(q)
+        for u, q in zip(estimate.unknowns, estimate.q, strict=True)
+        if u.effect == effect and (channel is None or u.channel in (None, channel))
+    }
+    return all(
+        np.isfinite(p.nominal) and abs(values[p.name] - p.nominal) < VANISHED * abs(p.typical - p.nominal)
+        for p in CATALOGUE[effect].parameters
+        if p.typical is not None and p.typical != p.nominal
+    )

@@ -1,0 +1,137 @@
+"""Backward elimination, and competing candidates: which of the accepted effects are needed, and what would do as well."""
+
+from __future__ import annotations
+
+from ...plant import CATALOGUE
+from ..estimation.estimate import Estimate
+from ..estimation.gauss_newton import solve
+from ..estimation.multistart import SETTLE_ITERATIONS, far_from_noise
+from ..estimation.unknowns import SCALED_TOGETHER
+from ..settings import rule
+from .candidates import AFTER_ROUNDS, Accepted, Search, at_edge, is_neutral
+from .screening import alike
+
+__all__ = ["compare_competing", "drop_not_missed", "drop_unneeded"]
+
+DROP_UNNEEDED = rule("drop_unneeded", "drop an effect that the known parameters replace, from where it led them")
+DROP_NOT_MISSED = rule("drop_not_missed", "backward elimination: drop an effect that is not missed beside the others")
+COMPARE_COMPETING = rule("compare_competing", "put competing candidates in the place of what was accepted")
+
+#: Iterations of the refit without an effect, and of the refit of a competing candidate.
+WITHOUT_ITERATIONS, COMPETING_ITERATIONS = 3, 5
+#: Competing candidates that are refitted again at most, by what they gained and by their signature.
+MOST_BY_GAIN, MOST_BY_SIGNATURE = 4, 2
+#: A competing candidate takes the place of what was accepted if it gains more by so many times the penalty.
+CLEARLY_BETTER = 0.5
+
+
+def drop_not_missed(search: Search) -> None:
+    """Refits without each effect in turn and drops those that are not missed, the least missed one first."""
+    fit = search.fit
+    while fit.settings.uses(DROP_NOT_MISSED):
+        without: list[tuple[Accepted, int, Estimate]] = []
+        for one in search.accepted:
+            c = one.channel
+            if c is None or search.present[c].channel is None or len(search.on(c)) < 2:
+                continue
+            less, present = search.present[c].without(one.effect), search.present[c]
+            keep = [j for j, u in enumerate(present.unknowns) if u.effect != one.effect]
+            less.columns = {c: present.columns[c][:, keep]}
+            without.append((one, c, less))
+        if not without:
+            return
+        solve(fit, [p for *_, p in without], WITHOUT_ITERATIONS)
+        for one, c, less in without:
+            one.gain, one.without = fit.gain(less, search.present[c]), less
+        one, c, less = min(without, key=lambda entry: entry[0].gain - entry[0].needed)
+        if one.gain > one.needed:
+            return
+        search.present[c] = less
+        search.accepted.remove(one)
+        outcome = "not missed once the others are there"
+        search.record(one.effect, c, AFTER_ROUNDS, one.gain, outcome, less, one.needed)
+
+
+def drop_unneeded(search: Search) -> None:
+    """Drops an effect that is alone on its channel if the known parameters, from where it has led them, do without it."""
+    fit = search.fit
+    if not fit.settings.uses(DROP_UNNEEDED):
+        return
+    starts: list[tuple[Accepted, int, list[Estimate]]] = []
+    for one in search.accepted:
+        c = one.channel
+        if c is None or search.present[c].channel is None or len(search.on(c)) != 1 or one.without is None:
+            continue
+        if not far_from_noise(fit, one.without):
+            starts.append((one, c, _without(search.present[c], one.without, one.effect)))
+    solve(fit, [p for *_, own in starts for p in own], SETTLE_ITERATIONS)
+    for one, c, own in starts:
+        less = min(own, key=lambda p: p.cost)
+        gain = fit.gain(less, search.present[c])
+        if gain < one.needed:
+            outcome = "the known parameters do as well, from where it led them"
+            search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, search.present[c], one.needed)
+            search.accepted.remove(one)
+            search.present[c] = less
+
+
+def _without(present: Estimate, without: Estimate, effect: str) -> list[Estimate]:
+    """The estimate without an effect that was accepted, all known parameters where it led them, or only those of the spool.
+
+    What acts behind the valve may have moved to make room for the effect, while the spool's friction only left a local minimum.
+    """
+    led, before = present.without(effect).in_all_directions(), without.in_all_directions()
+    spool = {*SCALED_TOGETHER["k"], "vs"}
+    for j, u in enumerate(before.unknowns):
+        if u.name in spool and u.name == led.unknowns[j].name:
+            before.q[j] = led.q[j]
+    return [led, before]
+
+
+def compare_competing(search: Search) -> None:
+    """Puts competing candidates in the place of what was accepted, once everything else is there.
+
+    They are those that were near while another effect was still missing, those whose signature has the same direction, and
+    those that the catalogue declares to be hardly told apart: one that a screening passed over must still be listed.
+    Each starts from the base parameters found. One that does better than the effect it stands for takes its place.
+    """
+    if not search.fit.settings.uses(COMPARE_COMPETING):
+        return
+    starts, same = {(k.effect, k.channel): k.start for k in search.screening}, alike(search.screening)
+    swaps: list[tuple[Accepted, int, str, Estimate]] = []
+    for one in search.accepted:
+        c = one.channel
+        if c is None or one.without is None or search.present[c].channel is None:
+            continue
+        own = {k.effect for k in search.on(c)}
+        by_gain = sorted(one.competing, key=lambda n: one.competing[n])[:MOST_BY_GAIN]
+        by_signature = same.get((one.effect, c), [])[:MOST_BY_SIGNATURE]
+        declared = CATALOGUE[one.effect].indistinguishable_from
+        for other in dict.fromkeys((*by_gain, *declared, *by_signature)):
+            if (other, c) in starts and other not in own:
+                rest = search.present[c].without(one.effect)
+                swaps.append((one, c, other, rest.extended(other, starts[other, c])))
+    solve(search.fit, [p for *_, p in swaps], COMPETING_ITERATIONS)
+    for one, c, other, estimate in sorted(swaps, key=lambda s: s[3].cost):
+        if {*estimate.effects()} - {other} != {*search.present[c].effects()} - {one.effect}:
+            continue  # another effect of this channel was replaced meanwhile
+        _compare(search, one, c, other, estimate)
+
+
+def _compare(search: Search, one: Accepted, c: int, other: str, estimate: Estimate) -> None:
+    """Compares an accepted effect with another one in its place: which stays, and whether the other one is to be listed."""
+    assert one.without is not None
+    fit, present = search.fit, search.present[c]
+    own_gain = fit.gain(one.without, present)
+    behind = own_gain - fit.gain(one.without, estimate)
+    near = max(fit.settings.tied_share * own_gain, one.needed)
+    better = behind < -CLEARLY_BETTER * one.needed and estimate.cost < present.cost
+    if better and not (is_neutral(estimate, other) or at_edge(estimate, other)):
+        one.competing.pop(other, None)
+        if -behind < near:
+            one.competing[one.effect] = -behind
+        one.effect, one.gain, search.present[c] = other, own_gain - behind, estimate
+    elif behind < near:
+        one.competing[other] = max(behind, 0.0)
+    else:
+        one.competing.pop(other, None)

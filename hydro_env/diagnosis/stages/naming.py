@@ -1,0 +1,205 @@
+"""Naming: the effects that were found, with probability, competing candidates, values and intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ...plant import CATALOGUE, PlantModel, parameter_of
+from ..estimation.estimate import Estimate
+from ..estimation.fit import Fit
+from ..estimation.uncertainty import intervals_of, probability_of_gain
+from ..models.base import RigModel
+from ..state import Estimates, State
+from .candidates import Accepted, Selection
+from .form_correction import is_correction
+from .screening import Screening, alike
+
+__all__ = [
+    "Interval", "NamedEffect", "at_bounds", "calibrated_values", "effect_values", "estimated_model", "measure_uncertainty",
+    "name_effects", "run",
+]  # fmt: skip
+
+#: Values of the two channels that differ by less (relative) are one effect of both.
+SAME_VALUE = 0.15
+#: A candidate of the same signature competes if it gained this share of what the accepted one did.
+NEARLY_AS_MUCH = 0.9
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with its 95 % interval, SI; `without_one_manoeuvre` is its largest move when one manoeuvre is left out."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    without_one_manoeuvre: float = 0.0
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """An effect that was found, on these `channels` (none: on the whole rig)."""
+
+    name: str
+    channels: tuple[int, ...]
+    probability: float
+    indistinguishable_from: list[str]
+    parameters: dict[str, Interval]
+
+    @property
+    def channel(self) -> str:
+        """ "1", "2", "both" or "rig"."""
+        return "rig" if not self.channels else "both" if len(self.channels) == 2 else str(self.channels[0] + 1)
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "name": self.name, "channel": self.channel, "probability": self.probability,
+            "indistinguishable_from": self.indistinguishable_from,
+            "parameters": {name: vars(p) for name, p in self.parameters.items()},
+        }  # fmt: skip
+
+
+def measure_uncertainty(state: State) -> State:
+    """Sets the intervals of every estimate that has derivatives."""
+    every = (*state.final.values(), *state.selection.estimates.values(), *state.calibrated.values())
+    for one in {id(p): p for p in every}.values():
+        if one.unknowns and one.columns:
+            one.intervals = intervals_of(state.fit, one)
+    return state
+
+
+def run(state: State) -> State:
+    """Names the effects that were found."""
+    return replace(state, effects=name_effects(state.fit, state.selection, state.screening, state.final))
+
+
+def name_effects(
+    fit: Fit, selection: Selection, screening: Sequence[Screening], final: Estimates
+) -> list[NamedEffect]:
+    """The effects with probability, competing candidates and values; equal ones on both channels become one of both.
+
+    Values are those of `final`, where forms may be corrected; nothing else depends on that.
+    """
+    same = alike(screening)
+    found = []
+    for one in selection.accepted:
+        c = fit.rig.channels[0] if one.channel is None else one.channel
+        # Alike by direction is not enough: a competing candidate must also have done nearly as well when it was refitted.
+        rivals = sorted(one.competing, key=lambda n: one.competing[n])
+        tied = same.get((one.effect, one.channel), [])
+        rivals += [n for n in tied if n not in rivals and _did_nearly_as_well(selection, one, n)]
+        channels = () if one.channel is None else (one.channel,)
+        probability = _probability(fit, one, rivals, selection.estimates[c])
+        values = effect_values(final[c], one.effect, c)
+        found.append(NamedEffect(one.effect, channels, round(probability, 3), rivals, values))
+    return _merged(found)
+
+
+def _probability(fit: Fit, one: Accepted, rivals: Sequence[str], estimate: Estimate) -> float:
+    """How likely an effect is there, and is this one and none of its rivals."""
+    # Between names that are declared alike the law's exact form decides, which no machine keeps: they weigh the same.
+    declared = CATALOGUE[one.effect].indistinguishable_from
+    behind = [0.0 if n in declared else one.competing.get(n, 0.0) for n in rivals]
+    half = 0.5 * fit.settings.temper
+    weight = 1.0 + sum(math.exp(-half * deficit) for deficit in behind)
+    likely = 1.0 / (1.0 + math.exp(-half * (one.gain - one.needed)))
+    if one.without is not None and one.without.channel == estimate.channel:
+        likely = min(likely, probability_of_gain(fit, one.without, estimate, one.needed))
+    return likely / weight
+
+
+def _did_nearly_as_well(selection: Selection, one: Accepted, name: str) -> bool:
+    return any(
+        t.gain > NEARLY_AS_MUCH * one.gain
+        for t in selection.candidates
+        if t.effect == name and t.channel == one.channel and t.estimate is not None
+    )
+
+
+def _merged(found: list[NamedEffect]) -> list[NamedEffect]:
+    """An effect that both channels have with the same values, within `SAME_VALUE`, becomes one of both."""
+    out: list[NamedEffect] = []
+    for n in found:
+        twin = next((o for o in out if o.name == n.name and {*o.channels, *n.channels} == {0, 1}), None)
+        if twin is None or not all(_alike(twin.parameters[p], n.parameters[p]) for p in n.parameters):
+            out.append(n)
+            continue
+        values = {name: _both(a, n.parameters[name]) for name, a in twin.parameters.items()}
+        rivals = list(dict.fromkeys(twin.indistinguishable_from + n.indistinguishable_from))
+        probability = min(twin.probability, n.probability)
+        out[out.index(twin)] = NamedEffect(n.name, (0, 1), probability, rivals, values)
+    return out
+
+
+def _alike(a: Interval, b: Interval) -> bool:
+    if a.low <= b.high and b.low <= a.high:
+        return True
+    return bool(abs(a.value - b.value) <= SAME_VALUE * max(abs(a.value), abs(b.value)))
+
+
+def _both(a: Interval, b: Interval) -> Interval:
+    moved = max(a.without_one_manoeuvre, b.without_one_manoeuvre)
+    return Interval(0.5 * (a.value + b.value), min(a.low, b.low), max(a.high, b.high), a.unit, moved)
+
+
+# --- values ---------------------------------------------------------------------------------------------------------------
+def effect_values(estimate: Estimate, effect: str, channel: int) -> dict[str, Interval]:
+    """The parameters of an effect on a channel."""
+    return {
+        u.parameter: _interval(estimate, j)
+        for j, u in enumerate(estimate.unknowns)
+        if u.effect == effect and u.channel in (None, channel)
+    }
+
+
+def _interval(estimate: Estimate, j: int) -> Interval:
+    u, q, sure = estimate.unknowns[j], float(estimate.q[j]), estimate.intervals
+    value = float(u.value(q))
+    if sure is None:
+        spread = 1.96 * float(estimate.spread[j]) if estimate.spread is not None else 0.0
+        ends, moved = [u.value(q - spread), u.value(q + spread)], 0.0
+    else:
+        ends = [u.value(float(sure.low[j])), u.value(float(sure.high[j]))]
+        moved = max(abs(u.value(q + d) - value) for d in (-float(sure.without[j]), float(sure.without[j])))
+    low, high = (min(max(v, u.low), u.high) for v in (min(ends), max(ends)))
+    return Interval(value, float(low), float(high), u.unit, float(moved))
+
+
+def calibrated_values(rig: RigModel, estimates: Estimates) -> dict[tuple[str, int], tuple[float, Interval]]:
+    """Base parameters by (name, channel): nominal value (as given) and estimate."""
+    return {
+        (u.name, c): (rig.given(u.name, c), _interval(estimate, j))
+        for c, estimate in estimates.items()
+        for j, u in enumerate(estimate.unknowns)
+        if u.channel in (None, c) and not u.effect
+    }
+
+
+def at_bounds(estimates: Estimates) -> list[str]:
+    """Estimates at the end of their plausible range, by "J of channel 1"."""
+    found = []
+    for c, estimate in estimates.items():
+        for u, q in zip(estimate.unknowns, estimate.q, strict=True):
+            if u.effect and (q == 0.0 or is_correction(u.effect)):
+                continue
+            if u.channel in (None, c) and u.at_bound(float(q)) and u.high > u.low:
+                found.append(f"{u.name} of channel {c + 1} ({u.value(float(q)):.3g} {u.unit})")
+    return found
+
+
+def estimated_model(rig: RigModel, estimates: Estimates, name: str) -> PlantModel:
+    """The model with the estimated values put in."""
+    of_rig = {f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.scope == "rig" for p in e.parameters}
+    pairs: dict[str, tuple[float, float]] = {}
+    for c, estimate in estimates.items():
+        for parameter, value in estimate.values(c).items():
+            if parameter in rig.own and parameter != "Kq":
+                continue
+            parameter_of(parameter)
+            pair = [*pairs.get(parameter, rig.model.pair(parameter))]
+            pair[c] = float(value)
+            pairs[parameter] = (pair[c], pair[c]) if parameter in of_rig else (pair[0], pair[1])
+    return rig.written(rig.model.with_values(pairs, name))

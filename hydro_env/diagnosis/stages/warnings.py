@@ -1,0 +1,68 @@
+"""What a reader should know besides: doubts, findings of the logs, weak logs, estimates at their bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from ...measured.finding import SPELLING
+from ..estimation.uncertainty import unpredictable
+from ..state import State
+from .naming import at_bounds
+from .screening import hidden_by_calibration
+from .validation import signal_key
+
+__all__ = ["run"]
+
+#: Fit logs that are shorter in all than this, s, say little.
+SHORT_LOGS = 4.0
+
+
+def run(state: State) -> State:
+    """Collects the warnings, the weightiest first."""
+    found = [f"none of what is named is vouched for: {'; '.join(state.doubts)}"] if state.doubts else []
+    found += [f.text for f in state.findings]
+    found += _about_logs_and_fit(state)
+    hidden = [name.replace("_", " ") for name in hidden_by_calibration(state.screening)]
+    if hidden and state.verdict in ("none", "calibration"):
+        found.append(
+            f"calibration would take all of these, so that they cannot be excluded: {', '.join(hidden)}"
+        )
+    for c in state.rig.channels if state.effects and state.rig.has_hidden_states else ():
+        for signal, times in unpredictable(state.fit.on(state.held_out), state.final[c], c).items():
+            found.append(
+                f"the {signal} of channel {c + 1} on the sealed logs cannot be foretold: estimates that the fit logs cannot part "
+                f"give courses {times:.2g} times the noise apart"
+            )
+    return replace(state, warnings=found)
+
+
+def _about_logs_and_fit(state: State) -> list[str]:
+    rig, parts = state.rig, (*state.rig.parts, *state.held_out_parts)
+    first, found = [], [*rig.notes, *(p.note for p in parts if p.note)]
+    for part in {p.log.sha256: p for p in parts}.values():
+        # How a file is written matters least, so it is said last.
+        ordered = sorted(part.log.findings, key=lambda f: f.code in SPELLING)
+        found += [f"{part.log.name}: {f.text}" for f in ordered]
+    lasts = sum(len(p.log) * p.log.period for p in rig.parts)
+    if lasts < SHORT_LOGS:
+        first.append(f"the fit logs last {lasts:.2g} s in all: too short to part effects from each other")
+    for key, entry in _errors(state):
+        if entry["after"] > 1.1 * entry["before"] and entry["after"] > 1.3 * entry["noise"]:
+            worse = f"{entry['after']:.3g}, {entry['before']:.3g} before"
+            first.append(
+                f"{key}: the sealed logs are explained worse than by the model as given ({worse}); the fit logs say too "
+                "little about what the sealed ones show"
+            )
+    found += [f"{text} ends at the edge of its plausible range" for text in at_bounds(state.final)]
+    for key, entry in _errors(state):
+        if entry["after"] > 1.02 * entry["calibrated"] and entry["after"] > 1.2 * entry["noise"]:
+            found.append(
+                f"{key}: on the sealed logs the calibrated model alone was better than with the named effects"
+            )
+    return [*first[::-1], *found]
+
+
+def _errors(state: State) -> Iterator[tuple[str, dict[str, float]]]:
+    for (c, signal), entry in state.on_held_out.errors.items():
+        yield signal_key(state.held_out, signal, c), entry

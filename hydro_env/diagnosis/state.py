@@ -1,0 +1,81 @@
+"""The state of a diagnosis: what every stage reads, and what it adds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from ..measured import Finding
+from ..plant import PlantModel
+from .estimation.estimate import Estimate
+from .estimation.fit import Fit
+from .input.parts import Part
+from .models.base import RigModel
+from .settings import Settings
+
+if TYPE_CHECKING:
+    from .stages.candidates import Selection
+    from .stages.form_correction import Correction
+    from .stages.localisation import Location
+    from .stages.naming import NamedEffect
+    from .stages.screening import Screening
+    from .stages.validation import Proof
+
+__all__ = ["Estimates", "State"]
+
+#: Estimates by channel; the same one for both where the whole rig was estimated together.
+Estimates = dict[int, Estimate]
+
+
+@dataclass(frozen=True)
+class State:
+    """What is known so far; a stage returns a copy with more in it.
+
+    `fit` is the model of the rig with the logs to fit and their noise, `fine` the same with the accuracy of the proof, `held_out`
+    the model with the logs that take no part in the fit. Estimates: `given` the model as given, `calibrated` with known
+    parameters adjusted, `final` what was found, with corrections of form, `placebo` the best wrong effect instead.
+    """
+
+    model: PlantModel
+    fit: Fit
+    fine: RigModel
+    held_out: RigModel
+    held_out_parts: list[Part]
+    accept: frozenset[str] = frozenset()
+    progress: Callable[[str], None] = lambda text: None
+
+    findings: list[Finding] = field(default_factory=list)
+    given: Estimates = field(default_factory=dict)
+    calibrated: Estimates = field(default_factory=dict)
+    screening: list[Screening] = field(default_factory=list)
+    selection: Selection = None  # type: ignore[assignment]  # set by the stage of that name, like all that follows
+    verdict: str = ""
+    locations: list[Location] = field(default_factory=list)
+    final: Estimates = field(default_factory=dict)
+    placebo: Estimates = field(default_factory=dict)
+    corrections: list[Correction] = field(default_factory=list)
+    on_fit: Proof = None  # type: ignore[assignment]
+    on_held_out: Proof = None  # type: ignore[assignment]
+    doubts: list[str] = field(default_factory=list)
+    effects: list[NamedEffect] = field(default_factory=list)
+    next_experiment: dict[str, Any] | None = None
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def rig(self) -> RigModel:
+        return self.fit.rig
+
+    @property
+    def settings(self) -> Settings:
+        return self.fit.settings
+
+    @property
+    def seconds(self) -> float:
+        """Length of the longest log to fit, s."""
+        return max(len(p.log) * p.log.period for p in self.rig.parts)
+
+    @property
+    def shown(self) -> Estimates:
+        """The estimates whose known parameters are reported."""
+        return self.calibrated if self.verdict == "none" else self.final
