@@ -1,4 +1,4 @@
-"""What all tests share: one thread to a process, and the longest test first."""
+"""What all tests share: one thread to a process, the longest test first, and which tests the fast subset leaves out."""
 
 from __future__ import annotations
 
@@ -9,7 +9,42 @@ import pytest
 # Workers share the cores (`pytest -n auto`), and so do the processes that tests start: none takes more than one.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+#: What `pytest -m fast` leaves out: files, or tests in them, that take seconds (training, tuning, estimation, stiff
+#: reference solutions, processes that start anew).
+LONG = (
+    "test_agents_tools.py",
+    "test_balances.py",
+    "test_benchmark.py::test_every_controller_is_vectorised_over_rigs",
+    "test_benchmark.py::test_jobs_change_nothing",
+    "test_close_loop.py",
+    "test_controllers.py::test_a_common_search_goes_on_where_it_was_interrupted",
+    "test_diagnosis_certainty.py",
+    "test_diagnosis_motor.py::test_the_fits_numbers_are_near_those_of_the_proof",
+    "test_diagnosis_shape.py",
+    "test_diagnosis_valleys.py",
+    "test_engine.py",
+    "test_form_corrections.py::test_the_second_bristle_takes_over_what_the_first_one_had_more",
+    "test_hide.py",
+    "test_losses.py::test_hidden_losses_are_in_the_logs_and_in_the_truth",
+    "test_losses.py::test_kernel_and_reference_agree",
+    "test_measured_command.py",
+    "test_measured_csv.py::test_both_readers_give_the_same",
+    "test_oracle.py",
+    "test_plant_accuracy.py",
+    "test_policy.py::test_shipped_policies_drive_as_when_they_were_scored",
+    "test_probing.py",
+    "test_reference.py",
+    "test_reproduce.py",
+    "test_speed.py::test_speed_writes_rates_and_the_error_at_that_speed",
+    "test_style.py::test_checker[mypy]",
+    "test_sweep.py",
+    "test_training.py",
+)
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begins with the type checker: at the end of the list one worker would run it while the others wait."""
+    """Marks the fast tests, and begins with the type checker: at the end one worker would run it while others wait."""
+    for item in items:
+        if not item.nodeid.rpartition("/")[2].startswith(LONG) and not item.get_closest_marker("slow"):
+            item.add_marker("fast")
     items.sort(key=lambda item: "test_checker[mypy]" not in item.nodeid)
