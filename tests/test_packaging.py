@@ -10,6 +10,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
+
+from hydro_env import __version__
 
 ROOT = Path(__file__).parent.parent
 
@@ -34,13 +37,15 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     (path,) = folder.glob("*.whl")
-    assert path.name == "hydro_env-0.1.0-py3-none-any.whl"
+    assert path.name == f"hydro_env-{__version__}-py3-none-any.whl"
     with zipfile.ZipFile(path) as archive:
         return archive.namelist()
 
 
 def test_wheel_holds_hydro_env_only(wheel: list[str]) -> None:
-    others = [name for name in wheel if not name.startswith(("hydro_env/", "hydro_env-0.1.0.dist-info/"))]
+    others = [
+        name for name in wheel if not name.startswith(("hydro_env/", f"hydro_env-{__version__}.dist-info/"))
+    ]
     assert not others
     assert not [name for name in wheel if "__pycache__" in name or name.endswith((".nbi", ".nbc", ".pyc"))]
 
@@ -106,3 +111,8 @@ def test_every_constraint_is_a_plain_pin() -> None:
     ]
     names = {re.split(r"[^A-Za-z0-9_-]", each)[0].lower().replace("_", "-") for each in wanted}
     assert names - {"hydro-env"} <= pinned
+
+
+def test_the_citation_has_the_version_of_the_package() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == __version__
