@@ -2,16 +2,18 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis import diagnose
+from hydro_env.diagnosis import RULES, STAGES, diagnose
 from hydro_env.diagnosis.command import run
 from hydro_env.diagnosis.models.array_laws import elementwise
 from hydro_env.errors import InputError
+from hydro_env.measured import load_mapping, read_log
 from hydro_env.plant import CATALOGUE, load_model
 
 MAPPING = """
@@ -108,6 +110,26 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
         diagnose([fit], [fit], mapping=mapping)
     with pytest.raises(InputError, match="unknown plant"):
         diagnose([fit], [fit], mapping=mapping, model="papr")
+
+
+def test_loaded_logs_give_the_same_as_their_files_and_rules_can_be_switched_off(tmp_path: Path) -> None:
+    paths = [_axis(tmp_path, name, _overlap, seed=n) for n, name in enumerate(("fit", "sealed"))]
+    mapping = load_mapping(tmp_path / "map.yaml")
+    logs = [read_log(path, mapping) for path in paths]
+    told: list[str] = []
+    found = diagnose(logs[:1], logs[1:], progress=lambda text, simulations: told.append(text))
+    files = diagnose(paths[:1], paths[1:], mapping=mapping)
+    assert found.verdict == files.verdict and [e.name for e in found.effects] == ["dead_zone"]
+    assert found.as_dict() == {**files.as_dict(), "seconds": found.as_dict()["seconds"]}
+    assert set(told) >= {text for text, _ in STAGES}
+    # The same arrays without a file, and without any rule.
+    bare = [replace(log, name="", sha256="") for log in logs]
+    plain = diagnose(bare[:1], bare[1:], rules_off=RULES)
+    assert [e.name for e in plain.effects] == ["dead_zone"] and plain.state.settings.rules_off == set(RULES)
+    with pytest.raises(InputError, match="shares rows"):
+        diagnose(bare[:1], bare[:1])
+    with pytest.raises(InputError, match="grow_horizon"):
+        diagnose(bare[:1], bare[1:], rules_off=["grow_horizons"])
 
 
 @pytest.mark.skipif(

@@ -6,13 +6,12 @@ A rule is a step that rescues a fit or questions a name. Each has a switch, so t
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from ..errors import InputError
+from ..errors import InputError, nearest
 
-__all__ = ["RULES", "Settings", "rule"]
+__all__ = ["RULES", "Settings", "known_rules", "rule"]
 
 #: What each rule does, by its name.
 RULES: dict[str, str] = {}
@@ -26,10 +25,7 @@ def rule(name: str, what: str) -> str:
 
 @dataclass(frozen=True)
 class Settings:
-    """The choices of a diagnosis that a user may change. Numbers of the numerics stand where they are used.
-
-    ValueError never; InputError for a rule that does not exist.
-    """
+    """The choices of a diagnosis that a user may change. Numbers of the numerics stand where they are used."""
 
     #: Accepted chance of one superfluous effect: the `p` of PASTIS (Gerardos and Ronceray 2025).
     false_alarm: float = 0.01
@@ -56,7 +52,7 @@ def known_rules(names: Collection[str]) -> frozenset[str]:
     """The names as a set; InputError for one that is no rule."""
     for name in names:
         if name not in RULES:
-            near = difflib.get_close_matches(name, RULES, 1)
-            hint = f"did you mean {near[0]}? " if near else ""
+            near = nearest(name, RULES)
+            hint = f"did you mean {near!r}? " if near else ""
             raise InputError(f"unknown rule {name!r}: {hint}known are {', '.join(sorted(RULES))}")
     return frozenset(names)

@@ -8,6 +8,7 @@ A log of more than two minutes is taken in windows instead, chosen where none ar
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
@@ -53,13 +54,24 @@ def read_parts(
     parts = []
     for word in words:
         if isinstance(word, RigLog):
-            parts += _parts(word.name, _even(_usable(word.name, word, ALL, accept)), ALL)
+            log = _named(word)
+            parts += _parts(log.name, _even(_usable(log.name, log, ALL, accept)), ALL)
             continue
         path, windows = _split(str(word))
         if path not in read:
             read[path] = read_log(path, mapping)
         parts += _parts(str(word), _even(_usable(path, read[path], windows, accept)), windows)
     return parts
+
+
+def _named(log: RigLog) -> RigLog:
+    """A loaded log with a name and a hash, by which rows that are fitted and held out are told apart."""
+    if log.sha256:
+        return log
+    content = hashlib.sha256()
+    for values in (log.time_s, log.command_V, log.speed):
+        content.update(np.ascontiguousarray(values).tobytes())
+    return replace(log, name=log.name or f"log {content.hexdigest()[:8]}", sha256=content.hexdigest())
 
 
 def _parts(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[Part]:

@@ -137,7 +137,7 @@ def _doubts_of_channel(
         if calibrated > TO_BE_CONFIRMED * noise and not silent:
             shares.append((calibrated**2 - after**2) / (calibrated**2 - noise**2))
     if shares and max(shares) < fit.settings.confirmed_share and uses(DOUBT_UNCONFIRMED):
-        yield f"the effects of channel {c + 1} explain next to nothing of the sealed logs"
+        yield f"the effects of channel {c + 1} explain next to nothing of the held-out logs"
 
 
 def _worse(entry: dict[str, float]) -> bool:

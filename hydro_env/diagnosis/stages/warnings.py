@@ -20,19 +20,19 @@ SHORT_LOGS = 4.0
 
 def run(state: State) -> State:
     """Collects the warnings, the weightiest first."""
-    found = [f"none of what is named is vouched for: {'; '.join(state.doubts)}"] if state.doubts else []
+    found = [f"none of the named effects is confirmed: {'; '.join(state.doubts)}"] if state.doubts else []
     found += [f.text for f in state.findings]
     found += _about_logs_and_fit(state)
     hidden = [name.replace("_", " ") for name in hidden_by_calibration(state.screening)]
     if hidden and state.verdict in ("none", "calibration"):
         found.append(
-            f"calibration would take all of these, so that they cannot be excluded: {', '.join(hidden)}"
+            f"calibration hides these effects, so they cannot be excluded: {', '.join(hidden)}"
         )
     for c in state.rig.channels if state.effects and state.rig.has_hidden_states else ():
         for signal, times in unpredictable(state.fit.on(state.held_out), state.final[c], c).items():
             found.append(
-                f"the {signal} of channel {c + 1} on the sealed logs cannot be foretold: estimates that the fit logs cannot part "
-                f"give courses {times:.2g} times the noise apart"
+                f"the {signal} of channel {c + 1} on the held-out logs cannot be predicted: estimates that the fit logs cannot "
+                f"distinguish give results {times:.2g} times the noise apart"
             )
     return replace(state, warnings=found)
 
@@ -46,19 +46,19 @@ def _about_logs_and_fit(state: State) -> list[str]:
         found += [f"{part.log.name}: {f.text}" for f in ordered]
     lasts = sum(len(p.log) * p.log.period for p in rig.parts)
     if lasts < SHORT_LOGS:
-        first.append(f"the fit logs last {lasts:.2g} s in all: too short to part effects from each other")
+        first.append(f"the fit logs last {lasts:.2g} s in all: too short to distinguish effects")
     for key, entry in _errors(state):
         if entry["after"] > 1.1 * entry["before"] and entry["after"] > 1.3 * entry["noise"]:
             worse = f"{entry['after']:.3g}, {entry['before']:.3g} before"
             first.append(
-                f"{key}: the sealed logs are explained worse than by the model as given ({worse}); the fit logs say too "
-                "little about what the sealed ones show"
+                f"{key}: the held-out logs are explained worse than by the model as given ({worse}); the fit logs "
+                "say too little about what the held-out ones show"
             )
     found += [f"{text} ends at the edge of its plausible range" for text in at_bounds(state.final)]
     for key, entry in _errors(state):
         if entry["after"] > 1.02 * entry["calibrated"] and entry["after"] > 1.2 * entry["noise"]:
             found.append(
-                f"{key}: on the sealed logs the calibrated model alone was better than with the named effects"
+                f"{key}: on the held-out logs the calibrated model alone was better than with the named effects"
             )
     return [*first[::-1], *found]
 
