@@ -65,7 +65,6 @@ LONGER_FOR_NOW = {
     "hydro_env.experiments.near_limit.measure_ratio",
     "hydro_env.experiments.valve_test.run",
     "hydro_env.measured.inspect._guessed",
-    "hydro_env.measured.log._from_table",
     "hydro_env.valve_bench.rates._decide",
 }
 

@@ -1,4 +1,4 @@
-"""Binary log formats: Parquet, MAT 5 and 7.3, MDF 4 and TDMS, each as a table of named columns.
+"""A file of any log format as a table of named columns: CSV, and here Parquet, MAT 5 and 7.3, MDF 4 and TDMS.
 
 MAT 5 needs nothing beyond the core; the others need the libraries of the extra `measured`, imported on first use.
 In MAT files a column is a numeric vector (structures are named with dots, `log.speed`; the columns of a matrix are
@@ -17,11 +17,25 @@ from typing import Any
 import numpy as np
 
 from hydro_env.errors import InputError
+from hydro_env.measured.csv_file import CsvStyle, read_csv
 from hydro_env.measured.table import Table
 
-__all__ = ["BINARY", "read_binary"]
+__all__ = ["is_binary", "read_table"]
 
 Choose = Callable[[tuple[str, ...]], Sequence[str]]
+
+
+def is_binary(path: Path) -> bool:
+    """Whether the name says that a file is in a binary format."""
+    return (path.with_suffix("").suffix if path.suffix == ".gz" else path.suffix).lower() in BINARY
+
+
+def read_table(path: Path, choose: Choose, style: CsvStyle | None = None) -> Table:
+    """Reads the columns that `choose(names)` asks for from a file of any format; `style` is that of a CSV file.
+
+    `InputError` names the file and what would be right, of CSV also row and column.
+    """
+    return read_binary(path, choose) if is_binary(path) else read_csv(path, choose, style)
 
 
 def read_binary(path: Path, choose: Choose) -> Table:

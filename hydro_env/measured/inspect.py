@@ -19,9 +19,10 @@ import yaml
 
 from ..errors import InputError
 from ..units import UNITS, unit
-from .csv_file import CsvStyle, read_csv
-from .formats import BINARY, read_binary
-from .log import RigLog, read_log
+from .csv_file import CsvStyle
+from .formats import read_table
+from .log import RigLog
+from .log_files import read_log
 from .mapping import Mapping, contract_columns, contract_mapping, load_mapping
 
 __all__ = ["Proposal", "propose", "shown"]
@@ -74,10 +75,7 @@ def _columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         def choose(names: tuple[str, ...]) -> tuple[str, ...]:
             return tuple(n for n in names if n) if wanted is None else wanted
 
-        suffix = path.with_suffix("").suffix if path.suffix == ".gz" else path.suffix
-        if suffix.lower() in BINARY:
-            return read_binary(path, choose)
-        return read_csv(path, choose, CsvStyle(header=None))
+        return read_table(path, choose, CsvStyle(header=None))
 
     if not path.is_file():
         raise InputError(f"{path}: no such file; give the path of a log")
@@ -93,11 +91,7 @@ def _columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
             return found[:0]
 
         try:
-            suffix = path.with_suffix("").suffix if path.suffix == ".gz" else path.suffix
-            if suffix.lower() in BINARY:
-                read_binary(path, remember)
-            else:
-                read_csv(path, remember, CsvStyle(header=None))
+            read_table(path, remember, CsvStyle(header=None))
         except InputError:
             if not names:
                 raise error from None

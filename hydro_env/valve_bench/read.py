@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from hydro_env.errors import InputError, suggestion
-from hydro_env.measured.csv_file import CsvStyle, read_csv
-from hydro_env.measured.formats import BINARY, read_binary
+from hydro_env.measured.csv_file import CsvStyle
+from hydro_env.measured.formats import is_binary, read_table
 from hydro_env.measured.table import Table
 from hydro_env.units import Unit, to_si, unit
 from hydro_env.valve_bench.curve import Curve, Floats, branches_of
@@ -87,12 +87,8 @@ def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | 
         what = "not a file" if path.exists() else "no such file, and no preset of that name"
         raise InputError(f"{path}: {what}")
     choice = _Choice(path, columns)
-    suffixed = False
-    if path.suffix.lower() in BINARY:
-        table = read_binary(path, choice)
-    else:
-        suffixed = _has_suffixes(path)
-        table = read_csv(path, choice, CsvStyle(si_suffixes=suffixed, header=None))
+    suffixed = not is_binary(path) and _has_suffixes(path)
+    table = read_table(path, choice, CsvStyle(si_suffixes=suffixed, header=None))
     findings = [f"{path.name}: {each.message}" for each in table.findings if each.code != "delimiter"]
     values = {role: table.columns[column] for role, column in choice.found.items()}
     whole = np.all([np.isfinite(each) for each in values.values()], axis=0)

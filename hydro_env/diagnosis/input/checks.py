@@ -27,7 +27,9 @@ def read_logs(
         raise InputError("no fit log; name at least one log to fit")
     if not held_out:
         raise InputError("no sealed log; name at least one with --sealed (or a part of a run, LOG@FROM:TO)")
-    parts, proofs = read_parts(fit, mapping, accept), read_parts(held_out, mapping, accept)
+    read: dict[str, RigLog] = {}  # of an hour of log whose parts are in both, one reading
+    parts, proofs = (read_parts(words, mapping, accept, read) for words in (fit, held_out))
+    read.clear()
     overlap(parts, proofs)
     parts, proofs = _with_common_signals(*_without_idle(parts, proofs))
     _check_channels(parts, proofs)

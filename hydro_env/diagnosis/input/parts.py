@@ -44,13 +44,15 @@ class Part:
 
 
 def read_parts(
-    words: Iterable[str | Path | RigLog], mapping: Mapping | str | Path | None, accept: Collection[str] = ()
-) -> list[Part]:
+    words: Iterable[str | Path | RigLog], mapping: Mapping | str | Path | None, accept: Collection[str] = (),
+    read: dict[str, RigLog] | None = None,
+) -> list[Part]:  # fmt: skip
     """Reads `PATH[@FROM:TO[,FROM:TO...]]` words, or takes logs that are loaded. InputError for a bad log, window or clock,
-    and for a log that is surely wrong unless the code of that finding is in `accept`."""
+    and for a log that is surely wrong unless the code of that finding is in `accept`. `read` holds logs that were read with
+    the same mapping already, by path, and is added to."""
     if mapping is not None and not isinstance(mapping, Mapping):
         mapping = load_mapping(mapping)
-    read: dict[str, RigLog] = {}
+    read = {} if read is None else read
     parts = []
     for word in words:
         if isinstance(word, RigLog):

@@ -1,0 +1,246 @@
+"""Rig logs from files and to files: by the rig log's own header or through a mapping, with what the data gate says."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_env.errors import InputError, nearest, suggestion
+from hydro_env.measured.csv_file import CsvStyle
+from hydro_env.measured.finding import Finding
+from hydro_env.measured.formats import read_table
+from hydro_env.measured.gate import Spoilt, after_gaps, check_clock, check_log, check_units
+from hydro_env.measured.log import HELD, RigLog, field_of
+from hydro_env.measured.mapping import (
+    CHANNEL_SIGNALS,
+    CONTRACT,
+    CONTRACT_RIG,
+    RIG_SIGNALS,
+    Mapping,
+    Source,
+    contract_columns,
+    contract_mapping,
+    load_mapping,
+)
+from hydro_env.measured.samples import MEASURED
+from hydro_env.measured.table import Table, digest
+from hydro_env.units import from_si
+
+__all__ = ["read_log", "write_log"]
+
+
+def read_log(path: str | Path, mapping: Mapping | str | Path | None = None) -> RigLog:
+    """Reads a log file, by the rig log's own header or through a mapping; `.findings` holds the data gate's warnings.
+
+    `InputError` (one line: file, row, column, what would be right) where the log cannot be used.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give the path of a log")
+    if mapping is not None and not isinstance(mapping, Mapping):
+        mapping = load_mapping(mapping)
+    chosen: list[Mapping] = []
+
+    def choose(names: tuple[str, ...]) -> tuple[str, ...]:
+        chosen.append(mapping or contract_mapping(names, path))
+        for column in chosen[0].columns():
+            if column not in names:
+                raise InputError(
+                    f"{path}: column {column!r} that the mapping names is not in the header; {suggestion(column, names)}"
+                )
+        return chosen[0].columns()
+
+    table = read_table(path, choose, CsvStyle(**mapping.table.model_dump()) if mapping else None)
+    if mapping is None:
+        table.findings.extend(_unknown_columns(table))
+    return _from_table(table, chosen[0])
+
+
+def _unknown_columns(table: Table) -> Iterator[Finding]:
+    known = set(contract_columns())
+    for name in table.names:
+        if name and name not in known:
+            near = nearest(name, known)
+            hint = f"; is {near!r} meant?" if near else ""
+            yield Finding(
+                "unknown_column", f"column {name!r} is not understood and ignored{hint}", column=name
+            )
+
+
+def _from_table(table: Table, mapping: Mapping) -> RigLog:
+    findings = list(table.findings)
+    count = len(table.lines)
+    if count < 2:
+        raise InputError(f"{table.path}: only {count} row; a log needs at least two samples")
+    if mapping.time.column is None:
+        assert mapping.time.sample_rate is not None
+        time_s, keep = np.arange(count) / mapping.time.sample_rate, None
+    else:
+        time_s, keep = check_clock(table, mapping.time.column, mapping.time.unit, findings)
+    signals = _signals(table, mapping, keep, findings)
+    table.columns.clear()  # an hour of them is half the memory
+    rows = table.lines if keep is None else table.lines[keep]
+    start = _hold(mapping, signals, rows, findings)
+    log = RigLog(
+        time_s=time_s[start:],
+        name=table.path.name,
+        sha256=digest(table.path),
+        kinds=tuple(channel.actuator if channel else "motor" for channel in mapping.channels),  # type: ignore[arg-type]
+        displacement=tuple(  # type: ignore[arg-type]
+            channel.displacement.si if channel and channel.displacement else None
+            for channel in mapping.channels
+        ),
+        read_as={
+            f"{signal}_{number + 1}": (source.column, source.unit)
+            for number, channel in enumerate(mapping.channels)
+            if channel
+            for signal in CHANNEL_SIGNALS
+            if (source := getattr(channel, signal)) is not None
+        },
+        **{name: None if values is None else values[start:] for name, values in signals.items()},  # type: ignore[arg-type]
+    )
+    if len(log) < 2:
+        raise InputError(f"{table.path}: no two rows hold a command; a log needs at least two samples")
+    findings += check_units(table, mapping)
+    found, spoilt = check_log(log, mapping, rows[start:])
+    return replace(_without(log, spoilt), findings=(*findings, *found))
+
+
+def _signals(
+    table: Table, mapping: Mapping, keep: np.ndarray | None, findings: list[Finding]
+) -> dict[str, np.ndarray | None]:
+    """The arrays of a `RigLog` in SI: (T, 2) of the channels, NaN where one lacks the signal, and (T,) of the rig."""
+    signals: dict[str, np.ndarray | None] = {}
+    for signal in CHANNEL_SIGNALS:
+        columns: list[np.ndarray | None] = [None, None]
+        for index, channel in enumerate(mapping.channels):
+            source = getattr(channel, signal) if channel else None
+            columns[index] = _values(table, source, keep, findings) if source else None
+            if source and columns[index] is None and signal in ("command", "speed"):
+                raise InputError(
+                    f"{table.path}: column {source.column!r} is empty; {signal} is required of every channel"
+                )
+        count = max((len(column) for column in columns if column is not None), default=0)
+        if count:
+            signals[field_of(signal)] = np.column_stack(
+                [np.full(count, np.nan) if column is None else column for column in columns]
+            )
+    for signal in RIG_SIGNALS:
+        source = getattr(mapping, signal)
+        if source is not None:
+            signals[signal] = _values(table, source, keep, findings)
+    return signals
+
+
+def _values(
+    table: Table, source: Source, keep: np.ndarray | None, findings: list[Finding]
+) -> np.ndarray | None:
+    """One signal in SI (T,), or None where its column is empty."""
+    cells = table.columns[source.column]
+    if np.isnan(cells).all():
+        message = f"column {source.column!r} holds no value"
+        findings.append(Finding("empty_column", message, "taken as absent", column=source.column))
+        return None
+    result = source.si(cells)
+    if source.minus is not None:
+        result = result - source.minus.si(table.columns[source.minus.column])
+    return np.asarray(result if keep is None else result[keep])
+
+
+def _hold(
+    mapping: Mapping, signals: dict[str, np.ndarray | None], rows: np.ndarray, findings: list[Finding]
+) -> int:
+    """Fills holes of commands, loads and set-points (in place) with the last value; the first row in which all commands
+    are known. A load before its first value is zero, and a set-point its first value."""
+    start = 0
+    for signal in HELD:
+        values = signals.get(field_of(signal))
+        if values is None:
+            continue
+        for channel in range(values.shape[1]) if values.ndim == 2 else (None,):
+            one = values if channel is None else values[:, channel]
+            known = np.isfinite(one)
+            if known.all() or not known.any():
+                continue
+            named = mapping.channels[channel] if channel is not None else mapping
+            column = getattr(named, signal).column
+            last = np.maximum.accumulate(np.where(known, np.arange(len(one)), -1))
+            first = int(np.argmax(known))
+            one[:] = np.where(last >= 0, one[np.maximum(last, 0)], 0.0 if signal == "load" else one[first])
+            hint = "the value before is held"
+            if signal == "command" and first > 0:
+                start = max(start, first)
+                hint += f", and the log begins with row {rows[first]}, the first that holds one"
+            hole = int(np.argmax(~known))
+            message = f"{np.sum(~known)} of {len(one)} cells of {column!r} hold no value, the first in row {rows[hole]}"
+            place = {"channel": None if channel is None else channel + 1, "column": column}
+            findings.append(Finding("missing_values", message, hint, signal, row=int(rows[hole]), **place))  # type: ignore[arg-type]
+    return start
+
+
+def _without(log: RigLog, spoilt: Spoilt) -> RigLog:
+    """The log with NaN in place of spoilt samples, and of what follows a long gap unless that were most of the log."""
+    late = after_gaps(log.time_s)
+    late &= late.mean() < 0.5
+    changed: dict[str, np.ndarray | None] = {}
+    for signal in MEASURED:
+        values = log.get(signal)
+        if values is None or not (late.any() or any(name == signal for name, _ in spoilt)):
+            continue
+        values = values.copy()
+        values[late] = np.nan
+        for channel in (0, 1):
+            if (signal, channel) in spoilt:
+                values[spoilt[signal, channel], channel] = np.nan
+        changed[field_of(signal)] = None if signal != "speed" and np.isnan(values).all() else values
+    return replace(log, **changed) if changed else log  # type: ignore[arg-type]
+
+
+def write_log(path: str | Path, log: RigLog) -> None:
+    """Writes a rig log as CSV (gzipped for `.csv.gz`), with 12 significant digits; absent signals get no column."""
+    path = Path(path)
+    if "cylinder" in [log.kinds[channel] for channel in log.channels]:
+        raise ValueError(
+            "the rig log's header knows rpm and N m only; a cylinder log cannot be written with it"
+        )
+    columns: dict[str, np.ndarray] = {"time_s": log.time_s}
+    for signal, (column, symbol) in CONTRACT_RIG.items():
+        values = log.get(signal)
+        if values is not None:
+            columns[column] = from_si(values, symbol)
+    for signal, (ending, symbol) in CONTRACT.items():
+        values = log.get(signal)
+        for channel in log.channels:
+            if values is not None and log.has(signal, channel):
+                columns[f"{signal}_{channel + 1}_{ending}"] = from_si(values[:, channel], symbol)
+    header = [name for name in contract_columns() if name in columns]
+    rows = np.column_stack([columns[name] for name in header])
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as raw:
+            if path.suffix == ".gz":
+                # No name and no time in the header: the same log gives the same bytes.
+                with gzip.GzipFile(filename="", mode="wb", fileobj=raw, compresslevel=6, mtime=0) as packed:
+                    _write_rows(packed, header, rows)
+            else:
+                _write_rows(raw, header, rows)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def _write_rows(file: Any, header: list[str], rows: np.ndarray) -> None:
+    file.write((",".join(header) + "\n").encode())
+    line = ",".join(["%.12g"] * len(header)) + "\n"
+    for start in range(0, len(rows), 10_000):
+        text = "".join(line % tuple(row) for row in rows[start : start + 10_000].tolist())
+        file.write(text.replace("nan", "").encode())
