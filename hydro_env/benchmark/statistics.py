@@ -4,6 +4,9 @@ The set follows Agarwal et al., "Deep Reinforcement Learning at the Edge of the 
 (NeurIPS 2021): a mean that outliers do not carry, an interval that says what the number of cases allows,
 and a figure for the worst cases, which decide whether a controller may run a machine. Every metric here is
 a cost: smaller is better.
+
+`scipy.stats.bootstrap` knows no strata and draws anew for every metric, which takes several times as long; the other
+figures are not in SciPy.
 """
 
 from __future__ import annotations
