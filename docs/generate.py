@@ -17,6 +17,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ from hydro_env.envs import HydraulicSyncEnv
 from hydro_env.experiments import blind_trials
 from hydro_env.measured import mapping
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, model, parameter_of, preset_names
+from hydro_env.plant.catalogue import separating_experiment
 from hydro_env.plant.catalogue.form_corrections import CORRECTIONS, follows
 from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
 from hydro_env.plant.catalogue.losses import FAMILY as LOSSES
@@ -128,13 +130,14 @@ def effects() -> str:
 
 
 def twins() -> str:
-    """What the catalogue declares indistinguishable."""
-    rows = [
-        [f"`{e.name}`", ", ".join(f"`{other}`" for other in e.indistinguishable_from)]
-        for e in CATALOGUE.values()
-        if e.indistinguishable_from and not e.family
-    ]
-    return _table(["effect", "indistinguishable from"], rows)
+    """Pairs that the catalogue declares indistinguishable or hard to tell apart, with the experiment that separates them."""
+    rows = []
+    for a, b in combinations((e for e in CATALOGUE.values() if not e.family), 2):
+        never = b.name in a.indistinguishable_from or a.name in b.indistinguishable_from
+        experiment = separating_experiment(a.name, b.name)
+        if never or experiment:
+            rows.append([f"`{a.name}`", f"`{b.name}`", "no" if never else "rarely", experiment])
+    return _table(["effect", "and", "separated by the usual channels", "by this experiment"], rows)
 
 
 def form_corrections() -> str:
@@ -152,7 +155,6 @@ def losses() -> str:
     rows = []
     for effect in (e for e in CATALOGUE.values() if e.family == LOSSES):
         for number, p in enumerate(effect.parameters):
-            medium = p.nominal if p.typical is None else p.typical
             span = f"{_number(p.low)} to {_number(p.high)}"
             label = f"`{effect.name}`" if number == 0 else ""
             rows.append(
@@ -162,7 +164,7 @@ def losses() -> str:
                     p.note,
                     _unit(p.unit),
                     _number(p.nominal),
-                    _number(medium),
+                    _number(p.typical),
                     span,
                     p.source,
                 ]

@@ -9,6 +9,7 @@ import pickle
 import numpy as np
 import pytest
 
+from hydro_env.errors import InputError
 from hydro_env.plant import (
     BUILT_IN,
     CATALOGUE,
@@ -111,6 +112,18 @@ def test_a_reset_row_starts_afresh_and_the_others_go_on() -> None:
             one.step(command, 0.0, PERIOD)
     assert np.array_equal(plant.speed[1], fresh.speed[1])
     assert np.array_equal(plant.speed[[0, 2]], going_on.speed[[0, 2]])
+
+
+def test_the_delay_line_is_as_long_as_the_models_delay() -> None:
+    command = np.full((200, 2), 50.0)
+    values = {"command_delay.delay": 0.08}
+    late = Plant(load_model("paper").with_values(values), 1).run(command, None, 1e-3, ("current",))["current"]
+    assert np.all(late[:81] == 0.0) and np.all(late[82:] > 0.0)
+    plant = Plant("paper", 1, effects=["command_delay"])
+    with pytest.raises(ValueError, match=r"command_delay\.delay is 0\.08 s, the delay line of this plant holds 0\.05 s"):
+        plant.set("command_delay.delay", 0.08)
+    with pytest.raises(InputError, match="delayed forever"):
+        Plant(load_model("paper").with_values({"command_delay.delay": np.inf}), 1)
 
 
 # --- the integrator ---------------------------------------------------------------------------------------------------

@@ -55,11 +55,11 @@ class Answer:
 
 def _sized(p: Parameter, share: float, direction: int) -> float | None:
     """The parameter at a share of its range; None where there is no range in that direction."""
-    if p.typical is None or p.typical == p.nominal:
+    if not p.carries_size:
         return p.nominal
     up = (p.typical > p.nominal) == (direction > 0)
     end = p.high if up else p.low
-    if isinf(p.nominal):
+    if p.role == "limit":
         return exp(log(p.high) + share * log(p.low / p.high)) if direction > 0 else None
     if end == p.nominal:
         return None

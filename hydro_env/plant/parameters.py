@@ -47,7 +47,8 @@ class Parameter:
     "order" is a whole number, and a "time_constant" belongs to a memory that may be longer than a log. Unless given it is
     "limit" or "size" where `typical` differs from `nominal`, else "shape".
     `scaling` has the parameter's power in the directions `SCALINGS`. `part_of` names the base parameter whose calibrated
-    value contains this one, as the inertia of the shaft contains what sits behind a coupling.
+    value contains this one, as the inertia of the shaft contains what sits behind a coupling. `not_below` names another
+    parameter of the effect that this one is never less than, as static friction is never less than sliding friction.
 
     ValueError for an unknown role or direction, or a size that has no size.
     """
@@ -64,6 +65,7 @@ class Parameter:
     role: str = ""
     scaling: Mapping[str, float] = field(default_factory=dict, hash=False)
     part_of: str = ""
+    not_below: str = ""
 
     def __post_init__(self) -> None:
         if isnan(self.typical):

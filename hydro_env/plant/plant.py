@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -27,7 +27,7 @@ SIGNALS = (*STATES, "flow", "measured_speed")
 
 #: Rigs that the kernel can be compiled to take together.
 BLOCKS = (1, 2, 4, 8, 16)
-#: Longest delay of the command that the delay line holds, s; a longer one counts as this.
+#: Longest delay of the command that the delay line holds, s, if the model has no longer one.
 LONGEST_DELAY = 0.05
 
 Array = NDArray[np.float64]
@@ -86,6 +86,7 @@ class Plant:
         self.model = load_model(model)
         self.num_rigs = int(num_rigs)
         self.substep = float(self.model.substep if substep is None else substep)
+        effects = tuple(effects)
         for name in effects:
             if name not in CATALOGUE:
                 parameter_of(f"{name}.")  # raises the line that names the nearest effect
@@ -93,7 +94,13 @@ class Plant:
         self._kernel: Kernel = compile_kernel((*self.model.declared, *effects), half, dtype)
         kernel = self._kernel
         blocks = -(-self.num_rigs // kernel.half)
-        self._slots = int(LONGEST_DELAY / self.substep) + 3  # a slot of the delay line is a substep
+        described = [CATALOGUE[name] for name in kernel.effects]
+        self._delays = [f"{e.name}.{e.delays_command}" for e in described if e.delays_command]
+        longest = [sum(self.model.value(name, channel) for name in self._delays) for channel in (0, 1)]
+        self._longest_delay = max(LONGEST_DELAY, *longest)
+        if self._longest_delay == inf:
+            raise InputError(f"model {self.model.name!r}: the command is delayed forever; a finite delay is right")
+        self._slots = int(self._longest_delay / self.substep) + 3  # a slot of the delay line is a substep
         slots = self._slots if kernel.has_delay else 1
         need = blocks * 2.0 * kernel.half * (kernel.num_rows * kernel.dtype.itemsize + slots * 8)
         if need > (most := machine_memory()):
@@ -165,7 +172,8 @@ class Plant:
     def set(self, name: str, values: ArrayLike, rows: ArrayLike | None = None) -> None:
         """Sets a parameter ("Kq", "dead_zone.overlap_positive") of all rigs or of `rows` (indices or mask).
 
-        `values` broadcasts to (number of rows, 2). KeyError for a name the plant lacks.
+        `values` broadcasts to (number of rows, 2). KeyError for a name the plant lacks, ValueError for a delay of the
+        command that is longer than the delay line.
         """
         if name not in PARAMETERS and "." not in name:
             parameter_of(name)
@@ -174,6 +182,10 @@ class Plant:
         if rows is not None:
             index = index[np.asarray(rows)].reshape(-1)
         pair = np.broadcast_to(np.asarray(values, dtype=np.float64), (index.size, 2))
+        if name in self._delays and pair.max(initial=0.0) > self._longest_delay:
+            raise ValueError(
+                f"{name} is {pair.max():g} s, the delay line of this plant holds {self._longest_delay:g} s"
+            )
         self._memory[index // half, row, index % half] = pair[:, 0]
         self._memory[index // half, row, index % half + half] = pair[:, 1]
 
@@ -200,22 +212,19 @@ class Plant:
     def _observe(self) -> None:
         """Flow and measured speed from the states as they are: a run through no rows."""
         nothing = self._empty[:, 0]
-        self._kernel.advance(
-            self._flat, self._cells, self._ring, self._head, nothing, nothing, 1, self.substep, _NO_RECORD, 1,
-            self._empty,
-        )  # fmt: skip
+        self._advance(nothing, nothing, 1, self.substep)
 
     def take_state(self, other: Plant, rows: NDArray[np.int64] | None = None) -> None:
         """Puts all rigs into the state of another plant's, which may have another substep and dtype; rig i into that of the
         other's rig `rows[i]`, where given.
 
-        ValueError if there are not as many, or other effects, or if commands are delayed and the substeps differ.
+        ValueError if there are not as many, or other effects, or if commands are delayed and the delay lines differ.
         """
         kernel = self._kernel
         if (self.num_rigs, self.effects) != (other.num_rigs if rows is None else len(rows), other.effects):
             raise ValueError("take_state needs a plant with as many rigs and the same effects")
         if kernel.has_delay:
-            if self.substep != other.substep:
+            if (self.substep, self._slots) != (other.substep, other._slots):
                 raise ValueError(
                     "take_state: commands are delayed by slots of a substep, so the substeps have to be alike"
                 )
@@ -261,12 +270,8 @@ class Plant:
         self.hold(command[0], load[0], self.substeps(period), period)
 
     def hold(self, command_V: Array, load_Nm: Array, substeps: int, period: float) -> None:
-        """`step` for callers in a hurry: finite float64 arrays (num_rigs, 2), and `substeps(period)` counted before."""
-        self._kernel.advance(
-            self._flat, self._cells, self._ring, self._head, command_V[None], load_Nm[None], substeps, period / substeps,
-            _NO_RECORD, 1, self._empty,
-        )  # fmt: skip
-        self._head = (self._head + substeps) % self._slots
+        """`step` without its checks: finite float64 arrays (num_rigs, 2), and `substeps(period)` counted before."""
+        self._advance(command_V[None], load_Nm[None], substeps, period / substeps)
 
     def run(
         self,
@@ -300,24 +305,21 @@ class Plant:
         rows: NDArray[np.int64],
         every: int = 1,
     ) -> None:
-        """`run` for callers in a hurry: finite float64 arrays (T, num_rigs, 2) or with ones for T of the load or num_rigs,
+        """`run` without its checks: finite float64 arrays (T, num_rigs, 2) or with ones for T of the load or num_rigs,
         the numbers `row_of` the signals, and where they go, `out` (signals, ceil(T / every), num_rigs, 2).
         """
         n = self.substeps(period)
+        self._advance(command_V, load_Nm, n, period / n, rows, every, out)
+
+    def _advance(
+        self, command_V: Array, load_Nm: Array, substeps: int, h: float,
+        rows: NDArray[np.int64] = _NO_RECORD, every: int = 1, out: Array | None = None,
+    ) -> None:  # fmt: skip
+        out = self._empty if out is None else out
         self._kernel.advance(
-            self._flat,
-            self._cells,
-            self._ring,
-            self._head,
-            command_V,
-            load_Nm,
-            n,
-            period / n,
-            rows,
-            every,
-            out,
+            self._flat, self._cells, self._ring, self._head, command_V, load_Nm, substeps, h, rows, every, out
         )
-        self._head = (self._head + n * command_V.shape[0]) % self._slots
+        self._head = (self._head + substeps * command_V.shape[0]) % self._slots
 
     # --- signals --------------------------------------------------------------------------------------------------
     @property
@@ -404,6 +406,15 @@ def _sequence(values: Array, num_rigs: int, name: str) -> Array:
     return array
 
 
+class PlantOptions(TypedDict, total=False):
+    """Options of `Plant`, see there."""
+
+    effects: Iterable[str]
+    substep: float | None
+    dtype: DTypeLike
+    block: int | None
+
+
 def simulate(
     model: str | Path | PlantModel,
     command_V: Array,
@@ -412,22 +423,20 @@ def simulate(
     *,
     values: Mapping[str, ArrayLike] | None = None,
     num_rigs: int = 1,
-    effects: Iterable[str] = (),
     record: Sequence[str] = ("speed",),
     every: int = 1,
-    substep: float | None = None,
-    dtype: DTypeLike = np.float64,
-    block: int | None = None,
+    **options: Unpack[PlantOptions],
 ) -> dict[str, Array]:
     """Simulates a command sequence from rest for `num_rigs` variants of a model.
 
     `values` maps parameters to arrays that broadcast to (num_rigs, 2); one of shape (num_rigs,) is taken for both
-    channels of each rig. Effects named in `values` are compiled in; `dtype` and `block` as in `Plant`. The rest as in
-    `Plant.run`: row n of the result is the state at the instant at which command n begins to act.
+    channels of each rig. Effects named in `values` are compiled in. `options` (effects, substep, dtype, block) as in
+    `Plant`, the rest as in `Plant.run`: row n of the result is the state at the instant at which command n begins to act.
     """
     values = dict(values or {})
     named = {name.split(".", 1)[0] for name in values if "." in name}
-    plant = Plant(model, num_rigs, effects=(*effects, *named), substep=substep, dtype=dtype, block=block)
+    options["effects"] = (*options.get("effects", ()), *named)
+    plant = Plant(model, num_rigs, **options)
     for name, value in values.items():
         array = np.asarray(value, dtype=np.float64)
         plant.set(name, array[:, None] if array.ndim == 1 and array.shape[0] == num_rigs else array)

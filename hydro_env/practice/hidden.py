@@ -117,9 +117,9 @@ def _inside(p: Parameter, low: float, high: float, share: float) -> float:
 
 def _shape(p: Parameter, duration: float, share: float) -> float:
     """A parameter that gives shape, not size."""
-    if p.name == "time_constant" and p.nominal > duration:
+    if p.role == "time_constant" and p.nominal > duration:
         return _inside(p, _DRIFT[0] * duration, _DRIFT[1] * duration, share)
-    if p.name == "order":  # teeth, pistons or lobes to a turn
+    if p.role == "order":  # teeth, pistons or lobes to a turn
         return float(math.floor(p.low + share * (p.high - p.low + 1.0)))
     if p.log:
         return _inside(p, p.nominal / _SHAPE_FACTOR, p.nominal * _SHAPE_FACTOR, share)
@@ -129,15 +129,14 @@ def _shape(p: Parameter, duration: float, share: float) -> float:
 def _size(p: Parameter, severity: str, share: float, turned: bool) -> float:
     """A parameter that gives size; `turned`: to the other side of the neutral value, where both make sense."""
     least, most = SEVERITIES[severity]
-    typical = p.nominal if p.typical is None else p.typical
-    if math.isinf(p.nominal):  # a limit: the lower it is the more it does
-        return _inside(p, typical / math.sqrt(most), typical / math.sqrt(least), share)
+    if p.role == "limit":  # the lower it is the more it does
+        return _inside(p, p.typical / math.sqrt(most), p.typical / math.sqrt(least), share)
     by_factor = p.log and p.nominal > 0.0
 
     def away(value: float) -> float:
         return math.log(value / p.nominal) if by_factor else value - p.nominal
 
-    step = away(typical)
+    step = away(p.typical)
     if turned and p.low < p.nominal < p.high:
         step = -step
     room = away(p.high if step > 0.0 else p.low) / step
@@ -151,12 +150,13 @@ def _draw(effect: Effect, severity: str, duration: float, rng: np.random.Generat
     found = {}
     for p in effect.parameters:
         share, side = rng.random(2)  # drawn always: a seed means the same rig
-        shape = p.typical is None or p.typical == p.nominal
+        sized = p.carries_size
         found[p.name] = (
-            _shape(p, duration, share) if shape else _size(p, severity, share, turned=bool(side < 0.5))
+            _size(p, severity, share, turned=bool(side < 0.5)) if sized else _shape(p, duration, share)
         )
-    if {"coulomb", "static"} <= found.keys():  # static friction is never below sliding friction
-        found["coulomb"], found["static"] = sorted((found["coulomb"], found["static"]))
+    for p in effect.parameters:
+        if p.not_below:
+            found[p.not_below], found[p.name] = sorted((found[p.not_below], found[p.name]))
     return found
 
 

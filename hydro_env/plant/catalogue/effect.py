@@ -175,7 +175,8 @@ def register(effect: Effect) -> Effect:
                 f"effect {effect.name!r}: a law changes {quantity!r}, none of {', '.join(QUANTITIES)}"
             )
     own = {p.name for p in effect.parameters}
-    for name in (*effect.adds_to.values(), *filter(None, [effect.delays_command])):
+    named = (*effect.adds_to.values(), effect.delays_command, *(p.not_below for p in effect.parameters))
+    for name in filter(None, named):
         if name not in own:
             raise ValueError(
                 f"effect {effect.name!r} has no parameter {name!r}, none of {', '.join(sorted(own))}"

@@ -95,6 +95,7 @@ SPOOL_STICTION = Effect(
             high=3.0,
             typical=0.6,
             scaling=SPOOL_FORCE,
+            not_below="coulomb",
             note="more static friction",
             source="assumed",
         ),

@@ -74,6 +74,7 @@ MOTOR_COULOMB_FRICTION = Effect(
             high=3.0,
             typical=0.4,
             scaling=MOTOR_SIZE,
+            not_below="coulomb",
             note="static friction",
             source="assumed",
         ),

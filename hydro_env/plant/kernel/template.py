@@ -72,7 +72,7 @@ def look(cells):
 
 @vectors
 def guard(cells):
-    """Puts lanes that left the bounds of sense to rest and marks them."""
+    """Puts lanes whose states have diverged to rest and marks them."""
 {guard}
 
 
