@@ -72,7 +72,7 @@ def sweep(
         begun = out / f"seed_{seed}" / "config.yml"
         if begun.is_file() and begun.read_text(encoding="utf-8") != config.text:
             raise InputError(
-                f"{config.path}: differs from {begun}, with which the sweep was begun; name another folder"
+                f"{config.path}: differs from {begun}, with which the sweep was started; name another folder"
             )
     try:
         out.mkdir(parents=True, exist_ok=True)

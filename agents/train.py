@@ -202,14 +202,14 @@ def train(
     if newest is not None and not resume:
         raise InputError(f"{out}: holds a run already; go on with --resume, or name another folder")
     if resume and newest is None and (out / "config.yml").is_file():
-        print(f"{out}: the run was stopped before its first checkpoint, it begins anew", file=sys.stderr)
+        print(f"{out}: the run was stopped before its first checkpoint, it starts over", file=sys.stderr)
     elif resume and newest is None:
         raise InputError(f"{out}: holds no checkpoint to resume from")
     if newest is not None:
         begun = newest.parent.parent / "config.yml"
         if begun.is_file() and begun.read_text(encoding="utf-8") != config.text:
             raise InputError(
-                f"{config.path}: differs from {begun}, with which the run was begun; resume with that file"
+                f"{config.path}: differs from {begun}, with which the run was started; resume with that file"
             )
         model, progress = checkpoint.restore(newest, config.algorithm)
     else:

@@ -160,9 +160,9 @@ def test_table_and_picture(tmp_path: Path) -> None:
     close_loop.write(tmp_path, data)
     assert (tmp_path / "close_loop.png").stat().st_size > 10_000
     text = (tmp_path / "close_loop.md").read_text()
-    assert "-75 %" in text and "told nothing" in text
+    assert "-75 %" in text and "as shipped" in text
     assert len({line.count("|") for line in text.splitlines()}) == 1
-    assert "4 named rightly" in close_loop.summary(data)
+    assert "4 named correctly" in close_loop.summary(data)
     back = close_loop.read(tmp_path)
     assert back["summary"] == json.loads(json.dumps(data["summary"]))
     assert back["scores"][0]["difference_rpm"] == [0.0, 1.0, 2.0]

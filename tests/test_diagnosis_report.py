@@ -119,7 +119,7 @@ def test_the_page_has_every_part_and_needs_no_network(found: Diagnosis) -> None:
         assert heading in page, heading
     assert page.count("<svg") >= 3
     assert not re.search(r"(src|href)=[\"']?(https?:)?//", page)
-    assert "noise, 2 standard deviations" in page and "largest gap" in page
+    assert "noise, 2 standard deviations" in page and "largest residual" in page
 
 
 def test_what_is_left_is_told_slow_from_fast(found: Diagnosis) -> None:

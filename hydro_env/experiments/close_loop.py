@@ -365,8 +365,8 @@ def _interval(values: Floats) -> list[float]:
 def table(data: Mapping[str, Any]) -> str:
     """The scores as a table in Markdown, one line a controller and scenario."""
     lines = [
-        "| controller | scenario | largest difference, rpm: wrong model | repaired | true | change by the repair | better on"
-        " | RMS difference: wrong, repaired, true | tracking: wrong, repaired, true |",
+        "| controller | scenario | peak error, rpm: model as given | repaired | true | change by the repair | better on"
+        " | RMS: as given, repaired, true | tracking error: as given, repaired, true |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     by = {(r["controller"], "none" in r, r["scenario"], r["metric"]): r for r in data["summary"]}
@@ -376,7 +376,7 @@ def table(data: Mapping[str, Any]) -> str:
             if shipped:
                 cells = [_shown(largest["none"]), "", "", "", ""]
                 rest = [f"{row['none']['mean']:.1f}" for row in (rms, tracking)]
-                name_shown = f"{name} as shipped, told nothing"
+                name_shown = f"{name} as shipped"
             else:
                 change = largest["change"]
                 low, high = (100.0 * v for v in change["ci95"])
@@ -402,18 +402,18 @@ def summary(data: Mapping[str, Any]) -> str:
     """What the command prints."""
     right = sum(row["right"] for row in data["rigs"])
     lines = [
-        f"{len(data['rigs'])} hidden rigs, {right} named rightly. Largest speed difference, rpm, on the hidden rigs:"
+        f"{len(data['rigs'])} hidden rigs, {right} named correctly. Peak synchronisation error, rpm, on the hidden rigs:"
     ]
     for row in data["summary"]:
         if row["metric"] != METRICS[0]:
             continue
         start = f"{row['controller']:<14} {row['scenario']:<15}"
         if "none" in row:
-            lines.append(f"{start} as shipped, told nothing of the rig: {_shown(row['none'])}")
+            lines.append(f"{start} as shipped, without information on the rig: {_shown(row['none'])}")
             continue
         low, high = (100.0 * v for v in row["change"]["ci95"])
         lines.append(
-            f"{start} tuned on the wrong model {_shown(row['wrong'])}, on the repaired one {_shown(row['repaired'])}, "
+            f"{start} tuned on the model as given {_shown(row['wrong'])}, on the repaired one {_shown(row['repaired'])}, "
             f"on the true one {_shown(row['true'])}: {100.0 * row['change']['mean']:+.0f} % [{low:+.0f}, {high:+.0f}], "
             f"better on {row['better']} of {row['n']}"
         )

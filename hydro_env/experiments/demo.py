@@ -33,10 +33,10 @@ HIDDEN = ("dead_zone:1",)
 """What the third part hides."""
 
 BOARD = (
-    ("setpoint_steps", "max_speed_difference_rpm", "steps: largest difference, rpm"),
+    ("setpoint_steps", "max_speed_difference_rpm", "steps: peak error, rpm"),
     ("setpoint_steps", "tracking_mae_rpm", "steps: tracking error, rpm"),
-    ("load_step", "max_speed_difference_rpm", "load: largest difference, rpm"),
-    ("load_step", "tracking_mae_rpm", "load: tracking error, rpm"),
+    ("load_step", "max_speed_difference_rpm", "load step: peak error, rpm"),
+    ("load_step", "tracking_mae_rpm", "load step: tracking error, rpm"),
 )
 """Columns of the score board: scenario, metric, heading. The first two are drawn."""
 

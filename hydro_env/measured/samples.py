@@ -328,9 +328,7 @@ def _disturbed(
         "the command hardly moves"
     )
     if pressure is None:
-        hint = (
-            "without a pressure it cannot be told whether the machine shook or its sensor; the stretch counts"
-        )
+        hint = "without a pressure signal it is unknown whether the machine shook or its sensor; the stretch counts"
         yield Finding("disturbed", message, hint, row=int(rows[first]), **place), np.zeros(len(values), bool)
         return
     hint = f"the pressure stays quiet, so the sensor is disturbed, not the machine: {_LEFT_OUT}"

@@ -66,7 +66,7 @@ class Oracle(Controller):
     def start(self, measured: Measurements) -> None:
         if self._twin is None or self._load is None:
             raise RuntimeError(
-                f"{self.name} needs prepare(plant) and foresee(load) before the episode: it is told everything"
+                f"{self.name} needs prepare(plant) and foresee(load) before the episode: it needs the true plant"
             )
         twin, n = self._twin, len(measured.speed)
         get = twin.get
