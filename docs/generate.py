@@ -31,6 +31,7 @@ from hydro_env.benchmark.report import NEEDS
 from hydro_env.cli import app
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Controller
+from hydro_env.diagnosis import RULES, STAGES, Settings
 from hydro_env.envs import HydraulicSyncEnv
 from hydro_env.experiments import blind_trials
 from hydro_env.measured import mapping
@@ -270,6 +271,34 @@ def suites() -> str:
         pairs = ", ".join(f"`{split}` {count}" for split, count in suite["splits"].items())
         rows.append([f"`{name}`", pairs, ", ".join(f"`{each}`" for each in suite["scenarios"])])
     return _table(["suite", "pairs of each split", "scenarios"], rows)
+
+
+def diagnosis_stages() -> str:
+    """The stages in their order."""
+    rows = [
+        [number, f"`{sys.modules[stage.__module__].__name__.rpartition('.')[2]}`", text, _first_line(stage)]
+        for number, (text, stage) in enumerate(STAGES, 1)
+    ]
+    return _table(["", "module in `hydro_env/diagnosis/stages`", "stage", "what it does"], rows)
+
+
+def diagnosis_rules() -> str:
+    """What `rules_off` can switch off."""
+    return _table(["rule", "what it does"], [[f"`{name}`", what] for name, what in sorted(RULES.items())])
+
+
+def diagnosis_settings() -> str:
+    """The fields of `Settings` with the comments above them."""
+    rows = []
+    for comment, name in re.findall(r"((?: +#:.*\n)+) +(\w+):", inspect.getsource(Settings)):
+        default = getattr(Settings(), name)
+        shown = "" if default == frozenset() else f"`{default}`"
+        rows.append([f"`{name}`", comment.replace("#:", ""), shown])
+    return _table(["setting", "meaning", "default"], rows)
+
+
+def _first_line(thing: Any) -> str:
+    return (thing.__doc__ or "").strip().splitlines()[0]
 
 
 def environment() -> str:
@@ -584,7 +613,8 @@ PARTS: dict[str, Callable[[], str]] = {
     made.__name__: made
     for made in (
         parameters, presets, preset_values, effects, twins, form_corrections, losses, controllers, gains, searches, splits,
-        faults, scenarios, metrics, suites, environment, commands, commands_short, log_columns, units, scores, scores_short,
+        faults, scenarios, metrics, suites, environment, diagnosis_stages, diagnosis_rules,
+        diagnosis_settings, commands, commands_short, log_columns, units, scores, scores_short,
         classical, agents, variation, speed, speed_short, error, trials, diagnosis_short,
     )
 }  # fmt: skip

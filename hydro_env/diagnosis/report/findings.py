@@ -127,7 +127,7 @@ def _unknown(found: Diagnosis) -> str:
 
 
 def _said(n: NamedEffect) -> str:
-    """An effect with its channel and what it cannot be told from."""
+    """An effect with its channel and what it is indistinguishable from."""
     tied = words.listed([words.title(name) for name in n.indistinguishable_from[:3]])
     return f"{words.title(n.name)} on {words.where(n.channel)}" + (
         f" (or {tied}: these logs cannot distinguish them)" if tied else ""
@@ -308,7 +308,7 @@ def ranking(found: Diagnosis) -> list[Ranked]:
         twin = tied.get((t.effect, t.channel))
         outcome = t.outcome
         if twin and outcome != ACCEPTED:
-            outcome = f"as good: cannot be told from {words.plain(twin)}"
+            outcome = f"as good: indistinguishable from {words.plain(twin)}"
         where = "rig" if t.channel is None else str(t.channel + 1)
         ranked.append(
             Ranked(t.effect, where, float(t.gain), float(t.needed), t.estimate is not None, outcome)

@@ -113,14 +113,14 @@ def _map(found: Diagnosis, location: Location) -> tuple[str, Any]:
         below.plot(time, _thin(error), color=colour, label=model, linewidth=1.0)
     windows = [w for w, own in zip(location.windows, location.logs, strict=True) if own == number]
     for n, (start, end) in enumerate(windows):
-        below.axvspan(start, end, color=COLOURS[1], alpha=0.18, label="largest gap" if n == 0 else None)
+        below.axvspan(start, end, color=COLOURS[1], alpha=0.18, label="largest residual" if n == 0 else None)
     below.set_xlabel("time, s")
     below.set_ylabel(f"speed error, {unit}")
     below.legend(ncols=3, **_ABOVE)
     caption = (
-        f"{words.equation(location.equation)} of channel {channel + 1}. Above: what the calibrated model misses, over the "
-        f"quantity that it depends on (with 95 % intervals); the curve holds {100 * form.explains:.0f} % of the error, "
-        f"{100 * form.with_direction:.0f} % where rising and falling are taken apart. Below: the windows of "
+        f"{words.equation(location.equation)} of channel {channel + 1}. Above: residual of the calibrated model over the "
+        f"quantity that it depends on (with 95 % intervals); a curve explains {100 * form.explains:.0f} % of it, "
+        f"{100 * form.with_direction:.0f} % with separate curves for rising and falling. Below: the windows of "
         f"{log.name} with most of it"
     )
     return caption[0].upper() + caption[1:], svg(drawing, f"where channel {channel + 1} errs")

@@ -80,8 +80,8 @@ def _shape(found: Diagnosis) -> list[str]:
         return []
     form = first.shape
     return [
-        f"  its shape: a curve over {form.over} holds {100 * form.explains:.0f} % of the error, "
-        f"{100 * form.with_direction:.0f} % rising and falling apart"
+        f"  its shape: a curve over {form.over} explains {100 * form.explains:.0f} % of the residual, "
+        f"{100 * form.with_direction:.0f} % with rising and falling separate"
     ]
 
 
