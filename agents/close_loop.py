@@ -3,7 +3,7 @@
 `hydro-env close-loop --out DIR` has hidden effects in rigs, diagnosed them and left three models of each: wrong, repaired
 and true. Here a PPO agent is trained from nothing on each of them, with the same training file, number of steps and seed,
 and drives the hidden rigs, which the independent reference simulator plays, on scenarios it has not been trained on. Its
-network sees the last measurements as they are (view `frames`): what it knows of the valves it has from its model.
+network sees the last measurements as they are (interface `frames`): what it knows of the valves it has from its model.
 
 DIR receives what the command wrote (close_loop.json, close_loop.md, the picture) with the agent beside the other
 controllers, `runs/` with all trainings, and `drives/` with the scores. The same command again goes on where it was stopped.

@@ -7,7 +7,7 @@ HydraulicSync-v0:              # RL-Zoo's keys: n_envs, n_timesteps, policy, env
   policy_kwargs: dict(net_arch=[64, 64], activation_fn=nn.Tanh)
 training:                      # what RL-Zoo has no key for
   algorithm: ppo
-  view: {kind: plan}
+  interface: {kind: flow}
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
-from hydro_env.controllers.learned.policy_interface import make_view
+from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError, suggestion
 from hydro_env.tasks.scenarios import SCENARIOS
 
@@ -46,7 +46,7 @@ class Training:
 
     Attributes:
         algorithm: "ppo" or "sac".
-        view: settings of `hydro_env.controllers.learned.policy_interface.make_view`; the plain observation if empty.
+        interface: table of `hydro_env.controllers.learned.policy_interface.make_interface`; the plain observation if empty.
         peak: what a speed difference of 20 rpm costs beside the environment's reward; grows with the square, see
             `agents.policy_env`.
         seed: of networks, exploration and environment.
@@ -61,7 +61,7 @@ class Training:
     """
 
     algorithm: str
-    view: dict[str, Any] = field(default_factory=dict)
+    interface: dict[str, Any] = field(default_factory=dict)
     peak: float = 0.0
     seed: int = 0
     checkpoint_every: int = 1_000_000
@@ -172,10 +172,10 @@ def _training(path: Path, table: dict[str, Any]) -> Training:
             _known(f"{where}: evaluate_scenarios", name, SCENARIOS)
         values["evaluate_scenarios"] = tuple(names)
     try:
-        make_view(values.get("view"))
+        make_interface(values.get("interface"))
     except (InputError, TypeError, ValueError) as problem:
-        raise InputError(f"{where}: view: {problem}") from None
-    values["view"] = dict(values.get("view") or {})
+        raise InputError(f"{where}: interface: {problem}") from None
+    values["interface"] = dict(values.get("interface") or {})
     return Training(**values)
 
 

@@ -2,8 +2,8 @@
 
 `python -m agents.export MODEL.zip --config configs/ppo.yml --out policy.npz` does by hand what a training run does by
 itself. `python -m agents.export policy.npz --out policy.onnx` writes the network for other runtimes: input `inputs`
-(rows, features), output `outputs` (rows, actions) in [-1, 1]. The view (what the inputs are and what becomes of the
-outputs) is code, not part of the graph; its settings are in the graph's metadata under `view`.
+(rows, features), output `outputs` (rows, actions) in [-1, 1]. The interface (what the inputs are and what becomes
+of the outputs) is code, not part of the graph; its settings are in the graph's metadata under `interface`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from agents.checkpoint import write_whole
 from agents.command import run_command
 from agents.config import read_config
 from hydro_env.controllers.learned.policy import SCHEMA, read_policy
-from hydro_env.controllers.learned.policy_interface import make_view
+from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError
 
 __all__ = ["export_onnx", "export_policy", "policy_arrays"]
@@ -58,11 +58,17 @@ def policy_arrays(model: BaseAlgorithm) -> tuple[dict[str, NDArray[np.float32]],
 
 
 def export_policy(
-    model: BaseAlgorithm, path: str | Path, view: Mapping[str, Any], about: Mapping[str, Any]
+    model: BaseAlgorithm, path: str | Path, interface: Mapping[str, Any], about: Mapping[str, Any]
 ) -> None:
     """Writes a policy file in one go. `about` is what the reader should know of its training; JSON values."""
     arrays, activation, squash = policy_arrays(model)
-    metadata = {"schema": SCHEMA, "activation": activation, "squash": squash, "view": dict(view), **about}
+    metadata = {
+        "schema": SCHEMA,
+        "activation": activation,
+        "squash": squash,
+        "interface": dict(interface),
+        **about,
+    }
     memory = io.BytesIO()
     np.savez_compressed(memory, metadata=np.array(json.dumps(metadata)), **arrays)  # type: ignore[arg-type]
     write_whole(Path(path), memory.getvalue())
@@ -99,7 +105,9 @@ def export_onnx(policy: str | Path, path: str | Path) -> None:
         constants,
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    helper.set_model_props(model, {"view": json.dumps(metadata["view"]), "schema": metadata["schema"]})
+    helper.set_model_props(
+        model, {"interface": json.dumps(metadata["interface"]), "schema": metadata["schema"]}
+    )
     onnx.checker.check_model(model)
     write_whole(Path(path), model.SerializeToString())
 
@@ -132,9 +140,9 @@ def main() -> None:
             raise InputError(
                 f"{arguments.model}: is no model of {config.training.algorithm} ({problem})"
             ) from None
-        view = make_view(config.training.view)
+        interface = make_interface(config.training.interface)
         about = {"algorithm": config.training.algorithm, "config": config.text}
-        export_policy(model, arguments.out, view.settings(), about)
+        export_policy(model, arguments.out, interface.table(), about)
         print(f"wrote {arguments.out}")
 
     run_command(run)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from agents.checkpoint import write_whole
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.estimation.valve_map import true_map
-from hydro_env.controllers.mpc.flow_controller import FlowView
+from hydro_env.controllers.learned.flow_interface import FlowInterface
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 
 __all__ = ["course", "draw"]
@@ -43,10 +43,11 @@ def course(name: str, case: int, seconds: float = 3.0) -> dict[str, NDArray[np.f
         rows["time"].append(step * env.control_period)
         rows["speed"].append(info["speed_rpm"][0].copy())
         action = controller.act(observation)
-        view = getattr(controller, "view", None)
-        rows["edge"].append(
-            view.valves.edge[0].copy() if isinstance(view, FlowView) else np.full((2, 2), np.nan)
-        )
+        interface = getattr(controller, "interface", None)
+        edge = np.full((2, 2), np.nan)
+        if isinstance(interface, FlowInterface):
+            edge = interface.controller.estimator.valves.state.edge[0].copy()
+        rows["edge"].append(edge)
         rows["command"].append(np.array(action[0]))
         rows["setpoint"].append(float(info["setpoint_rpm"][0]))
         observation, _, _, _, info = env.step(action.astype(np.float32))

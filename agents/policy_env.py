@@ -1,4 +1,4 @@
-"""The rigs as a policy's network meets them: a Stable-Baselines3 environment behind a view."""
+"""The rigs as a policy's network meets them: a Stable-Baselines3 environment behind a policy interface."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from hydro_env.controllers.learned.policy_interface import View
+from hydro_env.controllers.learned.policy_interface import PolicyInterface
 from hydro_env.sb3 import HydraulicSyncVecEnv
 from hydro_env.units import RPM
 
-__all__ = ["ViewVecEnv"]
+__all__ = ["PolicyVecEnv"]
 
 PEAK_RPM = 20.0
 
 
-class ViewVecEnv(VecEnvWrapper):
+class PolicyVecEnv(VecEnvWrapper):
     """Shows the network's inputs as observations and takes its outputs as actions.
 
-    A view with several rows per rig makes several environments of each rig, which share its reward and its end. Episode
+    An interface with several rows per rig makes several environments of each rig, which share its reward and its end. Episode
     returns are kept here, since Stable-Baselines3 reports them only for environments that do.
 
     `peak` is what a (true) speed difference of 20 rpm costs in a control period, beside the environment's own reward. The
@@ -32,13 +32,20 @@ class ViewVecEnv(VecEnvWrapper):
     one motor does before any control can answer is not to drown the rest.
     """
 
-    def __init__(self, venv: HydraulicSyncVecEnv, view: View, period: float, peak: float = 0.0) -> None:
-        self.view, self.period, self.rows, self.peak = view, period, view.rows_per_rig, float(peak)
+    def __init__(
+        self, venv: HydraulicSyncVecEnv, interface: PolicyInterface, period: float, peak: float = 0.0
+    ) -> None:
+        self.interface, self.period, self.rows, self.peak = (
+            interface,
+            period,
+            interface.rows_per_rig,
+            float(peak),
+        )
         self.num_rigs = venv.num_envs
         super().__init__(
             venv,
-            observation_space=spaces.Box(-np.inf, np.inf, (view.num_features,), np.float32),
-            action_space=spaces.Box(-1.0, 1.0, (view.num_actions,), np.float32),
+            observation_space=spaces.Box(-np.inf, np.inf, (interface.num_features,), np.float32),
+            action_space=spaces.Box(-1.0, 1.0, (interface.num_actions,), np.float32),
         )
         self.num_envs = self.num_rigs * self.rows
         self._return = np.zeros(self.num_rigs)
@@ -47,10 +54,10 @@ class ViewVecEnv(VecEnvWrapper):
     def reset(self) -> VecEnvObs:
         observation = self.venv.reset()
         self._return[:], self._length[:] = 0.0, 0
-        return self.view.start(np.asarray(observation), self.period)
+        return self.interface.start(np.asarray(observation), self.period)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        self.venv.step_async(self.view.command(actions).astype(np.float32))
+        self.venv.step_async(self.interface.command(actions).astype(np.float32))
 
     def step_wait(self) -> VecEnvStepReturn:
         observation, reward, done, infos = self.venv.step_wait()
@@ -67,7 +74,7 @@ class ViewVecEnv(VecEnvWrapper):
             last = observation.copy()
             for row in ended:
                 last[row] = infos[row]["terminal_observation"]
-        seen = self.view.see(last)
+        seen = self.interface.see(last)
         told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if ended.size:
             for row in ended:
@@ -76,7 +83,7 @@ class ViewVecEnv(VecEnvWrapper):
                     info["terminal_observation"] = inputs
                     info["TimeLimit.truncated"] = infos[row].get("TimeLimit.truncated", False)
                     info["episode"] = {"r": float(self._return[row]), "l": int(self._length[row]), "t": 0.0}
-            fresh = self.view.restart(ended, observation[ended]).reshape(ended.size, self.rows, -1)
+            fresh = self.interface.restart(ended, observation[ended]).reshape(ended.size, self.rows, -1)
             seen = seen.reshape(self.num_rigs, self.rows, -1).copy()
             seen[ended] = fresh
             seen = seen.reshape(self.num_envs, -1)

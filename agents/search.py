@@ -44,9 +44,10 @@ def suggest(trial: optuna.Trial, data: dict[str, Any]) -> dict[str, Any]:
     else:
         table["tau"] = trial.suggest_float("tau", 0.002, 0.05, log=True)
         table["gradient_steps"] = trial.suggest_int("gradient_steps", 1, 4)
-    if training.get("view", {}).get("kind") == "flow":
-        for key, low, high in (("reach", 0.05, 0.4), ("shift", 0.02, 0.2), ("pace", 0.1, 1.0)):
-            training["view"][key] = trial.suggest_float(key, low, high, log=True)
+    if training.get("interface", {}).get("kind") == "flow":
+        outputs = training["interface"].setdefault("outputs", {})
+        for key, low, high in (("flow", 0.05, 0.4), ("command", 0.02, 0.2), ("pace", 0.1, 1.0)):
+            outputs[key] = trial.suggest_float(f"outputs_{key}", low, high, log=True)
     return data
 
 

@@ -34,8 +34,8 @@ from agents.command import run_command
 from agents.config import Config, read_config
 from agents.evaluate import evaluate
 from agents.export import export_policy
-from agents.policy_env import ViewVecEnv
-from hydro_env.controllers.learned.policy_interface import make_view
+from agents.policy_env import PolicyVecEnv
+from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError
 from hydro_env.sb3 import HydraulicSyncVecEnv
 
@@ -46,7 +46,7 @@ class Run(BaseCallback):
     """Checkpoints, evaluations and the progress bar of a run.
 
     Everything happens between two rollouts, where the state of an algorithm is whole. Counts are control periods of
-    single rigs; Stable-Baselines3 counts a rig once for each row of its view.
+    single rigs; Stable-Baselines3 counts a rig once for each row of its interface.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Run(BaseCallback):
         super().__init__()
         self.config, self.out, self.command, self.progress = config, out, command, progress
         self.report = report
-        self._rows = make_view(config.training.view).rows_per_rig
+        self._rows = make_interface(config.training.interface).rows_per_rig
         self._bar = tqdm(
             total=config.num_steps,
             initial=progress["steps"],
@@ -144,7 +144,7 @@ class Run(BaseCallback):
             self.report(self.steps, score)
 
     def _export(self, path: Path, about: dict[str, Any]) -> None:
-        export_policy(self.model, path, make_view(self.config.training.view).settings(), about)
+        export_policy(self.model, path, make_interface(self.config.training.interface).table(), about)
 
 
 def versions() -> dict[str, str]:
@@ -179,7 +179,7 @@ def make_model(config: Config) -> BaseAlgorithm:
         raise InputError(f"{config.path}: env_kwargs: {problem}") from None
     rigs.set_options(staggered(rigs))
     period = float(env_kwargs["control_period"])
-    env = ViewVecEnv(rigs, make_view(config.training.view), period, config.training.peak)
+    env = PolicyVecEnv(rigs, make_interface(config.training.interface), period, config.training.peak)
     try:
         return config.algorithm(config.policy, env, seed=config.training.seed, device="cpu", **config.hyper)
     except (TypeError, ValueError, AssertionError) as problem:
@@ -218,7 +218,7 @@ def train(
         out.mkdir(parents=True, exist_ok=True)
         checkpoint.write_whole(out / "config.yml", config.text.encode())
     model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
-    rows = make_view(config.training.view).rows_per_rig
+    rows = make_interface(config.training.interface).rows_per_rig
     run = Run(config, out, command, progress, bar, report)
     left = config.num_steps * rows - model.num_timesteps
     if left > 0:

@@ -11,11 +11,11 @@ from scipy.linalg import expm
 
 from hydro_env.controllers import CONTROLLERS, LAWS, make_controller
 from hydro_env.controllers.base import FRACTION_PER_V, RPM
-from hydro_env.controllers.classical.adaptive_flow import ValveLearner
 from hydro_env.controllers.classical.pid import TABLE_III, Pid, per_rpm
 from hydro_env.controllers.estimation.bench_map import on_the_bench
-from hydro_env.controllers.estimation.valve_map import MOTOR_RATE, ValveMap, flow_for, true_map
-from hydro_env.controllers.spool import Spool, shaper
+from hydro_env.controllers.estimation.nominal import SPOOL_RATE, Motor
+from hydro_env.controllers.estimation.valve_map import ValveMap, true_map
+from hydro_env.controllers.input_shaping import three_taps
 from hydro_env.controllers.tuning import linearised as linear
 from hydro_env.controllers.tuning import tune
 from hydro_env.controllers.tuning.gains import read_gains
@@ -108,15 +108,34 @@ def test_valve_map_inverts_itself():
 
 def test_motor_coasts_at_its_pole():
     """plant.md's pole, 0.178 s; coasting is what takes no flow."""
-    assert pytest.approx(0.178, abs=5e-4) == 1 / MOTOR_RATE
-    assert flow_for(np.array(50.0), np.array(-50.0 * MOTOR_RATE), np.array(0.0)) == pytest.approx(
-        0.0, abs=1e-12
-    )
+    motor = Motor()
+    assert pytest.approx(0.178, abs=5e-4) == 1 / motor.rate
+    assert motor.demand(50.0, -50.0 * motor.rate, 0.0) == pytest.approx(0.0, abs=1e-12)
+
+
+class Spool:
+    """Where the nominal spool stands (share of its rated travel): mass, spring, damping, sampled exactly."""
+
+    def __init__(self, position, period, damping):
+        continuous = [
+            [0.0, 1.0, 0.0],
+            [-(SPOOL_RATE**2), -2.0 * damping * SPOOL_RATE, SPOOL_RATE**2],
+            [0.0] * 3,
+        ]
+        self.held = expm(np.array(continuous) * period)
+        self.position, self.speed = np.array(position, dtype=float), np.zeros_like(position, dtype=float)
+
+    def step(self, command):
+        (a, b, c), (d, e, f), _ = self.held
+        self.position, self.speed = (
+            a * self.position + b * self.speed + c * command,
+            d * self.position + e * self.speed + f * command,
+        )
 
 
 @pytest.mark.parametrize("period", [0.001, 0.005, 0.01])
 def test_shaper_leaves_the_spool_at_rest(period):
-    spacing, weight = shaper(period)
+    spacing, weight = three_taps(SPOOL_RATE, period)
     spool = Spool(np.zeros(1), period, damping=0.0)
     asked = [np.zeros(1)] * (2 * spacing) + [np.ones(1)] * 60
     peak = 0.0
@@ -125,23 +144,6 @@ def test_shaper_leaves_the_spool_at_rest(period):
         if n > 4 * spacing + 1:
             peak = max(peak, abs(spool.position[0] - 1.0))
     assert peak < 1e-9
-
-
-def test_learner_finds_edge_and_gain():
-    """Two valves with known curves, noisy flow: edge and gain are found, the uncertainty shrinks and is
-    honest.
-    """
-    rng = np.random.default_rng(0)
-    learner = ValveLearner(2, 0.01, drift=0.002)
-    edge, gain = np.array([[0.03, 0.2], [0.15, 0.08]]), np.array([[0.7, 0.95], [0.65, 0.8]])
-    for n in range(600):
-        spool = np.full((2, 2), 0.3 + 0.2 * np.sin(2 * np.pi * n / 200))
-        flow = gain * np.maximum(spool - edge, 0.0) + 0.002 * rng.normal(size=(2, 2))
-        learner.learn(spool, flow)
-    np.testing.assert_allclose(learner.map.edge[..., 0], edge, atol=0.01)
-    np.testing.assert_allclose(learner.map.gain[..., 0], gain, atol=0.03)
-    assert np.all(np.sqrt(learner.edge_variance[..., 0]) < 0.02)
-    np.testing.assert_allclose(learner.map.edge[..., 1], 0.115)  # never visited
 
 
 def test_bench_finds_what_the_parameters_say():
@@ -271,15 +273,16 @@ def test_disturbance_observer_finds_a_constant_disturbance():
     controller = LAWS["disturbance_observer"](rate=20.0, Kp=5.0, Ks=5.0, observer=20.0)
     controller.reset(1, 0.01)
     offset = np.array([[-0.12, -0.05]])
-    per_flow = (1.0 - np.exp(-MOTOR_RATE * 0.01)) / flow_for(np.ones(()), np.zeros(()), np.zeros(()))
+    motor = Motor()
+    per_flow = (1.0 - np.exp(-motor.rate * 0.01)) / motor.per_speed
     speed, command = np.zeros((1, 2)), np.zeros((1, 2))
-    spool = Spool(command, 0.01)
+    spool = Spool(command, 0.01, damping=0.15)
     for _ in range(400):
         command = controller.act(_observation(300.0, speed[0] / RPM, command[0]))
         before = spool.position
         spool.step(command)
         opening = 0.5 * (before + spool.position) + offset
-        speed = np.exp(-MOTOR_RATE * 0.01) * speed + per_flow * opening
+        speed = np.exp(-motor.rate * 0.01) * speed + per_flow * opening
     np.testing.assert_allclose(controller.disturbance, offset, atol=1e-3)
     np.testing.assert_allclose(speed, 300.0 * RPM, rtol=2e-3)
 
@@ -392,7 +395,6 @@ def test_shipped_gains_say_how_they_were_found():
 
 CLASSICAL = [
     "pid_paper", "pid_tuned", "master_slave", "cross_coupled", "relative_coupling", "virtual_leader", "disturbance_observer",
-    "adaptive_flow",
 ]  # fmt: skip
 
 
@@ -411,9 +413,7 @@ def test_no_command_changes_faster_than_the_rate_limit(name):
         last = command
 
 
-@pytest.mark.parametrize(
-    "name", [each for each in CLASSICAL if each not in ("disturbance_observer", "adaptive_flow")]
-)
+@pytest.mark.parametrize("name", [each for each in CLASSICAL if each != "disturbance_observer"])
 def test_the_integrator_does_not_wind_up_on_the_rate_limit(name):
     """While the command climbs at its limit, the integral stands still where it would ask for more."""
     fast = make_controller(name, slew=30000.0, shape=0.0)
@@ -530,12 +530,12 @@ def test_largest_sensitivity_by_hand():
 
 
 def test_gains_can_be_given_with_the_name():
-    controller = make_controller("adaptive_flow:caution=2.5,rate=20")
-    assert (controller.gains["caution"], controller.gains["rate"]) == (2.5, 20.0)
-    assert controller.name == "adaptive_flow:caution=2.5,rate=20"
+    controller = make_controller("adaptive_flow:rise=2.5,rate=20")
+    assert (controller.gains["rise"], controller.gains["rate"]) == (2.5, 20.0)
+    assert controller.name == "adaptive_flow:rise=2.5,rate=20"
     for wrong, message in (
-        ("adaptive_flow:cautoin=2", "'cautoin' is missing or unknown"),
-        ("adaptive_flow:caution=much", "GAIN=NUMBER"),
+        ("adaptive_flow:rsie=2", "'rsie' is missing or unknown"),
+        ("adaptive_flow:rise=much", "GAIN=NUMBER"),
         ("adaptive_flow:", "GAIN=NUMBER"),
         ("ppo:Kp=1", "no gains"),
     ):

@@ -7,33 +7,35 @@ from hydro_env.controllers.estimation.motor_filter import (
     DISPLACEMENT,
     FRICTION,
     INERTIA,
-    READING,
+    SPEED_NOISE,
     MotorFilter,
+    MotorFilterSettings,
 )
 
 PERIOD = 0.01
+SETTINGS = MotorFilterSettings(together=0.006, apart=0.001, changed=0.1, twice=5.0)
 
 
-def driven(load, noise=1.0, rigs=200, settings=None, rng=None):
+def driven(load, noise=1.0, rigs=200, rng=None):
     """Speeds, what the filter takes them for, its loads and misses, (T, rigs, 2), under the loads (T, 2) in N m."""
     rng = rng or np.random.default_rng(0)
-    found = MotorFilter(rigs, PERIOD, **(settings or {"wander": (0.006, 0.001), "turned": 0.1, "twice": 5.0}))
+    found = MotorFilter(SETTINGS, rigs, PERIOD)
     speed, none = np.full((rigs, 2), 40.0), np.zeros((rigs, 2))
     pressure = np.full((rigs, 2), FRICTION * 40.0 / DISPLACEMENT)
-    found.forget(slice(None), speed, pressure)
+    found.reset(slice(None), speed, pressure)
     rows = []
     for now in load:
         speed = speed + PERIOD / INERTIA * (DISPLACEMENT * pressure - FRICTION * speed - now)
-        reading = speed + noise * READING * rng.standard_normal(speed.shape)
-        found.step(reading, pressure, none, np.full((rigs, 2), noise), none.astype(bool))
-        rows.append((speed, found.speed.copy(), found.torque.copy(), found.miss.copy()))
+        reading = speed + noise * SPEED_NOISE * rng.standard_normal(speed.shape)
+        found.update(reading, pressure, none, np.full((rigs, 2), noise), none.astype(bool))
+        rows.append((speed, found.state.speed.copy(), found.state.torque.copy(), found.state.miss.copy()))
     return [np.array(each) for each in zip(*rows, strict=True)]
 
 
 @pytest.mark.parametrize("noise", [1.0, 10.0])
 def test_speeds_are_known_better_than_the_readings_are(noise):
     speed, taken, load, _ = driven(np.zeros((300, 2)), noise)
-    assert np.std((taken - speed)[100:]) < 0.65 * noise * READING
+    assert np.std((taken - speed)[100:]) < 0.65 * noise * SPEED_NOISE
     assert abs(np.mean(load[100:])) < 0.01
 
 
@@ -57,12 +59,12 @@ def test_a_small_load_on_both_motors_does_not_look_like_a_difference_of_loads():
 
 
 def test_a_blind_sensor_changes_no_load_and_its_reading_is_the_speed():
-    found = MotorFilter(1, PERIOD, (0.006, 0.001), 0.1, 5.0)
-    found.forget(slice(None), np.full((1, 2), 10.0), np.zeros((1, 2)))
+    found = MotorFilter(SETTINGS, 1, PERIOD)
+    found.reset(slice(None), np.full((1, 2), 10.0), np.zeros((1, 2)))
     blind = np.array([[True, False]])
     for reading in (9.0, 50.0, -20.0):
-        found.step(np.array([[reading, 10.0]]), np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 2)), blind)
-        assert found.speed[0, 0] == reading
-        assert found.torque[0, 0] == 0.0
-    np.testing.assert_allclose(found._spread[0], found._spread[0].T, atol=1e-12)
-    assert np.all(np.linalg.eigvalsh(found._spread[0]) > -1e-9)
+        found.update(np.array([[reading, 10.0]]), np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 2)), blind)
+        assert found.state.speed[0, 0] == reading
+        assert found.state.torque[0, 0] == 0.0
+    np.testing.assert_allclose(found.state.covariance[0], found.state.covariance[0].T, atol=1e-12)
+    assert np.all(np.linalg.eigvalsh(found.state.covariance[0]) > -1e-9)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
+from hydro_env.controllers.learned.flow_interface import FlowInterface
 from hydro_env.controllers.learned.policy import SCHEMA, NumpyPolicy, read_policy
-from hydro_env.controllers.learned.policy_interface import FramesView, make_view
-from hydro_env.controllers.mpc.flow_controller import FlowView
-from hydro_env.controllers.mpc.planning_controller import PlanningView
+from hydro_env.controllers.learned.policy_interface import FramesInterface, make_interface
+from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.controllers.registry import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.envs import HydraulicSyncVectorEnv
@@ -20,16 +20,19 @@ from hydro_env.errors import InputError
 SHIPPED = sorted((Path(__file__).parents[1] / "hydro_env" / "controllers" / "policies").glob("*.npz"))
 
 
-def arrays(view=None, width=16, squash="clip", seed=0):
+AVERAGED = FlowSettings(planner=None)
+
+
+def arrays(interface=None, width=16, squash="clip", seed=0):
     """The content of a small policy file with random weights."""
-    made = make_view(view)
+    made = make_interface(interface)
     stream = np.random.default_rng(seed)
     sizes = [made.num_features, width, width, made.num_actions]
     content = {}
     for n, (fan_in, fan_out) in enumerate(itertools.pairwise(sizes)):
         content[f"w{n}"] = stream.normal(0.0, 0.3, (fan_out, fan_in)).astype(np.float32)
         content[f"b{n}"] = stream.normal(0.0, 0.1, fan_out).astype(np.float32)
-    metadata = {"schema": SCHEMA, "activation": "tanh", "squash": squash, "view": made.settings()}
+    metadata = {"schema": SCHEMA, "activation": "tanh", "squash": squash, "interface": made.table()}
     return {"metadata": np.array(json.dumps(metadata)), **content}
 
 
@@ -50,15 +53,11 @@ def drive(policy, num_rigs, seeds, steps=60):
 
 
 @pytest.mark.parametrize(
-    "view",
-    [
-        {"kind": "frames", "frames": 2},
-        {"kind": "flow"},
-        {"kind": "plan"},
-    ],
+    "interface",
+    [{"kind": "frames", "frames": 2}, {"kind": "flow", "law": {"planner": None}}, {"kind": "flow"}],
 )
-def test_a_row_of_a_batch_is_that_rig_alone(tmp_path, view):
-    policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays(view)), dtype=np.float64)
+def test_a_row_of_a_batch_is_that_rig_alone(tmp_path, interface):
+    policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays(interface)), dtype=np.float64)
     together = drive(policy, 3, [5, 6, 7])
     alone = drive(policy, 1, [6])
     np.testing.assert_allclose(together[:, 1:2], alone, atol=1e-9)
@@ -66,44 +65,44 @@ def test_a_row_of_a_batch_is_that_rig_alone(tmp_path, view):
 
 
 def test_reset_forgets_everything(tmp_path):
-    policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays({"kind": "flow"})))
+    policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays({"kind": "flow", "law": {"planner": None}})))
     np.testing.assert_array_equal(drive(policy, 2, [1, 2]), drive(policy, 2, [1, 2]))
 
 
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: FlowView(),
-        lambda: PlanningView(),
-        lambda: FramesView(3),
+        lambda: FlowInterface(AVERAGED),
+        lambda: FlowInterface(),
+        lambda: FramesInterface(3),
     ],
 )
 def test_restarting_rows_equals_starting_them(make):
     """What training does at an episode's end must be what a controller does at its beginning, and touch no other row."""
     stream = np.random.default_rng(0)
     observations = stream.normal(0.0, 0.3, (7, 3, 9)).astype(np.float32)
-    view, fresh, undisturbed = make(), make(), make()
-    rows, actions = view.rows_per_rig, view.num_actions
+    interface, fresh, undisturbed = make(), make(), make()
+    rows, actions = interface.rows_per_rig, interface.num_actions
     outputs = stream.normal(0.0, 0.3, (7, 3 * rows, actions))
-    for each in (view, undisturbed):
+    for each in (interface, undisturbed):
         each.start(observations[0], 0.01)
         for n in range(1, 5):
             each.command(outputs[n])
             each.see(observations[n])
-    first = view.restart(np.array([1]), observations[4][[1]])
+    first = interface.restart(np.array([1]), observations[4][[1]])
     np.testing.assert_array_equal(first, fresh.start(observations[4][[1]], 0.01))
     for n in (5, 6):
-        commands, expected = view.command(outputs[n]), undisturbed.command(outputs[n])
+        commands, expected = interface.command(outputs[n]), undisturbed.command(outputs[n])
         np.testing.assert_array_equal(commands[[0, 2]], expected[[0, 2]])
         np.testing.assert_array_equal(commands[[1]], fresh.command(outputs[n][rows : 2 * rows]))
-        seen, expected = view.see(observations[n]), undisturbed.see(observations[n])
+        seen, expected = interface.see(observations[n]), undisturbed.see(observations[n])
         np.testing.assert_array_equal(seen[:rows], expected[:rows])
         np.testing.assert_array_equal(seen[2 * rows :], expected[2 * rows :])
         np.testing.assert_array_equal(seen[rows : 2 * rows], fresh.see(observations[n][[1]]))
 
 
-@pytest.mark.parametrize("make", [lambda: FlowView(), lambda: PlanningView()])
-def test_views_treat_both_channels_alike(make):
+@pytest.mark.parametrize("make", [lambda: FlowInterface(AVERAGED), lambda: FlowInterface()])
+def test_interfaces_treat_both_channels_alike(make):
     stream = np.random.default_rng(1)
     observations = stream.normal(0.0, 0.3, (5, 4, 9)).astype(np.float32)
     swapped = observations[..., [0, 2, 1, 4, 3, 6, 5, 8, 7]]
@@ -127,23 +126,24 @@ def rigs_and_truth(num_rigs=24):
     return env, observation, edge, gain
 
 
-def test_flow_view_knows_the_valves_before_the_first_step():
-    """What probing at rest is for: by 0.2 s edges and gains are known well, and the shafts have hardly moved."""
+def test_the_valves_are_known_before_the_first_step():
+    """What probing at rest is for: by 0.2 s the edges are known well, and the shafts have hardly moved; half a second of
+    driving tells the gains."""
     env, observation, edge, gain = rigs_and_truth()
-    view = FlowView()
-    view.start(observation, 0.01)
-    guess = view.valves.edge[..., 0] - edge, view.valves.gain - gain
+    law = FlowController()
+    law.start(observation, 0.01)
+    valves = law.estimator.valves.state
+    guess = valves.edge[..., 0] - edge, valves.gain - gain
     for _ in range(20):
-        observation, *_, info = env.step(view.command(np.zeros((2 * len(edge), 3))))
+        observation, *_, info = env.step(law.command())
         assert np.abs(info["speed_rpm"]).max() < 60.0
-        view.see(observation)
+        law.update(observation)
     assert np.abs(info["angle_difference_deg"]).max() < 20.0
-    assert np.std(view.valves.edge[..., 0] - edge) < 0.3 * np.std(guess[0])
-    assert np.std(view.valves.gain - gain) < 0.9 * np.std(guess[1])
+    assert np.std(valves.edge[..., 0] - edge) < 0.3 * np.std(guess[0])
     for _ in range(60):
-        observation, *_ = env.step(view.command(np.zeros((2 * len(edge), 3))))
-        view.see(observation)
-    assert np.std(view.valves.gain - gain) < 0.3 * np.std(guess[1])
+        observation, *_ = env.step(law.command())
+        law.update(observation)
+    assert np.std(valves.gain - gain) < 0.3 * np.std(guess[1])
 
 
 @pytest.mark.parametrize(
@@ -158,18 +158,26 @@ def test_flow_view_knows_the_valves_before_the_first_step():
         ({"metadata": np.array("{}")}, "schema"),
         ({"metadata": None}, "no 'metadata'"),
         ({"metadata": np.array({"schema": SCHEMA}, dtype=object)}, "plain arrays"),
-        ({"w0": np.zeros((16, 11), np.float32)}, "its view wants 9 and 2"),
+        ({"w0": np.zeros((16, 11), np.float32)}, "its interface wants 9 and 2"),
         ({"activation": "sine"}, "activation 'sine' is unknown"),
-        ({"view": {"kind": "flow", "speed": 1}}, "'speed' is unknown"),
-        ({"view": {"kind": "frames", "frames": "many"}}, "frames 'many'"),
-        ({"view": 3}, "view"),
+        ({"interface": {"kind": "flow", "law": {"reference": {"raet": 1.0}}}}, "did you mean 'rate'"),
+        (
+            {"interface": {"kind": "flow", "law": {"reference": {"rate": -1.0}}}},
+            "rate -1.0 should be at least 0",
+        ),
+        (
+            {"interface": {"kind": "flow", "law": {"probing": {"active": 1}}}},
+            "active 1 should be true or false",
+        ),
+        ({"interface": {"kind": "frames", "frames": "many"}}, "frames 'many'"),
+        ({"interface": 3}, "interface"),
     ],
 )
 def test_a_broken_file_is_named_in_one_line(tmp_path, change, says):
     content = arrays()
     metadata = json.loads(str(content["metadata"]))
     for key, value in change.items():
-        if key in ("activation", "view"):
+        if key in ("activation", "interface"):
             content["metadata"] = np.array(json.dumps({**metadata, key: value}))
         elif value is None:
             del content[key]
@@ -203,7 +211,7 @@ def test_shipped_policies_are_small_and_documented(path):
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_shipped_policies_drive_as_when_they_were_scored(path):
-    """A change of view or plant that spoils a policy shows here: the first pairs of `val`, as in its metadata."""
+    """A change of interface or plant that spoils a policy shows here: the first pairs of `val`, as in its metadata."""
     policy = NumpyPolicy(path)
     val, plant = policy.metadata["val"], policy.metadata["env_kwargs"]["plant"]
     where = {"mismatch": "val", "plant": plant}

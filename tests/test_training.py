@@ -50,7 +50,7 @@ def test_the_training_files_are_valid(name):
         ("HydraulicSync-v0:", "Pendulum-v1:", "unknown key 'Pendulum-v1'"),
         ("algorithm: ppo", "algorithm: dqn", "algorithm is 'dqn'"),
         ("evaluate_pairs: 2", "evaluate_scenarios: [sin]", "unknown key 'sin': did you mean 'sine'?"),
-        ("kind: flow", "kind: eyes", "view: kind 'eyes' is unknown"),
+        ("kind: flow", "kind: eyes", "interface: kind 'eyes' is unknown"),
         ("n_timesteps: 2048", "n_timesteps: 1e6", "n_timesteps is '1e6'"),
         ("learning_rate: lin_1e-3", "learning_rate: 1e-3", "learning_rate is '1e-3'"),
         ("dict(net_arch", "exec(net_arch", "policy_kwargs"),
@@ -88,7 +88,7 @@ def test_exported_policy_equals_the_original(tmp_path, path):
     model, _ = checkpoint.restore(checkpoint.latest(tmp_path / "run" / "checkpoints"), config.algorithm)
     from agents.export import export_policy
 
-    export_policy(model, tmp_path / "last.npz", model.env.view.settings(), {})
+    export_policy(model, tmp_path / "last.npz", model.env.interface.table(), {})
     network = NumpyPolicy(tmp_path / "last.npz").network
     inputs = np.random.default_rng(0).normal(0.0, 2.0, (500, network.num_inputs)).astype(np.float32)
     expected, _ = model.predict(inputs, deterministic=True)
@@ -106,8 +106,8 @@ def test_onnx_equals_the_policy_file(tmp_path, activation, squash):
     sizes = [(24, 9), (16, 24), (2, 16)]
     arrays = {f"w{n}": stream.normal(0.0, 0.5, size).astype(np.float32) for n, size in enumerate(sizes)}
     arrays |= {f"b{n}": stream.normal(0.0, 0.5, size[0]).astype(np.float32) for n, size in enumerate(sizes)}
-    view = {"kind": "frames", "frames": 1, "width": 9}
-    metadata = {"schema": SCHEMA, "activation": activation, "squash": squash, "view": view}
+    interface = {"kind": "frames", "frames": 1, "width": 9}
+    metadata = {"schema": SCHEMA, "activation": activation, "squash": squash, "interface": interface}
     np.savez(tmp_path / "policy.npz", metadata=np.array(json.dumps(metadata)), **arrays)
     export_onnx(tmp_path / "policy.npz", tmp_path / "policy.onnx")
     session = onnxruntime.InferenceSession(str(tmp_path / "policy.onnx"), providers=["CPUExecutionProvider"])
@@ -115,7 +115,7 @@ def test_onnx_equals_the_policy_file(tmp_path, activation, squash):
     (outputs,) = session.run(None, {"inputs": inputs})
     network, _ = read_policy(tmp_path / "policy.npz")
     np.testing.assert_allclose(outputs, network(inputs), atol=1e-5)
-    assert json.loads(session.get_modelmeta().custom_metadata_map["view"]) == view
+    assert json.loads(session.get_modelmeta().custom_metadata_map["interface"]) == interface
 
 
 @pytest.mark.parametrize("path", [PPO, SAC], ids=["ppo", "sac"])

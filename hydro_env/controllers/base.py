@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.spool import shaper
+from hydro_env.controllers.estimation.nominal import SPOOL_RATE
+from hydro_env.controllers.input_shaping import three_taps
 from hydro_env.envs.observation import Measurements, decode
 from hydro_env.errors import InputError
 from hydro_env.plant import PARAMETERS
@@ -138,7 +139,7 @@ class Controller:
             )
         if not self._started:
             self.sent = np.clip(measured.command, -1.0, 1.0).astype(float)
-            self.__spacing, self.__outer = shaper(self.period)
+            self.__spacing, self.__outer = three_taps(SPOOL_RATE, self.period)
             self.__asked = [self.sent] * (2 * self.__spacing + 1)
             self.start(measured)
             self._started = True
@@ -146,7 +147,7 @@ class Controller:
         last = self.__asked[-1]
         self.limits = np.maximum(last - most, -1.0), np.minimum(last + most, 1.0)
         self.__asked = [*self.__asked[1:], np.clip(self.command(measured), *self.limits)]
-        share = self.gains.get("shape", self.shape) if self.__outer else 0.0
+        share = self.gains.get("shape", self.shape)
         ends, middle = self.__asked[0] + self.__asked[-1], self.__asked[self.__spacing]
         smooth = self.__outer * ends + (1.0 - 2.0 * self.__outer) * middle
         self.sent = np.clip(self.__asked[-1] + share * (smooth - self.__asked[-1]), -1.0, 1.0)

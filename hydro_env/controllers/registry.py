@@ -12,7 +12,6 @@ from types import ModuleType
 from typing import Any
 
 from hydro_env.controllers.base import Controller
-from hydro_env.controllers.classical.adaptive_flow import AdaptiveFlow
 from hydro_env.controllers.classical.compensated import Compensated
 from hydro_env.controllers.classical.cross_coupling import (
     CrossCoupled,
@@ -22,9 +21,8 @@ from hydro_env.controllers.classical.cross_coupling import (
 )
 from hydro_env.controllers.classical.disturbance_observer import DisturbanceObserver
 from hydro_env.controllers.classical.pid import TABLE_III, PidController, RampedPid
-from hydro_env.controllers.mpc.bench_flow import BenchFlow
+from hydro_env.controllers.mpc.flow_control import AdaptiveFlow, BenchFlow, ProbingFlow
 from hydro_env.controllers.mpc.oracle import Oracle
-from hydro_env.controllers.mpc.probing_flow import ProbingFlow
 from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.errors import InputError, suggestion
 
@@ -41,7 +39,6 @@ LAWS: dict[str, type[Controller]] = {
     "master_slave": MasterSlave,
     "disturbance_observer": DisturbanceObserver,
     "compensated": Compensated,
-    "adaptive_flow": AdaptiveFlow,
     "oracle": Oracle,
 }
 """Control laws by the name that gains files and `hydro-env tune` use."""
@@ -62,6 +59,10 @@ class Entry:
     def available(self) -> bool:
         """Whether the file it is made of is there."""
         return self.file is None or self.file.is_file()
+
+
+def _law(law: type[Controller], name: str, summary: str) -> Entry:
+    return Entry(name, summary, lambda: law(name))
 
 
 def _tuned(name: str, summary: str) -> Entry:
@@ -85,13 +86,9 @@ CONTROLLERS: dict[str, Entry] = {
         _tuned("virtual_leader", "cross coupling behind a leader that waits for the slower motor"),
         _tuned("disturbance_observer", "estimates and compensates deviations from a rated motor"),
         _tuned("compensated", "dead-zone inverse from a valve bench, with cross coupling"),
-        _tuned("adaptive_flow", "estimates dead-zone edges and gains on line"),
-        Entry(
-            "probing_flow",
-            "probes the valves at rest, estimates on line, plans ahead",
-            lambda: ProbingFlow("probing_flow"),
-        ),
-        Entry("bench_flow", "the same, starting from valve-bench curves", lambda: BenchFlow("bench_flow")),
+        _law(AdaptiveFlow, "adaptive_flow", "estimates dead-zone edges and gains on line"),
+        _law(ProbingFlow, "probing_flow", "probes the valves at rest, estimates on line, plans ahead"),
+        _law(BenchFlow, "bench_flow", "the same, starting from valve-bench curves"),
         _tuned("servo_pid", "PID behind a ramp, on the same motors behind servo valves"),
         _tuned("oracle", "model-predictive control with the true plant: the bound"),
         _policy("ppo", "neural policy on a model-based law, trained with PPO"),

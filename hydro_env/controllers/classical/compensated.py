@@ -5,13 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_env.controllers.base import OUTLET, Controller, Floats, Gain, Measurements
-from hydro_env.controllers.classical.cross_coupling import COUPLING, FILTER, SIDES, Smoothed
+from hydro_env.controllers.classical.cross_coupling import COUPLING, FILTER, SIDES
 from hydro_env.controllers.classical.pid import KP, TI, Pid, per_rpm
+from hydro_env.controllers.classical.reference import FirstOrder
 from hydro_env.controllers.estimation.bench_map import on_the_bench
-from hydro_env.controllers.estimation.valve_map import ValveMap, flow_for
+from hydro_env.controllers.estimation.nominal import Motor
+from hydro_env.controllers.estimation.valve_map import ValveMap
 from hydro_env.plant import Plant
 
 __all__ = ["Compensated"]
+
+MOTOR = Motor()
 
 
 class Compensated(Controller):
@@ -46,7 +50,7 @@ class Compensated(Controller):
             raise RuntimeError(
                 f"{self.name} needs prepare(plant) before the episode: it identifies the valves on a bench"
             )
-        self._reference = Smoothed(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
+        self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
         self._track = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"])
         self._couple = Pid(per_rpm(self.gains["Kc"]), self.gains["Tic"])
         self._track.start(self.period, np.zeros_like(measured.speed))
@@ -56,7 +60,7 @@ class Compensated(Controller):
         assert self.valves is not None
         before = self._reference.value
         reference = self._reference.step(measured.setpoint)
-        ahead = flow_for(reference, (reference - before) / self.period, np.zeros_like(reference))[:, None]
+        ahead = MOTOR.demand(reference, (reference - before) / self.period, 0.0)[:, None]
         behind = measured.speed[:, 1:] - measured.speed[:, :1]
         correction = SIDES * self._couple.step(behind)
         integral = self._track.integral

@@ -8,12 +8,12 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hydro_env.controllers.base import OUTLET, RPM, Controller, Floats, Gain, Measurements
 from hydro_env.controllers.classical.pid import KP, TI, Pid, per_rpm
+from hydro_env.controllers.classical.reference import FirstOrder
 
-__all__ = ["CrossCoupled", "MasterSlave", "RelativeCoupled", "Smoothed", "VirtualLeader"]
+__all__ = ["CrossCoupled", "MasterSlave", "RelativeCoupled", "VirtualLeader"]
 
 SIDES = np.array([1.0, -1.0])
 """How channels 1 and 2 enter the speed difference."""
@@ -25,18 +25,6 @@ COUPLING = (
 )
 
 
-class Smoothed:
-    """The set-point through a first-order lag, exact for a set-point that is held between samples."""
-
-    def __init__(self, value: Floats, time_constant: ArrayLike, period: float) -> None:
-        self.value = value
-        self.share = -np.expm1(-period / np.broadcast_to(np.ravel(time_constant), value.shape))
-
-    def step(self, setpoint: Floats) -> Floats:
-        self.value = self.value + self.share * (setpoint - self.value)
-        return self.value
-
-
 class CrossCoupled(Controller):
     """PI on each motor's error to the smoothed set-point, and a PI on the speed difference that acts on both.
 
@@ -46,7 +34,7 @@ class CrossCoupled(Controller):
     GAINS: ClassVar[tuple[Gain, ...]] = (KP, TI, *COUPLING, FILTER, *OUTLET)
 
     def start(self, measured: Measurements) -> None:
-        self._reference = Smoothed(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
+        self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
         self._track = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"])
         self._track.start(self.period, measured.command)
         self._couple = Pid(per_rpm(self.gains["Kc"]), self.gains["Tic"])
@@ -83,7 +71,7 @@ class RelativeCoupled(Controller):
     )
 
     def start(self, measured: Measurements) -> None:
-        self._reference = Smoothed(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
+        self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
         self._pid = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"])
         self._pid.start(self.period, measured.command)
 
@@ -131,7 +119,7 @@ class MasterSlave(Controller):
     )
 
     def start(self, measured: Measurements) -> None:
-        self._reference = Smoothed(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
+        self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
         kp = np.stack(
             np.broadcast_arrays(np.ravel(self.gains["Kp"]), np.ravel(self.gains["Kp_slave"])), axis=-1
         )

@@ -12,11 +12,15 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_env.controllers.base import OUTLET, Controller, Floats, Gain, Measurements
-from hydro_env.controllers.estimation.valve_map import MOTOR_RATE, flow_for
-from hydro_env.controllers.spool import Spool
+from hydro_env.controllers.classical.reference import DoublePole
+from hydro_env.controllers.estimation.nominal import Motor
+from hydro_env.controllers.estimation.spool import SpoolModel, SpoolSettings, channel_of
 
 __all__ = ["DisturbanceObserver"]
 
+MOTOR = Motor()
+SPOOL = SpoolSettings(damping=0.15, friction=0.0, coil=1e-6)
+"""The rated spool, linear: more damping takes the place of friction and coil."""
 MOST = 1.0
 """No disturbance is taken to be larger than the rated command."""
 
@@ -36,13 +40,15 @@ class DisturbanceObserver(Controller):
     )
 
     def start(self, measured: Measurements) -> None:
-        self._spool = Spool(measured.command, self.period)
+        n = len(measured.speed)
+        self._spool = SpoolModel(n, channel_of(SPOOL, MOTOR, self.period, 1), SPOOL.pressure_lag)
+        self._spool.place(slice(None), measured.command)
+        self._valve = np.zeros((n, 2, 2)), np.ones((n, 2))
         self._model = measured.speed.astype(float)
-        self._reference = np.mean(measured.speed, axis=1)
-        self._acceleration = np.zeros(len(measured.speed))
-        decay, pole = np.exp(-MOTOR_RATE * self.period), np.exp(-self.gains["observer"] * self.period)
+        self._reference = DoublePole(np.mean(measured.speed, axis=1), self.gains["rate"], self.period)
+        decay, pole = np.exp(-MOTOR.rate * self.period), np.exp(-self.gains["observer"] * self.period)
         self._decay = decay
-        self._per_flow = (1.0 - decay) / flow_for(np.ones(()), np.zeros(()), np.zeros(()))
+        self._per_flow = (1.0 - decay) / MOTOR.per_speed
         # Gains that put both poles of the estimation error at `pole`, from the trace and determinant of its matrix.
         self._to_speed = 1.0 - pole**2 / decay
         self._to_disturbance = (1.0 - pole) ** 2 / self._per_flow
@@ -55,34 +61,22 @@ class DisturbanceObserver(Controller):
         if not self._fresh:  # nothing has passed before the first sample
             self._observe(measured)
         self._fresh = False
-        self._move_reference(measured.setpoint)
+        self._reference.step(measured.setpoint)
         return self._wanted(measured) - self.disturbance
 
     def _observe(self, measured: Measurements) -> None:
         """One period under the command that was in force."""
-        before = self._spool.position
-        self._spool.step(measured.command)
+        before = self._spool.position.copy()
+        self._spool.move(measured.command, *self._valve)
         opening = 0.5 * (before + self._spool.position)
         expected = self._decay * self._model + self._per_flow * (opening + self.disturbance)
         miss = measured.speed - expected
         self._model = expected + self._to_speed * miss
         self.disturbance = np.clip(self.disturbance + self._to_disturbance * miss, -MOST, MOST)
 
-    def _move_reference(self, setpoint: Floats) -> None:
-        """One period of a critically damped second-order lag, exact for a set-point that is held."""
-        rate, step = np.ravel(self.gains["rate"]), self.period
-        gap, decay = setpoint - self._reference, np.exp(-rate * step)
-        slope = rate * gap - self._acceleration
-        self._reference = setpoint - (gap + slope * step) * decay
-        self._acceleration = (rate * (gap + slope * step) - slope) * decay
-
     def _wanted(self, measured: Measurements) -> Floats:
         """What the rated motor would need, a share of the rated command, (num_rigs, 2)."""
         apart = np.mean(measured.speed, axis=1, keepdims=True) - measured.speed
-        reference = self._reference[:, None]
-        asked = (
-            self._acceleration[:, None]
-            + self.gains["Kp"] * (reference - measured.speed)
-            + self.gains["Ks"] * apart
-        )
-        return flow_for(np.broadcast_to(reference, asked.shape), asked, np.zeros_like(asked))
+        speed = self._reference.speed[:, None]
+        correction = self.gains["Kp"] * (speed - measured.speed) + self.gains["Ks"] * apart
+        return MOTOR.demand(speed, self._reference.acceleration[:, None] + correction, 0.0)

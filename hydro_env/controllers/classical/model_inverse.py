@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
+from hydro_env.controllers.classical.reference import DoublePole
+from hydro_env.controllers.input_shaping import three_taps
 from hydro_env.plant import Plant, PlantModel
 
 __all__ = ["ModelInverse", "flow_curve"]
@@ -84,12 +86,12 @@ class ModelInverse(Controller):
 
     def start(self, measured: Measurements) -> None:
         n = len(measured.speed)
-        self._speed, self._acceleration = np.mean(measured.speed, axis=1), np.zeros(n)
-        self._past = [self._speed] * (LAG + 1)
+        self._reference = DoublePole(np.mean(measured.speed, axis=1), self.gains["rate"], self.period)
+        self._past = [self._reference.speed] * (LAG + 1)
         self._sum = np.zeros((n, 2))
-        self._asked = [measured.command.astype(float)] * 3
-        angle = np.minimum(np.sqrt(self._motor["k"] / self._motor["m"]) * self.period, np.pi)
-        self._outer = np.minimum(0.5 / (1.0 - np.cos(angle)), 0.4)
+        rate = float(np.mean(np.sqrt(self._motor["k"] / self._motor["m"])))
+        self._spacing, self._outer = three_taps(rate, self.period)
+        self._asked = [measured.command.astype(float)] * (2 * self._spacing + 1)
 
     def command(self, measured: Measurements) -> Floats:
         kp, ti, ks, blend = (_column(self.gains[key]) for key in ("Kp", "Ti", "Ks", "blend"))
@@ -97,13 +99,14 @@ class ModelInverse(Controller):
         error = self._past[0][:, None] - measured.speed
         apart = np.mean(measured.speed, axis=1, keepdims=True) - measured.speed
         grown = self._sum + self.period / ti * kp * error
-        asked = self._acceleration[:, None] + kp * error + ks * apart
-        flow = self._flow(self._speed[:, None], asked + grown)
+        asked = self._reference.acceleration[:, None] + kp * error + ks * apart
+        flow = self._flow(self._reference.speed[:, None], asked + grown)
         beyond = np.where(flow > 0.0, flow > self._largest[:, 0], -flow > self._largest[:, 1])
         self._sum = np.where(beyond & (error * flow > 0.0), self._sum, grown)  # no further into a limit
         command = self._inverse(flow, blend)
         self._asked = [*self._asked[1:], command]
-        return self._outer * (self._asked[0] + self._asked[2]) + (1.0 - 2.0 * self._outer) * self._asked[1]
+        ends, middle = self._asked[0] + self._asked[-1], self._asked[self._spacing]
+        return self._outer * ends + (1.0 - 2.0 * self._outer) * middle
 
     def _flow(self, speed: Floats, acceleration: Floats) -> Floats:
         """What the model's motors take without load, m3/s: eq. (1) and (3)."""
@@ -111,21 +114,16 @@ class ModelInverse(Controller):
         return p["D"] * speed + p["Km"] / p["D"] * (p["J"] * acceleration + p["B"] * speed)
 
     def _move_reference(self, setpoint: Floats) -> None:
-        """One period of the reference: a critically damped lag of second order, sampled exactly."""
-        rate, step = np.ravel(self.gains["rate"]), self.period
-        gap = setpoint - self._speed
-        slope = rate * gap - self._acceleration
-        next_gap = (gap + slope * step) * np.exp(-rate * step)
-        wanted = (rate * (gap + slope * step) - slope) * np.exp(-rate * step)
-        p = self._motor
-        held, growth = self._flow(self._speed[:, None], np.zeros(2)), p["Km"] * p["J"] / p["D"]
+        """One period of the reference, no faster than the weaker valve allows."""
+        r, p = self._reference, self._motor
+        speed, wanted = r.ahead(setpoint)
+        held, growth = self._flow(r.speed[:, None], np.zeros(2)), p["Km"] * p["J"] / p["D"]
         upper = np.min((RESERVE * self._largest[:, 0] - held) / growth, axis=1)
         lower = np.max((-RESERVE * self._largest[:, 1] - held) / growth, axis=1)
         limited = np.clip(wanted, np.minimum(lower, 0.0), np.maximum(upper, 0.0))
-        free = limited == wanted
-        self._speed = np.where(free, setpoint - next_gap, self._speed + step * limited)
-        self._acceleration = limited
-        self._past = [*self._past[1:], self._speed]
+        r.speed = np.where(limited == wanted, speed, r.speed + self.period * limited)
+        r.acceleration = limited
+        self._past = [*self._past[1:], r.speed]
 
     def _inverse(self, flow: Floats, blend: Floats) -> Floats:
         """Commands for flows, both (num_rigs, 2); the jump over the dead zone is a ramp for flows below `blend`."""

@@ -7,7 +7,8 @@ from functools import lru_cache
 import numpy as np
 
 from hydro_env.controllers.base import Floats
-from hydro_env.controllers.estimation.valve_map import RATED_FLOW, ValveMap
+from hydro_env.controllers.estimation.nominal import RATED_FLOW
+from hydro_env.controllers.estimation.valve_map import ValveMap
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant
 from hydro_env.valve_bench import Curve, identify, record_rigs

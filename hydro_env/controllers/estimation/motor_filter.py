@@ -8,137 +8,171 @@ is held for unknown, of both motors together or against each other, and found an
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.envs.observation import NOISE
+from hydro_env.controllers.base import Floats
+from hydro_env.controllers.estimation.nominal import NOMINAL, PRESSURE_NOISE, SPEED_NOISE
+from hydro_env.controllers.settings import TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
-from hydro_env.plant import PARAMETERS
-from hydro_env.units import BAR, RPM
 
-__all__ = ["MotorFilter"]
+__all__ = ["MotorFilter", "MotorFilterSettings", "MotorState"]
 
-Floats = NDArray[np.floating[Any]]
 Rows = NDArray[Any] | slice
 
-INERTIA, DISPLACEMENT, FRICTION = (PARAMETERS[name].nominal for name in ("J", "D", "B"))
-READING = NOISE["speed_rpm"] * RPM
-"""Standard deviation of a speed sensor, rad/s."""
-PUSH = DISPLACEMENT * NOISE["pressure_bar"] * BAR
+INERTIA, DISPLACEMENT, FRICTION = (NOMINAL[name] for name in ("J", "D", "B"))
+TORQUE_NOISE = DISPLACEMENT * PRESSURE_NOISE
 """Standard deviation of the torque read from a pressure sensor, N m."""
-SUDDEN = 4.0
-"""Standard deviations from which on a miss counts as a load that has jumped."""
+
+
+@dataclass(frozen=True)
+class MotorFilterSettings:
+    """What the filter expects of loads and of its own model."""
+
+    together: float = setting(
+        0.006, "N m", "random walk of the loads' mean in a period, standard deviation", TUNED
+    )
+    apart: float = setting(0.0005, "N m", "and of half their difference", TUNED)
+    changed: float = setting(0.06, "1", "share of a change of torque that its integral may have wrong", TUNED)
+    unsampled: float = setting(
+        0.5, "1", "share of the torque between samples that the model may have wrong", TUNED
+    )
+    sudden: float = setting(
+        4.0, "1", "standard deviations from which on a miss is a load that has jumped: 1 in 10^4"
+    )
+    twice: float = setting(
+        8.0, "1", "product of two misses in a row, in variances, that counts as one too", TUNED
+    )
+
+
+MotorFilterNumbers: Any = numbers_of(MotorFilterSettings)
+
+
+class MotorState(NamedTuple):
+    """Speeds (rad/s), loads (N m), and by how much the last reading of the load was off, each (N, 2); covariance (N, 4, 4) of
+    both speeds, then both loads; the last pressures (Pa)."""
+
+    speed: Floats
+    torque: Floats
+    miss: Floats
+    covariance: Floats
+    pressure: Floats
 
 
 class MotorFilter:
-    """Speeds in rad/s and loads in N m, each (num_rigs, 2).
+    """Holds a `MotorState` in `state`, whose arrays keep their place."""
 
-    Args:
-        wander: standard deviations of the random walks in one period of the loads' mean and of half their difference, N m.
-        turned: what the torque's integral may have wrong of a change of torque, as a share of it.
-        twice: product of two misses in a row, in variances of a miss, from which on they count as a load that has jumped.
-        bent: of what the samples miss of the mean torque, the share that the model may have wrong.
-    """
-
-    def __init__(
-        self,
-        num_rigs: int,
-        period: float,
-        wander: tuple[float, float],
-        turned: float,
-        twice: float,
-        bent: float = 0.5,
-    ) -> None:
+    def __init__(self, settings: MotorFilterSettings, num_rigs: int, period: float) -> None:
         pair = (num_rigs, 2)
-        self._settings = (period / INERTIA, *wander, turned, twice, bent)
-        self.speed, self._pressure = np.zeros(pair), np.zeros(pair)
-        self.torque: Floats = np.zeros(pair)
-        self.miss: Floats = np.zeros(pair)
-        # of both speeds, then both loads
-        self._spread = np.zeros((num_rigs, 4, 4))
+        self._numbers, self._gained = numbers(MotorFilterNumbers, settings), period / INERTIA
+        speed, torque, miss, before = np.zeros((4, *pair))
+        self.state = MotorState(speed, torque, miss, np.zeros((num_rigs, 4, 4)), before)
 
-    def forget(self, rows: Rows, speed: Floats, pressure: Floats) -> None:
+    def reset(self, rows: Rows, speed: Floats, pressure: Floats) -> None:
         """No load; speeds and pressures as they are now."""
-        self.speed[rows], self._pressure[rows] = speed, pressure
-        self.torque[rows], self.miss[rows] = 0.0, 0.0
-        self._spread[rows] = READING**2 * np.diag([1.0, 1.0, 0.0, 0.0])
+        self.state.speed[rows], self.state.pressure[rows] = speed, pressure
+        self.state.torque[rows], self.state.miss[rows] = 0.0, 0.0
+        self.state.covariance[rows] = SPEED_NOISE**2 * np.diag([1.0, 1.0, 0.0, 0.0])
 
-    def step(
-        self, speed: Floats, pressure: Floats, bend: Floats, noisier: Floats, blind: NDArray[np.bool_]
+    def update(
+        self, speed: Floats, pressure: Floats, unsampled: Floats, noise: Floats, blind: NDArray[np.bool_]
     ) -> None:
-        """Takes in the next readings.
+        """Takes in the next readings (num_rigs, 2), rad/s and Pa.
 
-        `bend`: what the mean torque of the period is beyond the mean of its two readings, by the model, N m. `noisier`:
+        `unsampled`: what the mean torque of the period is beyond the mean of its two readings, by the model, N m. `noise`:
         the speeds' noise as a multiple of the usual. Where `blind`, `speed` is taken for the speed and the load stays.
         """
-        _step(
-            self.speed, self.torque, self.miss, self._spread, self._pressure, np.ascontiguousarray(speed),
-            np.ascontiguousarray(pressure), bend, noisier, blind, *self._settings,
-        )  # fmt: skip
+        readings = np.ascontiguousarray(speed), np.ascontiguousarray(pressure)
+        _update(self._numbers, self._gained, self.state, *readings, unsampled, noise, blind)
 
 
 @compiled
-def _step(
-    speed, torque, miss, spread, before, reading, pressure, bend, noisier, blind,
-    gained, wander, apart, turned, twice, bent,
-):  # fmt: skip
+def _update(s, gained, m, speed, pressure, unsampled, noise, blind):
     off, sensor = np.empty(2), np.empty(2)
     for i in range(speed.shape[0]):
-        p = spread[i]
-        # a period later: speeds have taken in the torques less the loads
         for c in range(2):
-            mean = 0.5 * DISPLACEMENT * (pressure[i, c] + before[i, c]) + bend[i, c]
-            speed[i, c] += gained * (mean - FRICTION * speed[i, c] - torque[i, c])
-            off[c] = reading[i, c] - speed[i, c]
-            sensor[c] = (READING * noisier[i, c]) ** 2
-            for k in range(4):
-                p[c, k] -= gained * p[2 + c, k]
-            for k in range(4):
-                p[k, c] -= gained * p[k, 2 + c]
-            wrong = (bent * bend[i, c]) ** 2 + (turned * DISPLACEMENT * (pressure[i, c] - before[i, c])) ** 2
-            p[c, c] += gained**2 * (0.5 * PUSH**2 + wrong)
-            before[i, c] = pressure[i, c]
-        # loads together (sign 1) and against each other (-1)
-        for sign, walk in ((1.0, wander), (-1.0, apart)):
-            expected = 0.25 * (p[0, 0] + p[1, 1] + sensor[0] + sensor[1]) + 0.5 * sign * p[0, 1]
-            now = 0.5 * (off[0] + sign * off[1])
-            last = -0.5 * gained * (miss[i, 0] + sign * miss[i, 1])
-            unknown = max(now * now - SUDDEN**2 * expected, now * last - twice * expected, 0.0) / gained**2
-            if blind[i, 0] or blind[i, 1]:
-                unknown = 0.0
-            unknown += walk**2
-            for c in range(2):
-                for d in range(2):
-                    more = unknown if c == d else sign * unknown
-                    p[2 + c, 2 + d] += more
-                    p[c, 2 + d] -= gained * more
-                    p[2 + d, c] -= gained * more
-                    p[c, d] += gained**2 * more
+            _predict(s, gained, i, c, m, pressure[i, c], unsampled[i, c])
+            off[c] = speed[i, c] - m.speed[i, c]
+            sensor[c] = (SPEED_NOISE * noise[i, c]) ** 2
+        known = not (blind[i, 0] or blind[i, 1])
+        _widen(s, gained, m.covariance[i], off, sensor, m.miss[i], known)
         for c in range(2):
-            miss[i, c] = -off[c] / gained
+            m.miss[i, c] = -off[c] / gained
         for c in range(2):
             if blind[i, c]:
-                speed[i, c], miss[i, c] = reading[i, c], 0.0
-                for k in range(4):
-                    p[c, k] = p[k, c] = p[2 + c, k] = p[k, 2 + c] = 0.0
-                p[c, c] = sensor[c]
-                continue
-            weight = (reading[i, c] - speed[i, c]) / (p[c, c] + sensor[c])
-            speed[i, 0] += p[0, c] * weight
-            speed[i, 1] += p[1, c] * weight
-            torque[i, 0] += p[2, c] * weight
-            torque[i, 1] += p[3, c] * weight
-            share = 1.0 / (p[c, c] + sensor[c])
-            for k in range(4):
-                off[0] = p[k, c] * share
-                for m in range(4):
-                    if m != c and k != c:
-                        p[k, m] -= off[0] * p[c, m]
-            rest = 1.0 - p[c, c] * share
-            for k in range(4):
-                if k != c:
-                    p[k, c] *= rest
-                    p[c, k] = p[k, c]
-            p[c, c] *= rest
+                _replace(i, c, m, speed[i, c], sensor[c])
+            else:
+                _correct(i, c, m, speed[i, c], sensor[c])
+
+
+@compiled
+def _predict(s, gained, i, c, m, pressure, unsampled):
+    """A period later: the speed has taken in the torque less the load."""
+    p = m.covariance[i]
+    mean = 0.5 * DISPLACEMENT * (pressure + m.pressure[i, c]) + unsampled
+    m.speed[i, c] += gained * (mean - FRICTION * m.speed[i, c] - m.torque[i, c])
+    for k in range(4):
+        p[c, k] -= gained * p[2 + c, k]
+    for k in range(4):
+        p[k, c] -= gained * p[k, 2 + c]
+    change = s.changed * DISPLACEMENT * (pressure - m.pressure[i, c])
+    wrong = (s.unsampled * unsampled) ** 2 + change**2
+    p[c, c] += gained**2 * (0.5 * TORQUE_NOISE**2 + wrong)
+    m.pressure[i, c] = pressure
+
+
+@compiled
+def _widen(s, gained, p, off, sensor, miss, known):
+    """Random walks of the loads together (sign 1) and against each other (-1), as wide as a jump that shows in what the
+    readings are `off`."""
+    for sign, walk in ((1.0, s.together), (-1.0, s.apart)):
+        expected = 0.25 * (p[0, 0] + p[1, 1] + sensor[0] + sensor[1]) + 0.5 * sign * p[0, 1]
+        now = 0.5 * (off[0] + sign * off[1])
+        last = -0.5 * gained * (miss[0] + sign * miss[1])
+        unknown = max(now * now - s.sudden**2 * expected, now * last - s.twice * expected, 0.0) / gained**2
+        if not known:
+            unknown = 0.0
+        unknown += walk**2
+        for c in range(2):
+            for d in range(2):
+                more = unknown if c == d else sign * unknown
+                p[2 + c, 2 + d] += more
+                p[c, 2 + d] -= gained * more
+                p[2 + d, c] -= gained * more
+                p[c, d] += gained**2 * more
+
+
+@compiled
+def _replace(i, c, m, speed, sensor):
+    """A sensor that is not to be trusted: its substitute is the speed."""
+    p = m.covariance[i]
+    m.speed[i, c], m.miss[i, c] = speed, 0.0
+    for k in range(4):
+        p[c, k] = p[k, c] = p[2 + c, k] = p[k, 2 + c] = 0.0
+    p[c, c] = sensor
+
+
+@compiled
+def _correct(i, c, m, speed, sensor):
+    """Kalman update by the reading of one speed."""
+    p = m.covariance[i]
+    weight = (speed - m.speed[i, c]) / (p[c, c] + sensor)
+    m.speed[i, 0] += p[0, c] * weight
+    m.speed[i, 1] += p[1, c] * weight
+    m.torque[i, 0] += p[2, c] * weight
+    m.torque[i, 1] += p[3, c] * weight
+    share = 1.0 / (p[c, c] + sensor)
+    for k in range(4):
+        to = p[k, c] * share
+        for j in range(4):
+            if j != c and k != c:
+                p[k, j] -= to * p[c, j]
+    rest = 1.0 - p[c, c] * share
+    for k in range(4):
+        if k != c:
+            p[k, c] *= rest
+            p[c, k] = p[k, c]
+    p[c, c] *= rest

@@ -1,8 +1,4 @@
-"""What a controller believes of a valve and its motor: the steady flow curve, and the flow a speed takes.
-
-Flows are fractions of the nominal rated flow (Kq x at the spool travel of the rated command), commands
-fractions of the rated command, so that a nominal valve without a dead zone has edge 0 and gain 1.
-"""
+"""The steady flow curve of a valve, as a controller knows it; units as in `estimation.nominal`."""
 
 from __future__ import annotations
 
@@ -11,36 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydro_env.controllers.base import Floats
-from hydro_env.plant import PARAMETERS, Plant
+from hydro_env.controllers.estimation.nominal import RATED_FLOW
+from hydro_env.plant import Plant
 
-__all__ = ["MOTOR_RATE", "RATED_FLOW", "ValveMap", "flow_for", "measured_flow", "true_map"]
-
-NOMINAL = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
-RATED_TRAVEL = NOMINAL["alpha"] * NOMINAL["u_rated"] / (NOMINAL["R"] * NOMINAL["k"])
-"""Spool travel at the rated command, m."""
-
-RATED_FLOW = NOMINAL["Kq"] * RATED_TRAVEL
-"""Flow of the nominal valve at the rated command, m3/s."""
-
-LEAK_PER_TORQUE = NOMINAL["Km"] / NOMINAL["D"] / RATED_FLOW
-"""Leakage that a torque costs: the pressure for it drives the leak (rated flow per N m)."""
-
-FLOW_PER_ACCELERATION = NOMINAL["J"] * LEAK_PER_TORQUE
-FLOW_PER_SPEED = NOMINAL["D"] / RATED_FLOW + NOMINAL["B"] * LEAK_PER_TORQUE
-MOTOR_RATE = FLOW_PER_SPEED / FLOW_PER_ACCELERATION
-"""Rate at which a motor without flow coasts down, 1/s: (B + D^2/Km) / J."""
-
-
-def flow_for(speed: Floats, acceleration: Floats | float, load: Floats | float) -> Floats:
-    """The share of the rated flow that a speed (rad/s), an acceleration (rad/s2) and a load (N m) take."""
-    return FLOW_PER_SPEED * speed + FLOW_PER_ACCELERATION * acceleration + LEAK_PER_TORQUE * load
-
-
-def measured_flow(speed: Floats, pressure: Floats) -> Floats:
-    """Flow into the motor, seen through its displacement and leakage: eq. (1), as a share of the rated
-    flow.
-    """
-    return (NOMINAL["D"] * speed + NOMINAL["Km"] * pressure) / RATED_FLOW
+__all__ = ["ValveMap", "true_map"]
 
 
 @dataclass

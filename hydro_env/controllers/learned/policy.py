@@ -2,7 +2,7 @@
 
 A policy file is an npz without pickled objects: the weights `w0`, `b0`, `w1`, ... of a fully connected network (stored
 as SB3 has them, outputs first) and `metadata`, a JSON text: what the file is (`schema`), `activation` of the hidden
-layers, `squash` of the output ("clip" for PPO's mean, "tanh" for SAC's), `view` (how observations become the network's
+layers, `squash` of the output ("clip" for PPO's mean, "tanh" for SAC's), `interface` (how observations become the network's
 inputs and its outputs become commands, see `learned.policy_interface`) and, for the reader, how it was trained.
 """
 
@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.learned.policy_interface import View, make_view
+from hydro_env.controllers.learned.policy_interface import PolicyInterface, make_interface
 from hydro_env.errors import InputError, suggestion
 
 __all__ = ["SCHEMA", "Network", "NumpyPolicy", "read_policy"]
 
-SCHEMA = "hydro_env/policy/1"
+SCHEMA = "hydro_env/policy/2"
 
 Floats = NDArray[np.floating[Any]]
 
@@ -152,16 +152,16 @@ class NumpyPolicy:
         self.network = network.astype(dtype)
         self.name = name or Path(path).stem
         try:
-            self.view: View = make_view(self.metadata.get("view"))
+            self.interface: PolicyInterface = make_interface(self.metadata.get("interface"))
         except InputError as problem:
-            raise InputError(f"{path}: view: {problem}") from None
+            raise InputError(f"{path}: interface: {problem}") from None
         if (self.network.num_inputs, self.network.num_outputs) != (
-            self.view.num_features,
-            self.view.num_actions,
+            self.interface.num_features,
+            self.interface.num_actions,
         ):
             raise InputError(
                 f"{path}: the network takes {self.network.num_inputs} inputs and gives {self.network.num_outputs} "
-                f"outputs, its view wants {self.view.num_features} and {self.view.num_actions}"
+                f"outputs, its interface wants {self.interface.num_features} and {self.interface.num_actions}"
             )
         self.reset(1, 0.01)
 
@@ -177,8 +177,8 @@ class NumpyPolicy:
                 f"{self.name} was reset for {self._num_rigs} rigs, got observations {observation.shape}"
             )
         if self._fresh:
-            inputs = self.view.start(observation, self._period)
+            inputs = self.interface.start(observation, self._period)
             self._fresh = False
         else:
-            inputs = self.view.see(observation)
-        return self.view.command(self.network(inputs))
+            inputs = self.interface.see(observation)
+        return self.interface.command(self.network(inputs))

@@ -1,13 +1,12 @@
 """What a policy's network sees of the rig, and how its outputs become valve commands.
 
-The same code runs in training (`agents`) and in the shipped controllers, so that what was trained is what runs.
-`FramesView` shows the last observations as they are, and the outputs are the commands: nothing is built in.
-`hydro_env.controllers.mpc` has the two interfaces on top of a control law.
+The same code runs in training (`agents`) and in the shipped controllers, so that what was trained is what runs. With
+`FramesInterface` the network sees the last observations as they are, and its outputs are the commands: nothing is built in.
+`FlowInterface` (`learned.flow_interface`) puts the network on top of the flow controller.
 """
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from typing import Any, Protocol
 
@@ -16,13 +15,13 @@ from numpy.typing import NDArray
 
 from hydro_env.errors import InputError
 
-__all__ = ["FramesView", "View", "make_view"]
+__all__ = ["FramesInterface", "PolicyInterface", "make_interface"]
 
 Floats = NDArray[np.floating[Any]]
 Rows = NDArray[Any]
 
 
-class View(Protocol):
+class PolicyInterface(Protocol):
     """Stands between the observations of a batch of rigs and a network.
 
     `rows_per_rig`: how many inputs the network gets for each rig; `num_features`, `num_actions`: their and the outputs'
@@ -45,46 +44,34 @@ class View(Protocol):
     def command(self, outputs: Floats) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for the network's outputs at the inputs seen last."""
 
-    def settings(self) -> dict[str, Any]:
-        """What `make_view` needs to build the same view."""
+    def table(self) -> dict[str, Any]:
+        """What `make_interface` needs to build the same interface."""
 
 
-def _settings(view: type[Any]) -> list[str]:
-    """The settings of a view, with those that it hands on to the view it is built on."""
-    given = inspect.signature(view).parameters.values()
-    own = [each.name for each in given if each.kind is not each.VAR_KEYWORD]
-    on = _settings(view.__base__) if len(own) < len(given) and view.__base__ is not None else []
-    return list(dict.fromkeys([*own, *on]))
-
-
-def make_view(settings: Any) -> View:
-    """A view from its settings, `{"kind": "plan" | "flow" | "frames", ...}`; the plain observation without any.
+def make_interface(table: Any) -> PolicyInterface:
+    """An interface from its table, `{"kind": "flow" | "frames", ...}`; the plain observation without any.
 
     InputError for anything that is not right.
     """
-    if settings is not None and not isinstance(settings, Mapping):
-        raise InputError(f"should be a table with a key 'kind', found {type(settings).__name__}")
-    given = dict(settings or {"kind": "frames"})
-    from hydro_env.controllers.mpc.flow_controller import FlowView
-    from hydro_env.controllers.mpc.planning_controller import PlanningView
+    from hydro_env.controllers.learned.flow_interface import FlowInterface
 
-    kinds: dict[str, type[Any]] = {
-        "frames": FramesView, "flow": FlowView, "plan": PlanningView,
-    }  # fmt: skip
+    if table is not None and not isinstance(table, Mapping):
+        raise InputError(f"should be a table with a key 'kind', found {type(table).__name__}")
+    given = dict(table or {"kind": "frames"})
     kind = given.pop("kind", None)
-    if kind not in kinds:
-        raise InputError(f"kind {kind!r} is unknown; there are {', '.join(kinds)}")
-    known = _settings(kinds[str(kind)])
+    if kind == "flow":
+        return FlowInterface.from_table(given)
+    if kind != "frames":
+        raise InputError(f"kind {kind!r} is unknown; there are flow, frames")
     for key, value in given.items():
-        if key not in known:
-            raise InputError(f"{key!r} is unknown; known for kind {kind!r} are {', '.join(known)}")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < 1e5:
-            raise InputError(f"{key} {value!r} should be a number from 0 to 100000")
-    made: View = kinds[str(kind)](**given)
-    return made
+        if key not in ("frames", "width"):
+            raise InputError(f"{key!r} is unknown; known for kind 'frames' are frames, width")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 1 <= value < 1e3:
+            raise InputError(f"{key} {value!r} should be a whole number of at least 1")
+    return FramesInterface(**given)
 
 
-class FramesView:
+class FramesInterface:
     """The last `frames` observations of `width` numbers each, newest last; the outputs are the commands."""
 
     rows_per_rig = 1
@@ -94,7 +81,7 @@ class FramesView:
         self.frames, self.width = int(frames), int(width)
         self.num_features = self.frames * self.width
 
-    def settings(self) -> dict[str, Any]:
+    def table(self) -> dict[str, Any]:
         return {"kind": "frames", "frames": self.frames, "width": self.width}
 
     def start(self, observation: Floats, period: float) -> Floats:

@@ -1,9 +1,8 @@
-"""Plans the next commands of a pair of valves so that both motors keep together, on a model of spools, valves and motors.
+"""The receding-horizon planner: the next commands of both valves, so that the motors keep together.
 
-A plan holds the commands of the next few control periods. The model of a channel is small: a coil that lags by `COIL`, a
-spool with mass, spring and Coulomb friction between stops, a valve with a dead zone and one gain, a motor that follows its
-flow by (1) and (2). Positions and commands are shares of the rated command, flows of the rated flow. A plan is improved by
-steps of Gauss and Newton on a cost that adds up
+A plan holds the commands of the next few control periods and is improved in every period anew, by steps of Gauss and Newton on
+a model of spools, valves and motors (direct single shooting; Diehl et al., Real-time optimization, J. Process Control 12, 2002).
+The motor follows its flow by (1) and (2). The cost adds up
 
 * the speed differences at the control instants squared, beyond `corner` more than squared
 * how far the mean of both speeds is from its aim, squared
@@ -16,46 +15,70 @@ worked on by itself: a row of a batch gets bit for bit what it would get alone.
 
 from __future__ import annotations
 
-from math import exp
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.controllers.base import Floats
+from hydro_env.controllers.estimation.nominal import TUNED_PERIOD
+from hydro_env.controllers.estimation.spool import Channel, substep, valve_flow
+from hydro_env.controllers.mpc.reference import ReferenceState
+from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
 __all__ = [
-    "COIL",
-    "Response",
+    "HORIZON",
+    "Planner",
+    "PlannerSettings",
+    "Scene",
     "Weights",
-    "follow",
+    "Work",
     "improve_plans",
-    "lead_to",
-    "responses",
-    "throw_to",
-    "wait_out",
+    "predict_delayed",
 ]
 
-Floats = NDArray[np.floating[Any]]
+Bools = NDArray[np.bool_]
+Rows = NDArray[Any] | slice
 
-COIL = 1e-3
-"""Time constant of the coil, s: inductance over resistance."""
-PRESSURE = 5e-4
-"""Time constant with which the pressure follows the valve's flow, s: compliance of the volume over leakage, V / (beta Km)."""
-STOP = 1.16
-"""Where the end stops of the nominal spool are."""
+HORIZON = 4
+"""Control periods that are planned: longer than the spool's period of 30 ms."""
 CLOSED = 0.3
 """What a closed valve is taken to react like, as a share of an open one: it may be open when the plan has changed."""
 TRIES, SMALLER = 3, 0.35
 """How often a step is tried, and by how much smaller each time."""
 STUCK, AWAY = 0.6, 10.0 * RPM
-"""A plan that leaves this share of a larger distance from the aim begins once more with the plain way to the aim."""
+"""A plan that leaves this share of a larger distance from the aim is restarted from the plain way to the aim."""
+
+
+@dataclass(frozen=True)
+class PlannerSettings:
+    """Weights beside a weight of 1 for the squared distance from the aim (rad/s)."""
+
+    apart: float = setting(300.0, "1", "of the squared speed difference", TUNED)
+    moves: float = setting(650.0, "rad2/s2", "of the squared moves of a command", TUNED)
+    swing: float = setting(3000.0, "rad2/s2", "of the squared swing at the end", TUNED)
+    corner: float = setting(
+        14.0, "rpm", "difference from which on its cost grows faster than its square", TUNED
+    )
+    turns: int = setting(4, "1", "steps of Gauss and Newton a period: more change nothing")
+    behind: float = setting(1.95, "periods", "how long after the reference the speeds are to follow", TUNED)
+    ahead: float = setting(30.0, "rpm", "no farther are the speeds asked to move at once", TUNED)
+    wrong: float = setting(
+        2e-4, "1", "mean square of the flow's innovation that doubles the moves' weight", TUNED
+    )
+    memory: float = setting(0.1, "1", "share of a new square in that mean", TUNED)
+    worst: float = setting(0.02, "1", "most that one square counts", TUNED)
+    heaviest: float = setting(6.0, "1", "largest factor on the moves' weight", TUNED)
+    noisiest: float = setting(
+        4.0, "1", "multiple of a speed's usual noise up to which commands are planned", TUNED
+    )
 
 
 class Weights(NamedTuple):
-    """Of the difference, the distance from the aim, the moves, the swing at the end; `corner`: speed difference from which
-    on its cost grows faster than its square, rad/s; `turns` of improvement."""
+    """Of the difference, the distance from the aim, the moves, the swing at the end; `corner` in rad/s; `turns`."""
 
     apart: float
     aim: float
@@ -65,205 +88,165 @@ class Weights(NamedTuple):
     turns: int
 
 
-class Response(NamedTuple):
-    """The modelled channel: substeps of `step` s, `steps` a period; spool and motor as in `follow`."""
+class Scene(NamedTuple):
+    """What plans begin with: positions, speeds and coils' commands of the spools (3, N, 2); the motors' speeds (rad/s) and loads
+    (N m), (N, 2); edges (N, 2, 2) and gains (N, 2) of the valves; the last command (N, 2); the aim at the control instants
+    (N, H + 1), rad/s; factors on the moves' weight (N,)."""
 
-    steps: int
-    step: float
-    rate: float
-    decay: float
-    grip: float
-    held: float  # share of a change of command that the coil has yet to follow after a substep
-    mean: float  # and on the mean of a substep
-    per_speed: float
-    per_torque: float
-    per_acceleration: float
-    fresh: float  # share of the flow at its end, not at its beginning, that turns the motor in a substep
-    travel: NDArray[
-        np.float64
-    ]  # of a spool after a command of 1 that lasts a period, by substep: (horizon steps,)
-    swing: NDArray[np.float64]  # its speed over `rate`
+    place: Floats
+    motor: Floats
+    load: Floats
+    edge: Floats
+    gain: Floats
+    sent: Floats
+    aim: Floats
+    heavier: Floats
 
 
-def responses(
-    period: float,
-    steps: int,
-    horizon: int,
-    rate: float,
-    damping: float,
-    friction: float,
-    flow: tuple[float, float, float],
-) -> Response:
-    """The channel's model for a control period in s; `flow`: per speed, torque and acceleration (`flow_view.Motor`)."""
-    step = period / steps
-    held = exp(-step / COIL)
-    mean = (1.0 - held) * COIL / step
-    decay = exp(-2.0 * damping * rate * step)
-    travel, swing = [], []
-    position = speed = late = 0.0
-    for substep in range(horizon * steps):
-        command = 1.0 if substep < steps else 0.0
-        position += 0.5 * step * speed
-        speed = decay * speed + step * rate * rate * (command + mean * (late - command) - position)
-        position += 0.5 * step * speed
-        late = command + held * (late - command)
-        travel.append(position)
-        swing.append(speed / rate)
-    grip = step * rate * rate * friction
-    # the mean over a substep of a ramp from 0 to 1 that passes the pressure's lag
-    fresh = 0.5 - PRESSURE / step * (1.0 - PRESSURE / step * (1.0 - exp(-step / PRESSURE)))
-    return Response(
-        steps, step, rate, decay, grip, held, mean, *flow, fresh, travel=np.array(travel), swing=np.array(swing),
-    )  # fmt: skip
+class Work(NamedTuple):
+    """Memory for one rig: what a plan leads to (`speeds` (2, H + 1), `ends` of the spools (2, 2), `opened` (2, H steps)), how
+    speeds change with it (2, H, H + 1), and the normal equations."""
+
+    speeds: Floats
+    ends: Floats
+    opened: Floats
+    change: Floats
+    square: Floats
+    slope: Floats
+    move: Floats
+    tried: Floats
+
+    @classmethod
+    def of(cls, horizon: int, steps: int) -> Work:
+        n, empty = 2 * horizon, np.empty
+        return cls(
+            empty((2, horizon + 1)), empty((2, 2)), empty((2, horizon * steps)), empty((2, horizon, horizon + 1)),
+            empty((n, n)), empty(n), empty(n), empty((2, horizon)),
+        )  # fmt: skip
 
 
-@compiled
-def _substep(position, speed, late, command, r):
-    """One substep of a spool: position, speed and the coil's command after it."""
-    gap = late - command
-    position += 0.5 * r.step * speed
-    speed = r.decay * speed + r.step * r.rate * r.rate * (command + r.mean * gap - position)
-    if speed > r.grip:
-        speed -= r.grip
-    elif speed < -r.grip:
-        speed += r.grip
-    else:
-        speed = 0.0
-    position += 0.5 * r.step * speed
-    if position > STOP:
-        position, speed = STOP, min(speed, 0.0)
-    elif position < -STOP:
-        position, speed = -STOP, max(speed, 0.0)
-    return position, speed, command + r.held * gap
+class Planner:
+    """`plan` (num_rigs, 2, HORIZON): commands of the next periods. Only for the control period it was tuned at."""
 
+    def __init__(self, settings: PlannerSettings, num_rigs: int, channel: Channel) -> None:
+        s = self.settings = settings
+        self._channel, self._work = channel, Work.of(HORIZON, channel.steps)
+        self._weights = Weights(s.apart, 1.0, s.moves, s.swing, s.corner * RPM, s.turns)
+        self.plan, self._mean = np.zeros((num_rigs, 2, HORIZON)), np.zeros(num_rigs)
 
-@compiled
-def _valve(position, positive, negative, gain):
-    """Flow, and whether the valve is open."""
-    if position > positive:
-        return gain * (position - positive), True
-    if position < -negative:
-        return gain * (position + negative), True
-    return 0.0, False
+    @staticmethod
+    def fits(period: float) -> bool:
+        """Whether commands are planned at this control period."""
+        return abs(period - TUNED_PERIOD) < 1e-6
 
+    def reset(self, rows: Rows, sent: Floats) -> None:
+        """The command (n, 2) goes on."""
+        self.plan[rows], self._mean[rows] = sent[..., None], 0.0
 
-@compiled
-def follow(position, speed, late, ringing, bend, command, edge, gain, r):
-    """Spools (N, 2) under held commands for a period, in place.
+    def step(self, planned: Bools, plain: Floats, scene: Scene) -> Floats:
+        """Commands (num_rigs, 2) of the rigs that are `planned` (num_rigs,); `plain` (num_rigs, 2, HORIZON) is a plan to begin
+        with where it is better than what is left of the last one, and what the others do."""
+        self.plan[..., :-1] = self.plan[..., 1:].copy()
+        self.plan[~planned] = plain[~planned, :, :1]
+        rows = np.flatnonzero(planned)
+        improve_plans(self.plan, plain, rows, scene, self._weights, self._channel, self._work)
+        return np.where(planned[:, None], self.plan[..., 0], plain[..., 0])
 
-    `ringing`: squared amplitude of the swing about the command. `bend`: mean of the flow over the period less the mean of
-    what it is at begin and end, which is what samples miss.
-    """
-    for i in range(position.shape[0]):
-        for c in range(2):
-            x, v, late_c, u = position[i, c], speed[i, c], late[i, c], command[i, c]
-            flow, _ = _valve(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
-            first, total = flow, 0.5 * flow
-            for _ in range(r.steps):
-                x, v, late_c = _substep(x, v, late_c, u, r)
-                flow, _ = _valve(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
-                total += flow
-            bend[i, c] = (total - 0.5 * flow) / r.steps - 0.5 * (first + flow)
-            position[i, c], speed[i, c], late[i, c] = x, v, late_c
-            ringing[i, c] = (x - u) ** 2 + (v / r.rate) ** 2
+    def move_weights(self, innovation: Floats, acceleration: Floats) -> Floats:
+        """Factors on the moves' weight, (num_rigs,): pairs that friction unlike the model's makes hunt are calmed while the
+        reference is steady. `innovation` (num_rigs, 2) of the flow, in units of its usual noise's."""
+        s = self.settings
+        square = np.max(innovation**2, axis=1)
+        self._mean += s.memory * (np.minimum(square, s.worst) - self._mean)
+        steady = np.abs(acceleration) < 1.0
+        factors: Floats = np.where(steady, np.minimum(1.0 + self._mean / s.wrong, s.heaviest), 1.0)
+        return factors
+
+    def aim(self, reference: ReferenceState, motor: Floats, period: float) -> Floats:
+        """Speeds to be at in the next control instants, (num_rigs, HORIZON + 1): the reference `behind` periods before.
+        `motor` (num_rigs, 2): the speeds at which the plan begins."""
+        s = self.settings
+        aim = np.empty((len(motor), HORIZON + 1))
+        for k in range(HORIZON + 1):
+            back = s.behind - k
+            if back >= 0.0:
+                whole, part = int(back), back - int(back)
+                aim[:, k] = (1.0 - part) * reference.history[whole] + part * reference.history[whole + 1]
+            else:
+                aim[:, k] = reference.speed - reference.acceleration * back * period
+        off = aim[:, 0] - np.mean(motor, axis=1)
+        return aim - (off - np.clip(off, -s.ahead * RPM, s.ahead * RPM))[:, None]
 
 
 @compiled
-def lead_to(sent, rows, position, speed, late, goal, pace, r):
-    """Commands `sent` (N, 2), in place, that bring the spools marked in `rows` (N, 2) to the positions `goal` (N, 2) with the
-    speeds `pace` (N, 2) in two periods."""
-    first, last = 2 * r.steps - 1, r.steps - 1
-    a, b, c, d = r.travel[first], r.travel[last], r.swing[first], r.swing[last]
-    span = a * d - b * c
-    for i in range(sent.shape[0]):
-        for k in range(2):
-            if not rows[i, k]:
-                continue
-            now = then = goal[i, k]
-            for _ in range(3):
-                x, v, held = position[i, k], speed[i, k], late[i, k]
-                for _ in range(r.steps):
-                    x, v, held = _substep(x, v, held, now, r)
-                for _ in range(r.steps):
-                    x, v, held = _substep(x, v, held, then, r)
-                off, slow = goal[i, k] - x, (pace[i, k] - v) / r.rate
-                now += (d * off - b * slow) / span
-                then += (a * slow - c * off) / span
-            sent[i, k] = min(max(now, -1.0), 1.0)
-
-
-@compiled
-def throw_to(sent, rows, position, speed, late, goal, r):
-    """Commands `sent` (N, 2), in place, after a period of which the spools marked in `rows` (N, 2) pass the positions `goal`
-    (N, 2), at whatever speed."""
-    slope = r.travel[r.steps - 1]
-    for i in range(sent.shape[0]):
-        for k in range(2):
-            if not rows[i, k]:
-                continue
-            command = goal[i, k]
-            for _ in range(3):
-                x, v, held = position[i, k], speed[i, k], late[i, k]
-                for _ in range(r.steps):
-                    x, v, held = _substep(x, v, held, command, r)
-                command += (goal[i, k] - x) / slope
-            sent[i, k] = min(max(command, -1.0), 1.0)
-
-
-@compiled
-def wait_out(late, sent, place, motor, load, edge, gain, r):
+def predict_delayed(late, sent, place, motor, load, edge, gain, m):
     """Spools `place` (3, N, 2) and speeds `motor` (N, 2), in place, after the commands that are on their way: the `late` (N,)
     newest ones of `sent` (periods, N, 2), newest first."""
-    push = r.step / r.per_acceleration
+    push = m.step / m.per_acceleration
     for i in range(late.size):
         for c in range(2):
-            x, v, held, speed = place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c]
-            drag = r.per_torque * load[i, c]
-            before, _ = _valve(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
+            x, v, coil, speed = place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c]
+            drag = m.per_torque * load[i, c]
+            before, _ = valve_flow(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
             for k in range(late[i] - 1, -1, -1):
-                for _ in range(r.steps):
-                    x, v, held = _substep(x, v, held, sent[k, i, c], r)
-                    flow, _ = _valve(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
-                    speed += push * (before + r.fresh * (flow - before) - r.per_speed * speed - drag)
+                for _ in range(m.steps):
+                    x, v, coil = substep(x, v, coil, sent[k, i, c], m)
+                    flow, _ = valve_flow(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
+                    speed += push * (before + m.fresh * (flow - before) - m.per_speed * speed - drag)
                     before = flow
-            place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c] = x, v, held, speed
+            place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c] = x, v, coil, speed
 
 
 @compiled
-def _drive(plan, place, motor, load, edge, gain, sent, aim, w, r, speeds, ends, opened):
-    """The cost of a plan (2, H) of one rig. Fills `speeds` (2, H + 1), `ends` (2, 2) of the spools, `opened` (2, H steps).
-
-    `place` (3, 2): position, speed and the coil's command of each spool; `motor` (2,): speeds; `aim` (H + 1,).
-    """
+def cost_of(plan, i, s, w, m, work):
+    """The cost of a plan (2, H) of rig i; fills `speeds`, `ends` and `opened` of `work`."""
     # Both spools in one loop: one's next step does not wait for the other's.
-    horizon = plan.shape[1]
-    push = r.step / r.per_acceleration
-    x0, v0, late0, speed0, drag0 = place[0, 0], place[1, 0], place[2, 0], motor[0], r.per_torque * load[0]
-    x1, v1, late1, speed1, drag1 = place[0, 1], place[1, 1], place[2, 1], motor[1], r.per_torque * load[1]
-    before0, before1 = sent[0], sent[1]
-    speeds[0, 0], speeds[1, 0] = speed0, speed1
-    last0, _ = _valve(x0, edge[0, 0], edge[0, 1], gain[0])
-    last1, _ = _valve(x1, edge[1, 0], edge[1, 1], gain[1])
-    total = 0.0
-    for k in range(horizon):
+    push, gain, edge, place = m.step / m.per_acceleration, s.gain[i], s.edge[i], s.place[:, i]
+    x0, v0, coil0, speed0, drag0 = (
+        place[0, 0],
+        place[1, 0],
+        place[2, 0],
+        s.motor[i, 0],
+        m.per_torque * s.load[i, 0],
+    )
+    x1, v1, coil1, speed1, drag1 = (
+        place[0, 1],
+        place[1, 1],
+        place[2, 1],
+        s.motor[i, 1],
+        m.per_torque * s.load[i, 1],
+    )
+    before0, before1 = s.sent[i, 0], s.sent[i, 1]
+    work.speeds[0, 0], work.speeds[1, 0] = speed0, speed1
+    last0, _ = valve_flow(x0, edge[0, 0], edge[0, 1], gain[0])
+    last1, _ = valve_flow(x1, edge[1, 0], edge[1, 1], gain[1])
+    total, moves = 0.0, w.moves * s.heavier[i]
+    for k in range(plan.shape[1]):
         command0, command1 = plan[0, k], plan[1, k]
-        for s in range(r.steps):
-            x0, v0, late0 = _substep(x0, v0, late0, command0, r)
-            x1, v1, late1 = _substep(x1, v1, late1, command1, r)
-            flow0, open0 = _valve(x0, edge[0, 0], edge[0, 1], gain[0])
-            flow1, open1 = _valve(x1, edge[1, 0], edge[1, 1], gain[1])
-            speed0 += push * (last0 + r.fresh * (flow0 - last0) - r.per_speed * speed0 - drag0)
-            speed1 += push * (last1 + r.fresh * (flow1 - last1) - r.per_speed * speed1 - drag1)
+        for n in range(k * m.steps, (k + 1) * m.steps):
+            x0, v0, coil0 = substep(x0, v0, coil0, command0, m)
+            x1, v1, coil1 = substep(x1, v1, coil1, command1, m)
+            flow0, open0 = valve_flow(x0, edge[0, 0], edge[0, 1], gain[0])
+            flow1, open1 = valve_flow(x1, edge[1, 0], edge[1, 1], gain[1])
+            speed0 += push * (last0 + m.fresh * (flow0 - last0) - m.per_speed * speed0 - drag0)
+            speed1 += push * (last1 + m.fresh * (flow1 - last1) - m.per_speed * speed1 - drag1)
             last0, last1 = flow0, flow1
-            opened[0, k * r.steps + s] = 1.0 if open0 else CLOSED
-            opened[1, k * r.steps + s] = 1.0 if open1 else CLOSED
-        speeds[0, k + 1], speeds[1, k + 1] = speed0, speed1
-        total += w.moves * ((command0 - before0) ** 2 + (command1 - before1) ** 2)
+            work.opened[0, n] = 1.0 if open0 else CLOSED
+            work.opened[1, n] = 1.0 if open1 else CLOSED
+        work.speeds[0, k + 1], work.speeds[1, k + 1] = speed0, speed1
+        total += moves * ((command0 - before0) ** 2 + (command1 - before1) ** 2)
         before0, before1 = command0, command1
-    ends[0, 0], ends[0, 1] = x0 - before0, v0 / r.rate
-    ends[1, 0], ends[1, 1] = x1 - before1, v1 / r.rate
+    ends = work.ends
+    ends[0, 0], ends[0, 1] = x0 - before0, v0 / m.rate
+    ends[1, 0], ends[1, 1] = x1 - before1, v1 / m.rate
     total += w.swing * (ends[0, 0] ** 2 + ends[0, 1] ** 2 + ends[1, 0] ** 2 + ends[1, 1] ** 2)
-    for k in range(1, horizon + 1):
+    return _add_speeds(total, work.speeds, s.aim[i], w)
+
+
+@compiled
+def _add_speeds(total, speeds, aim, w):
+    """A cost with those of differences and distances from the aim."""
+    for k in range(1, aim.size):
         apart, off = speeds[0, k] - speeds[1, k], 0.5 * (speeds[0, k] + speeds[1, k]) - aim[k]
         square = apart * apart
         total += w.apart * square * (1.0 + 0.5 * square / (w.corner * w.corner)) + 2.0 * w.aim * off * off
@@ -271,27 +254,15 @@ def _drive(plan, place, motor, load, edge, gain, sent, aim, w, r, speeds, ends, 
 
 
 @compiled
-def _normal(plan, gain, sent, aim, w, r, speeds, ends, opened, turned, risen, change, square, slope):
-    """The cost's slope (2 H,) and the matrix (2 H, 2 H) of Gauss and Newton, each halved."""
-    horizon = plan.shape[1]
+def normal_equations(plan, i, s, w, m, work):
+    """The cost's slope (2 H,) and the matrix (2 H, 2 H) of Gauss and Newton, each halved, into `work`."""
+    horizon, change, square, slope = plan.shape[1], work.change, work.square, work.slope
     square[:] = 0.0
     slope[:] = 0.0
-    push = r.step / r.per_acceleration
-    keep = 1.0 - push * r.per_speed
-    for c in range(2):
-        turned[:] = 0.0
-        risen[:] = 0.0
-        for k in range(horizon):
-            for s in range(r.steps):
-                rise = push * gain[c] * opened[c, k * r.steps + s]
-                for j in range(k + 1):
-                    now = rise * r.travel[(k - j) * r.steps + s]
-                    turned[j] = keep * turned[j] + risen[j] + r.fresh * (now - risen[j])
-                    risen[j] = now
-            for j in range(k + 1):
-                change[c, j, k + 1] = turned[j]
+    _sensitivity(plan, s.gain[i], m, work)
     for k in range(1, horizon + 1):
-        apart, off = speeds[0, k] - speeds[1, k], 0.5 * (speeds[0, k] + speeds[1, k]) - aim[k]
+        apart = work.speeds[0, k] - work.speeds[1, k]
+        off = 0.5 * (work.speeds[0, k] + work.speeds[1, k]) - s.aim[i, k]
         weight = w.apart * (1.0 + apart * apart / (w.corner * w.corner))
         for c in range(2):
             sign = 1.0 - 2.0 * c
@@ -300,26 +271,53 @@ def _normal(plan, gain, sent, aim, w, r, speeds, ends, opened, turned, risen, ch
                 slope[c * horizon + j] += (weight * apart * sign + w.aim * off) * a
                 for d in range(2):
                     both = weight if d == c else -weight
-                    for i in range(k):
-                        square[c * horizon + j, d * horizon + i] += (both + 0.5 * w.aim) * a * change[d, i, k]
+                    for n in range(k):
+                        square[c * horizon + j, d * horizon + n] += (both + 0.5 * w.aim) * a * change[d, n, k]
     for c in range(2):
-        for j in range(horizon):
-            at = c * horizon + j
-            move = plan[c, j] - (sent[c] if j == 0 else plan[c, j - 1])
-            square[at, at] += w.moves
-            slope[at] += w.moves * move
-            if j > 0:
-                square[at - 1, at - 1] += w.moves
-                square[at, at - 1] -= w.moves
-                square[at - 1, at] -= w.moves
-                slope[at - 1] -= w.moves * move
-            last = (horizon - j) * r.steps - 1
-            x, v = r.travel[last] - (1.0 if j == horizon - 1 else 0.0), r.swing[last]
-            slope[at] += w.swing * (ends[c, 0] * x + ends[c, 1] * v)
-            for i in range(horizon):
-                last = (horizon - i) * r.steps - 1
-                y = r.travel[last] - (1.0 if i == horizon - 1 else 0.0)
-                square[at, c * horizon + i] += w.swing * (x * y + v * r.swing[last])
+        _of_commands(plan, c, s.sent[i, c], w.moves * s.heavier[i], w.swing, m, work)
+
+
+@compiled
+def _sensitivity(plan, gain, m, work):
+    """How speeds at the control instants change with each command: the spool's travel, where the valve is open, integrated."""
+    horizon, push = plan.shape[1], m.step / m.per_acceleration
+    keep = 1.0 - push * m.per_speed
+    turned, risen = np.empty(horizon), np.empty(horizon)
+    for c in range(2):
+        turned[:] = 0.0
+        risen[:] = 0.0
+        for k in range(horizon):
+            for n in range(m.steps):
+                rise = push * gain[c] * work.opened[c, k * m.steps + n]
+                for j in range(k + 1):
+                    now = rise * m.travel[(k - j) * m.steps + n]
+                    turned[j] = keep * turned[j] + risen[j] + m.fresh * (now - risen[j])
+                    risen[j] = now
+            for j in range(k + 1):
+                work.change[c, j, k + 1] = turned[j]
+
+
+@compiled
+def _of_commands(plan, c, sent, moves, swing, m, work):
+    """Adds the moves of a channel's commands, and the swing they leave."""
+    horizon, square, slope, ends = plan.shape[1], work.square, work.slope, work.ends
+    for j in range(horizon):
+        at = c * horizon + j
+        move = plan[c, j] - (sent if j == 0 else plan[c, j - 1])
+        square[at, at] += moves
+        slope[at] += moves * move
+        if j > 0:
+            square[at - 1, at - 1] += moves
+            square[at, at - 1] -= moves
+            square[at - 1, at] -= moves
+            slope[at - 1] -= moves * move
+        last = (horizon - j) * m.steps - 1
+        x, v = m.travel[last] - (1.0 if j == horizon - 1 else 0.0), m.swing[last]
+        slope[at] += swing * (ends[c, 0] * x + ends[c, 1] * v)
+        for n in range(horizon):
+            last = (horizon - n) * m.steps - 1
+            y = m.travel[last] - (1.0 if n == horizon - 1 else 0.0)
+            square[at, c * horizon + n] += swing * (x * y + v * m.swing[last])
 
 
 @compiled
@@ -329,76 +327,72 @@ def _solve(square, slope, move):
     for p in range(n):
         for q in range(p + 1):
             rest = square[p, q]
-            for m in range(q):
-                rest -= square[p, m] * square[q, m]
+            for k in range(q):
+                rest -= square[p, k] * square[q, k]
             square[p, q] = np.sqrt(max(rest, 1e-12)) if p == q else rest / square[q, q]
     for p in range(n):
         rest = -slope[p]
-        for m in range(p):
-            rest -= square[p, m] * move[m]
+        for k in range(p):
+            rest -= square[p, k] * move[k]
         move[p] = rest / square[p, p]
     for p in range(n - 1, -1, -1):
         rest = move[p]
-        for m in range(p + 1, n):
-            rest -= square[m, p] * move[m]
+        for k in range(p + 1, n):
+            rest -= square[k, p] * move[k]
         move[p] = rest / square[p, p]
 
 
 @compiled
-def improve_plans(plans, plain, rows, place, motor, load, edge, gain, sent, aim, dearer, w, r):
-    """Improves the plans (N, 2, H) of the rigs `rows`, in place.
+def _improve(plan, i, cost, s, w, m, work):
+    """One step of Gauss and Newton on the plan of rig i, shortened until it helps; the cost reached, or the old one."""
+    horizon = plan.shape[1]
+    normal_equations(plan, i, s, w, m, work)
+    # a command at its limit that would go beyond stays there
+    for c in range(2):
+        for j in range(horizon):
+            k = c * horizon + j
+            if plan[c, j] * work.slope[k] < 0.0 and abs(plan[c, j]) >= 1.0:
+                work.square[k, :] = 0.0
+                work.square[:, k] = 0.0
+                work.square[k, k], work.slope[k] = 1.0, 0.0
+    _solve(work.square, work.slope, work.move)
+    size = 1.0
+    for _ in range(TRIES):
+        for c in range(2):
+            for j in range(horizon):
+                moved = plan[c, j] + size * work.move[c * horizon + j]
+                work.tried[c, j] = min(1.0, max(-1.0, moved))
+        reached = cost_of(work.tried, i, s, w, m, work)
+        if reached < cost:
+            plan[:] = work.tried
+            return reached
+        size *= SMALLER
+    return cost
 
-    plain (N, 2, H): another plan to begin with, where it is better. place (3, N, 2): positions, speeds and coils' commands of
-    the spools. motor (N, 2): speeds in rad/s; load (N, 2) in N m; edge (N, 2, 2); gain, sent (N, 2), the last command; aim
-    (N, H + 1) in rad/s at the control instants. dearer (N,): factors of the moves' weight. w: `Weights`, r: `Response`.
-    """
+
+@compiled
+def improve_plans(plans, plain, rows, s, w, m, work):
+    """Improves the plans (N, 2, H) of the rigs `rows`, in place. plain (N, 2, H): another plan to begin with, where it is better.
+    s: `Scene`, w: `Weights`, m: `Channel`, work: `Work`."""
     horizon = plans.shape[2]
-    n = 2 * horizon
-    speeds, ends, opened = np.empty((2, horizon + 1)), np.empty((2, 2)), np.empty((2, horizon * r.steps))
-    change, turned, risen = np.empty((2, horizon, horizon + 1)), np.empty(horizon), np.empty(horizon)
-    square, slope, move, tried = np.empty((n, n)), np.empty(n), np.empty(n), np.empty((2, horizon))
     for i in rows:
-        plan, at = plans[i], place[:, i]
-        own = Weights(w.apart, w.aim, w.moves * dearer[i], w.swing, w.corner, w.turns)
-        given = (at, motor[i], load[i], edge[i], gain[i], sent[i], aim[i], own, r, speeds, ends, opened)
-        other = _drive(plain[i], *given)
-        cost = _drive(plan, *given)
+        plan, now = plans[i], 0.5 * (s.motor[i, 0] + s.motor[i, 1])
+        other = cost_of(plain[i], i, s, w, m, work)
+        cost = cost_of(plan, i, s, w, m, work)
         if other < cost:
             plan[:] = plain[i]
-            cost = _drive(plan, *given)
+            cost = cost_of(plan, i, s, w, m, work)
         for attempt in range(2):
             if attempt == 1:
-                cost = _drive(plan, *given)
+                cost = cost_of(plan, i, s, w, m, work)
             for _ in range(w.turns):
-                _normal(
-                    plan, gain[i], sent[i], aim[i], own, r, speeds, ends, opened, turned, risen, change, square, slope,
-                )  # fmt: skip
-                # a command at its limit that would go beyond stays there
-                for c in range(2):
-                    for j in range(horizon):
-                        k = c * horizon + j
-                        if plan[c, j] * slope[k] < 0.0 and abs(plan[c, j]) >= 1.0:
-                            square[k, :] = 0.0
-                            square[:, k] = 0.0
-                            square[k, k], slope[k] = 1.0, 0.0
-                _solve(square, slope, move)
-                size, better = 1.0, False
-                for _ in range(TRIES):
-                    for c in range(2):
-                        for j in range(horizon):
-                            tried[c, j] = min(1.0, max(-1.0, plan[c, j] + size * move[c * horizon + j]))
-                    reached = _drive(tried, *given)
-                    if reached < cost:
-                        better = True
-                        break
-                    size *= SMALLER
-                if not better:
+                reached = _improve(plan, i, cost, s, w, m, work)
+                if not reached < cost:
                     break
                 cost = reached
-                plan[:] = tried
-            # out of standstill the way leads over a ridge: a plan that stays behind it begins once more beyond
-            away = aim[i, horizon] - 0.5 * (motor[i, 0] + motor[i, 1])
-            left = aim[i, horizon] - 0.5 * (speeds[0, horizon] + speeds[1, horizon])
+            # out of standstill the way leads over a ridge: a plan that stays behind it is restarted beyond
+            away = s.aim[i, horizon] - now
+            left = s.aim[i, horizon] - 0.5 * (work.speeds[0, horizon] + work.speeds[1, horizon])
             if attempt == 1 or abs(away) < AWAY or left * away < STUCK * away * away:
                 break
             plan[:] = plain[i]

@@ -99,7 +99,6 @@ COMMON: dict[str, Task] = {
     "virtual_leader": Task("virtual_leader"),
     "disturbance_observer": Task("disturbance_observer"),
     "compensated": Task("compensated"),
-    "adaptive_flow": Task("adaptive_flow"),
     # With them the reference would trade its lead in the difference for calmer valves and loads that part the motors.
     "servo_pid": Task("ramped_pid", plant="servo", mismatch=None, calm=False),
 }

@@ -1,0 +1,127 @@
+"""What is known of a pair of channels while they are driven: spools, valves, motors, sensors, delay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.controllers.base import Floats
+from hydro_env.controllers.estimation.delay_estimator import LONGEST, DelayEstimator, DelaySettings
+from hydro_env.controllers.estimation.motor_filter import MotorFilter, MotorFilterSettings
+from hydro_env.controllers.estimation.nominal import FLOW_NOISE, FLOWING, NOMINAL, RATED_FLOW, Motor
+from hydro_env.controllers.estimation.sensor_supervision import SensorSettings, SensorSupervision
+from hydro_env.controllers.estimation.spool import Channel, SpoolModel, SpoolSettings, channel_of
+from hydro_env.controllers.estimation.valve_estimator import ValveEstimator, ValveSettings
+from hydro_env.envs.observation import Measurements
+
+__all__ = ["Estimator", "EstimatorSettings"]
+
+Rows = NDArray[Any] | slice
+
+LEAKAGE_TORQUE = RATED_FLOW / NOMINAL["Km"] * NOMINAL["D"]
+"""Torque of the rated flow through the nominal leakage, N m."""
+
+
+@dataclass(frozen=True)
+class EstimatorSettings:
+    """Settings of the parts."""
+
+    spool: SpoolSettings = field(default_factory=SpoolSettings)
+    valves: ValveSettings = field(default_factory=ValveSettings)
+    motors: MotorFilterSettings = field(default_factory=MotorFilterSettings)
+    sensors: SensorSettings = field(default_factory=SensorSettings)
+    delay: DelaySettings = field(default_factory=DelaySettings)
+
+
+class Estimator:
+    """The parts in the order in which a sample passes them.
+
+    `spool` moves with the commands as they take effect, `prompt` hears every command at once. `sent` are the last commands,
+    newest first; `flow` is the measured flow, `flow_noise` its noise as a multiple of the usual.
+    """
+
+    def __init__(
+        self, settings: EstimatorSettings, motor: Motor, num_rigs: int, period: float, horizon: int
+    ) -> None:
+        self.settings, self.motor, self.period = settings, motor, period
+        self.channel: Channel = channel_of(settings.spool, motor, period, horizon)
+        lag, pair = settings.spool.pressure_lag, (num_rigs, 2)
+        self.spool, self.prompt = (SpoolModel(num_rigs, self.channel, lag) for _ in range(2))
+        self.valves = ValveEstimator(settings.valves, num_rigs, period)
+        self.motors = MotorFilter(settings.motors, num_rigs, period)
+        self.sensors = SensorSupervision(settings.sensors, num_rigs, period, motor.leakage)
+        self.delay = DelayEstimator(settings.delay, num_rigs)
+        self.sent, self._places = np.zeros((LONGEST + 1, *pair)), np.zeros((LONGEST + 1, 2, *pair))
+        self.flow: Floats = np.zeros(pair)
+        self.flow_noise: Floats = np.ones(pair)
+        self._pressure = np.zeros(pair)
+
+    def reset(self, rows: Rows, seen: Measurements) -> None:
+        """Forgets the rigs `rows`, which measure `seen` and are at rest."""
+        self.spool.place(rows, seen.command)
+        self.prompt.place(rows, seen.command)
+        self._places[:, 0, rows], self._places[:, 1, rows] = seen.command, 0.0
+        self.sent[:, rows], self._pressure[rows] = seen.command, seen.pressure
+        self.flow[rows], self.flow_noise[rows] = self.motor.flow(seen.speed, seen.pressure), 1.0
+        self.sensors.reset(rows, seen)
+        self.delay.reset(rows, seen.command, self.flow[rows])
+        self.valves.reset(rows)
+        self.motors.reset(rows, seen.speed, seen.pressure)
+
+    def update(
+        self, seen: Measurements, sent: Floats, steady: NDArray[np.bool_], flowing: Floats, sweep: float
+    ) -> Measurements:
+        """Takes in a sample; returns it with the speeds to go by.
+
+        Args:
+            seen: the measurements.
+            sent: the commands of the period before, (num_rigs, 2).
+            steady: whether the reference neither moves nor waits, (num_rigs,).
+            flowing: what counts as flow where its noise is usual, (num_rigs, 2).
+            sweep: how fast spools sweep while edges are looked for, 1/s.
+        """
+        self.sent = np.concatenate([sent[None], self.sent[:-1]])
+        valves = self.valves.state
+        self.spool.move(self.sent[self.delay.periods, np.arange(len(sent))], valves.edge, valves.gain)
+        if self.settings.sensors.active:
+            seen = self._supervise(seen, steady)
+            self._watch_delay(seen, sweep)
+        self.flow, self._pressure = self._measured_flow(seen), seen.pressure
+        self.valves.update(self.spool, self.flow, self.flow_noise, flowing * self.flow_noise)
+        unsampled = LEAKAGE_TORQUE * self.spool.unsampled
+        self.motors.update(
+            seen.speed, seen.pressure, unsampled, self.sensors.state.noise, self.sensors.unsound
+        )
+        return seen
+
+    def _measured_flow(self, seen: Measurements) -> Floats:
+        return self.motor.flow(seen.speed, seen.pressure, (seen.pressure - self._pressure) / self.period)
+
+    def _supervise(self, seen: Measurements, steady: NDArray[np.bool_]) -> Measurements:
+        """The measurements with speeds to go by."""
+        passed = RATED_FLOW * self.valves.expected_flow(self.spool.position)
+        speed = self.sensors.update(seen, self.motors.state.torque, passed, steady)
+        self.motors.state.torque[self.sensors.state.lagging] = 0.0
+        self.flow_noise = self.sensors.flow_noise
+        return replace(seen, speed=speed)
+
+    def _watch_delay(self, seen: Measurements, sweep: float) -> None:
+        """A delay of the commands, once it is seen, is taken into account."""
+        valves = self.valves.state
+        self.prompt.move(self.sent[0], valves.edge, valves.gain)
+        now = np.stack([self.prompt.position, self.prompt.speed])
+        self._places = np.concatenate([now[None], self._places[:-1]])
+        noise = self.flow_noise
+        changed = self.delay.update(
+            self.prompt.shown, self._measured_flow(seen), valves.gain, FLOWING * noise, FLOW_NOISE * noise
+        )
+        if changed.any():
+            rows = np.flatnonzero(changed)
+            late = self.delay.periods[rows]
+            place = self._places[late, :, rows]
+            self.spool.position[rows], self.spool.speed[rows] = place[:, 0], place[:, 1]
+            # edges found by a sweep lie nearer by what the sweep went on before the spool followed
+            self.valves.shift_edges(rows, sweep * self.period * late[:, None, None])

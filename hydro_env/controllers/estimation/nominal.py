@@ -1,0 +1,104 @@
+"""The nominal channel: what a controller knows of any rig of the paper's type before it has seen one.
+
+Flows are shares of the nominal rated flow (Kq x at the spool travel of the rated command), commands and spool positions
+shares of the rated command, so that a nominal valve without a dead zone has edge 0 and gain 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.controllers.settings import setting
+from hydro_env.plant import PARAMETERS
+from hydro_env.plant.sensors import NOISE
+from hydro_env.units import BAR, RPM
+
+__all__ = [
+    "FLOW_NOISE", "FLOWING", "NOMINAL", "PRESSURE_NOISE", "RATED_FLOW", "RATED_TRAVEL", "SPEED_NOISE", "SPOOL_RATE",
+    "STICTION", "TUNED_PERIOD", "Motor", "MotorModel",
+]  # fmt: skip
+
+Floats = NDArray[np.float64]
+
+NOMINAL = {name: parameter.nominal for name, parameter in PARAMETERS.items()}
+RATED_TRAVEL = NOMINAL["alpha"] * NOMINAL["u_rated"] / (NOMINAL["R"] * NOMINAL["k"])
+"""Spool travel at the rated command, m."""
+RATED_FLOW = NOMINAL["Kq"] * RATED_TRAVEL
+"""Flow of the nominal valve at the rated command, m3/s."""
+SPOOL_RATE = sqrt(NOMINAL["k"] / NOMINAL["m"])
+"""Angular frequency of the undamped spool, 1/s."""
+STICTION = NOMINAL["Fs"] / (NOMINAL["k"] * RATED_TRAVEL)
+"""Friction of the nominal spool as a share of the rated command."""
+SPEED_NOISE = NOISE["speed_rpm"] * RPM
+"""Standard deviation of a speed sensor, rad/s."""
+PRESSURE_NOISE = NOISE["pressure_bar"] * BAR
+"""Standard deviation of a pressure sensor, Pa."""
+FLOW_NOISE = 0.002
+"""Standard deviation of the measured flow (eq. 1): both sensors' noise through displacement and leakage, rounded up."""
+FLOWING = 4.0 * FLOW_NOISE
+"""Share of the rated flow that counts as flow: four standard deviations of its noise."""
+TUNED_PERIOD = 0.01
+"""The control period that rates and gains were tuned at, s."""
+
+
+class MotorModel(NamedTuple):
+    """A motor and the control period (s) for compiled code: flows that speed, torque and acceleration take; `coasting` 1/s."""
+
+    period: float
+    per_speed: float
+    per_torque: float
+    per_acceleration: float
+    coasting: float
+    inertia: float
+
+
+@dataclass(frozen=True)
+class Motor:
+    """Flow, as a share of the rated one, that torque, speed and acceleration of a motor take (eq. 1 and 2)."""
+
+    leakage: float = setting(1.0, "1", "leakage relative to the paper's motor", "Table I")
+    compliance: float = setting(
+        0.0, "1e-12 m3/Pa", "flow into the lines per rate of the pressure", "none in (1)"
+    )
+    mode: float = setting(
+        0.0,
+        "1/s",
+        "rate at which the speed follows a flow where the leakage does not set it; 0 where it does",
+    )
+
+    @property
+    def per_torque(self) -> float:
+        """Leakage that a torque costs: the pressure for it drives the leak (rated flow per N m)."""
+        return self.leakage * NOMINAL["Km"] / NOMINAL["D"] / RATED_FLOW
+
+    @property
+    def per_speed(self) -> float:
+        return NOMINAL["D"] / RATED_FLOW + NOMINAL["B"] * self.per_torque
+
+    @property
+    def per_acceleration(self) -> float:
+        return NOMINAL["J"] * self.per_torque
+
+    @property
+    def rate(self) -> float:
+        """Rate at which a motor without flow coasts down, 1/s."""
+        return self.per_speed / self.per_acceleration
+
+    def model(self, period: float) -> MotorModel:
+        """The same for compiled code."""
+        flows = self.per_speed, self.per_torque, self.per_acceleration
+        return MotorModel(period, *flows, self.rate, NOMINAL["J"])
+
+    def demand(self, speed: Floats, acceleration: Floats | float, load: Floats | float) -> Floats:
+        """The share of the rated flow that a speed (rad/s), an acceleration (rad/s2) and a load (N m) take."""
+        return self.per_speed * speed + self.per_acceleration * acceleration + self.per_torque * load
+
+    def flow(self, speed: Floats, pressure: Floats, rise: Floats | float = 0.0) -> Floats:
+        """Flow seen from speed and leakage (eq. 1) and the lines' swelling; `rise` is the pressure's, Pa/s."""
+        leak = self.leakage * NOMINAL["Km"] * pressure
+        return (NOMINAL["D"] * speed + leak + 1e-12 * self.compliance * rise) / RATED_FLOW

@@ -1,0 +1,167 @@
+"""Feedback: the flow that each motor is to get, from the reference, its error and the speed difference.
+
+The error is the one to the reference as it was when the present speed was asked for; the speed difference is predicted to the
+time at which a new command acts (Smith's idea, with the flows asked for meanwhile). A sudden load on one motor alone is told
+apart, so that it can be answered without delay.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.controllers.base import Floats
+from hydro_env.controllers.estimation.delay_estimator import LONGEST
+from hydro_env.controllers.estimation.motor_filter import MotorState
+from hydro_env.controllers.estimation.nominal import TUNED_PERIOD, Motor
+from hydro_env.controllers.mpc.reference import ReferenceState
+from hydro_env.controllers.settings import TUNED, setting
+from hydro_env.jit import compiled
+
+__all__ = ["Feedback", "FeedbackSettings", "FeedbackState"]
+
+Bools = NDArray[np.bool_]
+Rows = NDArray[Any] | slice
+
+PAUSE = 0.15
+"""Least time between two answers to sudden loads, s: longer than one takes to settle."""
+
+
+@dataclass(frozen=True)
+class FeedbackSettings:
+    """Gains on the errors, delays, and what counts as a sudden load."""
+
+    track: float = setting(11.0, "1/s", "acceleration per error to the reference", TUNED)
+    couple: float = setting(47.0, "1/s", "acceleration per half of the speed difference", TUNED)
+    delay: float = setting(0.016, "s", "from a flow asked for to the speed it gives", TUNED)
+    lead: float = setting(0.66, "10 ms", "how far ahead the speed difference is predicted", TUNED)
+    late: float = setting(0.8, "1", "a delay of n periods divides the gains by 1 + late n", TUNED)
+    jump: float = setting(0.15, "N m", "half of the difference of two misses that is a sudden load", TUNED)
+
+
+class FeedbackNumbers(NamedTuple):
+    """The same for a motor and a control period."""
+
+    track: float
+    couple: float
+    late: float
+    jump: float
+    gain: float  # what a longer period leaves of the gains
+    mode: bool
+    share_period: (
+        float  # of the way to the final speed (or of an acceleration, s), in a period and in the lead
+    )
+    share_lead: float
+    whole: int  # periods of the delay, and the part of one
+    part: float
+    pause: int
+
+
+class FeedbackState(NamedTuple):
+    """`flow` (N, 2): asked for. `apart` (N, 2): half of the predicted difference, of each motor to the other, and `behind`
+    (N,): error of the mean to the reference, rad/s. `wanted` (periods, N, 2): flows asked for before, newest first. `sudden`
+    (N,): share of an answer to a sudden load, `pause` (N,): samples until the next one."""
+
+    flow: Floats
+    apart: Floats
+    behind: Floats
+    sudden: Floats
+    pause: NDArray[np.int64]
+
+
+class Feedback:
+    """Holds a `FeedbackState` in `state`, whose arrays keep their place."""
+
+    def __init__(self, settings: FeedbackSettings, motor: Motor, num_rigs: int, period: float) -> None:
+        spans = np.array([period, settings.lead * TUNED_PERIOD])
+        if motor.mode:
+            shares = 1.0 - np.exp(-motor.mode * spans)
+        else:
+            shares = spans * (1.0 - 0.5 * motor.rate * TUNED_PERIOD)
+        whole = int(settings.delay / period)
+        self.remembered = whole + 2 + LONGEST
+        """References that the error looks back on."""
+        self._motor = motor.model(period)
+        self._numbers = FeedbackNumbers(
+            settings.track, settings.couple, settings.late,
+            # a difference of speeds over half the time is twice as noisy; slower sampling allows less feedback
+            jump=settings.jump * max(1.0, TUNED_PERIOD / period), gain=min(1.0, TUNED_PERIOD / period),
+            mode=bool(motor.mode), share_period=float(shares[0]), share_lead=float(shares[1]),
+            whole=whole, part=settings.delay / period - whole, pause=round(PAUSE / period),
+        )  # fmt: skip
+        pair = (num_rigs, 2)
+        self.state = FeedbackState(
+            np.zeros(pair), np.zeros(pair), np.zeros(num_rigs), np.zeros(num_rigs), np.zeros(num_rigs, int)
+        )
+        self._wanted = np.zeros((LONGEST + 1, *pair))
+
+    def reset(self, rows: Rows, speed: Floats) -> None:
+        """The flow that holds the speeds (n, 2)."""
+        f = self.state
+        f.flow[rows], f.apart[rows], f.behind[rows] = self._motor.per_speed * speed, 0.0, 0.0
+        f.sudden[rows], f.pause[rows] = 0.0, 0
+        self._wanted[:, rows] = 0.0
+
+    def update(
+        self, speed: Floats, motors: MotorState, noise: Floats, delay: NDArray[np.int64], wanted: Floats,
+        reference: ReferenceState, probing: Bools,
+    ) -> None:  # fmt: skip
+        """Asks for flow.
+
+        Args:
+            speed: to go by, (num_rigs, 2), rad/s.
+            motors: their loads, and by how much these were off.
+            noise: of the speeds, as a multiple of the usual, (num_rigs, 2).
+            delay: whole periods by which commands come late, (num_rigs,).
+            wanted: flows that were asked for in the period before, (num_rigs, 2).
+            reference: as it is now.
+            probing: rigs that probe their valves, (num_rigs,).
+        """
+        self._wanted = np.concatenate([wanted[None], self._wanted[:-1]])
+        f, speed = self.state, np.ascontiguousarray(speed)
+        _sudden(self._numbers, motors.miss, noise, probing, f)
+        _ask(self._numbers, self._motor, speed, motors.torque, delay, self._wanted, reference, f)
+
+
+@compiled
+def _sudden(s, miss, noise, probing, f):
+    for i in range(f.pause.size):
+        jump = s.jump * max(noise[i, 0], noise[i, 1])
+        sudden = min(max((abs(miss[i, 0] - miss[i, 1]) - 2.0 * jump) / jump, 0.0), 1.0)
+        f.sudden[i] = sudden if f.pause[i] <= 0 and not probing[i] else 0.0
+        f.pause[i] = s.pause if f.sudden[i] > 0.0 else f.pause[i] - 1
+
+
+@compiled
+def _ask(s, m, speed, torque, delay, wanted, r, f):
+    ahead = np.empty(2)
+    for i in range(delay.size):
+        for c in range(2):
+            ahead[c] = _predict(s, m, speed[i, c], torque[i, c], delay[i], wanted[:, i, c])
+        motors = (speed[i, 0] + speed[i, 1]) / 2.0
+        at = s.whole + delay[i]  # the reference `delay` ago
+        f.behind[i] = (1.0 - s.part) * r.history[at, i] + s.part * r.history[at + 1, i] - motors
+        gain = s.gain / (1.0 + s.late * delay[i])
+        for c in range(2):
+            f.apart[i, c] = 0.5 * (ahead[c] - ahead[1 - c])
+            faster = r.acceleration[i] + gain * (s.track * f.behind[i] - s.couple * f.apart[i, c])
+            f.flow[i, c] = (
+                m.per_speed * r.speed[i] + m.per_acceleration * faster + m.per_torque * torque[i, c]
+            )
+
+
+@compiled
+def _predict(s, m, speed, torque, late, wanted):
+    """Speed when a new command acts: whole periods until the last command comes into effect, then what the spool takes."""
+    for more in range(late + 1):
+        share = s.share_period if more < late else s.share_lead
+        flow = wanted[late - more]
+        if s.mode:
+            speed += share * ((flow - m.per_torque * torque) / m.per_speed - speed)
+        else:
+            rate = flow - m.per_speed * speed - m.per_torque * torque
+            speed += share * (rate / m.per_acceleration)
+    return speed

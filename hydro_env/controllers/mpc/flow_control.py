@@ -1,0 +1,113 @@
+"""The flow controller without a network, by what it may know of the valves beforehand.
+
+`adaptive_flow` learns edges and gains where the drive happens to take it, and averages its commands. `probing_flow` looks for
+them while the rig is at rest, before the set-point first moves, and plans its commands. `bench_flow` begins with what a valve
+bench has found: nothing is probed, so that the shafts stand still until the set-point moves; edges and gains go on being
+estimated, since friction moves an edge by more than a bench can tell, and since valves change.
+
+The settings were found by an evolution strategy and by hand on pairs of `train` (docs/agents.md). Those that choose the
+place on the Pareto front of speed difference and tracking error are left to the user as gains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.controllers.base import Controller, Floats, Gain
+from hydro_env.controllers.estimation.bench_map import on_the_bench
+from hydro_env.controllers.estimation.valve_map import ValveMap
+from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
+from hydro_env.plant import Plant
+
+__all__ = ["AdaptiveFlow", "BenchFlow", "ProbingFlow"]
+
+SURE = 0.015, 0.06
+"""Standard deviations that an edge and a gain from the bench are given, as shares of rated command and rated gain. The bench
+reads both far better, but friction shifts an edge from one reversal to the next; with less doubt the worst pairs part."""
+
+RATE = Gain(
+    "rate", "1/s", 5.0, 60.0, default=42.0, summary="rate at which the reference runs to the set-point"
+)
+RISE = Gain("rise", "1/s", 3.0, 60.0, default=28.0, summary="rated flows a second by which flow may rise")
+FALL = Gain("fall", "1", 1.0, 10.0, default=4.0, summary="how many times as fast it may fall")
+SWEEP = Gain(
+    "sweep", "1/s", 1.0, 6.0, default=2.65, summary="pace of the spools when probing, commands a second"
+)
+SEARCH = Gain("search", "1/s", 1.0, 20.0, default=9.3, summary="pace when an edge is looked for on the way")
+
+
+class ProbingFlow(Controller):
+    """Probes the valves at rest. The drawn valves are unknown to it, the paper's motor is known."""
+
+    GAINS: ClassVar[tuple[Gain, ...]] = (RATE, RISE, FALL, SWEEP, SEARCH)
+    settings = FlowSettings()
+    """Beneath the gains."""
+
+    def reset(self, num_rigs: int, control_period: float) -> None:
+        super().reset(num_rigs, control_period)
+        gains = {name: float(value) for name, value in self.gains.items()}
+
+        def tuned(part: Any, *names: str) -> Any:
+            return replace(part, **{name: gains[name] for name in names if name in gains})
+
+        s = self.settings
+        self.law = FlowController(
+            replace(
+                s,
+                reference=tuned(s.reference, "rate", "rise", "fall"),
+                probing=tuned(s.probing, "sweep"),
+                crossing=tuned(s.crossing, "search"),
+            )
+        )
+
+    def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
+        if len(observation) != self._num_rigs:
+            raise ValueError(
+                f"{self.name} was reset for {self._num_rigs} rigs, got {len(observation)} observations"
+            )
+        if self._started:
+            self.law.update(observation)
+        else:
+            self._begin(observation)
+            self._started = True
+        self.sent = self.law.command()
+        return self.sent
+
+    def _begin(self, observation: NDArray[np.floating[Any]]) -> None:
+        self.law.start(observation, self.period)
+
+
+NO_PROBING = replace(FlowSettings(), probing=replace(FlowSettings().probing, active=False))
+
+
+class AdaptiveFlow(ProbingFlow):
+    """Learns the valves while it drives them; commands are averaged, not planned."""
+
+    # chosen on 60 pairs of `train` by the cost that gains are tuned for
+    GAINS = (replace(RATE, default=30.0), replace(RISE, default=20.0), FALL, SEARCH)
+    settings = replace(NO_PROBING, planner=None)
+
+
+class BenchFlow(ProbingFlow):
+    """Had the valves on a bench. The paper's motor is known to it."""
+
+    needs = "bench"
+    GAINS = (RATE, RISE, FALL)
+    settings = NO_PROBING
+    valves: ValveMap | None = None
+
+    def prepare(self, plant: Plant) -> None:
+        self.valves = on_the_bench(plant)
+
+    def _begin(self, observation: NDArray[np.floating[Any]]) -> None:
+        if self.valves is None:
+            raise RuntimeError(
+                f"{self.name} needs prepare(plant) before the episode: it identifies the valves on a bench"
+            )
+        super()._begin(observation)
+        estimate = self.law.estimator.valves
+        estimate.begin_with(self.valves.edge, self.valves.gain.mean(axis=-1), *SURE)

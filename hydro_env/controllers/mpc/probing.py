@@ -1,0 +1,139 @@
+"""Probing at rest: while the set-point is zero and edges are unknown, both spools sweep slowly through their dead zones, first to
+the positive side, then to the negative one, and turn back at the first sign of flow. The shafts move by a few rpm; all ends at
+once when the set-point moves.
+
+Where the spool model is to be relied on (`led`), the commands of a sweep bring the spool where it is wanted in two periods, so
+that sweeps are steady from the beginning. One that may have found flow stands still for a sample until that is sure; one that
+has found it goes back within a period, so that little flows on the way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.controllers.base import Floats
+from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD
+from hydro_env.controllers.estimation.spool import Channel, SpoolModel, deadbeat_position, deadbeat_state
+from hydro_env.controllers.estimation.valve_estimator import ValveEstimator
+from hydro_env.controllers.settings import TUNED, setting
+from hydro_env.units import RPM
+
+__all__ = ["Probing", "ProbingSettings"]
+
+Bools = NDArray[np.bool_]
+Rows = NDArray[Any] | slice
+
+AT_REST = 5.0 * RPM
+"""Set-point up to which the rig is at rest, rad/s: above all sensors' noise."""
+FROM = -0.02
+"""Where a sweep begins, just before the nearest edge."""
+FARTHEST = 0.5
+"""Where one ends that has seen no flow: no dead zone reaches further than this share of the command, Fig. 2 shows 0.4."""
+SETTLE = 2
+"""Samples for the spools to come home."""
+
+
+@dataclass(frozen=True)
+class ProbingSettings:
+    """How valves are probed at rest."""
+
+    active: bool = setting(True, "", "whether they are; a shaft that must not move at rest forbids it")
+    led: bool = setting(True, "", "whether sweeps follow the spool model, which has to fit the valves")
+    sweep: float = setting(2.65, "1/s", "pace of the spools, rated commands a second", TUNED)
+    detect: float = setting(0.008, "1", "flow that ends a sweep: four standard deviations of its noise")
+    hold: float = setting(0.0042, "1", "flow at which a led sweep stands still for a sample", TUNED)
+    again: float = setting(0.006, "1", "flow that then ends it", TUNED)
+    begin: float = setting(2.5, "periods", "how far a led sweep is to be after two periods", TUNED)
+    back: float = setting(1.4, "periods", "the same after it has turned", TUNED)
+    least: float = setting(
+        0.04, "1", "distance behind its first edge at which a spool is a period later", TUNED
+    )
+    clear: float = setting(0.5, "1", "or this share of its way from rest, where that is more", TUNED)
+    home: float = setting(0.42, "1", "and at its second edge, as a share of the dead zone", TUNED)
+    patience: float = setting(250.0, "rpm", "smoothly moving set-point below which probing goes on", TUNED)
+
+
+class Probing:
+    """`active` (num_rigs,): rigs that probe. `sides` (num_rigs, 2): sides each spool has done."""
+
+    def __init__(self, settings: ProbingSettings, num_rigs: int, period: float) -> None:
+        self.settings, self._period = settings, period
+        # at longer periods a spool swings too far for its model
+        self._led = settings.led and period <= 1.5 * TUNED_PERIOD
+        self._precise = self._led and abs(period - TUNED_PERIOD) < 1e-6
+        pair = (num_rigs, 2)
+        self.active, self.sides = np.zeros(num_rigs, bool), np.zeros(pair, int)
+        self._swept, self._settled = np.zeros(pair), np.zeros(num_rigs, int)
+        # spools that stand still in their sweep; that have just found their first and their second edge
+        self._waits, self._first, self._second = np.zeros((3, *pair), bool)
+
+    def reset(self, rows: Rows) -> None:
+        """Begins."""
+        self.active[rows], self.sides[rows], self._swept[rows] = self.settings.active, 0, FROM
+        self._settled[rows] = 0
+        for flags in (self._waits, self._first, self._second):
+            flags[rows] = False
+
+    @property
+    def flowing(self) -> Floats:
+        """What counts as flow where its noise is usual, (num_rigs, 2)."""
+        return np.where(self._waits, self.settings.again, FLOWING)
+
+    def update(self, setpoint: Floats, smooth: Bools, flow: Floats, noise: Floats, unknown: Bools) -> None:
+        """Sweeps go on; a spool at whose motor flow shows turns to the other side.
+
+        Args:
+            setpoint: (num_rigs,), rad/s, and whether it moves smoothly.
+            flow: measured, (num_rigs, 2), and its noise as a multiple of the usual.
+            unknown: edges at which no flow was seen yet, (num_rigs, 2, 2).
+        """
+        if not self.active.any():
+            return
+        s, step = self.settings, self.settings.sweep * self._period
+        still = smooth & (np.abs(setpoint) < s.patience * RPM)
+        self.active &= np.abs(np.where(still, 0.0, setpoint)) < AT_REST
+        active = self.active[:, None]
+        away = np.where(self.sides == 0, 1.0, -1.0) * flow
+        found = away > np.where(self._waits, s.again, s.detect) * noise
+        doubtful = (away > s.hold * noise) & ~found & ~self._waits
+        self._waits = doubtful & (self.sides < 2) & active & self._precise
+        turns = (found | (self._swept > FARTHEST)) & (self.sides < 2) & active
+        self._first, self._second = turns & (self.sides == 0), turns & (self.sides == 1)
+        self.sides = self.sides + turns
+        self._swept = np.where(turns, FROM, self._swept + step)
+        ready = self.active & np.all(self.sides == 2, axis=1)
+        self._settled = np.where(ready, self._settled + 1, self._settled)
+        self.active &= ~(ready & (self._settled > SETTLE))
+        if s.led:  # an edge that has shown itself before is not looked for
+            self.sides = np.where(self._first & ~unknown[..., 1], 2, self.sides)
+        self._swept = self._swept - np.where(self._waits, step, 0.0)
+
+    def steer(self, command: Floats, middle: Floats) -> None:
+        """Replaces the commands (num_rigs, 2) of rigs that probe, in place; `middle` of the dead zones is home."""
+        sweeps = np.where(self.sides == 0, self._swept, -self._swept)
+        np.copyto(command, np.where(self.sides < 2, sweeps, middle), where=self.active[:, None])
+
+    def lead(self, sent: Floats, spool: SpoolModel, valves: ValveEstimator, channel: Channel) -> Bools:
+        """Replaces the commands `sent` (num_rigs, 2), in place, by those that bring spools along their sweep, and home when
+        both edges are found; returns where."""
+        swings = self.active[:, None] & ((self.sides < 2) | (self._settled == 0)[:, None])
+        if not self._led or not self.active.any():
+            return np.zeros_like(swings)
+        s, edge = self.settings, valves.state.edge
+        sign, home = np.where(self.sides == 0, 1.0, -1.0), self.sides == 2
+        on = np.where(self.sides == 0, s.begin, s.back) * s.sweep * self._period
+        place = spool.position, spool.speed, spool.coil
+        goal = np.where(home, valves.middle, sign * (self._swept + on))
+        deadbeat_state(sent, swings, *place, goal, np.where(home, 0.0, sign * s.sweep), channel)
+        if self._precise:
+            deadbeat_position(sent, swings & self._waits, *place, spool.position, channel)
+            goal = edge[..., 0] - np.maximum(s.least, s.clear * edge[..., 0])
+            goal = np.where(home, np.maximum(goal, valves.middle), goal)
+            deadbeat_position(sent, swings & self._first, *place, goal, channel)
+            goal = s.home * edge[..., 0] - (1.0 - s.home) * edge[..., 1]
+            deadbeat_position(sent, swings & self._second, *place, goal, channel)
+        return swings

@@ -1,0 +1,136 @@
+"""The reference: one speed for both motors, which runs to the set-point as fast as the weaker valve allows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.controllers.base import Floats
+from hydro_env.controllers.estimation.nominal import TUNED_PERIOD, Motor
+from hydro_env.controllers.estimation.valve_estimator import ValveState
+from hydro_env.controllers.settings import TUNED, numbers, numbers_of, setting
+from hydro_env.jit import compiled
+from hydro_env.units import RPM
+
+__all__ = ["Reference", "ReferenceSettings", "ReferenceState", "capacity"]
+
+Bools = NDArray[np.bool_]
+Rows = NDArray[Any] | slice
+
+SMOOTH = 25.0 * RPM
+"""Change of the set-point in a period up to which it is taken to go on, rad/s: 2500 rpm/s at 10 ms, what the motors follow."""
+
+
+@dataclass(frozen=True)
+class ReferenceSettings:
+    """How the reference runs to the set-point."""
+
+    rate: float = setting(42.0, "1/s", "rate at which it runs to the set-point", TUNED)
+    rise: float = setting(28.0, "1/s", "how fast the flow may rise, rated flows a second", TUNED)
+    fall: float = setting(4.0, "1", "how many times as fast it may fall", TUNED)
+    doubt: float = setting(5.5, "1", "an unknown gain divides that rise by 1 + doubt", TUNED)
+    capacity: float = setting(0.94, "1", "share of the weaker valve's capacity that may be used", TUNED)
+    foresight: float = setting(1.0, "1", "how far a smoothly moving set-point is foreseen, in response times")
+
+
+ReferenceNumbers: Any = numbers_of(ReferenceSettings)
+
+
+class ReferenceState(NamedTuple):
+    """Speed (rad/s) and acceleration (rad/s2), the flow they take, each (N,), and the speeds before, newest first,
+    (periods, N). `pace` (N,): factor on rate and rise."""
+
+    speed: Floats
+    acceleration: Floats
+    flow: Floats
+    history: Floats
+    pace: Floats
+
+
+class Reference:
+    """Holds a `ReferenceState` in `state`, whose arrays keep their place."""
+
+    def __init__(
+        self, settings: ReferenceSettings, motor: Motor, num_rigs: int, period: float, remembered: int
+    ) -> None:
+        self.settings, self._motor = settings, motor.model(period)
+        self._numbers, self._period = numbers(ReferenceNumbers, settings), period
+        # at longer periods more goes wrong before it is seen: flow rises by less
+        self._growth = settings.rise * min(1.0, TUNED_PERIOD / period) ** 1.5 * period
+        speed, acceleration, flow = np.zeros((3, num_rigs))
+        history = np.zeros((remembered, num_rigs))
+        self.state = ReferenceState(speed, acceleration, flow, history, np.ones(num_rigs))
+        self._setpoint, self._slope = np.zeros(num_rigs), np.zeros(num_rigs)
+        self.smooth = np.zeros(num_rigs, bool)
+
+    def reset(self, rows: Rows, setpoint: Floats, speed: Floats) -> None:
+        """Begins at the mean of both motors' speeds (n, 2)."""
+        r = self.state
+        r.speed[rows], r.acceleration[rows], r.flow[rows] = np.mean(speed, axis=1), 0.0, 0.0
+        r.history[:, rows], r.pace[rows] = r.speed[rows], 1.0
+        self._setpoint[rows], self._slope[rows] = setpoint, 0.0
+
+    def foresee(self, setpoint: Floats, response: float) -> Floats:
+        """Where a smoothly moving set-point will be when the motors can be there, (num_rigs,). `response`: periods by which
+        speeds follow the reference. `smooth` tells afterwards whether the set-point moves no faster than that."""
+        slope = setpoint - self._setpoint
+        self.smooth = np.abs(slope) < SMOOTH
+        goes_on = self.smooth & (np.abs(slope - self._slope) < 0.2 * SMOOTH)
+        self._setpoint, self._slope = setpoint, slope
+        periods = self.settings.foresight * (1.0 / (self.settings.rate * self._period) + response)
+        foreseen: Floats = setpoint + np.where(goes_on, periods * slope, 0.0)
+        return foreseen
+
+    def update(
+        self, setpoint: Floats, speed: Floats, torque: Floats, valves: ValveState, coasts: Bools, rests: Bools
+    ) -> None:
+        """One period towards the set-point (num_rigs,). `speed`, `torque` (num_rigs, 2): of the motors. Where it `coasts`,
+        it goes on as a motor without flow does, where it `rests`, at the motors' speed."""
+        readings = np.ascontiguousarray(setpoint), np.ascontiguousarray(speed), torque
+        _advance(self._numbers, self._growth, self._motor, *readings, valves, coasts, rests, self.state)
+
+
+@compiled
+def capacity(gain, edge):
+    """Flow at the rated command in the direction of the edge."""
+    return gain * max(1.0 - edge, 0.1)
+
+
+@compiled
+def _advance(s, growth, m, setpoint, speed, torque, valves, coasts, rests, r):
+    for i in range(setpoint.size):
+        motors = (speed[i, 0] + speed[i, 1]) / 2.0
+        load = m.per_torque * ((torque[i, 0] + torque[i, 1]) / 2.0)
+        held = m.per_speed * r.speed[i] + load
+        faster = _acceleration(s, growth, m, i, setpoint[i], held, valves, r)
+        for k in range(r.history.shape[0] - 1, 0, -1):
+            r.history[k, i] = r.history[k - 1, i]
+        if coasts[i] or rests[i]:
+            r.speed[i] = motors
+            mean_load = (torque[i, 0] + torque[i, 1]) / 2.0
+            r.acceleration[i] = 0.0 if rests[i] else -m.coasting * motors - mean_load / m.inertia
+            r.history[:, i] = motors
+        else:
+            r.speed[i] += m.period * faster
+            r.acceleration[i] = faster
+            r.history[0, i] = r.speed[i]
+        r.flow[i] = m.per_speed * r.speed[i] + load + m.per_acceleration * faster
+
+
+@compiled
+def _acceleration(s, growth, m, i, setpoint, held, valves, r):
+    """Acceleration by the flow that the reference asks for; `held` is the flow that holds its speed."""
+    gain, edge = valves.gain[i], valves.edge[i]
+    now = held + m.per_acceleration * r.acceleration[i]
+    unsure = np.sqrt(max(valves.gain_variance[i, 0], valves.gain_variance[i, 1])) / 0.12
+    rise = growth * r.pace[i] / (1.0 + s.doubt * unsure)
+    upward = rise if now >= 0.0 else s.fall * rise
+    downward = rise if now <= 0.0 else s.fall * rise
+    flow = held + m.per_acceleration * s.rate * r.pace[i] * (setpoint - r.speed[i])
+    flow = min(max(flow, now - downward), now + upward)
+    least = s.capacity * min(capacity(gain[0], edge[0, 1]), capacity(gain[1], edge[1, 1]))
+    most = s.capacity * min(capacity(gain[0], edge[0, 0]), capacity(gain[1], edge[1, 0]))
+    return (min(max(flow, -least), most) - held) / m.per_acceleration
