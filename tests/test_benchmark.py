@@ -412,7 +412,7 @@ PINNED = {
     "cross_coupled": (39.17, 18.30),
     "relative_coupling": (40.67, 18.90),
     "virtual_leader": (39.44, 16.61),
-    "disturbance_observer": (39.64, 18.53),
+    "disturbance_observer": (39.64, 17.25),
     "compensated": (41.74, 8.90),
     "adaptive_flow": (39.99, 13.00),
     "probing_flow": (30.29, 5.56),
