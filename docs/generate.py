@@ -399,7 +399,7 @@ def take(argument: str) -> None:
             places = {column[:2] for column in SCORES} | {("val", scenario) for scenario in SCENARIOS_OF_VAL}
             columns = ["controller", "split", "scenario", "metric", "iqm", "cvar95"]
             rows = [
-                [*(r[c] for c in columns[:4]), *(round(r[c], 3) for c in columns[4:])]
+                [*(r[c] for c in columns[:4]), *(round(r[c], 6) for c in columns[4:])]
                 for r in data["rows"]
                 if (r["split"], r["scenario"]) in places and r["metric"] in (PEAK, TRACKING)
             ]
