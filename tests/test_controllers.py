@@ -302,6 +302,7 @@ def test_a_common_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch)
     """What has been found is kept, unless another budget found it; a controller that is interrupted leaves nothing."""
     small = tune.Budget(cases=1, trials=48)
     monkeypatch.setattr(tune, "SEARCHES", ((small, small),))
+    monkeypatch.setattr(tune, "JUDGED", 4)
     wanted, searched = ["pid_tuned", "servo_pid"], []
     search = tune._search
 

@@ -17,7 +17,7 @@ import json
 
 from agents import checkpoint
 from agents.config import read_config
-from agents.train import train
+from agents.train import main, train
 from hydro_env.controllers.learned.policy import SCHEMA, NumpyPolicy, read_policy
 from hydro_env.errors import InputError
 
@@ -72,13 +72,15 @@ def test_bad_configuration_is_named_in_one_line(tmp_path, old, new, says):
     assert not (tmp_path / "run").exists()
 
 
-def test_bad_configuration_ends_with_status_2(tmp_path):
+def test_bad_configuration_ends_with_status_2(tmp_path, monkeypatch, capsys):
     path = tmp_path / "bad.yml"
     path.write_text(PPO.read_text().replace("n_epochs", "n_epoch"))
-    command = [sys.executable, "-m", "agents.train", "--config", str(path), "--out", str(tmp_path / "run")]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+    monkeypatch.setattr(sys, "argv", ["agents.train", "--config", str(path), "--out", str(tmp_path / "run")])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr().err
+    assert ended.value.code == 2
+    assert said.startswith("error: ") and said.count("\n") == 1
 
 
 @pytest.mark.parametrize("path", [PPO, SAC], ids=["ppo", "sac"])
