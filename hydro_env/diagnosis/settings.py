@@ -1,7 +1,7 @@
 """What may be set for a diagnosis, and which of its rules are switched off.
 
 A rule is a step that rescues a fit or questions a name. Each has a switch, so that an ablation can measure what it is worth:
-`diagnose(..., rules_off=["friction_restarts"])`. The names are declared beside the rules, with `rule`.
+`diagnose(..., rules_off=["restart_friction"])`. The names are declared beside the rules, with `rule`.
 """
 
 from __future__ import annotations
@@ -31,6 +31,13 @@ class Settings:
     false_alarm: float = 0.01
     #: Effects on a channel at most.
     max_effects: int = 3
+    #: An effect must explain this share of what is left above the noise, in the signal where it explains most.
+    least_share: float = 0.05
+    #: A residual that is so many times the noise, in a signal of a log, stays unexplained: the verdict is `unknown`, ...
+    unexplained: float = 1.5
+    #: ... unless what was found explains this share of it, in `Fit.levels` or in power.
+    most_of_level: float = 0.5
+    most_of_power: float = 0.8
     #: Competing candidates whose gain is less than this share behind count as not told apart.
     tied_share: float = 0.1
     #: Factor on a deviance by which competing candidates fall behind: models are never exact, so a likelihood is tempered.

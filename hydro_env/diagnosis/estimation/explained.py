@@ -20,10 +20,6 @@ __all__ = [
     "unexplained",
 ]
 
-#: A residual that is so many times the noise, in a signal of a log, stays unexplained.
-UNEXPLAINED = 1.5
-#: Share of the residual that must be explained for most of it to be, in `Fit.levels` or in power.
-MOST_OF_LEVEL, MOST_OF_POWER = 0.5, 0.8
 #: Signals above so many times the noise count where power is compared.
 CLEARLY_ABOVE = 2.0
 #: A residual (in `Fit.levels`, summed over the signals) that is too small to speak of something unknown.
@@ -47,9 +43,9 @@ def could_pay(fit: Fit, estimate: Estimate, channel: int) -> bool:
 
 
 def unexplained(fit: Fit, estimate: Estimate, channel: int) -> bool:
-    """Whether a residual stays that is half as large again as the noise, in a signal of a log."""
+    """Whether a residual stays that is clearly above the noise, in a signal of a log."""
     left = fit.rms(estimate.simulated[channel], channel)
-    return any(v > UNEXPLAINED * fit.noise[channel, signal] for (_, signal), v in left.items())
+    return any(v > fit.settings.unexplained * fit.noise[channel, signal] for (_, signal), v in left.items())
 
 
 def mostly_explained(fit: Fit, before: Estimate, after: Estimate, c: int) -> bool:
@@ -59,11 +55,12 @@ def mostly_explained(fit: Fit, before: Estimate, after: Estimate, c: int) -> boo
     by power what is small everywhere counts little, such as the ripple that a steady model leaves.
     """
     old, new = (sum(fit.levels(p.simulated[c], c).values()) for p in (before, after))
-    by_level = new < SMALL_SUM or new < (1.0 - MOST_OF_LEVEL) * old
+    by_level = new < SMALL_SUM or new < (1.0 - fit.settings.most_of_level) * old
     was, left = (fit.rms(p.simulated[c], c) for p in (before, after))
     noise = {k: fit.noise[c, k[1]] for k in left}
     excess = {k: left[k] ** 2 - noise[k] ** 2 for k in left if left[k] > CLEARLY_ABOVE * noise[k]}
-    by_power = all(e < (1.0 - MOST_OF_POWER) * (was[k] ** 2 - noise[k] ** 2) for k, e in excess.items())
+    left_share = 1.0 - fit.settings.most_of_power
+    by_power = all(e < left_share * (was[k] ** 2 - noise[k] ** 2) for k, e in excess.items())
     return by_level or by_power
 
 

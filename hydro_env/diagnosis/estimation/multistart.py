@@ -21,6 +21,7 @@ __all__ = ["far_from_noise", "restart_friction", "settle", "solve_in_all_directi
 
 RESTART_FRICTION = rule("restart_friction", "draw the spool's friction anew where little but more than noise is left")
 RESTART_AS_GIVEN = rule("restart_as_given", "refit what was taken also from the known parameters as given")
+ALL_DIRECTIONS = rule("all_directions", "improve a calibration near the noise along all directions that only ratios tell")
 
 #: Base parameters that are drawn anew, and the spread of the draws on the scale of their priors.
 DRAWN, DRAW_SPREAD = ("Fc", "Fs", "vs"), 1.0
@@ -76,6 +77,8 @@ def _with_other_friction(estimate: Estimate, drawn: Sequence[int], rng: np.rando
 def solve_in_all_directions(fit: Fit, estimates: Sequence[Estimate]) -> None:
     """Improves in place, along every direction of `SCALED_TOGETHER`, those of `estimates` that are near the noise and not at it:
     where next to nothing is missing these do not lead away, and an effect must not win by going along them alone."""
+    if not fit.settings.uses(ALL_DIRECTIONS):
+        return
     near = [p for p in estimates if p.unknowns and not far_from_noise(fit, p) and not fit.at_noise(p)]
     finer = [p.in_all_directions() for p in near]
     solve(fit, finer, sum(ROUND_ITERATIONS))

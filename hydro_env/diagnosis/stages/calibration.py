@@ -19,6 +19,7 @@ from ..state import Estimates, State
 __all__ = ["as_given", "base_unknowns", "calibrate", "run"]
 
 CALIBRATE_TWICE = rule("calibrate_twice", "calibrate also without the direction in which all forces on the spool scale")
+COIL_FIRST = rule("coil_first", "estimate the coil by the current alone before everything else")
 
 #: Parameters that act on the current alone of all signals before the spool.
 COIL = ("R", "L")
@@ -64,7 +65,8 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     for channel in rig.channels:
         unknowns = base_unknowns(rig, channel)
         estimates[channel] = Estimate(channel, unknowns, np.zeros(len(unknowns)), "calibrated")
-    _coil_first(fit, estimates)
+    if fit.settings.uses(COIL_FIRST):
+        _coil_first(fit, estimates)
     # Two ways, of which either may end in a local minimum of the spool's friction: with and without the forces scaled together.
     # Without what is missing the other directions would lead far away from where it is found.
     twice = rig.has_hidden_states and fit.settings.uses(CALIBRATE_TWICE)

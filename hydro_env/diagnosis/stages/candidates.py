@@ -11,6 +11,7 @@ from ...plant import CATALOGUE
 from ..estimation.estimate import Estimate
 from ..estimation.explained import explained_share, nearly_explained
 from ..estimation.fit import Fit
+from ..settings import rule
 from ..state import Estimates
 from .screening import Screening
 
@@ -19,12 +20,13 @@ __all__ = [
     "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
+REJECT_SMALL_SHARE = rule("reject_small_share", "reject an effect that explains no noticeable share of the residual")
+REJECT_AT_EDGE = rule("reject_at_edge", "reject an effect whose size ends at the edge of its range and leaves something")
+
 #: What becomes of a candidate, in words that the report shows.
 ACCEPTED = "taken"
 OUTDONE = "others explain more"
 AT_EDGE = "only at the edge of its plausible range"
-#: An effect must explain this share of what is left above the noise, in the signal where it explains most.
-LEAST_SHARE = 0.05
 #: An estimate that is nearer to neutral than this share of the usual size has vanished.
 VANISHED = 0.02
 #: The round under which candidates are listed that were judged after the forward rounds.
@@ -141,12 +143,14 @@ def judge(fit: Fit, before: Estimate, after: Estimate, effect: str, gain: float)
     if gain < penalty(fit, effect):
         return "gains less than chance could"
     channels = fit.channels_of(after)
-    if explained_share(fit, before, after, channels) < LEAST_SHARE:
+    share = explained_share(fit, before, after, channels)
+    if share < fit.settings.least_share and fit.settings.uses(REJECT_SMALL_SHARE):
         return "explains no noticeable share of the gap"
     if is_neutral(after, effect):
         return "vanishes when refitted"
     # A size beyond what rigs have makes up for something else; where the last plausible one leaves nothing it does not.
-    if at_edge(after, effect) and not all(nearly_explained(fit, before, after, c) for c in channels):
+    edge = at_edge(after, effect) and fit.settings.uses(REJECT_AT_EDGE)
+    if edge and not all(nearly_explained(fit, before, after, c) for c in channels):
         return AT_EDGE
     return ACCEPTED
 

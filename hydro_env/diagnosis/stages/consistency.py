@@ -13,13 +13,14 @@ from collections.abc import Collection, Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from ...errors import InputError
 from ...measured import Finding
 from ...units import UNITS
 from ..estimation.fit import Fit, noise_of
+from ..input.parts import filled
 from ..models.base import RigModel
+from ..models.shaft import shaft_speed
 from ..state import Estimates, State
 from .calibration import as_given
 
@@ -260,7 +261,8 @@ def _shaft(
     correlation and ratio of their sizes; None where they are not logged. All may be scaled before; the load is that of
     channel `load_of`, of `turning` if None."""
     measured, replayed = [], []
-    value = rig.model.value
+    names = {"displacement": "D", "inertia": "J", "friction": "B"}
+    shaft = {key: rig.model.value(name, pressing) for key, name in names.items()}
     for part in rig.parts:
         log = part.log
         if log.pressure is None or not (log.has("pressure", pressing) and log.has("speed", turning)):
@@ -269,18 +271,14 @@ def _shaft(
         known = np.isfinite(pressure)
         if known.mean() < 0.9:
             return None
-        rows = np.arange(len(pressure))
-        pressure = np.interp(rows, rows[known], pressure[known])
         load = np.zeros(len(log))
         loaded = turning if load_of is None else load_of
         if log.load is not None and log.has("load", loaded):
             load = load_scale * np.nan_to_num(log.load[:, loaded])
-        drag = max(value("B", pressing), 1e-6)
-        keep = math.exp(-log.period * drag / value("J", pressing))
-        torque = (value("D", pressing) * pressure - load) / drag
         used = part.inside & np.isfinite(speed)
         measured.append(speed[used])
-        replayed.append(lfilter([0.0, 1.0 - keep], [1.0, -keep], torque)[used])
+        driven = shaft_speed(filled(pressure), load, log.period, **shaft)
+        replayed.append(driven[used])
     one, two = np.concatenate(measured), np.concatenate(replayed)
     if one.size < 100 or not (np.std(one) > 0.0 and np.std(two) > 0.0):
         return None

@@ -26,7 +26,7 @@ from ..estimation.unknowns import Unknown
 from ..models.base import RigModel, view
 from ..settings import rule
 from ..state import Estimates, State
-from .candidates import LEAST_SHARE, at_edge, is_neutral, penalty, penalty_per_parameter
+from .candidates import at_edge, is_neutral, penalty, penalty_per_parameter
 from .refits import LAST_STEPS, refit_found
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
 
 CORRECT_FORM = rule("correct_form", "correct the form of named effects")
 LEFT_OUT = rule("left_out_stretches", "a correction of form must also help on stretches that were left out")
+ADOPT_EARLIER = rule("adopt_earlier", "go on from a correction that was found while a further effect was judged")
 RESTART_CORRECTED = rule("restart_corrected", "begin a corrected model anew with other friction of the spool")
 
 #: Iterations of a joint refit with a correction, of the one that is kept, of a halved one, and of a competing effect's.
@@ -166,7 +167,7 @@ def correct(
 
 def adopt_earlier(fit: Fit, estimates: Sequence[Estimate], earlier: Estimate | None) -> None:
     """Puts values that were found before into the estimate of the same unknowns, if they are better there."""
-    for one in estimates:
+    for one in estimates if fit.settings.uses(ADOPT_EARLIER) else ():
         if earlier is not None and [u.name for u in one.unknowns] == [u.name for u in earlier.unknowns]:
             again = one.at(np.clip(earlier.q, *one.bounds))
             solve(fit, [again], TRY_ITERATIONS)
@@ -263,7 +264,7 @@ def correction_suffices(
     both.adopt(there)
     share = explained_share(fit, corrected, both, fit.channels_of(both))
     pays = fit.gain(corrected, both) >= penalty(fit, effect)
-    return not pays or share < LEAST_SHARE or is_neutral(both, effect), corrected
+    return not pays or share < fit.settings.least_share or is_neutral(both, effect), corrected
 
 
 def correction_leads_inside(fit: Fit, before: Estimate, after: Estimate, effect: str) -> bool:

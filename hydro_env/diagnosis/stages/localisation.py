@@ -20,6 +20,7 @@ from ..estimation.estimate import Estimate
 from ..estimation.noise import effective_samples, noise_floor
 from ..input.parts import Part, filled
 from ..models.base import RigModel, Segment
+from ..models.shaft import shaft_speed
 from ..state import Estimates, State
 
 __all__ = ["Location", "Shape", "locate", "run", "shape"]
@@ -172,9 +173,8 @@ def _hydraulic(
     load = np.zeros(speed.size)
     if part.log.load is not None and part.log.has("load", segment.channel):
         load = np.nan_to_num(part.log.load[segment.rows, segment.channel])
-    drag = max(numbers["B"], 1e-6)
-    keep = float(np.exp(-h * drag / numbers["J"]))
-    replayed = lfilter([0.0, 1.0 - keep], [1.0, -keep], (numbers["D"] * pressure - load) / drag)
+    own = {"displacement": numbers["D"], "inertia": numbers["J"], "friction": numbers["B"]}
+    replayed = shaft_speed(pressure, load, h, **own)
     # Only what the shaft loses against measurement within a second counts: errors do not pile up.
     forget = float(np.exp(-h / 1.0))
     error = lfilter([(1.0 + forget) / 2.0, -(1.0 + forget) / 2.0], [1.0, -forget], speed - replayed)

@@ -1,0 +1,20 @@
+"""The shaft alone, driven by the measured pressure: a filter, because its equation is linear."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import lfilter
+
+__all__ = ["shaft_speed"]
+
+#: Least viscous friction, N m s/rad, so that the filter has a time constant.
+LEAST_FRICTION = 1e-6
+
+
+def shaft_speed(
+    pressure: np.ndarray, load: np.ndarray, period: float, *, displacement: float, inertia: float, friction: float
+) -> np.ndarray:  # fmt: skip
+    """Speed (T,) in rad/s of J dw/dt = D p - B w - load from rest; pressure (Pa) and load (N m) are held for a `period`."""
+    friction = max(friction, LEAST_FRICTION)
+    keep = float(np.exp(-period * friction / inertia))
+    return lfilter([0.0, 1.0 - keep], [1.0, -keep], (displacement * pressure - load) / friction)
