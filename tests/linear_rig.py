@@ -51,9 +51,7 @@ def time_of(rows: int) -> np.ndarray:
     return np.arange(rows) * PERIOD
 
 
-def logged(
-    curves: dict[str, np.ndarray], truth: dict[str, float], rows: int
-) -> tuple[Fit, Estimate]:
+def logged(curves: dict[str, np.ndarray], truth: dict[str, float], rows: int) -> tuple[Fit, Estimate]:
     """A rig with these curves, whose log of so many rows has the `truth` and noise, and its calibration."""
     rig, every = LinearRig(curves, time_of(rows)), np.arange(rows)
     noise = NOISE[0, "speed"] * np.random.default_rng(0).standard_normal(rows)

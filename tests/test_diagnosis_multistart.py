@@ -99,7 +99,9 @@ def test_half_the_travel_with_twice_the_gain_turns_a_shaft_alike() -> None:
 
 def test_a_copy_of_an_estimate_keeps_its_own_derivatives() -> None:
     machine = _Linear(_unknowns())
-    problem = Estimate(0, machine.unknowns, np.full(len(machine.unknowns), 0.2), together=tuple(SCALED_TOGETHER))
+    problem = Estimate(
+        0, machine.unknowns, np.full(len(machine.unknowns), 0.2), together=tuple(SCALED_TOGETHER)
+    )
     problem.simulated = machine.predict([problem.request()])[0]
     differentiate(Fit(machine, {}), [problem])  # type: ignore[arg-type]
     before = problem.columns[0].copy()
@@ -129,7 +131,9 @@ class _Linear:
 
 def test_derivatives_along_a_direction_are_those_of_every_unknown() -> None:
     machine = _Linear(_unknowns())
-    problem = Estimate(0, machine.unknowns, np.full(len(machine.unknowns), 0.2), together=tuple(SCALED_TOGETHER))
+    problem = Estimate(
+        0, machine.unknowns, np.full(len(machine.unknowns), 0.2), together=tuple(SCALED_TOGETHER)
+    )
     problem.simulated = machine.predict([problem.request()])[0]
     differentiate(Fit(machine, {}), [problem])  # type: ignore[arg-type]
     np.testing.assert_allclose(problem.columns[0], machine.matrix, rtol=1e-9, atol=1e-9)

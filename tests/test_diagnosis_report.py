@@ -12,8 +12,8 @@ import pytest
 
 from hydro_env.diagnosis import Diagnosis, diagnose
 from hydro_env.diagnosis.report import wording as words
-from hydro_env.diagnosis.report.findings import left_over, sentence
 from hydro_env.diagnosis.report.page import report_page
+from hydro_env.diagnosis.report.statements import left_over, sentence
 from hydro_env.diagnosis.stages.naming import Interval
 from hydro_env.plant import CATALOGUE, load_model
 

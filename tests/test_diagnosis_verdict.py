@@ -46,10 +46,14 @@ def test_what_leads_away_at_first_is_refitted_before_it_is_given_up() -> None:
     refits[0].estimate.q = np.array([0.0, -3.0])  # a short refit that went the wrong way
     fit.evaluate([r.estimate for r in refits])
     search = Search(fit, {0: base}, screened, 12.0, {0: base})
-    lost = [Candidate(r.screened.effect, 0, 2, -50.0, 18.0, "others explain more", r.estimate) for r in refits]
+    lost = [
+        Candidate(r.screened.effect, 0, 2, -50.0, 18.0, "others explain more", r.estimate) for r in refits
+    ]
     search.candidates, best = list(lost), [refits[1]]
     refit_promising(search, [0], refits, best)
-    assert [r.screened.effect for r in best] == ["load_bias", "quadratic_drag"] and search.candidates == [lost[1]]
+    assert [r.screened.effect for r in best] == ["load_bias", "quadratic_drag"] and search.candidates == [
+        lost[1]
+    ]
     values = best[1].estimate.values(0)
     assert values["quadratic_drag.coefficient"] == pytest.approx(1e-4, rel=0.05)
     # Where a candidate pays already nothing more is tried.
@@ -109,7 +113,9 @@ def test_a_rest_that_no_form_explains_is_doubted() -> None:
     assert _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}, share=0.05)
     assert not _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}, share=0.008)
     # A steady-valve model is known to leave what moves fast.
-    assert not _doubts({"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}, has_hidden_states=False)
+    assert not _doubts(
+        {"calibrated": 70.0, "after": 6.3}, {"calibrated": 65.0, "after": 6.2}, has_hidden_states=False
+    )
 
 
 def test_a_rig_that_cannot_be_predicted_refutes_no_name() -> None:

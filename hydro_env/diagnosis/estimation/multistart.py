@@ -19,9 +19,13 @@ from .gauss_newton import solve
 
 __all__ = ["far_from_noise", "restart_friction", "settle", "solve_in_all_directions"]
 
-RESTART_FRICTION = rule("restart_friction", "draw the spool's friction anew where little but more than noise is left")
+RESTART_FRICTION = rule(
+    "restart_friction", "draw the spool's friction anew where little but more than noise is left"
+)
 RESTART_AS_GIVEN = rule("restart_as_given", "refit what was taken also from the known parameters as given")
-ALL_DIRECTIONS = rule("all_directions", "improve a calibration near the noise along all directions that only ratios tell")
+ALL_DIRECTIONS = rule(
+    "all_directions", "improve a calibration near the noise along all directions that only ratios tell"
+)
 
 #: Base parameters that are drawn anew, and the spread of the draws on the scale of their priors.
 DRAWN, DRAW_SPREAD = ("Fc", "Fs", "vs"), 1.0
@@ -38,7 +42,9 @@ def far_from_noise(fit: Fit, estimate: Estimate) -> bool:
     return fit.level(estimate) > SMALL_LEVEL
 
 
-def restart_friction(fit: Fit, estimates: Sequence[Estimate], seed: int = 0, whole: bool = False) -> list[Estimate]:
+def restart_friction(
+    fit: Fit, estimates: Sequence[Estimate], seed: int = 0, whole: bool = False
+) -> list[Estimate]:
     """Improves those of `estimates` that are near the noise and not at it, in place; returns the ones that became better.
 
     With `whole` also what is far from the noise begins anew, and all known parameters do, at the model as given.

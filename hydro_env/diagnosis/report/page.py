@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ...pages import render
 from ...plant import CATALOGUE
 from ..stages.screening import detectable, hidden_by_calibration
-from . import findings, pictures
+from . import pictures, statements
 from . import wording as words
 
 if TYPE_CHECKING:
@@ -23,14 +23,14 @@ def report_page(found: Diagnosis) -> str:
     return render(
         files(__package__).joinpath("page.html"),
         title="Diagnosis of a hydraulic rig", found=found, words=words, catalogue=CATALOGUE,
-        sentence=findings.sentence(found), head=findings.headline(found),
-        left=[text for text in (findings.left_over(found), findings.weak_proof(found)) if text],
-        named=[(n, findings.effect_values(found, n)) for n in found.effects],
-        corrections=findings.correction_texts(found), columns=findings.error_columns(found),
-        errors=findings.errors_of(state.on_held_out), bars=pictures.bars(found), traces=pictures.traces(found),
-        locations=[(p, findings.windows_text(found, p)) for p in findings.shown_locations(found)],
-        maps=pictures.maps(found), next_experiment=state.next_experiment, ranking=findings.ranking(found),
-        parameters=findings.known_parameters(found), detectable=_detectable(found),
+        sentence=statements.sentence(found), head=statements.headline(found),
+        left=[text for text in (statements.left_over(found), statements.weak_proof(found)) if text],
+        named=[(n, statements.effect_values(found, n)) for n in found.effects],
+        corrections=statements.correction_texts(found), columns=statements.error_columns(found),
+        errors=statements.errors_of(state.on_held_out), bars=pictures.bars(found), traces=pictures.traces(found),
+        locations=[(p, statements.windows_text(found, p)) for p in statements.shown_locations(found)],
+        maps=pictures.maps(found), next_experiment=state.next_experiment, ranking=statements.ranking(found),
+        parameters=statements.known_parameters(found), detectable=_detectable(found),
         logs=[p.label for p in state.rig.parts], held_out=[p.label for p in state.held_out_parts],
     )  # fmt: skip
 

@@ -10,7 +10,7 @@ import numpy as np
 from ...pages import COLOURS, figure, svg
 from ..stages.validation import NAMED
 from . import wording as words
-from .findings import errors_of, headline, shown_locations, unit_of
+from .statements import errors_of, headline, shown_locations, unit_of
 
 if TYPE_CHECKING:
     from ..models.base import Segment

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from ..stages.screening import detectable
 from . import wording as words
-from .findings import (
+from .statements import (
     AT_NOISE,
     correction_texts,
     effect_values,

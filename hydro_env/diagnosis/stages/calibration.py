@@ -18,7 +18,9 @@ from ..state import Estimates, State
 
 __all__ = ["as_given", "base_unknowns", "calibrate", "run"]
 
-CALIBRATE_TWICE = rule("calibrate_twice", "calibrate also without the direction in which all forces on the spool scale")
+CALIBRATE_TWICE = rule(
+    "calibrate_twice", "calibrate also without the direction in which all forces on the spool scale"
+)
 COIL_FIRST = rule("coil_first", "estimate the coil by the current alone before everything else")
 
 #: Parameters that act on the current alone of all signals before the spool.

@@ -20,8 +20,12 @@ __all__ = [
     "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
-REJECT_SMALL_SHARE = rule("reject_small_share", "reject an effect that explains no noticeable share of the residual")
-REJECT_AT_EDGE = rule("reject_at_edge", "reject an effect whose size ends at the edge of its range and leaves something")
+REJECT_SMALL_SHARE = rule(
+    "reject_small_share", "reject an effect that explains no noticeable share of the residual"
+)
+REJECT_AT_EDGE = rule(
+    "reject_at_edge", "reject an effect whose size ends at the edge of its range and leaves something"
+)
 
 #: What becomes of a candidate, in words that the report shows.
 ACCEPTED = "taken"

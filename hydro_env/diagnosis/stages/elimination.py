@@ -13,8 +13,12 @@ from .screening import alike
 
 __all__ = ["compare_competing", "drop_not_missed", "drop_unneeded"]
 
-DROP_UNNEEDED = rule("drop_unneeded", "drop an effect that the known parameters replace, from where it led them")
-DROP_NOT_MISSED = rule("drop_not_missed", "backward elimination: drop an effect that is not missed beside the others")
+DROP_UNNEEDED = rule(
+    "drop_unneeded", "drop an effect that the known parameters replace, from where it led them"
+)
+DROP_NOT_MISSED = rule(
+    "drop_not_missed", "backward elimination: drop an effect that is not missed beside the others"
+)
 COMPARE_COMPETING = rule("compare_competing", "put competing candidates in the place of what was accepted")
 
 #: Iterations of the refit without an effect, and of the refit of a competing candidate.

@@ -36,7 +36,9 @@ __all__ = [
 
 CORRECT_FORM = rule("correct_form", "correct the form of named effects")
 LEFT_OUT = rule("left_out_stretches", "a correction of form must also help on stretches that were left out")
-ADOPT_EARLIER = rule("adopt_earlier", "go on from a correction that was found while a further effect was judged")
+ADOPT_EARLIER = rule(
+    "adopt_earlier", "go on from a correction that was found while a further effect was judged"
+)
 RESTART_CORRECTED = rule("restart_corrected", "begin a corrected model anew with other friction of the spool")
 
 #: Iterations of a joint refit with a correction, of the one that is kept, of a halved one, and of a competing effect's.
@@ -298,7 +300,8 @@ def falls_on_left_out(fit: Fit, estimate: Estimate, best: Estimate) -> tuple[flo
         both = [_effects_only(p) for p in (estimate, best)]
         solve(seen, both, HALF_ITERATIONS)
         bare, better = (
-            sum(unseen.cost_by_stretch(p, c, STRETCH_S).sum() for c in fit.channels_of(estimate)) for p in both
+            sum(unseen.cost_by_stretch(p, c, STRETCH_S).sum() for c in fit.channels_of(estimate))
+            for p in both
         )
         falls.append(float(bare - better))
     return falls[0], falls[1]

@@ -132,9 +132,7 @@ def _replays_of_log(rig: RigModel, estimate: Estimate, channel: int, number: int
         found.append(_replay("coil", error, period, time, regimes, used, command, units))
     if "pressure" in mine and rig.has_hidden_states:
         value = estimate.values(channel)
-        numbers = {
-            n: value.get(n, rig.model.value(n, channel)) for n in ("J", "B", "D", "Km", "V", "beta")
-        }
+        numbers = {n: value.get(n, rig.model.value(n, channel)) for n in ("J", "B", "D", "Km", "V", "beta")}
         pressure = mine["pressure"].measured
         found += _hydraulic(part, speed, pressure, simulated, numbers, speeds, openings, command)
     else:
@@ -159,7 +157,11 @@ def _openings(command: np.ndarray, rated: float) -> dict[str, np.ndarray]:
 def _speeds(speed: np.ndarray) -> dict[str, np.ndarray]:
     """Regimes (n,) of the shaft."""
     fast = float(np.nanmax(np.abs(speed)))
-    return {"speed near zero": np.abs(speed) < 0.15 * fast, "positive speed": speed > 0.0, "negative speed": speed < 0.0}
+    return {
+        "speed near zero": np.abs(speed) < 0.15 * fast,
+        "positive speed": speed > 0.0,
+        "negative speed": speed < 0.0,
+    }
 
 
 def _hydraulic(

@@ -52,7 +52,9 @@ class NamedEffect:
     @property
     def channel(self) -> str:
         """ "1", "2", "both" or "rig"."""
-        return "rig" if not self.channels else "both" if len(self.channels) == 2 else str(self.channels[0] + 1)
+        return (
+            "rig" if not self.channels else "both" if len(self.channels) == 2 else str(self.channels[0] + 1)
+        )
 
     def as_dict(self) -> dict[str, Any]:
         return {

@@ -146,9 +146,7 @@ def next_experiment(
                 return {"description": text, "separates": sorted({effect.name, rival})}
     for effect in named:
         if effect.indistinguishable_from:
-            missing = [
-                s for s in ("current", "pressure", "load") if not any(p.log.has(s) for p in rig.parts)
-            ]
+            missing = [s for s in ("current", "pressure", "load") if not any(p.log.has(s) for p in rig.parts)]
             text = (
                 f"record {', '.join(missing)} as well"
                 if missing

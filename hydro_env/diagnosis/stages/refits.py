@@ -14,7 +14,9 @@ from ..state import Estimates
 
 __all__ = ["LAST_STEPS", "refit_found", "restart_present", "short_refit"]
 
-RESTART_PRESENT = rule("restart_present", "refit the present model from the known parameters of its best extension")
+RESTART_PRESENT = rule(
+    "restart_present", "refit the present model from the known parameters of its best extension"
+)
 REFIT_FOUND = rule("refit_found", "refit what was found by the noise that is seen then")
 
 #: Steps of q for the differences in the iterations of the refit of what was found, and of the last one, by the proof's substeps.

@@ -66,7 +66,9 @@ def select_rig_effects(search: Search) -> None:
     search.accepted = drop_vanished(best, accepted, search.candidates)
 
 
-def drop_vanished(estimate: Estimate, accepted: list[Accepted], candidates: list[Candidate]) -> list[Accepted]:
+def drop_vanished(
+    estimate: Estimate, accepted: list[Accepted], candidates: list[Candidate]
+) -> list[Accepted]:
     """The effects that did not vanish when those of the rig joined them: what an effect of the rig explains is no channel's."""
     left = []
     for k in accepted:

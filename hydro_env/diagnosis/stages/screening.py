@@ -23,7 +23,9 @@ from ..state import Estimates, State
 
 __all__ = ["Screening", "absorb", "alike", "detectable", "hidden_by_calibration", "run", "screen"]
 
-ABSORB_BY_CALIBRATION = rule("absorb_by_calibration", "move the known parameters to see what they absorb of an effect")
+ABSORB_BY_CALIBRATION = rule(
+    "absorb_by_calibration", "move the known parameters to see what they absorb of an effect"
+)
 
 #: Squared length of a projected signature, in noise units, from which an effect counts as visible.
 VISIBLE = 60.0
@@ -123,9 +125,7 @@ def screen(
         signature = np.concatenate([noise[c](changes[c]) for c in channels])
         size = float(signature @ signature)
         direction = signature / max(np.sqrt(size), 1e-30)
-        one = found.setdefault(
-            (name, channel), Screening(name, channel, start, gained, size, direction)
-        )
+        one = found.setdefault((name, channel), Screening(name, channel, start, gained, size, direction))
         if _is_medium(name, start):
             one.visible, one.signature = size, direction
             one.unprojected = sum(float(np.sum((changes[c] * noise[c].weights) ** 2)) for c in channels)
@@ -154,7 +154,9 @@ def absorb(fit: Fit, estimates: Estimates, screening: Sequence[Screening]) -> No
         requests = [a.step() for a in live]
         results = fit.rig.predict(requests)
         live = [
-            a for a, result in zip(live, results, strict=True) if a.goes_on(result[a.base.channel or 0], number)
+            a
+            for a, result in zip(live, results, strict=True)
+            if a.goes_on(result[a.base.channel or 0], number)
         ]
 
 
@@ -191,9 +193,7 @@ class _Absorption:
         return now > VISIBLE and (number < LEAST_STEPS or now < STILL_FALLING * before)
 
 
-def _request(
-    estimates: Estimates, effect: str, channel: int | None, start: dict[str, float]
-) -> Request:
+def _request(estimates: Estimates, effect: str, channel: int | None, start: dict[str, float]) -> Request:
     extra = {f"{effect}.{name}": value for name, value in start.items()}
     if channel is not None:
         values = estimates[channel].values(channel)

@@ -30,10 +30,16 @@ from .second_search import is_lost, search_again
 
 __all__ = ["Refit", "refit_promising", "run", "select"]
 
-REFIT_HOPEFUL = rule("refit_hopeful", "first round: refit the best candidate as far as it goes where none pays yet")
+REFIT_HOPEFUL = rule(
+    "refit_hopeful", "first round: refit the best candidate as far as it goes where none pays yet"
+)
 REFIT_PROMISING = rule("refit_promising", "later rounds: refit the best of the screening where none pays yet")
-CORRECTION_SUFFICES = rule("correction_suffices", "a further effect must explain more than a correction of form does")
-CORRECTION_INSIDE = rule("correction_inside", "accept a size at its edge that a correction of form leads inside")
+CORRECTION_SUFFICES = rule(
+    "correction_suffices", "a further effect must explain more than a correction of form does"
+)
+CORRECTION_INSIDE = rule(
+    "correction_inside", "accept a size at its edge that a correction of form leads inside"
+)
 
 #: Short refits and full refits in the first round, and in later ones, where the screening is beside a better model.
 FIRST_REFITS, LATER_REFITS = (9, 3), (5, 2)
@@ -62,16 +68,21 @@ class Refit:
 def run(state: State) -> State:
     """Selects effects; the noise is then seen better, and what was accepted is refitted by it."""
     selection = select(
-        Search(state.fit, state.calibrated, state.screening, state.seconds, dict(state.calibrated), state.progress)
+        Search(
+            state.fit,
+            state.calibrated,
+            state.screening,
+            state.seconds,
+            dict(state.calibrated),
+            state.progress,
+        )
     )
     fit = state.fit.with_noise_seen_by(selection.estimates)
     changed = [
         p for c, p in selection.estimates.items() if any(k.channel in (None, c) for k in selection.accepted)
     ]
     refit_found(fit, changed)
-    return replace(
-        state, fit=fit, selection=selection, final=selection.estimates, placebo=selection.placebo
-    )
+    return replace(state, fit=fit, selection=selection, final=selection.estimates, placebo=selection.placebo)
 
 
 def select(search: Search) -> Selection:

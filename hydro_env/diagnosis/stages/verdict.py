@@ -18,8 +18,12 @@ from .validation import NAMED, Proof, proved
 __all__ = ["confirm", "decide", "doubts"]
 
 DOUBT_WORSE = rule("doubt_worse", "reject names that spoil a signal of the held-out logs")
-DOUBT_LEFT = rule("doubt_left", "reject names that leave much of a signal of the fit logs, whatever their form")
-DOUBT_UNCONFIRMED = rule("doubt_unconfirmed", "reject names that explain next to nothing of the held-out logs")
+DOUBT_LEFT = rule(
+    "doubt_left", "reject names that leave much of a signal of the fit logs, whatever their form"
+)
+DOUBT_UNCONFIRMED = rule(
+    "doubt_unconfirmed", "reject names that explain next to nothing of the held-out logs"
+)
 DOUBT_EDGE = rule("doubt_edge", "reject names whose size stays at the edge of its range")
 
 #: A signal of the held-out logs is spoilt by what was named if it is off by so many times what calibration alone leaves, and so

@@ -25,9 +25,7 @@ def run(state: State) -> State:
     found += _about_logs_and_fit(state)
     hidden = [name.replace("_", " ") for name in hidden_by_calibration(state.screening)]
     if hidden and state.verdict in ("none", "calibration"):
-        found.append(
-            f"calibration hides these effects, so they cannot be excluded: {', '.join(hidden)}"
-        )
+        found.append(f"calibration hides these effects, so they cannot be excluded: {', '.join(hidden)}")
     for c in state.rig.channels if state.effects and state.rig.has_hidden_states else ():
         for signal, times in unpredictable(state.fit.on(state.held_out), state.final[c], c).items():
             found.append(

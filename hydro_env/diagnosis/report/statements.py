@@ -116,7 +116,8 @@ def _lacks(found: Diagnosis) -> str:
 
 def _unknown(found: Diagnosis) -> str:
     places = [
-        f"{words.equation(p.equation)} of channel {p.channel + 1}, {p.regime}" for p in shown_locations(found)[:2]
+        f"{words.equation(p.equation)} of channel {p.channel + 1}, {p.regime}"
+        for p in shown_locations(found)[:2]
     ]
     where = words.listed(list(dict.fromkeys(places))) or "all signals"
     text = f"Something is missing that no effect of the catalogue explains; it shows in {where}."
@@ -188,9 +189,7 @@ def weak_proof(found: Diagnosis) -> str:
 # --- where it is ----------------------------------------------------------------------------------------------------------
 def shown_locations(found: Diagnosis) -> list[Location]:
     """Locations on channels where the calibrated model leaves anything of the fit logs, the largest share first."""
-    left = {
-        c for (c, _), e in found.state.on_fit.errors.items() if e["calibrated"] > AT_NOISE * e["noise"]
-    }
+    left = {c for (c, _), e in found.state.on_fit.errors.items() if e["calibrated"] > AT_NOISE * e["noise"]}
     return sorted((p for p in found.state.locations if p.channel in left), key=lambda p: -p.share)
 
 
@@ -210,7 +209,11 @@ def effect_values(found: Diagnosis, n: NamedEffect) -> list[tuple[str, str, str]
     rig = found.state.rig
     c = n.channels[0] if len(n.channels) == 1 else rig.channels[0]
     return [
-        (words.parameter(n.name, own), words.interval(p), words.of_command(n.name, own, p.value, rig.model, c))
+        (
+            words.parameter(n.name, own),
+            words.interval(p),
+            words.of_command(n.name, own, p.value, rig.model, c),
+        )
         for own, p in n.parameters.items()
     ]
 
@@ -302,7 +305,12 @@ def ranking(found: Diagnosis) -> list[Ranked]:
         if better or t.outcome == ACCEPTED:
             last[t.effect, t.channel] = t
     rows = sorted(last.values(), key=lambda t: (t.outcome != ACCEPTED, t.estimate is None, -t.gain))
-    tied = {(rival, c): n.name for n in found.effects for rival in n.indistinguishable_from for c in n.channels or (None,)}
+    tied = {
+        (rival, c): n.name
+        for n in found.effects
+        for rival in n.indistinguishable_from
+        for c in n.channels or (None,)
+    }
     ranked = []
     for t in rows:
         twin = tied.get((t.effect, t.channel))
