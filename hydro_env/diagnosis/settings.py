@@ -35,8 +35,9 @@ class Settings:
     least_share: float = 0.05
     #: A residual that is so many times the noise, in a signal of a log, stays unexplained: the verdict is `unknown`, ...
     unexplained: float = 1.5
-    #: ... unless what was found explains this share of it, in `Fit.levels` or in power.
+    #: ... unless what was found explains this share of it in `Fit.levels`, ...
     most_of_level: float = 0.5
+    #: ... or this share in power.
     most_of_power: float = 0.8
     #: Competing candidates whose gain is less than this share behind count as not told apart.
     tied_share: float = 0.1
