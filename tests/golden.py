@@ -20,7 +20,7 @@ def trajectories() -> dict[str, NDArray[np.float64]]:
     plant = Plant("paper", 1 + len(BUILT_IN), effects=BUILT_IN)
     for row, name in enumerate(BUILT_IN, 1):
         for p in CATALOGUE[name].parameters:
-            plant.set(f"{name}.{p.name}", p.nominal if p.typical is None else p.typical, rows=[row])
+            plant.set(f"{name}.{p.name}", p.typical, rows=[row])
     plant.reset()
     t = np.arange(ROWS) * PERIOD
     command = np.stack([np.where(t < 0.15, 50.0, -30.0), 60.0 * np.sin(20.0 * t)], axis=1)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hydro_env.diagnosis.estimation.unknowns import effect_unknowns, starts
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.report import wording
@@ -96,6 +97,16 @@ def test_its_words_and_its_experiment_are_those_of_the_report() -> None:
     assert separating_experiment(NAME, "viscosity_drift") == "hold the temperature of the oil"
     assert separating_experiment("viscosity_drift", NAME) == "hold the temperature of the oil"
     assert separating_experiment(NAME, "dead_zone") == ""
+
+
+def test_its_roles_decide_how_it_is_estimated() -> None:
+    assert [p.role for p in SWELLING.parameters] == ["size", "time_constant"]
+    # A time constant of a minute is tried as fast as the log is long.
+    first = starts(SWELLING, 6.0)
+    assert {row["drift"] for row in first} == {0.4 * 6.0}
+    amount, drift = effect_unknowns(SWELLING, first[0])
+    assert drift.log and drift.prior and not amount.prior
+    assert SWELLING.is_neutral({"drift": 3.0}) and not SWELLING.is_neutral({"amount": 1e-3})
 
 
 def test_an_effect_that_reads_the_other_flow_couples_the_channels(tmp_path: Path) -> None:

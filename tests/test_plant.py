@@ -165,7 +165,7 @@ def crowd(substep: float, names: list[str], **base: float) -> Plant:
     for row, name in enumerate(names):
         if name in CATALOGUE:
             typical = {
-                p.name: p.nominal if p.typical is None else p.typical for p in CATALOGUE[name].parameters
+                p.name: p.typical for p in CATALOGUE[name].parameters
             }
             plant.set_values({f"{name}.{own}": value for own, value in typical.items()}, rows=[row])
         elif name != "base":

@@ -65,7 +65,7 @@ def _strong(effect):
     """The effect at its strongest bound."""
     values = {}
     for p in effect.parameters:
-        typical = p.nominal if p.typical is None else p.typical
+        typical = p.typical
         if typical == p.nominal:
             value = p.nominal
         elif math.isinf(p.nominal):

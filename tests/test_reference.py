@@ -146,7 +146,7 @@ def test_supply_couples_the_channels():
 def _severe(effect):
     values = {}
     for p in effect.parameters:
-        values[f"{effect.name}.{p.name}"] = p.nominal if p.typical is None else p.typical
+        values[f"{effect.name}.{p.name}"] = p.typical
     if effect.name in ("coil_heating", "viscosity_drift"):
         values[f"{effect.name}.time_constant"] = 3.0
     return values

@@ -14,7 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ...plant import CATALOGUE, Effect, Parameter
+from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter
+from ...plant.parameters import SCALINGS
 
 __all__ = [
     "Unknown",
@@ -33,39 +34,25 @@ PRIOR_SPREAD = 0.3
 #: Base parameters that an effect of the catalogue adds to may be calibrated by this factor only: more has a name there.
 BASE_OF_EFFECT_FACTOR = 1.35
 
-#: Effect parameters that take their amount from a base parameter: the inertia behind a coupling is part of the calibrated J.
-TAKEN_FROM = {"shaft_backlash": {"inertia": "J"}}
-
-
-#: Base parameters that logs tell by their ratios only, or nearly so, each with the power of the common factor. Twice the force
-#: on twice the mass, spring and friction moves a spool nearly alike; half the travel, by twice the stiffness and mass, gives
-#: the same flow with twice the gain; twice the displacement with twice the flow, leakage, inertia and damping, and half the
-#: bulk modulus, turns a shaft alike but for the load. The first of each names the direction.
+#: Directions in which logs fix ratios only, by the base parameter that names each, and the base parameters that are scaled
+#: together in it, with their powers (`Parameter.scaling`).
 SCALED_TOGETHER: dict[str, dict[str, float]] = {
-    "k": {"k": 1.0, "alpha": 1.0, "m": 1.0, "Fc": 1.0, "Fs": 1.0},
-    "Kq": {"Kq": 1.0, "k": 1.0, "m": 1.0, "vs": -1.0},
-    "D": {"D": 1.0, "J": 1.0, "B": 1.0, "Km": 1.0, "Kq": 1.0, "beta": -1.0},
+    direction: {p.name: p.scaling[direction] for p in PARAMETERS.values() if direction in p.scaling}
+    for direction in SCALINGS
 }
-#: Units of the effects' parameters that go with them, and their power: forces on the spool, or one per opening and pressure, by
-#: port as well; torques, flows and losses behind the valve.
-_FORCE_UNITS = {"N": 1.0, "m": 1.0}
-_SHAFT_UNITS = {
-    "N m": 1.0, "N m/rad": 1.0, "N m s/rad": 1.0, "N m s2/rad2": 1.0, "kg m2": 1.0, "m3/rad": 1.0, "m3/(s Pa)": 1.0,
-    "Pa s2/m6": -2.0,
-}  # fmt: skip
 
 
 def bases_of(effect: str) -> set[str]:
     """The base parameters that an effect takes from."""
-    return {*TAKEN_FROM.get(effect, {}).values()}
+    return {p.part_of for p in CATALOGUE[effect].parameters if p.part_of}
 
 
 def less_taken(values: dict[str, float], effect: str, start: dict[str, float]) -> dict[str, float]:
     """The base parameters in `values` that an effect with the values `start` {own name: value} takes from, reduced by that."""
     return {
-        base: max(values[base] - start[own], 0.25 * values[base])
-        for own, base in TAKEN_FROM.get(effect, {}).items()
-        if base in values
+        p.part_of: max(values[p.part_of] - start[p.name], 0.25 * values[p.part_of])
+        for p in CATALOGUE[effect].parameters
+        if p.part_of in values
     }
 
 
@@ -136,14 +123,14 @@ def starts(effect: Effect, seconds: float, whole: bool = False) -> list[dict[str
     `seconds` is the length of the longest log: nobody sees a drift of minutes in seconds. What comes in many shapes is given
     in one size unless the `whole` list is wanted.
     """
-    sizes = [p for p in effect.parameters if not _is_shape(p)]
-    shapes = [p for p in effect.parameters if _is_shape(p)]
+    sizes = [p for p in effect.parameters if p.carries_size]
+    shapes = [p for p in effect.parameters if not p.carries_size]
     rows = []
     for factor in (0.35, 1.0, 2.2, -0.35, -1.0, -2.2):
         row = {p.name: _sized(p, factor) for p in sizes}
         if all(v is not None for v in row.values()):
             rows.append(row)
-    if len({p.unit for p in sizes}) == 1 and len(sizes) == 2 and all(math.isfinite(p.nominal) for p in sizes):
+    if len({p.unit for p in sizes}) == 1 and len(sizes) == 2 and all(p.role == "size" for p in sizes):
         # Two sizes of a kind, such as the overlaps of the two directions, may be unequal.
         rows += [{p.name: _sized(p, 1.0 if p is alone else 0.0) for p in sizes} for alone in sizes]
     variants: list[dict[str, float]] = [{}]
@@ -155,14 +142,8 @@ def starts(effect: Effect, seconds: float, whole: bool = False) -> list[dict[str
     return rows  # type: ignore[return-value]
 
 
-def _is_shape(p: Parameter) -> bool:
-    """Whether a parameter only shapes an effect; its size is carried by another one."""
-    return p.typical is None or p.typical == p.nominal
-
-
 def _sized(p: Parameter, factor: float) -> float | None:
-    assert p.typical is not None
-    if math.isinf(p.nominal):
+    if p.role == "limit":
         return {0.35: min(2.0 * p.typical, 0.95 * p.high), 1.0: p.typical, 2.2: 0.55 * p.typical}.get(factor)
     if p.log and p.nominal > 0.0:
         value = p.nominal * math.exp(math.log(p.typical / p.nominal) * factor)
@@ -172,11 +153,11 @@ def _sized(p: Parameter, factor: float) -> float | None:
 
 
 def _shapes(p: Parameter, seconds: float) -> list[float]:
-    if p.unit == "rad" and p.low <= -3.0:
+    if p.role == "phase":
         return [-0.75 * math.pi, -0.25 * math.pi, 0.25 * math.pi, 0.75 * math.pi]
-    if p.name == "order":
+    if p.role == "order":
         return [float(n) for n in range(math.ceil(p.low), math.floor(p.high) + 1)]
-    if p.name == "time_constant" and p.nominal > seconds:
+    if p.role == "time_constant" and p.nominal > seconds:
         return [min(max(0.4 * seconds, p.low), p.high)]
     return [p.nominal]
 
@@ -187,15 +168,14 @@ def effect_unknowns(effect: Effect, start: dict[str, float]) -> list[Unknown]:
 
 
 def _effect_unknown(effect: str, p: Parameter, start: float) -> Unknown:
-    shape = _is_shape(p)
+    shape = not p.carries_size
     low, high = min(p.low, start), max(p.high, start)
-    if p.low > 0.0 and (p.log or math.isinf(p.nominal)):
+    if p.low > 0.0 and (p.log or p.role == "limit"):
         scale = 0.5 if shape else 0.25
         return Unknown(p.name, p.unit, start, low, high, scale, True, shape, effect=effect)
-    scale = 0.15 * (p.high - p.low) if shape or p.typical is None else abs(p.typical - p.nominal)
-    if p.name == "order":
-        scale = 0.1
-    return Unknown(p.name, p.unit, start, low, high, scale, False, shape and p.name != "order", effect=effect)
+    order = p.role == "order"
+    scale = 0.1 if order else 0.15 * (p.high - p.low) if shape else abs(p.typical - p.nominal)
+    return Unknown(p.name, p.unit, start, low, high, scale, False, shape and not order, effect=effect)
 
 
 def scaled(unknowns: Sequence[Unknown], q: np.ndarray, j: int, size: float) -> np.ndarray:
@@ -220,9 +200,4 @@ def _power(unknown: Unknown, direction: str) -> float:
     """The power of the common factor of a direction that an unknown has, 0 for one that is no part of it."""
     if not unknown.effect:
         return SCALED_TOGETHER[direction].get(unknown.parameter, 0.0)
-    unit, on_spool = unknown.unit, CATALOGUE[unknown.effect].port == "force"
-    if direction == "Kq":
-        return -1.0 if unit == "m" and not on_spool else 0.0
-    if direction == "k":
-        return _FORCE_UNITS.get(unit, 0.0) if on_spool else 0.0
-    return _SHAFT_UNITS.get(unit, 0.0)
+    return CATALOGUE[unknown.effect].parameter(unknown.parameter).scaling.get(direction, 0.0)

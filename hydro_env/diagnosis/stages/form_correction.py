@@ -114,8 +114,8 @@ def with_correction(estimate: Estimate, effect: str, correction: str, channel: i
         if f"{correction}.{p.name}" in every:
             continue
         # The prior is as wide as a correction usually is: ridge regression, in other words.
-        shape = p.typical is None or p.typical == p.nominal
-        scale = 0.7 if p.log else 0.15 * (p.high - p.low) if shape else abs(p.typical or 1.0)
+        shape = not p.carries_size
+        scale = 0.7 if p.log else 0.15 * (p.high - p.low) if shape else abs(p.typical)
         bounds = (p.nominal, p.low, p.high)
         added.append(Unknown(p.name, p.unit, *bounds, scale, p.log, True, alone, correction))
     q = np.concatenate([estimate.q, [1.0 if u.low == u.center == 0.0 else 0.0 for u in added]])
