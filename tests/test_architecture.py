@@ -48,9 +48,6 @@ LONGER_FOR_NOW = {
     "agents.sweep.sweep",
     "hydro_env.benchmark.command._scores",
     "hydro_env.benchmark.command.run",
-    "hydro_env.cli.diagnose",
-    "hydro_env.cli.tune",
-    "hydro_env.cli.valve_test",
     "hydro_env.controllers.mpc.shooting.improve",
     "hydro_env.controllers.mpc.shooting.minimise_in_box",
     "hydro_env.controllers.tuning.tune._search",
@@ -58,7 +55,6 @@ LONGER_FOR_NOW = {
     "hydro_env.experiments.blind_trials.table",
     "hydro_env.experiments.close_loop.run",
     "hydro_env.experiments.near_limit.measure_ratio",
-    "hydro_env.experiments.valve_test.run",
     "hydro_env.measured.inspect._guessed",
     "hydro_env.valve_bench.rates._decide",
 }
@@ -71,11 +67,11 @@ CROWDED = {
     "hydro_env.plant.catalogue.form_corrections._second_bristle": "a law asks by name for all that it reads",
     "hydro_env.plant.catalogue.form_corrections._stops_force": "a law asks by name for all that it reads",
     "hydro_env.plant.catalogue.losses._jeong_torque": "a law asks by name for all that it reads",
-    "hydro_env.cli.benchmark": "an option each",
-    "hydro_env.cli.diagnose": "an option each",
-    "hydro_env.cli.hide": "an option each",
-    "hydro_env.cli.tune": "an option each",
-    "hydro_env.cli.valve_test": "an option each",
+    "hydro_env.cli.controllers.benchmark": "an option each",
+    "hydro_env.cli.diagnosis.diagnose": "an option each",
+    "hydro_env.cli.diagnosis.hide": "an option each",
+    "hydro_env.cli.controllers.tune": "an option each",
+    "hydro_env.cli.valve_test.valve_test": "an option each",
     "hydro_env.diagnosis.workflow.diagnose": "an option each",
 }
 CROWDED_FOR_NOW = {
@@ -86,7 +82,6 @@ CROWDED_FOR_NOW = {
     "hydro_env.envs.batch.HydraulicSyncVectorEnv.__init__",
     "hydro_env.envs.step_kernels.look",
     "hydro_env.experiments.close_loop.run",
-    "hydro_env.experiments.valve_test.run",
 }
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from hydro_env import __version__, cli
+from hydro_env.cli.main import spread
 from hydro_env.errors import InputError
 
 Run = Callable[..., tuple[int, str, str]]
@@ -317,7 +318,7 @@ def test_as_a_program(tmp_path: Path) -> None:
 def test_option_with_several_values() -> None:
     given = ["diagnose", "a", "b", "--sealed", "c", "d", "--seed", "1", "--sealed", "e"]
     expected = ["diagnose", "a", "b", "--sealed", "c", "--sealed", "d", "--seed", "1", "--sealed", "e"]
-    assert cli._spread(given, "--sealed") == expected
+    assert spread(given, ["--sealed"]) == expected
 
 
 def test_a_reader_that_leaves_takes_no_results_with_it(tmp_path: Path) -> None:

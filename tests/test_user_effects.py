@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.cli import _run
+from hydro_env.cli import run
 from hydro_env.diagnosis import diagnose
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
@@ -65,7 +65,7 @@ def test_it_is_hidden_and_a_candidate(file: Path, tmp_path: Path) -> None:
 
 def test_the_command_line_loads_it(file: Path, tmp_path: Path) -> None:
     words = ["hide", f"{NAME}:2", "--effects", str(file), "--duration", "3", "--rate", "100"]
-    assert _run([*words, "--out", str(tmp_path / "out")]) == 0
+    assert run([*words, "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "truth.json").exists()
 
 
@@ -85,7 +85,7 @@ def test_a_wrong_file_is_one_line(
     if text is not None:
         path.write_text(text, encoding="utf-8")
     before = list(CATALOGUE)
-    assert _run(["hide", "dead_zone", "--effects", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert run(["hide", "dead_zone", "--effects", str(path), "--out", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err
     assert line in error and "wrong.py" in error and error.count("\n") == 1
     assert list(CATALOGUE) == before

@@ -581,11 +581,11 @@ def test_what_a_curve_lacks_is_said_of_its_file(tmp_path: Path) -> None:
         row[2] = "1.0"
     path = write(tmp_path / "still.csv", rows)
     with pytest.raises(InputError, match=r"still\.csv: the flow is 1 l/min all the time"):
-        valve_test.bench([str(path)], columns=COLUMNS, progress=False)
+        valve_test.bench([str(path)], valve_test.Settings(columns=COLUMNS), progress=False)
 
 
 def test_valves_of_one_name_are_told_apart() -> None:
-    tested = valve_test.bench(["paper:1", "paper:1"], seconds=(2.0,), progress=False)
+    tested = valve_test.bench(["paper:1", "paper:1"], valve_test.Settings(seconds=(2.0,)), progress=False)
     assert [each.curve.name for each in tested] == ["paper:1 (1)", "paper:1 (2)"]
 
 

@@ -8,7 +8,7 @@ measured curve. Several files may be sweeps of one valve at different rates. Wha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from hydro_env.valve_bench.rates import RateCheck, check_rates
 from hydro_env.valve_bench.read import Columns, read_curve
 from hydro_env.valve_bench.record import own_channels, record_rates
 
-__all__ = ["CONTROLLERS", "Tested", "bench", "default_valves", "run", "summary"]
+__all__ = ["CONTROLLERS", "Settings", "Tested", "bench", "default_valves", "run", "summary"]
 
 SCHEMA = "hydro_env/valve_test/1"
 #: Lengths of the sweeps of a modelled valve, s.
@@ -35,6 +35,31 @@ SECONDS = (5.0, 20.0, 80.0)
 #: Controllers under which pairs are compared: the paper's, with gains of its own for each channel; the same law with
 #: equal gains, which leaves the difference to the valves; and the best classical one, which learns it.
 CONTROLLERS = ("pid_paper", "pid_tuned", "adaptive_flow")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How valves are tested.
+
+    Args:
+        signal: "current" or "command", the input over which modelled valves are read.
+        seconds: lengths of the sweeps of modelled valves, s.
+        columns: what the columns of measured curves are.
+        sweep_periods: s, one for every measured file, or one for all.
+        one_valve: all measured files are sweeps of the same valve.
+        controllers: under which all pairs of modelled valves are driven; none: no such comparison.
+        seeds: seeds of the sensor noise per pair and order.
+        pictures: whether to draw valve_test.png and valve_rates.png.
+    """
+
+    signal: str = "current"
+    seconds: tuple[float, ...] = SECONDS
+    columns: Columns = field(default_factory=Columns)
+    sweep_periods: tuple[float, ...] = ()
+    one_valve: bool = False
+    controllers: tuple[str, ...] = CONTROLLERS
+    seeds: int = 4
+    pictures: bool = True
 
 
 @dataclass(frozen=True)
@@ -52,49 +77,26 @@ class Tested:
 
 
 def run(
-    out: str | Path,
-    valves: Sequence[str],
-    *,
-    signal: str = "current",
-    seconds: Sequence[float] = SECONDS,
-    columns: Columns | None = None,
-    sweep_periods: Sequence[float] = (),
-    one_valve: bool = False,
-    controllers: Sequence[str] = CONTROLLERS,
-    seeds: int = 4,
-    pictures: bool = True,
-    progress: bool = True,
+    out: str | Path, valves: Sequence[str], settings: Settings | None = None, *, progress: bool = True
 ) -> dict[str, Any]:
-    """Tests the valves and writes valve_test.json, curves.csv and, if asked, valve_test.png and valve_rates.png.
-
-    Args:
-        out: an existing folder.
-        valves: presets, model files, files of measured curves.
-        signal: "current" or "command", the input over which modelled valves are read.
-        seconds: lengths of the sweeps of modelled valves, s.
-        columns: what the columns of measured curves are.
-        sweep_periods: s, one for every measured file, or one for all.
-        one_valve: all measured files are sweeps of the same valve.
-        controllers: under which all pairs of modelled valves are driven; none: no such comparison.
-        seeds: seeds of the sensor noise per pair and order.
+    """Tests the valves (presets, model files, files of measured curves) and writes valve_test.json, curves.csv and, if asked,
+    the pictures to an existing folder.
 
     Returns the content of valve_test.json. InputError for anything that cannot be used.
     """
-    out = Path(out)
-    for name in controllers:
+    out, settings = Path(out), settings or Settings()
+    for name in settings.controllers:
         from hydro_env.controllers.registry import make_controller
 
-        make_controller(name)  # an unknown name is said before the long work
-    tested = bench(
-        valves,
-        signal=signal,
-        seconds=seconds,
-        columns=columns,
-        sweep_periods=sweep_periods,
-        one_valve=one_valve,
-        progress=progress,
-    )
+        make_controller(name)  # an unknown name is reported before the long work
+    tested = bench(valves, settings, progress=progress)
     pairs = _pairs(tested)
+    models = [each.model for each in tested if each.model is not None]
+    findings = []
+    if pairs and settings.controllers and len(models) < len(tested):
+        findings.append(
+            "measured curves drive no pair: they say nothing of a valve's motion, only models can drive a motor"
+        )
     data: dict[str, Any] = {
         "schema": SCHEMA,
         "valves": [
@@ -103,34 +105,40 @@ def run(
         ],
         "pairs": pairs,
         "most_alike": pairs[0]["valves"] if pairs else None,
-        "synchronisation": None,
-        "findings": [],
+        "synchronisation": _synchronised(models, pairs, settings, progress),
+        "findings": findings,
     }
-    models = [each.model for each in tested if each.model is not None]
-    if pairs and controllers and len(models) < len(tested):
-        data["findings"].append(
-            "measured curves drive no pair: they say nothing of a valve's motion, only models can drive a motor"
-        )
-    if len(models) > 1 and controllers:
-        names = {valve.name for valve in models}
-        alike = next(pair["valves"] for pair in pairs if names.issuperset(pair["valves"]))
-        data["synchronisation"] = synchronisation(
-            models, controllers, alike=(alike[0], alike[1]), seeds=range(seeds), progress=progress
-        )
     write_text(out / "curves.csv", _table(tested))
-    if pictures:
-        from hydro_env.pages import png
-        from hydro_env.valve_bench.picture import draw_curves, draw_rates
-
-        # A modelled valve's loops hardly differ; a measured one's may.
-        sweeps = [(each.curve,) if each.model else each.sweeps for each in tested]
-        png(draw_curves(sweeps, [each.figures for each in tested]), out / "valve_test.png")
-        several = [each for each in tested if each.rates.hysteresis_percent is not None]
-        if several:
-            drawing = draw_rates([each.curve.name for each in several], [each.rates for each in several])
-            png(drawing, out / "valve_rates.png")
+    if settings.pictures:
+        _draw(out, tested)
     write_json(out / "valve_test.json", data)
     return data
+
+
+def _synchronised(
+    models: Sequence[Valve], pairs: Sequence[dict[str, Any]], settings: Settings, progress: bool
+) -> dict[str, Any] | None:
+    """All pairs of modelled valves driven by the controllers, or None if there are not two or none is to drive."""
+    if len(models) < 2 or not settings.controllers:
+        return None
+    names = {valve.name for valve in models}
+    first, second = next(pair["valves"] for pair in pairs if names.issuperset(pair["valves"]))
+    return synchronisation(
+        models, settings.controllers, alike=(first, second), seeds=range(settings.seeds), progress=progress
+    )
+
+
+def _draw(out: Path, tested: Sequence[Tested]) -> None:
+    from hydro_env.pages import png
+    from hydro_env.valve_bench.picture import draw_curves, draw_rates
+
+    # A modelled valve's loops hardly differ; a measured one's may.
+    sweeps = [(each.curve,) if each.model else each.sweeps for each in tested]
+    png(draw_curves(sweeps, [each.figures for each in tested]), out / "valve_test.png")
+    several = [each for each in tested if each.rates.hysteresis_percent is not None]
+    if several:
+        drawing = draw_rates([each.curve.name for each in several], [each.rates for each in several])
+        png(drawing, out / "valve_rates.png")
 
 
 def default_valves() -> list[str]:
@@ -138,17 +146,9 @@ def default_valves() -> list[str]:
     return [name for name in preset_names() if name.startswith("valve_")] or ["paper_dead_zone"]
 
 
-def bench(
-    valves: Sequence[str],
-    *,
-    signal: str = "current",
-    seconds: Sequence[float] = SECONDS,
-    columns: Columns | None = None,
-    sweep_periods: Sequence[float] = (),
-    one_valve: bool = False,
-    progress: bool = True,
-) -> list[Tested]:
+def bench(valves: Sequence[str], settings: Settings | None = None, *, progress: bool = True) -> list[Tested]:
     """Puts every valve on the bench; see `run`."""
+    settings = settings or Settings()
     if not valves:
         raise InputError(
             f"name a valve: a preset ({', '.join(preset_names())}), a model file or a measured curve"
@@ -160,33 +160,38 @@ def bench(
             models += [(text, valve) for valve in _model_valves(text)]
         else:
             files.append(text)
-    if len(sweep_periods) not in (0, 1, len(files)):
+    if len(settings.sweep_periods) not in (0, 1, len(files)):
         raise InputError(
-            f"--sweep-period gives {len(sweep_periods)} values for {len(files)} measured files: one for all, or one each"
+            f"--sweep-period gives {len(settings.sweep_periods)} values for {len(files)} measured files: one for all, "
+            "or one each"
         )
     tested: list[Tested] = []
     with tqdm(total=len(models) + len(files), desc="valves", disable=not progress, leave=False) as bar:
         for text, valve in models:
-            sweeps = record_rates(valve.model, valve.channel, seconds, signal=signal, name=valve.name)
+            sweeps = record_rates(
+                valve.model, valve.channel, settings.seconds, signal=settings.signal, name=valve.name
+            )
             tested.append(_tested(text, sweeps, valve))
             bar.update()
         curves = []
         for n, text in enumerate(files):
-            own = columns or Columns()
-            if sweep_periods:
-                own = replace(own, sweep_period=sweep_periods[n if len(sweep_periods) > 1 else 0])
+            own = settings.columns
+            if settings.sweep_periods:
+                own = replace(own, sweep_period=(settings.sweep_periods * len(files))[n])
             curves.append(read_curve(text, own))
             bar.update()
-        if one_valve and len({curve.signal_unit for curve in curves}) > 1:
-            raise InputError("--one-valve: the files have signals of different quantities")
-        if one_valve and curves:
-            rated = max(curve.rated for curve in curves)
-            name = _common([curve.name for curve in curves])
-            curves = [replace(curve, rated=rated, name=name) for curve in curves]
-            tested.append(_tested(", ".join(files), curves, None))
-        else:
-            tested += [_tested(text, [curve], None) for text, curve in zip(files, curves, strict=True)]
-    return _named_apart(tested)
+    return _named_apart(tested + _measured(files, curves, settings.one_valve))
+
+
+def _measured(files: Sequence[str], curves: list[Curve], one_valve: bool) -> list[Tested]:
+    """Measured curves, each of a valve of its own or all of the same one."""
+    if not one_valve or not curves:
+        return [_tested(text, [curve], None) for text, curve in zip(files, curves, strict=True)]
+    if len({curve.signal_unit for curve in curves}) > 1:
+        raise InputError("--one-valve: the files have signals of different quantities")
+    rated = max(curve.rated for curve in curves)
+    name = _common([curve.name for curve in curves])
+    return [_tested(", ".join(files), [replace(curve, rated=rated, name=name) for curve in curves], None)]
 
 
 def _common(names: Sequence[str]) -> str:

@@ -1,0 +1,44 @@
+"""The commands in the order in which `--help` lists them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from hydro_env import __version__
+from hydro_env.cli.controllers import benchmark, tune
+from hydro_env.cli.diagnosis import diagnose, hide
+from hydro_env.cli.experiments import close_loop, demo, reproduce, speed
+from hydro_env.cli.valve_test import valve_test
+
+__all__ = ["app"]
+
+app = typer.Typer(
+    add_completion=False,
+    invoke_without_command=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Synchronise two hydraulic motors, each driven by its own proportional valve.",
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"hydro_env {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and leave.")
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+for _command in (demo, reproduce, valve_test, speed, tune, benchmark, hide, diagnose, close_loop):
+    app.command(_command.__name__.replace("_", "-"))(_command)

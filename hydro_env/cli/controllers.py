@@ -1,0 +1,144 @@
+"""The commands `tune` and `benchmark`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from hydro_env.cli.options import Cells, ControlPeriod, Engine, Jobs, Out, Plant, Seed, writing
+
+TunedController = Annotated[
+    str,
+    typer.Option(
+        "--controller",
+        help="Control law whose gains are searched; `all`: every controller that ships, each with the common budget.",
+    ),
+]
+Split = Annotated[
+    str,
+    typer.Option("--mismatch", help="Split the pairs of valves come from, or `none`: the plant's own pair."),
+]
+Scenarios = Annotated[str, typer.Option("--scenario", help="What is driven; several with commas.")]
+CasesPerCandidate = Annotated[int, typer.Option(min=1, help="Pairs of valves each candidate drives.")]
+Episodes = Annotated[int, typer.Option(min=1, help="Budget: how many episodes may be simulated.")]
+Weight = Annotated[
+    float, typer.Option(help="Rpm of tracking error that one rpm of speed difference is worth.")
+]
+Name = Annotated[str | None, typer.Option(help="The controller's name in score boards.")]
+Only = Annotated[str | None, typer.Option(help="With `all`: these controllers, with commas.")]
+Linear = Annotated[
+    bool,
+    typer.Option(help="PID gains from the linearised plant, as a PID tuner finds them, beside Table III."),
+]
+MaxSensitivity = Annotated[
+    float, typer.Option(help="With `--linear`: how near the loop may come to instability.")
+]
+
+
+def tune(
+    out: Out,
+    controller: TunedController = "pid",
+    plant: Plant = "paper_dead_zone",
+    mismatch: Split = "train",
+    scenario: Scenarios = "setpoint_steps,random_steps",
+    cases: CasesPerCandidate = 12,
+    episodes: Episodes = 11520,
+    weight: Weight = 2.0,
+    control_period: ControlPeriod = 0.01,
+    seed: Seed = 0,
+    name: Name = None,
+    only: Only = None,
+    linear: Linear = False,
+    max_sensitivity: MaxSensitivity = 1.3,
+) -> None:
+    """Search the gains of a controller.
+
+    Writes gains.json, which `benchmark` takes. `--controller all` writes one file for each controller that ships, with gains
+    for all control periods, as soon as it is found; interrupt it and give the same command to go on. Of the other options only
+    --seed and --only matter then. `--linear` takes --plant and --max-sensitivity.
+    """
+    if controller == "all":
+        from hydro_env.controllers.tuning.tune import run_all
+
+        names = run_all(out, names=only.split(",") if only else None, seed=seed)
+        print(f"In {out}: {', '.join(f'{name}.json' for name in names)}")
+        return
+    with writing(out) as folder:
+        if linear:
+            from hydro_env.controllers.tuning import linearised as tuner
+
+            # The linearised plant has no dead zone: the paper's own is the one to be asked unless another one is named.
+            chosen = "paper" if plant == "paper_dead_zone" else plant
+            print(tuner.summary(tuner.run(folder, plant=chosen, max_sensitivity=max_sensitivity, name=name)))
+            return
+        from hydro_env.controllers.tuning import tune as work
+
+        work.run(
+            folder,
+            controller=controller,
+            plant=plant,
+            mismatch=None if mismatch == "none" else mismatch,
+            scenario=scenario,
+            cases=cases,
+            episodes=episodes,
+            weight=weight,
+            control_period=control_period,
+            seed=seed,
+            name=name,
+        )
+
+
+def benchmark(
+    out: Out,
+    controllers: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[CONTROLLER]...",
+            help="Names, gains files (.json), policies (.npz), module:Class or file.py:Class; all: those that ship, "
+            "which is the default.",
+        ),
+    ] = None,
+    more: Annotated[
+        list[str] | None,
+        typer.Option("--controllers", metavar="CONTROLLER...", help="The same, as an option."),
+    ] = None,
+    suite: Annotated[str, typer.Option(help="quick, full or a YAML file.")] = "full",
+    split: Annotated[list[str] | None, typer.Option(help="Only this split; may be repeated.")] = None,
+    scenario: Annotated[list[str] | None, typer.Option(help="Only this scenario; may be repeated.")] = None,
+    cases: Annotated[
+        int | None, typer.Option(min=1, help="Pairs of valves per split, other than the suite's.")
+    ] = None,
+    plant: Plant = "paper_dead_zone",
+    control_period: ControlPeriod = 0.01,
+    seed: Seed = 0,
+    limit: Annotated[
+        float, typer.Option(help="Longest that a controller may take for one split and scenario, s.")
+    ] = 600.0,
+    engine: Engine = "local",
+    jobs: Jobs = 1,
+    cells: Cells = None,
+) -> None:
+    """Score controllers on the fixed suite.
+
+    Writes scores.json and scores.html.
+    """
+    with writing(out) as folder:
+        from hydro_env.benchmark import command
+
+        scores = command.run(
+            folder,
+            controllers=[*(controllers or []), *(more or [])],
+            suite=suite,
+            splits=split,
+            scenarios=scenario,
+            cases=cases,
+            plant=plant,
+            control_period=control_period,
+            seed=seed,
+            limit=limit,
+            engine=engine,
+            jobs=jobs,
+            cells_folder=cells,
+        )
+        print(command.report(scores))

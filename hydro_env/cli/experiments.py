@@ -1,0 +1,86 @@
+"""The commands `demo`, `reproduce`, `speed` and `close-loop`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from hydro_env.cli.options import Cells, Engine, Jobs, Out, Pictures, Seed, writing
+
+
+def demo(out: Out, seed: Seed = 0, jobs: Jobs = 1) -> None:
+    """Show what the package does, on one page.
+
+    The paper's experiment, a score board and one diagnosis; writes index.html and a folder for each part.
+    """
+    with writing(out) as folder:
+        from hydro_env.experiments import demo as work
+
+        work.run(folder, seed=seed, jobs=jobs)
+    print(f"Open {out / 'index.html'} in a browser.")
+
+
+def reproduce(
+    out: Out,
+    pictures: Pictures = True,
+) -> None:
+    """Run the paper's experiments.
+
+    Fig. 2, 7 and 8; writes reproduce.json, traces.csv and figures.
+    """
+    with writing(out) as folder:
+        from hydro_env.experiments import reproduce as work
+
+        print(work.summary(work.run(folder, pictures=pictures)))
+
+
+def speed(
+    out: Out,
+    num_envs: Annotated[
+        list[int] | None, typer.Option(min=1, help="Size of a batch; may be repeated. Default: 1 to 1024.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(min=0.05, help="Time to spend on each figure, s.")] = 1.0,
+) -> None:
+    """Measure how fast and exact the simulator is.
+
+    Writes speed.json.
+    """
+    with writing(out) as folder:
+        from hydro_env.experiments import speed as work
+
+        print(work.summary(work.run(folder, num_envs=num_envs or work.NUM_ENVS, seconds=seconds)))
+
+
+def close_loop(
+    out: Out,
+    case: Annotated[list[str] | None, typer.Option(help="Only this case; may be repeated.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Hidden rigs per case.")] = 2,
+    engine: Engine = "local",
+    jobs: Jobs = 1,
+    cells: Cells = None,
+    pictures: Pictures = True,
+    seed: Seed = 0,
+) -> None:
+    """Show what a repaired model is worth to a controller.
+
+    Hides effects, diagnoses, tunes controllers on the wrong and on the repaired model and scores them on the hidden
+    rigs; writes close_loop.json, close_loop.md, a picture and the rigs' models.
+    """
+    with writing(out) as folder:
+        from hydro_env.experiments import close_loop as work
+
+        print(
+            work.summary(
+                work.run(
+                    folder,
+                    cases=case,
+                    seeds=seeds,
+                    seed=seed,
+                    cells=cells,
+                    jobs=jobs,
+                    engine=engine,
+                    pictures=pictures,
+                )
+            )
+        )

@@ -1,0 +1,131 @@
+"""Runs one command of `hydro-env` and turns whatever happens into an exit status and one line.
+
+Exit status: 0 done; 2 bad input or a folder that cannot be written, with one line on stderr; 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import Any, NoReturn, TextIO
+
+import typer
+
+from hydro_env.cli.app import app
+from hydro_env.errors import InputError
+
+__all__ = ["main", "run", "spread"]
+
+EXTRAS = {
+    "plotly": "report",
+    "jinja2": "report",
+    "matplotlib": "report",
+    "pandas": "measured",
+    "pyarrow": "measured",
+    "asammdf": "measured",
+    "nptdms": "measured",
+    "pygame": "render",
+    "torch": "agents",
+    "stable_baselines3": "agents",
+    "sb3_contrib": "agents",
+    "onnx": "agents",
+    "onnxruntime": "agents",
+    "ray": "ray",
+}
+"""Which extra of the package holds an optional library."""
+
+
+class _PatientOutput:
+    """Standard output that nobody needs to read to the end (`hydro-env ... | head`): what a command is for is the files in
+    `--out`, so it goes on."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Writes, or does nothing once the reader has gone."""
+        try:
+            return self._stream.write(text)
+        except BrokenPipeError:
+            self._to_nowhere()
+            return len(text)
+
+    def flush(self) -> None:
+        """The same for what is still in the buffer."""
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._to_nowhere()
+
+    def _to_nowhere(self) -> None:
+        # What the buffer holds is written again when the process ends, so the pipe itself is replaced.
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, self._stream.fileno())
+        os.close(nowhere)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Runs one command and ends the process with its exit status."""
+    if sys.stdout is None:  # closed before it began (`>&-`)
+        sys.exit(run(arguments))
+    sys.stdout = _PatientOutput(sys.stdout)  # type: ignore[assignment]
+    status = run(arguments)
+    sys.stdout.flush()
+    sys.exit(status)
+
+
+def run(arguments: Sequence[str] | None) -> int:
+    """Runs one command (`sys.argv` for None); its exit status."""
+    try:
+        given = sys.argv[1:] if arguments is None else list(arguments)
+        many = ("--controllers",) if given[:1] == ["benchmark"] else ("--sealed", "--held-out")
+        status = app(args=spread(given, many), prog_name="hydro-env", standalone_mode=False)
+    except InputError as problem:
+        return _fail(problem)
+    except (KeyboardInterrupt, typer.Abort):
+        return _fail("interrupted; nothing half-written is left in --out", status=130)
+    except ModuleNotFoundError as problem:
+        extra = EXTRAS.get((problem.name or "").partition(".")[0])
+        if extra is None:
+            raise
+        return _fail(f"this needs {problem.name}: pip install 'hydro_env[{extra}]'")
+    except OSError as problem:
+        where = f"{problem.filename}: " if problem.filename else ""
+        return _fail(f"{where}{problem.strerror or problem}")
+    except Exception as problem:
+        usage = getattr(problem, "format_message", None)  # typer's own errors: an unknown option, ...
+        if usage is None:
+            raise
+        return _fail(f"{usage()} Try `{_path(problem)} --help`.")
+    if status == 130:  # typer turns an interruption into this
+        return _fail("interrupted; nothing half-written is left in --out", status=130)
+    return status if isinstance(status, int) else 0
+
+
+def spread(arguments: list[str], options: Sequence[str]) -> list[str]:
+    """`--sealed A B` as `--sealed A --sealed B`: options of typer take one value each."""
+    spread: list[str] = []
+    option = ""
+    for word in arguments:
+        if word in options:
+            option = word
+        elif word.startswith("-"):
+            option = ""
+        elif option and spread[-1] != option:
+            spread.append(option)
+        spread.append(word)
+    return spread
+
+
+def _fail(problem: object, status: int = 2) -> int:
+    print(f"error: {' '.join(str(problem).split())}", file=sys.stderr)
+    return status
+
+
+def _path(problem: Exception) -> str:
+    context = getattr(problem, "ctx", None)
+    return context.command_path if context else "hydro-env"
