@@ -18,7 +18,11 @@ from hydro_env.plant import load_model
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 GENERATE = runpy.run_path(str(DOCS / "generate.py"))
-PAGES: list[Path] = [page for page in (*GENERATE["pages"](), ROOT / "CONTRIBUTING.md") if page.exists()]
+PAGES: list[Path] = [
+    *GENERATE["pages"](),
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "hydro_env").rglob("*.md")),
+]
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 
 
@@ -95,6 +99,13 @@ def test_sentences_are_short(page: Path) -> None:
     text = re.sub(r"```.*?```", "", text, flags=re.S)
     for sentence in re.split(r"(?<=[.:!?])\s+|\n\n|\n\s*[*\d]", text):
         assert len(sentence.split()) <= 40, sentence
+
+
+def test_pages_named_in_the_code_exist() -> None:
+    for folder in ("hydro_env", "agents", "configs", "tests"):
+        for file in (path for path in (ROOT / folder).rglob("*") if path.suffix in (".py", ".yml", ".yaml")):
+            for name in re.findall(r"docs/[\w/]+\.(?:md|json|png|py)\b", file.read_text(encoding="utf-8")):
+                assert (ROOT / name).exists(), f"{file.relative_to(ROOT)}: {name}"
 
 
 @pytest.mark.parametrize("tutorial", sorted((DOCS / "tutorials").glob("*.md")), ids=names)

@@ -19,7 +19,7 @@ from hydro_env.errors import InputError, suggestion
 
 __all__ = ["TUNED", "as_table", "from_table", "numbers", "numbers_of", "setting"]
 
-TUNED = "evolution strategy on pairs of `train`, see docs/agents.md"
+TUNED = "evolution strategy on pairs of `train`, see docs/explanation/agents.md"
 """Where a value comes from that was searched for, not derived."""
 
 S = TypeVar("S")
