@@ -1,7 +1,7 @@
 """The oracle: model-predictive control with the plant itself as its model. What it leaves is what no knowledge removes.
 
-It is told everything that a controller on a rig has to do without: the parameters of both valves and motors, the true
-state, and the loads, now and to come. It may not foresee the set-point, which it sees as everyone does; where that
+It has all privileged information that a controller on a rig has to do without: the parameters of both valves and motors, the
+true state, and the loads, now and to come. It may not foresee the set-point, which it sees as everyone does; where that
 changes smoothly it expects it to go on as it does. So it bounds what can be gained by knowing valves, state and loads,
 at this control period and with these valves; a controller that has learnt by heart when a set-point will step is not
 bounded in its tracking.
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
-from hydro_env.controllers.mpc.shooting import DAMPING, improve, keep
+from hydro_env.controllers.mpc.shooting import DAMPING, Best, Course, improve, keep
 from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
 from hydro_env.units import RPM
 
@@ -103,20 +103,23 @@ class Oracle(Controller):
         return sent
 
     def _search(self, turns: NDArray[np.int64], ahead: Floats, load: Floats) -> None:
-        """Improves every plan for its `turns` (N,); one that would still let the motors fall apart begins once more, for
+        """Improves every plan for its `turns` (N,); one that would still let the motors fall apart is restarted, for
         longer: the way of a single descent is at times blocked by a stop or a spool that sticks.
         """
+        course = Course(
+            self._sent, ahead, self._most, self._margin, self._travel, self._motor, *self._weights
+        )
         start = self._plan
         found, lowest = start.copy(), np.empty(len(start))
         speed = np.empty((HORIZON, len(start), 2))
         for count in np.unique(turns):
             rows = np.flatnonzero(turns == count)
-            found[rows], lowest[rows], speed[:, rows] = self._descend(rows, count, start, ahead, load)
+            found[rows], lowest[rows], speed[:, rows] = self._descend(rows, count, start, course, load)
         for attempt in RETRIES:
             poor = np.flatnonzero(np.abs(speed[:2, :, 0] - speed[:2, :, 1]).max(axis=0) > APART)
             if not len(poor):
                 break
-            other, reached, instead = self._descend(poor, attempt, start, ahead, load)
+            other, reached, instead = self._descend(poor, attempt, start, course, load)
             # Motors that stay at rest are in step too but get nowhere.
             late, later = (np.abs(e[-1] - ahead[poor, -1:]).sum(axis=1) for e in (speed[:, poor], instead))
             better = (reached < lowest[poor]) & (later < late + APART)
@@ -125,53 +128,33 @@ class Oracle(Controller):
         self._plan = found
 
     def _descend(
-        self, rows: NDArray[np.int64], turns: int, start: Floats, ahead: Floats, load: Floats
+        self, rows: NDArray[np.int64], turns: int, start: Floats, course: Course, load: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """Plans (n, HORIZON, 2) of the n rigs `rows`, their costs (n,) and the speeds (HORIZON, n, 2) they lead to at control
         instants, after `turns` of Levenberg and Marquardt: copies of the rigs drive the plan, and a change that did not help
         is taken back and tried smaller.
         """
         assert self._twin is not None
-        every = len(rows) == len(start)
+        every, n = len(rows) == len(start), len(rows)
         copies = self._copies if every else _copies(self._twin, rows)
-        plan, sent, aim, load = start[rows], self._sent[rows], ahead[rows], load[:, rows]
-        travel, motor, margin, most, rated = (
-            each[rows] for each in (self._travel, self._motor, self._margin, self._most, self._rated)
-        )
-        weights = [weight[rows] for weight in self._weights]
-        best, lowest = plan.copy(), np.full(len(rows), np.inf)
-        damping = np.full(len(rows), DAMPING)
+        plan, load, rated, course = start[rows], load[:, rows], self._rated[rows], course.of(rows)
         signals = np.array([copies.row_of(name) for name in ("speed", "flow", "spool")])
-        volts = np.empty((HORIZON * SAMPLES + 1, len(rows), 2))
+        volts = np.empty((HORIZON * SAMPLES + 1, n, 2))
         seen = np.empty((len(signals), *volts.shape))
-        kept = np.empty_like(seen)
+        best = Best(plan.copy(), np.full(n, np.inf), np.empty_like(seen), np.full(n, DAMPING))
         for turn in range(turns):
             copies.take_state(self._twin, None if every else rows)
             # The last command stays: what follows its last sample is not looked at.
-            volts[:-1].reshape(HORIZON, SAMPLES, -1, 2)[:] = (plan * rated[:, None]).transpose(1, 0, 2)[
-                :, None
-            ]
+            held = (plan * rated[:, None]).transpose(1, 0, 2)
+            volts[:-1].reshape(HORIZON, SAMPLES, -1, 2)[:] = held[:, None]
             volts[-1] = volts[-2]
             copies.run_into(seen, volts, load, self._step, signals)
             # Out of standstill the way leads over a ridge: at first a plan need not be better than the one before.
-            keep(
-                plan,
-                turn < FREE * turns,
-                best,
-                lowest,
-                damping,
-                kept,
-                seen,
-                sent,
-                aim,
-                SAMPLES,
-                margin,
-                *weights,
-            )
-            plan = best.copy()
+            keep(plan, turn < FREE * turns, SAMPLES, seen, course, best)
+            plan = best.plan.copy()
             if turn < turns - 1:
-                improve(plan, damping, most, sent, aim, *kept, travel, motor, SAMPLES, margin, *weights)
-        return best, lowest, kept[0][SAMPLES::SAMPLES]
+                improve(plan, SAMPLES, course, best)
+        return best.plan, best.cost, best.motion[0][SAMPLES::SAMPLES]
 
 
 def _copies(plant: Plant, rows: NDArray[np.int64]) -> Plant:

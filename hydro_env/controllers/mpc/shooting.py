@@ -16,22 +16,59 @@ Every rig is worked on by itself, so that a row of a batch gets bit for bit what
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from hydro_env.controllers.base import Floats
 from hydro_env.jit import compiled
 
-__all__ = ["DAMPING", "improve", "keep", "minimise_in_box"]
+__all__ = ["DAMPING", "Best", "Course", "improve", "keep", "minimise_in_box"]
 
 CORNER = 2.0
-"""Tracking error from which on its cost grows no faster than in proportion, rad/s."""
+"""Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm, the noise of a good tracking."""
 BETWEEN = 100.0
-"""Weight of a squared speed difference between the control instants."""
+"""Weight of a squared speed difference between the control instants: less than any weight at them that may be tuned."""
 DAMPING = 1.0
 """Least weight of the squared change of the plan, which keeps it where nothing else says what is better."""
 CLOSED = 0.3
 """What a closed valve is taken to react like, as a share of an open one: it may be open when the plan has changed."""
 LONGEST = 60
-"""Most changes of the set of commands at their limits."""
+"""Most changes of the set of commands at their limits: six times as many as there are commands."""
+
+
+class Course(NamedTuple):
+    """What plans of N rigs are to do, over H periods of `fine` samples.
+
+    sent (N, 2): the command in force; setpoint (N, H + 1) in rad/s at the control instants; most (N, 2): largest command;
+    margin (N, 2): travel of the spools in m from which on it costs; travel (N, 2, H fine + 1): a spool's travel in m after a
+    command of 1 over the first period; motor (N, 2, 2, 3): pressure and speed after a sample from those before it and the
+    mean travel. difference, smooth, stops (N,): weights of speed differences, moves, and travel in mm beyond the margin.
+    """
+
+    sent: Floats
+    setpoint: Floats
+    most: Floats
+    margin: Floats
+    travel: Floats
+    motor: Floats
+    difference: Floats
+    smooth: Floats
+    stops: Floats
+
+    def of(self, rows: np.ndarray) -> Course:
+        """That of some rigs."""
+        return Course(*(np.ascontiguousarray(each[rows]) for each in self))
+
+
+class Best(NamedTuple):
+    """The best plans (N, H, 2) so far, their costs (N,), the motion (3, H fine + 1, N, 2) they lead to (speed, flow, spool),
+    and the damping (N,): weight of the squared change of the plan."""
+
+    plan: Floats
+    cost: Floats
+    motion: Floats
+    damping: Floats
 
 
 @compiled
@@ -44,9 +81,7 @@ def minimise_in_box(square, slope, low, high, x):
     n = slope.size
     side = np.zeros(n, np.int64)  # -1: held at low, 1: at high, 0: free
     rate = slope + 0.0
-    for j in range(n):
-        for i in range(n):
-            rate[j] += square[j, i] * x[i]
+    _gradient(square, slope, x, rate)
     for j in range(n):
         if x[j] <= low[j] and rate[j] > 0.0:
             side[j] = -1
@@ -56,26 +91,7 @@ def minimise_in_box(square, slope, low, high, x):
     factor = np.empty((n, n))
     move = np.empty(n)
     for _ in range(LONGEST):
-        count = 0
-        for j in range(n):
-            if side[j] == 0:
-                free[count] = j
-                count += 1
-        for a in range(count):
-            for b in range(a + 1):
-                rest = square[free[a], free[b]]
-                for c in range(b):
-                    rest -= factor[a, c] * factor[b, c]
-                factor[a, b] = np.sqrt(rest) if a == b else rest / factor[b, b]
-            rest = -rate[free[a]]
-            for c in range(a):
-                rest -= factor[a, c] * move[c]
-            move[a] = rest / factor[a, a]
-        for a in range(count - 1, -1, -1):
-            rest = move[a]
-            for c in range(a + 1, count):
-                rest -= factor[c, a] * move[c]
-            move[a] = rest / factor[a, a]
+        count = _newton_step(square, rate, side, free, factor, move)
         share, blocking = 1.0, -1
         for a in range(count):
             j = free[a]
@@ -89,10 +105,7 @@ def minimise_in_box(square, slope, low, high, x):
                 share, blocking = limit, a
         for a in range(count):
             x[free[a]] += share * move[a]
-        for j in range(n):
-            rate[j] = slope[j]
-            for i in range(n):
-                rate[j] += square[j, i] * x[i]
+        _gradient(square, slope, x, rate)
         if blocking >= 0:
             j = free[blocking]
             side[j] = 1 if move[blocking] > 0.0 else -1
@@ -108,133 +121,173 @@ def minimise_in_box(square, slope, low, high, x):
 
 
 @compiled
-def cost(plan, sent, setpoint, speed, spool, fine, margin, difference, smooth, stops):
-    """The cost (N,) of plans (N, H, 2), from the motion they lead to; arguments as for `improve`."""
+def _gradient(square, slope, x, rate):
+    for j in range(slope.size):
+        rate[j] = slope[j]
+        for i in range(slope.size):
+            rate[j] += square[j, i] * x[i]
+
+
+@compiled
+def _newton_step(square, rate, side, free, factor, move):
+    """The indices `free`, how many they are, and their move to the minimum with the others held."""
+    count = 0
+    for j in range(side.size):
+        if side[j] == 0:
+            free[count] = j
+            count += 1
+    for a in range(count):
+        for b in range(a + 1):
+            rest = square[free[a], free[b]]
+            for c in range(b):
+                rest -= factor[a, c] * factor[b, c]
+            factor[a, b] = np.sqrt(rest) if a == b else rest / factor[b, b]
+        rest = -rate[free[a]]
+        for c in range(a):
+            rest -= factor[a, c] * move[c]
+        move[a] = rest / factor[a, a]
+    for a in range(count - 1, -1, -1):
+        rest = move[a]
+        for c in range(a + 1, count):
+            rest -= factor[c, a] * move[c]
+        move[a] = rest / factor[a, a]
+    return count
+
+
+@compiled
+def _cost(plan, fine, motion, course):
+    """The cost (N,) of plans (N, H, 2), from the motion they lead to."""
+    speed, spool = motion[0], motion[2]
     total = np.zeros(plan.shape[0])
     for s in range(1, plan.shape[1] * fine + 1):
         instant = s % fine == 0
         for i in range(plan.shape[0]):
             apart = speed[s, i, 0] - speed[s, i, 1]
-            total[i] += 0.5 * (difference[i] if instant else BETWEEN) * apart * apart
+            total[i] += 0.5 * (course.difference[i] if instant else BETWEEN) * apart * apart
             for c in range(2):
-                past = max(0.0, abs(spool[s, i, c]) - margin[i, c])
-                total[i] += 0.5e6 * stops[i] * past * past
+                past = max(0.0, abs(spool[s, i, c]) - course.margin[i, c])
+                total[i] += 0.5e6 * course.stops[i] * past * past
                 if instant:
-                    error = (speed[s, i, c] - setpoint[i, s // fine]) / CORNER
+                    error = (speed[s, i, c] - course.setpoint[i, s // fine]) / CORNER
                     total[i] += CORNER * CORNER * (np.sqrt(1.0 + error * error) - 1.0)
     for i in range(plan.shape[0]):
         for c in range(2):
             for j in range(plan.shape[1]):
-                move = plan[i, j, c] - (sent[i, c] if j == 0 else plan[i, j - 1, c])
-                total[i] += 0.5 * smooth[i] * move * move
+                move = plan[i, j, c] - (course.sent[i, c] if j == 0 else plan[i, j - 1, c])
+                total[i] += 0.5 * course.smooth[i] * move * move
     return total
 
 
 @compiled
-def keep(
-    plan, free, best, lowest, damping, kept, seen, sent, setpoint, fine, margin, difference, smooth, stops
-):
-    """Keeps the plans (N, H, 2) that cost less than the lowest yet (N,), or all where `free`, in `best`, `lowest` and
-    `kept`, their motion, of which `seen` (3, H fine + 1, N, 2) has the new one: speed, flow, spool. The damping (N,) gets
-    less where a plan was kept and more where not. The rest as for `improve`.
-    """
-    reached = cost(plan, sent, setpoint, seen[0], seen[2], fine, margin, difference, smooth, stops)
-    better = (reached < lowest) | free
+def keep(plan, free, fine, motion, course, best):
+    """Keeps the plans (N, H, 2) that cost less than the best yet, or all where `free`, with the motion they lead to. The damping
+    gets less where a plan was kept and more where not."""
+    reached = _cost(plan, fine, motion, course)
+    better = (reached < best.cost) | free
     for i in range(plan.shape[0]):
         if better[i]:
-            damping[i] = max(DAMPING, damping[i] / 4.0)
-            lowest[i] = reached[i]
-            best[i] = plan[i]
+            best.damping[i] = max(DAMPING, best.damping[i] / 4.0)
+            best.cost[i] = reached[i]
+            best.plan[i] = plan[i]
         else:
-            damping[i] *= 8.0
-    for signal in range(seen.shape[0]):
-        for s in range(seen.shape[1]):
+            best.damping[i] *= 8.0
+    for signal in range(motion.shape[0]):
+        for s in range(motion.shape[1]):
             for i in range(plan.shape[0]):
                 if better[i]:
-                    kept[signal, s, i, 0], kept[signal, s, i, 1] = (
-                        seen[signal, s, i, 0],
-                        seen[signal, s, i, 1],
-                    )
+                    for c in range(2):
+                        best.motion[signal, s, i, c] = motion[signal, s, i, c]
 
 
 @compiled
-def improve(
-    plan, damping, most, sent, setpoint, speed, flow, spool, travel, motor, fine, margin, difference, smooth, stops,
-):  # fmt: skip
-    """Improves plans (N, H, 2), fractions of the rated command, in place.
-
-    damping (N,): weight of the squared change of the plan. most (N, 2): largest command; sent (N, 2): the command in
-    force; setpoint (N, H + 1) in rad/s at the control instants. speed, flow, spool (H fine + 1, N, 2): what the plans
-    lead to, `fine` samples a period; travel (N, 2, H fine + 1): a spool's travel in m after a command of 1 over the first
-    period; motor (N, 2, 2, 3): pressure and speed after a sample from those before it and the mean travel; margin (N, 2)
-    in m. difference, smooth, stops (N,): weights of speed differences, moves, and travel in mm beyond the margin.
-    """
+def improve(plan, fine, course, best):
+    """Improves the best plans, in `plan` (N, H, 2), fractions of the rated command."""
     horizon = plan.shape[1]
-    samples = horizon * fine
-    n = 2 * horizon
+    samples, n = horizon * fine, 2 * horizon
     change, apart_by = np.empty((2, horizon, samples + 1)), np.zeros((samples + 1, n))
     square, slope = np.empty((n, n)), np.empty(n)
     x, low, high = np.empty(n), np.empty(n), np.empty(n)
     for i in range(plan.shape[0]):
-        # How speeds change with each command of the plan: the spool's travel, where the valve is open, is integrated.
-        for c in range(2):
-            for j in range(horizon):
-                pressed, turned, before = 0.0, 0.0, 0.0
-                for s in range(j * fine + 1, samples + 1):
-                    now = travel[i, c, s - j * fine]
-                    if flow[s, i, c] == 0.0:
-                        now *= CLOSED
-                    mean, before = 0.5 * (before + now), now
-                    was = pressed
-                    pressed = motor[i, c, 0, 0] * was + motor[i, c, 0, 1] * turned + motor[i, c, 0, 2] * mean
-                    turned = motor[i, c, 1, 0] * was + motor[i, c, 1, 1] * turned + motor[i, c, 1, 2] * mean
-                    change[c, j, s] = turned
-                    apart_by[s, c * horizon + j] = turned if c == 0 else -turned
+        _sensitivity(i, fine, best.motion[1], course, change, apart_by)
         square[:] = 0.0
         slope[:] = 0.0
         for s in range(1, samples + 1):
-            top = (s - 1) // fine + 1  # commands that have begun to act
-            instant = s % fine == 0
-            for c in range(2):
-                base = c * horizon
-                past = abs(spool[s, i, c]) - margin[i, c]
-                if past > 0.0:
-                    sign = 1.0 if spool[s, i, c] > 0.0 else -1.0
-                    for j in range(top):
-                        a = 1e6 * stops[i] * travel[i, c, s - j * fine]
-                        slope[base + j] += a * sign * past
-                        for k in range(top):
-                            square[base + j, base + k] += a * travel[i, c, s - k * fine]
-                if instant:
-                    error = speed[s, i, c] - setpoint[i, s // fine]
-                    weight = 1.0 / np.sqrt(1.0 + (error / CORNER) ** 2)
-                    for j in range(top):
-                        a = weight * change[c, j, s]
-                        slope[base + j] += a * error
-                        for k in range(top):
-                            square[base + j, base + k] += a * change[c, k, s]
-            apart = speed[s, i, 0] - speed[s, i, 1]
-            weight = difference[i] if instant else BETWEEN
-            for c in range(2):
-                for b in range(c * horizon, c * horizon + top):
-                    a = weight * apart_by[s, b]
-                    slope[b] += a * apart
-                    for k in range(n):
-                        square[b, k] += a * apart_by[s, k]
+            _add_sample(i, s, fine, best.motion, course, change, apart_by, square, slope)
         for c in range(2):
             for j in range(horizon):
                 b = c * horizon + j
-                square[b, b] += damping[i] + smooth[i]
-                move = plan[i, j, c] - (sent[i, c] if j == 0 else plan[i, j - 1, c])
-                slope[b] += smooth[i] * move
-                if j > 0:
-                    slope[b - 1] -= smooth[i] * move
-                    square[b - 1, b - 1] += smooth[i]
-                    square[b, b - 1] -= smooth[i]
-                    square[b - 1, b] -= smooth[i]
+                _add_move(plan, i, j, c, best.damping[i], course, square, slope)
                 x[b] = 0.0
-                low[b] = min(0.0, -most[i, c] - plan[i, j, c])
-                high[b] = max(0.0, most[i, c] - plan[i, j, c])
+                low[b] = min(0.0, -course.most[i, c] - plan[i, j, c])
+                high[b] = max(0.0, course.most[i, c] - plan[i, j, c])
         minimise_in_box(square, slope, low, high, x)
         for b in range(n):
             plan[i, b % horizon, b // horizon] += x[b]
+
+
+@compiled
+def _sensitivity(i, fine, flow, course, change, apart_by):
+    """How speeds change with each command of the plan: the spool's travel, where the valve is open, is integrated."""
+    horizon, samples = change.shape[1], change.shape[2] - 1
+    travel, motor = course.travel[i], course.motor[i]
+    for c in range(2):
+        for j in range(horizon):
+            pressed, turned, before = 0.0, 0.0, 0.0
+            for s in range(j * fine + 1, samples + 1):
+                now = travel[c, s - j * fine]
+                if flow[s, i, c] == 0.0:
+                    now *= CLOSED
+                mean, before = 0.5 * (before + now), now
+                was = pressed
+                pressed = motor[c, 0, 0] * was + motor[c, 0, 1] * turned + motor[c, 0, 2] * mean
+                turned = motor[c, 1, 0] * was + motor[c, 1, 1] * turned + motor[c, 1, 2] * mean
+                change[c, j, s] = turned
+                apart_by[s, c * horizon + j] = turned if c == 0 else -turned
+
+
+@compiled
+def _add_sample(i, s, fine, motion, course, change, apart_by, square, slope):
+    """Adds travel beyond the margin, tracking errors and the speed difference of a sample to the normal equations."""
+    horizon, speed, spool = change.shape[1], motion[0], motion[2]
+    top = (s - 1) // fine + 1  # commands that have begun to act
+    instant = s % fine == 0
+    for c in range(2):
+        base = c * horizon
+        past = abs(spool[s, i, c]) - course.margin[i, c]
+        if past > 0.0:
+            sign = 1.0 if spool[s, i, c] > 0.0 else -1.0
+            for j in range(top):
+                a = 1e6 * course.stops[i] * course.travel[i, c, s - j * fine]
+                slope[base + j] += a * sign * past
+                for k in range(top):
+                    square[base + j, base + k] += a * course.travel[i, c, s - k * fine]
+        if instant:
+            error = speed[s, i, c] - course.setpoint[i, s // fine]
+            weight = 1.0 / np.sqrt(1.0 + (error / CORNER) ** 2)
+            for j in range(top):
+                a = weight * change[c, j, s]
+                slope[base + j] += a * error
+                for k in range(top):
+                    square[base + j, base + k] += a * change[c, k, s]
+    apart = speed[s, i, 0] - speed[s, i, 1]
+    weight = course.difference[i] if instant else BETWEEN
+    for c in range(2):
+        for b in range(c * horizon, c * horizon + top):
+            a = weight * apart_by[s, b]
+            slope[b] += a * apart
+            for k in range(slope.size):
+                square[b, k] += a * apart_by[s, k]
+
+
+@compiled
+def _add_move(plan, i, j, c, damping, course, square, slope):
+    """Adds the move of a command, and its change, to the normal equations."""
+    b, smooth = c * plan.shape[1] + j, course.smooth[i]
+    square[b, b] += damping + smooth
+    move = plan[i, j, c] - (course.sent[i, c] if j == 0 else plan[i, j - 1, c])
+    slope[b] += smooth * move
+    if j > 0:
+        slope[b - 1] -= smooth * move
+        square[b - 1, b - 1] += smooth
+        square[b, b - 1] -= smooth
+        square[b - 1, b] -= smooth
