@@ -62,22 +62,10 @@ def sweep(
     InputError for bad input; also if `out` holds runs of another training file.
     """
     check_engine(engine, jobs)
-    if len(set(seeds)) < len(seeds) or not seeds or min(seeds) < 0:
-        raise InputError(f"seeds {' '.join(map(str, seeds))}: expected different numbers of at least 0")
     if pairs < 1:
         raise InputError(f"pairs must be at least 1, not {pairs}")
-    make_model(config)  # a mistake in the file is no failure of a seed
     out = out.absolute()
-    for seed in seeds:
-        begun = out / f"seed_{seed}" / "config.yml"
-        if begun.is_file() and begun.read_text(encoding="utf-8") != config.text:
-            raise InputError(
-                f"{config.path}: differs from {begun}, with which the sweep was started; name another folder"
-            )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise InputError(f"--out {out}: cannot write there ({problem.strerror or problem})") from None
+    _prepare(config, seeds, out)
     work = partial(_train_seed, config=config, out=out, pairs=pairs, command=command)
     results = run(list(seeds), work, engine=engine, jobs=jobs, progress=progress, unit="seed")
     finished = []
@@ -101,6 +89,23 @@ def sweep(
     }
     write_json(out / "sweep.json", summary)
     return summary
+
+
+def _prepare(config: Config, seeds: Sequence[int], out: Path) -> None:
+    """Refuses what cannot be trained, makes the folder of the sweep."""
+    if len(set(seeds)) < len(seeds) or not seeds or min(seeds) < 0:
+        raise InputError(f"seeds {' '.join(map(str, seeds))}: expected different numbers of at least 0")
+    make_model(config)  # a mistake in the file is no failure of a seed
+    for seed in seeds:
+        begun = out / f"seed_{seed}" / "config.yml"
+        if begun.is_file() and begun.read_text(encoding="utf-8") != config.text:
+            raise InputError(
+                f"{config.path}: differs from {begun}, with which the sweep was started; name another folder"
+            )
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise InputError(f"--out {out}: cannot write there ({problem.strerror or problem})") from None
 
 
 def _train_seed(seed: int, *, config: Config, out: Path, pairs: int, command: str) -> dict[str, Any]:

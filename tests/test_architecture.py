@@ -45,12 +45,8 @@ LONGER = {
     "hydro_env.plant.rhs.rates": "the equations of the plant, read from top to bottom",
 }
 LONGER_FOR_NOW = {
-    "agents.sweep.sweep",
     "hydro_env.benchmark.command._scores",
     "hydro_env.benchmark.command.run",
-    "hydro_env.controllers.mpc.shooting.improve",
-    "hydro_env.controllers.mpc.shooting.minimise_in_box",
-    "hydro_env.controllers.tuning.tune._search",
     "hydro_env.envs.batch.HydraulicSyncVectorEnv.__init__",
     "hydro_env.experiments.blind_trials.table",
     "hydro_env.experiments.close_loop.run",
@@ -76,9 +72,6 @@ CROWDED = {
 }
 CROWDED_FOR_NOW = {
     "hydro_env.benchmark.command.run",
-    "hydro_env.controllers.mpc.shooting.improve",
-    "hydro_env.controllers.mpc.shooting.keep",
-    "hydro_env.controllers.tuning.tune.run",
     "hydro_env.envs.batch.HydraulicSyncVectorEnv.__init__",
     "hydro_env.envs.step_kernels.look",
     "hydro_env.experiments.close_loop.run",

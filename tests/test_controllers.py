@@ -3,6 +3,7 @@ them.
 """
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from hydro_env.controllers.tuning import linearised as linear
 from hydro_env.controllers.tuning import tune
 from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.controllers.tuning.linearised import largest_sensitivity
+from hydro_env.controllers.tuning.search import Search, Task
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant, load_model
 
@@ -288,11 +290,12 @@ def test_disturbance_observer_finds_a_constant_disturbance():
 
 
 def test_tuning_improves_on_its_first_guess_and_can_be_read_back(tmp_path):
-    few = {"controller": "pid", "plant": "paper", "scenario": "setpoint_steps", "cases": 1, "progress": False}
-    first = tune.run(tmp_path / "a", episodes=48, **few)
-    more = tune.run(tmp_path / "b", episodes=144, **few)
+    task = Task("pid", plant="paper", scenarios=("setpoint_steps",))
+    few = Search(task, cases=1, episodes=48, progress=False)
+    first = tune.run(tmp_path / "a", few)
+    more = tune.run(tmp_path / "b", replace(few, episodes=144))
     assert more["tuning"]["cost_rpm"] <= first["tuning"]["cost_rpm"]
-    assert tune.run(tmp_path / "c", episodes=48, **few) == first
+    assert tune.run(tmp_path / "c", few) == first
     assert (tmp_path / "a/gains.json").read_bytes() == (tmp_path / "c/gains.json").read_bytes()
     controller = make_controller(str(tmp_path / "b/gains.json"))
     assert {key: float(value) for key, value in controller.gains.items()} == more["gains"]
@@ -304,15 +307,15 @@ def test_a_common_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch)
     monkeypatch.setattr(tune, "SEARCHES", ((small, small),))
     monkeypatch.setattr(tune, "JUDGED", 4)
     wanted, searched = ["pid_tuned", "servo_pid"], []
-    search = tune._search
+    search = tune.search
 
-    def watched(task, *rest, **options):
-        searched.append(task.plant)
+    def watched(wanted, **options):
+        searched.append(wanted.task.plant)
         if len(searched) == 5:
             raise KeyboardInterrupt
-        return search(task, *rest, **options)
+        return search(wanted, **options)
 
-    monkeypatch.setattr(tune, "_search", watched)
+    monkeypatch.setattr(tune, "search", watched)
     with pytest.raises(KeyboardInterrupt):
         tune.run_all(tmp_path / "new/gains", names=wanted, progress=False)
     assert [path.name for path in (tmp_path / "new/gains").iterdir()] == ["pid_tuned.json"]
@@ -330,15 +333,15 @@ def test_a_common_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch)
 
 def test_nothing_is_tuned_on_a_test_split(tmp_path):
     with pytest.raises(InputError, match="never on other splits"):
-        tune.run(tmp_path, mismatch="test_interp")
+        tune.run(tmp_path, Search(Task(mismatch="test_interp")))
     with pytest.raises(InputError, match="at least 1152"):
-        tune.run(tmp_path, episodes=100)
+        tune.run(tmp_path, Search(Task(), episodes=100))
     with pytest.raises(InputError, match="unknown control law 'pdi'"):
-        tune.run(tmp_path, controller="pdi")
+        tune.run(tmp_path, Search(Task("pdi")))
     with pytest.raises(InputError, match="did you mean 'setpoint_steps'"):
-        tune.run(tmp_path, scenario="setpoint_step")
+        tune.run(tmp_path, Search(Task(scenarios=("setpoint_step",))))
     with pytest.raises(InputError, match="unknown plant 'papr'"):
-        tune.run(tmp_path, plant="papr")
+        tune.run(tmp_path, Search(Task(plant="papr")))
     assert not list(tmp_path.iterdir())
 
 

@@ -72,21 +72,12 @@ def tune(
             chosen = "paper" if plant == "paper_dead_zone" else plant
             print(tuner.summary(tuner.run(folder, plant=chosen, max_sensitivity=max_sensitivity, name=name)))
             return
-        from hydro_env.controllers.tuning import tune as work
+        from hydro_env.controllers.tuning.search import Search, Task
+        from hydro_env.controllers.tuning.tune import run
 
-        work.run(
-            folder,
-            controller=controller,
-            plant=plant,
-            mismatch=None if mismatch == "none" else mismatch,
-            scenario=scenario,
-            cases=cases,
-            episodes=episodes,
-            weight=weight,
-            control_period=control_period,
-            seed=seed,
-            name=name,
-        )
+        pairs = None if mismatch == "none" else mismatch
+        task = Task(controller, weight, plant, pairs, scenarios=tuple(scenario.split(",")))
+        run(folder, Search(task, seed, control_period, cases, episodes), name)
 
 
 def benchmark(

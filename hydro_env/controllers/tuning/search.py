@@ -1,0 +1,246 @@
+"""The search for gains: what a set of gains costs, and differential evolution over a batch of rigs.
+
+The cost of one episode, in rpm, is
+    tracking_mae_rpm + weight (max_speed_difference_rpm + 2 rms_speed_difference_rpm) + 5 command_variation:
+the mean error of both motors to the set-point, plus the difference between them, which counts double by default since
+moving together is the task. Its peak alone would not do: gains that limit-cycle, by as much as the last reversal takes the
+motors apart, would cost nothing. Nor would commands full of noise, which wear valves out. The cost of a set of gains is its
+mean over pairs and scenarios.
+
+Differential evolution (SciPy) searches the gains on the scale their `Gain` names; a whole generation is one batch of rigs. All
+candidates drive the same pairs with the same noise. Only the split `train` may be used, or the plant's own pair.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.metadata import version
+from math import inf, log
+from typing import Any
+
+import numpy as np
+from scipy.optimize import differential_evolution
+from tqdm import tqdm
+
+from hydro_env.controllers.base import FRACTION_PER_V, Controller, Floats, Gain
+from hydro_env.controllers.registry import LAWS
+from hydro_env.controllers.rollout import roll_out
+from hydro_env.errors import InputError, suggestion
+from hydro_env.plant import load_model, simulate
+from hydro_env.tasks import load_scenario
+from hydro_env.units import RPM
+
+__all__ = ["CASES", "EPISODES", "SCENARIOS", "Search", "Task", "cost", "costs_of", "drive", "search"]
+
+POPULATION = 24
+"""Candidates of a generation: about three for each of up to eight gains."""
+CASES, TRIALS = 12, 480
+"""Pairs of valves that a set of gains drives in every scenario, and how many sets are tried, where nothing else is asked for."""
+EPISODES = 2 * CASES * TRIALS
+SCENARIOS = "setpoint_steps", "random_steps"
+AROUND = 0.15
+"""A search around known gains begins within this share of every range to both sides of them."""
+COSTS = ("tracking_mae_rpm", "max_speed_difference_rpm", "rms_speed_difference_rpm", "command_variation")
+RMS, WEAR = 2.0, 5.0
+"""How many rpm of the peak difference one of the RMS difference is worth, and how many rpm of tracking error one whole
+rated command a second."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """The law, and what it is tuned for.
+
+    law: a key of `LAWS`. weight: rpm of tracking error that one rpm of the peak difference is worth. plant: preset or model
+    file. mismatch: "train", or None for the plant's own pair of valves. calm: whether the RMS of the difference and the
+    variation of the command count in the cost. scenarios: count equally.
+    """
+
+    law: str = "pid"
+    weight: float = 2.0
+    plant: str = "paper_dead_zone"
+    mismatch: str | None = "train"
+    calm: bool = True
+    scenarios: tuple[str, ...] = SCENARIOS
+
+
+@dataclass(frozen=True)
+class Search:
+    """One search.
+
+    cases: pairs of valves each candidate drives in each scenario (seeds `seed`, `seed + 1`, ...). episodes: the budget, how
+    many may be simulated in all. period: of control, s.
+    """
+
+    task: Task
+    seed: int = 0
+    period: float = 0.01
+    cases: int = CASES
+    episodes: int = EPISODES
+    progress: bool = True
+
+
+def cost(metrics: dict[str, Floats], weight: float, calm: bool = True) -> Floats:
+    """Cost of every episode in rpm; the RMS of the difference and the variation of the command only count with `calm`."""
+    peak, tracking = metrics["max_speed_difference_rpm"], metrics["tracking_mae_rpm"]
+    if not calm:
+        return tracking + weight * peak
+    apart = peak + RMS * metrics["rms_speed_difference_rpm"]
+    return tracking + weight * apart + WEAR * metrics["command_variation"]
+
+
+def costs_of(
+    controller: Controller,
+    count: int,
+    task: Task,
+    seeds: Sequence[int],
+    period: float,
+    bar: tqdm | None = None,
+) -> Floats:
+    """Costs (count,) of `count` sets of gains that `controller` holds, a row of gains for each pair of `seeds` in turn."""
+    total = np.zeros(count)
+    for scenario in task.scenarios:
+        done = roll_out(
+            controller, list(seeds) * count, plant=task.plant, mismatch=task.mismatch, scenario=scenario,
+            control_period=period, dtype="float32",
+        )  # fmt: skip
+        costs = cost(done.metrics(COSTS), task.weight, task.calm)
+        total += costs.reshape(count, len(seeds)).mean(axis=1) / len(task.scenarios)
+        if bar is not None:
+            bar.update(len(costs))
+    return total
+
+
+def search(wanted: Search, near: Mapping[str, float] | None = None) -> dict[str, Any]:
+    """{"gains", "tuning"}, where the first generation lies around the gains `near` if given.
+
+    InputError for a control law or split that may not be tuned on, or a budget below two generations.
+    """
+    task = _checked(wanted)
+    law, cases, seeds = LAWS[task.law], wanted.cases, range(wanted.seed, wanted.seed + wanted.cases)
+    names = [gain.name for gain in law.GAINS]
+    generation = cases * POPULATION * len(task.scenarios)
+    generations = wanted.episodes // generation - 1
+    spent = 0
+
+    def costs(genes: Floats) -> Floats:
+        """Costs (candidates,) of genes (gains, candidates), all candidates and pairs in one batch."""
+        nonlocal spent
+        count = genes.shape[1]
+        columns = np.repeat(_values(law, genes), cases, axis=1)[:, :, None]
+        tried = law(task.law, **dict(zip(names, columns, strict=True)))
+        spent += cases * count * len(task.scenarios)
+        return costs_of(tried, count, task, seeds, wanted.period, bar)
+
+    bounds = _bounds(law)
+    rng = np.random.default_rng(wanted.seed)
+    first = _latin_hypercube(bounds, rng, None if near is None else _genes(law, near))
+    bar = tqdm(
+        total=(generations + 1) * generation, desc=f"{task.law} {wanted.period:g} s", unit="episode",
+        disable=not wanted.progress,
+    )  # fmt: skip
+    with bar:
+        found = differential_evolution(
+            costs, bounds, init=first, maxiter=generations,
+            rng=np.random.default_rng(wanted.seed), vectorized=True, updating="deferred", mutation=(0.4, 0.9),
+            recombination=0.9, polish=False, tol=0.0,
+        )  # fmt: skip
+    gains = {key: float(f"{value:.4g}") for key, value in zip(names, _values(law, found.x), strict=True)}
+    if gains.get("slew", 0.0) * FRACTION_PER_V * wanted.period >= 2.0:
+        del gains["slew"]  # the whole range within one period: no limit
+    done = {
+        "trials": POPULATION * (generations + 1),
+        "episodes": spent,
+        "cost_rpm": float(f"{found.fun:.5g}"),
+    }
+    return {"gains": gains, "tuning": _account(wanted, task, generations, near is not None) | done}
+
+
+def _checked(wanted: Search) -> Task:
+    """The task with the names of its scenarios."""
+    task = wanted.task
+    if task.law not in LAWS:
+        raise InputError(f"unknown control law {task.law!r}: {suggestion(task.law, LAWS)}")
+    if task.mismatch not in ("train", None):
+        raise InputError(
+            f"mismatch {task.mismatch!r}: gains are tuned on 'train' or on the plant's own pair, never on other splits"
+        )
+    task = replace(task, scenarios=tuple(load_scenario(each.strip()).name for each in task.scenarios))
+    load_model(task.plant)  # here, since SciPy hides what goes wrong inside of a search
+    least = 2 * wanted.cases * POPULATION * len(task.scenarios)
+    if wanted.cases < 1 or wanted.episodes < least:
+        raise InputError(
+            f"episodes {wanted.episodes}: {wanted.cases} cases need at least {least} (two generations)"
+        )
+    return task
+
+
+def _account(wanted: Search, task: Task, generations: int, around: bool) -> dict[str, Any]:
+    """What a gains file says of the search, for who reads or repeats it."""
+    objective = f"{task.weight:g} max_speed_difference_rpm"
+    if task.calm:
+        differences = f"(max_speed_difference_rpm + {RMS:g} rms_speed_difference_rpm)"
+        objective = f"{task.weight:g} {differences} + {WEAR:g} command_variation"
+    return {
+        "split": task.mismatch,
+        "plant": str(task.plant),
+        "scenarios": list(task.scenarios),
+        "cases": wanted.cases,
+        "seed": wanted.seed,
+        "control_period_s": wanted.period,
+        "objective": f"mean over pairs and scenarios of tracking_mae_rpm + {objective}",
+        "optimiser": f"differential evolution, population {POPULATION}, {generations + 1} generations"
+        + (", the first around the gains of another control period" if around else ""),
+        "plant_dtype": "float32",
+        "version": version("hydro_env"),
+        "plant_drive_rpm": list(drive(task.plant)),
+    }
+
+
+@lru_cache
+def drive(plant: str) -> tuple[float, float]:
+    """Speeds (rpm) of both motors of a plant after a fixed drive of 0.65 s: gains belong to a plant that still drives so."""
+    levels = np.repeat([0.0, 0.4, -0.5, 0.6, 0.3], [10, 20, 15, 10, 11])
+    volts = levels[:, None] * np.array(load_model(plant).pair("u_rated"))
+    speed = simulate(load_model(plant), volts, None, 0.01, record=("speed",))["speed"][-1, 0]
+    return round(float(speed[0] / RPM), 2), round(float(speed[1] / RPM), 2)
+
+
+def _bounds(law: type[Controller]) -> Floats:
+    """Where to search, (gains, 2): the logarithm of gains on a logarithmic scale."""
+    rows = [(gain.low, gain.high) if not gain.log else (log(gain.low), log(gain.high)) for gain in law.GAINS]
+    return np.array(rows)
+
+
+def _values(law: type[Controller], genes: Floats) -> Floats:
+    """Gains for what the search works with, both (gains, ...)."""
+    return np.stack([np.exp(x) if gain.log else x for gain, x in zip(law.GAINS, genes, strict=True)])
+
+
+def _genes(law: type[Controller], gains: Mapping[str, float]) -> Floats:
+    """What the search works with for known gains, (gains,); one that is left out at the end of its range next to its default."""
+
+    def of(gain: Gain) -> float:
+        value = gains.get(gain.name, gain.default)
+        value = min(max(inf if value is None else value, gain.low), gain.high)
+        return log(value) if gain.log else value
+
+    return np.array([of(gain) for gain in law.GAINS])
+
+
+def _latin_hypercube(bounds: Floats, rng: np.random.Generator, middle: Floats | None) -> Floats:
+    """First generation (POPULATION, gains): every gain's range is cut into equal parts, each used once;
+    the first candidate is the middle of all ranges. With a `middle` (gains,), ranges are the part of `bounds` around it.
+    """
+    if middle is not None:
+        reach = AROUND * (bounds[:, 1] - bounds[:, 0])
+        low, high = np.maximum(bounds[:, 0], middle - reach), np.minimum(bounds[:, 1], middle + reach)
+        bounds = np.stack([low, high], axis=1)
+    parts = np.stack([rng.permutation(POPULATION) for _ in bounds], axis=1)
+    share = (parts + rng.random(parts.shape)) / POPULATION
+    share[0] = 0.5
+    first = bounds[:, 0] + share * (bounds[:, 1] - bounds[:, 0])
+    if middle is not None:
+        first[0] = middle
+    return first
