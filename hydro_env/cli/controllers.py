@@ -12,28 +12,28 @@ TunedController = Annotated[
     str,
     typer.Option(
         "--controller",
-        help="Control law whose gains are searched; `all`: every controller that ships, each with the common budget.",
+        help="Control law whose gains are tuned; `all`: every shipped controller, with the same budget each.",
     ),
 ]
 Split = Annotated[
     str,
-    typer.Option("--mismatch", help="Split the pairs of valves come from, or `none`: the plant's own pair."),
+    typer.Option(
+        "--mismatch", help="Split from which the pairs of valves are drawn; `none`: the plant's own pair."
+    ),
 ]
-Scenarios = Annotated[str, typer.Option("--scenario", help="What is driven; several with commas.")]
-CasesPerCandidate = Annotated[int, typer.Option(min=1, help="Pairs of valves each candidate drives.")]
-Episodes = Annotated[int, typer.Option(min=1, help="Budget: how many episodes may be simulated.")]
+Scenarios = Annotated[str, typer.Option("--scenario", help="Scenarios, separated by commas.")]
+CasesPerCandidate = Annotated[int, typer.Option(min=1, help="Pairs of valves for each candidate.")]
+Episodes = Annotated[int, typer.Option(min=1, help="Budget: number of simulated episodes.")]
 Weight = Annotated[
-    float, typer.Option(help="Rpm of tracking error that one rpm of speed difference is worth.")
+    float, typer.Option(help="Weight of the synchronisation error against the tracking error.")
 ]
-Name = Annotated[str | None, typer.Option(help="The controller's name in score boards.")]
-Only = Annotated[str | None, typer.Option(help="With `all`: these controllers, with commas.")]
+Name = Annotated[str | None, typer.Option(help="Name of the controller on the leaderboard.")]
+Only = Annotated[str | None, typer.Option(help="With `all`: only these controllers, separated by commas.")]
 Linear = Annotated[
     bool,
-    typer.Option(help="PID gains from the linearised plant, as a PID tuner finds them, beside Table III."),
+    typer.Option(help="PID gains from the linearised plant, compared with Table III of the paper."),
 ]
-MaxSensitivity = Annotated[
-    float, typer.Option(help="With `--linear`: how near the loop may come to instability.")
-]
+MaxSensitivity = Annotated[float, typer.Option(help="With `--linear`: maximum sensitivity Ms.")]
 
 
 def tune(
@@ -52,11 +52,11 @@ def tune(
     linear: Linear = False,
     max_sensitivity: MaxSensitivity = 1.3,
 ) -> None:
-    """Search the gains of a controller.
+    """Tune the gains of a controller.
 
-    Writes gains.json, which `benchmark` takes. `--controller all` writes one file for each controller that ships, with gains
-    for all control periods, as soon as it is found; interrupt it and give the same command to go on. Of the other options only
-    --seed and --only matter then. `--linear` takes --plant and --max-sensitivity.
+    Writes gains.json, which `benchmark` takes. `--controller all` writes one file for each shipped controller, with gains for
+    all control periods. If interrupted, the same command continues. Only --seed and --only apply then. `--linear` takes
+    --plant and --max-sensitivity.
     """
     if controller == "all":
         from hydro_env.controllers.tuning.tune import run_all
@@ -86,8 +86,8 @@ def benchmark(
         list[str] | None,
         typer.Argument(
             metavar="[CONTROLLER]...",
-            help="Names, gains files (.json), policies (.npz), module:Class or file.py:Class; all: those that ship, "
-            "which is the default.",
+            help="Names, gains files (.json), policies (.npz), module:Class or file.py:Class; all (default): every "
+            "shipped controller.",
         ),
     ] = None,
     more: Annotated[
@@ -98,13 +98,13 @@ def benchmark(
     split: Annotated[list[str] | None, typer.Option(help="Only this split; may be repeated.")] = None,
     scenario: Annotated[list[str] | None, typer.Option(help="Only this scenario; may be repeated.")] = None,
     cases: Annotated[
-        int | None, typer.Option(min=1, help="Pairs of valves per split, other than the suite's.")
+        int | None, typer.Option(min=1, help="Pairs of valves per split. Default: the suite's.")
     ] = None,
     plant: Plant = "paper_dead_zone",
     control_period: ControlPeriod = 0.01,
     seed: Seed = 0,
     limit: Annotated[
-        float, typer.Option(help="Longest that a controller may take for one split and scenario, s.")
+        float, typer.Option(help="Time limit of a controller for one split and scenario, s.")
     ] = 600.0,
     engine: Engine = "local",
     jobs: Jobs = 1,

@@ -10,7 +10,7 @@ from hydro_env.cli.options import EffectFiles, Model, Out, Seed, writing
 
 FitLogs = Annotated[
     list[str] | None,
-    typer.Argument(metavar="FIT_LOG...", help="Logs to fit; LOG@FROM:TO: a part, s."),
+    typer.Argument(metavar="FIT_LOG...", help="Logs to fit. LOG@FROM:TO is a part of a log, s."),
 ]
 HeldOut = Annotated[
     list[str] | None,
@@ -19,17 +19,18 @@ HeldOut = Annotated[
     ),
 ]
 MappingFile = Annotated[
-    str | None, typer.Option("--mapping", metavar="YAML", help="What the columns of foreign logs are.")
+    str | None,
+    typer.Option("--mapping", metavar="YAML", help="Mapping of the columns of other logs to signals."),
 ]
 Steady = Annotated[bool, typer.Option("--steady", help="Use the reduced model of a slow cylinder axis.")]
 Inspect = Annotated[
     str | None,
-    typer.Option("--inspect", metavar="LOG", help="Show what would be read of a log; propose a mapping."),
+    typer.Option("--inspect", metavar="LOG", help="Show how a log would be read; propose a mapping."),
 ]
 Accept = Annotated[
     list[str] | None,
     typer.Option(
-        metavar="CODE", help="Go on in spite of a finding that says the log is wrong: sign, swapped, unit."
+        metavar="CODE", help="Continue in spite of an error found in a log: sign, swapped, unit, ..."
     ),
 ]
 Threads = Annotated[
@@ -41,7 +42,9 @@ def hide(
     out: Out,
     effects: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[EFFECT[:CHANNEL]]...", help="What to hide; channel 1, 2 or both (default)."),
+        typer.Argument(
+            metavar="[EFFECT[:CHANNEL]]...", help="Effects to hide; channel 1, 2 or both (default)."
+        ),
     ] = None,
     none: Annotated[bool, typer.Option("--none", help="Hide nothing: logs that the model explains.")] = False,
     model: Model = "paper",
@@ -53,9 +56,7 @@ def hide(
         typer.Option(metavar="EFFECT.PARAMETER=NUMBER", help="An exact value (SI); may be repeated."),
     ] = None,
     noise: Annotated[float, typer.Option(help="Factor on the sensor noise; 0: none.")] = 1.0,
-    base_error: Annotated[
-        float, typer.Option(help="How wrong the model's base parameters are, up to, %.")
-    ] = 0.0,
+    base_error: Annotated[float, typer.Option(help="Largest error of the model's base parameters, %.")] = 0.0,
     record: Annotated[
         str, typer.Option(help="Columns besides time, command and speed: also spool, flow.")
     ] = "setpoint,current,pressure,load",
@@ -64,7 +65,7 @@ def hide(
     effect_files: EffectFiles = None,
     seed: Seed = 0,
 ) -> None:
-    """Make practice logs with effects hidden.
+    """Make practice logs with hidden effects.
 
     Writes logs, model.yaml and truth.json.
     """

@@ -12,7 +12,7 @@ from hydro_env.cli.options import Cells, Engine, Jobs, Out, Pictures, Seed, writ
 def demo(out: Out, seed: Seed = 0, jobs: Jobs = 1) -> None:
     """Show what the package does, on one page.
 
-    The paper's experiment, a score board and one diagnosis; writes index.html and a folder for each part.
+    The paper's experiment, a leaderboard and one diagnosis; writes index.html and a folder for each part.
     """
     with writing(out) as folder:
         from hydro_env.experiments import demo as work
@@ -40,9 +40,9 @@ def speed(
     num_envs: Annotated[
         list[int] | None, typer.Option(min=1, help="Size of a batch; may be repeated. Default: 1 to 1024.")
     ] = None,
-    seconds: Annotated[float, typer.Option(min=0.05, help="Time to spend on each figure, s.")] = 1.0,
+    seconds: Annotated[float, typer.Option(min=0.05, help="Measuring time for each figure, s.")] = 1.0,
 ) -> None:
-    """Measure how fast and exact the simulator is.
+    """Measure the speed and accuracy of the simulator.
 
     Writes speed.json.
     """
@@ -62,10 +62,10 @@ def close_loop(
     pictures: Pictures = True,
     seed: Seed = 0,
 ) -> None:
-    """Show what a repaired model is worth to a controller.
+    """Measure what a repaired model is worth to a controller.
 
-    Hides effects, diagnoses, tunes controllers on the wrong and on the repaired model and scores them on the hidden
-    rigs; writes close_loop.json, close_loop.md, a picture and the rigs' models.
+    Hides effects, diagnoses, tunes controllers on the model as given, the repaired and the true model, and scores them on
+    the hidden rigs; writes close_loop.json, close_loop.md, a picture and the rigs' models.
     """
     with writing(out) as folder:
         from hydro_env.experiments import close_loop as work

@@ -28,25 +28,26 @@ __all__ = [
     "writing",
 ]
 
-Out = Annotated[Path, typer.Option("--out", help="Folder to write to; made if need be.")]
+Out = Annotated[Path, typer.Option("--out", help="Folder to write to; created if needed.")]
 Plant = Annotated[str, typer.Option("--plant", help="Preset or YAML file of the rig.")]
 Model = Annotated[str, typer.Option("--model", help="Preset or YAML file of the model.")]
-ControlPeriod = Annotated[float, typer.Option("--control-period", help="Time between two commands, s.")]
-Seed = Annotated[int, typer.Option("--seed", help="Same seed, same result.")]
+ControlPeriod = Annotated[float, typer.Option("--control-period", help="Control period, s.")]
+Seed = Annotated[int, typer.Option("--seed", help="Random seed; the same seed gives the same result.")]
 EffectFiles = Annotated[
     list[str] | None,
     typer.Option(
         "--effects", metavar="FILE.py", help="Python file that registers your own effects; it is run."
     ),
 ]
-Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Processes to work with.")]
+Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Number of processes.")]
 Engine = Annotated[
     str, typer.Option(help="local: --jobs processes; ray: the Ray cluster at RAY_ADDRESS or on this machine.")
 ]
 Cells = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Keep what is done here; a run that was stopped goes on.")
+    Path | None,
+    typer.Option(metavar="DIR", help="Folder of finished parts; a stopped run continues from there."),
 ]
-Pictures = Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw pictures too.")]
+Pictures = Annotated[bool, typer.Option("--pictures/--no-pictures", help="Whether to draw pictures.")]
 
 
 @contextmanager

@@ -15,8 +15,8 @@ Valves = Annotated[
         help="Presets or model files (paper:2: channel 2), files of measured curves. Default: the paper's.",
     ),
 ]
-Signal = Annotated[str, typer.Option(help="What modelled valves are read over: current or command.")]
-Seconds = Annotated[str, typer.Option(help="Sweeps of modelled valves, s.")]
+Signal = Annotated[str, typer.Option(help="Signal axis of modelled valves: current or command.")]
+Seconds = Annotated[str, typer.Option(help="Sweep times of modelled valves, s, separated by commas.")]
 SignalColumn = Annotated[str | None, typer.Option(help="Name or number. Default: the first.")]
 FlowColumn = Annotated[str | None, typer.Option(help="Name or number. Default: the second.")]
 TimeColumn = Annotated[str | None, typer.Option(help="Name or number, if there is one.")]
@@ -32,7 +32,7 @@ SweepPeriod = Annotated[
 ]
 OneValve = Annotated[bool, typer.Option("--one-valve", help="The measured files are sweeps of one valve.")]
 Controllers = Annotated[
-    str, typer.Option(help="Pairs of modelled valves are compared under these; `none`: not at all.")
+    str, typer.Option(help="Controllers that drive each pair of modelled valves; `none`: no pairs.")
 ]
 Seeds = Annotated[int, typer.Option(min=1, help="Seeds of the sensor noise per pair.")]
 
@@ -58,8 +58,8 @@ def valve_test(
 ) -> None:
     """Measure steady flow curves as in ISO 10770-1.
 
-    Dead zone, hysteresis, gain, linearity, ... of modelled or measured valves, whether a loop is lag, and the
-    most alike pair of several valves; writes valve_test.json, curves.csv and pictures.
+    Dead zone, hysteresis, gain, linearity, ... of modelled or measured valves, lag or hysteresis, and the most similar
+    pair of several valves; writes valve_test.json, curves.csv and pictures.
     """
     with writing(out) as folder:
         from hydro_env.experiments import valve_test as work
