@@ -45,8 +45,6 @@ LONGER = {
     "hydro_env.plant.rhs.rates": "the equations of the plant, read from top to bottom",
 }
 LONGER_FOR_NOW = {
-    "hydro_env.benchmark.command._scores",
-    "hydro_env.benchmark.command.run",
     "hydro_env.envs.batch.HydraulicSyncVectorEnv.__init__",
     "hydro_env.experiments.blind_trials.table",
     "hydro_env.experiments.close_loop.run",
@@ -71,7 +69,6 @@ CROWDED = {
     "hydro_env.diagnosis.workflow.diagnose": "an option each",
 }
 CROWDED_FOR_NOW = {
-    "hydro_env.benchmark.command.run",
     "hydro_env.envs.batch.HydraulicSyncVectorEnv.__init__",
     "hydro_env.envs.step_kernels.look",
     "hydro_env.experiments.close_loop.run",

@@ -2,11 +2,13 @@
 
 import json
 import re
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
-from hydro_env.benchmark.command import _specs, run
+from hydro_env.benchmark import command
+from hydro_env.benchmark.command import Conditions, Selection, _specs
 from hydro_env.benchmark.report import scores_page, scores_table
 from hydro_env.cli import main
 from hydro_env.controllers import CONTROLLERS, make_controller
@@ -14,6 +16,19 @@ from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
 
 SMALL = {"splits": ["test_interp"], "scenarios": ["setpoint_steps"], "cases": 4, "progress": False}
+
+
+def run(out, *, controllers=None, **settings):
+    """`command.run` with the settings of its selection and conditions by name."""
+    chosen = {
+        kind: kind(**{f.name: settings.pop(f.name) for f in fields(kind) if f.name in settings})
+        for kind in (Selection, Conditions)
+    }
+    return command.run(
+        out, controllers=controllers, selection=chosen[Selection], conditions=chosen[Conditions], **settings
+    )
+
+
 METRICS = {
     "max_speed_difference_rpm",
     "rms_speed_difference_rpm",

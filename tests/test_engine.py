@@ -18,7 +18,7 @@ from hydro_env.parallel import ATTEMPTS, Failure, Store, run
 from tests.engine_tasks import Kills, fragile, note, note_node, numbers
 
 ROOT = Path(__file__).parents[1]
-SMALL = {"splits": ["val"], "scenarios": ["setpoint_steps", "sine"], "cases": 3, "progress": False}
+SMALL = {"selection": command.Selection("full", ["val"], ["setpoint_steps", "sine"], 3), "progress": False}
 
 
 def begun(folder, task):
@@ -170,12 +170,17 @@ def test_benchmark_keeps_finished_cells(tmp_path, monkeypatch):
     mine.write_text(text.replace("0.2", "0.3"))
     again = command.run(None, **given)
     assert driven[4:] == ["Mine"] * 2 and again != first
-    command.run(None, **{**given, "seed": 1})
+    command.run(None, **given, conditions=command.Conditions(seed=1))
     assert len(driven) == 10
 
 
 def test_benchmark_names_a_controller_that_kills():
-    scores = command.run(None, controllers=[Kills(), "pid_paper"], jobs=2, **{**SMALL, "scenarios": ["sine"]})
+    scores = command.run(
+        None,
+        controllers=[Kills(), "pid_paper"],
+        jobs=2,
+        **{**SMALL, "selection": command.Selection("full", ["val"], ["sine"], 3)},
+    )
     assert [entry["controller"] for entry in scores["failed"]] == ["kills"]
     assert all("SIGKILL" in entry["reason"] for entry in scores["failed"])
     assert {row["controller"] for row in scores["rows"]} == {"pid_paper"}

@@ -33,7 +33,7 @@ from hydro_env.parallel import Failure, Store, check_engine
 from hydro_env.parallel import run as run_tasks
 from hydro_env.tasks import METRICS, SCENARIOS, SPLITS, Trace
 
-__all__ = ["SCHEMA", "run"]
+__all__ = ["SCHEMA", "Conditions", "Selection", "run"]
 
 SCHEMA = "hydro_env/scores/1"
 BASELINE = "pid_tuned"
@@ -67,18 +67,61 @@ class Cell:
     failure: str | None = None
 
 
+@dataclass(frozen=True)
+class Selection:
+    """What is driven: a suite ("quick", "full" or a YAML file, see suite.yaml), narrowed or widened to these splits, scenarios
+    and cases per split."""
+
+    suite: str | Path = "full"
+    splits: Sequence[str] | None = None
+    scenarios: Sequence[str] | None = None
+    cases: int | None = None
+
+    def load(self) -> Suite:
+        """The suite. InputError for a name that does not exist."""
+        known: dict[str, Iterable[str]] = {"splits": SPLITS, "scenarios": SCENARIOS, "metrics": METRICS}
+        narrowed = load_suite(self.suite, **known).narrowed(self.splits, self.scenarios, self.cases)
+        chosen = check_suite(narrowed, known, "benchmark")
+        for split, wanted in chosen.splits.items():
+            listed = SPLITS[split].cases
+            if listed is not None and wanted > listed:
+                raise InputError(
+                    f"split {split!r}: {wanted} cases are asked for, there are {listed} pairs of valves"
+                )
+        return chosen
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What every controller meets: a plant (preset, model file or model), the control period in s and the seeds, `seed + i`
+    for case i; `limit` is the time in s that it may take by itself for one split and scenario before it counts as failed."""
+
+    plant: Any = "paper_dead_zone"
+    control_period: float = 0.01
+    seed: int = 0
+    limit: float = LIMIT
+
+    def check(self, suite: Suite) -> None:
+        """InputError for what every controller would fail by: a plant, a control period or a seed that cannot be."""
+        if self.seed < 0:
+            raise InputError(f"seed is {self.seed}, expected a whole number of at least 0")
+        if not self.limit > 0.0:
+            raise InputError(f"limit must be more than 0 s, not {self.limit:g}")
+        HydraulicSyncVectorEnv(
+            1,
+            plant=self.plant,
+            mismatch=next(iter(suite.splits)),
+            scenario=suite.scenarios[0],
+            control_period=self.control_period,
+        )
+
+
 def run(
     out: str | Path | None,
     *,
     controllers: Sequence[Any] | None = None,
-    suite: str | Path = "full",
-    splits: Sequence[str] | None = None,
-    scenarios: Sequence[str] | None = None,
-    cases: int | None = None,
-    seed: int = 0,
-    plant: Any = "paper_dead_zone",
-    control_period: float = 0.01,
-    limit: float = LIMIT,
+    selection: Selection | None = None,
+    conditions: Conditions | None = None,
     engine: str = "local",
     jobs: int = 1,
     cells_folder: str | Path | None = None,
@@ -90,71 +133,38 @@ def run(
         out: folder to write to, made if need be; None writes nothing.
         controllers: names of `CONTROLLERS`, gains or policy files, `module:Class`, `file.py:Class` or
             objects with `reset` and `act`; "all" stands for all that ship. By default those.
-        suite: "quick", "full" or a YAML file (see suite.yaml).
-        splits, scenarios, cases: narrow or widen the suite.
-        seed: case i has the seed `seed + i`.
-        plant: preset or model file under test.
-        control_period: s.
-        limit: s that a controller may take by itself for one split and scenario; one that takes longer has failed there.
+        selection: what they drive; the full suite by default.
+        conditions: on what.
         engine, jobs: where the cells run, see `hydro_env.parallel`; makes no difference to the scores.
         cells_folder: keeps finished cells, and gives back those that are still the same.
         progress: whether to show a progress bar.
 
     Returns what scores.json holds. InputError for a name that does not exist.
     """
-    chosen = _suite(suite, splits, scenarios, cases)
+    chosen, conditions = (selection or Selection()).load(), conditions or Conditions()
     check_engine(engine, jobs)
-    _check_place(chosen, seed, plant, control_period)
-    if not limit > 0.0:
-        raise InputError(f"limit must be more than 0 s, not {limit:g}")
-    specs = _specs(controllers or ["all"])
-    cells = list(_cells(specs, chosen))
+    conditions.check(chosen)
+    cells = list(_cells(_specs(controllers or ["all"]), chosen))
     with nullcontext() if out is None else output_folder(out) as folder:
-        where = {"seed": seed, "plant": plant, "control_period": control_period}
         done = run_tasks(
             cells,
-            partial(_run_cell, **where, limit=limit),
+            partial(_run_cell, conditions=conditions),
             engine=engine,
             jobs=jobs,
             progress=progress,
             unit="episode",
             size=lambda cell: cell.cases,
-            store=None if cells_folder is None else Store(cells_folder, partial(_key, **where)),
+            store=None if cells_folder is None else Store(cells_folder, partial(_key, conditions=conditions)),
         )
         done = [
             replace(cell, failure=result.reason) if isinstance(result, Failure) else result
             for cell, result in zip(cells, done, strict=True)
         ]
-        scores = _scores(done, chosen, seed=seed, plant=plant, control_period=control_period)
+        scores = _scores(done, chosen, conditions)
         if folder is not None:
             write_json(folder / "scores.json", scores)
-            write_text(folder / "scores.html", scores_page(scores, _traces(done, control_period)))
+            write_text(folder / "scores.html", scores_page(scores, _traces(done, conditions.control_period)))
     return scores
-
-
-def _suite(suite: str | Path, splits: Any, scenarios: Any, cases: int | None) -> Suite:
-    known: dict[str, Iterable[str]] = {"splits": SPLITS, "scenarios": SCENARIOS, "metrics": METRICS}
-    chosen = check_suite(load_suite(suite, **known).narrowed(splits, scenarios, cases), known, "benchmark")
-    for split, wanted in chosen.splits.items():
-        listed = SPLITS[split].cases
-        if listed is not None and wanted > listed:
-            raise InputError(
-                f"split {split!r}: {wanted} cases are asked for, there are {listed} pairs of valves"
-            )
-    return chosen
-
-
-def _check_place(suite: Suite, seed: int, plant: Any, control_period: float) -> None:
-    """InputError for what every controller would fail by: a plant, a control period or a seed that cannot be."""
-    if seed < 0:
-        raise InputError(f"seed is {seed}, expected a whole number of at least 0")
-    HydraulicSyncVectorEnv(
-        1,
-        plant=plant,
-        mismatch=next(iter(suite.splits)),
-        scenario=suite.scenarios[0],
-        control_period=control_period,
-    )
 
 
 def _specs(controllers: Sequence[Any]) -> list[Any]:
@@ -184,15 +194,16 @@ def _cells(specs: Sequence[Any], suite: Suite) -> Iterator[Cell]:
                 yield Cell(portable, name, split, scenario, cases, needs=needs, plant=plant)
 
 
-def _key(cell: Cell, **where: Any) -> str | None:
+def _key(cell: Cell, conditions: Conditions) -> str | None:
     """What the result of a cell depends on besides our own code: also the content of the files that it names.
     None for what cannot be compared. (What a controller's file imports from elsewhere is not seen.)
     """
     try:
-        named = [_content(cell.controller), _content(where.pop("plant"))]
+        named = [_content(cell.controller), _content(conditions.plant)]
     except Exception:
         return None
-    return repr((named, cell.name, cell.split, cell.scenario, cell.cases, sorted(where.items())))
+    where = (conditions.control_period, conditions.seed)
+    return repr((named, cell.name, cell.split, cell.scenario, cell.cases, where))
 
 
 def _content(spec: Any) -> str:
@@ -208,7 +219,7 @@ def _content(spec: Any) -> str:
     return f"{spec} {hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ''}"
 
 
-def _run_cell(cell: Cell, *, seed: int, plant: Any, control_period: float, limit: float) -> Cell:
+def _run_cell(cell: Cell, conditions: Conditions) -> Cell:
     """The cell with its scores. Whatever a controller raises is the failure of its cell alone, and nothing that it keeps
     from one cell reaches another: every cell has a controller of its own.
     """
@@ -216,12 +227,12 @@ def _run_cell(cell: Cell, *, seed: int, plant: Any, control_period: float, limit
     own = getattr(controller, "plant", None)
     done = roll_out(
         controller,
-        [seed + i for i in range(cell.cases)],
-        plant=own or plant,
+        [conditions.seed + i for i in range(cell.cases)],
+        plant=own or conditions.plant,
         mismatch=None if own else cell.split,
         scenario=cell.scenario,
-        control_period=control_period,
-        limit=limit,
+        control_period=conditions.control_period,
+        limit=conditions.limit,
     )
     metrics = done.metrics(METRICS)
     for name, values in metrics.items():
@@ -257,78 +268,76 @@ def _thinned(trace: Trace, case: int) -> dict[str, Any]:
     }
 
 
-def _scores(
-    cells: list[Cell], suite: Suite, *, seed: int, plant: Any, control_period: float
-) -> dict[str, Any]:
+def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str, Any]:
     names = list(dict.fromkeys(cell.name for cell in cells))
     baseline = BASELINE if BASELINE in names else names[0]
-    theirs = {(cell.split, cell.scenario): cell for cell in cells if cell.name == baseline}
-    rows, better = [], []
-    summaries: dict[tuple[str, str, str, str], Summary] = {}
-    for cell in cells:
-        for metric in suite.metrics if cell.metrics else ():
-            summary = summarise(cell.metrics[metric], strata=cell.strata, seed=seed)
-            summaries[cell.name, cell.split, cell.scenario, metric] = summary
-            where = {
-                "controller": cell.name,
-                "split": cell.split,
-                "scenario": cell.scenario,
-                "metric": metric,
-            }
-            rows.append(
-                {
-                    **where,
-                    "iqm": summary.iqm,
-                    "ci95": list(summary.ci95),
-                    "cvar95": summary.cvar95,
-                    "n": summary.n,
-                }
-            )
-            other = theirs[cell.split, cell.scenario]
-            if cell.name != baseline and other.metrics:
-                chance = probability_of_improvement(cell.metrics[metric], other.metrics[metric])
-                better.append({**where, "over": baseline, "probability": chance})
-    closed = []
-    for (name, *place), summary in summaries.items():
-        split, scenario, metric = place
-        ends = [summaries.get((end, split, scenario, metric)) for end in (baseline, BOUND)]
-        share = None if ends[0] is None or ends[1] is None else gap_closed(summary, ends[0], ends[1])
-        if name not in (baseline, BOUND) and share is not None:
-            closed.append(
-                {
-                    "controller": name,
-                    "split": split,
-                    "scenario": scenario,
-                    "metric": metric,
-                    "over": baseline,
-                    "bound": BOUND,
-                    "share": share,
-                }
-            )
-    failed = [
-        {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, "reason": cell.failure}
+    summaries = {
+        (cell.name, cell.split, cell.scenario, metric): summarise(
+            cell.metrics[metric], strata=cell.strata, seed=conditions.seed
+        )
         for cell in cells
-        if cell.failure is not None
-    ]
+        for metric in (suite.metrics if cell.metrics else ())
+    }
+    plant = conditions.plant
     label = plant if isinstance(plant, str) else str(getattr(plant, "name", plant))
     return {
         "schema": SCHEMA,
         "suite": suite.name,
-        "about": f"Suite {suite.name} on the plant {label}, control period {control_period * 1000:g} ms, seed {seed}.",
+        "about": f"Suite {suite.name} on the plant {label}, control period {conditions.control_period * 1000:g} ms, "
+        f"seed {conditions.seed}.",
         "plant": label,
-        "seed": seed,
-        "control_period_s": control_period,
+        "seed": conditions.seed,
+        "control_period_s": conditions.control_period,
         "splits": suite.splits,
         "controllers": names,
         "needs": {cell.name: cell.needs for cell in cells},
         "own_plant": {cell.name: cell.plant for cell in cells if cell.plant is not None},
         "baseline": baseline,
         "bound": BOUND if BOUND in names else None,
-        "rows": rows,
-        "failed": failed,
-        "improvement": better,
-        "gap_closed": closed,
+        "rows": [
+            {**_place(*key), "iqm": s.iqm, "ci95": list(s.ci95), "cvar95": s.cvar95, "n": s.n}
+            for key, s in summaries.items()
+        ],
+        "failed": [
+            {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, "reason": cell.failure}
+            for cell in cells
+            if cell.failure is not None
+        ],
+        "improvement": _improvement(cells, suite, baseline),
+        "gap_closed": _gaps_closed(summaries, baseline),
     }
+
+
+def _place(controller: str, split: str, scenario: str, metric: str) -> dict[str, str]:
+    return {"controller": controller, "split": split, "scenario": scenario, "metric": metric}
+
+
+def _improvement(cells: list[Cell], suite: Suite, baseline: str) -> list[dict[str, Any]]:
+    """How probably each cell's controller does better than the baseline on the same case."""
+    theirs = {(cell.split, cell.scenario): cell for cell in cells if cell.name == baseline}
+    rows: list[dict[str, Any]] = []
+    for cell in cells:
+        other = theirs[cell.split, cell.scenario]
+        if cell.name == baseline or not cell.metrics or not other.metrics:
+            continue
+        for metric in suite.metrics:
+            chance = probability_of_improvement(cell.metrics[metric], other.metrics[metric])
+            place = _place(cell.name, cell.split, cell.scenario, metric)
+            rows.append({**place, "over": baseline, "probability": chance})
+    return rows
+
+
+def _gaps_closed(summaries: dict[tuple[str, str, str, str], Summary], baseline: str) -> list[dict[str, Any]]:
+    """Which share of the way from the baseline to the bound each controller has gone, where there is a gap."""
+    rows: list[dict[str, Any]] = []
+    for (name, *where), summary in summaries.items():
+        split, scenario, metric = where
+        ends = [summaries.get((end, split, scenario, metric)) for end in (baseline, BOUND)]
+        share = None if ends[0] is None or ends[1] is None else gap_closed(summary, ends[0], ends[1])
+        if name not in (baseline, BOUND) and share is not None:
+            place = _place(name, split, scenario, metric)
+            rows.append({**place, "over": baseline, "bound": BOUND, "share": share})
+    return rows
 
 
 def _traces(cells: list[Cell], control_period: float) -> dict[str, Any] | None:

@@ -174,7 +174,9 @@ def _drawing(traces: Any, published: float) -> Any:
 
 # --- 2. the leaderboard -----------------------------------------------------------------------------------------------
 def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
-    scores = benchmark.run(out, suite="quick", seed=seed, jobs=jobs)
+    scores = benchmark.run(
+        out, selection=benchmark.Selection("quick"), conditions=benchmark.Conditions(seed=seed), jobs=jobs
+    )
     cells = {(row["controller"], row["scenario"], row["metric"]): row for row in scores["rows"]}
     rows = []
     for name in scores["controllers"]:
