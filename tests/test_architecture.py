@@ -46,7 +46,6 @@ LONGER = {
 }
 LONGER_FOR_NOW = {
     "hydro_env.envs.batch.HydraulicSyncVectorEnv.__init__",
-    "hydro_env.experiments.blind_trials.table",
     "hydro_env.experiments.close_loop.run",
     "hydro_env.experiments.near_limit.measure_ratio",
     "hydro_env.measured.inspect._guessed",

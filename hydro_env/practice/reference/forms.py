@@ -46,104 +46,57 @@ class FormConstant:
         return float(self.low + (self.high - self.low) * share)
 
 
-CONSTANTS = (
+#: name, unit, least, greatest, by factors, reason
+_ROWS = (
     # --- driver ---
-    FormConstant(
-        "driver_knee", "1", 6.0, 60.0, True, "exponent of the p-norm: an output stage lacks 11 to 1 % at its limit"
-    ),
+    ("driver_knee", "1", 6.0, 60.0, True, "exponent of the p-norm: an output stage lacks 11 to 1 % at its limit"),
     # --- opening ---
-    FormConstant(
-        "clearance", "m", 1.5e-6, 1.5e-5, True, "radial clearance of spool and sleeve: 2 to 5 um new, more where edges wear"
-    ),
-    FormConstant(
-        "saturation_knee", "1", 4.0, 40.0, True, "exponent of the p-norm: round ports lack 16 to 1.7 % at the limit"
-    ),
-    FormConstant(
-        "gain_blend", "m", 3e-7, 1e-5, True, "opening over which the gains of the directions blend: of the edges' radius"
-    ),
-    FormConstant(
+    ("clearance", "m", 1.5e-6, 1.5e-5, True, "radial clearance of spool and sleeve: 2 to 5 um new, more where edges wear"),
+    ("saturation_knee", "1", 4.0, 40.0, True, "exponent of the p-norm: round ports lack 16 to 1.7 % at the limit"),
+    ("gain_blend", "m", 3e-7, 1e-5, True, "opening over which the gains of the directions blend: of the edges' radius"),
+    (
         "notch_power", "1", 0.5, 2.0, True,
         "power with which the gain grows with the opening: 0.5 for round grooves, 1 for triangular, 2 for parabolic ones",
     ),
     # --- flow and supply ---
-    FormConstant(
+    (
         "orifice_transition", "1", 0.003, 0.05, True,
         "pressure drop over the supply's below which an edge's flow is laminar: 0.3 to 5 bar of 100 bar",
     ),
-    FormConstant(
-        "supply_share", "1", 0.5, 0.95, False, "share of the memory in the first of two lags, pump and line; 1 would be one lag"
-    ),
+    ("supply_share", "1", 0.5, 0.95, False, "share of the memory in the first of two lags, pump and line; 1 would be one lag"),
     # --- force on the spool ---
-    FormConstant(
-        "stop_reach", "1", 0.75, 1.35, True, "mean travel of the loop's stops over its width: steels differ in their curves"
-    ),
-    FormConstant(
-        "stop_softness", "1", 4.0, 30.0, True, "power with which a stop gives way: rounded to nearly square minor loops"
-    ),
-    FormConstant(
-        "bristle_elastic", "1", 0.3, 0.95, False, "share of its limit up to which the second bristle is elastic (Dupont 2002)"
-    ),
-    FormConstant(
-        "bristle_damping", "1", 0.1, 3.0, True, "damping of the second bristle over the first's: oil film to gum"
-    ),
-    FormConstant(
-        "bristle_stiffness", "1", 0.3, 3.0, True, "stiffness of the second bristle over the first's: particles and varnish"
-    ),
-    FormConstant(
-        "bristle_stribeck", "1", 0.3, 3.0, True, "Stribeck speed of the second bristle over the first's, set by the film"
-    ),
-    FormConstant(
-        "preload_travel", "m", 3e-6, 3e-5, True, "travel over which a preloaded spring takes hold: play of its washers"
-    ),
+    ("stop_reach", "1", 0.75, 1.35, True, "mean travel of the loop's stops over its width: steels differ in their curves"),
+    ("stop_softness", "1", 4.0, 30.0, True, "power with which a stop gives way: rounded to nearly square minor loops"),
+    ("bristle_elastic", "1", 0.3, 0.95, False, "share of its limit up to which the second bristle is elastic (Dupont 2002)"),
+    ("bristle_damping", "1", 0.1, 3.0, True, "damping of the second bristle over the first's: oil film to gum"),
+    ("bristle_stiffness", "1", 0.3, 3.0, True, "stiffness of the second bristle over the first's: particles and varnish"),
+    ("bristle_stribeck", "1", 0.3, 3.0, True, "Stribeck speed of the second bristle over the first's, set by the film"),
+    ("preload_travel", "m", 3e-6, 3e-5, True, "travel over which a preloaded spring takes hold: play of its washers"),
     # --- line ---
-    FormConstant(
-        "air_exponent", "1", 1.0, 1.4, False, "polytropic exponent of the air: isothermal to adiabatic"
-    ),
-    FormConstant(
-        "line_transition", "m3/s", 2e-6, 4e-5, True, "flow below which a fitting is laminar: Re of 10 to 100 in 4 to 10 mm"
-    ),
-    FormConstant(
-        "relief_rounding", "Pa", 1e4, 1.5e5, True, "pressure over which a poppet cracks: seat leakage and friction"
-    ),
-    FormConstant(
+    ("air_exponent", "1", 1.0, 1.4, False, "polytropic exponent of the air: isothermal to adiabatic"),
+    ("line_transition", "m3/s", 2e-6, 4e-5, True, "flow below which a fitting is laminar: Re of 10 to 100 in 4 to 10 mm"),
+    ("relief_rounding", "Pa", 1e4, 1.5e5, True, "pressure over which a poppet cracks: seat leakage and friction"),
+    (
         "relief_growth", "1", 0.0, 1.0, False,
         "power of pressure over setting in the conductance: 0.5 for a poppet whose edge is an orifice, more with a wide cone",
     ),
     # --- motor and load ---
-    FormConstant(
-        "drag_transition", "rad/s", 0.3, 10.0, True, "speed below which churning is laminar: 3 to 100 rpm"
-    ),
-    FormConstant(
-        "shaft_travel", "rad", 5e-4, 2e-2, True, "turn over which the shaft's friction builds up: hard contacts to lip seals"
-    ),
-    FormConstant(
-        "shaft_damping", "1", 0.1, 2.0, True, "damping of that bristle over critical with the inertia"
-    ),
-    FormConstant(
-        "shaft_damping_speed", "rad/s", 0.1, 3.0, True, "speed over which that damping fades, so that sliding is not damped"
-    ),
-    FormConstant(
-        "shaft_stribeck", "1", 1.0, 2.0, False, "power in the Stribeck curve: Tustin's 1 to Gauss' 2"
-    ),
-    FormConstant("ripple_second", "1", 0.0, 0.5, False, "second harmonic of the ripple over the first"),
-    FormConstant("ripple_phase", "rad", -math.pi, math.pi, False, "phase of the second harmonic, of no preference"),
-    FormConstant(
-        "dry_speed", "rad/s", 0.03, 1.0, True, "speed over which the dry friction of loss models turns: 0.3 to 10 rpm"
-    ),
-    FormConstant(
-        "gap_transition", "Pa", 2e3, 1e5, True, "pressure below which the turbulent leak of a gap is laminar"
-    ),
-    FormConstant(
-        "backlash_damping", "rad", 1e-3, 3e-2, True, "twist at which a coupling's damping is half its own: its rubber wets"
-    ),
+    ("drag_transition", "rad/s", 0.3, 10.0, True, "speed below which churning is laminar: 3 to 100 rpm"),
+    ("shaft_travel", "rad", 5e-4, 2e-2, True, "turn over which the shaft's friction builds up: hard contacts to lip seals"),
+    ("shaft_damping", "1", 0.1, 2.0, True, "damping of that bristle over critical with the inertia"),
+    ("shaft_damping_speed", "rad/s", 0.1, 3.0, True, "speed over which that damping fades, so that sliding is not damped"),
+    ("shaft_stribeck", "1", 1.0, 2.0, False, "power in the Stribeck curve: Tustin's 1 to Gauss' 2"),
+    ("ripple_second", "1", 0.0, 0.5, False, "second harmonic of the ripple over the first"),
+    ("ripple_phase", "rad", -math.pi, math.pi, False, "phase of the second harmonic, of no preference"),
+    ("dry_speed", "rad/s", 0.03, 1.0, True, "speed over which the dry friction of loss models turns: 0.3 to 10 rpm"),
+    ("gap_transition", "Pa", 2e3, 1e5, True, "pressure below which the turbulent leak of a gap is laminar"),
+    ("backlash_damping", "rad", 1e-3, 3e-2, True, "twist at which a coupling's damping is half its own: its rubber wets"),
     # --- fluid and sensor ---
-    FormConstant(
-        "drift_bend", "1", -0.5, 0.8, False, "how much faster (or slower) than a single exponential a tank warms at first"
-    ),
-    FormConstant(
-        "lag_share", "1", 0.5, 0.95, False, "share of the lag in the first of two filters, gate and display; 1 would be one"
-    ),
+    ("drift_bend", "1", -0.5, 0.8, False, "how much faster (or slower) than a single exponential a tank warms at first"),
+    ("lag_share", "1", 0.5, 0.95, False, "share of the lag in the first of two filters, gate and display; 1 would be one"),
 )  # fmt: skip
+#: Every constant but the stops.
+CONSTANTS = tuple(FormConstant(*row) for row in _ROWS)
 
 _REACH = 8.0  # widest over narrowest stop, at most
 
