@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation.unknowns import effect_unknowns, starts
+from hydro_env.diagnosis.estimation import effect_starts, effect_unknowns
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.report import wording
@@ -102,7 +102,7 @@ def test_its_words_and_its_experiment_are_those_of_the_report() -> None:
 def test_its_roles_decide_how_it_is_estimated() -> None:
     assert [p.role for p in SWELLING.parameters] == ["size", "time_constant"]
     # A time constant of a minute is tried as fast as the log is long.
-    first = starts(SWELLING, 6.0)
+    first = effect_starts(SWELLING, 6.0)
     assert {row["drift"] for row in first} == {0.4 * 6.0}
     amount, drift = effect_unknowns(SWELLING, first[0])
     assert drift.log and drift.prior and not amount.prior

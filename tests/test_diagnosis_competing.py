@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation.gauss_newton import solve
+from hydro_env.diagnosis.estimation import solve
 from hydro_env.diagnosis.stages.candidates import Accepted, Search, Selection
 from hydro_env.diagnosis.stages.elimination import compare_competing, drop_unneeded
 from hydro_env.diagnosis.stages.naming import name_effects

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis import diagnose
-from hydro_env.diagnosis.estimation.estimate import Estimate
-from hydro_env.diagnosis.estimation.unknowns import base_unknown, effect_unknowns, starts
+from hydro_env.diagnosis.estimation import Estimate, base_unknown, effect_starts, effect_unknowns
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import PARTED_SUBSTEP, SUBSTEP, DynamicRig
@@ -94,7 +93,7 @@ def test_the_model_as_given_explains_a_rig_without_surprise(fit_log: Path) -> No
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_every_effect_has_sensible_starts(name: str) -> None:
     effect = CATALOGUE[name]
-    rows = starts(effect, 12.0)
+    rows = effect_starts(effect, 12.0)
     assert rows
     for row in rows:
         for unknown in effect_unknowns(effect, row):

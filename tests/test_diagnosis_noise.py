@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation.noise import effective_samples, noise_floor
+from hydro_env.diagnosis.estimation import effective_samples, noise_floor
 
 
 def test_the_floor_of_white_noise_on_a_moving_signal() -> None:

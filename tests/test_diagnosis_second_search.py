@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation.estimate import Estimate
-from hydro_env.diagnosis.estimation.fit import Fit
-from hydro_env.diagnosis.estimation.gauss_newton import solve
-from hydro_env.diagnosis.estimation.unknowns import starts
+from hydro_env.diagnosis.estimation import Estimate, Fit, effect_starts, solve
 from hydro_env.diagnosis.stages.candidates import AT_EDGE, Search, judge
 from hydro_env.diagnosis.stages.second_search import is_lost, search_again
 from hydro_env.plant import CATALOGUE
@@ -57,6 +54,6 @@ def test_a_size_at_the_edge_counts_where_it_leaves_nothing(beyond: float, outcom
 
 def test_every_size_and_shape_is_a_start_where_the_whole_list_is_wanted() -> None:
     eccentric = CATALOGUE["eccentric_load"]
-    few, many = starts(eccentric, 12.0), starts(eccentric, 12.0, whole=True)
+    few, many = effect_starts(eccentric, 12.0), effect_starts(eccentric, 12.0, whole=True)
     assert {row["amplitude"] for row in few} < {row["amplitude"] for row in many}
     assert {row["phase"] for row in few} == {row["phase"] for row in many}

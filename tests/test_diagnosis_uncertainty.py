@@ -5,12 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation.estimate import Estimate
-from hydro_env.diagnosis.estimation.fit import Fit, noise_of
-from hydro_env.diagnosis.estimation.multistart import restart_friction
-from hydro_env.diagnosis.estimation.noise import noise_floor
+from hydro_env.diagnosis.estimation import Estimate, Fit, less_taken, noise_floor, noise_of, restart_friction
 from hydro_env.diagnosis.estimation.uncertainty import bootstrap
-from hydro_env.diagnosis.estimation.unknowns import less_taken
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig

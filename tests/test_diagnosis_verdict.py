@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation.estimate import Estimate
-from hydro_env.diagnosis.estimation.fit import Fit
-from hydro_env.diagnosis.estimation.gauss_newton import solve
-from hydro_env.diagnosis.estimation.uncertainty import Intervals, unpredictable
+from hydro_env.diagnosis.estimation import Estimate, Fit, solve, unpredictable
+from hydro_env.diagnosis.estimation.uncertainty import Intervals
 from hydro_env.diagnosis.models.base import Segment
 from hydro_env.diagnosis.stages.candidates import Accepted, Candidate, Search, Selection, at_edge
 from hydro_env.diagnosis.stages.form_correction import correction_leads_inside

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..measured import Finding
 from ..plant import PlantModel
-from .estimation.estimate import Estimate
-from .estimation.fit import Fit
+from .estimation import Estimate, Fit
 from .input.parts import Part
 from .models.base import RigModel
 from .settings import Settings

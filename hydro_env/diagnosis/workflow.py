@@ -18,7 +18,7 @@ from pathlib import Path
 from ..errors import InputError
 from ..measured import Mapping, RigLog
 from ..plant import PlantModel, load_model
-from .estimation.fit import Fit
+from .estimation import Fit
 from .input.checks import read_logs
 from .input.parts import Part
 from .models.base import RigModel

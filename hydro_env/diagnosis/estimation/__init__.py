@@ -1,1 +1,63 @@
-"""Parameter estimation: unknowns, noise, least squares, multistart, uncertainty."""
+"""Parameter estimation: what the stages of a diagnosis use.
+
+unknowns         numbers to estimate, with bounds, scale and prior
+estimate         unknowns with their values and what was simulated with these
+fit              likelihood, residuals and deviance of an estimate on the logs of a model
+noise            noise and independent samples of a residual
+gauss_newton     the solver
+multistart       restarts, where friction makes local minima
+growing_horizon  fits to the beginning of the logs first
+global_search    every effect from many starts
+explained        criteria: how much of a residual is explained
+uncertainty      block bootstrap
+"""
+
+from .estimate import Estimate, Vector, joined
+from .explained import (
+    could_pay,
+    explained_share,
+    mostly_explained,
+    nearly_all,
+    nearly_explained,
+    smallest_share,
+    unexplained,
+)
+from .fit import Fit, Noise, noise_of
+from .gauss_newton import differentiate, solve
+from .global_search import search_all
+from .growing_horizon import grow_horizon
+from .multistart import (
+    SETTLE_ITERATIONS,
+    far_from_noise,
+    restart_friction,
+    settle,
+    solve_in_all_directions,
+)
+from .noise import effective_samples, noise_floor
+from .uncertainty import (
+    CANNOT_BE_PREDICTED,
+    courses_apart,
+    intervals_of,
+    probability_of_gain,
+    unpredictable,
+)
+from .unknowns import (
+    SCALED_TOGETHER,
+    Unknown,
+    base_unknown,
+    bases_of,
+    effect_starts,
+    effect_unknowns,
+    less_taken,
+    limited_by_effects,
+    scaled,
+)
+
+__all__ = [
+    "CANNOT_BE_PREDICTED", "SCALED_TOGETHER", "SETTLE_ITERATIONS", "Estimate", "Fit", "Noise", "Unknown", "Vector",
+    "base_unknown", "bases_of", "could_pay", "courses_apart", "differentiate", "effect_starts", "effect_unknowns",
+    "effective_samples", "explained_share", "far_from_noise", "grow_horizon", "intervals_of", "joined", "less_taken",
+    "limited_by_effects", "mostly_explained", "nearly_all", "nearly_explained", "noise_floor", "noise_of",
+    "probability_of_gain", "restart_friction", "scaled", "search_all", "settle", "smallest_share", "solve",
+    "solve_in_all_directions", "unexplained", "unpredictable",
+]  # fmt: skip

@@ -19,7 +19,7 @@ from ...plant import CATALOGUE
 from .estimate import Estimate
 from .fit import Fit
 from .gauss_newton import solve
-from .unknowns import starts
+from .unknowns import effect_starts
 
 __all__ = ["search_all"]
 
@@ -50,7 +50,7 @@ def _starts(fit: Fit, calibrated: Estimate, effects: Sequence[str], seconds: flo
         every = [
             place.with_effect(name, start)
             for name in effects
-            for start in starts(CATALOGUE[name], seconds, whole=True)
+            for start in effect_starts(CATALOGUE[name], seconds, whole=True)
         ]
         fit.evaluate(every)
         found += _best([p for p in every if np.isfinite(p.cost)], len(every), of_one)

@@ -20,7 +20,7 @@ from .estimate import Estimate
 from .fit import Fit
 from .gauss_newton import solve
 from .multistart import restart_friction
-from .unknowns import starts as effect_starts
+from .unknowns import effect_starts
 
 __all__ = ["beginning_of", "grow_horizon"]
 

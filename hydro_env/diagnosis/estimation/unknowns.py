@@ -26,7 +26,7 @@ __all__ = [
     "less_taken",
     "limited_by_effects",
     "scaled",
-    "starts",
+    "effect_starts",
 ]
 
 #: Largest standard deviation of the prior of a base parameter, relative (or share of its range).
@@ -117,7 +117,7 @@ def base_unknown(parameter: Parameter, value: float, limited: bool = False) -> U
     return Unknown(parameter.name, parameter.unit, value, low, high, scale, log, True)
 
 
-def starts(effect: Effect, seconds: float, whole: bool = False) -> list[dict[str, float]]:
+def effect_starts(effect: Effect, seconds: float, whole: bool = False) -> list[dict[str, float]]:
     """Values of the effect's parameters worth a first look: sizes together, small to large, with every shape.
 
     `seconds` is the length of the longest log: nobody sees a drift of minutes in seconds. What comes in many shapes is given

@@ -7,11 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from ...plant import parameter_of
-from ..estimation.estimate import Estimate
-from ..estimation.fit import Fit
-from ..estimation.gauss_newton import solve
-from ..estimation.multistart import restart_friction, solve_in_all_directions
-from ..estimation.unknowns import Unknown, base_unknown, limited_by_effects
+from ..estimation import (
+    Estimate,
+    Fit,
+    Unknown,
+    base_unknown,
+    limited_by_effects,
+    restart_friction,
+    solve,
+    solve_in_all_directions,
+)
 from ..models.base import RigModel
 from ..settings import rule
 from ..state import Estimates, State

@@ -8,9 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..estimation.estimate import Estimate
-from ..estimation.explained import explained_share, nearly_explained
-from ..estimation.fit import Fit
+from ..estimation import Estimate, Fit, explained_share, nearly_explained
 from ..settings import rule
 from ..state import Estimates
 from .screening import Screening

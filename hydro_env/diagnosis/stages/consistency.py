@@ -17,7 +17,7 @@ import numpy as np
 from ...errors import InputError
 from ...measured import Finding
 from ...units import UNITS
-from ..estimation.fit import Fit, noise_of
+from ..estimation import Fit, noise_of
 from ..input.parts import filled
 from ..models.base import RigModel
 from ..models.shaft import shaft_speed

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from ...plant import CATALOGUE
-from ..estimation.estimate import Estimate
-from ..estimation.gauss_newton import solve
-from ..estimation.multistart import SETTLE_ITERATIONS, far_from_noise
-from ..estimation.unknowns import SCALED_TOGETHER
+from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, solve
 from ..settings import rule
 from .candidates import AFTER_ROUNDS, Accepted, Search, at_edge, is_neutral
 from .screening import alike

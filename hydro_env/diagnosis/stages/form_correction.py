@@ -16,13 +16,17 @@ import numpy as np
 
 from ...plant import CATALOGUE
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
-from ..estimation.estimate import Estimate, Vector
-from ..estimation.explained import explained_share
-from ..estimation.fit import Fit
-from ..estimation.gauss_newton import solve
-from ..estimation.growing_horizon import grow_horizon
-from ..estimation.multistart import far_from_noise, restart_friction
-from ..estimation.unknowns import Unknown
+from ..estimation import (
+    Estimate,
+    Fit,
+    Unknown,
+    Vector,
+    explained_share,
+    far_from_noise,
+    grow_horizon,
+    restart_friction,
+    solve,
+)
 from ..models.base import RigModel, view
 from ..settings import rule
 from ..state import Estimates, State

@@ -16,8 +16,7 @@ import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
 from ...units import RPM
-from ..estimation.estimate import Estimate
-from ..estimation.noise import effective_samples, noise_floor
+from ..estimation import Estimate, effective_samples, noise_floor
 from ..input.parts import Part, filled
 from ..models.base import RigModel, Segment
 from ..models.shaft import shaft_speed

@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...plant import CATALOGUE, PlantModel, parameter_of
-from ..estimation.estimate import Estimate
-from ..estimation.fit import Fit
-from ..estimation.uncertainty import intervals_of, probability_of_gain
+from ..estimation import Estimate, Fit, intervals_of, probability_of_gain
 from ..models.base import RigModel
 from ..state import Estimates, State
 from .candidates import Accepted, Selection

@@ -16,7 +16,7 @@ from ...plant import simulate
 from ...plant.catalogue import separating_experiment
 from ...plant.sensors import NOISE
 from ...waveforms import triangle
-from ..estimation.estimate import Estimate
+from ..estimation import Estimate
 from ..models.base import UNITS, RigModel
 from ..models.dynamic_rig import DynamicRig
 from ..state import State

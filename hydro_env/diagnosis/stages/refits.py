@@ -5,10 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ..estimation.estimate import Estimate
-from ..estimation.fit import Fit
-from ..estimation.gauss_newton import differentiate, solve
-from ..estimation.unknowns import bases_of
+from ..estimation import Estimate, Fit, bases_of, differentiate, solve
 from ..settings import rule
 from ..state import Estimates
 

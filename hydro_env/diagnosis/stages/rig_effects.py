@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..estimation.estimate import Estimate, joined
-from ..estimation.gauss_newton import solve
-from ..estimation.multistart import settle
+from ..estimation import Estimate, joined, settle, solve
 from .candidates import (
     ACCEPTED,
     AFTER_ROUNDS,

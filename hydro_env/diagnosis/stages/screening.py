@@ -14,9 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..estimation.estimate import Estimate
-from ..estimation.fit import Fit
-from ..estimation.unknowns import less_taken, starts
+from ..estimation import Estimate, Fit, effect_starts, less_taken
 from ..models.base import Request
 from ..settings import rule
 from ..state import Estimates, State
@@ -107,7 +105,9 @@ def screen(
         for channel in estimates if effect.scope == "channel" else (None,):
             known = [k.start for k in earlier if (k.effect, k.channel) == (name, channel)]
             slow = effect.corner is not None and known
-            wanted += [(name, channel, start) for start in (known if slow else starts(effect, seconds))]
+            wanted += [
+                (name, channel, start) for start in (known if slow else effect_starts(effect, seconds))
+            ]
     results = fit.rig.predict([_request(estimates, *one) for one in wanted])
     left = {c: _Projector(fit, p, c, _deviations(fit, p, c)) for c, p in estimates.items()}
     noise = {

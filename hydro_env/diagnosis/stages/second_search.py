@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..estimation.estimate import Estimate
-from ..estimation.explained import mostly_explained, nearly_explained, unexplained
-from ..estimation.global_search import search_all
-from ..estimation.multistart import restart_friction, settle
+from ..estimation import (
+    Estimate,
+    mostly_explained,
+    nearly_explained,
+    restart_friction,
+    search_all,
+    settle,
+    unexplained,
+)
 from ..settings import rule
 from .candidates import ACCEPTED, OUTDONE, Accepted, Search, judge, penalty
 from .refits import restart_present

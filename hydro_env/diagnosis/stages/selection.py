@@ -13,11 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..estimation.estimate import Estimate
-from ..estimation.explained import could_pay, smallest_share
-from ..estimation.gauss_newton import solve
-from ..estimation.growing_horizon import grow_horizon
-from ..estimation.multistart import SETTLE_ITERATIONS, settle
+from ..estimation import SETTLE_ITERATIONS, Estimate, could_pay, grow_horizon, settle, smallest_share, solve
 from ..settings import rule
 from ..state import State
 from .candidates import ACCEPTED, AT_EDGE, OUTDONE, Accepted, Search, Selection, judge, penalty

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..estimation.noise import noise_floor
+from ..estimation import noise_floor
 from ..models.base import UNITS, RigModel
 from ..state import Estimates, State
 from .form_correction import changes

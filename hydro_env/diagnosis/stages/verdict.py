@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-from ..estimation.estimate import Estimate
-from ..estimation.explained import mostly_explained, nearly_all, unexplained
-from ..estimation.fit import Fit
-from ..estimation.uncertainty import CANNOT_BE_PREDICTED, courses_apart
+from ..estimation import (
+    CANNOT_BE_PREDICTED,
+    Estimate,
+    Fit,
+    courses_apart,
+    mostly_explained,
+    nearly_all,
+    unexplained,
+)
 from ..settings import rule
 from ..state import Estimates, State
 from .candidates import Selection, at_edge

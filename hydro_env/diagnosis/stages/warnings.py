@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from ...measured.finding import SPELLING
-from ..estimation.uncertainty import unpredictable
+from ..estimation import unpredictable
 from ..state import State
 from .naming import at_bounds
 from .screening import hidden_by_calibration
