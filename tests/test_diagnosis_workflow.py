@@ -102,7 +102,7 @@ def test_the_estimated_model_drives_the_environment(tmp_path: Path) -> None:
 def test_bad_input_is_one_line(tmp_path: Path) -> None:
     fit = _axis(tmp_path, "fit", lambda u: u)
     mapping = tmp_path / "map.yaml"
-    with pytest.raises(InputError, match="no sealed log"):
+    with pytest.raises(InputError, match="no held-out log"):
         diagnose([fit], [], mapping=mapping)
     with pytest.raises(InputError, match="no such file"):
         diagnose([fit], [tmp_path / "missing.csv"], mapping=mapping)

@@ -527,7 +527,7 @@ def test_models_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert gain["rpm_less_than_best_other"] == pytest.approx(min(others) - own["max_speed_difference_rpm"])
     for picture in ("valve_test.png", "valve_rates.png"):
         assert (out / picture).stat().st_size > 10_000
-    assert "most alike" in capsys.readouterr().out
+    assert "most similar" in capsys.readouterr().out
 
 
 def test_measured_curve_on_the_command_line(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ class Settings:
     most_of_level: float = 0.5
     #: ... or this share in power.
     most_of_power: float = 0.8
-    #: Competing candidates whose gain is less than this share behind count as not told apart.
+    #: Competing candidates whose gain is less than this share behind count as indistinguishable.
     tied_share: float = 0.1
     #: Factor on a deviance by which competing candidates fall behind: models are never exact, so a likelihood is tempered.
     temper: float = 0.1

@@ -273,7 +273,7 @@ def _diagnosis(practice: Path, out: Path, seed: int) -> dict[str, Any]:
         "verdict": found["verdict"],
         "effects": effects,
         "parameters": parameters,
-        "picture": svg(_gaps(found["gap"]["sealed"]), "error on the sealed log before and after"),
+        "picture": svg(_gaps(found["gap"]["sealed"]), "error on the held-out log before and after"),
         "report": "diagnosis/report.html",
         "numbers": {"hidden": truth["effects"], **{key: found[key] for key in ("verdict", "effects", "gap")}},
     }
@@ -310,5 +310,5 @@ def _gaps(signals: dict[str, dict[str, float]]) -> Any:
         axis.invert_yaxis()
         axis.set_title(f"motor {name.split('_')[1]}; dashed: noise of the sensor", loc="left", fontsize=9)
         axis.grid(axis="y", visible=False)
-    axes[-1].set_xlabel("error on the sealed log (RMS), rpm")
+    axes[-1].set_xlabel("error on the held-out log (RMS), rpm")
     return drawing

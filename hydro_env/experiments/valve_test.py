@@ -318,13 +318,13 @@ def summary(data: dict[str, Any]) -> str:
         lines += [f"note: {finding}" for finding in [*valve["findings"], *check["findings"]]]
     lines += [f"note: {finding}" for finding in data["findings"]]
     for pair in data["pairs"][:3]:
-        mark = "most alike: " if pair is data["pairs"][0] else "            "
+        mark = "most similar: " if pair is data["pairs"][0] else "              "
         lines.append(
             f"{mark}{' and '.join(pair['valves'])}, {pair['distance_percent']:.1f} % of the largest flow apart"
         )
     found = data["synchronisation"]
     if found is not None:
-        lines.append("largest speed difference, rpm (tracking error)")
+        lines.append("peak synchronisation error, rpm (tracking error)")
         for row in found["pairs"]:
             lines.append(
                 f"  {row['controller']:14} {' + '.join(row['valves']):{2 * width + 3}} "
@@ -335,7 +335,7 @@ def summary(data: dict[str, Any]) -> str:
                 word, less = ("wins", "less") if gain["wins"] else ("does not win", "more")
                 share = gain["max_speed_difference_rpm"] / gain["mean_of_others_rpm"]
                 lines.append(
-                    f"  {gain['controller']}: the most alike pair {word}: {abs(gain['rpm_less_than_best_other']):.1f} rpm "
+                    f"  {gain['controller']}: the most similar pair {word}: {abs(gain['rpm_less_than_best_other']):.1f} rpm "
                     f"{less} than the best other pair, {100.0 * share:.0f} % of the others' mean; the same valve twice: "
                     f"{gain['twins_rpm']:.1f} rpm"
                 )

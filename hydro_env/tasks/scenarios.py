@@ -176,7 +176,7 @@ _ALL: tuple[Scenario, ...] = (
         "unequal_load", "400 rpm; the nominal torque on one motor only, then on the other", 6.0,
         [[0.2, 400.0]], _share([(1.5, 1.0, 0.0), (3.5, 0.0, 1.0), (5.0, 0.0, 0.0)]),
     ),
-    Scenario("disturbance", "400 rpm; from 1.5 s loads that swing against each other at 1.5 Hz", 5.0, _disturbance),
+    Scenario("disturbance", "400 rpm; from 1.5 s opposed loads that oscillate at 1.5 Hz", 5.0, _disturbance),
     Scenario(
         "random_steps", "for training: random set-points, random loads on each motor", 6.0, _random_steps, random=True
     ),

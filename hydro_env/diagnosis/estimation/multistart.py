@@ -20,7 +20,7 @@ from .gauss_newton import solve
 __all__ = ["far_from_noise", "restart_friction", "settle", "solve_in_all_directions"]
 
 RESTART_FRICTION = rule(
-    "restart_friction", "draw the spool's friction anew where little but more than noise is left"
+    "restart_friction", "restart with other spool friction where little but more than noise is left"
 )
 RESTART_AS_GIVEN = rule("restart_as_given", "refit what was taken also from the known parameters as given")
 ALL_DIRECTIONS = rule(

@@ -26,7 +26,7 @@ def read_logs(
     if not fit:
         raise InputError("no fit log; name at least one log to fit")
     if not held_out:
-        raise InputError("no sealed log; name at least one with --sealed (or a part of a run, LOG@FROM:TO)")
+        raise InputError("no held-out log; name at least one with --sealed (or a part of a run, LOG@FROM:TO)")
     read: dict[str, RigLog] = {}  # of an hour of log whose parts are in both, one reading
     parts, proofs = (read_parts(words, mapping, accept, read) for words in (fit, held_out))
     read.clear()

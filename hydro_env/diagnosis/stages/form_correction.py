@@ -43,7 +43,7 @@ LEFT_OUT = rule("left_out_stretches", "a correction of form must also help on st
 ADOPT_EARLIER = rule(
     "adopt_earlier", "go on from a correction that was found while a further effect was judged"
 )
-RESTART_CORRECTED = rule("restart_corrected", "begin a corrected model anew with other friction of the spool")
+RESTART_CORRECTED = rule("restart_corrected", "restart a corrected model with other spool friction")
 
 #: Iterations of a joint refit with a correction, of the one that is kept, of a halved one, and of a competing effect's.
 TRY_ITERATIONS, KEEP_ITERATIONS, HALF_ITERATIONS, BESIDE_ITERATIONS = 8, 12, 5, 5
