@@ -54,6 +54,7 @@ VALVE_PARAMETERS = (
 )  # fmt: skip
 #: Ports whose effects belong to a valve. Driver, supply and orifice law (its supply pressure) are the rig's.
 VALVE_PORTS = ("coil", "force", "opening")
+_CHANNELS = ("both", "channel_1", "channel_2")
 _SIDES = {"channel_1": (0,), "channel_2": (1,), "both": (0, 1), "rig": (0, 1)}
 
 
@@ -154,17 +155,12 @@ class PlantModel:
             data["substep"] = self.substep
         effects: dict[str, Any] = {name: {} for name in self.declared}
         for name, pair in self.values.items():
-            same = pair[0] == pair[1]
-            if "." not in name:
-                for side, channels in (
-                    (("both", (0,)),) if same else (("channel_1", (0,)), ("channel_2", (1,)))
-                ):
-                    data.setdefault(side, {})[name] = pair[channels[0]]
-                continue
-            effect, own = name.split(".", 1)
-            whole = "rig" if CATALOGUE[effect].scope == "rig" else "both"
-            for side, channels in ((whole, (0,)),) if same else (("channel_1", (0,)), ("channel_2", (1,))):
-                effects[effect].setdefault(side, {})[own] = pair[channels[0]]
+            effect, _, own = name.rpartition(".")
+            place = effects[effect] if effect else data
+            whole = "rig" if effect and CATALOGUE[effect].scope == "rig" else "both"
+            sides = {whole: pair[0]} if pair[0] == pair[1] else {"channel_1": pair[0], "channel_2": pair[1]}
+            for side, value in sides.items():
+                place.setdefault(side, {})[own] = value
         if effects:
             data["effects"] = effects
         return data
@@ -233,49 +229,90 @@ def _mapping(value: object, where: str) -> dict[Any, Any]:
     return value
 
 
+@dataclass
+class _Draft:
+    """A model while its file is read: the values by name, one for each channel, and the effects that were named."""
+
+    values: dict[str, list[float]]
+    declared: list[str]
+
+    def put(self, name: str, side: str, value: float) -> None:
+        """Sets a value on one side; the other channel keeps its own, or gets the nominal one."""
+        for channel in _SIDES[side]:
+            self.values.setdefault(name, [parameter_of(name).nominal] * 2)[channel] = value
+
+    def put_valve(self, valve: PlantModel, side: str) -> None:
+        """Gives a side the valve of another model's channel 1; effects that it lacks become neutral there."""
+        self.declared += [name for name in valve.declared if CATALOGUE[name].port in VALVE_PORTS]
+        for name in dict.fromkeys((*self.values, *valve.values)):
+            if _of_valve(name):
+                self.put(name, side, valve.value(name, 0))
+
+
+def _of_valve(name: str) -> bool:
+    """Whether a value belongs to the valve."""
+    effect, _, _ = name.rpartition(".")
+    return CATALOGUE[effect].port in VALVE_PORTS if effect else name in VALVE_PARAMETERS
+
+
 def _from_dict(data: object, where: str) -> PlantModel:
     data = _mapping(data, where)
-    known = {"schema", "name", "base", "substep", "both", "channel_1", "channel_2", "effects", "sources"}
+    known = {"schema", "name", "base", "substep", *_CHANNELS, "effects", "sources"}
     for key in data:
         if key not in known:
             raise InputError(f"{where}: unknown key {key!r}: {suggestion(key, known)}")
     if data.get("schema") != SCHEMA:
         raise InputError(f"{where}: schema is {data.get('schema')!r}, expected {SCHEMA!r}")
     base = load_model(data["base"]) if "base" in data else PlantModel()
-    values = {name: list(pair) for name, pair in base.values.items()}
-    declared = list(base.declared)
-    for side in ("both", "channel_1", "channel_2"):
-        if "valve" in (own_values := _mapping(data.get(side, {}), f"{where}: {side}")):
-            valve = _valve(own_values["valve"], f"{where}: {side}.valve")
-            for channel in _SIDES[side]:
-                _put_in(valve, channel, values, declared)
-    for side in ("both", "channel_1", "channel_2"):
-        for name, value in _mapping(data.get(side, {}), f"{where}: {side}").items():
+    draft = _Draft({name: list(pair) for name, pair in base.values.items()}, list(base.declared))
+    _read_channels(data, draft, where)
+    _read_effects(_mapping(data.get("effects", {}), f"{where}: effects"), draft, where)
+    _check_sources(_mapping(data.get("sources", {}), f"{where}: sources"), where)
+    try:
+        return PlantModel(
+            name=str(data.get("name", base.name)),
+            values={name: (pair[0], pair[1]) for name, pair in draft.values.items()},
+            declared=tuple(draft.declared),
+            substep=_number(data.get("substep", base.substep), f"{where}: substep"),
+        )
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _read_channels(data: Mapping[str, Any], draft: _Draft, where: str) -> None:
+    """Valves first, then base parameters, which may change those of the valve."""
+    for side in _CHANNELS:
+        if "valve" in (own := _mapping(data.get(side, {}), f"{where}: {side}")):
+            draft.put_valve(_valve(own["valve"], f"{where}: {side}.valve"), side)
+    for side in _CHANNELS:
+        for name, value in data.get(side, {}).items():
             if name == "valve":
                 continue
             if name not in PARAMETERS:
                 raise InputError(
                     f"{where}: {side}: unknown parameter {name!r}: {suggestion(name, PARAMETERS)}"
                 )
-            for channel in _SIDES[side]:
-                pair = values.setdefault(name, [PARAMETERS[name].nominal] * 2)
-                pair[channel] = _number(value, f"{where}: {side}.{name}")
-    for name, sides in _mapping(data.get("effects", {}), f"{where}: effects").items():
+            draft.put(name, side, _number(value, f"{where}: {side}.{name}"))
+
+
+def _read_effects(effects: Mapping[Any, Any], draft: _Draft, where: str) -> None:
+    for name, sides in effects.items():
         if name not in CATALOGUE:
             raise InputError(f"{where}: effects: unknown effect {name!r}: {suggestion(name, CATALOGUE)}")
-        declared.append(name)
+        draft.declared.append(name)
+        known = {p.name for p in CATALOGUE[name].parameters}
         for side, parameters in _mapping(sides, f"{where}: effects.{name}").items():
             if side not in _SIDES:
                 raise InputError(f"{where}: effects.{name}: unknown key {side!r}: {suggestion(side, _SIDES)}")
-            known_parameters = {p.name: p for p in CATALOGUE[name].parameters}
-            for own, value in _mapping(parameters, f"{where}: effects.{name}.{side}").items():
-                at = f"{where}: effects.{name}.{side}"
-                if own not in known_parameters:
-                    raise InputError(f"{at}: unknown parameter {own!r}: {suggestion(own, known_parameters)}")
-                for channel in _SIDES[side]:
-                    pair = values.setdefault(f"{name}.{own}", [known_parameters[own].nominal] * 2)
-                    pair[channel] = _number(value, f"{at}.{own}")
-    for name, text in _mapping(data.get("sources", {}), f"{where}: sources").items():
+            at = f"{where}: effects.{name}.{side}"
+            for own, value in _mapping(parameters, at).items():
+                if own not in known:
+                    raise InputError(f"{at}: unknown parameter {own!r}: {suggestion(own, known)}")
+                draft.put(f"{name}.{own}", side, _number(value, f"{at}.{own}"))
+
+
+def _check_sources(sources: Mapping[Any, Any], where: str) -> None:
+    for name, text in sources.items():
         if name not in CATALOGUE:
             try:
                 parameter_of(str(name))
@@ -283,15 +320,6 @@ def _from_dict(data: object, where: str) -> PlantModel:
                 raise InputError(f"{where}: sources: {error}") from None
         if not isinstance(text, str):
             raise InputError(f"{where}: sources.{name}: expected text, found {text!r}")
-    try:
-        return PlantModel(
-            name=str(data.get("name", base.name)),
-            values={name: (pair[0], pair[1]) for name, pair in values.items()},
-            declared=tuple(declared),
-            substep=_number(data.get("substep", base.substep), f"{where}: substep"),
-        )
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
 
 
 def _valve(source: object, where: str) -> PlantModel:
@@ -301,15 +329,6 @@ def _valve(source: object, where: str) -> PlantModel:
         return load_model(source)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
-
-
-def _put_in(valve: PlantModel, channel: int, values: dict[str, list[float]], declared: list[str]) -> None:
-    """Gives a channel the valve of another model's channel 1; effects that it lacks become neutral there."""
-    declared += [name for name in valve.declared if CATALOGUE[name].port in VALVE_PORTS]
-    for name in dict.fromkeys((*values, *valve.values)):
-        effect = name.split(".", 1)[0]
-        if name in VALVE_PARAMETERS or ("." in name and CATALOGUE[effect].port in VALVE_PORTS):
-            values.setdefault(name, [parameter_of(name).nominal] * 2)[channel] = valve.value(name, 0)
 
 
 # --- where values are from --------------------------------------------------------------------------------------------
@@ -322,22 +341,21 @@ def sources_of(source: str | Path | Mapping[str, Any]) -> dict[tuple[str, int], 
     data, where = _data(source)
     model = _from_dict(data, where)
     given = _given(data)
-    told = data.get("sources", {})
+    texts = data.get("sources", {})
     base = sources_of(data["base"]) if "base" in data else {}
     valves: dict[int, Any] = {}
-    for side in ("both", "channel_1", "channel_2"):
+    for side in _CHANNELS:
         for channel in _SIDES[side]:
             valves[channel] = data.get(side, {}).get("valve", valves.get(channel))
     found = {}
     for name in model.values:
         effect = name.split(".", 1)[0]
-        of_valve = name in VALVE_PARAMETERS or ("." in name and CATALOGUE[effect].port in VALVE_PORTS)
         for channel in (0, 1):
             text = base.get((name, channel))
-            if of_valve and valves[channel] is not None:
+            if _of_valve(name) and valves[channel] is not None:
                 text = sources_of(valves[channel]).get((name, 0))
             if (name, channel) in given:
-                text = told.get(name, told.get(effect, f"{where}, which does not say"))
+                text = texts.get(name, texts.get(effect, f"{where}, which does not say"))
             if text is None:
                 text = "neutral" if "." in name else PARAMETERS[name].source
             found[name, channel] = text
@@ -346,12 +364,7 @@ def sources_of(source: str | Path | Mapping[str, Any]) -> dict[tuple[str, int], 
 
 def _given(data: Mapping[str, Any]) -> set[tuple[str, int]]:
     """What a file gives itself: names of values and channels."""
-    given = {
-        (name, channel)
-        for side in ("both", "channel_1", "channel_2")
-        for name in data.get(side, {})
-        for channel in _SIDES[side]
-    }
+    given = {(name, channel) for side in _CHANNELS for name in data.get(side, {}) for channel in _SIDES[side]}
     for effect, sides in data.get("effects", {}).items():
         given |= {
             (f"{effect}.{own}", channel) for side in sides for own in sides[side] for channel in _SIDES[side]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ...plant import CATALOGUE
+from ...plant import BUILT_IN, CATALOGUE, Effect
 
 __all__ = ["EMPTY", "GROUPS", "WITH_NAME", "Case", "cases", "commands"]
 
@@ -39,19 +39,26 @@ _GROUP_SEEDS = {
     "nothing": 0, "parameters": 1000, "medium": 2000, "two": 3000, "unlisted": 4000, "small": 5000, "large": 6000,
     "speed_only": 7000, "current_too": 8000, "quiet": 9000, "noisy": 10000, "no_twins": 11000,
 }  # fmt: skip
-#: The effects that are hidden one by one, in the order of their seeds. Frozen: a new effect goes to the end.
-_ORDER = (
+
+
+def _and_new(frozen: tuple[str, ...], new: Iterable[Effect]) -> tuple[str, ...]:
+    """Effects in the order of their seeds: those of a frozen list, and whatever the catalogue has got since."""
+    return (*frozen, *(e.name for e in new if not e.family and e.name not in frozen))
+
+
+#: The effects that are hidden one by one.
+_ORDER = _and_new((
     "command_delay", "driver_saturation", "coil_heating", "magnetic_hysteresis", "spool_stiction", "spring_preload",
     "flow_force", "null_offset", "dead_zone", "flow_saturation", "directional_gain", "flow_gain_nonlinearity",
     "pressure_dependent_flow", "supply_droop", "entrained_air", "line_loss", "crossport_relief", "speed_dependent_leakage",
     "motor_coulomb_friction", "quadratic_drag", "displacement_ripple", "load_bias", "eccentric_load", "shaft_backlash",
     "viscosity_drift", "sensor_lag", "sensor_gain", "sensor_offset",
-)  # fmt: skip
+), (CATALOGUE[name] for name in BUILT_IN))  # fmt: skip
 #: The same for those whose declared twins are taken out, too.
-_ORDER_WITHOUT_TWINS = (
+_ORDER_WITHOUT_TWINS = _and_new((
     "command_delay", "magnetic_hysteresis", "spool_stiction", "spring_preload", "dead_zone", "line_loss", "quadratic_drag",
     "sensor_lag",
-)  # fmt: skip
+), (CATALOGUE[name] for name in BUILT_IN if CATALOGUE[name].indistinguishable_from))  # fmt: skip
 #: Groups in which something is hidden that may be named.
 WITH_NAME = frozenset(GROUPS) - {"nothing", "parameters", "unlisted", "no_twins"}
 #: Trials of each group that hides nothing, unless told otherwise.
