@@ -10,6 +10,7 @@ results, name the files that hold them:
 
 from __future__ import annotations
 
+import ast
 import inspect
 import json
 import math
@@ -271,6 +272,24 @@ def suites() -> str:
         pairs = ", ".join(f"`{split}` {count}" for split, count in suite["splits"].items())
         rows.append([f"`{name}`", pairs, ", ".join(f"`{each}`" for each in suite["scenarios"])])
     return _table(["suite", "pairs of each split", "scenarios"], rows)
+
+
+def packages() -> str:
+    """The parts of the package and what each may import, from the table that the tests check."""
+    text = (ROOT / "tests" / "test_architecture.py").read_text(encoding="utf-8")
+    allowed = next(
+        ast.literal_eval(node.value)
+        for node in ast.parse(text).body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "ALLOWED"
+    )
+    rows = []
+    for name, others in allowed.items():
+        if not name.startswith("_"):
+            file = ROOT / "hydro_env" / name / "__init__.py"
+            source = file if file.exists() else file.parent.with_suffix(".py")
+            what = (ast.get_docstring(ast.parse(source.read_text(encoding="utf-8"))) or "").splitlines()[0]
+            rows.append([f"`{name}`", what, ", ".join(f"`{other}`" for other in others.split())])
+    return _table(["part of `hydro_env`", "what it is", "may import"], rows)
 
 
 def diagnosis_stages() -> str:
@@ -613,7 +632,7 @@ PARTS: dict[str, Callable[[], str]] = {
     made.__name__: made
     for made in (
         parameters, presets, preset_values, effects, twins, form_corrections, losses, controllers, gains, searches, splits,
-        faults, scenarios, metrics, suites, environment, diagnosis_stages, diagnosis_rules,
+        faults, scenarios, metrics, suites, environment, packages, diagnosis_stages, diagnosis_rules,
         diagnosis_settings, commands, commands_short, log_columns, units, scores, scores_short,
         classical, agents, variation, speed, speed_short, error, trials, diagnosis_short,
     )
