@@ -1,8 +1,8 @@
 """Writes the generated parts of README.md and of the pages in docs: `python docs/generate.py [FILE ...]`.
 
-A generated part stands between `<!-- generated: NAME -->` and `<!-- end -->` and is never edited by hand; tests/test_docs.py
-checks that all are up to date. The reference is made from the code, measured results from docs/results.json. To publish new
-results, name the files that hold them:
+A generated part stands between `<!-- generated: NAME -->` and `<!-- end -->` and is never edited by hand;
+tests/project/test_docs.py checks that all are up to date. The reference is made from the code, measured results from
+docs/results.json. To publish new results, name the files that hold them:
 
     python docs/generate.py scores/scores.json speed/speed.json      # of `hydro-env benchmark` and `hydro-env speed`
     python docs/generate.py robustness=runs/robustness/robustness.md # the first table of a Markdown file, by its name

@@ -7,7 +7,7 @@ form_corrections  corrections of an effect's form, fitted by the diagnosis
 user_files        Python files with users' own effects
 
 A new effect of the package is one entry in the file of its port, where `effect.Effect` says what it declares. Its independent
-law stands in `practice.reference`, its test in tests/test_effects.py.
+law stands in `practice.reference`, its test in tests/plant/test_effects.py.
 """
 
 from . import (

@@ -20,7 +20,7 @@ from agents.sweep import sweep
 from hydro_env.controllers.learned.policy import read_policy
 from hydro_env.errors import InputError
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 QUICK = ROOT / "configs" / "ppo_quick.yml"
 SEEDS = (3, 5)
 

@@ -66,7 +66,7 @@ def registered() -> Iterator[None]:
 
 
 def _effects_table() -> str:
-    path = Path(__file__).parent.parent / "docs" / "generate.py"
+    path = Path(__file__).parents[2] / "docs" / "generate.py"
     specification = importlib.util.spec_from_file_location("docs_generate", path)
     assert specification is not None and specification.loader is not None
     module = importlib.util.module_from_spec(specification)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", README, flags=re.S)
 
 
@@ -18,6 +18,6 @@ def test_python_example(code: str) -> None:
 
 def test_tests_are_run_as_the_readme_says() -> None:
     """What the continuous integration runs is the README's second command."""
-    root = Path(__file__).parent.parent
+    root = Path(__file__).parents[2]
     (command,) = re.findall(r"Run the tests:\n\n```sh\n(.*?)\n```", README, flags=re.S)
     assert command in (root / ".ci" / "run").read_text(encoding="utf-8").splitlines()

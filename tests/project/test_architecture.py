@@ -8,7 +8,7 @@ from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 #: What each room (a folder or module directly below `hydro_env`) may import from the package, beside itself.
 #: "envs.observation" allows that module only. `agents` may import all of it; nothing in `hydro_env` imports `agents`.

@@ -95,7 +95,7 @@ def test_the_loop_is_the_valves_and_not_the_sweeps(name: str, sweeps: dict[str, 
 
 def test_the_figures_of_the_document(sweeps: dict[str, Curve]) -> None:
     """docs/explanation/plant.md says what the bench finds."""
-    text = (Path(__file__).parent.parent / "docs" / "explanation" / "plant.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "explanation" / "plant.md").read_text(encoding="utf-8")
     said = re.search(
         r"flow from (\d+), (\d+) and (\d+) mA.* loops of ([\d.]+), ([\d.]+) and ([\d.]+) %"
         r".*; ([\d.]+), ([\d.]+) and ([\d.]+) l/min",

@@ -24,7 +24,7 @@ NAME = "narrowing_edge"
 
 @pytest.fixture
 def file(tmp_path: Path) -> Iterator[Path]:
-    text = (Path(__file__).parent.parent / "docs" / "howto" / "add_an_effect.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "howto" / "add_an_effect.md").read_text(encoding="utf-8")
     found = re.findall(r"```python\n(# my_effect\.py\n.*?)```", text, flags=re.S)
     assert len(found) == 1
     path = tmp_path / "my_effect.py"

@@ -17,7 +17,7 @@ from hydro_env.controllers.rollout import roll_out
 from hydro_env.envs import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
 
-SHIPPED = sorted((Path(__file__).parents[1] / "hydro_env" / "controllers" / "policies").glob("*.npz"))
+SHIPPED = sorted((Path(__file__).parents[2] / "hydro_env" / "controllers" / "policies").glob("*.npz"))
 
 
 AVERAGED = FlowSettings(planner=None)

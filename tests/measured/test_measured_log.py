@@ -16,7 +16,7 @@ from hydro_env.errors import InputError
 from hydro_env.measured import RigLog, load_mapping, read_log, write_log
 from hydro_env.units import BAR, LPM, RPM, UNITS, from_si, to_si, unit
 
-MAPPINGS = Path(__file__).parent.parent / "configs" / "mappings"
+MAPPINGS = Path(__file__).parents[2] / "configs" / "mappings"
 MINIMAL = "time_s,command_1_V,speed_1_rpm\n0,0,0\n0.01,10,5\n0.02,10,12\n"
 
 

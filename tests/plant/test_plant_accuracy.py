@@ -9,7 +9,7 @@ import pytest
 
 from hydro_env.plant import BUILT_IN, CATALOGUE, Plant, load_model, simulate
 from hydro_env.practice.reference import run_closed_loop, simulate_reference
-from tests.test_reference import PaperPID
+from tests.practice.test_reference import PaperPID
 
 RPM = math.pi / 30
 

@@ -29,7 +29,7 @@ from hydro_env.plant.kernel.integrator import METHOD
 from hydro_env.plant.model import SUBSTEP
 from hydro_env.plant.plant import SIGNALS
 from hydro_env.plant.rhs import rates
-from tests.test_plant_accuracy import _strong
+from tests.plant.test_plant_accuracy import _strong
 
 PERIOD = 0.01
 RIGS = 11  # one more than the largest number of parameters of an effect

@@ -15,7 +15,7 @@ from hydro_env.cli import app
 from hydro_env.experiments.paper_rig import SETPOINT_STEPS, run_paper
 from hydro_env.plant import load_model
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 GENERATE = runpy.run_path(str(DOCS / "generate.py"))
 PAGES: list[Path] = [

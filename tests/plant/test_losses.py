@@ -20,7 +20,7 @@ from hydro_env.plant.plant import SIGNALS
 from hydro_env.practice.generate import make_practice
 from hydro_env.practice.reference import simulate_reference
 from hydro_env.tasks.mismatch import load_mismatch
-from tests.test_plant_accuracy import _strong
+from tests.plant.test_plant_accuracy import _strong
 
 RPM = math.pi / 30
 MODELS = [e.name for e in CATALOGUE.values() if e.family == FAMILY]
@@ -332,7 +332,7 @@ def test_bad_models(effects, message, tmp_path):
 
 def test_the_model_of_the_document(tmp_path):
     """The YAML of docs/reference/losses.md is a model, and its best total efficiency is the one that stands there."""
-    text = (Path(__file__).parent.parent / "docs" / "reference" / "losses.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "reference" / "losses.md").read_text(encoding="utf-8")
     example = re.search(r"```yaml\n(.*?)```", text, re.S)
     said = re.search(r"peaks at ([\d.]+) % at (\d+) bar\s+and (\d+) rpm", text)
     assert example is not None and said is not None

@@ -21,7 +21,7 @@ from agents.train import main, train
 from hydro_env.controllers.learned.policy import SCHEMA, NumpyPolicy, read_policy
 from hydro_env.errors import InputError
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PPO, SAC = ROOT / "configs" / "ppo_quick.yml", ROOT / "configs" / "sac_quick.yml"
 TIMES = ("seconds",)
 
