@@ -5,8 +5,9 @@ catalogue    the effects: what a real rig does that the base equations leave out
 rhs          the one right-hand side, which calls the laws of the effects by the quantity that they change
 vector_math  the functions that laws may use
 kernel       compiles right-hand side and effects into a vectorised step
-model        a rig as data: presets and model files
+model        a rig as data: model files, and the `presets` that ship
 plant        many rigs side by side
+sensors      noise of the sensors
 motor_map    steady flow, torque and efficiency of a model's motor
 """
 

@@ -56,9 +56,9 @@ MOST_PARAMETERS = 10
 #: Functions with more parameters, and why. Those of the second list are still to be changed: add none.
 CROWDED = {
     "hydro_env.plant.rhs.rates": "states, inputs and parameters of one channel by their own names",
-    "hydro_env.plant.catalogue.form_corrections._gain_curve": "a law asks by name for all that it reads",
-    "hydro_env.plant.catalogue.form_corrections._second_bristle": "a law asks by name for all that it reads",
-    "hydro_env.plant.catalogue.form_corrections._stops_force": "a law asks by name for all that it reads",
+    "hydro_env.plant.catalogue.form_corrections.valve._gain_curve": "a law asks by name for all that it reads",
+    "hydro_env.plant.catalogue.form_corrections.valve._second_bristle": "a law asks by name for all that it reads",
+    "hydro_env.plant.catalogue.form_corrections.valve._stops_force": "a law asks by name for all that it reads",
     "hydro_env.plant.catalogue.losses._jeong_torque": "a law asks by name for all that it reads",
     "hydro_env.cli.controllers.benchmark": "an option each",
     "hydro_env.cli.diagnosis.diagnose": "an option each",

@@ -25,7 +25,7 @@ __all__ = ["EFFECTS", "FAMILY"]
 #: as candidates only when the model as given lists them.
 FAMILY = "motor_losses"
 
-#: What a log of pressure and speed can hardly tell them from.
+#: Effects that logs of pressure and speed hardly distinguish from them.
 _ALIKE = ("motor_coulomb_friction", "quadratic_drag", "speed_dependent_leakage")
 
 _VISCOSITY = Parameter(

@@ -1,0 +1,250 @@
+"""Corrections of the forms of supply, line, motor, load, fluid and sensor."""
+
+from __future__ import annotations
+
+from math import inf
+
+from ...parameters import MOTOR_SIZE, Parameter
+from ...vector_math import clip, cos, exp, sign, sin, tanh
+from ..effect import State
+from .correction import NO_PHYSICS, amount, correction, repeated
+
+__all__ = ["EFFECTS"]
+
+
+# --- supply -----------------------------------------------------------------------------------------------------------
+def _late_drive(drive, first, second, delay):
+    return drive + (first - second if delay > 0.0 else 0.0)
+
+
+def _first_rate(first, own_flow, other_flow, relative_drop, time_constant):
+    return (relative_drop * (abs(own_flow) + abs(other_flow)) / 8.1778e-4 - first) / time_constant
+
+
+def _second_rate(second, first, delay):
+    return (first - second) / (delay if delay > 1e-5 else 1e-5)
+
+
+def _second_decay(delay):
+    return 1.0 / (delay if delay > 1e-5 else 1e-5)
+
+
+SUPPLY_SHAPE = correction(
+    "supply_shape", "supply", "the supply follows the flow with a second lag",
+    (
+        amount("delay", "s", 0.02, "time constant of the second lag", 0.0),
+        repeated("relative_drop", "1", 0.0, 0.0, 0.9),
+        repeated("time_constant", "s", 0.1, 0.01, 5.0),
+    ),
+    {"drive": _late_drive},
+    {"supply_droop": {"relative_drop": "relative_drop", "time_constant": "time_constant"}},
+    (State("first", _first_rate), State("second", _second_rate, _second_decay)),
+    scope="rig",
+)  # fmt: skip
+
+
+# --- line -------------------------------------------------------------------------------------------------------------
+def _softness_curve(bulk_modulus, pressure, soft_0, soft_1, soft_2, soft_3, soft_4):
+    p = abs(pressure)
+    curve = soft_0 + (soft_1 - soft_0) * clip(p * (1.0 / 1e5), 0.0, 1.0)
+    curve = curve + (soft_2 - soft_1) * clip((p - 1e5) * (1.0 / 1.5e5), 0.0, 1.0)
+    curve = curve + (soft_3 - soft_2) * clip((p - 2.5e5) * (1.0 / 3.5e5), 0.0, 1.0)
+    curve = curve + (soft_4 - soft_3) * clip((p - 6e5) * (1.0 / 14e5), 0.0, 1.0)
+    return bulk_modulus * exp(-curve)
+
+
+SOFTNESS_SHAPE = correction(
+    "softness_shape", "line", "softness of the fluid as a curve over the pressure",
+    tuple(
+        amount(f"soft_{n}", "1", 0.15, f"log of the relative softness at {p:g} bar") for n, p in enumerate((0, 1, 2.5, 6, 20))
+    ),
+    {"bulk_modulus": _softness_curve},
+    {"entrained_air": {}},
+)  # fmt: skip
+
+
+def _override(leakage, pressure, rounding, steepening, relief_pressure, conductance):
+    # A parabola within `rounding` of the setting in the place of the bend, and a slope that changes with the excess.
+    excess = abs(pressure) - relief_pressure
+    near = rounding - abs(excess)
+    near = near if near > 0.0 else 0.0
+    excess = excess if excess > 0.0 else 0.0
+    more = 0.25 * near * near / (rounding if rounding > 1.0 else 1.0) + steepening * excess * excess * 1e-6
+    return leakage + sign(pressure) * conductance * more
+
+
+OVERRIDE_SHAPE = correction(
+    "override_shape", "line", "relief valves crack gradually, and their slope changes with the excess",
+    (
+        amount("rounding", "Pa", 5e4, "half the range of pressure over which they crack", 0.0),
+        Parameter("steepening", "1/MPa", 0.0, -0.5, 2.0, NO_PHYSICS, "growth of the slope with the excess", 0.3),
+        repeated("relief_pressure", "Pa", inf, 5e5, inf),
+        repeated("conductance", "m3/(s Pa)", 1e-9, 1e-10, 3e-9, scaling=MOTOR_SIZE),
+    ),
+    {"leakage": _override},
+    {"crossport_relief": {"relief_pressure": "relief_pressure", "conductance": "conductance"}},
+)  # fmt: skip
+
+
+# --- motor and load ---------------------------------------------------------------------------------------------------
+def _torque_curve(torque, speed, torque_1, torque_2, torque_3, torque_4, torque_5, torque_6):
+    w = abs(speed)
+    curve = torque_1 * clip(w * 5.0, 0.0, 1.0)
+    curve = curve + (torque_2 - torque_1) * clip((w - 0.2) * (1.0 / 0.5), 0.0, 1.0)
+    curve = curve + (torque_3 - torque_2) * clip((w - 0.7) * (1.0 / 1.8), 0.0, 1.0)
+    curve = curve + (torque_4 - torque_3) * clip((w - 2.5) * (1.0 / 5.5), 0.0, 1.0)
+    curve = curve + (torque_5 - torque_4) * clip((w - 8.0) * (1.0 / 17.0), 0.0, 1.0)
+    curve = curve + (torque_6 - torque_5) * clip((w - 25.0) * (1.0 / 55.0), 0.0, 1.0)
+    return torque - sign(speed) * curve
+
+
+TORQUE_SHAPE = correction(
+    "torque_shape", "motor", "torque that is lost as a curve over the speed",
+    tuple(
+        amount(f"torque_{n}", "N m", 0.04, f"torque lost at {w:g} rad/s", scaling=MOTOR_SIZE)
+        for n, w in enumerate((0.2, 0.7, 2.5, 8, 25, 80), 1)
+    ),
+    {"torque": _torque_curve},
+    {"motor_coulomb_friction": {}, "quadratic_drag": {}, "line_loss": {}},
+)  # fmt: skip
+
+
+def _dahl_torque(torque, speed, rest, travel, damping, coulomb, static, stribeck_speed):
+    slip = speed / stribeck_speed
+    level = coulomb + (static - coulomb) * exp(-slip * slip)
+    least = travel if travel > 1e-5 else 1e-5
+    rate = (speed - abs(speed) * rest) / least
+    moved = level * (tanh(speed * 10.0) - rest) - damping * coulomb * rate
+    return torque + (moved if travel > 0.0 else 0.0)
+
+
+def _rest_rate(rest, speed, travel):
+    return (speed - abs(speed) * rest) / (travel if travel > 1e-5 else 1e-5)
+
+
+def _rest_decay(speed, travel):
+    return abs(speed) / (travel if travel > 1e-5 else 1e-5)
+
+
+def _rest_corner(speed, travel):
+    return travel > 0.0 and abs(speed) < 1.0
+
+
+REST_SHAPE = correction(
+    "rest_shape", "motor", "dry friction builds up over a small turn (Dahl) in the place of a smooth step",
+    (
+        amount("travel", "rad", 0.003, "turn over which the friction builds up", 0.0),
+        Parameter("damping", "s", 0.002, 0.0, 0.02, NO_PHYSICS, "damping while it builds up, over the friction", 0.002),
+        repeated("coulomb", "N m", 0.0, 0.0, 2.0, scaling=MOTOR_SIZE),
+        repeated("static", "N m", 0.0, 0.0, 3.0, scaling=MOTOR_SIZE),
+        repeated("stribeck_speed", "rad/s", 3.0, 0.2, 20.0),
+    ),
+    {"torque": _dahl_torque},
+    {"motor_coulomb_friction": {n: n for n in ("coulomb", "static", "stribeck_speed")}},
+    (State("rest", _rest_rate, _rest_decay),),
+    corner=_rest_corner,
+)  # fmt: skip
+
+
+def _more_ripple(displacement, angle, sine_1, cosine_2, sine_2, cosine_3, sine_3, order, D):
+    c = cos(order * angle)
+    s = sin(order * angle)
+    c2 = c * c - s * s
+    s2 = 2.0 * s * c
+    more = (
+        sine_1 * s + cosine_2 * c2 + sine_2 * s2 + cosine_3 * (c2 * c - s2 * s) + sine_3 * (s2 * c + c2 * s)
+    )
+    return displacement + D * more
+
+
+RIPPLE_SHAPE = correction(
+    "ripple_shape", "motor", "phase and harmonics of the ripple of the displacement",
+    (
+        *(
+            amount(n, "1", 0.01, f"{'co' * n.startswith('co')}sine of {n[-1]} times the ripple's order")
+            for n in ("sine_1", "cosine_2", "sine_2", "cosine_3", "sine_3")
+        ),
+        repeated("order", "1", 7.0, 3.0, 13.0),
+    ),
+    {"displacement": _more_ripple},
+    {"displacement_ripple": {"order": "order"}},
+)  # fmt: skip
+
+
+def _more_turns(torque, angle, cosine_2, sine_2, cosine_3, sine_3):
+    c = cos(angle)
+    s = sin(angle)
+    c2 = c * c - s * s
+    s2 = 2.0 * s * c
+    return torque - (cosine_2 * c2 + sine_2 * s2 + cosine_3 * (c2 * c - s2 * s) + sine_3 * (s2 * c + c2 * s))
+
+
+TURNING_SHAPE = correction(
+    "turning_shape", "load", "harmonics of a torque that turns with the shaft",
+    tuple(
+        amount(n, "N m", 0.05, f"{'co' * n.startswith('co')}sine of {n[-1]} times the shaft's angle", scaling=MOTOR_SIZE)
+        for n in ("cosine_2", "sine_2", "cosine_3", "sine_3")
+    ),
+    {"torque": _more_turns},
+    {"eccentric_load": {}},
+)  # fmt: skip
+
+
+# --- fluid ------------------------------------------------------------------------------------------------------------
+def _second_drift_leakage(leakage_coefficient, more, time, time_constant):
+    return leakage_coefficient * exp(-more * (1.0 - exp(-time / time_constant)))
+
+
+def _second_drift_friction(viscous_friction, more, time, time_constant):
+    return viscous_friction * exp(more * (1.0 - exp(-time / time_constant)))
+
+
+DRIFT_SHAPE = correction(
+    "drift_shape", "fluid", "a second, faster or slower part of the drift",
+    (
+        amount("more", "1", 0.2, "log of final over initial viscosity, second part"),
+        Parameter("time_constant", "s", 3.0, 0.3, 3000.0, NO_PHYSICS, "time constant of the second part", 3.0, log=True),
+    ),
+    {"leakage_coefficient": _second_drift_leakage, "viscous_friction": _second_drift_friction},
+    {"viscosity_drift": {}},
+    scope="rig",
+)  # fmt: skip
+
+
+# --- sensor -----------------------------------------------------------------------------------------------------------
+def _late_speed(measured_speed, first, second, delay):
+    return measured_speed + (second - first if delay > 0.0 else 0.0)
+
+
+def _sensor_first(first, speed, time_constant):
+    return (speed - first) / (time_constant if time_constant > 1e-5 else 1e-5)
+
+
+def _sensor_first_decay(time_constant):
+    return 1.0 / (time_constant if time_constant > 1e-5 else 1e-5)
+
+
+SENSOR_SHAPE = correction(
+    "sensor_shape", "sensor", "the sensor follows with a second lag",
+    (
+        amount("delay", "s", 0.005, "time constant of the second lag", 0.0),
+        repeated("time_constant", "s", 0.0, 0.0, 0.1),
+    ),
+    {"measured_speed": _late_speed},
+    {"sensor_lag": {"time_constant": "time_constant"}},
+    (State("first", _sensor_first, _sensor_first_decay), State("second", _second_rate, _second_decay)),
+)  # fmt: skip
+
+
+#: In the order in which they act.
+EFFECTS = (
+    SUPPLY_SHAPE,
+    SOFTNESS_SHAPE,
+    OVERRIDE_SHAPE,
+    TORQUE_SHAPE,
+    REST_SHAPE,
+    RIPPLE_SHAPE,
+    TURNING_SHAPE,
+    DRIFT_SHAPE,
+    SENSOR_SHAPE,
+)

@@ -1,0 +1,233 @@
+"""Corrections of the forms of driver, opening and spool."""
+
+from __future__ import annotations
+
+from math import inf
+
+from ...parameters import SPOOL_FORCE, SPOOL_TRAVEL, Parameter
+from ...vector_math import bell, clip, sign
+from ..effect import State
+from ..force import MAGNETIC_HYSTERESIS
+from .correction import NO_PHYSICS, amount, correction, repeated, taken
+
+__all__ = ["EFFECTS"]
+
+
+# --- driver -----------------------------------------------------------------------------------------------------------
+def _knee(voltage, command, drop, reach, voltage_limit):
+    # What the output lacks falls with the third power of the distance from the limit.
+    away = 1.0 - abs(abs(command) / voltage_limit - 1.0) / reach
+    away = away if away > 0.0 else 0.0
+    lack = drop * voltage_limit * away * away * away
+    return voltage - sign(command) * (lack if drop > 0.0 else 0.0)
+
+
+KNEE_SHAPE = correction(
+    "knee_shape", "driver", "the driver gives less than is asked for even before its limit",
+    (
+        amount("drop", "1", 0.02, "share of the limit that is lacking when the limit is asked for", 0.0),
+        Parameter(
+            "reach", "1", 0.15, 0.03, 0.6, NO_PHYSICS, "share of the limit, both ways, from which on it lacks", 0.15, log=True
+        ),
+        repeated("voltage_limit", "V", 1e9, 1.0, 1e9),
+    ),
+    {"voltage": _knee},
+    {"driver_saturation": {"voltage_limit": "voltage_limit"}},
+)  # fmt: skip
+
+
+# --- opening ----------------------------------------------------------------------------------------------------------
+def _rounded(opening, spool, rounding, turn, corner_positive, corner_negative):
+    # A parabola within `rounding` of either corner in the place of the bend.
+    near = rounding - abs(spool - corner_positive)
+    far = rounding - abs(spool + corner_negative)
+    near = near if near > 0.0 else 0.0
+    far = far if far > 0.0 else 0.0
+    return opening + 0.25 * turn * (near * near - far * far) / (rounding if rounding > 1e-9 else 1e-9)
+
+
+CORNER_SHAPE = correction(
+    "corner_shape", "opening", "corners of the opening are rounded",
+    (
+        amount("rounding", "m", 1e-5, "half the travel over which a corner is rounded", 0.0, SPOOL_TRAVEL),
+        repeated("turn", "1", 1.0, -1.0, 1.0),
+        repeated("corner_positive", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
+        repeated("corner_negative", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
+    ),
+    {"opening": _rounded},
+    {
+        "dead_zone": {"turn": 1.0, "corner_positive": "overlap_positive", "corner_negative": "overlap_negative"},
+        "flow_saturation": {"turn": -1.0, "corner_positive": "opening_limit", "corner_negative": "opening_limit"},
+    },
+)  # fmt: skip
+
+
+def _gain_curve(opening, gain_0, gain_1, gain_2, gain_3, gain_4, gain_5, gain_6, alpha, u_rated, R, k):
+    # Between two knots, an octave apart, t (1.343 - 0.343 t) of t = share / knot - 1 goes from 0 to 1 as the logarithm does.
+    share = abs(opening) * (R * k / (alpha * u_rated))
+    curve = gain_0
+    t_1 = clip(share * 64.0 - 1.0, 0.0, 1.0)
+    curve = curve + (gain_1 - gain_0) * t_1 * (1.343 - 0.343 * t_1)
+    t_2 = clip(share * 32.0 - 1.0, 0.0, 1.0)
+    curve = curve + (gain_2 - gain_1) * t_2 * (1.343 - 0.343 * t_2)
+    t_3 = clip(share * 16.0 - 1.0, 0.0, 1.0)
+    curve = curve + (gain_3 - gain_2) * t_3 * (1.343 - 0.343 * t_3)
+    t_4 = clip(share * 8.0 - 1.0, 0.0, 1.0)
+    curve = curve + (gain_4 - gain_3) * t_4 * (1.343 - 0.343 * t_4)
+    t_5 = clip(share * 4.0 - 1.0, 0.0, 1.0)
+    curve = curve + (gain_5 - gain_4) * t_5 * (1.343 - 0.343 * t_5)
+    t_6 = clip(share * 2.0 - 1.0, 0.0, 1.0)
+    curve = curve + (gain_6 - gain_5) * t_6 * (1.343 - 0.343 * t_6)
+    return opening * (1.0 + curve)
+
+
+OPENING_SHAPE = correction(
+    "opening_shape", "opening", "gain of the opening as a curve over the logarithm of the opening",
+    tuple(
+        # A gain may be several times another; it cannot lose more than all.
+        Parameter(
+            f"gain_{n}", "1", 0.0, -0.8, 3.0, NO_PHYSICS, f"relative gain at 1/{2 ** (6 - n)} of the rated opening", 0.2
+        )
+        for n in range(7)
+    ),
+    {"opening": _gain_curve},
+    {n: {} for n in ("flow_gain_nonlinearity", "dead_zone", "flow_saturation", "directional_gain", "null_offset")},
+)  # fmt: skip
+
+
+# --- force on the spool -----------------------------------------------------------------------------------------------
+def _centring(force, spool, force_1, force_2, force_3, force_4, force_5):
+    x = abs(spool)
+    curve = force_1 * clip(x * 2e5, 0.0, 1.0)
+    curve = curve + (force_2 - force_1) * clip((x - 5e-6) * 1e5, 0.0, 1.0)
+    curve = curve + (force_3 - force_2) * clip((x - 1.5e-5) * (1.0 / 2e-5), 0.0, 1.0)
+    curve = curve + (force_4 - force_3) * clip((x - 3.5e-5) * (1.0 / 4.5e-5), 0.0, 1.0)
+    curve = curve + (force_5 - force_4) * clip((x - 8e-5) * (1.0 / 1.2e-4), 0.0, 1.0)
+    return force - sign(spool) * curve
+
+
+CENTRING_SHAPE = correction(
+    "centring_shape", "force", "centring force as a curve over the travel",
+    tuple(
+        amount(f"force_{n}", "N", 0.15, f"centring force at {x} um of travel", scaling=SPOOL_FORCE)
+        for n, x in enumerate((5, 15, 35, 80, 200), 1)
+    ),
+    {"force": _centring},
+    {"spring_preload": {}, "flow_force": {}},
+)  # fmt: skip
+
+
+def _stops_force(
+    force, height_1, height_2, height_3, height_4, amplitude, as_before, stop_1, stop_2, stop_3, stop_4
+):
+    moved = height_1 * (stop_1 - as_before) + height_2 * (stop_2 - as_before)
+    moved = moved + height_3 * (stop_3 - as_before) + height_4 * (stop_4 - as_before)
+    return force - amplitude * moved
+
+
+def _stop_rate(stop, current_rate, times, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    travel = times * (width if width > least else least)
+    # Free on the way back; on the way on it gives way with the eighth power. A long step that goes beyond 1 is taken back.
+    ahead = stop if current_rate > 0.0 else -stop
+    inside = ahead if ahead < 1.0 else 1.0
+    squared = inside * inside
+    fourth = squared * squared
+    free = 1.0 - fourth * fourth if ahead > 0.0 else 1.0
+    return current_rate * free / travel - 2e4 * (stop - clip(stop, -1.0, 1.0))
+
+
+def _stop_decay(stop, current_rate, times, amplitude, width, alpha):
+    least = 2.0 * amplitude / alpha
+    travel = times * (width if width > least else least)
+    ahead = stop if current_rate > 0.0 else -stop
+    inside = ahead if ahead < 1.0 else 1.0
+    squared = inside * inside
+    slope = 8.0 * squared * squared * squared * inside
+    # Never less than what keeps a long step of the current from shooting far beyond the limit.
+    return abs(current_rate) * (slope if slope > 1.0 else 1.0) / travel + (2e4 if ahead > 1.0 else 0.0)
+
+
+#: Travels of the stops until they give way, over the width of the effect's own loop.
+_STOPS = (0.25, 0.5, 1.0, 2.0)
+# The loop of the catalogue's law, from which the stops take over.
+(_LOOP,) = MAGNETIC_HYSTERESIS.states
+
+STOP_SHAPE = correction(
+    "stop_shape", "force", "loop of the magnet from four stops that give way one after the other (Prandtl-Ishlinskii)",
+    (
+        *(
+            amount(f"height_{n}", "1", 0.25, f"share of the height held by the stop of {s:g} times the width")
+            for n, s in enumerate(_STOPS, 1)
+        ),
+        repeated("amplitude", "N", 0.0, 0.0, 2.0, scaling=SPOOL_FORCE),
+        repeated("width", "A", 0.03, 0.01, 0.2),
+    ),
+    {"force": _stops_force},
+    {"magnetic_hysteresis": {"amplitude": "amplitude", "width": "width"}},
+    (
+        State("as_before", _LOOP.rate, _LOOP.decay, {"loop": "as_before"}),
+        *(
+            State(f"stop_{n}", _stop_rate, _stop_decay, {"stop": f"stop_{n}", "times": times})
+            for n, times in enumerate(_STOPS, 1)
+        ),
+    ),
+)  # fmt: skip
+
+
+def _second_bristle(force, spool_speed, bristle_2, coulomb, static, firm, damping, stiffness, vs, s0, s1):
+    slip = abs(spool_speed) / vs
+    level = coulomb + (static - coulomb) * bell(slip)
+    level = level if level > 1e-6 else 1e-6
+    share = abs(bristle_2) * s0 * stiffness / level
+    share = share if share < 1.0 else 1.0
+    squared = share * share
+    give = 1.0 - firm + (firm * squared * squared * squared if bristle_2 * spool_speed > 0.0 else 0.0)
+    rate = spool_speed - give * abs(spool_speed) * s0 * stiffness / level * bristle_2
+    held = s0 * stiffness * bristle_2 + damping * s1 * rate
+    return force - (held if coulomb + static > 0.0 else 0.0)
+
+
+def _bristle_rate(bristle_2, spool_speed, coulomb, static, firm, stiffness, vs, s0):
+    slip = abs(spool_speed) / vs
+    level = coulomb + (static - coulomb) * bell(slip)
+    level = level if level > 1e-6 else 1e-6
+    share = abs(bristle_2) * s0 * stiffness / level
+    share = share if share < 1.0 else 1.0
+    squared = share * share
+    give = 1.0 - firm + (firm * squared * squared * squared if bristle_2 * spool_speed > 0.0 else 0.0)
+    return spool_speed - give * abs(spool_speed) * s0 * stiffness / level * bristle_2
+
+
+def _bristle_decay(spool_speed, coulomb, static, stiffness, vs, s0):
+    slip = abs(spool_speed) / vs
+    level = coulomb + (static - coulomb) * bell(slip)
+    return abs(spool_speed) * s0 * stiffness / (level if level > 1e-6 else 1e-6)
+
+
+BRISTLE_SHAPE = correction(
+    "bristle_shape", "force", "what friction the spool has more is held by a second bristle, which gives way late",
+    (
+        amount("damping", "1", 0.5, "damping of the second bristle over the first one's", 0.0),
+        Parameter("firm", "1", 0.5, 0.0, 1.0, NO_PHYSICS, "0: creeps like the first one, 1: holds until near its limit", 0.5),
+        Parameter(
+            "stiffness", "1", 1.0, 0.2, 5.0, NO_PHYSICS, "stiffness of the second bristle over the first one's", 1.0, log=True
+        ),
+        repeated("coulomb", "N", 0.0, 0.0, 2.0, scaling=SPOOL_FORCE),
+        repeated("static", "N", 0.0, 0.0, 3.0, scaling=SPOOL_FORCE),
+        taken("coulomb_taken", "N", -2.0, 0.3),
+        taken("static_taken", "N", -3.0, 0.6),
+    ),
+    {"force": _second_bristle},
+    {
+        "spool_stiction": {
+            "coulomb": "coulomb", "static": "static", "coulomb_taken": "-coulomb", "static_taken": "-static",
+        }
+    },
+    (State("bristle_2", _bristle_rate, _bristle_decay),),
+    adds_to={"Fc": "coulomb_taken", "Fs": "static_taken"},
+)  # fmt: skip
+
+
+#: In the order in which they act.
+EFFECTS = (KNEE_SHAPE, CORNER_SHAPE, OPENING_SHAPE, CENTRING_SHAPE, STOP_SHAPE, BRISTLE_SHAPE)
