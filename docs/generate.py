@@ -42,6 +42,9 @@ from hydro_env.plant.catalogue.form_corrections import CORRECTIONS, follows
 from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
 from hydro_env.plant.catalogue.losses import FAMILY as LOSSES
 from hydro_env.plant.model import sources_of
+from hydro_env.practice.hidden import SEVERITIES
+from hydro_env.practice.recorder import SENSORS
+from hydro_env.practice.reference.forms import CONSTANTS
 from hydro_env.tasks import METRICS, SCENARIOS
 from hydro_env.units import UNITS
 
@@ -151,6 +154,31 @@ def form_corrections() -> str:
         serves = ", ".join(f"`{name}`" for name in of)
         rows.append([f"`{effect.name}`", effect.port, effect.summary, ", ".join(numbers), serves])
     return _table(["correction", "port", "what it is", "parameters", "of the effects"], rows)
+
+
+def severities() -> str:
+    rows = [[f"`{name}`", f"{low:g}", f"{high:g}"] for name, (low, high) in SEVERITIES.items()]
+    return _table(["severity", "least multiple", "greatest multiple"], rows)
+
+
+def sensors() -> str:
+    rows = [[name, s.unit, f"{s.noise:g}", f"{s.resolution:g}"] for name, s in SENSORS.items()]
+    return _table(["signal", "unit", "standard deviation", "resolution"], rows)
+
+
+def form_constants() -> str:
+    rows = [
+        [
+            f"`{c.name}`",
+            c.unit,
+            f"{c.low:.3g}",
+            f"{c.high:.3g}",
+            "by factors" if c.log else "evenly",
+            c.reason,
+        ]
+        for c in CONSTANTS
+    ]
+    return _table(["constant", "unit", "least", "greatest", "drawn", "why"], rows)
 
 
 def losses() -> str:
@@ -631,8 +659,9 @@ def diagnosis_short() -> str:
 PARTS: dict[str, Callable[[], str]] = {
     made.__name__: made
     for made in (
-        parameters, presets, preset_values, effects, twins, form_corrections, losses, controllers, gains, searches, splits,
-        faults, scenarios, metrics, suites, environment, packages, diagnosis_stages, diagnosis_rules,
+        parameters, presets, preset_values, effects, twins, form_corrections, severities, sensors, form_constants, losses,
+        controllers, gains, searches, splits, faults, scenarios, metrics, suites, environment, packages, diagnosis_stages,
+        diagnosis_rules,
         diagnosis_settings, commands, commands_short, log_columns, units, scores, scores_short,
         classical, agents, variation, speed, speed_short, error, trials, diagnosis_short,
     )

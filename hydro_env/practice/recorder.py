@@ -21,7 +21,7 @@ from .manoeuvres import plans
 from .reference import ReferenceRig
 from .reference.forms import Constants
 
-__all__ = ["CATALOGUE_FORMS", "CONTROL_PERIOD", "RECORDABLE", "Recorder", "log_text"]
+__all__ = ["CATALOGUE_FORMS", "CONTROL_PERIOD", "RECORDABLE", "SENSORS", "Recorder", "Sensor", "log_text"]
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,8 @@ class Sensor:
     resolution: float
 
 
-_SENSORS = {
+#: Columns of a log by the first word of their names.
+SENSORS = {
     "current": Sensor("current", "A", 1.0, NOISE["current_A"], 0.0005),
     "pressure": Sensor("pressure", "bar", BAR, NOISE["pressure_bar"], 0.01),
     "speed": Sensor("measured_speed", "rpm", RPM, NOISE["speed_rpm"], 0.1),
@@ -61,7 +62,7 @@ class _CatalogueRig:
 
     def __init__(self, model: PlantModel) -> None:
         self.plant = Plant(model)
-        self.names = [sensor.signal for sensor in _SENSORS.values()]
+        self.names = [sensor.signal for sensor in SENSORS.values()]
 
     def signals(self) -> dict[str, Array]:
         return {name: self.plant.get(name)[0] for name in self.names}
@@ -128,22 +129,22 @@ class Recorder:
         if "load" not in self.record:  # a load that nobody logs would be a second hidden effect
             load = np.zeros_like(load)
         # Every signal has a stream of its own: recording more of them changes none.
-        streams = dict(zip(_SENSORS, noise_seed.spawn(len(_SENSORS)), strict=True))
+        streams = dict(zip(SENSORS, noise_seed.spawn(len(SENSORS)), strict=True))
         errors = {
-            n: self.noise * _SENSORS[n].noise * np.random.default_rng(s).standard_normal((steps * samples, 2))
+            n: self.noise * SENSORS[n].noise * np.random.default_rng(s).standard_normal((steps * samples, 2))
             for n, s in streams.items()
         }
         command, shown = self._drive(value, closed, load, errors["speed"][::samples, :], period, samples)
         rows: dict[str, Array] = {
             "command": np.repeat(command, samples, axis=0),
             "load": np.repeat(load, samples, axis=0),
-            **{n: self._read(n, shown[n], errors[n]) for n in _SENSORS},
+            **{n: self._read(n, shown[n], errors[n]) for n in SENSORS},
         }
         columns = {"time_s": np.arange(steps * samples) / self.rate}
         if "setpoint" in self.record:
             setpoint = np.where(closed, value, 0.0)[:, 0]
             columns["setpoint_rpm"] = np.round(np.repeat(setpoint, samples), 1)
-        units = {"command": "V", "load": "Nm", **{n: s.unit for n, s in _SENSORS.items()}}
+        units = {"command": "V", "load": "Nm", **{n: s.unit for n, s in SENSORS.items()}}
         kept = [n for n in _COLUMN_ORDER if n in ("command", "speed") or n in self.record]
         return columns | {f"{n}_{c + 1}_{units[n]}": rows[n][:, c] for c in (0, 1) for n in kept}
 
@@ -160,7 +161,7 @@ class Recorder:
             rig = ReferenceRig(self.true, forms=self.forms, constants=self.constants, tolerance=1e-6)
         now = rig.signals()
         command = np.empty((steps, 2))
-        shown = {n: np.empty((steps * samples, 2)) for n in _SENSORS}
+        shown = {n: np.empty((steps * samples, 2)) for n in SENSORS}
         for n in range(steps):
             speed = now["measured_speed"] / RPM + speed_error[n]
             by_loop = loop(np.where(closed[n], value[n], 0.0), speed)
@@ -168,14 +169,14 @@ class Recorder:
             volts = np.round(np.where(closed[n], by_loop, value[n] * rated), 3)
             command[n] = np.clip(volts, -rated, rated)
             part = rig.advance(command[n], load[n], period, samples)
-            for name, sensor in _SENSORS.items():
+            for name, sensor in SENSORS.items():
                 shown[name][n * samples] = now[sensor.signal]
                 shown[name][n * samples + 1 : (n + 1) * samples] = part[sensor.signal][:-1]
             now = {signal: values[-1] for signal, values in part.items()}
         return command, shown
 
     def _read(self, name: str, shown: Array, error: Array) -> Array:
-        sensor = _SENSORS[name]
+        sensor = SENSORS[name]
         raw = shown / sensor.size + error
         return np.round(raw / sensor.resolution) * sensor.resolution if self.noise > 0.0 else raw
 
