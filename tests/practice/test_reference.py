@@ -162,7 +162,7 @@ def _rich():
 
 @pytest.fixture(scope="module")
 def plain():
-    return simulate_reference("paper", *_rich(), 1e-3, tolerance=1e-6)["measured_speed"]
+    return simulate_reference("paper", *_rich(), 1e-3, tolerance=1e-5)["measured_speed"]
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -170,7 +170,7 @@ def test_forms_mean_the_same(name, plain):
     """Both forms of an effect act, with the same sign and size."""
     model = load_model("paper").with_values(_severe(CATALOGUE[name]))
     runs = {
-        forms: simulate_reference(model, *_rich(), 1e-3, forms=forms, tolerance=1e-6)["measured_speed"]
+        forms: simulate_reference(model, *_rich(), 1e-3, forms=forms, tolerance=1e-5)["measured_speed"]
         for forms in ("same", "different")
     }
     size = np.sqrt(np.mean((runs["same"] - plain) ** 2))
@@ -183,7 +183,7 @@ def test_forms_mean_the_same(name, plain):
 def test_neutral_effects_vanish(forms, plain):
     neutral = {f"{e.name}.{p.name}": p.nominal for e in CATALOGUE.values() for p in e.parameters}
     run = simulate_reference(
-        load_model("paper").with_values(neutral), *_rich(), 1e-3, forms=forms, tolerance=1e-6
+        load_model("paper").with_values(neutral), *_rich(), 1e-3, forms=forms, tolerance=1e-5
     )
     assert np.abs(run["measured_speed"] - plain).max() < 0.01 * RPM
 
