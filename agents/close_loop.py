@@ -24,6 +24,7 @@ from agents.train import train
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.errors import InputError
 from hydro_env.experiments import close_loop
+from hydro_env.experiments.close_loop_summary import SOURCES, collect, summary
 from hydro_env.experiments.truth_drive import drive
 from hydro_env.files import write_json
 from hydro_env.plant import load_model
@@ -53,7 +54,7 @@ class Work:
 def work_of(data: Mapping[str, Any]) -> Iterator[Work]:
     """What is to be done for the result of `hydro-env close-loop`: one seed of all cases after the other."""
     for row in sorted(data["rigs"], key=lambda row: int(row["seed"])):
-        for source in close_loop.SOURCES:
+        for source in SOURCES:
             yield Work(row["rig"], row["case"], row["seed"], row["forms"], source)
 
 
@@ -103,9 +104,9 @@ def run(
             "seed": work.seed,
         }
         rows += [{**about, "scenario": name, **result} for name, result in done["drives"].items()]
-        if work.source == close_loop.SOURCES[-1]:
+        if work.source == SOURCES[-1]:
             scores = others + rows
-            data = {**data, "agent": training, "scores": scores, "summary": close_loop.collect(scores)}
+            data = {**data, "agent": training, "scores": scores, "summary": collect(scores)}
             close_loop.write(out, data, pictures)
     return data
 
@@ -151,7 +152,7 @@ def main() -> None:
             given.rigs, given.out, read_config(given.config), command=command, pictures=not given.no_pictures,
             progress=not given.quiet,
         )  # fmt: skip
-        print(close_loop.summary(data))
+        print(summary(data))
 
     run_command(work)
 

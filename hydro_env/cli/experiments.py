@@ -69,18 +69,7 @@ def close_loop(
     """
     with writing(out) as folder:
         from hydro_env.experiments import close_loop as work
+        from hydro_env.experiments.close_loop_summary import summary
 
-        print(
-            work.summary(
-                work.run(
-                    folder,
-                    cases=case,
-                    seeds=seeds,
-                    seed=seed,
-                    cells=cells,
-                    jobs=jobs,
-                    engine=engine,
-                    pictures=pictures,
-                )
-            )
-        )
+        settings = work.Settings(tuple(case or work.CASES), seeds, seed)
+        print(summary(work.run(folder, settings, cells=cells, jobs=jobs, engine=engine, pictures=pictures)))

@@ -82,18 +82,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         dtype: str = "float64",
     ) -> None:
         super().__init__()
-        if num_envs < 1:
-            raise InputError(f"num_envs is {num_envs}, expected at least 1")
-        if not isinstance(control_period, (int, float)) or not 1e-4 <= control_period <= 1.0:
-            raise InputError(f"control_period is {control_period!r} s, expected 0.0001 to 1")
-        if not (isinstance(history, int) and history >= 1):
-            raise InputError(f"history is {history!r}, expected a whole number of frames of at least 1")
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise InputError(f"max_episode_steps is {max_episode_steps}, expected at least 1")
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InputError(f"render_mode is {render_mode!r}, expected None or 'rgb_array'")
-        if dtype not in ("float64", "float32"):
-            raise InputError(f"dtype is {dtype!r}, expected 'float64' or 'float32'")
+        _check(num_envs, control_period, render_mode, history, max_episode_steps, dtype)
         self.num_envs = int(num_envs)
         self.dtype = np.dtype(dtype)
         self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
@@ -120,9 +109,15 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
-        n = self.num_envs
         self._levels = noise_levels(noise)
         self._weights = self.reward.weights()
+        self._recorder = Recorder(self.num_envs) if render_mode is not None else None
+        self._settable: dict[str, tuple[float, float]] = {}
+        self._clear()
+
+    def _clear(self) -> None:
+        """Makes room for what belongs to the episodes of each row."""
+        n = self.num_envs
         self._seeds: list[int] = []
         self._episode = np.full(n, -1, np.int64)
         self._case = np.full(n, -1, np.int64)
@@ -136,11 +131,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._stuck, self._held = np.full((n, 2), _NEVER, np.int64), np.zeros((n, 2))
         self._fraction, self._moved = np.zeros((n, 2)), np.zeros(n)
         self._command, self._torque = np.zeros((n, 2)), np.zeros((n, 2))
-        self._frames = np.zeros((n, width), np.float32)
+        self._frames = np.zeros((n, FRAME * self.history), np.float32)
         self._all = np.arange(n)
         self._course: tuple[Scenario, Reference] | None = None
-        self._recorder = Recorder(n) if render_mode is not None else None
-        self._settable: dict[str, tuple[float, float]] = {}
 
     # --- the interface of Gymnasium -------------------------------------------------------------------------------
     def reset(
@@ -476,3 +469,21 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
 def _stream(seed: int, episode: int, component: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(episode, component))))
+
+
+def _check(
+    num_envs: int, control_period: float, render_mode: str | None, history: int, max_episode_steps: int | None, dtype: str
+) -> None:  # fmt: skip
+    """InputError for an argument of the environment that cannot be."""
+    if num_envs < 1:
+        raise InputError(f"num_envs is {num_envs}, expected at least 1")
+    if not isinstance(control_period, (int, float)) or not 1e-4 <= control_period <= 1.0:
+        raise InputError(f"control_period is {control_period!r} s, expected 0.0001 to 1")
+    if not (isinstance(history, int) and history >= 1):
+        raise InputError(f"history is {history!r}, expected a whole number of frames of at least 1")
+    if max_episode_steps is not None and max_episode_steps < 1:
+        raise InputError(f"max_episode_steps is {max_episode_steps}, expected at least 1")
+    if render_mode not in (None, "rgb_array"):
+        raise InputError(f"render_mode is {render_mode!r}, expected None or 'rgb_array'")
+    if dtype not in ("float64", "float32"):
+        raise InputError(f"dtype is {dtype!r}, expected 'float64' or 'float32'")

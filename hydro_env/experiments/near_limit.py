@@ -169,6 +169,17 @@ def operations(source: str) -> int:
     return count(functions["begin"]) + count(functions["finish"])
 
 
+def _compiled(compiler: str, folder: Path, source: str) -> tuple[Any, Any]:
+    """The C++ twin `run(cells, steps, h)` of a generated kernel and `peak(turns, a, b)`, compiled in `folder`."""
+    code, library = folder / "step.cpp", folder / "step.so"
+    code.write_text(to_cpp(source) + _PEAK)
+    subprocess.run([compiler, *FLAGS, str(code), "-o", str(library)], check=True, capture_output=True)
+    run, peak = ctypes.CDLL(str(library)).run, ctypes.CDLL(str(library)).peak
+    run.argtypes = (ctypes.c_void_p, ctypes.c_long, ctypes.c_double)
+    peak.argtypes, peak.restype = (ctypes.c_long, ctypes.c_double, ctypes.c_double), ctypes.c_double
+    return run, peak
+
+
 def measure_ratio(seconds: float = 1.0) -> dict[str, Any] | None:
     """Time of a channel substep of our kernel and of its C++ twin, ns, and their ratio; None without a C++ compiler.
 
@@ -191,13 +202,7 @@ def measure_ratio(seconds: float = 1.0) -> dict[str, Any] | None:
         kernel.advance(memory.reshape(-1), cells, ring, 0, command, load, steps, SUBSTEP, nothing, 1, out)
 
     with tempfile.TemporaryDirectory() as folder:
-        code, library = Path(folder) / "step.cpp", Path(folder) / "step.so"
-        code.write_text(to_cpp(kernel.source) + _PEAK)
-        subprocess.run([compiler, *FLAGS, str(code), "-o", str(library)], check=True, capture_output=True)
-        run = ctypes.CDLL(str(library)).run
-        run.argtypes = (ctypes.c_void_p, ctypes.c_long, ctypes.c_double)
-        peak = ctypes.CDLL(str(library)).peak
-        peak.argtypes, peak.restype = (ctypes.c_long, ctypes.c_double, ctypes.c_double), ctypes.c_double
+        run, peak = _compiled(compiler, Path(folder), kernel.source)
 
         def theirs(steps: int) -> None:
             run(twin_cells.ctypes.data, steps, SUBSTEP)

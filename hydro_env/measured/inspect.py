@@ -190,14 +190,6 @@ def _guessed(
         if signal is None:
             notes.append(f"{name!r}: not recognised, left out")
             continue
-        said = units.get(name)
-        given = (_known(said, _QUANTITIES[signal]) if said else None) or _unit_of(name, _QUANTITIES[signal])
-        chosen = given or _guessed_unit(signal, values)
-        why = "unit from the file" if given else "unit guessed from the size of the numbers"
-        source: dict[str, Any] = {"column": name, "unit": chosen}
-        if UNITS[chosen].quantity == "fraction":
-            source["full_scale"] = 10.0
-            why += "; full_scale is a guess: the volts at 100 %"
         if not np.isfinite(values).any() or np.ptp(values[np.isfinite(values)]) == 0.0:
             notes.append(f"{name!r}: constant, left out")
             continue
@@ -206,23 +198,21 @@ def _guessed(
         else:
             number = next((_SIDES[w] for w in _words(name) if w in _SIDES), 1)
             where, target = f"channel {number}", channels[number]
-        if signal in target:
-            first = target[signal]
-            if (
-                signal == "pressure"
-                and "minus" not in first
-                and _port(name) == "b"
-                and _port(first["column"]) == "a"
-            ):
-                first["minus"] = source
-                notes.append(
-                    f"{name!r}: the other port's pressure, subtracted from {first['column']!r}; unequal areas need a scale"
-                )
-            else:
-                notes.append(f"{name!r}: looks like another {signal} of {where}, left out")
-            continue
-        target[signal] = source
-        notes.append(f"{name!r}: {signal} of {where} in {chosen} ({why})")
+        source, why = _source(name, values, signal, units.get(name))
+        first = target.setdefault(signal, source)
+        if first is source:
+            notes.append(f"{name!r}: {signal} of {where} in {source['unit']} ({why})")
+        elif (
+            signal == "pressure"
+            and "minus" not in first
+            and (_port(name), _port(first["column"])) == ("b", "a")
+        ):
+            first["minus"] = source
+            notes.append(
+                f"{name!r}: the other port's pressure, subtracted from {first['column']!r}; unequal areas need a scale"
+            )
+        else:
+            notes.append(f"{name!r}: looks like another {signal} of {where}, left out")
     if "time" not in content:
         content["time"] = {"sample_rate": 1000}
         notes.append("no clock found: 1000 rows per second is a placeholder, put the true rate")
@@ -239,6 +229,18 @@ def _guessed(
             lacking = " and ".join(s for s in ("command", "speed") if s not in channel)
             notes.append(f"channel {number}: no {lacking} found, left out")
     return content
+
+
+def _source(name: str, values: np.ndarray, signal: str, said: str | None) -> tuple[dict[str, Any], str]:
+    """Column and unit of a signal, and where the unit is from; `said` is the unit that the file gives."""
+    given = (_known(said, _QUANTITIES[signal]) if said else None) or _unit_of(name, _QUANTITIES[signal])
+    chosen = given or _guessed_unit(signal, values)
+    source: dict[str, Any] = {"column": name, "unit": chosen}
+    why = "unit from the file" if given else "unit guessed from the size of the numbers"
+    if UNITS[chosen].quantity == "fraction":
+        source["full_scale"] = 10.0
+        why += "; full_scale is a guess: the volts at 100 %"
+    return source, why
 
 
 def _tried(path: Path, content: dict[str, Any], notes: list[str]) -> Proposal:

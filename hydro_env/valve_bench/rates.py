@@ -205,6 +205,49 @@ def _decide(sweeps: list[Sweep], rates: Floats, rated: float, base: dict[str, An
         return RateCheck(
             "no loop", f"the widest loop is {shown:.2g} % of the rated signal", bound_percent=bound, **base
         )
+    triples, rest = _straight_line(wide, rates, resolution)
+    hysteresis, lag = triples
+    widest = float(means.max())
+    share = tuple(value / widest for value in hysteresis)
+    lagging = tuple(2.0 * value * float(rates[-1]) / widest for value in lag)
+    exponent = None
+    if means.min() > 0.0:
+        exponent = float(np.polyfit(np.log(rates), np.log(means), 1)[0])
+    notes = []
+    if len(rates) > 2 and np.max(np.abs(rest) / np.maximum(means, 0.05 * widest)) > 0.15:
+        notes.append(
+            f"the loop grows as the rate to the power {exponent:.2f}, not along a straight line: the intervals allow for it"
+        )
+    first, last = 100.0 * means[0] / rated, 100.0 * means[-1] / rated
+    story = (
+        f"the loop goes from {last:.3g} % at the fastest sweep to {first:.3g} % at the slowest, "
+        f"{rates[-1] / rates[0]:.3g} times slower"
+    )
+    verdict = _verdict(share, lagging, float(means.min()) / widest)
+    if verdict in ("lag", "both"):
+        story += (
+            f"; of that at most {min(100.0 * hysteresis[2] / rated, bound):.3g} % is hysteresis, the lag is {lag[0]:.3g} s "
+            f"({lag[1]:.3g} to {lag[2]:.3g})"
+        )
+    return RateCheck(
+        verdict,
+        story,
+        hysteresis_percent=tuple(100.0 * value / rated for value in hysteresis),  # type: ignore[arg-type]
+        lag_s=lag,
+        share=share,  # type: ignore[arg-type]
+        bound_percent=bound,
+        exponent=exponent,
+        findings=tuple(notes),
+        **base,
+    )
+
+
+def _straight_line(
+    wide: Floats, rates: Floats, resolution: float
+) -> tuple[list[tuple[float, float, float]], Floats]:
+    """Width at rest and lag of a loop whose width grows along a line over the rate, each with its 95 % interval (mean, low,
+    high), and what the line leaves of the mean widths (rates,). `wide` is (rates, blocks of one sweep)."""
+    means = np.abs(wide.mean(axis=1))
     # Weights by the inverse rate: what scatters about the line grows with the width of the loop.
     design = np.column_stack([np.ones_like(rates), 2.0 * rates])
     weight = 1.0 / np.maximum(means, 0.02 * means.max())
@@ -223,45 +266,16 @@ def _decide(sweeps: list[Sweep], rates: Floats, rated: float, base: dict[str, An
         margin = float(np.sqrt(margin**2 + lacking**2 + noise**2))
         mean = float(np.mean(values))
         triples.append((mean, mean - margin, mean + margin))
-    hysteresis, lag = triples
-    widest = float(means.max())
-    share = tuple(value / widest for value in hysteresis)
-    lagging = tuple(2.0 * value * float(rates[-1]) / widest for value in lag)
-    exponent = None
-    if means.min() > 0.0:
-        exponent = float(np.polyfit(np.log(rates), np.log(means), 1)[0])
-    notes = []
-    if free > 0 and np.max(np.abs(rest) / np.maximum(means, 0.05 * widest)) > 0.15:
-        notes.append(
-            f"the loop grows as the rate to the power {exponent:.2f}, not along a straight line: the intervals allow for it"
-        )
-    narrowest = float(means.min()) / widest
-    first, last = 100.0 * means[0] / rated, 100.0 * means[-1] / rated
-    story = (
-        f"the loop goes from {last:.3g} % at the fastest sweep to {first:.3g} % at the slowest, "
-        f"{rates[-1] / rates[0]:.3g} times slower"
-    )
-    at_most = min(share[2], narrowest)
-    if at_most <= MINOR and lagging[1] > 0.0:
-        verdict = "lag"
-    elif share[1] >= 1.0 - MINOR and abs(lagging[0]) <= MINOR:
-        verdict = "hysteresis"
-    elif share[1] > 0.0 and lagging[1] > 0.0:
-        verdict = "both"
-    else:
-        verdict = "undecided"
-    kept = (
-        f"; of that at most {min(100.0 * hysteresis[2] / rated, bound):.3g} % is hysteresis, the lag is {lag[0]:.3g} s "
-        f"({lag[1]:.3g} to {lag[2]:.3g})"
-    )
-    return RateCheck(
-        verdict,
-        story + kept if verdict in ("lag", "both") else story,
-        hysteresis_percent=tuple(100.0 * value / rated for value in hysteresis),  # type: ignore[arg-type]
-        lag_s=lag,
-        share=share,  # type: ignore[arg-type]
-        bound_percent=bound,
-        exponent=exponent,
-        findings=tuple(notes),
-        **base,
-    )
+    return triples, rest
+
+
+def _verdict(share: tuple[float, ...], lagging: tuple[float, ...], narrowest: float) -> str:
+    """What a loop is, from the shares (mean, low, high) of the widest loop that hysteresis and lag make up, and the share
+    that the narrowest loop is of the widest."""
+    if min(share[2], narrowest) <= MINOR and lagging[1] > 0.0:
+        return "lag"
+    if share[1] >= 1.0 - MINOR and abs(lagging[0]) <= MINOR:
+        return "hysteresis"
+    if share[1] > 0.0 and lagging[1] > 0.0:
+        return "both"
+    return "undecided"

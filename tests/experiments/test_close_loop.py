@@ -15,8 +15,10 @@ from hydro_env.controllers import make_controller
 from hydro_env.controllers.classical.model_inverse import ModelInverse, flow_curve
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
-from hydro_env.experiments import close_loop
-from hydro_env.experiments.close_loop import LAWS, METRICS, SCENARIOS, SOURCES, RigTask, Score, Tuning
+from hydro_env.experiments import close_loop, close_loop_summary, close_loop_tuning
+from hydro_env.experiments.close_loop import SCENARIOS, RigTask, Score, Settings
+from hydro_env.experiments.close_loop_summary import METRICS, SOURCES
+from hydro_env.experiments.close_loop_tuning import LAWS, Tuning
 from hydro_env.experiments.truth_drive import drive
 from hydro_env.plant import PlantModel, load_model
 from hydro_env.tasks import load_scenario
@@ -24,6 +26,14 @@ from hydro_env.tasks import load_scenario
 GAINS = {"rate": 30.0, "Kp": 10.0, "Ti": 0.15, "Ks": 25.0, "blend": 0.01}
 SHORT = load_scenario({"name": "short", "duration": 1.2, "setpoint_rpm": [[0.1, 500.0], [0.7, -150.0]]})
 DEAD_ZONE = {"dead_zone.overlap_positive": (9e-5, 0.0), "dead_zone.overlap_negative": (11e-5, 0.0)}
+
+
+def run_loop(out: Path, **given: Any) -> dict[str, Any]:
+    """`close_loop.run` with its settings by name."""
+    own = {name: given.pop(name) for name in ("cases", "seeds", "seed", "generations") if name in given}
+    return close_loop.run(
+        out, Settings(**{**own, "cases": tuple(own.get("cases", close_loop.CASES))}), **given
+    )
 
 
 @pytest.fixture(scope="module")
@@ -104,12 +114,12 @@ def test_the_inverse_drives_rows_alike(truth: PlantModel) -> None:
 def test_tuning_repeats_and_stays_in_range(
     law: str, truth: PlantModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(close_loop, "POPULATION", 6)
-    monkeypatch.setattr(close_loop, "TUNING_EPISODES", 1)
-    monkeypatch.setattr(close_loop, "TUNED_ON", SHORT)
+    monkeypatch.setattr(close_loop_tuning, "POPULATION", 6)
+    monkeypatch.setattr(close_loop_tuning, "TUNING_EPISODES", 1)
+    monkeypatch.setattr(close_loop_tuning, "TUNED_ON", SHORT)
     task = Tuning(law, "true", "rig", truth, seed=3, generations=2)
-    found = close_loop.tune(task)
-    assert found == close_loop.tune(task)
+    found = close_loop_tuning.tune(task)
+    assert found == close_loop_tuning.tune(task)
     for gain, channel in LAWS[law].genes():
         value = found["gains"][gain.name]
         assert gain.low * 0.999 <= (value if channel is None else value[channel]) <= gain.high * 1.001
@@ -127,7 +137,7 @@ def rows(changes: dict[str, float]) -> list[dict[str, Any]]:
 
 
 def test_collect_says_what_the_repair_changed() -> None:
-    found = close_loop.collect(rows({"wrong": 1.0, "repaired": 0.25, "true": 0.2}))
+    found = close_loop_summary.collect(rows({"wrong": 1.0, "repaired": 0.25, "true": 0.2}))
     assert len(found) == len(SCENARIOS) * len(METRICS)
     first = found[0]
     assert first["wrong"]["mean"] == 25.0 and first["repaired"]["mean"] == 6.25 and first["n"] == 4
@@ -142,7 +152,7 @@ def test_collect_counts_only_rigs_that_all_models_have() -> None:
     scores = [
         s for s in rows({"wrong": 1.0, "repaired": 2.0}) if (s["rig"], s["tuned_on"]) != ("a_0", "repaired")
     ]
-    first = close_loop.collect(scores)[0]
+    first = close_loop_summary.collect(scores)[0]
     assert first["n"] == 3 and first["wrong"]["mean"] == 30.0
     assert first["better"] == 0 and first["change"]["mean"] == pytest.approx(1.0)
 
@@ -156,13 +166,13 @@ def test_table_and_picture(tmp_path: Path) -> None:
     rigs = [{"rig": f"{c}_{n}", "case": c, "seed": n, "right": True,
              "hidden": [{"name": "dead_zone", "channel": "1"}]} for c in "ab" for n in (0, 1)]  # fmt: skip
     data = {"schema": close_loop.SCHEMA, "rigs": rigs, "scores": [*scores, *shipped], "failed": [],
-            "summary": close_loop.collect([*scores, *shipped])}  # fmt: skip
+            "summary": close_loop_summary.collect([*scores, *shipped])}  # fmt: skip
     close_loop.write(tmp_path, data)
     assert (tmp_path / "close_loop.png").stat().st_size > 10_000
     text = (tmp_path / "close_loop.md").read_text()
     assert "-75 %" in text and "as shipped" in text
     assert len({line.count("|") for line in text.splitlines()}) == 1
-    assert "4 named correctly" in close_loop.summary(data)
+    assert "4 named correctly" in close_loop_summary.summary(data)
     back = close_loop.read(tmp_path)
     assert back["summary"] == json.loads(json.dumps(data["summary"]))
     assert back["scores"][0]["difference_rpm"] == [0.0, 1.0, 2.0]
@@ -170,9 +180,9 @@ def test_table_and_picture(tmp_path: Path) -> None:
 
 def test_bad_input(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="unknown case 'dead'"):
-        close_loop.run(tmp_path, cases=["dead"])
+        run_loop(tmp_path, cases=["dead"])
     with pytest.raises(InputError, match="seeds"):
-        close_loop.run(tmp_path, seeds=0)
+        run_loop(tmp_path, seeds=0)
     with pytest.raises(InputError, match="no result"):
         close_loop.read(tmp_path)
     assert list(tmp_path.iterdir()) == []
@@ -207,11 +217,11 @@ def quick(monkeypatch: pytest.MonkeyPatch, truth: PlantModel) -> list[Any]:
     work = close_loop._work
     monkeypatch.setattr(close_loop, "make_rig", made)
     monkeypatch.setattr(close_loop, "_work", noted)
-    monkeypatch.setattr(close_loop, "POPULATION", 5)
-    monkeypatch.setattr(close_loop, "TUNING_EPISODES", 1)
-    monkeypatch.setattr(close_loop, "TUNED_ON", SHORT)
+    monkeypatch.setattr(close_loop_tuning, "POPULATION", 5)
+    monkeypatch.setattr(close_loop_tuning, "TUNING_EPISODES", 1)
+    monkeypatch.setattr(close_loop_tuning, "TUNED_ON", SHORT)
     monkeypatch.setattr(close_loop, "SCENARIOS", ("short",))
-    monkeypatch.setattr(close_loop, "LAWS", {"model_inverse": LAWS["model_inverse"]})
+    monkeypatch.setattr(close_loop_tuning, "LAWS", {"model_inverse": LAWS["model_inverse"]})
     monkeypatch.setattr(close_loop, "SHIPPED", ())
     monkeypatch.setattr("hydro_env.experiments.truth_drive.load_scenario", lambda name: SHORT)
     return done
@@ -219,7 +229,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, truth: PlantModel) -> list[Any]:
 
 def test_the_chain_goes_on_where_it_stopped(quick: list[Any], tmp_path: Path) -> None:
     def go() -> dict[str, Any]:
-        return close_loop.run(
+        return run_loop(
             tmp_path, cases=["dead_zone"], seeds=1, cells=tmp_path / "cells", generations=2, pictures=False,
             progress=False,
         )  # fmt: skip
@@ -281,7 +291,7 @@ def test_the_command_goes_on_after_an_interruption(
     [
         (
             ["--case", "dead_zones"],
-            "unknown case 'dead_zones': there are dead_zone, hysteresis, droop, mixed",
+            "unknown case 'dead_zones': did you mean 'dead_zone'?",
         ),
         (["--seeds", "0"], "Invalid value for '--seeds'"),
         (["--seed", "99", "--seeds", "2"], "seeds 99 to 100: 0 to 99 are right"),
@@ -310,7 +320,7 @@ def test_the_agent_with_a_folder_that_is_no_result(quick: list[Any], tmp_path: P
     rigs = tmp_path / "rigs"
     rigs.mkdir()
     if missing != "nothing":
-        close_loop.run(rigs, cases=["dead_zone"], seeds=1, generations=2, pictures=False, progress=False)
+        run_loop(rigs, cases=["dead_zone"], seeds=1, generations=2, pictures=False, progress=False)
     if missing == "traces":
         (rigs / "traces.json").unlink()
     if missing == "schema":
@@ -323,13 +333,13 @@ def test_the_agent_with_a_folder_that_is_no_result(quick: list[Any], tmp_path: P
 
 
 def test_a_rig_that_fails_is_told(quick: list[Any], tmp_path: Path) -> None:
-    found = close_loop.run(
+    found = run_loop(
         tmp_path, cases=["dead_zone"], seeds=2, seed=8, generations=2, pictures=False, progress=False
     )
     assert [row["rig"] for row in found["rigs"]] == ["dead_zone_8"]
     assert found["failed"] == [{"task": "dead_zone_9", "reason": "RuntimeError: no such rig"}]
     with pytest.raises(InputError, match="no such rig"):
-        close_loop.run(tmp_path, cases=["dead_zone"], seeds=1, seed=9, pictures=False, progress=False)
+        run_loop(tmp_path, cases=["dead_zone"], seeds=1, seed=9, pictures=False, progress=False)
 
 
 def test_the_agent_beside_the_controllers(
@@ -341,9 +351,7 @@ def test_the_agent_beside_the_controllers(
     from agents.config import read_config
 
     (tmp_path / "rigs").mkdir()
-    close_loop.run(
-        tmp_path / "rigs", cases=["dead_zone"], seeds=1, generations=2, pictures=False, progress=False
-    )
+    run_loop(tmp_path / "rigs", cases=["dead_zone"], seeds=1, generations=2, pictures=False, progress=False)
     whole = read_config(agent.CONFIG)
     config = replace(
         whole, num_envs=4, num_steps=64, hyper={**whole.hyper, "n_steps": 8, "batch_size": 32, "n_epochs": 1},
@@ -382,7 +390,7 @@ def test_rigs_share_the_wrong_model_and_no_seed() -> None:
 @pytest.mark.slow
 def test_a_hidden_dead_zone_is_repaired(tmp_path: Path) -> None:
     """The whole chain on one rig: what was named is right, and the controller made from the model gains by it."""
-    found = close_loop.run(
+    found = run_loop(
         tmp_path, cases=["dead_zone"], seeds=1, seed=7, generations=3, pictures=False, progress=False
     )
     assert found["rigs"][0]["right"]

@@ -1,0 +1,133 @@
+"""What closing the loop shows: means over hidden rigs with their intervals, as rows, as a table and as text.
+
+Intervals are 95 % percentile bootstrap ones of the mean over rigs: cases are drawn anew, and in each of them its seeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hydro_env.controllers.base import Floats
+
+__all__ = ["METRICS", "SOURCES", "collect", "summary", "table"]
+
+#: Models on which a controller is tuned.
+SOURCES = ("wrong", "repaired", "true")
+METRICS = ("max_speed_difference_rpm", "rms_speed_difference_rpm", "tracking_mae_rpm")
+RESAMPLES = 4000
+
+
+def collect(scores: Sequence[Mapping[str, Any]], seed: int = 0) -> list[dict[str, Any]]:
+    """Means over rigs by controller, scenario and metric, and what repairing the model changed.
+
+    `scores` are rows {controller, tuned_on, rig, case, seed, scenario, metrics}. Of every controller that was tuned, the
+    rows hold `wrong`, `repaired`, `true` as {mean, ci95}; `change`: mean on the repaired model over that on the wrong one,
+    less 1; `better`: on how many rigs it was lower. Shipped controllers have `none` alone.
+    """
+    rows = []
+    kinds = dict.fromkeys((s["controller"], s["tuned_on"] == "none", s["scenario"]) for s in scores)
+    for controller, shipped, scenario in kinds:
+        own = [s for s in scores if s["controller"] == controller and s["scenario"] == scenario]
+        own = [s for s in own if (s["tuned_on"] == "none") == shipped]
+        for metric in METRICS:
+            values: dict[str, dict[tuple[str, int], float]] = {}
+            for s in own:
+                values.setdefault(s["tuned_on"], {})[s["case"], s["seed"]] = s["metrics"][metric]
+            rigs = sorted(set.intersection(*(set(each) for each in values.values())))
+            drawn = _drawn(rigs, seed)
+            table = {source: np.array([each[rig] for rig in rigs]) for source, each in values.items()}
+            means = {source: each[drawn].mean(axis=1) for source, each in table.items()}
+            row: dict[str, Any] = {
+                "controller": controller,
+                "scenario": scenario,
+                "metric": metric,
+                "n": len(rigs),
+            }
+            for source, each in table.items():
+                row[source] = {"mean": float(each.mean()), "ci95": _interval(means[source])}
+            if {"wrong", "repaired"} <= table.keys():
+                before, after = table["wrong"], table["repaired"]
+                row["change"] = {
+                    "mean": float(after.mean() / before.mean() - 1.0),
+                    "ci95": _interval(means["repaired"] / means["wrong"] - 1.0),
+                }
+                row["better"] = int(np.sum(after < before))
+            rows.append(row)
+    return rows
+
+
+def _drawn(rigs: Sequence[tuple[str, int]], seed: int) -> Any:
+    """Places of the rigs in every resample (RESAMPLES, n): cases drawn anew, and in each of them as many of its seeds."""
+    stream = np.random.default_rng(seed)
+    cases = [np.flatnonzero([case == each for case, _ in rigs]) for each in dict.fromkeys(c for c, _ in rigs)]
+    size = max(len(each) for each in cases)  # cases of equal weight, also if a rig of one of them failed
+    picked = stream.integers(len(cases), size=(RESAMPLES, len(cases)))
+    return np.array(
+        [np.concatenate([cases[c][stream.integers(len(cases[c]), size=size)] for c in row]) for row in picked]
+    )
+
+
+def _interval(values: Floats) -> list[float]:
+    return [float(v) for v in np.percentile(values, [2.5, 97.5])]
+
+
+def table(data: Mapping[str, Any]) -> str:
+    """The scores as a table in Markdown, one line a controller and scenario."""
+    lines = [
+        "| controller | scenario | peak error, rpm: model as given | repaired | true | change by the repair | better on"
+        " | RMS: as given, repaired, true | tracking error: as given, repaired, true |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    by = {(r["controller"], "none" in r, r["scenario"], r["metric"]): r for r in data["summary"]}
+    for name, shipped in dict.fromkeys((r["controller"], "none" in r) for r in data["summary"]):
+        for scenario in dict.fromkeys(r["scenario"] for r in data["summary"]):
+            largest, rms, tracking = (by[name, shipped, scenario, metric] for metric in METRICS)
+            if shipped:
+                cells = [_shown(largest["none"]), "", "", "", ""]
+                rest = [f"{row['none']['mean']:.1f}" for row in (rms, tracking)]
+                name_shown = f"{name} as shipped"
+            else:
+                change = largest["change"]
+                low, high = (100.0 * v for v in change["ci95"])
+                cells = [_shown(largest[source]) for source in SOURCES]
+                cells += [
+                    f"{100.0 * change['mean']:+.0f} % [{low:+.0f}, {high:+.0f}]",
+                    f"{largest['better']} of {largest['n']}",
+                ]
+                rest = [
+                    ", ".join(f"{row[source]['mean']:.1f}" for source in SOURCES) for row in (rms, tracking)
+                ]
+                name_shown = name
+            lines.append(f"| {name_shown} | {scenario} | {' | '.join([*cells, *rest])} |")
+    return "\n".join(lines)
+
+
+def _shown(entry: Mapping[str, Any]) -> str:
+    low, high = entry["ci95"]
+    return f"{entry['mean']:.1f} [{low:.1f}, {high:.1f}]"
+
+
+def summary(data: Mapping[str, Any]) -> str:
+    """What the command prints."""
+    right = sum(row["right"] for row in data["rigs"])
+    lines = [
+        f"{len(data['rigs'])} hidden rigs, {right} named correctly. Peak synchronisation error, rpm, on the hidden rigs:"
+    ]
+    for row in data["summary"]:
+        if row["metric"] != METRICS[0]:
+            continue
+        start = f"{row['controller']:<14} {row['scenario']:<15}"
+        if "none" in row:
+            lines.append(f"{start} as shipped, without information on the rig: {_shown(row['none'])}")
+            continue
+        low, high = (100.0 * v for v in row["change"]["ci95"])
+        lines.append(
+            f"{start} tuned on the model as given {_shown(row['wrong'])}, on the repaired one {_shown(row['repaired'])}, "
+            f"on the true one {_shown(row['true'])}: {100.0 * row['change']['mean']:+.0f} % [{low:+.0f}, {high:+.0f}], "
+            f"better on {row['better']} of {row['n']}"
+        )
+    lines += [f"failed: {each['task']}: {each['reason']}" for each in data["failed"]]
+    return "\n".join(lines)
