@@ -304,7 +304,7 @@ def suites() -> str:
 
 def packages() -> str:
     """The parts of the package and what each may import, from the table that the tests check."""
-    text = (ROOT / "tests" / "test_architecture.py").read_text(encoding="utf-8")
+    text = (ROOT / "tests" / "project" / "test_architecture.py").read_text(encoding="utf-8")
     allowed = next(
         ast.literal_eval(node.value)
         for node in ast.parse(text).body
