@@ -10,7 +10,7 @@ from typing import Any
 from ..files import write_text
 from ..plant import CATALOGUE, PlantModel
 from .stages.form_correction import Correction
-from .stages.naming import NamedEffect, calibrated_values, effect_values, estimated_model
+from .stages.naming import NamedEffect, effect_values, estimated_model, known_parameters
 from .stages.screening import detectable, hidden_by_calibration
 from .stages.validation import shown_unit, signal_key
 from .state import State
@@ -74,8 +74,8 @@ class Diagnosis:
             "effects": [n.as_dict() for n in self.effects],
             "where": [p.as_dict() for p in state.locations],
             "calibrated": {
-                f"{name}_{c + 1}": {"nominal": nominal, **vars(value)}
-                for (name, c), (nominal, value) in calibrated_values(state.rig, state.shown).items()
+                p.name: {"nominal": p.nominal, **vars(p.estimate)}
+                for p in known_parameters(state.rig, state.shown)
             },
             "gap": {"sealed": state.on_held_out.as_dict(), "fit": state.on_fit.as_dict()},
             "shape_corrections": [self._correction(k) for k in state.corrections],

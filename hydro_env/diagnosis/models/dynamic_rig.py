@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,16 @@ _RECORDED = {
     "spool": "spool",
     "flow": "flow",
 }
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """Rigs, each a list of request numbers, that go through a kernel together: its effects, the substep, s, and the block."""
+
+    effects: tuple[str, ...]
+    step: float
+    rigs: list[list[int]]
+    block: int
 
 
 class DynamicRig:
@@ -143,20 +154,17 @@ class DynamicRig:
             parts = max((_parts(CATALOGUE[e]) for e in request.effects), default=1)
             key = (self.kernel(request.effects), parts, self._step(request))
             by_kernel.setdefault(key, []).append(number)
-        pieces: list[tuple[tuple[str, ...], float, list[list[int]], int]] = []
+        batches: list[_Batch] = []
         for (effects, _, step), numbers in by_kernel.items():
-            rows = self._pack([(n, requests[n]) for n in numbers])
-            pieces += [
-                (effects, step, rows[start:stop], block)
-                for start, stop, block in _pieces(len(rows), self.jobs)
-            ]
+            rigs = self._pack([(n, requests[n]) for n in numbers])
+            for start, stop, block in _pieces(len(rigs), self.jobs):
+                batches.append(_Batch(effects, step, rigs[start:stop], block))
 
-        def work(piece: tuple[tuple[str, ...], float, list[list[int]], int]) -> None:
-            effects, step, rigs, block = piece
-            self._run(effects, step, rigs, requests, results, block)
+        def work(batch: _Batch) -> None:
+            self._run(batch, requests, results)
 
         # A request's result does not depend on who simulates it or beside what; every one has its place in `results`.
-        for _ in map(work, pieces) if self._pool is None else self._pool.map(work, pieces):
+        for _ in map(work, batches) if self._pool is None else self._pool.map(work, batches):
             pass
         return results
 
@@ -201,20 +209,12 @@ class DynamicRig:
         single = [n for n, r in wanted if r.channel is not None and not self.coupled]
         return whole + [single[k : k + 2] for k in range(0, len(single), 2)]
 
-    def _run(
-        self,
-        effects: tuple[str, ...],
-        step: float,
-        rigs: list[list[int]],
-        requests: Sequence[Request],
-        results: list[dict[int, np.ndarray]],
-        block: int,
-    ) -> None:
-        lanes = len(rigs)
+    def _run(self, batch: _Batch, requests: Sequence[Request], results: list[dict[int, np.ndarray]]) -> None:
+        """Simulates the rigs of a batch and puts what they show into `results`, by request."""
         # Which channel each side of each rig plays, and which side answers a request.
-        plays = np.tile([0, 1], (lanes, 1))
+        plays = np.tile([0, 1], (len(batch.rigs), 1))
         sides: dict[int, tuple[int, dict[int, int]]] = {}
-        for lane, rig in enumerate(rigs):
+        for lane, rig in enumerate(batch.rigs):
             for side, n in enumerate(rig):
                 channel = requests[n].channel
                 if channel is None or self.coupled:
@@ -223,7 +223,7 @@ class DynamicRig:
                     plays[lane, side] = channel
                     sides[n] = (lane, {channel: side})
         swapped = bool((plays != [0, 1]).any())
-        names = {name for rig in rigs for n in rig for name in requests[n].values}
+        names = {name for rig in batch.rigs for n in rig for name in requests[n].values}
         if swapped:
             names |= self._unequal
         values = {name: np.array(self.model.pair(name))[plays] for name in names}
@@ -237,9 +237,9 @@ class DynamicRig:
                         value
                     )
             for channel in answers:
-                results[n][channel] = np.empty(self._length(channel))
+                results[n][channel] = np.empty(self.segments[channel][-1].place.stop)
         for number, part in enumerate(self.parts):
-            out = self._simulate(part, values, plays if swapped else None, lanes, effects, step, block)
+            out = self._simulate(part, batch, values, plays if swapped else None)
             for channel in self.channels:
                 for segment in self.segments[channel]:
                     if segment.log != number:
@@ -254,18 +254,8 @@ class DynamicRig:
     def _seen(self, request: Request) -> tuple[int, ...]:
         return self.channels if request.channel is None else (request.channel,)
 
-    def _length(self, channel: int) -> int:
-        return self.segments[channel][-1].place.stop
-
     def _simulate(
-        self,
-        part: Part,
-        values: dict[str, np.ndarray],
-        plays: np.ndarray | None,
-        lanes: int,
-        effects: tuple[str, ...],
-        step: float,
-        block: int,
+        self, part: Part, batch: _Batch, values: dict[str, np.ndarray], plays: np.ndarray | None
     ) -> dict[str, np.ndarray]:
         """`plays` (lanes, 2): the channel whose command and load each side has; None: its own."""
         command = np.nan_to_num(part.log.command_V)
@@ -275,8 +265,9 @@ class DynamicRig:
             load = None if load is None else load[:, plays]
         with np.errstate(all="ignore"):
             return simulate(
-                self.model, command, load, part.log.period, values=values, num_rigs=lanes, effects=effects,
-                record=[_RECORDED[s] for s in self.signals], substep=step, dtype=self.dtype, block=block,
+                self.model, command, load, part.log.period, values=values, num_rigs=len(batch.rigs),
+                effects=batch.effects, record=[_RECORDED[s] for s in self.signals], substep=batch.step, dtype=self.dtype,
+                block=batch.block,
             )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from ...pages import render
 from ...plant import CATALOGUE
+from ..stages.naming import known_parameters
 from ..stages.screening import detectable, hidden_by_calibration
 from . import pictures, statements
 from . import wording as words
@@ -30,7 +31,7 @@ def report_page(found: Diagnosis) -> str:
         errors=statements.errors_of(state.on_held_out), bars=pictures.bars(found), traces=pictures.traces(found),
         locations=[(p, statements.windows_text(found, p)) for p in statements.shown_locations(found)],
         maps=pictures.maps(found), next_experiment=state.next_experiment, ranking=statements.ranking(found),
-        parameters=statements.known_parameters(found), detectable=_detectable(found),
+        parameters=known_parameters(state.rig, state.shown), detectable=_detectable(found),
         logs=[p.label for p in state.rig.parts], held_out=[p.label for p in state.held_out_parts],
     )  # fmt: skip
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...plant import CATALOGUE
 from ..models.base import RigModel
-from ..stages.candidates import ACCEPTED, Candidate
-from ..stages.naming import Interval, NamedEffect, calibrated_values
+from ..stages.candidates import Candidate
+from ..stages.naming import NamedEffect
 from ..stages.naming import effect_values as values_of_effect
 from ..stages.validation import NAMED, Proof, shown_unit
 from . import wording as words
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from ..stages.localisation import Location
 
 __all__ = [
-    "AT_NOISE", "Known", "Ranked", "SignalErrors", "correction_texts", "effect_values", "error_columns", "errors_of", "headline",
-    "known_parameters", "left_over", "ranking", "sentence", "shown_locations", "unit_of", "weak_proof", "windows_text",
+    "AT_NOISE", "SignalErrors", "correction_texts", "effect_values", "error_columns", "errors_of", "headline",
+    "left_over", "ranking", "sentence", "shown_locations", "unit_of", "weak_proof", "windows_text",
 ]  # fmt: skip
 
 #: A signal is at the noise if its error is less than this factor above it.
@@ -245,80 +245,24 @@ def correction_texts(found: Diagnosis) -> list[str]:
     return texts
 
 
-@dataclass(frozen=True)
-class Known:
-    """A known parameter: as given, and as estimated."""
-
-    symbol: str
-    channel: int
-    said: str
-    nominal: float
-    estimate: Interval
-
-    @property
-    def name(self) -> str:
-        return f"{self.symbol}_{self.channel + 1}"
-
-    @property
-    def change(self) -> float:
-        """The relative change."""
-        return self.estimate.value / self.nominal - 1.0 if self.nominal else 0.0
-
-    @property
-    def moved(self) -> bool:
-        """Whether the interval leaves out the nominal value."""
-        return not self.estimate.low <= self.nominal <= self.estimate.high
-
-
-def known_parameters(found: Diagnosis) -> list[Known]:
-    rig = found.state.rig
-    return [
-        Known(name, c, words.known(name, c, value.value, rig.model), nominal, value)
-        for (name, c), (nominal, value) in calibrated_values(rig, found.state.shown).items()
-    ]
-
-
-@dataclass(frozen=True)
-class Ranked:
-    """A candidate as it is listed; `outcome` in words."""
-
-    effect: str
-    where: str
-    gain: float
-    needed: float
-    refitted: bool
-    outcome: str
-
-    @property
-    def accepted(self) -> bool:
-        return self.outcome == ACCEPTED
-
-
-def ranking(found: Diagnosis) -> list[Ranked]:
+def ranking(found: Diagnosis) -> list[Candidate]:
     """Candidates by gain in their last try: accepted ones first, then by gain."""
     last: dict[tuple[str, int | None], Candidate] = {}
     for t in found.state.selection.candidates:
         known = last.get((t.effect, t.channel))
-        better = known is None or (
-            known.outcome != ACCEPTED and t.estimate is not None and t.gain > known.gain
-        )
-        if better or t.outcome == ACCEPTED:
+        better = known is None or (not known.accepted and t.refitted and t.gain > known.gain)
+        if better or t.accepted:
             last[t.effect, t.channel] = t
-    rows = sorted(last.values(), key=lambda t: (t.outcome != ACCEPTED, t.estimate is None, -t.gain))
+    rows = sorted(last.values(), key=lambda t: (not t.accepted, not t.refitted, -t.gain))
     tied = {
         (rival, c): n.name
         for n in found.effects
         for rival in n.indistinguishable_from
         for c in n.channels or (None,)
     }
-    ranked = []
-    for t in rows:
-        twin = tied.get((t.effect, t.channel))
-        outcome = t.outcome
-        if twin and outcome != ACCEPTED:
-            outcome = f"as good: indistinguishable from {words.plain(twin)}"
-        where = "rig" if t.channel is None else str(t.channel + 1)
-        ranked.append(
-            Ranked(t.effect, where, float(t.gain), float(t.needed), t.estimate is not None, outcome)
-        )
-    return ranked
+    return [
+        replace(t, outcome=f"as good: indistinguishable from {words.plain(tied[t.effect, t.channel])}")
+        if (t.effect, t.channel) in tied and not t.accepted
+        else t
+        for t in rows
+    ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ..stages.naming import known_parameters
 from ..stages.screening import detectable
 from . import wording as words
 from .statements import (
@@ -12,7 +13,6 @@ from .statements import (
     effect_values,
     error_columns,
     errors_of,
-    known_parameters,
     left_over,
     ranking,
     sentence,
@@ -123,7 +123,11 @@ def _tried(found: Diagnosis) -> list[str]:
 
 def _known(found: Diagnosis) -> str:
     """The known parameters that moved most, in half-widths of their intervals."""
-    rows = [p for p in known_parameters(found) if p.estimate.high > p.estimate.low and p.moved]
+    rows = [
+        p
+        for p in known_parameters(found.state.rig, found.state.shown)
+        if p.estimate.high > p.estimate.low and p.moved
+    ]
     rows = sorted((p for p in rows if abs(p.change) >= 0.005), key=lambda p: -abs(p.change))
     if not rows:
         return "  known parameters: no interval excludes the given value"

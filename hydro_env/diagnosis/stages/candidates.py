@@ -47,11 +47,22 @@ class Candidate:
     outcome: str
     estimate: Estimate | None = None
 
+    @property
+    def where(self) -> str:
+        return "rig" if self.channel is None else str(self.channel + 1)
+
+    @property
+    def refitted(self) -> bool:
+        return self.estimate is not None
+
+    @property
+    def accepted(self) -> bool:
+        return self.outcome == ACCEPTED
+
     def as_dict(self) -> dict[str, object]:
         return {
-            "effect": self.effect, "channel": "rig" if self.channel is None else str(self.channel + 1), "round": self.round,
-            "gain": round(float(self.gain), 1), "needed": round(float(self.needed), 1),
-            "refitted": self.estimate is not None, "fate": self.outcome,
+            "effect": self.effect, "channel": self.where, "round": self.round, "gain": round(float(self.gain), 1),
+            "needed": round(float(self.needed), 1), "refitted": self.refitted, "fate": self.outcome,
         }  # fmt: skip
 
 

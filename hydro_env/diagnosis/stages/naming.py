@@ -16,8 +16,8 @@ from .form_correction import is_correction
 from .screening import Screening, alike
 
 __all__ = [
-    "Interval", "NamedEffect", "at_bounds", "calibrated_values", "effect_values", "estimated_model", "measure_uncertainty",
-    "name_effects", "run",
+    "Interval", "KnownParameter", "NamedEffect", "at_bounds", "effect_values", "estimated_model", "known_parameters",
+    "measure_uncertainty", "name_effects", "run",
 ]  # fmt: skip
 
 #: Values of the two channels that differ by less (relative) are one effect of both.
@@ -35,6 +35,30 @@ class Interval:
     high: float
     unit: str
     without_one_manoeuvre: float = 0.0
+
+
+@dataclass(frozen=True)
+class KnownParameter:
+    """A base parameter of a channel: its nominal value (as given), and its estimate."""
+
+    symbol: str
+    channel: int
+    nominal: float
+    estimate: Interval
+
+    @property
+    def name(self) -> str:
+        return f"{self.symbol}_{self.channel + 1}"
+
+    @property
+    def change(self) -> float:
+        """The relative change."""
+        return self.estimate.value / self.nominal - 1.0 if self.nominal else 0.0
+
+    @property
+    def moved(self) -> bool:
+        """Whether the interval excludes the nominal value."""
+        return not self.estimate.low <= self.nominal <= self.estimate.high
 
 
 @dataclass(frozen=True)
@@ -168,14 +192,14 @@ def _interval(estimate: Estimate, j: int) -> Interval:
     return Interval(value, float(low), float(high), u.unit, float(moved))
 
 
-def calibrated_values(rig: RigModel, estimates: Estimates) -> dict[tuple[str, int], tuple[float, Interval]]:
-    """Base parameters by (name, channel): nominal value (as given) and estimate."""
-    return {
-        (u.name, c): (rig.given(u.name, c), _interval(estimate, j))
+def known_parameters(rig: RigModel, estimates: Estimates) -> list[KnownParameter]:
+    """The base parameters of every channel."""
+    return [
+        KnownParameter(u.name, c, rig.given(u.name, c), _interval(estimate, j))
         for c, estimate in estimates.items()
         for j, u in enumerate(estimate.unknowns)
         if u.channel in (None, c) and not u.effect
-    }
+    ]
 
 
 def at_bounds(estimates: Estimates) -> list[str]:
