@@ -89,7 +89,7 @@ class Estimate:
         return Estimate(self.channel, self.unknowns, q, label, follow=self.follow, together=self.together)
 
     def from_given(self, kept: Collection[str] = ("R", "L")) -> Estimate:
-        """Known parameters as given, but those `kept` (of the coil: the current tells them, whatever is missing behind), and
+        """Known parameters as given, but those `kept` (of the coil: the current determines them, whatever is missing behind), and
         effects as they are: known parameters that were fitted while an effect was missing have moved to make up for it."""
         known = np.array([not u.effect and u.name not in kept for u in self.unknowns])
         return self.at(np.clip(np.where(known, 0.0, self.q), *self.bounds))

@@ -144,7 +144,7 @@ class Fit:
         """How much better `larger` explains the data: the fall of the deviance, counted in independent samples.
 
         As in the cost that is minimised, every block has a variance of its own: one effect of two is a gain although the
-        events that only the other one explains spoil any RMS.
+        events that only the other one explains raise any RMS.
         """
         own = self.channels_of(larger) if channels is None else channels
         return float(sum(self.gain_by_stretch(smaller, larger, c, BLOCK_S).sum() for c in own))

@@ -160,7 +160,7 @@ def _by_single_unknowns(estimate: Estimate, moves: Sequence[tuple[int, Vector]])
 
 
 def _move(estimate: Estimate, j: int, size: float) -> Vector:
-    """The change of q for the derivative by unknown j: of it alone, or of all that only ratios tell (`SCALED_TOGETHER`)."""
+    """The change of q for the derivative by unknown j: of it alone, or of a direction of `SCALED_TOGETHER`."""
     step = -size if estimate.q[j] + size > estimate.bounds[1][j] else size
     name = estimate.unknowns[j].name
     # The forces not with every size of step: which derivative leads into a local minimum and which out of it is a matter of luck.

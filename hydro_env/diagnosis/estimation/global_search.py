@@ -3,7 +3,7 @@
 A candidate is first judged after a few steps from the calibrated model, one start of each. That is enough for most. But
 calibration without the effect that is missing has moved the known parameters to make up for it, often so far that a few steps
 lead nowhere (the right effect then seems to explain nothing), and where an effect decides the way a shaft turns, only one start
-of a dozen leads to it. So where the effects that were taken leave most of a channel's residual, every effect begins at several
+of a dozen leads to it. So where the effects that were accepted leave most of a channel's residual, every effect begins at several
 sizes and shapes, from the calibrated model and from the model as given; all starts are improved side by side, and each round
 goes on with the better ones. What is found must explain the residual nearly to the noise, or it is not used: among so many
 starts one is always better than the others.
@@ -36,11 +36,11 @@ def search_all(
 ) -> list[tuple[str, Estimate]]:
     """The effects that explain a channel best of `effects`, best first, each with its estimate, refitted beside the known
     parameters from many starts."""
-    begun = _starts(fit, calibrated, effects, seconds)
+    refits = _starts(fit, calibrated, effects, seconds)
     for iterations, keep in ITERATIONS_AND_KEPT:
-        solve(fit, begun, iterations)
-        begun = _best(begun, keep, OF_ONE_EFFECT)
-    return [(p.label, p) for p in _best(begun, len(begun), 1)]
+        solve(fit, refits, iterations)
+        refits = _best(refits, keep, OF_ONE_EFFECT)
+    return [(p.label, p) for p in _best(refits, len(refits), 1)]
 
 
 def _starts(fit: Fit, calibrated: Estimate, effects: Sequence[str], seconds: float) -> list[Estimate]:

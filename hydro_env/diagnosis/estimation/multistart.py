@@ -22,9 +22,10 @@ __all__ = ["far_from_noise", "restart_friction", "settle", "solve_in_all_directi
 RESTART_FRICTION = rule(
     "restart_friction", "restart with other spool friction where little but more than noise is left"
 )
-RESTART_AS_GIVEN = rule("restart_as_given", "refit what was taken also from the known parameters as given")
+RESTART_AS_GIVEN = rule("restart_as_given", "refit what was accepted also from the known parameters as given")
 ALL_DIRECTIONS = rule(
-    "all_directions", "improve a calibration near the noise along all directions that only ratios tell"
+    "all_directions",
+    "improve a calibration near the noise along all directions in which logs fix ratios only",
 )
 
 #: Base parameters that are drawn anew, and the spread of the draws on the scale of their priors.
@@ -33,7 +34,7 @@ DRAWN, DRAW_SPREAD = ("Fc", "Fs", "vs"), 1.0
 STARTS, ROUND_ITERATIONS = 12, (2, 3, 4)
 #: A residual (`Fit.level`) up to which a local minimum may be the cause; what a missing effect leaves is larger.
 SMALL_LEVEL = 1.0
-#: Most iterations of the refit of what was taken.
+#: Most iterations of the refit of what was accepted.
 SETTLE_ITERATIONS = 12
 
 

@@ -1,4 +1,4 @@
-"""Logs and parts of logs: which rows a diagnosis may fit to, and which stay sealed.
+"""Logs and parts of logs: which rows a diagnosis may fit to, and which are held out.
 
 A log is named by its path; `PATH@FROM:TO` (seconds of the log's own clock, either may be left out) names a part of
 it. `PATH@0:13,23:34` names two windows of one run. A run is simulated from its beginning with all logged
@@ -67,7 +67,7 @@ def read_parts(
 
 
 def _named(log: RigLog) -> RigLog:
-    """A loaded log with a name and a hash, by which rows that are fitted and held out are told apart."""
+    """A loaded log with a name and a hash, by which rows that are fitted and held out are distinguished."""
     if log.sha256:
         return log
     content = hashlib.sha256()

@@ -26,7 +26,7 @@ PARTED_SUBSTEP = 500e-6
 BLOCKS = (4, 8, 16)
 #: Numbers of the fit and of the proof. Single precision moves a speed by a tenth of what the fit's substep does.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
-#: Base parameters that calibration may adjust. V is left out (never told from beta), u_rated and x_max are settings.
+#: Base parameters that calibration may adjust. V is left out (never separated from beta), u_rated and x_max are settings.
 BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
 _RECORDED = {
     "speed": "measured_speed",

@@ -5,7 +5,7 @@
     speed = flow / D, seen through a lag of first order that stands for spool, line and inertia together
 
 Parameters, effects, laws and their names are those of the plant, so that selection, proof and report are the same. A
-cylinder axis is a motor axis whose displacement is its piston area; what can be told from command and speed is Kq / D
+cylinder axis is a motor axis whose displacement is its piston area; what can be estimated from command and speed is Kq / D
 only, so Kq is estimated and D is the mapping's or the model's.
 """
 

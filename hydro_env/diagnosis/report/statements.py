@@ -85,7 +85,7 @@ def sentence(found: Diagnosis) -> str:
     """The verdict in a sentence, and the proof in another."""
     head = headline(found)
     entry, unit = head.errors, head.unit
-    gap = f"On the held-out logs the error of the {head.name} of channel {head.channel + 1} is {entry['after']:.3g} {unit} RMS"
+    error = f"On the held-out logs the error of the {head.name} of channel {head.channel + 1} is {entry['after']:.3g} {unit} RMS"
     noise = f"the noise is {entry['noise']:.3g}"
     other = "".join(
         f" Channel {s.channel + 1}: {s.errors['after']:.3g} {unit}, {s.errors['before']:.3g} as given; "
@@ -94,15 +94,15 @@ def sentence(found: Diagnosis) -> str:
         if s != head and max(s.errors["after"], s.errors["before"]) > AT_NOISE * s.errors["noise"]
     )
     if found.verdict == "none":
-        return f"Nothing is missing: the model as given explains the logs. {gap}; {noise}.{other}"
+        return f"Nothing is missing: the model as given explains the logs. {error}; {noise}.{other}"
     if found.verdict == "calibration":
         return (
             "Calibration is enough: with known parameters adjusted inside their plausible ranges, the model explains the logs. "
-            f"{gap}, {entry['before']:.3g} before; {noise}.{other}"
+            f"{error}, {entry['before']:.3g} before; {noise}.{other}"
         )
     before = f"{entry['before']:.3g} as given, {entry['calibrated']:.3g} after calibration alone; {noise}"
     lacks = _lacks(found) if found.verdict == "effects" else _unknown(found)
-    return f"{lacks} {gap}: {before}.{other}"
+    return f"{lacks} {error}: {before}.{other}"
 
 
 def _lacks(found: Diagnosis) -> str:
@@ -255,9 +255,9 @@ def ranking(found: Diagnosis) -> list[Candidate]:
             last[t.effect, t.channel] = t
     rows = sorted(last.values(), key=lambda t: (not t.accepted, not t.refitted, -t.gain))
     tied = {
-        (rival, c): n.name
+        (other, c): n.name
         for n in found.effects
-        for rival in n.indistinguishable_from
+        for other in n.indistinguishable_from
         for c in n.channels or (None,)
     }
     return [

@@ -1,4 +1,4 @@
-"""The words and units in which a diagnosis is told: names that a fluid-power engineer uses, numbers in the units of the bench.
+"""The words and units of a report: names that a fluid-power engineer uses, numbers in the units of the bench.
 
 diagnosis.json stays in the catalogue's names and in SI; everything that a person reads goes through here.
 """

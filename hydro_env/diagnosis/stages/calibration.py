@@ -37,7 +37,7 @@ IGNORED = 1e6
 
 
 def run(state: State) -> State:
-    """Calibrates every channel; the noise is then seen better."""
+    """Calibrates every channel and estimates the noise again."""
     calibrated = calibrate(state.fit)
     fit = state.fit.with_noise_seen_by(calibrated)
     fit.rescore(list(calibrated.values()))

@@ -1,4 +1,4 @@
-"""Do the logs fit the model at all? Signs, units and exchanged sensors that only a model can tell.
+"""Do the logs fit the model at all? Signs, units and exchanged sensors that only a model can show.
 
 The model as given is simulated anyway. A signal that is its mirror image, a tenth or a hundred of it, or the other channel's
 is no missing effect but a mistake in the recording (or a model of another machine); what a diagnosis named then would be
@@ -43,7 +43,7 @@ _LESS = 4.0
 
 
 def run(state: State) -> State:
-    """Simulates the model as given; InputError if the logs are surely not of this machine. The noise is seen first here."""
+    """Simulates the model as given; InputError if the logs are surely not of this machine. The noise is first estimated here."""
     rig = state.rig
     none = {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]}
     given = as_given(Fit(rig, none, state.settings))
@@ -227,7 +227,7 @@ def _exchanged(rig: RigModel, given: Estimates) -> Iterator[Finding]:
 def _shafts_exchanged(rig: RigModel) -> str:
     """What is swapped if the pressure of each channel fits the other one's shaft and not its own, or nothing.
 
-    The load stays with the motor whose column it is in: it tells exchanged speeds from exchanged pressures.
+    The load stays with the motor whose column it is in: it distinguishes exchanged speeds from exchanged pressures.
     """
     own = [_unlike(_shaft(rig, c, c)) for c in (0, 1)]
     best, what = math.inf, ""

@@ -93,7 +93,7 @@ def compare_competing(search: Search) -> None:
     """Puts competing candidates in the place of what was accepted, once everything else is there.
 
     They are those that were near while another effect was still missing, those whose signature has the same direction, and
-    those that the catalogue declares to be hardly told apart: one that a screening passed over must still be listed.
+    those that the catalogue declares indistinguishable: one that a screening passed over must still be listed.
     Each starts from the base parameters found. One that does better than the effect it stands for takes its place.
     """
     if not search.fit.settings.uses(COMPARE_COMPETING):

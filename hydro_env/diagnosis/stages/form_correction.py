@@ -253,7 +253,7 @@ def changes(rig: RigModel, estimate: Estimate, correction: str, channel: int) ->
 def correction_suffices(
     fit: Fit, before: Estimate, named: Sequence[tuple[str, int | None]], effect: str, after: Estimate
 ) -> tuple[bool, Estimate | None]:
-    """Whether a further effect only mends the form of those that are `named` already, and the corrected estimate, if any.
+    """Whether a further effect only corrects the form of those that are `named` already, and the corrected estimate, if any.
 
     The named effects are corrected in their form; the further one must then still pay.
     """

@@ -112,21 +112,21 @@ def name_effects(
     for one in selection.accepted:
         c = fit.rig.channels[0] if one.channel is None else one.channel
         # Alike by direction is not enough: a competing candidate must also have done nearly as well when it was refitted.
-        rivals = sorted(one.competing, key=lambda n: one.competing[n])
+        competitors = sorted(one.competing, key=lambda n: one.competing[n])
         tied = same.get((one.effect, one.channel), [])
-        rivals += [n for n in tied if n not in rivals and _did_nearly_as_well(selection, one, n)]
+        competitors += [n for n in tied if n not in competitors and _did_nearly_as_well(selection, one, n)]
         channels = () if one.channel is None else (one.channel,)
-        probability = _probability(fit, one, rivals, selection.estimates[c])
+        probability = _probability(fit, one, competitors, selection.estimates[c])
         values = effect_values(final[c], one.effect, c)
-        found.append(NamedEffect(one.effect, channels, round(probability, 3), rivals, values))
+        found.append(NamedEffect(one.effect, channels, round(probability, 3), competitors, values))
     return _merged(found)
 
 
-def _probability(fit: Fit, one: Accepted, rivals: Sequence[str], estimate: Estimate) -> float:
-    """How likely an effect is there, and is this one and none of its rivals."""
+def _probability(fit: Fit, one: Accepted, competitors: Sequence[str], estimate: Estimate) -> float:
+    """How likely an effect is there, and is this one and none of its competitors."""
     # Between names that are declared alike the law's exact form decides, which no machine keeps: they weigh the same.
     declared = CATALOGUE[one.effect].indistinguishable_from
-    behind = [0.0 if n in declared else one.competing.get(n, 0.0) for n in rivals]
+    behind = [0.0 if n in declared else one.competing.get(n, 0.0) for n in competitors]
     half = 0.5 * fit.settings.temper
     weight = 1.0 + sum(math.exp(-half * deficit) for deficit in behind)
     likely = 1.0 / (1.0 + math.exp(-half * (one.gain - one.needed)))
@@ -152,9 +152,9 @@ def _merged(found: list[NamedEffect]) -> list[NamedEffect]:
             out.append(n)
             continue
         values = {name: _both(a, n.parameters[name]) for name, a in twin.parameters.items()}
-        rivals = list(dict.fromkeys(twin.indistinguishable_from + n.indistinguishable_from))
+        competitors = list(dict.fromkeys(twin.indistinguishable_from + n.indistinguishable_from))
         probability = min(twin.probability, n.probability)
-        out[out.index(twin)] = NamedEffect(n.name, (0, 1), probability, rivals, values)
+        out[out.index(twin)] = NamedEffect(n.name, (0, 1), probability, competitors, values)
     return out
 
 

@@ -1,6 +1,6 @@
-"""Which experiment would tell apart what the logs cannot: from the catalogue for known pairs, and by simulating both models.
+"""Which experiment would separate what the logs cannot: from the catalogue for known pairs, and by simulating both models.
 
-`simulated` drives the model with the named effect and the one with its rival, both as refitted to the logs, through a few
+`simulated` drives the model with the named effect and the one with a competing one, both as refitted to the logs, through a few
 manoeuvres of a bench, and says in which of them, and in which signal, they differ most in units of that signal's noise.
 """
 
@@ -25,8 +25,8 @@ from .naming import NamedEffect
 
 __all__ = ["MANOEUVRES", "Separation", "next_experiment", "run", "simulated"]
 
-#: Rows of the simulated manoeuvres, s, and the difference (RMS in noise units) from which two models count as told apart.
-PERIOD, TOLD_APART = 1e-3, 2.0
+#: Rows of the simulated manoeuvres, s, and the difference (RMS in noise units) from which two models count as separated.
+PERIOD, SEPARATED = 1e-3, 2.0
 
 
 def _triangle(seconds: float, cycle: float, size: float) -> np.ndarray:
@@ -64,7 +64,7 @@ class Separation:
 
 
 def simulated(rig: DynamicRig, channel: int, first: Estimate, second: Estimate) -> list[Separation]:
-    """All manoeuvres and signals, those that tell the two models apart best first."""
+    """All manoeuvres and signals, those that separate the two models best first."""
     names = {u.name for p in (first, second) for u in p.unknowns}
     pairs = [rig.model.pair(name) for name in sorted(names)]
     values = {name: np.array([pair, pair]) for name, pair in zip(sorted(names), pairs, strict=True)}
@@ -92,34 +92,34 @@ def simulated(rig: DynamicRig, channel: int, first: Estimate, second: Estimate) 
 
 
 def _by_simulation(
-    rig: RigModel, candidates: Sequence[Candidate], effect: NamedEffect, rival: str
+    rig: RigModel, candidates: Sequence[Candidate], effect: NamedEffect, competing: str
 ) -> dict[str, Any] | None:
-    """The manoeuvre that separates an effect from its rival, from the models that were refitted with each of them."""
+    """The manoeuvre that separates an effect from a competing one, from the models that were refitted with each of them."""
     if not isinstance(rig, DynamicRig) or len(effect.channels) != 1:
         return None
     (channel,) = effect.channels
     tried = [t for t in reversed(candidates) if t.channel == channel and t.estimate is not None]
     own = next((t for t in tried if t.effect == effect.name and t.outcome == ACCEPTED), None)
-    other = next((t for t in tried if t.effect == rival and (own is None or t.round == own.round)), None)
+    other = next((t for t in tried if t.effect == competing and (own is None or t.round == own.round)), None)
     if own is None or other is None or own.estimate is None or other.estimate is None:
         return None
     found = simulated(rig, channel, own.estimate, other.estimate)
     logged = {s for s in UNITS if any(p.log.has(s, channel) for p in rig.parts)}
     best = next((s for s in found if s.signal in logged), None)
-    if best is None or best.distance < TOLD_APART:
+    if best is None or best.distance < SEPARATED:
         best = found[0]
     more = "" if best.signal in logged else f" with the {best.signal} recorded"
-    if best.distance < TOLD_APART:
-        text = f"none of {len(MANOEUVRES)} bench manoeuvres would tell them apart: at most {best.distance:.1f} times the noise"
+    if best.distance < SEPARATED:
+        text = f"none of {len(MANOEUVRES)} bench manoeuvres would separate them: at most {best.distance:.1f} times the noise"
         return {
             "description": text,
-            "separates": sorted((effect.name, rival)),
+            "separates": sorted((effect.name, competing)),
             "distance": round(best.distance, 2),
         }
     text = f"{best.manoeuvre}{more}: there the two differ by {best.distance:.1f} times the noise of the {best.signal}"
     return {
         "description": text,
-        "separates": sorted((effect.name, rival)),
+        "separates": sorted((effect.name, competing)),
         "distance": round(best.distance, 1),
     }
 
@@ -135,15 +135,15 @@ def next_experiment(
 ) -> dict[str, Any] | None:
     """The experiment that separates the names that stayed tied, or None."""
     for effect in named:
-        for rival in effect.indistinguishable_from:
-            found = _by_simulation(rig, candidates, effect, rival)
+        for other in effect.indistinguishable_from:
+            found = _by_simulation(rig, candidates, effect, other)
             if found is not None:
-                known = separating_experiment(effect.name, rival)
+                known = separating_experiment(effect.name, other)
                 return {**found, "description": "; or ".join(filter(None, (found["description"], known)))}
     for effect in named:
-        for rival in effect.indistinguishable_from:
-            if text := separating_experiment(effect.name, rival):
-                return {"description": text, "separates": sorted({effect.name, rival})}
+        for other in effect.indistinguishable_from:
+            if text := separating_experiment(effect.name, other):
+                return {"description": text, "separates": sorted({effect.name, other})}
     for effect in named:
         if effect.indistinguishable_from:
             missing = [s for s in ("current", "pressure", "load") if not any(p.log.has(s) for p in rig.parts)]

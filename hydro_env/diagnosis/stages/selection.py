@@ -62,7 +62,7 @@ class Refit:
 
 
 def run(state: State) -> State:
-    """Selects effects; the noise is then seen better, and what was accepted is refitted by it."""
+    """Selects effects, estimates the noise again, and refits what was accepted."""
     selection = select(
         Search(
             state.fit,

@@ -22,7 +22,7 @@ from .validation import NAMED, Proof, proved
 
 __all__ = ["confirm", "decide", "doubts"]
 
-DOUBT_WORSE = rule("doubt_worse", "reject names that spoil a signal of the held-out logs")
+DOUBT_WORSE = rule("doubt_worse", "reject names that make a signal worse of the held-out logs")
 DOUBT_LEFT = rule(
     "doubt_left", "reject names that leave much of a signal of the fit logs, whatever their form"
 )
@@ -31,9 +31,9 @@ DOUBT_UNCONFIRMED = rule(
 )
 DOUBT_EDGE = rule("doubt_edge", "reject names whose size stays at the edge of its range")
 
-#: A signal of the held-out logs is spoilt by what was named if it is off by so many times what calibration alone leaves, and so
-#: many times the noise.
-SPOILT, SPOILT_NOISE = 1.2, 3.0
+#: A signal of the held-out logs is made worse if its error is so many times what calibration alone leaves, and so many times
+#: the noise.
+WORSE, WORSE_NOISE = 1.2, 3.0
 #: A signal above so many times its noise is off for sure.
 ABOVE_NOISE = 1.1
 #: What names and the corrections of their form may leave of a signal of the fit logs: so many times the noise, or this share of
@@ -104,7 +104,7 @@ def doubts(
     """Why what was named is not confirmed although it explains most of the fit logs, a sentence each; none if it is.
 
     `final` are the named effects with the corrections of their form, the proofs are with both. The held-out logs judge here and
-    choose nothing. Where estimates that the fit logs cannot tell apart (`courses_apart`) give courses that differ by more
+    choose nothing. Where estimates that the fit logs cannot distinguish (`courses_apart`) give courses that differ by more
     than what is left of a signal, that residual speaks against no name.
     """
     found: list[str] = []
@@ -135,8 +135,8 @@ def _doubts_of_channel(
         # A correction of form proves nothing of the name.
         after, noise, calibrated = entry.get(NAMED, entry["after"]), entry["noise"], entry["calibrated"]
         silent = held_out_apart.get(signal, 0.0) > max(CANNOT_BE_PREDICTED, after / noise)
-        spoilt = after > SPOILT * calibrated and after > SPOILT_NOISE * noise
-        worse = spoilt or (dynamic and _worse(fitted) and _worse(entry))
+        clearly = after > WORSE * calibrated and after > WORSE_NOISE * noise
+        worse = clearly or (dynamic and _worse(fitted) and _worse(entry))
         if not silent and worse and uses(DOUBT_WORSE):
             yield f"{plain} is explained worse with the named effects than by calibration alone"
         times = fitted["after"] / fitted["noise"]
@@ -153,7 +153,7 @@ def _worse(entry: dict[str, float]) -> bool:
     """Whether what was named, in its own form or a corrected one, adds to the power above the noise of a signal."""
     noise = entry["noise"] ** 2
     after = min(entry["after"], entry.get(NAMED, entry["after"])) ** 2
-    return after > ABOVE_NOISE**2 * noise and after - noise > SPOILT * (entry["calibrated"] ** 2 - noise)
+    return after > ABOVE_NOISE**2 * noise and after - noise > WORSE * (entry["calibrated"] ** 2 - noise)
 
 
 def _far_from_explained(entry: dict[str, float]) -> bool:
