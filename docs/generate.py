@@ -667,6 +667,7 @@ PARTS: dict[str, Callable[[], str]] = {
     )
 }  # fmt: skip
 PARTS["mapping_file"] = lambda: _docstring(mapping)
+PARTS["blind_trials_help"] = lambda: _docstring(blind_trials)
 PARTS["model_file"] = lambda: _docstring(model)
 
 
