@@ -12,7 +12,7 @@ from hydro_env.pages import COLOURS, RC, png
 
 __all__ = ["draw"]
 
-SOURCES = {"wrong": "wrong", "repaired": "repaired", "true": "true"}
+SOURCES = {"wrong": "as given", "repaired": "repaired", "true": "true"}
 NAMES = {
     "pid": "PID, gains per valve", "cross_coupled": "cross coupling", "model_inverse": "inverse of the model",
     "ppo": "PPO agent",
@@ -35,9 +35,9 @@ def draw(data: Mapping[str, Any], path: Path, shown: str = "model_inverse") -> N
         for place, name in enumerate(tuned):
             _dots(left, data, name, 4.0 * place, colours)
         left.set_yscale("log")
-        left.set_ylabel("largest speed difference, rpm")
+        left.set_ylabel("peak synchronisation error, rpm")
         places = [4.0 * p + i for p in range(len(tuned)) for i in range(3)]
-        left.set_xticks(places, [s for _ in tuned for s in SOURCES], fontsize=8, rotation=30)
+        left.set_xticks(places, [label for _ in tuned for label in SOURCES.values()], fontsize=8, rotation=30)
         left.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         left.yaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:.0e}"[0] in "25" else "")
         top = left.get_ylim()[1]
@@ -113,7 +113,9 @@ def _traces(axis: Any, data: Mapping[str, Any], name: str, rig: str) -> None:
                     values,
                     color=colour,
                     lw=1.1,
-                    label=f"made on the {source} model",
+                    label=f"tuned on the model: {SOURCES[source]}"
+                    if source == "wrong"
+                    else f"tuned on the {source} model",
                 )
     axis.set_xlabel("time, s")
     axis.set_ylabel("speed 1 - speed 2, rpm")
