@@ -80,7 +80,7 @@ def run(
     for work in work_of(data):
         kept = out / "drives" / f"{work.rig}_{work.source}.json"
         model = rigs / "rigs" / work.rig / f"{work.source}.yaml"
-        told = {"config": config.text, "model": texts[work.rig, work.source]}
+        origin = {"config": config.text, "model": texts[work.rig, work.source]}
         if not kept.is_file():
             if progress:
                 print(f"{work.rig}: agent of the {work.source} model", flush=True)
@@ -92,9 +92,9 @@ def run(
                 name: close_loop.scored(drive(NumpyPolicy(policy), truth, name, work.seed, **drawn))
                 for name in close_loop.SCENARIOS
             }
-            write_json(kept, {**told, "drives": drives}, indent=None)
+            write_json(kept, {**origin, "drives": drives}, indent=None)
         done = json.loads(kept.read_text(encoding="utf-8"))
-        if {key: done[key] for key in told} != told:
+        if {key: done[key] for key in origin} != origin:
             raise InputError(f"{kept}: is of another training file or model; name another --out")
         about = {
             "controller": NAME,
@@ -112,7 +112,7 @@ def run(
 
 
 def _text(rigs: Path, work: Work) -> str:
-    """The file of a model. InputError if it is not there, told before anything is trained."""
+    """The file of a model. InputError if it is not there, before anything is trained."""
     path = rigs / "rigs" / work.rig / f"{work.source}.yaml"
     try:
         return path.read_text(encoding="utf-8")

@@ -1,8 +1,8 @@
-"""Where the gain comes from: `python -m agents.picture --out docs/images/agents_start_and_reversal.png`.
+"""A start and a reversal under three controllers: `python -m agents.picture --out docs/images/agents_start_and_reversal.png`.
 
 The first second and the first reversal of one pair of `val` that no controller has met before, driven by the tuned PID,
-the same PID on servo valves, and an agent: speeds, speed difference, commands. For the agent the picture also shows where it
-believes the edges of the dead zones to be, and where they are.
+the same PID on servo valves, and an agent: speeds, speed difference, commands. For the agent the picture also shows the
+estimated and the true dead-zone edges.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def draw(out: Path, agent: str = "ppo", case: int = 37) -> None:
     for axis, text in zip(axes[:, 0], ("speed, rpm", "difference, rpm", "command / rated"), strict=True):
         axis.set_ylabel(text, fontsize=9)
     figure.text(
-        0.5, 0.005, "dotted: where the agent believes the edges of the dead zones to be; faint: where they are",
+        0.5, 0.005, "dotted: estimated dead-zone edges; faint: true ones",
         ha="center", fontsize=9,
     )  # fmt: skip
     figure.tight_layout(rect=(0, 0.02, 1, 1))

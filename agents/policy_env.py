@@ -75,11 +75,11 @@ class PolicyVecEnv(VecEnvWrapper):
             for row in ended:
                 last[row] = infos[row]["terminal_observation"]
         seen = self.interface.see(last)
-        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        outcomes: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if ended.size:
             for row in ended:
                 own = slice(row * self.rows, (row + 1) * self.rows)
-                for info, inputs in zip(told[own], seen[own].copy(), strict=True):
+                for info, inputs in zip(outcomes[own], seen[own].copy(), strict=True):
                     info["terminal_observation"] = inputs
                     info["TimeLimit.truncated"] = infos[row].get("TimeLimit.truncated", False)
                     info["episode"] = {"r": float(self._return[row]), "l": int(self._length[row]), "t": 0.0}
@@ -88,7 +88,7 @@ class PolicyVecEnv(VecEnvWrapper):
             seen[ended] = fresh
             seen = seen.reshape(self.num_envs, -1)
             self._return[ended], self._length[ended] = 0.0, 0
-        return seen, np.repeat(reward, self.rows), np.repeat(done, self.rows), told
+        return seen, np.repeat(reward, self.rows), np.repeat(done, self.rows), outcomes
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the table of class members that the base class keeps, which cannot be pickled."""

@@ -6,7 +6,7 @@ says little of a training file: what another seed gives may differ by more than 
 DIR receives `seed_0/` and so on, each a run of agents.train, and `sweep.json`: the scores of every seed's best policy on
 pairs of `val` that took no part in choosing it, and over the seeds their interquartile mean with its 95 % interval
 (bootstrap over seeds). The same command again goes on with what is not finished; a seed whose process dies goes on from
-its last checkpoint. On a cluster without a disk that all nodes see, it begins anew, and only the policy, its curve and
+its last checkpoint. On a cluster without a disk that all nodes see, it is restarted, and only the policy, its curve and
 its scores come back.
 """
 

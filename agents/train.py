@@ -195,7 +195,7 @@ def train(
     bar: bool = True,
     report: Callable[[int, float], None] | None = None,
 ) -> dict[str, Any]:
-    """Trains or goes on training; returns the run's counters and curve. `report` is told the steps and score of every
+    """Trains or goes on training; returns the run's counters and curve. `report` is called with the steps and score of every
     evaluation; what it raises ends the run."""
     torch.set_num_threads(1)
     newest = checkpoint.latest(out / "checkpoints")

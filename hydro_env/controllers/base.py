@@ -13,14 +13,24 @@ from numpy.typing import NDArray
 from hydro_env.controllers.estimation.nominal import SPOOL_RATE
 from hydro_env.controllers.input_shaping import three_taps
 from hydro_env.envs.observation import Measurements, decode
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, suggestion
 from hydro_env.plant import PARAMETERS
 from hydro_env.units import RPM
 
 if TYPE_CHECKING:
     from hydro_env.plant import Plant
 
-__all__ = ["FRACTION_PER_V", "OUTLET", "RPM", "SHAPE", "SLEW", "Controller", "Floats", "Gain", "Measurements"]
+__all__ = [
+    "FRACTION_PER_V",
+    "OUTPUT_SHAPING",
+    "RPM",
+    "SHAPE",
+    "SLEW",
+    "Controller",
+    "Floats",
+    "Gain",
+    "Measurements",
+]
 
 Floats = NDArray[np.float64]
 
@@ -46,16 +56,10 @@ class Gain:
 
 SLEW = Gain("slew", "V/s", 300.0, 30000.0, summary="how fast a command may change", default=inf)
 SHAPE = Gain(
-    "shape",
-    "1",
-    0.0,
-    1.0,
-    log=False,
-    default=0.0,
-    summary="share of the command that is kept off the spool's mode",
+    "shape", "1", 0.0, 1.0, log=False, default=0.0, summary="share of the command with input shaping"
 )
-OUTLET = (SLEW, SHAPE)
-"""Gains of the way out that all controllers share: none of both if left out."""
+OUTPUT_SHAPING = (SLEW, SHAPE)
+"""Gains of the output shaping that all controllers share: no limit and no filter if left out."""
 
 
 class Controller:
@@ -66,24 +70,21 @@ class Controller:
     a value per channel, or an array (num_rigs, 1) with a value per rig; the latter is how a tuner tries
     many at once.
 
-    A command leaves by the same way in all of them: it may change no faster than the gain `slew` says, and the share
-    `shape` of it passes the filter that leaves the spool's lightly damped mode at rest. `limits` are what a command can
-    be in this sample; a law with an integrator gives them to it, so that it does not wind up on either limit.
+    All share the output shaping: a command changes no faster than the gain `slew`, and the share `shape` of it passes the
+    filter that leaves the spool's lightly damped mode at rest. `limits` are what a command can be in this sample; a law
+    with an integrator passes them on, so that it does not wind up on either limit.
 
     Class attributes:
         GAINS: the gains the constructor takes, by name.
-        needs: "measurements" for a controller that knows nothing of the drawn valves; "bench" for one that
-            had each pair on a valve bench beforehand, "parameters" for one that is told the truth about the
-            valves, "everything" for one that is told the loads to come as well. All but the first get `prepare`
-            called with a copy of the plant, the last one `foresee` too. Score boards name what a controller needs.
-        shape: the share `shape` of a law that has no such gain.
+        needs: privileged information. "measurements": none, the drawn valves are unknown; "bench": each pair was on a
+            valve bench beforehand; "parameters": the true valves; "everything": the loads to come as well. All but
+            the first get `prepare` called with a copy of the plant, the last one `foresee` too. The leaderboard lists it.
         plant: the plant the controller belongs to where that is another one than the plant under test.
     """
 
     GAINS: ClassVar[tuple[Gain, ...]] = ()
     needs: str = "measurements"
     plant: str | None = None
-    shape: float = 0.0
     limits: tuple[Floats, Floats]
     """Least and largest command of this sample, each (num_rigs, 2), while `command` works."""
     sent: Floats
@@ -94,11 +95,12 @@ class Controller:
         known = [gain.name for gain in self.GAINS]
         optional = {gain.name: gain.default for gain in self.GAINS if gain.default is not None}
         gains = {**optional, **gains}
-        wrong = sorted(set(gains) ^ set(known))
-        if wrong:
-            raise InputError(
-                f"{self.name}: gain {wrong[0]!r} is missing or unknown; needed are {', '.join(known)}"
-            )
+        for key in gains:
+            if key not in known:
+                raise InputError(f"{self.name}: unknown gain {key!r}: {suggestion(key, known)}")
+        missing = [key for key in known if key not in gains]
+        if missing:
+            raise InputError(f"{self.name}: gain {missing[0]!r} is missing; needed are {', '.join(known)}")
         self.gains: dict[str, Floats] = {key: np.asarray(value, dtype=float) for key, value in gains.items()}
         self._sets: dict[float, dict[str, Floats]] = {}
         self.period = 0.0
@@ -117,11 +119,11 @@ class Controller:
         return again
 
     def prepare(self, plant: Plant) -> None:
-        """Gets to know the rigs (rows of `plant`) before the episode; only where `needs` asks for it."""
+        """Called with the rigs (rows of `plant`) before the episode, where `needs` asks for it."""
 
     def foresee(self, load: Floats) -> None:
-        """Gets to know the loads of the episode, (rows, num_rigs, 2) in N m, row n in force from n periods on; only
-        where `needs` is "everything".
+        """Called with the loads of the episode, (rows, num_rigs, 2) in N m, row n in force from n periods on, where `needs`
+        is "everything".
         """
 
     def reset(self, num_rigs: int, control_period: float) -> None:
@@ -147,7 +149,7 @@ class Controller:
         last = self.__asked[-1]
         self.limits = np.maximum(last - most, -1.0), np.minimum(last + most, 1.0)
         self.__asked = [*self.__asked[1:], np.clip(self.command(measured), *self.limits)]
-        share = self.gains.get("shape", self.shape)
+        share = self.gains.get("shape", 0.0)
         ends, middle = self.__asked[0] + self.__asked[-1], self.__asked[self.__spacing]
         smooth = self.__outer * ends + (1.0 - 2.0 * self.__outer) * middle
         self.sent = np.clip(self.__asked[-1] + share * (smooth - self.__asked[-1]), -1.0, 1.0)

@@ -53,7 +53,7 @@ class Entry:
     build: Callable[[], Any]
     file: Path | None = None
     apart: bool = False
-    """Made for one plant that is not the score board's; `all` leaves it out."""
+    """Made for another plant than the leaderboard's; `all` leaves it out."""
 
     @property
     def available(self) -> bool:

@@ -538,7 +538,7 @@ def test_gains_can_be_given_with_the_name():
     assert (controller.gains["rise"], controller.gains["rate"]) == (2.5, 20.0)
     assert controller.name == "adaptive_flow:rise=2.5,rate=20"
     for wrong, message in (
-        ("adaptive_flow:rsie=2", "'rsie' is missing or unknown"),
+        ("adaptive_flow:rsie=2", "did you mean 'rise'"),
         ("adaptive_flow:rise=much", "GAIN=NUMBER"),
         ("adaptive_flow:", "GAIN=NUMBER"),
         ("ppo:Kp=1", "no gains"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_env.controllers.base import OUTLET, Controller, Floats, Gain, Measurements
+from hydro_env.controllers.base import OUTPUT_SHAPING, Controller, Floats, Gain, Measurements
 from hydro_env.controllers.classical.cross_coupling import COUPLING, FILTER, SIDES
 from hydro_env.controllers.classical.pid import KP, TI, Pid, per_rpm
 from hydro_env.controllers.classical.reference import FirstOrder
@@ -38,7 +38,7 @@ class Compensated(Controller):
             0.1,
             summary="flow, as a share of the rated, below which the inverse is a ramp",
         ),
-        *OUTLET,
+        *OUTPUT_SHAPING,
     )
     valves: ValveMap | None = None
 

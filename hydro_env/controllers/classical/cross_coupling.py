@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hydro_env.controllers.base import OUTLET, RPM, Controller, Floats, Gain, Measurements
+from hydro_env.controllers.base import OUTPUT_SHAPING, RPM, Controller, Floats, Gain, Measurements
 from hydro_env.controllers.classical.pid import KP, TI, Pid, per_rpm
 from hydro_env.controllers.classical.reference import FirstOrder
 
@@ -31,7 +31,7 @@ class CrossCoupled(Controller):
     The motor that is ahead is held back as much as the other is pushed, so that they meet in the middle.
     """
 
-    GAINS: ClassVar[tuple[Gain, ...]] = (KP, TI, *COUPLING, FILTER, *OUTLET)
+    GAINS: ClassVar[tuple[Gain, ...]] = (KP, TI, *COUPLING, FILTER, *OUTPUT_SHAPING)
 
     def start(self, measured: Measurements) -> None:
         self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
@@ -67,7 +67,7 @@ class RelativeCoupled(Controller):
         TI,
         Gain("coupling", "1", 0.1, 20.0, summary="weight of the lag behind the other motor in the error"),
         FILTER,
-        *OUTLET,
+        *OUTPUT_SHAPING,
     )
 
     def start(self, measured: Measurements) -> None:
@@ -115,7 +115,7 @@ class MasterSlave(Controller):
         Gain("Kp_slave", "V/rpm", 0.01, 0.8, summary="proportional gain of the slave"),
         Gain("Ti_slave", "s", 0.01, 1.0, summary="integral time of the slave"),
         FILTER,
-        *OUTLET,
+        *OUTPUT_SHAPING,
     )
 
     def start(self, measured: Measurements) -> None:

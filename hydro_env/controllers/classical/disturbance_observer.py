@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_env.controllers.base import OUTLET, Controller, Floats, Gain, Measurements
+from hydro_env.controllers.base import OUTPUT_SHAPING, Controller, Floats, Gain, Measurements
 from hydro_env.controllers.classical.reference import DoublePole
 from hydro_env.controllers.estimation.nominal import Motor
 from hydro_env.controllers.estimation.spool import SpoolModel, SpoolSettings, channel_of
@@ -36,7 +36,7 @@ class DisturbanceObserver(Controller):
         Gain("Kp", "1/s", 1.0, 60.0, summary="acceleration per error to the reference speed"),
         Gain("Ks", "1/s", 1.0, 200.0, summary="acceleration per half of the speed difference"),
         Gain("observer", "1/s", 2.0, 200.0, summary="double pole of the disturbance observer"),
-        *OUTLET,
+        *OUTPUT_SHAPING,
     )
 
     def start(self, measured: Measurements) -> None:

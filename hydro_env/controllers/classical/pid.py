@@ -13,7 +13,15 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hydro_env.controllers.base import FRACTION_PER_V, OUTLET, RPM, Controller, Floats, Gain, Measurements
+from hydro_env.controllers.base import (
+    FRACTION_PER_V,
+    OUTPUT_SHAPING,
+    RPM,
+    Controller,
+    Floats,
+    Gain,
+    Measurements,
+)
 
 __all__ = ["KP", "TABLE_III", "TI", "Pid", "PidController", "RampedPid", "per_rpm"]
 
@@ -85,7 +93,7 @@ class Pid:
 class PidController(Controller):
     """A PID on each motor's speed, which knows nothing of the other motor: the paper's own control concept."""
 
-    GAINS: ClassVar[tuple[Gain, ...]] = (KP, TI, TD, *OUTLET)
+    GAINS: ClassVar[tuple[Gain, ...]] = (KP, TI, TD, *OUTPUT_SHAPING)
 
     def start(self, measured: Measurements) -> None:
         self._pid = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"], self.gains["Td"])

@@ -19,12 +19,12 @@ Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice
 
 LONGEST = 2
-"""Delays up to so many periods are told apart."""
+"""Longest delay that is recognised, periods."""
 
 
 @dataclass(frozen=True)
 class DelaySettings:
-    """When a delay is believed. What plans on it needs to be surer than what only averages."""
+    """When a delay is accepted. A planner needs more certainty than a filter does."""
 
     certain: float = setting(
         20.0, "1", "by how much the squares of both valves' misses have to differ", "tuned by hand"
@@ -85,7 +85,7 @@ def _compare(s, position, before, flow, gain, flowing, noise, misses, periods, c
                 together[late] += misses[late, i, c]
         now, best = periods[i], np.argmin(together)
         if now < best - 1 and together[best - 1] - together[best] < s.certain:
-            best -= 1  # one period is believed before two
+            best -= 1  # one period is accepted before two
         each = min(misses[now, i, 0] - misses[best, i, 0], misses[now, i, 1] - misses[best, i, 1])
         gap = together[now] - together[best]
         change[i] = best != now and gap > s.certain and together[best] < 0.5 * together[now] and each > s.each

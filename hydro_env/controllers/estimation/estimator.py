@@ -39,7 +39,7 @@ class EstimatorSettings:
 class Estimator:
     """The parts in the order in which a sample passes them.
 
-    `spool` moves with the commands as they take effect, `prompt` hears every command at once. `sent` are the last commands,
+    `spool` moves with the commands as they take effect, `prompt` with every command at once. `sent` are the last commands,
     newest first; `flow` is the measured flow, `flow_noise` its noise as a multiple of the usual.
     """
 

@@ -150,8 +150,8 @@ class SensorSupervision:
         return self.state.speed.copy()
 
     def _first_readings(self, rows: Rows, speed: Floats, pressure: Floats) -> None:
-        """Takes in readings at rest, the first three. Squares are believed beforehand: the usual ones of pressures, the
-        pressures' of speeds. What makes pressures noisy makes speeds noisy, so that both tell of it; but one speed sensor
+        """Takes in readings at rest, the first three. Prior squares: the usual ones for pressures, the pressures'
+        for speeds. What makes pressures noisy makes speeds noisy, so that both tell of it; but one speed sensor
         may be worse alone, and valves open at rest or very soon move what their own sensors read. So of all readings only the
         quieter ones count."""
         squares = np.minimum(np.stack([speed / SPEED_NOISE, pressure / PRESSURE_NOISE], axis=1) ** 2, 900.0)

@@ -23,7 +23,7 @@ Rows = NDArray[Any] | slice
 
 @dataclass(frozen=True)
 class CrossingSettings:
-    """When an edge is looked for on the way, and how fast."""
+    """When an edge is searched during a crossing, and how fast."""
 
     search: float = setting(9.3, "1/s", "pace of the spools, rated commands a second", TUNED)
     known: float = setting(
@@ -72,8 +72,8 @@ def _begin(known, demand, valves, probing, x):
             x.active[i] = False
             for c in range(2):
                 deviation = np.sqrt(valves.edge_variance[i, c, d])
-                believed = valves.edge[i, c, d] - 2.0 * deviation
-                x.position[i, c] = valves.passed[i, c, d] if valves.unknown[i, c, d] else believed
+                cautious = valves.edge[i, c, d] - 2.0 * deviation
+                x.position[i, c] = valves.passed[i, c, d] if valves.unknown[i, c, d] else cautious
                 if deviation > known:
                     x.active[i] = True
 

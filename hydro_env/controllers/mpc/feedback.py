@@ -1,8 +1,8 @@
 """Feedback: the flow that each motor is to get, from the reference, its error and the speed difference.
 
 The error is the one to the reference as it was when the present speed was asked for; the speed difference is predicted to the
-time at which a new command acts (Smith's idea, with the flows asked for meanwhile). A sudden load on one motor alone is told
-apart, so that it can be answered without delay.
+time at which a new command acts (a Smith predictor: with the flows asked for meanwhile). A sudden load on one motor alone is
+recognised, so that it can be answered without delay.
 """
 
 from __future__ import annotations

@@ -37,7 +37,9 @@ FALL = Gain("fall", "1", 1.0, 10.0, default=4.0, summary="how many times as fast
 SWEEP = Gain(
     "sweep", "1/s", 1.0, 6.0, default=2.65, summary="pace of the spools when probing, commands a second"
 )
-SEARCH = Gain("search", "1/s", 1.0, 20.0, default=9.3, summary="pace when an edge is looked for on the way")
+SEARCH = Gain(
+    "search", "1/s", 1.0, 20.0, default=9.3, summary="pace of the spools when crossing an unknown dead zone"
+)
 
 
 class ProbingFlow(Controller):

@@ -153,7 +153,8 @@ class Planner:
         return np.where(planned[:, None], self.plan[..., 0], plain[..., 0])
 
     def move_weights(self, innovation: Floats, acceleration: Floats) -> Floats:
-        """Factors on the moves' weight, (num_rigs,): pairs that friction unlike the model's makes hunt are calmed while the
+        """Factors on the moves' weight, (num_rigs,): moves cost more for pairs that limit-cycle, as friction unlike the
+        model's makes them, while the
         reference is steady. `innovation` (num_rigs, 2) of the flow, in units of its usual noise's."""
         s = self.settings
         square = np.max(innovation**2, axis=1)

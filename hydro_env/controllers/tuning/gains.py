@@ -22,7 +22,7 @@ class GainsFile:
     """`controller` names the control law, `gains` holds a number or a number per channel for each of its
     gains. `periods` holds gains of other control periods, {"0.005": {"gains": {...}, "tuning": {...}}} in s; those of
     `gains` belong to the period that `tuning` names. `plant` is what the controller drives wherever it is scored, for one
-    that belongs to other valves; "" for what the board is run with.
+    that belongs to other valves; "" for the one the leaderboard is run on.
     """
 
     controller: str
