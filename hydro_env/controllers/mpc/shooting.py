@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_env.controllers.base import Floats
+from hydro_env.controllers.mpc.planner import CLOSED
 from hydro_env.jit import compiled
 
 __all__ = ["DAMPING", "Best", "Course", "improve", "keep", "minimise_in_box"]
@@ -31,10 +32,9 @@ BETWEEN = 100.0
 """Weight of a squared speed difference between the control instants: less than any weight at them that may be tuned."""
 DAMPING = 1.0
 """Least weight of the squared change of the plan, which keeps it where nothing else says what is better."""
-CLOSED = 0.3
-"""What a closed valve is taken to react like, as a share of an open one: it may be open when the plan has changed."""
 LONGEST = 60
-"""Most changes of the set of commands at their limits: six times as many as there are commands."""
+"""Most changes of the set of commands at their limits: six times as many as there are commands. (Clamping the commands at
+their limits instead, as the planner does, leaves the oracle 5.4 rpm of peak difference in `setpoint_steps` instead of 1.1.)"""
 
 
 class Course(NamedTuple):
