@@ -18,9 +18,10 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import typer.main
@@ -32,6 +33,8 @@ from hydro_env.benchmark.report import NEEDS
 from hydro_env.cli import app
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Controller
+from hydro_env.controllers.learned.flow_interface import OutputSettings
+from hydro_env.controllers.mpc.flow_controller import FlowSettings
 from hydro_env.diagnosis import RULES, STAGES, Settings
 from hydro_env.envs import HydraulicSyncEnv
 from hydro_env.experiments import blind_trials
@@ -218,6 +221,27 @@ def controllers() -> str:
             ]
         )
     return _table(["controller", "what it does", "privileged information", "plant of its own"], rows)
+
+
+def law_settings() -> str:
+    """Settings of the flow controller and of a policy's outputs: a row for each field of each part."""
+    rows: list[list[object]] = []
+
+    def add(kind: type, path: str) -> None:
+        hints = get_type_hints(kind)
+        for each in fields(kind):
+            parts = [k for k in (hints[each.name], *get_args(hints[each.name])) if is_dataclass(k)]
+            if parts:
+                add(parts[0], f"{path}.{each.name}")  # type: ignore[arg-type]
+                continue
+            value = each.default if isinstance(each.default, bool) else f"{each.default:.4g}"
+            summary, reason = each.metadata["summary"], each.metadata["reason"]
+            text = f"{summary}. {reason[:1].upper()}{reason[1:]}" if reason else summary
+            rows.append([f"`{path}.{each.name}`", str(value).lower(), _unit(each.metadata["unit"]), text])
+
+    add(FlowSettings, "law")
+    add(OutputSettings, "outputs")
+    return _table(["setting", "default", "unit", "meaning and source"], rows)
 
 
 def gains() -> str:
@@ -660,7 +684,8 @@ PARTS: dict[str, Callable[[], str]] = {
     made.__name__: made
     for made in (
         parameters, presets, preset_values, effects, twins, form_corrections, severities, sensors, form_constants, losses,
-        controllers, gains, searches, splits, faults, scenarios, metrics, suites, environment, packages, diagnosis_stages,
+        controllers, gains, law_settings, searches, splits, faults, scenarios, metrics, suites, environment, packages,
+        diagnosis_stages,
         diagnosis_rules,
         diagnosis_settings, commands, commands_short, log_columns, units, scores, scores_short,
         classical, agents, variation, speed, speed_short, error, trials, diagnosis_short,
