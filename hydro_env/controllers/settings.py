@@ -17,10 +17,12 @@ from typing import Any, TypeVar, get_args, get_type_hints
 
 from hydro_env.errors import InputError, suggestion
 
-__all__ = ["TUNED", "as_table", "from_table", "numbers", "numbers_of", "setting"]
+__all__ = ["HAND", "TUNED", "as_table", "from_table", "numbers", "numbers_of", "setting"]
 
-TUNED = "evolution strategy on pairs of `train`, see docs/explanation/agents.md"
-"""Where a value comes from that was searched for, not derived."""
+TUNED = "tuned on `train`"
+"""Found by an evolution strategy, or by trial, on pairs of the split `train`; docs/explanation/agents.md tells how."""
+HAND = "set by hand"
+"""Chosen once, never searched for."""
 
 S = TypeVar("S")
 

@@ -1,4 +1,4 @@
-"""Settings of the control law: tables there and back, mistakes in one line, a unit and a summary for every field."""
+"""Settings of the control law: tables there and back, mistakes in one line, a unit, a meaning and a reason for every field."""
 
 from dataclasses import fields, is_dataclass
 from typing import get_args, get_type_hints
@@ -21,14 +21,16 @@ def parts(kind):
 
 
 @pytest.mark.parametrize("kind", [*parts(FlowSettings), OutputSettings], ids=lambda kind: kind.__name__)
-def test_every_setting_has_a_unit_and_a_summary(kind):
+def test_every_setting_has_a_unit_and_a_reason(kind):
     for each in fields(kind):
         if not any(
             is_dataclass(k)
             for k in (get_type_hints(kind)[each.name], *get_args(get_type_hints(kind)[each.name]))
         ):
             assert each.metadata["summary"], each.name
-            assert "unit" in each.metadata, each.name
+            assert isinstance(each.default, bool) or (each.metadata["unit"] and each.metadata["reason"]), (
+                each.name
+            )
 
 
 def test_tables_come_back():

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
-from hydro_env.controllers.settings import numbers, numbers_of, setting
+from hydro_env.controllers.settings import HAND, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
 __all__ = ["LONGEST", "DelayEstimator", "DelaySettings"]
@@ -26,15 +26,11 @@ LONGEST = 2
 class DelaySettings:
     """When a delay is accepted. A planner needs more certainty than a filter does."""
 
-    certain: float = setting(
-        20.0, "1", "by how much the squares of both valves' misses have to differ", "tuned by hand"
-    )
-    each: float = setting(3.0, "1", "and those of each valve", "tuned by hand")
-    most: float = setting(9.0, "1", "most that one sample counts: a spool that sticks once is no delay")
-    model: float = setting(
-        0.02, "1", "error of the modelled spool in a period, standard deviation", "measured on rigs"
-    )
-    loose: float = setting(0.15, "1", "and what share of its way it may have wrong", "measured on rigs")
+    certain: float = setting(20.0, "1", "by how much the squares of both valves' misses have to differ", HAND)
+    each: float = setting(3.0, "1", "and those of each valve", HAND)
+    most: float = setting(9.0, "1", "most that one sample counts: a spool that sticks once is no delay", HAND)
+    model: float = setting(0.02, "1", "error of the modelled spool in a period, standard deviation", HAND)
+    loose: float = setting(0.15, "1", "and what share of its way it may have wrong", HAND)
 
 
 DelayNumbers: Any = numbers_of(DelaySettings)

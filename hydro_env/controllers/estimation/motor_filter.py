@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.nominal import NOMINAL, PRESSURE_NOISE, SPEED_NOISE
-from hydro_env.controllers.settings import TUNED, numbers, numbers_of, setting
+from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
 __all__ = ["MotorFilter", "MotorFilterSettings", "MotorState"]
@@ -41,7 +41,7 @@ class MotorFilterSettings:
         0.5, "1", "share of the torque between samples that the model may have wrong", TUNED
     )
     sudden: float = setting(
-        4.0, "1", "standard deviations from which on a miss is a load that has jumped: 1 in 10^4"
+        4.0, "1", "standard deviations from which on a miss is a load that has jumped", HAND
     )
     twice: float = setting(
         8.0, "1", "product of two misses in a row, in variances, that counts as one too", TUNED

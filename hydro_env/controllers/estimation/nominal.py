@@ -68,7 +68,8 @@ class Motor:
     mode: float = setting(
         0.0,
         "1/s",
-        "rate at which the speed follows a flow where the leakage does not set it; 0 where it does",
+        "rate at which the speed follows a flow, where the leakage does not set it",
+        "0 for the paper's motor",
     )
 
     @property

@@ -21,7 +21,7 @@ from hydro_env.controllers.estimation.nominal import (
     RATED_FLOW,
     SPEED_NOISE,
 )
-from hydro_env.controllers.settings import numbers, numbers_of, setting
+from hydro_env.controllers.settings import HAND, numbers, numbers_of, setting
 from hydro_env.envs.observation import Measurements
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
@@ -45,24 +45,28 @@ class SensorSettings:
 
     active: bool = setting(True, "", "whether readings are supervised at all")
     noisy: float = setting(
-        1.7, "1", "multiple of a speed's usual noise that three samples exceed one time in 50"
+        1.7, "1", "multiple of a speed's usual noise; estimates from three samples scatter up to it", HAND
     )
-    noisy_pressure: float = setting(1.4, "1", "the same of the pressures, of which all four sensors tell")
-    forgetting: float = setting(0.02, "1", "share of a new square in the noise's mean: memory of 50 samples")
+    noisy_pressure: float = setting(
+        1.4, "1", "the same of the pressures, of which all four sensors tell", HAND
+    )
+    forgetting: float = setting(
+        0.02, "1", "share of a new square in the noise's mean: memory of 50 samples", HAND
+    )
     settled: float = setting(
-        15.0, "1", "samples for which the reference has been steady before noise is measured"
+        15.0, "1", "samples for which the reference has been steady before noise is measured", HAND
     )
     bend: float = setting(
-        8.0, "1", "bend of a reading, in standard deviations, from which on it tells of a lag"
+        8.0, "1", "bend of a reading, in standard deviations, from which on it tells of a lag", HAND
     )
     lagging: float = setting(
-        0.014, "s", "lag from which on readings are corrected; a load's step looks like 0.01"
+        0.014, "s", "lag from which on readings are corrected; a load's step looks like 0.01", HAND
     )
     model: float = setting(
-        1.4 * RPM, "rad/s", "error of the integrated torque in a period, standard deviation"
+        1.4 * RPM, "rad/s", "error of the integrated torque in a period, standard deviation", HAND
     )
     rate: float = setting(
-        3.0, "1/s", "how fast the integrated torque is drawn to a doubtful reading or the flow"
+        3.0, "1/s", "how fast the integrated torque is drawn to a doubtful reading or the flow", HAND
     )
 
 

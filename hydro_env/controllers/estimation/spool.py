@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.nominal import SPOOL_RATE, STICTION, Motor
-from hydro_env.controllers.settings import setting
+from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.jit import compiled
 
 __all__ = [
@@ -31,14 +31,14 @@ Rows = NDArray[Any] | slice
 class SpoolSettings:
     """The modelled spool and what lies before and behind it."""
 
-    damping: float = setting(0.03, "1", "damping ratio", "back-EMF and viscous friction of the nominal valve")
-    friction: float = setting(
-        0.85, "1", "Coulomb friction relative to the nominal stiction", "tuned on `train`"
+    damping: float = setting(0.03, "1", "damping ratio", "assumed: back-EMF and viscous friction")
+    friction: float = setting(0.85, "1", "Coulomb friction relative to the nominal stiction", TUNED)
+    substep: float = setting(1.25e-3, "s", "step of the model", "a 24th of the spool's period")
+    coil: float = setting(1e-3, "s", "time constant of the coil", "L / R, Table II")
+    pressure_lag: float = setting(
+        5e-4, "s", "lag of the pressure behind the flow", "V / (beta Km), Tables I and II"
     )
-    substep: float = setting(1.25e-3, "s", "step of the model; the spool's period is 30 ms")
-    coil: float = setting(1e-3, "s", "time constant of the coil: inductance over resistance")
-    pressure_lag: float = setting(5e-4, "s", "lag of the pressure behind the flow: V / (beta Km)")
-    stop: float = setting(1.16, "1", "end stops, in rated travels: 1 mm of the nominal valve")
+    stop: float = setting(1.16, "1", "end stops, in rated travels", "1 mm of the nominal valve")
 
 
 class Channel(NamedTuple):

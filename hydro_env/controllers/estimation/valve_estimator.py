@@ -31,10 +31,16 @@ Rows = NDArray[Any] | slice
 class ValveSettings:
     """Prior, random walks and noise of the estimate."""
 
-    nearest: float = setting(0.04, "1", "an edge lies at least so far on the other side: offset of 30 um")
-    farthest: float = setting(0.26, "1", "and at most here: dead zone of 200 um and offset of 30 um")
-    gain: float = setting(0.82, "1", "mean flow gain of valves of this type: Kq 0.65 to 1 of the nominal one")
-    gain_scatter: float = setting(0.12, "1", "its standard deviation over the same range")
+    nearest: float = setting(
+        0.04, "1", "an edge lies at most so far on the other side", "null offsets to 30 um"
+    )
+    farthest: float = setting(0.26, "1", "and at most so far", "dead zones to 200 um, null offsets to 30 um")
+    gain: float = setting(
+        0.82, "1", "mean flow gain of valves of this type", "Kq 0.65 to 1 of the nominal one"
+    )
+    gain_scatter: float = setting(
+        0.12, "1", "its standard deviation", "the same range, and the coil's resistance"
+    )
     drift: float = setting(0.03, "1/sqrt(s)", "random walk of the edge, which friction shifts", TUNED)
     gain_drift: float = setting(0.004, "1/sqrt(s)", "random walk of the gain", TUNED)
     still: float = setting(
@@ -50,7 +56,9 @@ class ValveSettings:
     stale: float = setting(
         0.02, "1", "standard deviation up to which that edge is forgotten", "4 um of travel"
     )
-    noise: float = setting(FLOW_NOISE, "1", "standard deviation of the measured flow, see `nominal`")
+    noise: float = setting(
+        FLOW_NOISE, "1", "standard deviation of the measured flow", "sensor noise through eq. (1)"
+    )
 
 
 ValveNumbers: Any = numbers_of(ValveSettings)

@@ -27,7 +27,7 @@ Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice
 
 PAUSE = 0.15
-"""Least time between two answers to sudden loads, s: longer than one takes to settle."""
+"""Least time between two answers to sudden loads, s; set by hand."""
 
 
 @dataclass(frozen=True)

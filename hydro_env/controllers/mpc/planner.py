@@ -25,7 +25,7 @@ from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.nominal import TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel, substep, valve_flow
 from hydro_env.controllers.mpc.reference import ReferenceState
-from hydro_env.controllers.settings import TUNED, setting
+from hydro_env.controllers.settings import HAND, TUNED, setting
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
@@ -63,7 +63,7 @@ class PlannerSettings:
     corner: float = setting(
         14.0, "rpm", "difference from which on its cost grows faster than its square", TUNED
     )
-    turns: int = setting(4, "1", "steps of Gauss and Newton a period: more change nothing")
+    turns: int = setting(4, "1", "steps of Gauss and Newton a period", HAND)
     behind: float = setting(1.95, "periods", "how long after the reference the speeds are to follow", TUNED)
     ahead: float = setting(30.0, "rpm", "no farther are the speeds asked to move at once", TUNED)
     wrong: float = setting(

@@ -28,11 +28,11 @@ Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice
 
 AT_REST = 5.0 * RPM
-"""Set-point up to which the rig is at rest, rad/s: above all sensors' noise."""
+"""Set-point up to which the rig counts as at rest, rad/s."""
 FROM = -0.02
-"""Where a sweep begins, just before the nearest edge."""
+"""Where a sweep begins, on the other side of the middle."""
 FARTHEST = 0.5
-"""Where one ends that has seen no flow: no dead zone reaches further than this share of the command, Fig. 2 shows 0.4."""
+"""Where one ends that has seen no flow; Fig. 2 shows an edge at 0.4."""
 SETTLE = 2
 """Samples for the spools to come home."""
 
@@ -44,7 +44,7 @@ class ProbingSettings:
     active: bool = setting(True, "", "whether they are; a shaft that must not move at rest forbids it")
     led: bool = setting(True, "", "whether sweeps follow the spool model, which has to fit the valves")
     sweep: float = setting(2.65, "1/s", "pace of the spools, rated commands a second", TUNED)
-    detect: float = setting(0.008, "1", "flow that ends a sweep: four standard deviations of its noise")
+    detect: float = setting(0.008, "1", "flow that ends a sweep", "four standard deviations of its noise")
     hold: float = setting(0.0042, "1", "flow at which a led sweep stands still for a sample", TUNED)
     again: float = setting(0.006, "1", "flow that then ends it", TUNED)
     begin: float = setting(2.5, "periods", "how far a led sweep is to be after two periods", TUNED)

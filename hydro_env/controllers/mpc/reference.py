@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.nominal import TUNED_PERIOD, Motor
 from hydro_env.controllers.estimation.valve_estimator import ValveState
-from hydro_env.controllers.settings import TUNED, numbers, numbers_of, setting
+from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
@@ -21,7 +21,7 @@ Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice
 
 SMOOTH = 25.0 * RPM
-"""Change of the set-point in a period up to which it is taken to go on, rad/s: 2500 rpm/s at 10 ms, what the motors follow."""
+"""Change of the set-point in a period up to which it is taken to go on, rad/s: 2500 rpm/s at 10 ms."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,9 @@ class ReferenceSettings:
     fall: float = setting(4.0, "1", "how many times as fast it may fall", TUNED)
     doubt: float = setting(5.5, "1", "an unknown gain divides that rise by 1 + doubt", TUNED)
     capacity: float = setting(0.94, "1", "share of the weaker valve's capacity that may be used", TUNED)
-    foresight: float = setting(1.0, "1", "how far a smoothly moving set-point is foreseen, in response times")
+    foresight: float = setting(
+        1.0, "1", "how far a smoothly moving set-point is foreseen, in response times", HAND
+    )
 
 
 ReferenceNumbers: Any = numbers_of(ReferenceSettings)

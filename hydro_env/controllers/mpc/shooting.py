@@ -27,9 +27,9 @@ from hydro_env.jit import compiled
 __all__ = ["DAMPING", "Best", "Course", "improve", "keep", "minimise_in_box"]
 
 CORNER = 2.0
-"""Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm, the noise of a good tracking."""
+"""Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm."""
 BETWEEN = 100.0
-"""Weight of a squared speed difference between the control instants: less than any weight at them that may be tuned."""
+"""Weight of a squared speed difference between the control instants; set by hand."""
 DAMPING = 1.0
 """Least weight of the squared change of the plan, which keeps it where nothing else says what is better."""
 LONGEST = 60
