@@ -59,7 +59,7 @@ class HydraulicSyncVecEnv(VecEnv):
                     break
             else:
                 groups.append((options, [row]))
-        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         observation = np.empty((self.num_envs, self.observation_space.shape[0]), np.float32)  # type: ignore[index]
         for options, rows in groups:
             mask = np.zeros(self.num_envs, np.bool_)
@@ -68,8 +68,8 @@ class HydraulicSyncVecEnv(VecEnv):
             seen, info = self.batch.reset(seed=seeds, options=masked)
             observation[rows] = seen[rows]
             for row in rows:
-                told[row] = _row(info, row)
-        self.reset_infos = told
+                infos[row] = _row(info, row)
+        self.reset_infos = infos
         self._reset_seeds()
         self._reset_options()
         return observation
@@ -83,20 +83,20 @@ class HydraulicSyncVecEnv(VecEnv):
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """The step: observations (N, n), rewards, ends (N,), infos."""
         assert self._actions is not None, "step_async comes first"
-        observation, reward, terminated, truncated, told = self.batch.step(self._actions)
+        observation, reward, terminated, truncated, info = self.batch.step(self._actions)
         ended = terminated | truncated
         if self.info == "all":
-            infos = [_row(told, row) for row in range(self.num_envs)]
+            infos = [_row(info, row) for row in range(self.num_envs)]
         else:
             infos = [{} for _ in range(self.num_envs)]
         if ended.any():
             for row in np.flatnonzero(ended).tolist():
                 infos[row] = {
-                    **_row(told["final_info"], row),
-                    "terminal_observation": told["final_obs"][row],
+                    **_row(info["final_info"], row),
+                    "terminal_observation": info["final_obs"][row],
                     "TimeLimit.truncated": bool(truncated[row] and not terminated[row]),
                 }
-                self.reset_infos[row] = _row(told, row)
+                self.reset_infos[row] = _row(info, row)
         return observation, reward.astype(np.float32), ended, infos
 
     def close(self) -> None:
@@ -154,12 +154,12 @@ class HydraulicSyncVecEnv(VecEnv):
 
 def _row(info: dict[str, Any], row: int) -> dict[str, Any]:
     """What a batch's info says of one row."""
-    told: dict[str, Any] = {}
+    own: dict[str, Any] = {}
     for key, value in info.items():
         if key.startswith("_") or key in ("final_obs", "final_info") or not info["_" + key][row]:
             continue
         if isinstance(value, dict):
-            told[key] = _row(value, row)
+            own[key] = _row(value, row)
         else:
-            told[key] = value[row].copy() if value.ndim > 1 else value[row]
-    return told
+            own[key] = value[row].copy() if value.ndim > 1 else value[row]
+    return own

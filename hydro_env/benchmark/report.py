@@ -10,7 +10,7 @@ import json
 from importlib.resources import files
 from typing import Any
 
-__all__ = ["knows", "scores_page", "scores_table"]
+__all__ = ["privileged_information", "scores_page", "scores_table"]
 
 NEEDS = {
     "measurements": "",
@@ -49,8 +49,8 @@ def scores_table(scores: dict[str, Any]) -> str:
         wide = [2 + max(len(text) for text in column) for column in columns_of]
         lines.append("  " + "controller".ljust(width) + _row(heads, wide))
         for name in scores["controllers"]:
-            told = _row(texts[name], wide) if name in texts else f"  failed: {failed[split, scenario, name]}"
-            lines.append("  " + name.ljust(width) + told)
+            cells_shown = _row(texts[name], wide) if name in texts else f"  failed: {failed[split, scenario, name]}"
+            lines.append("  " + name.ljust(width) + cells_shown)
     return "\n".join(lines).lstrip("\n")
 
 
@@ -90,7 +90,7 @@ def _cell(row: dict[str, Any] | None) -> str:
     return f"{row['iqm']:.3g} [{row['ci95'][0]:.3g}, {row['ci95'][1]:.3g}]"
 
 
-def knows(scores: dict[str, Any], name: str) -> str:
+def privileged_information(scores: dict[str, Any], name: str) -> str:
     """The privileged information of a controller in a few words; without it scores cannot be compared."""
     needs, plant = scores["needs"][name], scores["own_plant"].get(name)
     return ", ".join(filter(None, [NEEDS.get(needs, needs), plant and f"on {plant} valves"]))
@@ -102,8 +102,8 @@ def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
     template = files("hydro_env.benchmark").joinpath("scores_page.html").read_text(encoding="utf-8")
     style = files("hydro_env.pages").joinpath("style.css").read_text(encoding="utf-8")
     page = template.replace("/*STYLE*/", style).replace("/*TRACES*/null", _embedded(traces))
-    told = {name: knows(scores, name) for name in scores["controllers"]}
-    return page.replace("/*SCORES*/null", _embedded({**scores, "knows": told}))
+    privileged = {name: privileged_information(scores, name) for name in scores["controllers"]}
+    return page.replace("/*SCORES*/null", _embedded({**scores, "privileged": privileged}))
 
 
 def _embedded(data: Any) -> str:

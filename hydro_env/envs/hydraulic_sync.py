@@ -147,9 +147,9 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if seed is None and not self._seeded:
             seed = self.np_random_seed
         self._seeded = True
-        observation, told = self.batch.reset(seed=None if seed is None else [seed], options=options)
+        observation, batched = self.batch.reset(seed=None if seed is None else [seed], options=options)
         info: dict[str, Any] = {}
-        for key, value in told.items():
+        for key, value in batched.items():
             if key == "mismatch":
                 info[key] = {name: pair[0] for name, pair in value.items() if not name.startswith("_")}
             elif not key.startswith("_"):

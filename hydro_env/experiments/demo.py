@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from hydro_env import __version__
 from hydro_env.benchmark import command as benchmark
-from hydro_env.benchmark.report import knows
+from hydro_env.benchmark.report import privileged_information
 from hydro_env.controllers.registry import CONTROLLERS
 from hydro_env.diagnosis import command as diagnosis
 from hydro_env.experiments import reproduce
@@ -183,7 +183,7 @@ def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
         found = [cells.get((name, scenario, metric)) for scenario, metric, _ in BOARD]
         file = CONTROLLERS[name].file
         learned = file is not None and file.suffix == ".npz"
-        notes = ["learned: a network on a model-based law" if learned else "", knows(scores, name)]
+        notes = ["learned: a network on a model-based law" if learned else "", privileged_information(scores, name)]
         rows.append(
             {
                 "name": name,

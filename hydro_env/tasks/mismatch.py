@@ -199,16 +199,16 @@ class Mismatch:
         for name in self.parameters:
             if name not in values:
                 values[name] = np.tile(own_values(name, model), (len(streams), 1))
-        told = []
+        drawn = []
         for row, (stream, case) in enumerate(zip(streams, cases, strict=True)):
             number = case if case >= 0 else int(stream.integers(2 * len(names)))
             fault, channel = names[number % len(names)], number // len(names) % 2
-            sick: dict[str, Floats] = {}
+            faulty: dict[str, Floats] = {}
             for name, each in self.faults[fault].items():
-                sick[name] = each.value(stream.random((1, 2)), sick)
-                values[name][row, channel] = each.scaled(name, sick[name], model)[0, channel]
-            told.append(fault)
-        return Pairs(values, tuple(told))
+                faulty[name] = each.value(stream.random((1, 2)), faulty)
+                values[name][row, channel] = each.scaled(name, faulty[name], model)[0, channel]
+            drawn.append(fault)
+        return Pairs(values, tuple(drawn))
 
 
 def own_values(name: str, model: PlantModel) -> tuple[float, float]:
