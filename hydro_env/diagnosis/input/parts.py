@@ -35,7 +35,6 @@ class Part:
     label: str
     log: RigLog
     inside: np.ndarray
-    windows: tuple[tuple[float, float], ...]
     note: str = ""
 
     @property
@@ -165,8 +164,7 @@ def _cut(word: str, log: RigLog, windows: list[tuple[float, float]]) -> Part:
     last = int(np.flatnonzero(inside)[-1]) + 1
     if last < len(log):
         log = log.window(time[0], time[last])
-    shown = tuple((max(a, float(time[0])), min(b, float(time[-1]))) for a, b in windows)
-    return Part(word, log, inside[: len(log)], shown)
+    return Part(word, log, inside[: len(log)])
 
 
 def overlap(fit: Iterable[Part], sealed: Iterable[Part]) -> None:

@@ -52,7 +52,6 @@ class Location:
     share: float
     regime: str
     windows: list[tuple[float, float]]
-    ratio: float
     shape: Shape
     logs: list[int]
 
@@ -99,7 +98,7 @@ def locate(rig: RigModel, estimates: Estimates) -> list[Location]:
             if whole > 0.0 and excess[r.equation] > LISTED * whole and r.ratio > ERRS:
                 windows, logs = _windows(r)
                 form, share = shape(r.over, r.error, *r.units), excess[r.equation] / whole
-                found.append(Location(r.equation, channel, share, _regime(r), windows, r.ratio, form, logs))
+                found.append(Location(r.equation, channel, share, _regime(r), windows, form, logs))
     return sorted(found, key=lambda p: (p.channel, -p.share))
 
 

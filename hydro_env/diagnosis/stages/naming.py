@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...plant import CATALOGUE, PlantModel, parameter_of
-from ..estimation import Estimate, Fit, intervals_of, probability_of_gain
+from ..estimation import Estimate, Fit, probability_of_gain
 from ..models.base import RigModel
 from ..state import Estimates, State
 from .candidates import Accepted, Selection
@@ -17,7 +17,7 @@ from .screening import Screening, alike
 
 __all__ = [
     "Interval", "KnownParameter", "NamedEffect", "at_bounds", "effect_values", "estimated_model", "known_parameters",
-    "measure_uncertainty", "name_effects", "run",
+    "name_effects", "run",
 ]  # fmt: skip
 
 #: Values of the two channels that differ by less (relative) are one effect of both.
@@ -84,15 +84,6 @@ class NamedEffect:
             "indistinguishable_from": self.indistinguishable_from,
             "parameters": {name: vars(p) for name, p in self.parameters.items()},
         }  # fmt: skip
-
-
-def measure_uncertainty(state: State) -> State:
-    """Sets the intervals of every estimate that has derivatives."""
-    every = (*state.final.values(), *state.selection.estimates.values(), *state.calibrated.values())
-    for one in {id(p): p for p in every}.values():
-        if one.unknowns and one.columns:
-            one.intervals = intervals_of(state.fit, one)
-    return state
 
 
 def run(state: State) -> State:

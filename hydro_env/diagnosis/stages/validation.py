@@ -12,11 +12,9 @@ from ..models.base import UNITS, RigModel
 from ..state import Estimates, State
 from .form_correction import changes
 
-__all__ = ["MODELS", "NAMED", "Proof", "prove", "proved", "run", "shown_unit", "signal_key"]
+__all__ = ["NAMED", "Proof", "prove", "proved", "run", "shown_unit", "signal_key"]
 
-#: The models that are always compared, in this order. Where the form of an effect was corrected there is `NAMED` besides: the
-#: named effects without that correction.
-MODELS = ("before", "calibrated", "after", "placebo")
+#: Where the form of an effect was corrected this model is compared besides: the named effects without that correction.
 NAMED = "named"
 
 
