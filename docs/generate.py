@@ -17,6 +17,7 @@ import math
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
 from itertools import combinations
@@ -474,12 +475,11 @@ def take(argument: str) -> None:
                 for r in data["rows"]
                 if (r["split"], r["scenario"]) in places and r["metric"] in (PEAK, TRACKING)
             ]
-            results["scores"] |= {
-                "commit": _commit(),
-                "seed": data["seed"],
-                "controllers": data["controllers"],
-            }
-            results["scores"] |= {"columns": columns, "rows": rows}
+            # Controllers that this file does not score keep their rows.
+            kept, old = results["scores"], [name for name in CONTROLLERS if name not in data["controllers"]]
+            rows += [row for row in kept["rows"] if row[0] in old]
+            kept["commits"] |= dict.fromkeys(data["controllers"], _commit())
+            kept |= {"seed": data["seed"], "columns": columns, "rows": rows}
         elif data["schema"] == "hydro_env/speed/1":
             results["speed"] |= {"commit": _commit(), **{key: data[key] for key in SPEED}}
         else:
@@ -514,7 +514,14 @@ def _origin(found: dict[str, Any]) -> str:
     if not found["command"]:
         return f"Measured at commit `{found['commit']}`; the script that did so is not kept."
     commands = " and ".join(f"`{command}`" for command in found["command"].split("; "))
-    return f"Measured with {commands} at commit `{found['commit']}`."
+    if "commits" not in found:
+        return f"Measured with {commands} at commit `{found['commit']}`."
+    *others, most = sorted(Counter(found["commits"].values()), key=list(found["commits"].values()).count)
+    rest = [
+        f"; {', '.join(f'`{name}`' for name, own in found['commits'].items() if own == commit)} at `{commit}`"
+        for commit in others
+    ]
+    return f"Measured with {commands} at commit `{most}`{''.join(rest)}."
 
 
 def _stored(name: str) -> str:
@@ -535,7 +542,7 @@ def _digits(value: float) -> str:
 def _scores(names: Sequence[str], columns: Sequence[tuple[str, str, str]]) -> str:
     found, cells = _scored()
     rows = []
-    for name in (each for each in found["controllers"] if each in names):
+    for name in (each for each in found["commits"] if each in names):
         row = [f"`{name}`"]
         for split, scenario, _ in columns:
             pair = [cells.get((name, split, scenario, metric)) for metric in (PEAK, TRACKING)]
@@ -546,7 +553,7 @@ def _scores(names: Sequence[str], columns: Sequence[tuple[str, str, str]]) -> st
 
 def scores() -> str:
     found = _results()["scores"]
-    return f"{_origin(found)}\n\n{_scores(found['controllers'], SCORES)}"
+    return f"{_origin(found)}\n\n{_scores(list(found['commits']), SCORES)}"
 
 
 def scores_short() -> str:
@@ -557,7 +564,7 @@ def classical() -> str:
     """Of the controllers that are not learned: with the mean of the worst 5 % of the peak error in brackets."""
     found, cells = _scored()
     rows = []
-    for name in found["controllers"]:
+    for name in found["commits"]:
         if isinstance(make_controller(name), Controller):
             row = [f"`{name}`"]
             for scenario in SCENARIOS_OF_VAL:
