@@ -27,7 +27,7 @@ ALLOWED = {
     "envs": "errors files units jit plant tasks",
     "sb3": "errors envs",
     "valve_bench": "errors files units pages waveforms plant measured",
-    "controllers": "errors files units jit plant tasks envs valve_bench",
+    "controllers": "errors files units jit waveforms plant tasks envs valve_bench",
     "diagnosis": "errors files units pages waveforms parallel plant tasks measured",
     "benchmark": "errors files units pages parallel plant tasks envs controllers",
     "experiments": "errors files units pages waveforms parallel plant practice tasks measured envs valve_bench"

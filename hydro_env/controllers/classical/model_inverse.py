@@ -16,6 +16,7 @@ from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.classical.reference import DoublePole
 from hydro_env.controllers.input_shaping import three_taps
 from hydro_env.plant import Plant, PlantModel
+from hydro_env.waveforms import triangle
 
 __all__ = ["ModelInverse", "flow_curve"]
 
@@ -33,16 +34,16 @@ def flow_curve(model: PlantModel, *, points: int = 201, seconds: float = 8.0) ->
     """
     period = 0.01
     steps = round(seconds / period)
-    triangle = np.interp(np.arange(steps) / steps, [0.0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
-    command = triangle[:, None] * np.array(model.pair("u_rated"))
+    share = triangle(np.arange(steps) / steps)
+    command = share[:, None] * np.array(model.pair("u_rated"))
     flow = Plant(model).run(command, None, period, ["flow"])["flow"][1:, 0]
-    triangle = triangle[:-1]  # a row of the run is the state before its command acts
-    falls = np.gradient(triangle) < 0.0
+    share = share[:-1]  # a row of the run is the state before its command acts
+    falls = np.gradient(share) < 0.0
     grid = np.linspace(-1.0, 1.0, points)
     branches = []
     for branch in (falls, ~falls):
-        order = np.argsort(triangle[branch], kind="stable")
-        at, of = triangle[branch][order], flow[branch][order]
+        order = np.argsort(share[branch], kind="stable")
+        at, of = share[branch][order], flow[branch][order]
         branches.append(np.stack([np.interp(grid, at, of[:, c]) for c in (0, 1)], axis=1))
     return grid, np.maximum.accumulate(np.mean(branches, axis=0), axis=0)
 
