@@ -16,6 +16,7 @@ LONG = (
     "test_balances.py",
     "test_benchmark.py::test_every_controller_is_vectorised_over_rigs",
     "test_benchmark.py::test_jobs_change_nothing",
+    "test_blind_trials.py",
     "test_close_loop.py",
     "test_controllers.py::test_a_common_search_goes_on_where_it_was_interrupted",
     "test_diagnosis_uncertainty.py",

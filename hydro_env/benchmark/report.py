@@ -49,7 +49,9 @@ def scores_table(scores: dict[str, Any]) -> str:
         wide = [2 + max(len(text) for text in column) for column in columns_of]
         lines.append("  " + "controller".ljust(width) + _row(heads, wide))
         for name in scores["controllers"]:
-            cells_shown = _row(texts[name], wide) if name in texts else f"  failed: {failed[split, scenario, name]}"
+            cells_shown = (
+                _row(texts[name], wide) if name in texts else f"  failed: {failed[split, scenario, name]}"
+            )
             lines.append("  " + name.ljust(width) + cells_shown)
     return "\n".join(lines).lstrip("\n")
 

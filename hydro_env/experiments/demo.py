@@ -183,7 +183,10 @@ def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
         found = [cells.get((name, scenario, metric)) for scenario, metric, _ in BOARD]
         file = CONTROLLERS[name].file
         learned = file is not None and file.suffix == ".npz"
-        notes = ["learned: a network on a model-based law" if learned else "", privileged_information(scores, name)]
+        notes = [
+            "learned: a network on a model-based law" if learned else "",
+            privileged_information(scores, name),
+        ]
         rows.append(
             {
                 "name": name,

@@ -99,7 +99,9 @@ class Plant:
         longest = [sum(self.model.value(name, channel) for name in self._delays) for channel in (0, 1)]
         self._longest_delay = max(LONGEST_DELAY, *longest)
         if self._longest_delay == inf:
-            raise InputError(f"model {self.model.name!r}: the command is delayed forever; a finite delay is right")
+            raise InputError(
+                f"model {self.model.name!r}: the command is delayed forever; a finite delay is right"
+            )
         self._slots = int(self._longest_delay / self.substep) + 3  # a slot of the delay line is a substep
         slots = self._slots if kernel.has_delay else 1
         need = blocks * 2.0 * kernel.half * (kernel.num_rows * kernel.dtype.itemsize + slots * 8)

@@ -40,9 +40,7 @@ def build(substep: float) -> Plant:
     plant = Plant("paper", len(names), effects=BUILT_IN, substep=substep)
     for row, name in enumerate(names):
         if name in CATALOGUE:
-            typical = {
-                p.name: p.typical for p in CATALOGUE[name].parameters
-            }
+            typical = {p.name: p.typical for p in CATALOGUE[name].parameters}
             plant.set_values({f"{name}.{own}": value for own, value in typical.items()}, rows=[row])
         else:
             plant.set_values(load_model(name).values, rows=[row])

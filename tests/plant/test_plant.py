@@ -120,7 +120,9 @@ def test_the_delay_line_is_as_long_as_the_models_delay() -> None:
     late = Plant(load_model("paper").with_values(values), 1).run(command, None, 1e-3, ("current",))["current"]
     assert np.all(late[:81] == 0.0) and np.all(late[82:] > 0.0)
     plant = Plant("paper", 1, effects=["command_delay"])
-    with pytest.raises(ValueError, match=r"command_delay\.delay is 0\.08 s, the delay line of this plant holds 0\.05 s"):
+    with pytest.raises(
+        ValueError, match=r"command_delay\.delay is 0\.08 s, the delay line of this plant holds 0\.05 s"
+    ):
         plant.set("command_delay.delay", 0.08)
     with pytest.raises(InputError, match="delayed forever"):
         Plant(load_model("paper").with_values({"command_delay.delay": np.inf}), 1)
@@ -164,9 +166,7 @@ def crowd(substep: float, names: list[str], **base: float) -> Plant:
     plant.set_values(base)
     for row, name in enumerate(names):
         if name in CATALOGUE:
-            typical = {
-                p.name: p.typical for p in CATALOGUE[name].parameters
-            }
+            typical = {p.name: p.typical for p in CATALOGUE[name].parameters}
             plant.set_values({f"{name}.{own}": value for own, value in typical.items()}, rows=[row])
         elif name != "base":
             plant.set_values(load_model(name).values, rows=[row])

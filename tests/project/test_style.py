@@ -1,4 +1,4 @@
-"""The code passes the linter and the type checker."""
+"""The code passes the linter, the formatter and the type checker."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from tests.conftest import LONG
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize("command", [["ruff", "check", "."], ["mypy"]], ids=["ruff", "mypy"])
+@pytest.mark.parametrize(
+    "command",
+    [["ruff", "check", "."], ["ruff", "format", "--check", "."], ["mypy"]],
+    ids=["ruff", "format", "mypy"],
+)
 def test_checker(command: list[str]) -> None:
     done = subprocess.run(
         [sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, check=False
