@@ -15,7 +15,8 @@ ray     an existing cluster (`RAY_ADDRESS`, else the one `ray start` began here)
 The processes of `local` are our own. In `concurrent.futures` and in loky (joblib) a killed process breaks the whole
 pool: every task that is under way fails, and nothing says which of them did it, so a task that kills cannot be told
 from its victims. `multiprocessing.Pool` waits for ever. With a pipe for each process it is plain which task died, and
-a process that loses its parent, even by `kill -9`, ends. Ray does all that itself.
+a process that loses its parent, even by `kill -9`, ends. One `ProcessPoolExecutor` for each process would name the task,
+too, but before Python 3.14 (`kill_workers`) it cannot stop a task that runs. Ray does all that itself.
 """
 
 from __future__ import annotations
