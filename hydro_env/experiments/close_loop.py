@@ -332,7 +332,7 @@ def _settings_row(settings: Settings, rigs: Sequence[Rig]) -> dict[str, Any]:
         "cases": {case: list(CASES[case]) for case in settings.cases}, "seeds": [settings.seed, settings.seeds],
         "base_error": BASE_ERROR, "log_s": settings.duration, "tuned_on": load_scenario(tuning.TUNED_ON).name,
         "episodes_of_a_tuning": tuning.TUNING_EPISODES * tuning.POPULATION * settings.generations,
-        "weight": tuning.WEIGHT, "truth": "plant.reference, forms: " + ", ".join(sorted({rig.forms for rig in rigs})),
+        "weight": tuning.WEIGHT, "truth": "practice.reference, forms: " + ", ".join(sorted({rig.forms for rig in rigs})),
     }  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """A controller on a rig that the independent reference simulator plays: what its model is worth outside of that model.
 
 `controllers.rollout` drives the compiled plant, whose equations a diagnosis fits and a tuner searches on. Here the same
-controller, sensors and scenarios meet `plant.reference`: SciPy's stiff solver on equations of its own, with other
+controller, sensors and scenarios meet `practice.reference`: SciPy's stiff solver on equations of its own, with other
 functional forms of the effects where there are some.
 """
 

@@ -11,7 +11,7 @@ diagnosis fits. An engineer's two runs and a third one to be sealed are made (`m
 
 A user's own effect (`plant.load_effects`) has one set of equations, its laws. If one is hidden, the rig is the compiled
 plant with the laws of the catalogue for all effects, and truth.json says `"forms": "catalogue"`: the diagnosis then meets
-its own equations, so such a log shows that an effect can be found, not that it is told from real physics.
+its own equations, so such a log shows that an effect can be found, not that it would be found on a real rig.
 """
 
 from __future__ import annotations
