@@ -11,6 +11,7 @@ from pathlib import Path
 
 from ..files import write_json
 from .result import Diagnosis
+from .settings import Settings
 from .workflow import diagnose
 
 __all__ = ["run"]
@@ -36,8 +37,8 @@ def run(
                 bar.set_description(text)
 
         found = diagnose(
-            fit_logs, sealed, model, mapping, jobs=jobs or _cores(), seed=seed, steady=steady, accept=accept,
-            progress=progress,
+            fit_logs, sealed, model, mapping, jobs=jobs or _cores(), steady=steady, accept=accept,
+            settings=Settings(seed=seed), progress=progress,
         )  # fmt: skip
         bar.set_description("writing the report")
         folder = Path(out)

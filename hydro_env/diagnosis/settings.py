@@ -1,7 +1,7 @@
 """What may be set for a diagnosis, and which of its rules are switched off.
 
 A rule is a step that rescues a fit or questions a name. Each has a switch, so that an ablation can measure what it is worth:
-`diagnose(..., rules_off=["restart_friction"])`. The names are declared beside the rules, with `rule`.
+`diagnose(..., settings=Settings(rules_off=["restart_friction"]))`. The names are declared beside the rules, with `rule`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from ..errors import InputError, nearest
 
-__all__ = ["RULES", "Settings", "known_rules", "rule"]
+__all__ = ["RULES", "Settings", "rule"]
 
 #: What each rule does, by its name.
 RULES: dict[str, str] = {}
@@ -25,7 +25,10 @@ def rule(name: str, what: str) -> str:
 
 @dataclass(frozen=True)
 class Settings:
-    """The choices of a diagnosis that a user may change. Numbers of the numerics stand where they are used."""
+    """The choices of a diagnosis that a user may change. Numbers of the numerics stand where they are used.
+
+    InputError for a rule that does not exist.
+    """
 
     #: Accepted chance of one superfluous effect: the `p` of PASTIS (Gerardos and Ronceray 2025).
     false_alarm: float = 0.01
@@ -45,22 +48,20 @@ class Settings:
     temper: float = 0.1
     #: Share of the power above the noise that the named effects must explain on the held-out logs.
     confirmed_share: float = 0.25
-    #: Seed of the bootstrap.
+    #: Seed of the bootstrap; the same one gives the same result.
     seed: int = 0
     #: Rules that are switched off.
-    rules_off: frozenset[str] = frozenset()
+    rules_off: Collection[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rules_off", frozenset(self.rules_off))
+        for name in self.rules_off:
+            if name not in RULES:
+                near = nearest(name, RULES)
+                hint = f"did you mean {near!r}? " if near else ""
+                raise InputError(f"unknown rule {name!r}: {hint}known are {', '.join(sorted(RULES))}")
 
     def uses(self, name: str) -> bool:
         """Whether a rule is on."""
         assert name in RULES, name
         return name not in self.rules_off
-
-
-def known_rules(names: Collection[str]) -> frozenset[str]:
-    """The names as a set; InputError for one that is no rule."""
-    for name in names:
-        if name not in RULES:
-            near = nearest(name, RULES)
-            hint = f"did you mean {near!r}? " if near else ""
-            raise InputError(f"unknown rule {name!r}: {hint}known are {', '.join(sorted(RULES))}")
-    return frozenset(names)

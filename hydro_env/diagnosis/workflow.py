@@ -25,7 +25,7 @@ from .models.base import RigModel
 from .models.dynamic_rig import DynamicRig
 from .models.steady_valve import SteadyValve
 from .result import Diagnosis
-from .settings import Settings, known_rules
+from .settings import Settings
 from .stages import (
     calibration,
     consistency,
@@ -44,6 +44,8 @@ from .state import State
 
 __all__ = ["STAGES", "diagnose"]
 
+#: The settings unless others are given.
+DEFAULT = Settings()
 #: The stages in their order, each with what a progress bar says.
 STAGES: tuple[tuple[str, Callable[[State], State]], ...] = (
     ("model as given", consistency.run),
@@ -64,8 +66,8 @@ STAGES: tuple[tuple[str, Callable[[State], State]], ...] = (
 
 def diagnose(
     fit: Sequence[str | Path | RigLog], sealed: Sequence[str | Path | RigLog], model: str | Path | PlantModel = "paper",
-    mapping: Mapping | str | Path | None = None, *, jobs: int = 1, seed: int = 0, steady: bool = False,
-    without: Collection[str] = (), accept: Collection[str] = (), rules_off: Collection[str] = (),
+    mapping: Mapping | str | Path | None = None, *, jobs: int = 1, steady: bool = False, without: Collection[str] = (),
+    accept: Collection[str] = (), settings: Settings = DEFAULT,
     progress: Callable[[str, int], None] = lambda text, simulations: None,
 ) -> Diagnosis:  # fmt: skip
     """Finds out from logs what a model of the rig lacks.
@@ -76,18 +78,16 @@ def diagnose(
         model: preset, YAML file or model that is to be improved.
         mapping: what the columns of the logs mean, where their header does not say it.
         jobs: threads that simulate; the result does not depend on it.
-        seed: seed of the bootstrap; the same one gives the same result.
         steady: whether to use the reduced steady-valve model.
         without: effects that are not to be candidates.
         accept: codes of findings (`sign`, `swapped`, `unit`, ...) that would otherwise stop a diagnosis.
-        rules_off: rules to switch off, by the names in `settings.RULES`, for an ablation.
+        settings: thresholds, the seed of the bootstrap, and rules to switch off for an ablation.
         progress: called with what is being done and the number of simulations done since the last call.
 
     Raises:
         InputError: for anything that cannot be used.
     """
     begin = time.perf_counter()
-    settings = Settings(seed=seed, rules_off=known_rules(rules_off))
     given = load_model(model)
     doing = "reading logs"
 

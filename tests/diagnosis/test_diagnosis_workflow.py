@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis import RULES, STAGES, diagnose
+from hydro_env.diagnosis import RULES, STAGES, Settings, diagnose
 from hydro_env.diagnosis.command import run
 from hydro_env.diagnosis.models.array_laws import elementwise
 from hydro_env.errors import InputError
@@ -124,12 +124,12 @@ def test_loaded_logs_give_the_same_as_their_files_and_rules_can_be_switched_off(
     assert set(told) >= {text for text, _ in STAGES}
     # The same arrays without a file, and without any rule.
     bare = [replace(log, name="", sha256="") for log in logs]
-    plain = diagnose(bare[:1], bare[1:], rules_off=RULES)
+    plain = diagnose(bare[:1], bare[1:], settings=Settings(rules_off=RULES))
     assert [e.name for e in plain.effects] == ["dead_zone"] and plain.state.settings.rules_off == set(RULES)
     with pytest.raises(InputError, match="shares rows"):
         diagnose(bare[:1], bare[:1])
     with pytest.raises(InputError, match="grow_horizon"):
-        diagnose(bare[:1], bare[1:], rules_off=["grow_horizons"])
+        Settings(rules_off=["grow_horizons"])
 
 
 @pytest.mark.skipif(

@@ -60,7 +60,6 @@ CROWDED = {
     "hydro_env.cli.diagnosis.hide": "an option each",
     "hydro_env.cli.controllers.tune": "an option each",
     "hydro_env.cli.valve_test.valve_test": "an option each",
-    "hydro_env.diagnosis.workflow.diagnose": "an option each",
 }
 
 

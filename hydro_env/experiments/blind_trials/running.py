@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...diagnosis import diagnose
+from ...diagnosis import Settings, diagnose
 from ...files import write_json
 from ...plant import CATALOGUE, PlantModel, simulate
 from ...plant.sensors import NOISE
@@ -144,7 +144,7 @@ def run_case(case: Case, how: Running = Running()) -> dict[str, Any]:
             model=folder / "model.yaml",
             without=without,
             jobs=how.jobs,
-            rules_off=how.rules_off,
+            settings=Settings(rules_off=how.rules_off),
         ).as_dict()
         seconds, cpu_s = time.perf_counter() - begin, time.process_time() - cpu
     hidden = hidden_in(truth)
