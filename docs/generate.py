@@ -632,7 +632,8 @@ def speed_short() -> str:
     found = _results()["speed"]
     best = max((r for r in found["batch"] if r["dtype"] == "float64"), key=lambda r: r["env_steps_per_s"])
     return (
-        f"On one thread, {best['num_envs']} rigs in float64 take {best['env_steps_per_s']:,.0f} environment steps per second under smooth commands, "
+        f"On one thread, {best['num_envs']} rigs in float64 take {best['env_steps_per_s']:,.0f} environment steps per second "
+        "under smooth commands, "
         f"{best['times_real_time']:,.0f} times real time. The largest speed error against SciPy's stiff solver is "
         f"{found['error_rpm']['worst_against_reference']:.2g} rpm."
     )
