@@ -1,23 +1,44 @@
-"""How functions are compiled: once, and kept for the next process.
+"""How functions are compiled: by Numba, once, and kept for the next process.
 
-Numba keeps machine code in files beside the source (or in $NUMBA_CACHE_DIR) and compiles again when a function's own
-file has changed. Two cases are not covered by that, and are here: code that holds values or functions of other files,
-and processes that compile the same function at the same time.
+A file holds the machine code of one function for one signature. Its name is a hash of all that the code depends on,
+so it is never stale, and processes that compile at the same time write the same file. A damaged file is removed and
+compiled again. Numba's own cache (`cache=True`) has none of that: it misses changed values and functions of other files,
+mixes up code that two processes save, and ends with a traceback at a damaged file.
+
+Machine code is kept in $HYDRO_ENV_CACHE, else in the user's cache folder, else in the folder for temporary files. Where
+other users could have written it is not read: it would run. Without any such folder every process compiles.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+import inspect
+import linecache
+import logging
+import os
+import pickle
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import cache
+from pathlib import Path
 from types import FunctionType
 from typing import Any
 
+import numba
 import numpy as np
 from numba import njit
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+
+from hydro_env.pickles import distrust, seal, unseal
 
 __all__ = ["compiled"]
+
+MOST_BYTES = 1 << 30
+"""Machine code to keep. All tests together compile a fifth of it; what was not used for longest is removed beyond."""
 
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
@@ -25,8 +46,7 @@ _OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
 def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     """The function in machine code; `options` are those of `numba.njit`."""
     dispatcher = njit(**_OPTIONS, **options)(function)
-    with suppress(RuntimeError):  # Numba finds no folder it may write to: compile in every process
-        dispatcher._cache = _Cache(function)
+    dispatcher._cache = _Cache(function)
     return dispatcher
 
 
@@ -46,28 +66,138 @@ def _held(function: FunctionType) -> list[object]:
     return held
 
 
-class _Cache(FunctionCache):  # type: ignore[misc]
-    """Machine code of one function; that of changed callees or values of other files is not taken for it."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        stamp = self._impl.locator.get_source_stamp()
-        self._cache_file = _Files(self._cache_path, self._impl.filename_base, stamp)
-
-    def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
-        held = hashlib.sha256(repr(_held(self._py_func)).encode()).hexdigest()
-        return (*super()._index_key(signature, codegen), held)
+def _text(function: FunctionType) -> str:
+    """The text of the whole file of a function, as it was when the function was made."""
+    file = inspect.getfile(function)
+    linecache.checkcache(file)
+    return "".join(linecache.getlines(file))
 
 
-class _Files(IndexDataCacheFile):  # type: ignore[misc]
-    """The files of one function, which several processes may write at the same time.
+class _Cache(NullCache):  # type: ignore[misc]
+    """Machine code of one function, as Numba's dispatcher asks for it and hands it over."""
 
-    Numba counts its files and lists a number before the file is there, so two processes can take one number for
-    different code. Here a file is named by what it holds and listed when it is there. At worst an entry gets lost.
-    """
+    def __init__(self, function: Any) -> None:
+        self._function = function
+        self._text = hashlib.sha256(_text(function).encode()).hexdigest()
 
-    def save(self, key: Any, data: Any) -> None:
-        digest = hashlib.sha256(repr((self._source_stamp, key)).encode()).digest()
-        name = self._data_name(int.from_bytes(digest[:8]))
-        self._save_data(name, data)
-        self._save_index({**self._load_index(), key: name})
+    @property
+    def cache_path(self) -> str | None:
+        folder = _folder()
+        return None if folder is None else str(folder)
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """The compiled function, None if it is not there or damaged."""
+        target.refresh()
+        folder = _folder()
+        if folder is None:
+            return None
+        path = folder / self._name(signature, target.codegen())
+        try:
+            found = CompileResult._rebuild(target, *pickle.loads(unseal(path.read_bytes())))
+            os.utime(path)  # used last now, see `_make_room`
+            return found
+        except FileNotFoundError:
+            return None
+        except (
+            Exception
+        ):  # damaged, or a class in it has gone: what was compiled can always be compiled again
+            _say(f"{folder}: damaged machine code was removed and is compiled again")
+            with suppress(OSError):
+                path.unlink()
+            return None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Keeps a compiled function, unless it holds addresses of this process."""
+        folder = _folder()
+        if (
+            folder is None
+            or result.library.has_dynamic_globals
+            or any(not x.can_cache for x in result.lifted)
+        ):
+            return
+        try:
+            _write(folder / self._name(signature, result.codegen), seal(dumps(result._reduce())))
+            _make_room(folder, MOST_BYTES)
+        except OSError as problem:
+            _say(f"{folder}: machine code cannot be kept there ({problem.strerror}); every process compiles")
+
+    def _name(self, signature: Any, codegen: Any) -> str:
+        """The file for a signature. Numba names a tuple type by its class alone, so its fields are added."""
+        function = self._function
+        closed = tuple(cell.cell_contents for cell in function.__closure__ or ())
+        depends = (
+            function.__module__, function.__qualname__, self._text, function.__code__.co_code, _held(function),
+            signature, [getattr(each, "fields", None) for each in signature], codegen.magic_tuple(),
+            numba.__version__, sys.implementation.cache_tag, dumps(closed) if closed else b"",
+        )  # fmt: skip
+        return f"{hashlib.sha256(repr(depends).encode()).hexdigest()[:32]}.nbc"
+
+
+# --- the folder ----------------------------------------------------------------------------------------------------
+
+
+def _folder() -> Path | None:
+    """Where machine code is kept: the first folder that this user, and no other, can write; None if there is none."""
+    return next((folder for folder in _folders() if _usable(folder)), None)
+
+
+def _folders() -> Iterator[Path]:
+    named, user = os.environ.get("HYDRO_ENV_CACHE"), os.environ.get("XDG_CACHE_HOME")
+    if named:
+        yield Path(named).absolute() / "machine_code"
+    elif user and Path(user).is_absolute():
+        yield Path(user) / "hydro_env" / "machine_code"
+    else:
+        with suppress(RuntimeError):  # a user without $HOME and without an entry in passwd, as in containers
+            home = Path.home()
+            if home.is_absolute() and home.is_dir():
+                yield home / ".cache" / "hydro_env" / "machine_code"
+    with suppress(OSError):  # no folder for temporary files either
+        yield Path(tempfile.gettempdir()) / f"hydro_env_{os.geteuid() if hasattr(os, 'geteuid') else 'cache'}"
+
+
+@cache
+def _usable(folder: Path) -> bool:
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+        reason = distrust(folder)
+    except OSError:
+        return False
+    if reason:
+        _say(f"{folder}: machine code is not read from there: {reason}")
+    return not reason
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Writes a file in one go, so that no process reads half of it."""
+    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def _make_room(folder: Path, most: int) -> None:
+    """Removes the files that were not used for longest while all together are larger than `most` bytes."""
+    files = []
+    for path in folder.iterdir():
+        with suppress(FileNotFoundError):  # another process makes room, too
+            files.append((path.stat(), path))
+    total = sum(about.st_size for about, _ in files)
+    for about, path in sorted(files, key=lambda each: each[0].st_mtime):
+        if total <= most:
+            return
+        path.unlink(missing_ok=True)
+        total -= about.st_size
+
+
+@cache
+def _say(text: str) -> None:
+    """One line on stderr, unless the program has set up logging; the same text once in a process."""
+    logging.getLogger(__name__).warning(text)

@@ -26,6 +26,7 @@ LONG = (
     "test_engine.py",
     "test_form_corrections.py::test_the_second_bristle_takes_over_what_the_first_one_had_more",
     "test_hide.py",
+    "test_jit.py::test_a_user_without_a_home_can_use_it",
     "test_losses.py::test_hidden_losses_are_in_the_logs_and_in_the_truth",
     "test_losses.py::test_kernel_and_reference_agree",
     "test_measured_command.py",

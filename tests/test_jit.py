@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import importlib
-import itertools
+import logging
+import os
+import subprocess
 import sys
+from collections import namedtuple
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+from hydro_env import jit
 from hydro_env.jit import compiled
 
 CALLED = """
@@ -34,6 +40,9 @@ def outer(x):
 def calling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Writes `called`, with a factor and a summand, and imports `calling` as a new process would."""
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("HYDRO_ENV_CACHE", str(tmp_path / "cache"))
+    jit._say.cache_clear()
+    jit._usable.cache_clear()
     (tmp_path / "calling.py").write_text(CALLING)
 
     def imported(factor: float, summand: float) -> ModuleType:
@@ -61,20 +70,113 @@ def test_what_was_compiled_is_loaded(calling) -> None:
 
 
 def test_processes_that_save_at_the_same_time_keep_their_own_code(calling) -> None:
-    """Two processes read the list of files before either writes: one entry is lost, none is another's."""
+    """Each has begun before the others have saved anything."""
     one, other, later = (calling(2.0, 1.0).outer for _ in range(3))
     one(1.0)
-    files = other._cache._cache_file
-    before, listed = {}, files._load_index
-    reads = itertools.chain([before, before], itertools.repeat(None))
-    files._load_index = lambda: listed() if (stale := next(reads)) is None else stale
     other(1)  # whole numbers: another signature of the same function
     assert (later(1.5), later(3)) == (5.0, 8.0)
+    assert sum(later.stats.cache_hits.values()) == 2
+
+
+def test_a_tuple_type_with_other_fields_is_another_type(calling, tmp_path: Path) -> None:
+    """Code for (low, high) must not serve a class of the same name with (high, low)."""
+    low = compiled(_lower)
+    for fields in (("low", "high"), ("high", "low")):
+        kind = namedtuple("Limits", fields)
+        assert low(kind(low=1.0, high=2.0)) == 1.0
+
+
+def _lower(limits):
+    return limits.low
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_damaged_machine_code_is_compiled_again(calling, tmp_path: Path, caplog, data: st.DataObject) -> None:
+    """Whatever bytes of whichever file are lost or changed, even if they still load: one line, and right results."""
+    folder = tmp_path / "cache" / "machine_code"
+    jit._say.cache_clear()
+    caplog.clear()
+    assert calling(2.0, 1.0).inner(1.0) == 2.0
+    (path,) = folder.iterdir()
+    whole = path.read_bytes()
+    damaged = bytearray(
+        whole[: round(data.draw(st.sampled_from([0.0, 0.5, 1.0]) | st.floats(0.0, 1.0)) * len(whole))]
+    )
+    for place, change in data.draw(st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(1, 255)), max_size=8)):
+        if damaged:
+            damaged[round(place * (len(damaged) - 1))] ^= change
+    path.write_bytes(damaged)
+    assert calling(2.0, 1.0).inner(1.0) == 2.0
+    changed = bytes(damaged) != whole
+    assert [record.levelno for record in caplog.records] == [logging.WARNING] * changed
+    assert all("damaged machine code" in record.getMessage() for record in caplog.records)
+    again = calling(2.0, 1.0).inner
+    assert again(1.0) == 2.0 and sum(again.stats.cache_hits.values()) == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no permissions of this kind")
+def test_code_that_others_could_have_written_is_not_read(calling, tmp_path: Path, caplog) -> None:
+    assert calling(2.0, 1.0).outer(1.0) == 4.0
+    (tmp_path / "cache" / "machine_code").chmod(0o770)
+    jit._usable.cache_clear()
+    again = calling(2.0, 1.0).outer
+    assert again(1.0) == 4.0
+    assert again.stats.cache_path != str(tmp_path / "cache" / "machine_code")
+    (line,) = {record.getMessage() for record in caplog.records}
+    assert "other users can write there" in line and "chmod go-w" in line
+
+
+def test_a_full_disk_only_costs_time(calling, monkeypatch: pytest.MonkeyPatch, caplog) -> None:
+    def full(*arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(jit.os, "replace", full)
+    assert calling(2.0, 1.0).outer(1.0) == 4.0
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert "cannot be kept there (No space left on device)" in line
+
+
+def test_the_folder_stays_below_its_limit(tmp_path: Path) -> None:
+    for number in range(6):
+        path = tmp_path / str(number)
+        path.write_bytes(bytes(100))
+        os.utime(path, (number, number))
+    os.utime(tmp_path / "0", (9, 9))  # used again
+    jit._make_room(tmp_path, 300)
+    assert {path.name for path in tmp_path.iterdir()} == {"0", "4", "5"}
 
 
 def test_without_a_folder_to_write_to_it_is_compiled_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(function):
-        raise RuntimeError("no locator available")
-
-    monkeypatch.setattr("hydro_env.jit._Cache", refuse)
+    monkeypatch.setattr(jit, "_folders", lambda: iter(()))
     assert compiled(lambda x: x + 1)(1) == 2
+
+
+HOMELESS = """
+import pwd
+
+def unknown(user):
+    raise KeyError(f"no such user: {user}")
+
+pwd.getpwuid = pwd.getpwnam = unknown
+import gymnasium
+env = gymnasium.make("hydro_env:HydraulicSync-v0")
+env.reset(seed=0)
+env.step(env.action_space.sample())
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="users without an entry in passwd")
+@pytest.mark.parametrize("home", [None, "/nonexistent", "nowhere", "/proc"])
+def test_a_user_without_a_home_can_use_it(tmp_path: Path, home: str | None) -> None:
+    """As in a container: no $HOME, or one that is not there or cannot be written, and no entry in passwd."""
+    own: dict[str, str] = {
+        name: value for name, value in os.environ.items() if name not in ("HOME", "HYDRO_ENV_CACHE")
+    }
+    own.update({"HOME": home} if home is not None else {})
+    own["TMPDIR"] = str(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", HOMELESS], env=own, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert [path for path in tmp_path.iterdir() if path.name.startswith("hydro_env_")]

@@ -6,7 +6,6 @@ statements  from the right-hand side and the laws of the effects to statements
 template    the text of a generated module
 codegen     writes the module: sweeps over lanes, and the loop over substeps around them
 vector_ir   writes statements as vector instructions
-cache       keeps generated modules
 
 Method: ROS34PW2 (see `integrator`), with a matrix W that holds the stiff loops of a channel (coil, spool, bristle; pressure,
 speed), as far as they damp, and every effect's own decay.
@@ -16,21 +15,23 @@ text names each `fma` itself, so every lane gets the same bits whatever its neig
 and the neutral effects that are compiled in.
 
 Source text: `rates` (rhs.py), the laws of the effects and the functions of vector_math are pasted into one generated
-module, which is kept in the user's cache under a hash of its own text: compiled once for a set of effects, and never
-stale.
+module, named by a hash of its own text. Its machine code is kept (`hydro_env.jit`): compiled once for a set of effects.
 """
 
 from __future__ import annotations
 
+import hashlib
+import linecache
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from ..catalogue import CATALOGUE, Effect
-from .cache import import_text
 from .codegen import module_text
 from .layout import STATES
 
@@ -60,7 +61,7 @@ class Kernel:
 @lru_cache(maxsize=64)
 def _compiled(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
     generated = module_text(effects, half, single)
-    module = import_text(generated.text)
+    module = _module(generated.text)
     return Kernel(
         effects=tuple(e.name for e in effects),
         half=half,
@@ -72,6 +73,18 @@ def _compiled(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
         advance=module.advance,
         source=generated.text,
     )
+
+
+def _module(text: str) -> ModuleType:
+    """The module with this text. It has no file: what wants to read the text, also for a traceback, asks `linecache`."""
+    name = "kernel_" + hashlib.sha256(text.encode()).hexdigest()[:16]
+    file = f"<{name}>"
+    linecache.cache[file] = (len(text), None, text.splitlines(keepends=True), file)
+    module = ModuleType(name)
+    module.__file__ = file
+    sys.modules[name] = module  # machine code that was kept names its functions by their module
+    exec(compile(text, file, "exec"), module.__dict__)
+    return module
 
 
 def compile_kernel(effects: Iterable[str] = (), half: int = 8, dtype: Any = np.float64) -> Kernel:

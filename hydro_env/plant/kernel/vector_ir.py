@@ -19,7 +19,7 @@ the same module. TypeError, naming the function, for anything else.
 from __future__ import annotations
 
 import ast
-import inspect
+import linecache
 import sys
 from collections.abc import Callable, Collection, Mapping
 from functools import lru_cache
@@ -269,7 +269,7 @@ def check(function: ast.FunctionDef, known: Collection[str]) -> None:
 
 @lru_cache(maxsize=1)  # a module's functions are compiled one after the other
 def _functions(module: Any) -> dict[str, ast.FunctionDef]:
-    tree = ast.parse(inspect.getsource(module))
+    tree = ast.parse("".join(linecache.getlines(module.__file__)))
     return {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
 
 
