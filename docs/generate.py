@@ -89,11 +89,21 @@ def parameters() -> str:
             _number(p.nominal),
             p.unit,
             f"{_number(p.low)} to {_number(p.high)}",
+            f"{_number(p.possible[0])} to {_number(p.possible[1])}",
             p.source,
         ]
         for p in PARAMETERS.values()
     ]
-    return _table(["symbol", "meaning, reading", "nominal", "unit", "plausible range", "source"], rows)
+    head = [
+        "symbol",
+        "meaning, reading",
+        "nominal",
+        "unit",
+        "plausible range",
+        "possible in a file",
+        "source",
+    ]
+    return _table(head, rows)
 
 
 def presets() -> str:

@@ -27,11 +27,12 @@ from hydro_env.controllers.base import Floats
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, place_of
 from hydro_env.files import output_folder, write_json, write_text
 from hydro_env.parallel import Failure, Store, check_engine
 from hydro_env.parallel import run as run_tasks
-from hydro_env.tasks import METRICS, SCENARIOS, SPLITS, Trace
+from hydro_env.plant import load_model
+from hydro_env.tasks import METRICS, OWN, SCENARIOS, SPLITS, Trace, default_mismatch
 
 __all__ = ["SCHEMA", "Conditions", "Selection", "run"]
 
@@ -70,20 +71,28 @@ class Cell:
 @dataclass(frozen=True)
 class Selection:
     """What is driven: a suite ("quick", "full" or a YAML file, see suite.yaml), narrowed or widened to these splits, scenarios
-    and cases per split."""
+    and cases per split. The split `own` is the plant's own pair of valves."""
 
     suite: str | Path = "full"
     splits: Sequence[str] | None = None
     scenarios: Sequence[str] | None = None
     cases: int | None = None
 
-    def load(self) -> Suite:
-        """The suite. InputError for a name that does not exist."""
-        known: dict[str, Iterable[str]] = {"splits": SPLITS, "scenarios": SCENARIOS, "metrics": METRICS}
-        narrowed = load_suite(self.suite, **known).narrowed(self.splits, self.scenarios, self.cases)
-        chosen = check_suite(narrowed, known, "benchmark")
+    def load(self, plant: Any) -> Suite:
+        """The suite. A plant file that sets what the splits would draw is driven with its own pair of valves, unless the splits
+        are named here or in a suite file. InputError for a name that does not exist."""
+        known: dict[str, Iterable[str]] = {
+            "splits": [*SPLITS, OWN],
+            "scenarios": SCENARIOS,
+            "metrics": METRICS,
+        }
+        suite, splits = load_suite(self.suite, **known), self.splits
+        shipped = Path(self.suite).suffix == ""
+        if splits is None and shipped and default_mismatch(plant) == OWN:
+            splits = [OWN]
+        chosen = check_suite(suite.narrowed(splits, self.scenarios, self.cases), known, "benchmark")
         for split, wanted in chosen.splits.items():
-            listed = SPLITS[split].cases
+            listed = None if split == OWN else SPLITS[split].cases
             if listed is not None and wanted > listed:
                 raise InputError(
                     f"split {split!r}: {wanted} cases are asked for, there are {listed} pairs of valves"
@@ -141,7 +150,8 @@ def run(
 
     Returns what scores.json holds. InputError for a name that does not exist.
     """
-    chosen, conditions = (selection or Selection()).load(), conditions or Conditions()
+    conditions = conditions or Conditions()
+    chosen = (selection or Selection()).load(conditions.plant)
     check_engine(engine, jobs)
     conditions.check(chosen)
     cells = list(_cells(_specs(controllers or ["all"]), chosen))
@@ -219,10 +229,20 @@ def _content(spec: Any) -> str:
     return f"{spec} {hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ''}"
 
 
-def _run_cell(cell: Cell, conditions: Conditions) -> Cell:
-    """The cell with its scores. Whatever a controller raises is the failure of its cell alone, and nothing that it keeps
-    from one cell reaches another: every cell has a controller of its own.
+def _run_cell(cell: Cell, conditions: Conditions) -> Cell | Failure:
+    """The cell with its scores. Whatever a controller raises is the failure of its cell alone; it says where in the user's own
+    file that was.
     """
+    try:
+        return _driven(cell, conditions)
+    except Exception as problem:
+        if not (place := place_of(problem)):
+            raise
+        return Failure(f"{place}: {type(problem).__name__}: {' '.join(str(problem).split())}"[:300])
+
+
+def _driven(cell: Cell, conditions: Conditions) -> Cell:
+    """The cell with its scores. Nothing that a controller keeps from one cell reaches another: each has one of its own."""
     controller = make_controller(copy.deepcopy(cell.controller))
     own = getattr(controller, "plant", None)
     done = roll_out(
@@ -280,15 +300,17 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
     }
     plant = conditions.plant
     label = plant if isinstance(plant, str) else str(getattr(plant, "name", plant))
+    drawn = {split: _drawn_over(plant, split) for split in suite.splits if split != OWN}
     return {
         "schema": SCHEMA,
         "suite": suite.name,
         "about": f"Suite {suite.name} on the plant {label}, control period {conditions.control_period * 1000:g} ms, "
-        f"seed {conditions.seed}.",
+        f"seed {conditions.seed}. {_valves(suite, drawn)}",
         "plant": label,
         "seed": conditions.seed,
         "control_period_s": conditions.control_period,
         "splits": suite.splits,
+        "drawn_over": drawn,
         "controllers": names,
         "needs": {cell.name: cell.needs for cell in cells},
         "own_plant": {cell.name: cell.plant for cell in cells if cell.plant is not None},
@@ -306,6 +328,23 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
         "improvement": _improvement(cells, suite, baseline),
         "gap_closed": _gaps_closed(summaries, baseline),
     }
+
+
+def _drawn_over(plant: Any, split: str) -> list[str]:
+    """Values of a plant that are not scored, since the split draws them: base parameters and effects."""
+    own, ranges = load_model(plant).values, SPLITS[split].ranges
+    about = {name: " (varied about it)" if ranges[name].meant_for else "" for name in ranges if name in own}
+    return list(dict.fromkeys(name.partition(".")[0] + how for name, how in about.items()))
+
+
+def _valves(suite: Suite, drawn: dict[str, list[str]]) -> str:
+    """Whose valves are scored, in words: the plant's own, or drawn ones, and what of the plant these take the place of."""
+    sentences = ["Split own: the plant's own pair of valves."] if OWN in suite.splits else []
+    for names in dict.fromkeys(tuple(each) for each in drawn.values()):
+        alike = [split for split, each in drawn.items() if tuple(each) == names]
+        instead = f" in place of the plant's own {', '.join(names)}" if names else ""
+        sentences.append(f"Split {', '.join(alike)}: pairs of valves are drawn{instead}.")
+    return " ".join(sentences)
 
 
 def _place(controller: str, split: str, scenario: str, metric: str) -> dict[str, str]:
@@ -352,4 +391,4 @@ def _traces(cells: list[Cell], control_period: float) -> dict[str, Any] | None:
 
 def report(scores: dict[str, Any]) -> str:
     """What the command prints."""
-    return scores_table(scores)
+    return f"{scores['about']}\n\n{scores_table(scores)}"

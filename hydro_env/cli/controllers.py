@@ -18,7 +18,9 @@ TunedController = Annotated[
 Split = Annotated[
     str,
     typer.Option(
-        "--mismatch", help="Split from which the pairs of valves are drawn; `none`: the plant's own pair."
+        "--mismatch",
+        help="train, or own: the plant's own pair of valves. auto: train, but own for a plant file that sets what train "
+        "draws.",
     ),
 ]
 Scenarios = Annotated[str, typer.Option("--scenario", help="Scenarios, separated by commas.")]
@@ -40,7 +42,7 @@ def tune(
     out: Out,
     controller: TunedController = "pid",
     plant: Plant = "paper_dead_zone",
-    mismatch: Split = "train",
+    mismatch: Split = "auto",
     scenario: Scenarios = "setpoint_steps,random_steps",
     cases: CasesPerCandidate = 12,
     episodes: Episodes = 11520,
@@ -75,8 +77,7 @@ def tune(
         from hydro_env.controllers.tuning.search import Search, Task
         from hydro_env.controllers.tuning.tune import run
 
-        pairs = None if mismatch == "none" else mismatch
-        task = Task(controller, weight, plant, pairs, scenarios=tuple(scenario.split(",")))
+        task = Task(controller, weight, plant, mismatch, scenarios=tuple(scenario.split(",")))
         run(folder, Search(task, seed, control_period, cases, episodes), name)
 
 

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import Any, NoReturn, TextIO
 
 import typer
 
 from hydro_env.cli.app import app
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, InputWarning
 
 __all__ = ["main", "run", "spread"]
 
@@ -80,6 +81,21 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 def run(arguments: Sequence[str] | None) -> int:
     """Runs one command (`sys.argv` for None); its exit status."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("once", InputWarning)
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, InputWarning):
+                print(f"warning: {message}", file=sys.stderr)
+            else:
+                others(message, category, *where, **more)
+
+        warnings.showwarning = show
+        return _run(arguments)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     try:
         given = sys.argv[1:] if arguments is None else list(arguments)
         many = ("--controllers",) if given[:1] == ["benchmark"] else ("--sealed", "--held-out")

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError, suggestion
 from ..plant import Plant, PlantModel, load_model
 from ..plant.plant import machine_memory
-from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, load_mismatch, own_values
+from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, default_mismatch, load_mismatch, own_values
 from ..tasks.scenarios import Reference, Scenario, load_scenario
 from .observation import FRAME, LIMIT, SCALES, noise_levels
 from .render import Recorder
@@ -70,7 +70,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         num_envs: int = 1,
         plant: str | Path | Mapping[str, Any] | PlantModel | Plant = "paper_dead_zone",
         scenario: str | Mapping[str, Any] | Scenario = "random_steps",
-        mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "train",
+        mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "auto",
         control_period: float = 0.01,
         render_mode: str | None = None,
         *,
@@ -87,7 +87,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.dtype = np.dtype(dtype)
         self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
         self.scenario = load_scenario(scenario)
-        self.mismatch = load_mismatch(mismatch)
+        self.mismatch = load_mismatch(default_mismatch(plant) if mismatch == "auto" else mismatch)
         self.control_period = float(control_period)
         self.render_mode = render_mode
         self.history = history

@@ -81,7 +81,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     * `scenario`: a name of `hydro_env.tasks.SCENARIOS`, step tables (see there) or a `Scenario`. Default
       `random_steps`.
     * `mismatch`: a split (`train`, `val`, `test_interp`, `test_extrap`, `faulted`), a named pair (`paper_pair`), a YAML
-      file or mapping of parameters to ranges or values, or None for the plant's own pair. Default `train`.
+      file or mapping of parameters to ranges or values, or `own` (None) for the plant's own pair. Default `auto`: `own`
+      for a plant file that sets itself what `train` draws (`Kq`, a dead zone, ...), else `train`.
     * `control_period`: s, default 0.01.
     * `render_mode`: None or "rgb_array" (Gymnasium shows it in a window for "human", given pygame).
     * `history`: frames in an observation, default 1.
@@ -108,7 +109,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self,
         plant: str | Path | Mapping[str, Any] | PlantModel | Plant = "paper_dead_zone",
         scenario: str | Mapping[str, Any] | Scenario = "random_steps",
-        mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "train",
+        mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "auto",
         control_period: float = 0.01,
         render_mode: str | None = None,
         *,

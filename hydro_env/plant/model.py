@@ -19,12 +19,14 @@ Models are YAML files or presets of the package:
 A valve is put in before the values of the same file, which may then change it. What belongs to a valve are the base
 parameters `VALVE_PARAMETERS` and the effects of the ports `VALVE_PORTS`, as the named model has them on its channel 1.
 
-Values are SI. Anything unknown is refused with a line that names the file and the key.
+Values are SI. Anything unknown, and a value that no such component has (`Parameter.possible`), is refused with a line that
+names the file and the key. A base parameter beyond its plausible range gives a warning, unless `sources` says where it is from.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -34,14 +36,14 @@ from typing import Any
 
 import yaml
 
-from ..errors import InputError, suggestion
+from ..errors import InputError, InputWarning, suggestion
 from ..files import write_text
 from .catalogue import CATALOGUE
 from .parameters import PARAMETERS, Parameter
 
 __all__ = [
     "SUBSTEP", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "load_model", "parameter_of", "preset_names", "read_yaml",
-    "sources_of",
+    "sources_of", "values_set_by",
 ]  # fmt: skip
 
 SCHEMA = "hydro_env/model/1"
@@ -229,12 +231,34 @@ def _mapping(value: object, where: str) -> dict[Any, Any]:
     return value
 
 
+def _in_unit(value: float, parameter: Parameter) -> str:
+    return f"{value:g}" if parameter.unit == "1" else f"{value:g} {parameter.unit}"
+
+
 @dataclass
 class _Draft:
-    """A model while its file is read: the values by name, one for each channel, and the effects that were named."""
+    """A model while its file is read: the values by name, one for each channel, and the effects that were named; by the name
+    of a value what is unusual about it."""
 
     values: dict[str, list[float]]
     declared: list[str]
+    unusual: dict[str, str] = field(default_factory=dict)
+
+    def take(self, name: str, side: str, given: object, where: str) -> None:
+        """Sets a value that the file gives on one side. InputError if it is no number, or none that a component can have."""
+        value, p = _number(given, where), parameter_of(name)
+        low, high = p.possible
+        if value != p.neutral and not low <= value <= high:
+            ends = f"{low:g} to {_in_unit(high, p)}" if high < math.inf else f"{_in_unit(low, p)} or more"
+            raise InputError(f"{where}: {_in_unit(value, p)} is out of range; {p.title} is {ends}")
+        if (
+            value != 0.0
+            and not p.low <= value <= p.high
+            and name in PARAMETERS
+            and value not in _shipped(name)
+        ):
+            self.unusual[name] = f"{name} {value:g} (usual {p.low:g} to {_in_unit(p.high, p)})"
+        self.put(name, side, value)
 
     def put(self, name: str, side: str, value: float) -> None:
         """Sets a value on one side; the other channel keeps its own, or gets the nominal one."""
@@ -267,7 +291,11 @@ def _from_dict(data: object, where: str) -> PlantModel:
     draft = _Draft({name: list(pair) for name, pair in base.values.items()}, list(base.declared))
     _read_channels(data, draft, where)
     _read_effects(_mapping(data.get("effects", {}), f"{where}: effects"), draft, where)
-    _check_sources(_mapping(data.get("sources", {}), f"{where}: sources"), where)
+    sources = _mapping(data.get("sources", {}), f"{where}: sources")
+    _check_sources(sources, where)
+    if unusual := [text for name, text in draft.unusual.items() if name not in sources]:
+        told = f"{where}: unusual for such a rig: {', '.join(unusual)}; if that is meant, say under `sources` where it is from"
+        warnings.warn(told, InputWarning, stacklevel=2)
     try:
         return PlantModel(
             name=str(data.get("name", base.name)),
@@ -292,7 +320,7 @@ def _read_channels(data: Mapping[str, Any], draft: _Draft, where: str) -> None:
                 raise InputError(
                     f"{where}: {side}: unknown parameter {name!r}: {suggestion(name, PARAMETERS)}"
                 )
-            draft.put(name, side, _number(value, f"{where}: {side}.{name}"))
+            draft.take(name, side, value, f"{where}: {side}.{name}")
 
 
 def _read_effects(effects: Mapping[Any, Any], draft: _Draft, where: str) -> None:
@@ -308,7 +336,7 @@ def _read_effects(effects: Mapping[Any, Any], draft: _Draft, where: str) -> None
             for own, value in _mapping(parameters, at).items():
                 if own not in known:
                     raise InputError(f"{at}: unknown parameter {own!r}: {suggestion(own, known)}")
-                draft.put(f"{name}.{own}", side, _number(value, f"{at}.{own}"))
+                draft.take(f"{name}.{own}", side, value, f"{at}.{own}")
 
 
 def _check_sources(sources: Mapping[Any, Any], where: str) -> None:
@@ -362,6 +390,18 @@ def sources_of(source: str | Path | Mapping[str, Any]) -> dict[tuple[str, int], 
     return found
 
 
+def values_set_by(source: Any) -> frozenset[str]:
+    """Names of the values that a plant file, or the content of one, sets itself; those of a valve that it names count, those
+    of its base do not. None for a preset or a model. Errors as in `load_model`."""
+    if not isinstance(source, str | Path | Mapping) or str(source) in preset_names():
+        return frozenset()
+    data, where = _data(source)
+    _from_dict(data, where)
+    valves = [data[side]["valve"] for side in _CHANNELS if "valve" in data.get(side, {})]
+    of_valves = {name for valve in valves for name in load_model(valve).values if _of_valve(name)}
+    return frozenset({name for name, _ in _given(data) if name != "valve"} | of_valves)
+
+
 def _given(data: Mapping[str, Any]) -> set[tuple[str, int]]:
     """What a file gives itself: names of values and channels."""
     given = {(name, channel) for side in _CHANNELS for name in data.get(side, {}) for channel in _SIDES[side]}
@@ -404,6 +444,13 @@ def preset_names() -> list[str]:
     return sorted(
         entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")
     )
+
+
+@cache
+def _shipped(name: str) -> frozenset[float]:
+    """The values of a base parameter in the presets, which say where they are from."""
+    own = [_data(preset)[0] for preset in preset_names()]
+    return frozenset(float(d[side][name]) for d in own for side in _CHANNELS if name in d.get(side, {}))
 
 
 @cache

@@ -9,7 +9,7 @@ inside them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf, isinf, isnan, nan
 
 from ..units import BAR, REVOLUTION, RPM
@@ -50,6 +50,9 @@ class Parameter:
     value contains this one, as the inertia of the shaft contains what sits behind a coupling. `not_below` names another
     parameter of the effect that this one is never less than, as static friction is never less than sliding friction.
 
+    `possible` are the values that a plant file may give, beside the neutral one: for the parameter of an effect the plausible
+    bounds; for a base parameter what components of any make and size have, see `_POSSIBLE`.
+
     ValueError for an unknown role or direction, or a size that has no size.
     """
 
@@ -66,10 +69,13 @@ class Parameter:
     scaling: Mapping[str, float] = field(default_factory=dict, hash=False)
     part_of: str = ""
     not_below: str = ""
+    possible: tuple[float, float] = (nan, nan)
 
     def __post_init__(self) -> None:
         if isnan(self.typical):
             object.__setattr__(self, "typical", self.nominal)
+        if isnan(self.possible[0]):
+            object.__setattr__(self, "possible", (self.low, self.high))
         varies = self.typical != self.nominal
         if not self.role:
             amount = "limit" if isinf(self.nominal) else "size"
@@ -340,5 +346,34 @@ _ROWS = (
     ),
 )
 
+#: From the smallest to the largest that is built, with room to spare, of motors (0.06 cm3/rev to 6 l/rev), their loads,
+#: fluids (from foaming oil up) and valves (from a miniature solenoid to a cartridge valve). What lies outside is in another
+#: unit: cm3/rev for m3/rad, mm for m, bar for Pa.
+_POSSIBLE: dict[str, tuple[float, float]] = {
+    "D": (1e-8, 1e-3),
+    "J": (1e-7, 1e3),
+    "B": (0.0, 10.0),
+    "Km": (0.0, 1e-8),
+    "beta": (1e7, 5e9),
+    "V": (1e-7, 1.0),
+    "m": (1e-4, 50.0),
+    "R": (0.1, 2000.0),
+    "L": (1e-5, 50.0),
+    "alpha": (0.1, 1000.0),
+    "k": (10.0, 1e7),
+    "C": (0.0, 1e4),
+    "Kq": (1e-4, 100.0),
+    "Fc": (0.0, 1000.0),
+    "Fs": (0.0, 1000.0),
+    "vs": (1e-6, 1.0),
+    "s0": (1e2, 1e9),
+    "s1": (1e-2, 1e6),
+    "s2": (0.0, 1e4),
+    "x_max": (1e-5, 0.1),
+    "k_stop": (1e3, 1e10),
+    "v_stop": (1e-4, 10.0),
+    "u_rated": (0.01, inf),
+}
+
 #: The base parameters of a channel, by symbol.
-PARAMETERS: dict[str, Parameter] = {row.name: row for row in _ROWS}
+PARAMETERS: dict[str, Parameter] = {row.name: replace(row, possible=_POSSIBLE[row.name]) for row in _ROWS}

@@ -6,13 +6,14 @@ metrics    scores of recorded episodes
 """
 
 from .metrics import METRICS, Metric, Trace, compute
-from .mismatch import NAMED_PAIRS, SPLITS, Mismatch, Pairs, draw_pairs, load_mismatch
+from .mismatch import NAMED_PAIRS, OWN, SPLITS, Mismatch, Pairs, default_mismatch, draw_pairs, load_mismatch
 from .scenarios import NOMINAL_TORQUE, SCENARIOS, Reference, Scenario, load_scenario
 
 __all__ = [
     "METRICS",
     "NAMED_PAIRS",
     "NOMINAL_TORQUE",
+    "OWN",
     "SCENARIOS",
     "SPLITS",
     "Metric",
@@ -22,6 +23,7 @@ __all__ = [
     "Scenario",
     "Trace",
     "compute",
+    "default_mismatch",
     "draw_pairs",
     "load_mismatch",
     "load_scenario",

@@ -26,15 +26,17 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, suggestion
 from ..plant import CATALOGUE, PARAMETERS, Parameter, PlantModel, parameter_of
-from ..plant.model import read_yaml
+from ..plant.model import read_yaml, values_set_by
 
 __all__ = [
     "NAMED_PAIRS",
+    "OWN",
     "SENSOR_PARAMETERS",
     "SPLITS",
     "Mismatch",
     "Pairs",
     "Range",
+    "default_mismatch",
     "draw_pairs",
     "load_mismatch",
     "own_values",
@@ -59,6 +61,8 @@ SENSOR_PARAMETERS: dict[str, Parameter] = {
     ),
 }
 
+#: The name of no mismatch at all: the plant's own pair of valves.
+OWN = "own"
 #: Component of the streams of an episode from which pairs are drawn.
 MISMATCH_STREAM = 0
 #: Cases of successive episodes of one seed lie this far apart, so that the rows of a batch meet different ones.
@@ -241,7 +245,8 @@ def draw_pairs(
 
 # --- reading ----------------------------------------------------------------------------------------------------------
 def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> Mismatch | None:
-    """A mismatch from its name, a YAML file, a mapping, or a mismatch (returned as it is); None stays None.
+    """A mismatch from its name, a YAML file, a mapping, or a mismatch (returned as it is); None, the plant's own pair, for
+    None and `own`.
 
     InputError, in one line that names file and key, for anything that is not right.
     """
@@ -251,6 +256,8 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
         return _read_split("mismatch", {"parameters": dict(source)}, "mismatch", {})
     text = str(source)
     named = {**SPLITS, **NAMED_PAIRS}
+    if text == OWN:
+        return None
     if text in named:
         return named[text]
     path = Path(source)
@@ -263,7 +270,15 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
             raise InputError(f"{path}: expected `parameter: value` lines")
         plain = data if "parameters" in data else {"parameters": data}
         return _read_split(path.stem, plain, str(path), SPLITS)
-    raise InputError(f"unknown mismatch {text!r}: {suggestion(text, named)}, or the path of a YAML file")
+    raise InputError(
+        f"unknown mismatch {text!r}: {suggestion(text, [*named, OWN])}, or the path of a YAML file"
+    )
+
+
+def default_mismatch(plant: Any, split: str = "train") -> str:
+    """`own` for a plant file that sets itself one of the values that `split` would draw over it, else `split`. `plant` and
+    errors as in `load_model`."""
+    return OWN if values_set_by(plant) & SPLITS[split].ranges.keys() else split
 
 
 def _check_keys(data: Mapping[Any, Any], known: Sequence[str], where: str) -> None:

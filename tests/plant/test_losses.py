@@ -318,8 +318,8 @@ def test_diagnosis_tries_them_only_when_the_model_lists_them():
         ({"wilson_loss": {}}, "did you mean 'wilson_losses'"),
         ({"wilson_losses": {"both": {"slipp": 1e-6}}}, "did you mean 'slip'"),
         ({"wilson_losses": {"both": {"slip": "much"}}}, "'much' is no number"),
-        ({"schloesser_losses": {"both": {"density": 0.0}}}, "schloesser_losses.density is 0; it must be positive"),
-        ({"jeong_losses": {"channel_2": {"viscosity": -0.04}}}, "jeong_losses.viscosity is -0.04; it must be positive"),
+        ({"schloesser_losses": {"both": {"density": 0.0}}}, "schloesser_losses.both.density: 0 kg/m3 is out of range"),
+        ({"jeong_losses": {"channel_2": {"viscosity": -0.04}}}, "jeong_losses.channel_2.viscosity: -0.04 Pa s is out of range"),
     ],
 )  # fmt: skip
 def test_bad_models(effects, message, tmp_path):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
 from math import inf
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, InputWarning
 from hydro_env.plant import CATALOGUE, PARAMETERS, PlantModel, load_model, parameter_of, preset_names
 
 
@@ -21,30 +24,30 @@ def test_presets_load_and_survive_a_round_trip(name: str, tmp_path: Path) -> Non
     assert load_model(tmp_path / "model.yaml") == model
 
 
-_NUMBER = st.floats(1e-12, 1e12)
-_EFFECTS = st.dictionaries(
-    st.sampled_from([f"{e.name}.{p.name}" for e in CATALOGUE.values() for p in e.parameters]),
-    st.tuples(st.floats(allow_nan=False), st.floats(allow_nan=False)),
-    max_size=6,
-)
+_EFFECTS = [f"{e.name}.{p.name}" for e in CATALOGUE.values() for p in e.parameters]
 
 
-def _by_factors(name: str) -> bool:
-    p = parameter_of(name)
-    return p.log and p.nominal > 0.0
+def _values(names: list[str]) -> st.SearchStrategy[dict[str, tuple[float, float]]]:
+    """Values of some of these parameters: possible or neutral ones."""
+
+    def one(name: str) -> st.SearchStrategy[float]:
+        p = parameter_of(name)
+        low, high = p.possible
+        return st.one_of(st.just(p.neutral), st.floats(low or sys.float_info.min, min(high, 1e12)))
+
+    def pairs(chosen: list[str]) -> st.SearchStrategy[dict[str, tuple[float, float]]]:
+        return st.fixed_dictionaries({name: st.tuples(one(name), one(name)) for name in chosen})
+
+    return st.lists(st.sampled_from(names), max_size=6, unique=True).flatmap(pairs)
 
 
-def _positive(pair: tuple[float, float]) -> tuple[float, float]:
-    return abs(pair[0]) or 1.0, abs(pair[1]) or 1.0
-
-
+@pytest.mark.filterwarnings("ignore::hydro_env.errors.InputWarning")
 @settings(suppress_health_check=[HealthCheck.too_slow])
-@given(base=st.dictionaries(st.sampled_from(list(PARAMETERS)), st.tuples(_NUMBER, _NUMBER)), effects=_EFFECTS)
+@given(base=_values(list(PARAMETERS)), effects=_values(_EFFECTS))
 def test_any_model_survives_a_round_trip(
     tmp_path_factory: pytest.TempPathFactory, base: dict, effects: dict
 ) -> None:
-    own = {name: _positive(pair) if _by_factors(name) else pair for name, pair in effects.items()}
-    model = PlantModel("mine", {**base, **own})
+    model = PlantModel("mine", {**base, **effects})
     path = tmp_path_factory.mktemp("model") / "model.yaml"
     model.to_yaml(path)
     again = load_model(path)
@@ -76,7 +79,7 @@ GOOD = "schema: hydro_env/model/1\n"
         (GOOD + "chanel_1: {}\n", "did you mean 'channel_1'"),
         (GOOD + "both: {Kqq: 1}\n", "did you mean 'Kq'"),
         (GOOD + "both: {Kq: large}\n", "no number"),
-        (GOOD + "both: {Kq: -1.0}\n", "must be positive"),
+        (GOOD + "both: {Kq: -1.0}\n", "Kq: -1 m2/s is out of range"),
         (GOOD + "both: 3\n", "name: value"),
         (GOOD + "effects: {deadzone: {}}\n", "did you mean 'dead_zone'"),
         (GOOD + "effects: {dead_zone: {channel_3: {}}}\n", "channel_3"),
@@ -102,3 +105,41 @@ def test_a_missing_file_or_preset_is_named() -> None:
         load_model("papr")
     with pytest.raises(InputError, match="cannot be read"):
         load_model("nowhere.yaml")
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("effects: {dead_zone: {both: {overlap_positive: 70}}}", ["70 m", "0 to 0.00045 m"]),
+        ("effects: {dead_zone: {both: {overlap_positive: -1.0e-5}}}", ["-1e-05 m", "0 to 0.00045 m"]),
+        ("both: {D: 8.47}", ["both.D: 8.47 m3/rad", "1e-08 to 0.001 m3/rad"]),
+        ("channel_1: {Kq: 315000}", ["channel_1.Kq: 315000 m2/s", "100 m2/s"]),
+        ("both: {u_rated: 0.001}", ["0.01 V or more"]),
+    ],
+)
+def test_values_that_no_component_has_are_refused(given: str, words: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(GOOD + given)
+    with pytest.raises(InputError) as caught:
+        load_model(path)
+    for word in ["mine.yaml", "out of range", *words]:
+        assert word in str(caught.value)
+
+
+def test_an_unusual_size_warns_unless_its_source_is_given(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(GOOD + "both: {R: 24.0, D: 5.0e-6}\nsources: {D: data sheet}\n")
+    with pytest.warns(InputWarning, match="R 24 .usual 80 to 125 Ohm") as warned:
+        load_model(path)
+    assert len(warned) == 1 and "D 5e-06" not in str(warned[0].message)
+
+
+def test_neutral_values_presets_and_left_out_terms_pass_without_a_word(tmp_path: Path) -> None:
+    quiet = ["both: {R: 31.2, Km: 0.0}", "effects: {crossport_relief: {both: {relief_pressure: .inf}}}"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for text in quiet:
+            load_model({"schema": "hydro_env/model/1", **yaml.safe_load(text)})
+        for name in preset_names():
+            load_model(name).to_yaml(tmp_path / "model.yaml")
+            assert load_model(tmp_path / "model.yaml") == load_model(name)

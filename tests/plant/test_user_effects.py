@@ -16,6 +16,7 @@ from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.errors import InputError
 from hydro_env.plant import CATALOGUE, load_effects, load_model, simulate, unregister
+from hydro_env.plant.catalogue.law_checks import check_laws
 from hydro_env.practice.generate import make_practice
 from hydro_env.practice.reference import ReferenceRig
 
@@ -89,6 +90,55 @@ def test_a_wrong_file_is_one_line(
     error = capsys.readouterr().err
     assert line in error and "wrong.py" in error and error.count("\n") == 1
     assert list(CATALOGUE) == before
+
+
+LAW = """from hydro_env.plant import Effect, Parameter, register
+
+
+def narrowing(opening, loss{argument}):
+    share = loss * abs(opening)
+    return {returned}
+
+
+register(Effect(name="narrow", port="opening", summary="s", signature="s", source="s", laws={{"opening": narrowing}},
+    parameters=(Parameter("loss", "1/mm", 0.0, 0.0, 3.0, "assumed", typical=1.0),)))
+"""
+
+
+@pytest.mark.parametrize(
+    ("argument", "returned", "words"),
+    [
+        ("", "opening / (1.0 + shar)", ["line 6", "'shar'"]),
+        ("", "opening / math.exp(share)", ["line 6", "math.exp"]),
+        (", presure", "opening / (1.0 + share * presure)", ["line 4", "'presure'", "'pressure'"]),
+        (", flow", "opening / (1.0 + share * flow)", ["line 4", "'flow'"]),  # known only after the opening
+        ("", "0.9 * opening / (1.0 + share)", ["line 4", "not neutral", "loss=0"]),
+        ("", "opening + 1e-9", ["line 4", "not neutral"]),
+    ],
+)
+def test_a_wrong_law_is_named_with_file_effect_and_line(
+    argument: str, returned: str, words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "wrong.py"
+    path.write_text(LAW.format(argument=argument, returned=returned), encoding="utf-8")
+    assert run(["hide", "narrow", "--effects", str(path), "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    for word in [*words, "wrong.py: line", "'narrow'"]:
+        assert word in error
+    assert "narrow" not in CATALOGUE
+
+
+def test_a_line_that_fails_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "wrong.py"
+    path.write_text("x = 1\n\ny = x / 0\n")
+    with pytest.raises(InputError, match=r"wrong\.py: line 3: ZeroDivisionError"):
+        load_effects([path])
+
+
+@pytest.mark.parametrize("name", list(CATALOGUE))
+def test_the_laws_of_the_package_pass_the_same_checks(name: str) -> None:
+    check_laws(CATALOGUE[name])
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ from hydro_env.controllers.registry import LAWS
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError, suggestion
 from hydro_env.plant import load_model, simulate
-from hydro_env.tasks import load_scenario
+from hydro_env.tasks import OWN, default_mismatch, load_scenario
 from hydro_env.units import RPM
 
 __all__ = ["CASES", "EPISODES", "SCENARIOS", "Search", "Task", "cost", "costs_of", "drive", "search"]
@@ -53,7 +53,8 @@ class Task:
     """The law, and what it is tuned for.
 
     law: a key of `LAWS`. weight: rpm of tracking error that one rpm of the peak difference is worth. plant: preset or model
-    file. mismatch: "train", or None for the plant's own pair of valves. calm: whether the RMS of the difference and the
+    file. mismatch: "train", or None ("own", "none") for the plant's own pair of valves; "auto": "own" for a plant file that sets
+    what "train" draws. calm: whether the RMS of the difference and the
     variation of the command count in the cost. scenarios: count equally.
     """
 
@@ -63,6 +64,10 @@ class Task:
     mismatch: str | None = "train"
     calm: bool = True
     scenarios: tuple[str, ...] = SCENARIOS
+
+    def __post_init__(self) -> None:
+        pairs = default_mismatch(self.plant) if self.mismatch == "auto" else self.mismatch
+        object.__setattr__(self, "mismatch", None if pairs in (OWN, "none") else pairs)
 
 
 @dataclass(frozen=True)

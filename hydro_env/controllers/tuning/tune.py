@@ -23,6 +23,7 @@ from hydro_env.controllers.tuning.gains import GainsFile, read_gains, write_gain
 from hydro_env.controllers.tuning.search import Search, Task, costs_of, drive, search
 from hydro_env.errors import InputError, suggestion
 from hydro_env.files import output_folder
+from hydro_env.tasks import OWN
 
 __all__ = ["COMMON", "run", "run_all"]
 
@@ -71,7 +72,7 @@ def run(out: str | Path, wanted: Search, name: str | None = None) -> dict[str, A
     options = {
         "controller": task.law,
         "plant": task.plant,
-        "mismatch": task.mismatch or "none",
+        "mismatch": task.mismatch or OWN,
         "scenario": ",".join(found["tuning"]["scenarios"]),
         "cases": wanted.cases,
         "episodes": wanted.episodes,

@@ -7,9 +7,10 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from ...errors import InputError
+from ...errors import InputError, place_of
 from ..kernel import compile_kernel
 from .effect import CATALOGUE
+from .law_checks import check_laws
 
 __all__ = ["load_effects"]
 
@@ -19,8 +20,8 @@ _LOADED: dict[Path, tuple[str, ...]] = {}
 def load_effects(paths: Iterable[str | Path]) -> tuple[str, ...]:
     """Runs Python files that register effects and returns the names of these; a file loaded before is not run again.
 
-    InputError in one line if a file cannot be read or run, registers nothing, or has a law that cannot be compiled;
-    nothing of that file stays in the catalogue then.
+    InputError in one line if a file cannot be read or run, registers nothing, or has a law that is not neutral or cannot be
+    compiled; nothing of that file stays in the catalogue then.
     """
     names: list[str] = []
     for path in paths:
@@ -47,10 +48,14 @@ def _run(file: Path, shown: str) -> tuple[str, ...]:
         names = tuple(name for name in CATALOGUE if name not in before)
         if not names:
             raise InputError("registers no effect; it must call hydro_env.plant.register(Effect(...))")
+        for name in names:
+            check_laws(CATALOGUE[name])
         compile_kernel(names)
     except Exception as problem:  # a user's file may fail in any way
         for name in [name for name in CATALOGUE if name not in before]:
             del CATALOGUE[name]
         kind = "" if isinstance(problem, ValueError) else f"{type(problem).__name__}: "
-        raise InputError(f"{shown}: {kind}{problem}") from None
+        place = "" if isinstance(problem, InputError) else place_of(problem).rpartition(" line ")[2]
+        line = f"line {place}: " if place else ""
+        raise InputError(f"{shown}: {line}{kind}{problem}") from None
     return names

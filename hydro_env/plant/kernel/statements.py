@@ -22,10 +22,10 @@ from ..rhs import rates
 from . import vector_ir
 from .layout import DIVISORS, Layout, in_text, uses
 
-__all__ = ["Substep", "call", "chain", "functions", "fused", "needed", "substep_of"]
+__all__ = ["HELPERS", "Substep", "call", "chain", "functions", "fused", "needed", "substep_of"]
 
 #: Functions of vector_math that laws may call.
-_HELPERS = ("clip", "sign", "exp", "bell", "tanh", "cos", "sin")
+HELPERS = ("clip", "sign", "exp", "bell", "tanh", "cos", "sin")
 
 
 # --- laws -------------------------------------------------------------------------------------------------------------
@@ -65,7 +65,7 @@ def chain(quantity: str, effects: Iterable[Effect], changed: Mapping[str, str] |
 
 def functions(effects: Iterable[Effect]) -> list[str]:
     """The text of the functions that statements call: those of `vector_math` and the laws."""
-    pasted = [_paste(f, f.__name__) for f in (getattr(vector_math, name) for name in _HELPERS)]
+    pasted = [_paste(f, f.__name__) for f in (getattr(vector_math, name) for name in HELPERS)]
     for effect in effects:
         pasted += [_paste(law, _law_name(effect, quantity)) for quantity, law in effect.laws.items()]
         if effect.corner is not None:
@@ -91,7 +91,7 @@ def _paste(function: Callable[..., Any], name: str) -> str:
             f"law {function.__name__!r} must be a plain function (def), not a lambda or decorated"
         )
     text = re.sub(r"^def \w+\(", f"def {name}(", source)
-    vector_ir.check(ast.parse(source).body[0], _HELPERS)  # type: ignore[arg-type]
+    vector_ir.check(ast.parse(source).body[0], HELPERS)  # type: ignore[arg-type]
     return fused(text)
 
 

@@ -244,27 +244,31 @@ _ALLOWED = (
 )  # fmt: skip
 
 
+class LawError(ValueError):
+    """What a law may not do, and in which line of its source."""
+
+    def __init__(self, message: str, node: ast.AST) -> None:
+        super().__init__(message)
+        self.line: int = getattr(node, "lineno", 1)
+
+
 def check(function: ast.FunctionDef, known: Collection[str]) -> None:
-    """ValueError, in one line, if a function cannot run on many lanes at once; `known` are the functions it may call."""
+    """LawError, in one line, if a function cannot run on many lanes at once; `known` are the functions it may call."""
     hint = "a law may use + - * / and whole powers, comparisons, conditional expressions, if and return, and "
     hint += ", ".join(sorted({*known, *_INSTRUCTIONS} - {"fma"}))
     body = [node for statement in function.body for node in ast.walk(statement)]
     for node in body:
         parts = [node.op] if isinstance(node, ast.BinOp) else [node]
         if not all(isinstance(part, _ALLOWED) for part in parts):
-            raise ValueError(f"{function.name}: {ast.unparse(node).splitlines()[0]!r}: {hint}")
+            raise LawError(f"{function.name}: {ast.unparse(node).splitlines()[0]!r}: {hint}", node)
         if isinstance(node, ast.Call) and ast.unparse(node.func) not in {*known, *_INSTRUCTIONS}:
-            raise ValueError(f"{function.name}: {ast.unparse(node.func)!r} cannot be called: {hint}")
-    assigned = {n.id for n in body if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+            raise LawError(f"{function.name}: {ast.unparse(node.func)!r} cannot be called: {hint}", node)
+    assigned = {a.arg for a in function.args.args}
+    assigned |= {n.id for n in body if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
     called = {ast.unparse(n.func) for n in body if isinstance(n, ast.Call)}
-    names = (
-        {n.id for n in body if isinstance(n, ast.Name)}
-        - called
-        - assigned
-        - {a.arg for a in function.args.args}
-    )
-    if names:
-        raise ValueError(f"{function.name}: {sorted(names)[0]!r} is not an argument of the law")
+    for node in body:
+        if isinstance(node, ast.Name) and node.id not in called | assigned:
+            raise LawError(f"{function.name}: {node.id!r} is not an argument of the law", node)
 
 
 @lru_cache(maxsize=1)  # a module's functions are compiled one after the other

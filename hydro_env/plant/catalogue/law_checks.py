@@ -1,0 +1,106 @@
+"""Checks of the laws of users' effects: names that nothing defines, and laws that act at the neutral value.
+
+Without them an unknown name surfaces in the compiler, far from the user's file, and a law that is not neutral bends the plant
+wherever the effect is compiled in without acting.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import textwrap
+from collections.abc import Callable, Iterator
+from functools import cache
+from math import isfinite, isinf
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError, suggestion
+from ..kernel import vector_ir
+from ..kernel.statements import HELPERS
+from ..parameters import PARAMETERS, Parameter
+from ..rhs import rates
+from .effect import Effect, arguments
+
+__all__ = ["check_laws"]
+
+SAMPLES = 200
+"""Points at which a law is tried at its neutral value, half of them small signals and half of them large ones."""
+
+
+def check_laws(effect: Effect) -> None:
+    """InputError, in one line with the effect and the line of its file, for a law that asks for what there is not, does what
+    the kernel cannot, or changes its quantity at the neutral value."""
+    for part, law, known in _laws(effect):
+        source = inspect.getsource(law)
+        node = ast.parse(textwrap.dedent(source)).body[0]
+        where = f"effect {effect.name!r}: {part}"
+        for name in arguments(law):
+            if name not in known:
+                raise InputError(f"{_line(law)}: {where} asks for {name!r}: {suggestion(name, known)}")
+        try:
+            vector_ir.check(node, HELPERS)  # type: ignore[arg-type]
+        except vector_ir.LawError as problem:
+            raise InputError(f"{_line(law, problem.line)}: {where}: {problem}") from None
+    for quantity, law in effect.laws.items():
+        _check_neutral(effect, quantity, law)
+
+
+def _line(law: Callable[..., Any], number: int = 1) -> str:
+    return f"line {law.__code__.co_firstlineno + number - 1}"
+
+
+def _laws(effect: Effect) -> Iterator[tuple[str, Callable[..., Any], set[str]]]:
+    """Every law with what it is and what it may ask for."""
+    own = {p.name for p in effect.parameters} | {s.name for s in effect.states}
+    for quantity, law in effect.laws.items():
+        yield f"the law of {quantity}", law, own | _known_at(quantity) | {quantity, "other_flow"}
+    everything = own | _known_at("") | {"other_flow", "own_flow"}
+    for state in effect.states:
+        yield f"the rate of state {state.name!r}", state.rate, everything | state.given.keys()
+        if state.decay is not None:
+            yield f"the decay of state {state.name!r}", state.decay, everything | state.given.keys()
+    if effect.corner is not None:
+        yield "the corner", effect.corner, everything | {"substep"}
+
+
+@cache
+def _known_at(quantity: str) -> frozenset[str]:
+    """Names of `rates` that have a value where the laws of a quantity stand; "": at the end."""
+    before = re.split(rf"# effects on {quantity}\b", inspect.getsource(rates))[0] if quantity else ""
+    assigned = re.findall(r"^ {4}(\w+) = ", before or inspect.getsource(rates), re.MULTILINE)
+    return frozenset({*arguments(rates), *assigned})
+
+
+def _check_neutral(effect: Effect, quantity: str, law: Callable[..., Any]) -> None:
+    """InputError if the law changes its quantity although the parameters that carry the effect's size are neutral."""
+    rng = np.random.default_rng(0)
+    own = {p.name: p for p in effect.parameters}
+    rest = {state.name: 0.0 for state in effect.states}  # where a state of an effect that does not act stays
+    first, *others = arguments(law)
+    for sample in range(SAMPLES):
+        scale = 10.0 ** rng.uniform(-6.0, 0.0 if sample % 2 else 6.0)
+        given = {name: rest.get(name, _value(own.get(name), name, scale, rng)) for name in others}
+        value = float(scale * rng.uniform(-1.0, 1.0))
+        try:
+            changed = law(value, *given.values())
+        except ArithmeticError:  # signals that do not occur together
+            continue
+        if changed != value:
+            neutral = ", ".join(f"{p.name}={p.neutral:g}" for p in effect.parameters if p.carries_size)
+            raise InputError(
+                f"{_line(law)}: effect {effect.name!r}: the law of {quantity} is not neutral: at {neutral} it makes"
+                f" {changed:g} of {value:g}; there it must return {first!r} unchanged"
+            )
+
+
+def _value(parameter: Parameter | None, name: str, scale: float, rng: np.random.Generator) -> float:
+    """A value of one argument: neutral for the size of the effect, anything plausible for what only shapes it."""
+    if parameter is None:
+        return PARAMETERS[name].nominal if name in PARAMETERS else float(scale * rng.uniform(-1.0, 1.0))
+    if parameter.carries_size or isinf(parameter.nominal):
+        return parameter.neutral
+    ends = [end for end in (parameter.low, parameter.nominal, parameter.high) if isfinite(end)]
+    return float(rng.uniform(min(ends), max(ends)))
