@@ -238,7 +238,7 @@ def _run_cell(cell: Cell, conditions: Conditions) -> Cell | Failure:
     except Exception as problem:
         if not (place := place_of(problem)):
             raise
-        return Failure(f"{place}: {type(problem).__name__}: {' '.join(str(problem).split())}"[:300])
+        return Failure(f"{type(problem).__name__}: {' '.join(str(problem).split())}"[:300] + f" ({place})")
 
 
 def _driven(cell: Cell, conditions: Conditions) -> Cell:

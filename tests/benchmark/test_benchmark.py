@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -90,7 +91,11 @@ def test_scores_follow_the_contract(scores):
 def test_failures_are_named_and_the_rest_goes_on(scores):
     got, _ = scores
     reasons = {entry["controller"]: entry["reason"] for entry in got["failed"]}
-    assert reasons["raises"] == "RuntimeError: out of hydraulic oil"
+    line = (
+        Path(__file__).read_text().splitlines().index('        raise RuntimeError("out of hydraulic oil")')
+        + 1
+    )
+    assert reasons["raises"] == f"RuntimeError: out of hydraulic oil ({__file__} line {line})"
     assert "nan" in reasons["not_a_number"].lower() or "finite" in reasons["not_a_number"]
     assert "shape" in reasons["wrong_shape"]
     table = scores_table(got)
