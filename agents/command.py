@@ -1,4 +1,4 @@
-"""How every command of this folder ends: bad input in one line and status 2, Ctrl-C with status 130."""
+"""How every command of this folder ends: bad input or a full disk in one line and status 2, Ctrl-C with status 130."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ def run_command(work: Callable[[], None]) -> None:
         work()
     except InputError as problem:
         print(f"error: {problem}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except OSError as problem:
+        where = f"{problem.filename}: " if problem.filename else ""
+        print(f"error: {where}{problem.strerror or problem}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
         print("stopped; --resume goes on from the last checkpoint", file=sys.stderr)

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from agents.checkpoint import write_whole
 from agents.command import run_command
 from agents.config import read_config
 from hydro_env.errors import InputError
+from hydro_env.files import write_bytes
 
 __all__ = ["draw", "read_curves"]
 
@@ -71,8 +71,8 @@ def draw(curves: list[dict[str, Any]], levels: dict[str, float], out: Path) -> N
     memory = io.BytesIO()
     figure.savefig(memory, format="png", dpi=80)
     plt.close(figure)
-    write_whole(out, memory.getvalue())
-    write_whole(out.with_suffix(".json"), json.dumps({"levels": levels, "curves": curves}, indent=1).encode())
+    write_bytes(out, memory.getvalue())
+    write_bytes(out.with_suffix(".json"), json.dumps({"levels": levels, "curves": curves}, indent=1).encode())
 
 
 def main() -> None:

@@ -22,12 +22,13 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
-from agents.checkpoint import write_whole
 from agents.command import run_command
 from agents.config import read_config
 from hydro_env.controllers.learned.policy import SCHEMA, read_policy
 from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError
+from hydro_env.files import write_bytes
+from hydro_env.pickles import distrust
 
 __all__ = ["export_onnx", "export_policy", "policy_arrays"]
 
@@ -71,7 +72,7 @@ def export_policy(
     }
     memory = io.BytesIO()
     np.savez_compressed(memory, metadata=np.array(json.dumps(metadata)), **arrays)  # type: ignore[arg-type]
-    write_whole(Path(path), memory.getvalue())
+    write_bytes(Path(path), memory.getvalue())
 
 
 def export_onnx(policy: str | Path, path: str | Path) -> None:
@@ -109,7 +110,7 @@ def export_onnx(policy: str | Path, path: str | Path) -> None:
         model, {"interface": json.dumps(metadata["interface"]), "schema": metadata["schema"]}
     )
     onnx.checker.check_model(model)
-    write_whole(Path(path), model.SerializeToString())
+    write_bytes(Path(path), model.SerializeToString())
 
 
 def main() -> None:
@@ -134,11 +135,14 @@ def main() -> None:
         config = read_config(arguments.config)
         if not arguments.model.is_file():
             raise InputError(f"{arguments.model}: no such file")
+        if reason := distrust(arguments.model):
+            raise InputError(f"{arguments.model}: a model runs code when it is loaded, and {reason}")
         try:
             model = config.algorithm.load(arguments.model, device="cpu")
-        except (ValueError, KeyError, RuntimeError, OSError) as problem:
+        except Exception as problem:  # a pickle of anything
+            reason = f"{type(problem).__name__}: {problem}"
             raise InputError(
-                f"{arguments.model}: is no model of {config.training.algorithm} ({problem})"
+                f"{arguments.model}: is no whole model of {config.training.algorithm} ({' '.join(reason.split())})"
             ) from None
         interface = make_interface(config.training.interface)
         about = {"algorithm": config.training.algorithm, "config": config.text}

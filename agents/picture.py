@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.checkpoint import write_whole
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.estimation.valve_map import true_map
 from hydro_env.controllers.learned.flow_interface import FlowInterface
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
+from hydro_env.files import write_bytes
 
 __all__ = ["course", "draw"]
 
@@ -110,7 +110,7 @@ def draw(out: Path, agent: str = "ppo", case: int = 37) -> None:
     memory = io.BytesIO()
     figure.savefig(memory, format="png", dpi=80)
     plt.close(figure)
-    write_whole(out, memory.getvalue())
+    write_bytes(out, memory.getvalue())
 
 
 def main() -> None:

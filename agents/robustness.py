@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from agents.checkpoint import write_whole
 from agents.command import run_command
 from hydro_env.benchmark.statistics import iqm
 from hydro_env.controllers import make_controller
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
+from hydro_env.files import write_bytes
 from hydro_env.plant import Plant, load_model
 from hydro_env.tasks import Trace, compute
 
@@ -155,8 +155,8 @@ def main() -> None:
             raise InputError("cases lie from 0 to 999")
         rows = study(chosen.controllers, range(chosen.first, chosen.first + chosen.cases))
         chosen.out.mkdir(parents=True, exist_ok=True)
-        write_whole(chosen.out / "robustness.json", json.dumps(rows, indent=1).encode())
-        write_whole(chosen.out / "robustness.md", as_table(rows).encode())
+        write_bytes(chosen.out / "robustness.json", json.dumps(rows, indent=1).encode())
+        write_bytes(chosen.out / "robustness.md", as_table(rows).encode())
         print(as_table(rows))
 
     run_command(run)

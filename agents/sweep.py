@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from agents import checkpoint
 from agents.command import run_command
 from agents.config import Config, read_config
 from agents.evaluate import METRICS
@@ -31,7 +30,7 @@ from hydro_env.benchmark.statistics import bootstrap_interval, iqm
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
-from hydro_env.files import write_json
+from hydro_env.files import write_bytes, write_json
 from hydro_env.parallel import ENGINES, Failure, check_engine, run
 
 __all__ = ["SCHEMA", "main", "sweep"]
@@ -136,7 +135,7 @@ def _bring_home(folder: Path, config: Config, files: dict[str, bytes]) -> None:
     if not (folder / "policy.npz").is_file():
         folder.mkdir(exist_ok=True)
         for name, content in {**files, "config.yml": config.text.encode()}.items():
-            checkpoint.write_whole(folder / name, content)
+            write_bytes(folder / name, content)
 
 
 def _rows(finished: list[dict[str, Any]], scenarios: Sequence[str]) -> list[dict[str, Any]]:

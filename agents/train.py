@@ -34,9 +34,11 @@ from agents.command import run_command
 from agents.config import Config, read_config
 from agents.evaluate import evaluate
 from agents.export import export_policy
+from agents.lock import alone_in
 from agents.policy_env import PolicyVecEnv
 from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError
+from hydro_env.files import naming, write_bytes
 from hydro_env.sb3 import HydraulicSyncVecEnv
 
 __all__ = ["main", "train"]
@@ -132,7 +134,7 @@ class Run(BaseCallback):
         candidate.unlink()
         self.progress["evaluated"] = self.steps
         text = json.dumps(self.progress["curve"], indent=1)
-        checkpoint.write_whole(self.out / "curve.json", text.encode())
+        write_bytes(self.out / "curve.json", text.encode())
         for name, value in scores.items():
             self.logger.record(f"val/{name}", value)
         self.logger.record("val/score", score)
@@ -198,6 +200,25 @@ def train(
     """Trains or goes on training; returns the run's counters and curve. `report` is called with the steps and score of every
     evaluation; what it raises ends the run."""
     torch.set_num_threads(1)
+    with alone_in(out), naming(out):
+        newest = _newest(config, out, resume)
+        if newest is not None:
+            model, progress = checkpoint.restore(newest, config.algorithm)
+        else:
+            model = make_model(config)
+            progress = {"steps": 0, "seconds": 0.0, "evaluated": 0, "best": float("inf"), "curve": []}
+            write_bytes(out / "config.yml", config.text.encode())
+        model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
+        rows = make_interface(config.training.interface).rows_per_rig
+        run = Run(config, out, command, progress, bar, report)
+        left = config.num_steps * rows - model.num_timesteps
+        if left > 0:
+            model.learn(left, callback=run, log_interval=1, reset_num_timesteps=newest is None)
+        return progress
+
+
+def _newest(config: Config, out: Path, resume: bool) -> Path | None:
+    """The checkpoint to go on from, None for a new run. InputError if the folder, the file and `resume` do not agree."""
     newest = checkpoint.latest(out / "checkpoints")
     if newest is not None and not resume:
         raise InputError(f"{out}: holds a run already; go on with --resume, or name another folder")
@@ -205,25 +226,12 @@ def train(
         print(f"{out}: the run was stopped before its first checkpoint, it starts over", file=sys.stderr)
     elif resume and newest is None:
         raise InputError(f"{out}: holds no checkpoint to resume from")
-    if newest is not None:
-        begun = newest.parent.parent / "config.yml"
-        if begun.is_file() and begun.read_text(encoding="utf-8") != config.text:
-            raise InputError(
-                f"{config.path}: differs from {begun}, with which the run was started; resume with that file"
-            )
-        model, progress = checkpoint.restore(newest, config.algorithm)
-    else:
-        model = make_model(config)
-        progress = {"steps": 0, "seconds": 0.0, "evaluated": 0, "best": float("inf"), "curve": []}
-        out.mkdir(parents=True, exist_ok=True)
-        checkpoint.write_whole(out / "config.yml", config.text.encode())
-    model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
-    rows = make_interface(config.training.interface).rows_per_rig
-    run = Run(config, out, command, progress, bar, report)
-    left = config.num_steps * rows - model.num_timesteps
-    if left > 0:
-        model.learn(left, callback=run, log_interval=1, reset_num_timesteps=newest is None)
-    return progress
+    begun = out / "config.yml"
+    if newest is not None and begun.is_file() and begun.read_text(encoding="utf-8") != config.text:
+        raise InputError(
+            f"{config.path}: differs from {begun}, with which the run was started; resume with that file"
+        )
+    return newest
 
 
 def main() -> None:

@@ -1,44 +1,75 @@
-"""Writing files so that nothing half-written is ever left behind.
+"""Writing files so that nothing half-written is ever left behind, also when the disk is full.
 
-`write_text` and `write_json` replace one file in one go. `output_folder` does the same for a command that
+`write_text`, `write_bytes` and `write_json` replace one file in one go. `output_folder` does the same for a command that
 writes several: they are made in a hidden folder next to their place and moved in when all of them are there.
+What cannot be written raises an OSError that names the file.
 """
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from hydro_env.errors import InputError
 
-__all__ = ["output_folder", "to_json", "write_json", "write_text"]
+__all__ = ["naming", "output_folder", "replacing", "to_json", "write_bytes", "write_json", "write_text"]
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[IO[bytes]]:
+    """A file to write bytes to, which takes the place of `path` when the block ends without an error."""
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                yield file
+            os.chmod(temporary, 0o666 & ~_umask())
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+    except OSError as problem:
+        raise OSError(problem.errno, problem.strerror or str(problem), str(path)) from None
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Writes a file in one go: a temporary file beside it, then a rename."""
+    with replacing(path) as file:
+        file.write(content)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Writes a text file in one go: a temporary file beside it, then a rename."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    """Writes a text file in one go, in UTF-8."""
+    write_bytes(path, text.encode())
 
 
 def write_json(path: Path, data: Any, *, indent: int | None = 1) -> None:
     """Writes `to_json(data)` in one go."""
     write_text(path, to_json(data, indent=indent) + "\n")
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """A full disk that some library met without a word about the file: the OSError names `path`."""
+    try:
+        yield
+    except OSError as problem:
+        if problem.filename is not None or problem.errno not in _FULL:
+            raise
+        raise OSError(problem.errno, problem.strerror, str(path)) from None
+
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def to_json(data: Any, *, indent: int | None = None) -> str:
@@ -71,7 +102,8 @@ def output_folder(out: str | Path) -> Iterator[Path]:
     Whether `out` can be written is checked at once, not after minutes of work. Files of the same name are
     replaced, others in `out` stay. After an error or an interruption `out` is as it was.
 
-    Raises InputError if `out` is not a folder or cannot be written.
+    Raises InputError if `out` is not a folder or cannot be written, OSError with the final name of a file for which there
+    was no room.
     """
     out = Path(out)
     made: list[Path] = []
@@ -87,16 +119,20 @@ def output_folder(out: str | Path) -> Iterator[Path]:
             f"--out {out}: cannot write there ({reason}); name a folder that can be written"
         ) from None
     try:
-        yield work
-        os.chmod(work, 0o777 & ~_umask())
-        if out.is_dir():
-            _move_into(work, out)
-            shutil.rmtree(work)
-        else:
-            os.replace(work, out)
+        with naming(out):
+            yield work
+            os.chmod(work, 0o777 & ~_umask())
+            if out.is_dir():
+                _move_into(work, out)
+            else:
+                os.replace(work, out)
+    except OSError as problem:
+        if problem.filename and Path(problem.filename).is_relative_to(work):
+            problem.filename = str(out / Path(problem.filename).relative_to(work))
+        _remove(made, work)
+        raise
     except BaseException:
-        shutil.rmtree(work, ignore_errors=True)
-        _remove(made)
+        _remove(made, work)
         raise
 
 
@@ -109,7 +145,10 @@ def _make_parents(out: Path) -> list[Path]:
     return missing
 
 
-def _remove(folders: list[Path]) -> None:
+def _remove(folders: list[Path], work: Path | None = None) -> None:
+    """Removes the folder `work` with its content, and `folders` as far as they are empty, innermost first."""
+    if work is not None:
+        shutil.rmtree(work, ignore_errors=True)
     for folder in folders:
         try:
             folder.rmdir()
@@ -117,13 +156,35 @@ def _remove(folders: list[Path]) -> None:
             return
 
 
-def _move_into(source: Path, target: Path) -> None:
-    for item in source.iterdir():
-        place = target / item.name
-        if item.is_dir() and place.is_dir():
-            _move_into(item, place)
-        else:
-            os.replace(item, place)
+def _move_into(work: Path, out: Path) -> None:
+    """Moves what is in `work` to `out` and removes `work`. If a move fails, `out` is as it was before."""
+    replaced = Path(tempfile.mkdtemp(dir=out, prefix=f".{out.name}-"))
+    moves: list[tuple[Path, Path]] = []
+
+    def move(item: Path, place: Path) -> None:
+        os.replace(item, place)
+        moves.append((item, place))
+
+    def merge(source: Path, target: Path) -> None:
+        for item in sorted(source.iterdir()):
+            place = target / item.name
+            if item.is_dir() and place.is_dir():
+                merge(item, place)
+                continue
+            if place.is_file() and not item.is_dir():
+                move(place, replaced / str(len(moves)))
+            move(item, place)
+
+    try:
+        merge(work, out)
+    except BaseException:
+        for item, place in reversed(moves):
+            with suppress(OSError):
+                os.replace(place, item)
+        replaced.rmdir()
+        raise
+    shutil.rmtree(replaced, ignore_errors=True)
+    shutil.rmtree(work, ignore_errors=True)
 
 
 def _umask() -> int:

@@ -33,6 +33,7 @@ from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
+from hydro_env.files import write_bytes
 from hydro_env.pickles import distrust, seal, unseal
 
 __all__ = ["compiled"]
@@ -116,7 +117,7 @@ class _Cache(NullCache):  # type: ignore[misc]
         ):
             return
         try:
-            _write(folder / self._name(signature, result.codegen), seal(dumps(result._reduce())))
+            write_bytes(folder / self._name(signature, result.codegen), seal(dumps(result._reduce())))
             _make_room(folder, MOST_BYTES)
         except OSError as problem:
             _say(f"{folder}: machine code cannot be kept there ({problem.strerror}); every process compiles")
@@ -169,18 +170,6 @@ def _usable(folder: Path) -> bool:
     if reason:
         _say(f"{folder}: machine code is not read from there: {reason}")
     return not reason
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Writes a file in one go, so that no process reads half of it."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
 
 
 def _make_room(folder: Path, most: int) -> None:

@@ -44,6 +44,8 @@ from typing import Any
 from tqdm import tqdm
 
 from hydro_env.errors import InputError
+from hydro_env.files import write_bytes
+from hydro_env.pickles import distrust, seal, unseal
 
 __all__ = ["ATTEMPTS", "ENGINES", "Failure", "Store", "as_done", "check_engine", "fingerprint", "run"]
 
@@ -146,32 +148,36 @@ class Store:
     """Results of finished tasks in a folder, so that a run that was stopped goes on where it was.
 
     `key(task)` is a text that says everything that the result depends on except our own code, which is added here;
-    None: not to be kept. The files are pickles: use no folder that somebody else filled.
+    None: not to be kept. The files are pickles, which run code when they are loaded: InputError for a folder that other
+    users can write to.
     """
 
     def __init__(self, folder: str | Path, key: Callable[[Any], str | None]) -> None:
         self.folder, self._key = Path(folder), key
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            if not self.folder.is_dir():
+                self.folder.mkdir(parents=True)
+                self.folder.chmod(self.folder.stat().st_mode & ~0o022)
+            reason = distrust(self.folder)
         except OSError as problem:
             raise InputError(
                 f"{folder}: cannot keep results there ({problem.strerror or problem}); name a folder that can be written"
             ) from None
+        if reason:
+            raise InputError(f"{folder}: holds pickles, which run code when they are loaded, and {reason}")
 
     def get(self, task: Any, default: Any = None) -> Any:
         """The result of an equal task, `default` if there is none that can be read."""
         path = self._path(task)
         try:
-            return default if path is None else pickle.loads(path.read_bytes())
+            return default if path is None else pickle.loads(unseal(path.read_bytes()))
         except Exception:  # none yet, or damaged: it is made anew
             return default
 
     def put(self, task: Any, result: Any) -> None:
         path = self._path(task)
         if path is not None:
-            work = path.with_suffix(f".{os.getpid()}")
-            work.write_bytes(pickle.dumps(result))
-            os.replace(work, path)
+            write_bytes(path, seal(pickle.dumps(result)))
 
     def _path(self, task: Any) -> Path | None:
         key = self._key(task)

@@ -146,6 +146,27 @@ def test_stored_results_are_not_made_again(tmp_path):
     assert {2, 3} < set(calls) and len(calls) == 3  # failed; not to be kept; damaged
 
 
+def test_a_damaged_result_is_made_anew(tmp_path):
+    """Also one that would still load, as another number."""
+    store = Store(tmp_path / "cells", str)
+    store.put(1, 1234567)
+    (path,) = (tmp_path / "cells").iterdir()
+    whole = path.read_bytes()
+    for damaged in [b"", whole[:-1], *(whole[:n] + bytes([whole[n] ^ 1]) + whole[n + 1 :] for n in range(len(whole)))]:
+        path.write_bytes(damaged)
+        assert store.get(1) is None
+    path.write_bytes(whole)
+    assert store.get(1) == 1234567
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no permissions of this kind")
+def test_results_that_others_could_have_written_are_not_loaded(tmp_path):
+    Store(tmp_path / "cells", str)
+    (tmp_path / "cells").chmod(0o775)
+    with pytest.raises(InputError, match=r"run code when .* other users can write there"):
+        Store(tmp_path / "cells", str)
+
+
 def test_benchmark_keeps_finished_cells(tmp_path, monkeypatch):
     mine = tmp_path / "mine.py"
     text = (

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
 import os
 from pathlib import Path
@@ -92,6 +94,54 @@ def test_output_folder_leaves_nothing_after_a_failure(
         raise problem
     assert listing(tmp_path) == before
     assert not exists or (out / "a.txt").read_text() == "old"
+
+
+@pytest.mark.parametrize("at", range(7))
+def test_output_folder_is_as_before_when_a_move_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int
+) -> None:
+    """Whichever of the renames at the end finds the disk full."""
+    out = tmp_path / "out"
+    for name in ("a", "b", "sub/c"):
+        (out / name).parent.mkdir(exist_ok=True, parents=True)
+        (out / name).write_text("old")
+    left, replace = [at], os.replace
+
+    def full(item, place) -> None:
+        if not left[0]:
+            left[0] = -1
+            raise OSError(errno.ENOSPC, "No space left on device", str(item), None, str(place))
+        left[0] -= 1
+        replace(item, place)
+
+    with contextlib.suppress(OSError), output_folder(out) as folder:
+        (folder / "sub").mkdir()
+        for name in ("a", "b", "sub/c", "sub/new"):
+            (folder / name).write_text("new")
+        monkeypatch.setattr(os, "replace", full)
+    assert left[0] < 0
+    assert listing(tmp_path) == ["out", "out/a", "out/b", "out/sub", "out/sub/c"]
+    assert {(out / name).read_text() for name in ("a", "b", "sub/c")} == {"old"}
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_is_met_with_the_name_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(handle, mode):
+        os.close(handle)
+        return open("/dev/full", mode)
+
+    (tmp_path / "a.txt").write_text("old")
+    monkeypatch.setattr(os, "fdopen", full)
+    with pytest.raises(OSError) as caught, output_folder(tmp_path) as folder:
+        write_text(folder / "a.txt", "new")
+    assert (caught.value.filename, caught.value.errno) == (str(tmp_path / "a.txt"), errno.ENOSPC)
+    with pytest.raises(OSError) as caught, output_folder(tmp_path), open("/dev/full", "w") as file:
+        file.write("of a library that says no name")
+        file.flush()
+    assert caught.value.filename == str(tmp_path)
+    assert listing(tmp_path) == ["a.txt"] and (tmp_path / "a.txt").read_text() == "old"
 
 
 def test_output_folder_may_be_the_current_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

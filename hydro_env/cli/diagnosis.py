@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from hydro_env.cli.options import EffectFiles, Model, Out, Seed, writing
+from hydro_env.files import write_text
 
 FitLogs = Annotated[
     list[str] | None,
@@ -114,7 +115,7 @@ def diagnose(
             text, proposal = shown(inspect, mapping)
             print(text)
             if proposal:
-                (folder / "mapping.yaml").write_text(proposal)
+                write_text(folder / "mapping.yaml", proposal)
             return
         from hydro_env.diagnosis import command
         from hydro_env.plant import load_effects

@@ -51,6 +51,9 @@ class _PatientOutput:
         except BrokenPipeError:
             self._to_nowhere()
             return len(text)
+        except OSError as problem:
+            self._to_nowhere()
+            raise OSError(problem.errno, problem.strerror, "standard output") from None
 
     def flush(self) -> None:
         """The same for what is still in the buffer."""
@@ -58,6 +61,9 @@ class _PatientOutput:
             self._stream.flush()
         except BrokenPipeError:
             self._to_nowhere()
+        except OSError as problem:
+            self._to_nowhere()
+            raise OSError(problem.errno, problem.strerror, "standard output") from None
 
     def _to_nowhere(self) -> None:
         # What the buffer holds is written again when the process ends, so the pipe itself is replaced.
@@ -75,7 +81,10 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         sys.exit(run(arguments))
     sys.stdout = _PatientOutput(sys.stdout)  # type: ignore[assignment]
     status = run(arguments)
-    sys.stdout.flush()
+    try:
+        sys.stdout.flush()
+    except OSError as problem:
+        status = _fail(f"{problem.filename}: {problem.strerror}")
     sys.exit(status)
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import os
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hydro_env.errors import InputError, nearest, suggestion
+from hydro_env.files import replacing
 from hydro_env.measured.csv_file import CsvStyle
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.formats import read_table
@@ -222,20 +221,13 @@ def write_log(path: str | Path, log: RigLog) -> None:
                 columns[f"{signal}_{channel + 1}_{ending}"] = from_si(values[:, channel], symbol)
     header = [name for name in contract_columns() if name in columns]
     rows = np.column_stack([columns[name] for name in header])
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as raw:
-            if path.suffix == ".gz":
-                # No name and no time in the header: the same log gives the same bytes.
-                with gzip.GzipFile(filename="", mode="wb", fileobj=raw, compresslevel=6, mtime=0) as packed:
-                    _write_rows(packed, header, rows)
-            else:
-                _write_rows(raw, header, rows)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    with replacing(path) as raw:
+        if path.suffix == ".gz":
+            # No name and no time in the header: the same log gives the same bytes.
+            with gzip.GzipFile(filename="", mode="wb", fileobj=raw, compresslevel=6, mtime=0) as packed:
+                _write_rows(packed, header, rows)
+        else:
+            _write_rows(raw, header, rows)
 
 
 def _write_rows(file: Any, header: list[str], rows: np.ndarray) -> None:

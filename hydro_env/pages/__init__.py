@@ -15,6 +15,8 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hydro_env.files import write_bytes
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -114,4 +116,6 @@ def png(drawing: Figure, path: Path) -> None:
     with matplotlib.rc_context(RC):
         for text in drawing.findobj(Text):
             text.set_color("#1c2430")
-        drawing.savefig(path, dpi=150, facecolor="white")
+        memory = io.BytesIO()
+        drawing.savefig(memory, format="png", dpi=150, facecolor="white")
+    write_bytes(path, memory.getvalue())

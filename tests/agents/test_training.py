@@ -15,9 +15,13 @@ pytest.importorskip("stable_baselines3")
 
 import json
 
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
 from agents import checkpoint
 from agents.config import read_config
-from agents.train import main, train
+from agents.lock import alone_in
+from agents.train import main, make_model, train
 from hydro_env.controllers.learned.policy import SCHEMA, NumpyPolicy, read_policy
 from hydro_env.errors import InputError
 
@@ -191,6 +195,90 @@ def test_killed_and_resumed(tmp_path):
     after = train(read_config(path), run, resume=True, bar=False)
     assert after["steps"] == before["steps"] + 512
     assert json.loads((run / "curve.json").read_text()) == after["curve"]
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A checkpoint of a run that has not learnt anything yet, and its configuration."""
+    config = read_config(PPO)
+    folder = tmp_path_factory.mktemp("run") / "checkpoints"
+    return checkpoint.save(folder, make_model(config), {"steps": 0}), config
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_a_damaged_checkpoint_is_refused_in_one_line(saved, data):
+    """Whatever bytes of whichever file are lost or changed; nothing of it is loaded."""
+    place, config = saved
+    path = data.draw(st.sampled_from(sorted(place.iterdir())))
+    whole = path.read_bytes()
+    damaged = bytearray(
+        whole[: round(data.draw(st.sampled_from([0.0, 0.5, 1.0]) | st.floats(0.0, 1.0)) * len(whole))]
+    )
+    for where, change in data.draw(st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(1, 255)), max_size=8)):
+        if damaged:
+            damaged[round(where * (len(damaged) - 1))] ^= change
+    assume(bytes(damaged) != whole)
+    try:
+        path.write_bytes(damaged)
+        with pytest.raises(InputError) as caught:
+            checkpoint.restore(place, config.algorithm)
+    finally:
+        path.write_bytes(whole)
+    said = str(caught.value)
+    assert said.startswith(str(place)) and "delete the folder `checkpoints`" in said and "\n" not in said
+    if path.name != checkpoint.SUMS:
+        assert said.startswith(f"{path}: is damaged")
+
+
+def test_a_missing_file_of_a_checkpoint_is_named(saved):
+    place, config = saved
+    for path in place.iterdir():
+        content = path.read_bytes()
+        path.unlink()
+        with pytest.raises(InputError, match=f"{path}: No such file"):
+            checkpoint.restore(place, config.algorithm)
+        path.write_bytes(content)
+        path.chmod(0o600)
+    checkpoint.restore(place, config.algorithm)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no permissions of this kind")
+def test_a_checkpoint_that_others_could_have_written_is_not_loaded(saved, monkeypatch):
+    place, config = saved
+    for path in (place, place / "model.zip"):
+        before = path.stat().st_mode & 0o777
+        path.chmod(before | 0o020)
+        with pytest.raises(InputError, match=f"{path}: .*other users can write there"):
+            checkpoint.restore(place, config.algorithm)
+        path.chmod(before)
+    own = place.stat().st_uid
+    if own == 0:
+        os.chown(place, 54321, -1)
+    else:
+        monkeypatch.setattr("hydro_env.pickles.os.geteuid", lambda: own + 1)
+    with pytest.raises(InputError, match=f"{place}: .*belongs to another user"):
+        checkpoint.restore(place, config.algorithm)
+    os.chown(place, own, -1) if own == 0 else monkeypatch.undo()
+    checkpoint.restore(place, config.algorithm)
+
+
+def test_a_second_run_in_the_same_folder_is_refused(tmp_path):
+    """Whoever comes first has the folder, until it ends: a killed process leaves nothing that stands in the way."""
+    code = "import sys, time; from pathlib import Path; from agents.lock import alone_in\n"
+    code += f"with alone_in(Path({str(tmp_path / 'run')!r})): print('in', flush=True); time.sleep(600)"
+    process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE)
+    try:
+        assert process.stdout.readline() == b"in\n"
+        for resume in (False, True):
+            with pytest.raises(InputError, match=f"run: process {process.pid} on .* trains here") as caught:
+                train(read_config(PPO), tmp_path / "run", resume=resume, bar=False)
+            assert "\n" not in str(caught.value)
+    finally:
+        process.kill()
+        process.wait()
+    with alone_in(tmp_path / "run"):
+        pass
 
 
 def test_resume_wants_a_run(tmp_path):

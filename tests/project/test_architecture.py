@@ -15,10 +15,10 @@ ROOT = Path(__file__).parents[2]
 ALLOWED = {
     "errors": "",
     "pickles": "",
-    "jit": "pickles",
+    "jit": "errors files pickles",
     "files": "errors",
     "units": "errors",
-    "pages": "",
+    "pages": "errors files",
     "waveforms": "",
     "parallel": "errors files pickles",
     "plant": "errors files units jit",
