@@ -12,7 +12,6 @@ controllers, `runs/` with all trainings, and `drives/` with the scores. The same
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +28,7 @@ from hydro_env.experiments.truth_drive import drive
 from hydro_env.files import write_json
 from hydro_env.plant import load_model
 from hydro_env.practice.generate import constants_of
+from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
 
 __all__ = ["main", "run"]
 
@@ -86,14 +86,14 @@ def run(
                 print(f"{work.rig}: agent of the {work.source} model", flush=True)
             policy = _trained(work, model, out / "runs" / work.training, config, command, progress)
             truth = load_model(rigs / "rigs" / work.rig / "true.yaml")
-            hidden = json.loads((rigs / "rigs" / work.rig / "truth.json").read_text(encoding="utf-8"))
+            hidden = read_json(rigs / "rigs" / work.rig / "truth.json", "the truth of a practice rig")
             drawn: dict[str, Any] = {"forms": work.forms, "constants": constants_of(hidden)}
             drives = {
                 name: close_loop.scored(drive(NumpyPolicy(policy), truth, name, work.seed, **drawn))
                 for name in close_loop.SCENARIOS
             }
             write_json(kept, {**origin, "drives": drives}, indent=None)
-        done = json.loads(kept.read_text(encoding="utf-8"))
+        done = read_json(kept, "the drives of an agent", most=MOST_BYTES_OF_RESULTS)
         if {key: done[key] for key in origin} != origin:
             raise InputError(f"{kept}: is of another training file or model; name another --out")
         about = {

@@ -19,13 +19,13 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import yaml
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError, suggestion
+from hydro_env.reading import parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
 
 __all__ = ["ALGORITHMS", "ENV_ID", "Config", "Training", "read_config"]
@@ -93,15 +93,8 @@ class Config:
 def read_config(path: str | Path) -> Config:
     """Reads a training file. InputError, in one line that names file and key, for anything that is not right."""
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as problem:
-        raise InputError(f"{path}: cannot be read ({problem.strerror or problem})") from None
-    try:
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as problem:
-        mark = getattr(problem, "problem_mark", None)
-        raise InputError(f"{path}: is no YAML{f', see line {mark.line + 1}' if mark else ''}") from None
+    text = read_text(path, "a training file in YAML")
+    data = parse_yaml(text, str(path))
     if not isinstance(data, dict) or not all(isinstance(table, dict) for table in data.values()):
         raise InputError(f"{path}: should hold the tables {ENV_ID!r} and 'training'")
     for key in data:

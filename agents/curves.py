@@ -17,6 +17,7 @@ from agents.command import run_command
 from agents.config import read_config
 from hydro_env.errors import InputError
 from hydro_env.files import write_bytes
+from hydro_env.reading import read_json
 
 __all__ = ["draw", "read_curves"]
 
@@ -32,7 +33,7 @@ def read_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
             raise InputError(f"{run}: holds no curve.json of a training run")
         for folder in folders:
             training = read_config(folder / "config.yml").training
-            points = json.loads((folder / "curve.json").read_text(encoding="utf-8"))
+            points = read_json(folder / "curve.json", "the curve of a training run")
             found.append(
                 {"run": folder.name, "algorithm": training.algorithm, "seed": training.seed, "points": points}
             )

@@ -19,6 +19,7 @@ from agents.command import run_command
 from agents.config import ENV_ID, read_config
 from agents.train import train
 from hydro_env.errors import InputError
+from hydro_env.reading import read_yaml
 
 if TYPE_CHECKING:
     import optuna
@@ -58,7 +59,7 @@ def search(config: Path, out: Path, *, trials: int, steps: int, seed: int = 0) -
         import optuna
     except ImportError:
         raise InputError("the search needs Optuna: pip install 'hydro_env[search]'") from None
-    data = yaml.safe_load(config.read_text(encoding="utf-8"))
+    data = read_yaml(config, "a training file in YAML")
     data[ENV_ID]["n_timesteps"] = steps
     data["training"]["evaluate_every"] = max(1, steps // 8)
     data["training"]["checkpoint_every"] = steps

@@ -7,17 +7,42 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 
-__all__ = ["InputError", "InputWarning", "nearest", "place_of", "suggestion"]
+__all__ = ["InputError", "InputWarning", "nearest", "place_of", "shown", "suggestion"]
 
 #: Similarity (`difflib.SequenceMatcher.ratio`) from which on a name counts as a misspelling of another.
 SIMILAR = 0.5
+#: Letters of a message, and of a value shown in it.
+MESSAGE, VALUE = 1200, 80
 
 
 class InputError(ValueError):
     """Input that cannot be used: one line that names the file, row or key and says what would be right.
 
-    The command line prints it as `error: ...` and exits with status 2.
+    The command line prints it as `error: ...` and exits with status 2. Whatever a message quotes, it stays one line that can
+    be printed, of at most `MESSAGE` letters.
     """
+
+    def __init__(self, message: object) -> None:
+        super().__init__(_cut(_printable(" ".join(str(message).split())), MESSAGE))
+
+
+def shown(value: object) -> str:
+    """A value as an error quotes it: its `repr`, cut to `VALUE` letters."""
+    try:
+        text = repr(value[: 2 * VALUE] if isinstance(value, str | bytes) else value)
+    except Exception:  # nested without end, a whole number of thousands of digits, a class of the user's
+        text = f"a value of type {type(value).__name__}"
+    return _cut(text, VALUE)
+
+
+def _cut(text: str, most: int) -> str:
+    """The text, or its beginning and its end where it is longer."""
+    return text if len(text) <= most else f"{text[: most - most // 4]} ... {text[-(most // 4) :]}"
+
+
+def _printable(text: str) -> str:
+    """The text with what no terminal shows written as an escape."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class InputWarning(UserWarning):
@@ -41,7 +66,9 @@ def place_of(problem: BaseException) -> str:
 def nearest(word: object, known: Iterable[str]) -> str | None:
     """The known name that `word` is most like, upper and lower case alike; None where none is like it."""
     folded = {name.lower(): name for name in known}
-    near = get_close_matches(str(word).lower(), folded, n=1, cutoff=SIMILAR)
+    near = get_close_matches(
+        (word if isinstance(word, str) else shown(word))[:VALUE].lower(), folded, n=1, cutoff=SIMILAR
+    )
     return folded[near[0]] if near else None
 
 

@@ -152,7 +152,11 @@ def test_a_damaged_result_is_made_anew(tmp_path):
     store.put(1, 1234567)
     (path,) = (tmp_path / "cells").iterdir()
     whole = path.read_bytes()
-    for damaged in [b"", whole[:-1], *(whole[:n] + bytes([whole[n] ^ 1]) + whole[n + 1 :] for n in range(len(whole)))]:
+    for damaged in [
+        b"",
+        whole[:-1],
+        *(whole[:n] + bytes([whole[n] ^ 1]) + whole[n + 1 :] for n in range(len(whole))),
+    ]:
         path.write_bytes(damaged)
         assert store.get(1) is None
     path.write_bytes(whole)

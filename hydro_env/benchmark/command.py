@@ -27,7 +27,7 @@ from hydro_env.controllers.base import Floats
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
-from hydro_env.errors import InputError, place_of
+from hydro_env.errors import InputError, place_of, shown
 from hydro_env.files import output_folder, write_json, write_text
 from hydro_env.parallel import Failure, Store, check_engine
 from hydro_env.parallel import run as run_tasks
@@ -44,6 +44,9 @@ BOUND = "oracle"
 
 LIMIT = 600.0
 """S that a controller may take for one split and scenario, by default: 200 rigs for 8 s are 160,000 commands to each valve."""
+
+MOST_LETTERS = 200
+"""Of a controller's name."""
 
 TRACE_METRIC = "max_speed_difference_rpm"
 """By which a cell's typical (median) and worst case are chosen, whose traces the page shows."""
@@ -193,15 +196,27 @@ def _cells(specs: Sequence[Any], suite: Suite) -> Iterator[Cell]:
     taken: set[str] = set()
     for spec in specs:
         made = make_controller(spec)
-        first = name = str(getattr(made, "name", type(made).__name__))
+        first = name = _text(spec, "name", getattr(made, "name", type(made).__name__))
         while name in taken:
             name = f"{first}_{len(taken)}"
         taken.add(name)
         portable = str(spec) if isinstance(spec, str | Path) else made
-        needs, plant = str(getattr(made, "needs", "measurements")), getattr(made, "plant", None)
+        needs = _text(spec, "needs", getattr(made, "needs", "measurements"))
+        plant = getattr(made, "plant", None)
+        if plant is not None:
+            _text(spec, "plant", plant)
         for split, cases in suite.splits.items():
             for scenario in suite.scenarios:
                 yield Cell(portable, name, split, scenario, cases, needs=needs, plant=plant)
+
+
+def _text(spec: Any, key: str, value: Any) -> str:
+    """What a controller says of itself. InputError for what tables and pages cannot show in a line."""
+    if not isinstance(value, str) or not 0 < len(value) <= MOST_LETTERS or not value.isprintable():
+        raise InputError(
+            f"controller {shown(spec)}: its {key} is {shown(value)}, expected text of 1 to {MOST_LETTERS} printable letters"
+        )
+    return value
 
 
 def _key(cell: Cell, conditions: Conditions) -> str | None:

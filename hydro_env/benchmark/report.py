@@ -6,9 +6,10 @@ Pareto front (synchronisation error over tracking error) and the typical and the
 
 from __future__ import annotations
 
-import json
 from importlib.resources import files
 from typing import Any
+
+from hydro_env.pages import fill
 
 __all__ = ["privileged_information", "scores_page", "scores_table"]
 
@@ -101,13 +102,6 @@ def privileged_information(scores: dict[str, Any], name: str) -> str:
 def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
     """The HTML page. `traces`: {"period_s", "metric", "splits": {split: {scenario: {controller: {"typical": case,
     "worst": case}}}}}, each case as `hydro_env.benchmark.command` thins it."""
-    template = files("hydro_env.benchmark").joinpath("scores_page.html").read_text(encoding="utf-8")
-    style = files("hydro_env.pages").joinpath("style.css").read_text(encoding="utf-8")
-    page = template.replace("/*STYLE*/", style).replace("/*TRACES*/null", _embedded(traces))
     privileged = {name: privileged_information(scores, name) for name in scores["controllers"]}
-    return page.replace("/*SCORES*/null", _embedded({**scores, "privileged": privileged}))
-
-
-def _embedded(data: Any) -> str:
-    """JSON that may stand inside a script element: no `</script>` can come from a controller's name."""
-    return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    page = files("hydro_env.benchmark").joinpath("scores_page.html")
+    return fill(page, SCORES={**scores, "privileged": privileged}, TRACES=traces)

@@ -8,10 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from hydro_env.errors import InputError, suggestion
-from hydro_env.plant.model import read_yaml
+from hydro_env.errors import InputError, shown, suggestion
+from hydro_env.reading import parse_yaml, read_yaml
 
 __all__ = ["Suite", "load_suite"]
 
@@ -55,20 +53,17 @@ def load_suite(
     does not.
     """
     known = {"splits": list(splits), "scenarios": list(scenarios), "metrics": list(metrics)}
-    own = yaml.safe_load(files("hydro_env.benchmark").joinpath("suite.yaml").read_text(encoding="utf-8"))
+    own = parse_yaml(
+        files("hydro_env.benchmark").joinpath("suite.yaml").read_text(encoding="utf-8"), "suite.yaml"
+    )
     if str(spec) in own:
         return _checked(str(spec), own[str(spec)], known, "suite.yaml")
     path = Path(spec)
     if path.suffix not in (".yaml", ".yml"):
-        raise InputError(f"unknown suite {str(spec)!r}: {suggestion(spec, own)}, or the path of a .yaml file")
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such suite file") from None
-    except (UnicodeDecodeError, OSError) as problem:
-        raise InputError(f"{path}: not readable as YAML ({' '.join(str(problem).split())})") from None
-    table = read_yaml(text, str(path))
-    return _checked(path.stem, table, known, str(path))
+        raise InputError(
+            f"unknown suite {shown(str(spec))}: {suggestion(spec, own)}, or the path of a .yaml file"
+        )
+    return _checked(path.stem, read_yaml(path, "a suite in YAML"), known, str(path))
 
 
 def check_suite(suite: Suite, known: Mapping[str, Iterable[str]], where: str) -> Suite:
@@ -77,12 +72,14 @@ def check_suite(suite: Suite, known: Mapping[str, Iterable[str]], where: str) ->
         names = list(getattr(suite, key))
         for name in names:
             if name not in known[key]:
-                raise InputError(f"{where}: unknown {key[:-1]} {name!r}: {suggestion(name, known[key])}")
+                raise InputError(f"{where}: unknown {key[:-1]} {shown(name)}: {suggestion(name, known[key])}")
             if names.count(name) > 1:
-                raise InputError(f"{where}: {key[:-1]} {name!r} is named more than once")
+                raise InputError(f"{where}: {key[:-1]} {shown(name)} is named more than once")
     for split, cases in suite.splits.items():
         if not isinstance(cases, int) or isinstance(cases, bool) or cases < 1:
-            raise InputError(f"{where}: split {split!r} needs a number of cases of at least 1, not {cases!r}")
+            raise InputError(
+                f"{where}: split {split!r} needs a number of cases of at least 1, not {shown(cases)}"
+            )
     return suite
 
 
@@ -91,7 +88,7 @@ def _checked(name: str, table: Any, known: dict[str, list[str]], where: str) -> 
         raise InputError(f"{where}: must be a table with the keys {', '.join(KEYS)}")
     for key in table:
         if key not in KEYS:
-            raise InputError(f"{where}: unknown key {key!r}: {suggestion(key, KEYS)}")
+            raise InputError(f"{where}: unknown key {shown(key)}: {suggestion(key, KEYS)}")
     for key, kind, what in (
         ("splits", dict, "a table of cases per split"),
         ("scenarios", list, "a list"),

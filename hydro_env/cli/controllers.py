@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from hydro_env.cli.options import Cells, ControlPeriod, Engine, Jobs, Out, Plant, Seed, writing
+from hydro_env.cli.options import Cells, ControlPeriod, Engine, Jobs, Out, Plant, Seed, number, writing
+from hydro_env.limits import Limits
 
 TunedController = Annotated[
     str,
@@ -24,10 +25,16 @@ Split = Annotated[
     ),
 ]
 Scenarios = Annotated[str, typer.Option("--scenario", help="Scenarios, separated by commas.")]
-CasesPerCandidate = Annotated[int, typer.Option(min=1, help="Pairs of valves for each candidate.")]
-Episodes = Annotated[int, typer.Option(min=1, help="Budget: number of simulated episodes.")]
+PAIRS = Limits(1, 10_000, whole=True)
+CasesPerCandidate = Annotated[int, number(within=PAIRS, help="Pairs of valves for each candidate.")]
+Episodes = Annotated[
+    int, number(within=Limits(1, 10_000_000, whole=True), help="Budget: number of simulated episodes.")
+]
 Weight = Annotated[
-    float, typer.Option(help="Weight of the synchronisation error against the tracking error.")
+    float,
+    number(
+        within=Limits(0.0, 1000.0), help="Weight of the synchronisation error against the tracking error."
+    ),
 ]
 Name = Annotated[str | None, typer.Option(help="Name of the controller on the leaderboard.")]
 Only = Annotated[str | None, typer.Option(help="With `all`: only these controllers, separated by commas.")]
@@ -35,7 +42,9 @@ Linear = Annotated[
     bool,
     typer.Option(help="PID gains from the linearised plant, compared with Table III of the paper."),
 ]
-MaxSensitivity = Annotated[float, typer.Option(help="With `--linear`: maximum sensitivity Ms.")]
+MaxSensitivity = Annotated[
+    float, number(within=Limits(1.05, 4.0), help="With `--linear`: maximum sensitivity Ms.")
+]
 
 
 def tune(
@@ -99,13 +108,16 @@ def benchmark(
     split: Annotated[list[str] | None, typer.Option(help="Only this split; may be repeated.")] = None,
     scenario: Annotated[list[str] | None, typer.Option(help="Only this scenario; may be repeated.")] = None,
     cases: Annotated[
-        int | None, typer.Option(min=1, help="Pairs of valves per split. Default: the suite's.")
+        int | None, number(within=PAIRS, help="Pairs of valves per split. Default: the suite's.")
     ] = None,
     plant: Plant = "paper_dead_zone",
     control_period: ControlPeriod = 0.01,
     seed: Seed = 0,
     limit: Annotated[
-        float, typer.Option(help="Time limit of a controller for one split and scenario, s.")
+        float,
+        number(
+            within=Limits(1e-3, 1e6, unit="s"), help="Time limit of a controller for one split and scenario."
+        ),
     ] = 600.0,
     engine: Engine = "local",
     jobs: Jobs = 1,

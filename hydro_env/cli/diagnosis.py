@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from hydro_env.cli.options import EffectFiles, Model, Out, Seed, writing
+from hydro_env.cli.options import CORES, EffectFiles, Model, Out, Seed, number, writing
 from hydro_env.files import write_text
+from hydro_env.limits import Limits
 
 FitLogs = Annotated[
     list[str] | None,
@@ -35,7 +36,7 @@ Accept = Annotated[
     ),
 ]
 Threads = Annotated[
-    int | None, typer.Option("--jobs", min=1, help="Threads to work with. Default: one for every core.")
+    int | None, number("--jobs", within=CORES, help="Threads to work with. Default: one for every core.")
 ]
 
 
@@ -56,13 +57,20 @@ def hide(
         list[str] | None,
         typer.Option(metavar="EFFECT.PARAMETER=NUMBER", help="An exact value (SI); may be repeated."),
     ] = None,
-    noise: Annotated[float, typer.Option(help="Factor on the sensor noise; 0: none.")] = 1.0,
-    base_error: Annotated[float, typer.Option(help="Largest error of the model's base parameters, %.")] = 0.0,
+    noise: Annotated[
+        float, number(within=Limits(0.0, 100.0), help="Factor on the sensor noise; 0: none.")
+    ] = 1.0,
+    base_error: Annotated[
+        float,
+        number(within=Limits(0.0, 50.0, unit="%"), help="Largest error of the model's base parameters."),
+    ] = 0.0,
     record: Annotated[
         str, typer.Option(help="Columns besides time, command and speed: also spool, flow.")
     ] = "setpoint,current,pressure,load",
-    rate: Annotated[float, typer.Option(help="Rows per second.")] = 1000.0,
-    duration: Annotated[float, typer.Option(help="Length of each log, s.")] = 12.0,
+    rate: Annotated[float, number(within=Limits(10.0, 20_000.0), help="Rows per second.")] = 1000.0,
+    duration: Annotated[
+        float, number(within=Limits(3.0, 3600.0, unit="s"), help="Length of each log.")
+    ] = 12.0,
     effect_files: EffectFiles = None,
     seed: Seed = 0,
 ) -> None:

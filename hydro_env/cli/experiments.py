@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from hydro_env.cli.options import Cells, Engine, Jobs, Out, Pictures, Seed, writing
+from hydro_env.cli.options import Cells, Engine, Jobs, Out, Pictures, Seed, number, writing
+from hydro_env.limits import Limits
 
 
 def demo(out: Out, seed: Seed = 0, jobs: Jobs = 1) -> None:
@@ -38,9 +39,14 @@ def reproduce(
 def speed(
     out: Out,
     num_envs: Annotated[
-        list[int] | None, typer.Option(min=1, help="Size of a batch; may be repeated. Default: 1 to 1024.")
+        list[int] | None,
+        number(
+            within=Limits(1, 2**20, whole=True), help="Size of a batch; may be repeated. Default: 1 to 1024."
+        ),
     ] = None,
-    seconds: Annotated[float, typer.Option(min=0.05, help="Measuring time for each figure, s.")] = 1.0,
+    seconds: Annotated[
+        float, number(within=Limits(0.05, 3600.0, unit="s"), help="Measuring time for each figure.")
+    ] = 1.0,
 ) -> None:
     """Measure the speed and accuracy of the simulator.
 
@@ -55,7 +61,7 @@ def speed(
 def close_loop(
     out: Out,
     case: Annotated[list[str] | None, typer.Option(help="Only this case; may be repeated.")] = None,
-    seeds: Annotated[int, typer.Option(min=1, help="Hidden rigs per case.")] = 2,
+    seeds: Annotated[int, number(within=Limits(1, 1000, whole=True), help="Hidden rigs per case.")] = 2,
     engine: Engine = "local",
     jobs: Jobs = 1,
     cells: Cells = None,

@@ -14,7 +14,7 @@ from typing import Any, NoReturn, TextIO
 import typer
 
 from hydro_env.cli.app import app
-from hydro_env.errors import InputError, InputWarning
+from hydro_env.errors import InputError, InputWarning, shown
 
 __all__ = ["main", "run", "spread"]
 
@@ -107,6 +107,9 @@ def run(arguments: Sequence[str] | None) -> int:
 def _run(arguments: Sequence[str] | None) -> int:
     try:
         given = sys.argv[1:] if arguments is None else list(arguments)
+        for word in given:
+            if not word.isprintable() and any(c == "\0" or "\ud800" <= c <= "\udfff" for c in word):
+                raise InputError(f"the argument {shown(word)} is no UTF-8 text; rename what it names")
         many = ("--controllers",) if given[:1] == ["benchmark"] else ("--sealed", "--held-out")
         status = app(args=spread(given, many), prog_name="hydro-env", standalone_mode=False)
     except InputError as problem:

@@ -6,7 +6,9 @@ from typing import Annotated
 
 import typer
 
-from hydro_env.cli.options import Out, Pictures, numbers, writing
+from hydro_env.cli.options import Out, Pictures, number, numbers, writing
+from hydro_env.errors import InputError
+from hydro_env.limits import Limits
 
 Valves = Annotated[
     list[str] | None,
@@ -16,7 +18,10 @@ Valves = Annotated[
     ),
 ]
 Signal = Annotated[str, typer.Option(help="Signal axis of modelled valves: current or command.")]
-Seconds = Annotated[str, typer.Option(help="Sweep times of modelled valves, s, separated by commas.")]
+SWEEP = Limits(0.5, 3600.0, unit="s")
+Seconds = Annotated[
+    str, typer.Option(help=f"Sweep times of modelled valves, separated by commas. Each {SWEEP}.")
+]
 SignalColumn = Annotated[str | None, typer.Option(help="Name or number. Default: the first.")]
 FlowColumn = Annotated[str | None, typer.Option(help="Name or number. Default: the second.")]
 TimeColumn = Annotated[str | None, typer.Option(help="Name or number, if there is one.")]
@@ -24,17 +29,27 @@ SignalUnit = Annotated[str | None, typer.Option(help="mA, V, percent, ... Defaul
 FlowUnit = Annotated[str | None, typer.Option(help="lpm, GPM, ... Default: the header's.")]
 TimeUnit = Annotated[str | None, typer.Option(help="s, ms, ... Default: the header's, or s.")]
 Rated = Annotated[
-    float | None, typer.Option(help="Rated signal of a measured valve, in its unit. Default: the largest.")
+    float | None,
+    number(
+        within=Limits(1e-6, 1e6), help="Rated signal of a measured valve, in its unit. Default: the largest."
+    ),
 ]
-RowPeriod = Annotated[float | None, typer.Option(help="Time between rows, s, where no column holds it.")]
+RowPeriod = Annotated[
+    float | None,
+    number(within=Limits(1e-9, 3600.0, unit="s"), help="Time between rows, where no column holds it."),
+]
+MEASURED_SWEEP = Limits(1e-3, 1e6, unit="s")
 SweepPeriod = Annotated[
-    str, typer.Option(help="Length of a whole sweep, s, where the file does not say; one for each file.")
+    str,
+    typer.Option(
+        help=f"Length of a whole sweep, where the file does not say; one for each file. Each {MEASURED_SWEEP}."
+    ),
 ]
 OneValve = Annotated[bool, typer.Option("--one-valve", help="The measured files are sweeps of one valve.")]
 Controllers = Annotated[
     str, typer.Option(help="Controllers that drive each pair of modelled valves; `none`: no pairs.")
 ]
-Seeds = Annotated[int, typer.Option(min=1, help="Seeds of the sensor noise per pair.")]
+Seeds = Annotated[int, number(within=Limits(1, 1000, whole=True), help="Seeds of the sensor noise per pair.")]
 
 
 def valve_test(
@@ -61,6 +76,9 @@ def valve_test(
     Dead zone, hysteresis, gain, linearity, ... of modelled or measured valves, lag or hysteresis, and the most similar
     pair of several valves; writes valve_test.json, curves.csv and pictures.
     """
+    times = numbers("--seconds", seconds, SWEEP)
+    if not times:
+        raise InputError("--seconds is empty; sweep times separated by commas, such as 5,20,80, are right")
     with writing(out) as folder:
         from hydro_env.experiments import valve_test as work
         from hydro_env.valve_bench import Columns
@@ -71,9 +89,9 @@ def valve_test(
         )  # fmt: skip
         settings = work.Settings(
             signal=signal,
-            seconds=tuple(numbers("--seconds", seconds)),
+            seconds=times,
             columns=columns,
-            sweep_periods=tuple(numbers("--sweep-period", sweep_period)),
+            sweep_periods=numbers("--sweep-period", sweep_period, MEASURED_SWEEP),
             one_valve=one_valve,
             controllers=()
             if controllers == "none"

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, Field, asdict, field, fields, is_dataclass
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from hydro_env.errors import InputError, suggestion
+from hydro_env.errors import InputError, shown, suggestion
 
 __all__ = ["HAND", "TUNED", "as_table", "from_table", "numbers", "numbers_of", "setting"]
 
@@ -58,7 +58,7 @@ def from_table(kind: type[S], table: Any, where: str = "") -> S:
     values = {}
     for key, value in table.items():
         if key not in known:
-            raise InputError(f"{where}{key!r} is unknown: {suggestion(key, known)}")
+            raise InputError(f"{where}{shown(key)} is unknown: {suggestion(key, known)}")
         values[key] = _value(f"{where}{key}: ", known[key], kinds[key], value)
     return kind(**values)
 
@@ -72,10 +72,10 @@ def _value(where: str, each: Field[Any], kind: Any, value: Any) -> Any:
         return from_table(inner[0], value, where)  # type: ignore[arg-type]
     if kind is bool:
         if not isinstance(value, bool):
-            raise InputError(f"{where[:-2]} {value!r} should be true or false")
+            raise InputError(f"{where[:-2]} {shown(value)} should be true or false")
         return value
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e5:
-        raise InputError(f"{where[:-2]} {value!r} should be a number below 100000")
+        raise InputError(f"{where[:-2]} {shown(value)} should be a number below 100000")
     if each.default is not MISSING and each.default >= 0 and value < 0:
-        raise InputError(f"{where[:-2]} {value!r} should be at least 0")
+        raise InputError(f"{where[:-2]} {shown(value)} should be at least 0")
     return kind(value)

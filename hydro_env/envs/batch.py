@@ -17,7 +17,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InputError, suggestion
+from ..errors import InputError, shown, suggestion
+from ..limits import Limits
 from ..plant import Plant, PlantModel, load_model
 from ..plant.plant import machine_memory
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, default_mismatch, load_mismatch, own_values
@@ -39,6 +40,12 @@ NOISE_STREAM, SCENARIO_STREAM = 1, 2
 OPTIONS = ("mismatch", "scenario", "case", "reset_mask")
 #: Why an episode may be terminated.
 DIVERGED = "diverged: the simulation of the plant is no longer finite or plausible"
+
+NUM_ENVS = Limits(1, 2**40, whole=True)
+CONTROL_PERIOD = Limits(1e-4, 1.0, unit="s")
+HISTORY = Limits(1, 1000, whole=True, unit="frames")
+EPISODE = Limits(1, 2**40, whole=True, unit="steps")
+SEED = Limits(0, 2**128 - 1, whole=True)
 
 _NEVER = np.iinfo(np.int64).max
 #: What a row keeps of every step of its episode: set-point (8), loads (16), noise (24 bytes).
@@ -82,17 +89,23 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         dtype: str = "float64",
     ) -> None:
         super().__init__()
-        _check(num_envs, control_period, render_mode, history, max_episode_steps, dtype)
-        self.num_envs = int(num_envs)
+        self.num_envs = NUM_ENVS.check(num_envs, "num_envs")
+        self.control_period = CONTROL_PERIOD.check(control_period, "control_period")
+        self.history = HISTORY.check(history, "history")
+        self.max_episode_steps = (
+            None if max_episode_steps is None else EPISODE.check(max_episode_steps, "max_episode_steps")
+        )
+        _one_of("dtype", dtype, ("float64", "float32"))
+        _one_of("render_mode", render_mode, (None, "rgb_array"))
+        _one_of("autoreset_mode", autoreset_mode, (*AutoresetMode, *(mode.value for mode in AutoresetMode)))
         self.dtype = np.dtype(dtype)
         self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
         self.scenario = load_scenario(scenario)
-        self.mismatch = load_mismatch(default_mismatch(plant) if mismatch == "auto" else mismatch)
-        self.control_period = float(control_period)
+        self.mismatch = load_mismatch(
+            default_mismatch(plant) if isinstance(mismatch, str) and mismatch == "auto" else mismatch
+        )
         self.render_mode = render_mode
-        self.history = history
         self.reward = load_reward(reward)
-        self.max_episode_steps = max_episode_steps
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {
             **type(self).metadata,
@@ -103,7 +116,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         # First of what takes room, so that a batch that cannot fit is refused in its words.
         self._effects: tuple[str, ...] = ()
         self._build(self.mismatch)
-        width = FRAME * history
+        width = FRAME * self.history
+        _check_room(self.num_envs, self.history)
         self.single_observation_space = spaces.Box(-LIMIT, LIMIT, (width,), np.float32)
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -146,10 +160,14 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
         Without a seed each row goes on to the next episode of its seed. InputError for unknown options.
         """
+        if not isinstance(options, Mapping | None):
+            raise InputError(
+                f"reset: options is {shown(options)}, expected a mapping of {', '.join(OPTIONS)}"
+            )
         options = dict(options or {})
         for key in options:
             if key not in OPTIONS:
-                raise InputError(f"reset: unknown option {key!r}: {suggestion(key, OPTIONS)}")
+                raise InputError(f"reset: unknown option {shown(key)}: {suggestion(key, OPTIONS)}")
         if "scenario" in options:
             options["scenario"] = load_scenario(options["scenario"])
         if "mismatch" in options:
@@ -259,21 +277,22 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     ) -> tuple[list[int], list[int]]:
         """Seeds of these rows and numbers of the episodes they play next. InputError for wrong seeds."""
         n = self.num_envs
-        if isinstance(seed, (int, np.integer)):
-            super().reset(seed=int(seed))
-            seed = [int(seed) + i for i in range(n)]
-        given = [None] * n if seed is None else list(seed)
+        if seed is None or (isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, (str, bytes))):
+            given = [None] * n if seed is None else list(seed)
+        else:
+            first = SEED.check(seed, "reset: seed")
+            super().reset(seed=first)
+            given = [first + i for i in range(n)]
         if len(given) != n:
             raise InputError(f"reset: {len(given)} seeds for {n} environments")
-        if any(each is not None and each < 0 for each in given):
-            raise InputError("reset: a seed is negative, expected whole numbers of at least 0")
+        given = [None if each is None else SEED.check(each, "reset: a seed") for each in given]
         if not self._seeds:
             base = int(np.random.SeedSequence().generate_state(1, np.uint64)[0]) >> 1
             self._seeds = [base + i for i in range(n)]
         seeds, episodes = [], []
         for i in rows.tolist():
             each = given[i]
-            seeds.append(self._seeds[i] if each is None else int(each))
+            seeds.append(self._seeds[i] if each is None else each)
             episodes.append(int(self._episode[i]) + 1 if each is None else 0)
         return seeds, episodes
 
@@ -333,9 +352,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             cases = (
                 [int(asked) + int(i) for i in rows] if np.ndim(asked) == 0 else [int(asked[i]) for i in rows]
             )
-        except (TypeError, ValueError, IndexError):
+        except (TypeError, ValueError, IndexError, OverflowError):
             raise InputError(
-                f"reset: option case is {asked!r}, expected a number or one for each row"
+                f"reset: option case is {shown(asked)}, expected a number or one for each row"
             ) from None
         if not all(0 <= each < listed for each in cases):
             raise InputError(f"reset: option case: cases of {mismatch.name!r} are 0 ... {listed - 1}")
@@ -471,19 +490,17 @@ def _stream(seed: int, episode: int, component: int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(episode, component))))
 
 
-def _check(
-    num_envs: int, control_period: float, render_mode: str | None, history: int, max_episode_steps: int | None, dtype: str
-) -> None:  # fmt: skip
-    """InputError for an argument of the environment that cannot be."""
-    if num_envs < 1:
-        raise InputError(f"num_envs is {num_envs}, expected at least 1")
-    if not isinstance(control_period, (int, float)) or not 1e-4 <= control_period <= 1.0:
-        raise InputError(f"control_period is {control_period!r} s, expected 0.0001 to 1")
-    if not (isinstance(history, int) and history >= 1):
-        raise InputError(f"history is {history!r}, expected a whole number of frames of at least 1")
-    if max_episode_steps is not None and max_episode_steps < 1:
-        raise InputError(f"max_episode_steps is {max_episode_steps}, expected at least 1")
-    if render_mode not in (None, "rgb_array"):
-        raise InputError(f"render_mode is {render_mode!r}, expected None or 'rgb_array'")
-    if dtype not in ("float64", "float32"):
-        raise InputError(f"dtype is {dtype!r}, expected 'float64' or 'float32'")
+def _one_of(name: str, value: object, right: tuple[object, ...]) -> None:
+    """InputError for an argument that is none of these."""
+    if not any(type(value) is type(one) and value == one for one in right):
+        raise InputError(f"{name} is {shown(value)}, expected one of {', '.join(map(repr, right))}")
+
+
+def _check_room(num_envs: int, history: int) -> None:
+    """InputError where the observations alone (limits of the spaces of one and of all rows, frames, results) cannot fit."""
+    need = 6.0 * 4 * FRAME * history * num_envs
+    if need > (most := machine_memory()):
+        raise InputError(
+            f"num_envs is {num_envs}, history is {history}: the observations need {need / 2**30:.1f} GiB, this machine has"
+            f" {most / 2**30:.1f} GiB"
+        )

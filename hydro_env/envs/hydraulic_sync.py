@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..plant import Plant, PlantModel
 from ..tasks.mismatch import Mismatch
 from ..tasks.scenarios import Scenario
-from .batch import DIVERGED, HydraulicSyncVectorEnv
+from .batch import DIVERGED, SEED, HydraulicSyncVectorEnv
 from .reward import Reward
 
 __all__ = ["HydraulicSyncEnv"]
@@ -144,6 +144,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begins an episode; see the class. InputError for unknown options."""
+        if seed is not None:
+            seed = SEED.check(seed, "reset: seed")
         super().reset(seed=seed)
         if seed is None and not self._seeded:
             seed = self.np_random_seed

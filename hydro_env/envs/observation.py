@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, suggestion
+from ..errors import InputError, shown, suggestion
+from ..limits import Limits
 from ..plant.sensors import NOISE as SENSORS
 from ..units import BAR, RPM
 
@@ -25,6 +26,8 @@ Floats = NDArray[np.float64]
 OBSERVATION = (
     "setpoint", "speed_1", "speed_2", "current_1", "current_2", "pressure_1", "pressure_2", "command_1", "command_2",
 )  # fmt: skip
+#: Factor on the sensors' noise, or one level of it.
+LEVEL = Limits(0.0, 1e6)
 FRAME = len(OBSERVATION)
 
 #: What 1.0 stands for: 600 rpm, in rad/s; the rated current, A; 10 bar, in Pa; the rated command.
@@ -76,16 +79,10 @@ def noise_levels(noise: float | Mapping[str, float]) -> Floats:
     if isinstance(noise, Mapping):
         for key, value in noise.items():
             if key not in levels:
-                raise InputError(f"noise: unknown key {key!r}: {suggestion(key, levels)}")
-            levels[key] = _level(key, value)
+                raise InputError(f"noise: unknown key {shown(key)}: {suggestion(key, levels)}")
+            levels[key] = LEVEL.check(value, f"noise: {key}")
     else:
-        factor = _level("factor", noise)
+        factor = LEVEL.check(noise, "noise")
         levels = {key: factor * value for key, value in levels.items()}
     speed, current, pressure = levels["speed_rpm"] * RPM, levels["current_A"], levels["pressure_bar"] * BAR
     return np.array([speed, speed, current, current, pressure, pressure]) / SCALES[1:7]
-
-
-def _level(key: str, value: object) -> float:
-    if isinstance(value, (int, float)) and 0.0 <= value < np.inf:
-        return float(value)
-    raise InputError(f"noise: {key} is {value!r}, expected a number of at least 0")

@@ -8,9 +8,13 @@ from dataclasses import asdict, dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, suggestion
+from ..errors import InputError, shown, suggestion
+from ..limits import Limits
 
 __all__ = ["Reward", "load_reward"]
+
+
+WEIGHT = Limits(0.0, 1e6)
 
 
 @dataclass(frozen=True)
@@ -43,11 +47,10 @@ def load_reward(source: Mapping[str, float] | Reward | None) -> Reward:
     if isinstance(source, Reward):
         return source
     if not isinstance(source, Mapping):
-        raise InputError(f"reward: expected a mapping of weights, found {type(source).__name__}")
-    known = [each.name for each in fields(Reward)]
+        raise InputError(f"reward: expected a mapping of weights, found {shown(source)}")
+    known, weights = [each.name for each in fields(Reward)], asdict(Reward())
     for key, value in source.items():
         if key not in known:
-            raise InputError(f"reward: unknown weight {key!r}: {suggestion(key, known)}")
-        if not isinstance(value, (int, float)) or not 0.0 <= value < np.inf:
-            raise InputError(f"reward: {key} is {value!r}, expected a number of at least 0")
-    return Reward(**{**asdict(Reward()), **{key: float(value) for key, value in source.items()}})
+            raise InputError(f"reward: unknown weight {shown(key)}: {suggestion(key, known)}")
+        weights[key] = WEIGHT.check(value, f"reward: {key}")
+    return Reward(**weights)

@@ -33,6 +33,7 @@ from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import PlantModel
 from hydro_env.practice.generate import constants_of
 from hydro_env.practice.reference.forms import Constants
+from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
 from hydro_env.tasks import Trace, compute, load_scenario
 
 __all__ = [
@@ -351,12 +352,12 @@ def write(out: Path, data: Mapping[str, Any], pictures: bool = True) -> None:
 
 def read(folder: Path) -> dict[str, Any]:
     """What `write` wrote. InputError if there is no such result."""
-    try:
-        data: dict[str, Any] = json.loads((folder / "close_loop.json").read_text(encoding="utf-8"))
-        traces = json.loads((folder / "traces.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise InputError(f"{folder}: holds no result of `hydro-env close-loop --out {folder}`") from None
-    if data.get("schema") != SCHEMA:
+    what = f"a result of `hydro-env close-loop --out {folder}`"
+    data, traces = (
+        read_json(folder / name, what, most=MOST_BYTES_OF_RESULTS)
+        for name in ("close_loop.json", "traces.json")
+    )
+    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         raise InputError(f"{folder / 'close_loop.json'}: its schema should be {SCHEMA!r}")
     kept = {_of(s): s for s in traces}
     return {**data, "scores": [kept.get(_of(s), s) for s in data["scores"]]}

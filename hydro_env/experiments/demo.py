@@ -6,7 +6,6 @@ Every number on the page is computed in the same run, but for the paper's publis
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,6 +25,7 @@ from hydro_env.experiments import reproduce
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, figure, legend, png, render, svg
 from hydro_env.practice import command as hide
+from hydro_env.reading import read_json
 
 __all__ = ["run"]
 
@@ -250,10 +250,10 @@ def _dots(controllers: list[str], cells: dict[Any, Any]) -> Any:
 # --- 3. the diagnosis -------------------------------------------------------------------------------------------------
 def _diagnosis(practice: Path, out: Path, seed: int) -> dict[str, Any]:
     hide.run(HIDDEN, practice, seed=seed)
-    truth = json.loads((practice / "truth.json").read_text(encoding="utf-8"))
+    truth = read_json(practice / "truth.json", "what `hydro-env hide` wrote")
     logs = {kind: [practice / name for name in truth["logs"][kind]] for kind in ("fit", "sealed")}
     diagnosis.run(logs["fit"], logs["sealed"], out, model=practice / "model.yaml", seed=seed)
-    found = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    found = read_json(out / "diagnosis.json", "what `hydro-env diagnose` wrote")
     hidden = {effect["name"]: effect for effect in truth["effects"]}
     effects, parameters = [], []
     for effect in found["effects"]:

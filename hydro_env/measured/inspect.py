@@ -252,7 +252,7 @@ def _tried(path: Path, content: dict[str, Any], notes: list[str]) -> Proposal:
     problem = ""
     for attempt in (1, 2):
         try:
-            log = read_log(path, Mapping.model_validate(yaml.safe_load(_as_text(content))))
+            log = read_log(path, Mapping.model_validate(content))
         except (InputError, ValueError) as error:
             problem = str(error).splitlines()[0]
             break

@@ -26,10 +26,10 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from hydro_env.errors import InputError, nearest, suggestion
+from hydro_env.errors import InputError, nearest, shown, suggestion
+from hydro_env.reading import read_yaml
 from hydro_env.units import to_si, unit
 
 __all__ = [
@@ -265,24 +265,13 @@ class Mapping(_Strict):
 def load_mapping(path: str | Path) -> Mapping:
     """Reads a mapping file; `InputError` with one line naming file and key for anything that is wrong."""
     path = Path(path)
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read ({error.strerror}); give the path of a mapping YAML"
-        ) from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not a UTF-8 text file; a mapping is YAML") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"line {mark.line + 1}, " if mark else ""
-        raise InputError(
-            f"{path}: {place}not valid YAML ({getattr(error, 'problem', None) or 'cannot be parsed'})"
-        ) from None
+    data = read_yaml(path, "a mapping in YAML")
     if not isinstance(data, dict):
         raise InputError(f"{path}: a mapping is a YAML table that starts with `schema: {SCHEMA}`")
     if data.get("schema") != SCHEMA:
-        raise InputError(f"{path}: schema is {data.get('schema')!r}; a mapping file says `schema: {SCHEMA}`")
+        raise InputError(
+            f"{path}: schema is {shown(data.get('schema'))}; a mapping file says `schema: {SCHEMA}`"
+        )
     try:
         return Mapping.model_validate(data)
     except ValidationError as error:
@@ -296,12 +285,12 @@ def _explain(error: ValidationError) -> str:
     where = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         known = _keys(first["loc"][:-1])
-        return f"unknown key {where!r}; {suggestion(first['loc'][-1], known)}"
+        return f"unknown key {shown(where)}; {suggestion(first['loc'][-1], known)}"
     if first["type"] == "missing":
         return f"key {where!r} is missing; it is required here"
     message = first["msg"].removeprefix("Value error, ")
-    shown = "" if first["type"] == "value_error" else f", got {first['input']!r}"
-    return f"key {where!r}: {message}{shown}" if where else f"{message}{shown}"
+    got = "" if first["type"] == "value_error" else f", got {shown(first['input'])}"
+    return f"key {where!r}: {message}{got}" if where else f"{message}{got}"
 
 
 def _keys(place: tuple[Any, ...]) -> list[str]:

@@ -2,13 +2,15 @@
 
     html = render(files("hydro_env.experiments").joinpath("demo.html"), title="...", ...)
 
-A template starts with `{% extends "page.html" %}` and fills the block `body`. Pages load nothing from a network.
-Needs the extra `report`.
+A template starts with `{% extends "page.html" %}` and fills the block `body`. Pages load nothing from a network. Whatever
+text a page shows can neither end an element nor stand for another value: `render` escapes it, `fill` puts it in as JSON, and
+each place of a template is filled once. All but `fill` needs the extra `report`.
 """
 
 from __future__ import annotations
 
 import io
+import json
 import re
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -20,7 +22,7 @@ from hydro_env.files import write_bytes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["COLOURS", "figure", "legend", "png", "render", "svg"]
+__all__ = ["COLOURS", "figure", "fill", "legend", "png", "render", "svg"]
 
 COLOURS = ("#2b83ba", "#e07b39", "#3f9b5f", "#a35aa8", "#8a8f98", "#c5a100")
 """Line colours that can be told apart on white and on dark, also by most colour-blind eyes."""
@@ -54,6 +56,23 @@ def render(template: Path | Traversable, **values: Any) -> str:
     )
     environment.globals["style"] = files(__package__).joinpath("style.css").read_text(encoding="utf-8")
     return environment.from_string(template.read_text(encoding="utf-8")).render(**values)
+
+
+def fill(template: Path | Traversable, **data: Any) -> str:
+    """Fills a page that draws itself: `/*STYLE*/` becomes the style sheet, `/*NAME*/null` of its script the JSON of that value.
+
+    The template is gone through once, so what is filled in is not searched for places to fill. KeyError for a place without
+    a value.
+    """
+
+    def value(place: re.Match[str]) -> str:
+        if place["name"] == "STYLE":
+            return files(__package__).joinpath("style.css").read_text(encoding="utf-8")
+        # "<" as an escape: no `</script>` can come from a text. Letters beyond ASCII are escapes as well.
+        text = json.dumps(data[place["name"]], separators=(",", ":"), allow_nan=False)
+        return text.replace("<", "\\u003c")
+
+    return re.sub(r"/\*(?P<name>[A-Z]+)\*/(?:null)?", value, template.read_text(encoding="utf-8"))
 
 
 def figure(rows: int = 1, *, height: float = 2.2, share_x: bool = True) -> tuple[Figure, list[Any]]:
@@ -93,13 +112,14 @@ def svg(drawing: Figure, alt: str) -> Any:
     from markupsafe import Markup, escape
 
     buffer = io.StringIO()
+    _as_written(drawing)
     with matplotlib.rc_context(RC):
         drawing.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :].replace(INK, "currentColor")
     text = re.sub(
         r'<svg [^>]*viewBox="([^"]*)"[^>]*>',
-        rf'<svg viewBox="\1" role="img" aria-label="{escape(alt)}">',
+        lambda opening: f'<svg viewBox="{opening[1]}" role="img" aria-label="{escape(alt)}">',
         text,
         count=1,
     )
@@ -108,11 +128,23 @@ def svg(drawing: Figure, alt: str) -> Any:
     return Markup(text)
 
 
+def _as_written(drawing: Figure) -> None:
+    """Shows all texts but the numbers at the axes as they are: a name with two "$" is no formula."""
+    from matplotlib.axis import Tick
+    from matplotlib.text import Text
+
+    numbers = {id(text) for tick in drawing.findobj(Tick) for text in tick.findobj(Text)}
+    for text in drawing.findobj(Text):
+        if id(text) not in numbers:
+            text.set_parse_math(False)
+
+
 def png(drawing: Figure, path: Path) -> None:
     """The figure as a PNG on white, for places that show no SVG."""
     import matplotlib
     from matplotlib.text import Text
 
+    _as_written(drawing)
     with matplotlib.rc_context(RC):
         for text in drawing.findobj(Text):
             text.set_color("#1c2430")

@@ -26,6 +26,7 @@ names the file and the key. A base parameter beyond its plausible range gives a 
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -36,14 +37,15 @@ from typing import Any
 
 import yaml
 
-from ..errors import InputError, InputWarning, suggestion
+from ..errors import InputError, InputWarning, shown, suggestion
 from ..files import write_text
+from ..reading import parse_yaml, read_yaml
 from .catalogue import CATALOGUE
 from .parameters import PARAMETERS, Parameter
 
 __all__ = [
-    "SUBSTEP", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "load_model", "parameter_of", "preset_names", "read_yaml",
-    "sources_of", "values_set_by",
+    "SUBSTEP", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "load_model", "parameter_of", "preset_names", "sources_of",
+    "values_set_by",
 ]  # fmt: skip
 
 SCHEMA = "hydro_env/model/1"
@@ -57,6 +59,8 @@ VALVE_PARAMETERS = (
 #: Ports whose effects belong to a valve. Driver, supply and orifice law (its supply pressure) are the rig's.
 VALVE_PORTS = ("coil", "force", "opening")
 _CHANNELS = ("both", "channel_1", "channel_2")
+#: Files that may build on each other: a model on its base or valve, that one on its own, ...
+MOST_FILES = 5
 _SIDES = {"channel_1": (0,), "channel_2": (1,), "both": (0, 1), "rig": (0, 1)}
 
 
@@ -201,10 +205,9 @@ _ZERO_ALLOWED = {"B", "C", "s2", "Km", "Fc"}
 
 def _check_base(name: str, pair: tuple[float, float], where: str) -> None:
     for value in pair:
-        if value < 0.0 or (value == 0.0 and name not in _ZERO_ALLOWED):
-            raise InputError(
-                f"{where}: {name} is {value:g}; {PARAMETERS[name].note or name} must be positive"
-            )
+        if value < 0.0 or math.isinf(value) or (value == 0.0 and name not in _ZERO_ALLOWED):
+            kind = "finite" if math.isinf(value) else "positive"
+            raise InputError(f"{where}: {name} is {value:g}; {PARAMETERS[name].note or name} must be {kind}")
 
 
 def _check_own(name: str, pair: tuple[float, float], where: str) -> None:
@@ -215,20 +218,21 @@ def _check_own(name: str, pair: tuple[float, float], where: str) -> None:
 
 
 def _number(value: object, where: str) -> float:
-    if isinstance(value, str):
-        try:
-            value = float(value)
-        except ValueError:
-            raise InputError(f"{where}: {value!r} is no number") from None
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or math.isnan(value):
-        raise InputError(f"{where}: {value!r} is no number")
-    return float(value)
+    try:
+        number = (
+            math.nan if isinstance(value, bool) or not isinstance(value, (int, float, str)) else float(value)
+        )
+    except (ValueError, OverflowError):
+        number = math.nan
+    if math.isnan(number):
+        raise InputError(f"{where}: {shown(value)} is no number")
+    return number
 
 
 def _mapping(value: object, where: str) -> dict[Any, Any]:
-    if not isinstance(value, dict):
-        raise InputError(f"{where}: expected `name: value` lines, found {value!r}")
-    return value
+    if not isinstance(value, Mapping):
+        raise InputError(f"{where}: expected `name: value` lines, found {shown(value)}")
+    return dict(value)
 
 
 def _in_unit(value: float, parameter: Parameter) -> str:
@@ -279,17 +283,21 @@ def _of_valve(name: str) -> bool:
     return CATALOGUE[effect].port in VALVE_PORTS if effect else name in VALVE_PARAMETERS
 
 
-def _from_dict(data: object, where: str) -> PlantModel:
+def _from_dict(data: object, where: str, above: tuple[str, ...] = ()) -> PlantModel:
+    """The model of a file's content. `above` are the files that build on this one, which it may not build on in turn."""
     data = _mapping(data, where)
     known = {"schema", "name", "base", "substep", *_CHANNELS, "effects", "sources"}
     for key in data:
         if key not in known:
-            raise InputError(f"{where}: unknown key {key!r}: {suggestion(key, known)}")
+            raise InputError(f"{where}: unknown key {shown(key)}: {suggestion(key, known)}")
     if data.get("schema") != SCHEMA:
-        raise InputError(f"{where}: schema is {data.get('schema')!r}, expected {SCHEMA!r}")
-    base = load_model(data["base"]) if "base" in data else PlantModel()
+        raise InputError(f"{where}: schema is {shown(data.get('schema'))}, expected {SCHEMA!r}")
+    if not isinstance(data.get("name", ""), str):
+        raise InputError(f"{where}: name is {shown(data['name'])}, expected text")
+    above = (*above, where)
+    base = _built_on(data["base"], f"{where}: base", above) if "base" in data else PlantModel()
     draft = _Draft({name: list(pair) for name, pair in base.values.items()}, list(base.declared))
-    _read_channels(data, draft, where)
+    _read_channels(data, draft, where, above)
     _read_effects(_mapping(data.get("effects", {}), f"{where}: effects"), draft, where)
     sources = _mapping(data.get("sources", {}), f"{where}: sources")
     _check_sources(sources, where)
@@ -307,18 +315,18 @@ def _from_dict(data: object, where: str) -> PlantModel:
         raise InputError(f"{where}: {error}") from None
 
 
-def _read_channels(data: Mapping[str, Any], draft: _Draft, where: str) -> None:
+def _read_channels(data: Mapping[str, Any], draft: _Draft, where: str, above: tuple[str, ...]) -> None:
     """Valves first, then base parameters, which may change those of the valve."""
     for side in _CHANNELS:
         if "valve" in (own := _mapping(data.get(side, {}), f"{where}: {side}")):
-            draft.put_valve(_valve(own["valve"], f"{where}: {side}.valve"), side)
+            draft.put_valve(_built_on(own["valve"], f"{where}: {side}.valve", above), side)
     for side in _CHANNELS:
         for name, value in data.get(side, {}).items():
             if name == "valve":
                 continue
             if name not in PARAMETERS:
                 raise InputError(
-                    f"{where}: {side}: unknown parameter {name!r}: {suggestion(name, PARAMETERS)}"
+                    f"{where}: {side}: unknown parameter {shown(name)}: {suggestion(name, PARAMETERS)}"
                 )
             draft.take(name, side, value, f"{where}: {side}.{name}")
 
@@ -326,16 +334,18 @@ def _read_channels(data: Mapping[str, Any], draft: _Draft, where: str) -> None:
 def _read_effects(effects: Mapping[Any, Any], draft: _Draft, where: str) -> None:
     for name, sides in effects.items():
         if name not in CATALOGUE:
-            raise InputError(f"{where}: effects: unknown effect {name!r}: {suggestion(name, CATALOGUE)}")
+            raise InputError(f"{where}: effects: unknown effect {shown(name)}: {suggestion(name, CATALOGUE)}")
         draft.declared.append(name)
         known = {p.name for p in CATALOGUE[name].parameters}
         for side, parameters in _mapping(sides, f"{where}: effects.{name}").items():
             if side not in _SIDES:
-                raise InputError(f"{where}: effects.{name}: unknown key {side!r}: {suggestion(side, _SIDES)}")
+                raise InputError(
+                    f"{where}: effects.{name}: unknown key {shown(side)}: {suggestion(side, _SIDES)}"
+                )
             at = f"{where}: effects.{name}.{side}"
             for own, value in _mapping(parameters, at).items():
                 if own not in known:
-                    raise InputError(f"{at}: unknown parameter {own!r}: {suggestion(own, known)}")
+                    raise InputError(f"{at}: unknown parameter {shown(own)}: {suggestion(own, known)}")
                 draft.take(f"{name}.{own}", side, value, f"{at}.{own}")
 
 
@@ -347,14 +357,22 @@ def _check_sources(sources: Mapping[Any, Any], where: str) -> None:
             except InputError as error:
                 raise InputError(f"{where}: sources: {error}") from None
         if not isinstance(text, str):
-            raise InputError(f"{where}: sources.{name}: expected text, found {text!r}")
+            raise InputError(f"{where}: sources.{name}: expected text, found {shown(text)}")
 
 
-def _valve(source: object, where: str) -> PlantModel:
+def _built_on(source: object, where: str, above: tuple[str, ...]) -> PlantModel:
+    """The preset or model file that another one names as its base or valve."""
     if not isinstance(source, str):
-        raise InputError(f"{where}: expected the name of a preset or of a model file, found {source!r}")
+        raise InputError(f"{where}: expected the name of a preset or of a model file, found {shown(source)}")
     try:
-        return load_model(source)
+        if source in preset_names():
+            return _preset(source)
+        data, own = _data(source)
+        if own in above:
+            raise InputError("a model cannot build on itself")
+        if len(above) == MOST_FILES:
+            raise InputError(f"at most {MOST_FILES} files build on each other")
+        return _from_dict(data, own, above)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
 
@@ -413,31 +431,6 @@ def _given(data: Mapping[str, Any]) -> set[tuple[str, int]]:
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
-class _Loader(yaml.SafeLoader):
-    """YAML, without its two silent traps: of a key given twice the last wins, and on, off, yes and no are truth values."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]  # type: ignore[no-untyped-call]
-        for n, ((key_node, _), key) in enumerate(zip(node.value, keys, strict=True)):
-            mark = key_node.start_mark
-            if isinstance(key, bool):
-                problem = f"the key {key_node.value!r} is a truth value in YAML; in quotes it is a name"
-                raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
-            if key in keys[:n]:
-                raise yaml.MarkedYAMLError(problem=f"the key {key!r} is given twice", problem_mark=mark)
-        return super().construct_mapping(node, deep)
-
-
-def read_yaml(text: str, where: str) -> Any:
-    """The content of a YAML text. InputError, naming `where` and the line, for what is none, and for a key given twice."""
-    try:
-        return yaml.load(text, _Loader)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f" line {mark.line + 1}" if mark is not None else ""
-        raise InputError(f"{where}{line}: not YAML: {getattr(error, 'problem', None) or error}") from None
-
-
 def preset_names() -> list[str]:
     """Names of the presets that ship with the package."""
     folder = resources.files(__package__) / "presets"
@@ -465,8 +458,8 @@ def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantMode
     """
     if isinstance(source, PlantModel):
         return source
-    if not isinstance(source, Mapping) and str(source) in preset_names():
-        return _preset(str(source))
+    if isinstance(source, str) and source in preset_names():
+        return _preset(source)
     return _from_dict(*_data(source))
 
 
@@ -474,16 +467,15 @@ def _data(source: str | Path | Mapping[str, Any]) -> tuple[Any, str]:
     """The content of a model file as it stands, and what to call it in errors."""
     if isinstance(source, Mapping):
         return dict(source), "model"
+    if not isinstance(source, str | Path):
+        raise InputError(
+            f"plant is {shown(source)}, expected a preset ({', '.join(preset_names())}), a YAML file, a mapping or a model"
+        )
     text = str(source)
     if text in preset_names():
         file = resources.files(__package__) / "presets" / f"{text}.yaml"
-        return read_yaml(file.read_text(encoding="utf-8"), f"preset {text}"), f"preset {text}"
+        return parse_yaml(file.read_text(encoding="utf-8"), f"preset {text}"), f"preset {text}"
     path = Path(source)
-    if path.suffix in (".yaml", ".yml") or path.exists():
-        try:
-            return read_yaml(path.read_text(encoding="utf-8"), str(path)), str(path)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-        except UnicodeDecodeError:
-            raise InputError(f"{path}: not a text file; a model is YAML") from None
-    raise InputError(f"unknown plant {text!r}: no such file, and {suggestion(text, preset_names())}")
+    if path.suffix in (".yaml", ".yml") or os.path.exists(path):
+        return read_yaml(path, "a model in YAML"), os.path.normpath(path)
+    raise InputError(f"unknown plant {shown(text)}: no such file, and {suggestion(text, preset_names())}")

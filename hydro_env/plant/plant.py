@@ -29,6 +29,8 @@ SIGNALS = (*STATES, "flow", "measured_speed")
 BLOCKS = (1, 2, 4, 8, 16)
 #: Longest delay of the command that the delay line holds, s, if the model has no longer one.
 LONGEST_DELAY = 0.05
+#: Delay from which on no command would arrive within any log or episode, s.
+MOST_DELAY = 1e5
 
 Array = NDArray[np.float64]
 _NO_RECORD = np.zeros(0, np.int64)
@@ -98,9 +100,10 @@ class Plant:
         self._delays = [f"{e.name}.{e.delays_command}" for e in described if e.delays_command]
         longest = [sum(self.model.value(name, channel) for name in self._delays) for channel in (0, 1)]
         self._longest_delay = max(LONGEST_DELAY, *longest)
-        if self._longest_delay == inf:
+        if not self._longest_delay <= MOST_DELAY:
             raise InputError(
-                f"model {self.model.name!r}: the command is delayed forever; a finite delay is right"
+                f"model {self.model.name!r}: the command is delayed by {self._longest_delay:g} s; at most {MOST_DELAY:g} s"
+                " are right"
             )
         self._slots = int(self._longest_delay / self.substep) + 3  # a slot of the delay line is a substep
         slots = self._slots if kernel.has_delay else 1

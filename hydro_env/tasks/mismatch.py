@@ -24,9 +24,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, suggestion
-from ..plant import CATALOGUE, PARAMETERS, Parameter, PlantModel, parameter_of
-from ..plant.model import read_yaml, values_set_by
+from ..errors import InputError, shown, suggestion
+from ..plant import CATALOGUE, Parameter, PlantModel, parameter_of
+from ..plant.model import values_set_by
+from ..reading import parse_yaml, read_yaml
 
 __all__ = [
     "NAMED_PAIRS",
@@ -67,6 +68,8 @@ OWN = "own"
 MISMATCH_STREAM = 0
 #: Cases of successive episodes of one seed lie this far apart, so that the rows of a batch meet different ones.
 CASE_STRIDE = 389
+#: Times that a pair is drawn anew until it lies outside the ranges that it is to leave.
+MOST_DRAWS = 10_000
 
 
 @dataclass(frozen=True)
@@ -164,11 +167,17 @@ class Mismatch:
         streams = [np.random.Generator(np.random.PCG64(source)) for source in sources]
         values = self._draw(streams)
         again = self._inside(values)
-        while again.any():
+        for _ in range(MOST_DRAWS):
+            if not again.any():
+                break
             rows = np.flatnonzero(again)
             for name, redrawn in self._draw([streams[i] for i in rows]).items():
                 values[name][rows] = redrawn
             again[rows] = self._inside({name: value[rows] for name, value in values.items()})
+        else:
+            raise InputError(
+                f"mismatch {self.name!r}: of {MOST_DRAWS} pairs drawn none lies outside the ranges that it is to leave"
+            )
         values = {name: self.ranges[name].scaled(name, drawn, model) for name, drawn in values.items()}
         if not self.faults:
             return Pairs(values, ("",) * count)
@@ -254,24 +263,25 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
         return source
     if isinstance(source, Mapping):
         return _read_split("mismatch", {"parameters": dict(source)}, "mismatch", {})
-    text = str(source)
     named = {**SPLITS, **NAMED_PAIRS}
+    if not isinstance(source, str | Path):
+        raise InputError(
+            f"mismatch is {shown(source)}, expected a split or pair ({', '.join(named)}), a YAML file, a mapping or None"
+        )
+    text = str(source)
     if text == OWN:
         return None
     if text in named:
         return named[text]
     path = Path(source)
     if path.suffix in (".yaml", ".yml"):
-        try:
-            data = read_yaml(path.read_text(encoding="utf-8"), str(path))
-        except (OSError, UnicodeDecodeError) as problem:
-            raise InputError(f"{path}: cannot be read as YAML ({' '.join(str(problem).split())})") from None
+        data = read_yaml(path, "a mismatch in YAML")
         if not isinstance(data, dict):
             raise InputError(f"{path}: expected `parameter: value` lines")
         plain = data if "parameters" in data else {"parameters": data}
         return _read_split(path.stem, plain, str(path), SPLITS)
     raise InputError(
-        f"unknown mismatch {text!r}: {suggestion(text, [*named, OWN])}, or the path of a YAML file"
+        f"unknown mismatch {shown(text)}: {suggestion(text, [*named, OWN])}, or the path of a YAML file"
     )
 
 
@@ -284,7 +294,7 @@ def default_mismatch(plant: Any, split: str = "train") -> str:
 def _check_keys(data: Mapping[Any, Any], known: Sequence[str], where: str) -> None:
     for key in data:
         if key not in known:
-            raise InputError(f"{where}: unknown key {key!r}: {suggestion(key, known)}")
+            raise InputError(f"{where}: unknown key {shown(key)}: {suggestion(key, known)}")
 
 
 def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[str, Mismatch]) -> Mismatch:
@@ -292,9 +302,9 @@ def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[
     ranges = _read_ranges(data.get("parameters"), where)
     outside: dict[str, Range] = {}
     if "outside" in data:
-        if data["outside"] not in others:
+        if not isinstance(data["outside"], str) or data["outside"] not in others:
             hint = suggestion(data["outside"], others)
-            raise InputError(f"{where}: outside: unknown split {data['outside']!r}: {hint}")
+            raise InputError(f"{where}: outside: unknown split {shown(data['outside'])}: {hint}")
         bounds = others[data["outside"]].ranges
         outside = {key: bounds[key] for key in bounds if key in ranges}
         if all(r.low <= ranges[key].low and ranges[key].high <= r.high for key, r in outside.items()):
@@ -303,8 +313,10 @@ def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[
     if not isinstance(faults, Mapping):
         raise InputError(f"{where}: faults: expected `name: {{parameter: range}}` lines")
     for key, lowest in (("entropy", 0), ("cases", 1)):
-        if key in data and (not isinstance(data[key], int) or data[key] < lowest):
-            raise InputError(f"{where}: {key} is {data[key]!r}, expected a whole number of at least {lowest}")
+        if key in data and (type(data[key]) is not int or not lowest <= data[key] < 2**128):
+            raise InputError(
+                f"{where}: {key} is {shown(data[key])}, expected a whole number of at least {lowest}"
+            )
     return Mismatch(
         name=name,
         ranges=ranges,
@@ -317,10 +329,12 @@ def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[
 
 def _read_ranges(data: Any, where: str) -> dict[str, Range]:
     if not isinstance(data, Mapping):
-        raise InputError(f"{where}: expected `parameter: value` lines, found {data!r}")
+        raise InputError(f"{where}: expected `parameter: value` lines, found {shown(data)}")
     ranges: dict[str, Range] = {}
     for name, what in data.items():
-        ranges[str(name)] = _read_range(str(name), what, where, ranges)
+        if not isinstance(name, str):
+            raise InputError(f"{where}: a parameter is called {shown(name)}, expected text")
+        ranges[name] = _read_range(name, what, where, ranges)
     return ranges
 
 
@@ -345,11 +359,11 @@ def _read_range(name: str, what: Any, where: str, before: Mapping[str, Range]) -
     rest = {key: value for key, value in what.items() if key not in ("at_most", "meant_for")}
     if len(rest) != 1 or next(iter(rest)) not in ("uniform", "loguniform"):
         raise InputError(
-            f"{at}: expected a number, a pair, or uniform or loguniform: [low, high], found {what!r}"
+            f"{at}: expected a number, a pair, or uniform or loguniform: [low, high], found {shown(what)}"
         )
     kind, bounds = next(iter(rest.items()))
     if not isinstance(bounds, Sequence) or isinstance(bounds, str) or len(bounds) != 2:
-        raise InputError(f"{at}: {kind}: expected [low, high], found {bounds!r}")
+        raise InputError(f"{at}: {kind}: expected [low, high], found {shown(bounds)}")
     low, high = _pair(bounds, at)
     if not (np.isfinite([low, high]).all() and low <= high):
         raise InputError(f"{at}: {kind}: [{low:g}, {high:g}] is no range from low to high")
@@ -357,8 +371,8 @@ def _read_range(name: str, what: Any, where: str, before: Mapping[str, Range]) -
         raise InputError(f"{at}: loguniform needs a low end above zero, found {low:g}")
     at_most = what.get("at_most")
     if at_most is not None:
-        if at_most not in before:
-            raise InputError(f"{at}: at_most: {at_most!r} is not among the parameters above it")
+        if not isinstance(at_most, str) or at_most not in before:
+            raise InputError(f"{at}: at_most: {shown(at_most)} is not among the parameters above it")
         if min(before[at_most].low) < low:
             raise InputError(f"{at}: at_most: {at_most} may be lower than the low end {low:g}")
     on = what.get("meant_for")
@@ -366,7 +380,9 @@ def _read_range(name: str, what: Any, where: str, before: Mapping[str, Range]) -
         if name in SENSOR_PARAMETERS:
             raise InputError(f"{at}: meant_for: a sensor's fault does not depend on the plant")
         if isinstance(on, bool) or not isinstance(on, (int, float)) or not 0.0 < on < inf:
-            raise InputError(f"{at}: meant_for is {on!r}, expected the plant's value the range is meant for")
+            raise InputError(
+                f"{at}: meant_for is {shown(on)}, expected the plant's value the range is meant for"
+            )
     _check_bounds(name, (low, high), at)
     return Range((low, low), (high, high), kind == "loguniform", at_most, shared, on)
 
@@ -381,19 +397,22 @@ def _pair(what: Any, at: str) -> tuple[float, float]:
         pair = (float(values[0]), float(values[1]))
         if np.isnan(pair).any():
             raise ValueError
-    except (TypeError, ValueError):
-        raise InputError(f"{at}: {what!r} is neither a number nor one for each of the two channels") from None
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(
+            f"{at}: {shown(what)} is neither a number nor one for each of the two channels"
+        ) from None
     return pair
 
 
 def _check_bounds(name: str, pair: tuple[float, float], at: str) -> None:
-    if name in PARAMETERS:
-        try:
-            PlantModel(values={name: pair})
-        except InputError as problem:
-            raise InputError(f"{at}: {problem}") from None
-    elif name in SENSOR_PARAMETERS and min(pair) < 0.0:
-        raise InputError(f"{at}: {min(pair):g} is below zero")
+    if name in SENSOR_PARAMETERS:
+        if min(pair) < 0.0:
+            raise InputError(f"{at}: {min(pair):g} is below zero")
+        return
+    try:
+        PlantModel(values={name: pair})
+    except InputError as problem:
+        raise InputError(f"{at}: {problem}") from None
 
 
 @cache
@@ -405,7 +424,7 @@ def _rig_parameters() -> frozenset[str]:
 
 def _read_package() -> tuple[dict[str, Mismatch], dict[str, Mismatch]]:
     text = (resources.files(__package__) / "splits.yaml").read_text(encoding="utf-8")
-    data = read_yaml(text, "splits.yaml")
+    data = parse_yaml(text, "splits.yaml")
     splits: dict[str, Mismatch] = {}
     for name, what in data["splits"].items():
         splits[name] = _read_split(name, what, f"splits.yaml: {name}", splits)

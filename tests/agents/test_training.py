@@ -60,7 +60,7 @@ def test_the_training_files_are_valid(name):
         ("dict(net_arch", "exec(net_arch", "policy_kwargs"),
         ("nn.Tanh", "nn.Softmax", "activation_fn nn.Softmax is unknown"),
         ("MlpPolicy", "CnnPolicy", "only 'MlpPolicy'"),
-        ("training:", "training: [", "is no YAML"),
+        ("training:", "training: [", "not YAML"),
         ("plant: paper_dead_zone", "plat: paper", "env_kwargs"),
         ("mismatch: train", "mismatch: trian", "trian"),
     ],

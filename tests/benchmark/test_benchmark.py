@@ -373,7 +373,7 @@ def test_third_party_controllers(tmp_path):
         ({"splits": ["test_interpp"]}, "did you mean 'test_interp'"),
         ({"scenarios": ["setpoint_step"]}, "did you mean 'setpoint_steps'"),
         ({"suite": "fulll"}, "did you mean 'full'"),
-        ({"suite": "nowhere.yaml"}, "no such suite file"),
+        ({"suite": "nowhere.yaml"}, "no such file"),
         ({"cases": 0}, "at least 1"),
         ({"jobs": 0}, "jobs"),
         ({"plant": "papr"}, "papr"),

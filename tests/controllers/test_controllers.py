@@ -348,7 +348,7 @@ def test_nothing_is_tuned_on_a_test_split(tmp_path):
 def test_unknown_names_are_answered_with_the_nearest():
     with pytest.raises(InputError, match="did you mean 'pid_tuned'"):
         make_controller("pid_tunde")
-    with pytest.raises(InputError, match="no such gains file"):
+    with pytest.raises(InputError, match="no such file"):
         make_controller("nothing_here.json")
     with pytest.raises(InputError, match="cannot be imported"):
         make_controller("no_such_module_at_all:Thing")

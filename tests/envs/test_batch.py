@@ -200,7 +200,7 @@ def test_options():
             batch.reset(options=options)
     with pytest.raises(InputError, match="seeds"):
         batch.reset(seed=[1, 2])
-    with pytest.raises(InputError, match="negative"):
+    with pytest.raises(InputError, match="a seed is -2, expected a whole number from 0"):
         batch.reset(seed=[1, -2, 3])
 
 

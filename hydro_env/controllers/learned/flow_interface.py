@@ -18,7 +18,7 @@ from hydro_env.controllers.estimation.nominal import SPOOL_RATE
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings, Refinement
 from hydro_env.controllers.settings import TUNED, as_table, from_table, setting
 from hydro_env.envs.observation import Measurements
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, shown
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
@@ -83,7 +83,7 @@ class FlowInterface:
         """From `{"law": {...}, "outputs": {...}}`, both of which may be left out. InputError for anything else."""
         for key in table:
             if key not in ("law", "outputs"):
-                raise InputError(f"{key!r} is unknown; known for kind 'flow' are law, outputs")
+                raise InputError(f"{shown(key)} is unknown; known for kind 'flow' are law, outputs")
         law = from_table(FlowSettings, table.get("law", {}), "law: ")
         return cls(law, from_table(OutputSettings, table.get("outputs", {}), "outputs: "))
 

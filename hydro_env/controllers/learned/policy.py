@@ -8,7 +8,8 @@ inputs and its outputs become commands, see `learned.policy_interface`) and, for
 
 from __future__ import annotations
 
-import json
+import io
+import math
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,13 +20,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.learned.policy_interface import PolicyInterface, make_interface
-from hydro_env.errors import InputError, suggestion
+from hydro_env.errors import InputError, shown, suggestion
+from hydro_env.reading import parse_json
 
 __all__ = ["SCHEMA", "Network", "NumpyPolicy", "read_policy"]
 
 SCHEMA = "hydro_env/policy/2"
 
 Floats = NDArray[np.floating[Any]]
+
+MOST_BYTES = 2**26
+"""Size of all arrays of a policy file together; a network of some hundred units has less than 1 MiB."""
+MOST_LAYERS, MOST_UNITS, MOST_WEIGHT = 32, 4096, 1e6
+"""Layers of a network, units of a layer (every rig of a batch keeps the values of a layer), and size of a weight, with which
+sums stay finite in single precision."""
 
 ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
     "tanh": np.tanh,
@@ -87,35 +95,69 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
     if not path.is_file():
         raise InputError(f"{path}: no such policy file")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, KeyError):
+        arrays = _arrays(path)
+    except (
+        Exception
+    ) as problem:  # the readers of zip, deflate and npy each have their own errors for what is damaged
+        reason = f"{type(problem).__name__}: {problem}"
         raise InputError(
-            f"{path}: is no policy file, it should be an npz of plain arrays (agents.export)"
+            f"{path}: is no policy file, it should be an npz of plain arrays (agents.export); {reason}"
         ) from None
     if "metadata" not in arrays:
         raise InputError(f"{path}: has no 'metadata'; a policy file is written by agents.export")
-    try:
-        metadata = json.loads(str(arrays.pop("metadata")))
-    except json.JSONDecodeError:
-        raise InputError(f"{path}: 'metadata' is not JSON") from None
+    text = arrays.pop("metadata")
+    if text.shape != () or text.dtype.kind != "U":
+        raise InputError(f"{path}: 'metadata' is an array {text.shape} of {text.dtype}, expected one text")
+    metadata = parse_json(str(text), f"{path}: 'metadata'")
     if not isinstance(metadata, dict) or metadata.get("schema") != SCHEMA:
         raise InputError(f"{path}: 'metadata' should say schema {SCHEMA!r}")
     for key, known in (("activation", ACTIVATIONS), ("squash", SQUASHES)):
-        if metadata.get(key) not in known:
-            raise InputError(
-                f"{path}: {key} {metadata.get(key)!r} is unknown: {suggestion(metadata.get(key), known)}"
-            )
+        named = metadata.get(key)
+        if not isinstance(named, str) or named not in known:
+            raise InputError(f"{path}: {key} {shown(named)} is unknown: {suggestion(named, known)}")
     layers = _layers(path, arrays)
     return Network(layers, metadata["activation"], metadata["squash"]), metadata
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of an npz by name. Any error for a damaged file, one with pickled objects or too large a one: no more than
+    `MOST_BYTES` are unpacked, whatever the file says of itself, and no array is made larger than what was unpacked.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    left = MOST_BYTES
+    with zipfile.ZipFile(path) as archive:
+        for entry in archive.infolist():
+            name = entry.filename.removesuffix(".npy")
+            if name in arrays:
+                raise ValueError(f"{shown(name)} is there twice")
+            with archive.open(entry) as file:
+                data = file.read(left + 1)
+            left -= len(data)
+            if left < 0:
+                raise ValueError(f"it holds more than {MOST_BYTES / 2**20:g} MiB")
+            arrays[name] = _array(data)
+    return arrays
+
+
+def _array(data: bytes) -> NDArray[Any]:
+    """The array of an npy file that has just as many bytes as its header asks for."""
+    file = io.BytesIO(data)
+    version = np.lib.format.read_magic(file)
+    header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    shape, by_columns, dtype = header[version](file)
+    rest = data[file.tell() :]
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(rest):
+        raise ValueError(f"an array {shown(shape)} of {shown(dtype)} does not fit its {len(rest)} bytes")
+    return np.ndarray(shape, dtype, rest, order="F" if by_columns else "C")
 
 
 def _layers(path: Path, arrays: dict[str, NDArray[Any]]) -> list[tuple[Floats, Floats]]:
     count = len(arrays) // 2
     wanted = {f"{kind}{n}" for n in range(count) for kind in "wb"}
-    if not count or set(arrays) != wanted:
+    if not 0 < count <= MOST_LAYERS or set(arrays) != wanted:
         raise InputError(
-            f"{path}: holds {', '.join(sorted(arrays)) or 'no weights'}; it should hold w0, b0, w1, b1, ..."
+            f"{path}: holds {', '.join(sorted(arrays)) or 'no weights'}; it should hold w0, b0, w1, b1, ... of at most"
+            f" {MOST_LAYERS} layers"
         )
     layers: list[tuple[Floats, Floats]] = []
     width: int | None = None
@@ -123,16 +165,20 @@ def _layers(path: Path, arrays: dict[str, NDArray[Any]]) -> list[tuple[Floats, F
         weight, bias = arrays[f"w{n}"], arrays[f"b{n}"]
         if weight.dtype.kind != "f" or bias.dtype.kind != "f":
             raise InputError(f"{path}: w{n} and b{n} should hold floating-point numbers")
-        if weight.ndim != 2 or bias.shape != weight.shape[:1]:
+        if weight.ndim != 2 or bias.shape != weight.shape[:1] or not min(weight.shape) >= 1:
             raise InputError(
                 f"{path}: w{n} {weight.shape} and b{n} {bias.shape} do not fit: (out, in) and (out,)"
             )
+        if max(weight.shape) > MOST_UNITS:
+            raise InputError(f"{path}: w{n} {weight.shape}: a layer has at most {MOST_UNITS} units")
         if width is not None and weight.shape[1] != width:
             raise InputError(
                 f"{path}: w{n} takes {weight.shape[1]} inputs, the layer before has {width} outputs"
             )
-        if not (np.all(np.isfinite(weight)) and np.all(np.isfinite(bias))):
-            raise InputError(f"{path}: w{n} or b{n} holds a value that is not finite")
+        if not max(np.abs(weight).max(), np.abs(bias).max()) <= MOST_WEIGHT:
+            raise InputError(
+                f"{path}: w{n} or b{n} holds a value that is not finite, or beyond {MOST_WEIGHT:g}"
+            )
         width = weight.shape[0]
         layers.append((weight, bias))
     return layers

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, shown
 
 __all__ = ["FramesInterface", "PolicyInterface", "make_interface"]
 
@@ -62,12 +62,12 @@ def make_interface(table: Any) -> PolicyInterface:
     if kind == "flow":
         return FlowInterface.from_table(given)
     if kind != "frames":
-        raise InputError(f"kind {kind!r} is unknown; there are flow, frames")
+        raise InputError(f"kind {shown(kind)} is unknown; there are flow, frames")
     for key, value in given.items():
         if key not in ("frames", "width"):
-            raise InputError(f"{key!r} is unknown; known for kind 'frames' are frames, width")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 1 <= value < 1e3:
-            raise InputError(f"{key} {value!r} should be a whole number of at least 1")
+            raise InputError(f"{shown(key)} is unknown; known for kind 'frames' are frames, width")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 1 <= value < 1e3 or value % 1:
+            raise InputError(f"{key} {shown(value)} should be a whole number from 1 to 999")
     return FramesInterface(**given)
 
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, shown
 from hydro_env.files import write_json
+from hydro_env.reading import read_json
 
 __all__ = ["SCHEMA", "GainsFile", "read_gains", "write_gains"]
 
@@ -44,12 +44,7 @@ class GainsFile:
 def read_gains(path: str | Path) -> GainsFile:
     """Reads a gains file; InputError names what is wrong with it."""
     path = Path(path)
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such gains file") from None
-    except (json.JSONDecodeError, UnicodeDecodeError, OSError) as problem:
-        raise InputError(f"{path}: not a gains file in JSON ({problem})") from None
+    data = read_json(path, "a gains file in JSON")
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         raise InputError(f'{path}: key "schema" must be "{SCHEMA}"')
     if not isinstance(data.get("controller"), str) or not isinstance(data.get("gains"), dict):
@@ -60,12 +55,24 @@ def read_gains(path: str | Path) -> GainsFile:
         raise InputError(f'{path}: key "periods" must be a table from control periods in s to gains')
     for period, entry in periods.items():
         if not _is_period(period):
-            raise InputError(f'{path}: periods: "{period}" must be a control period in s, such as "0.005"')
+            raise InputError(
+                f'{path}: periods: {shown(period)} must be a control period in s, such as "0.005"'
+            )
         if not isinstance(entry, dict) or not isinstance(entry.get("gains"), dict):
             raise InputError(f'{path}: periods: "{period}" needs a table "gains"')
         _check(path, entry["gains"], f'periods: "{period}": ')
-    if not isinstance(data.get("plant", ""), str):
-        raise InputError(f'{path}: key "plant" must be the name of a preset or of a model file')
+    for key, what in (
+        ("plant", "the name of a preset or of a model file"),
+        ("name", "the controller's name"),
+    ):
+        if not isinstance(data.get(key, ""), str):
+            raise InputError(f'{path}: key "{key}" must be {what}')
+    for key in ("units", "tuning"):
+        if not isinstance(data.get(key, {}), dict):
+            raise InputError(f'{path}: key "{key}" must be a table')
+    period = data.get("tuning", {}).get("control_period_s", 0.01)
+    if isinstance(period, bool) or not isinstance(period, int | float) or not _is_period(period):
+        raise InputError(f'{path}: tuning: "control_period_s" must be a control period in s, such as 0.01')
     known = {each.name: data[each.name] for each in fields(GainsFile) if each.name in data}
     return GainsFile(**known)
 
@@ -74,18 +81,18 @@ def _check(path: Path, gains: dict[str, Any], where: str) -> None:
     for key, value in gains.items():
         try:
             numbers = np.asarray(value, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             numbers = np.asarray(np.nan)
         if numbers.shape not in ((), (2,)) or not np.all(np.isfinite(numbers)):
             raise InputError(
-                f'{path}: {where}gain "{key}" must be a number or a list of two (one per channel), not {value!r}'
+                f'{path}: {where}gain "{key}" must be a number or a list of two (one per channel), not {shown(value)}'
             )
 
 
-def _is_period(text: str) -> bool:
+def _is_period(text: str | float) -> bool:
     try:
         return 0.0 < float(text) < 10.0
-    except ValueError:
+    except (ValueError, OverflowError):
         return False
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import tempfile
 import time
@@ -21,6 +20,7 @@ from ...files import write_json
 from ...plant import CATALOGUE, PlantModel, simulate
 from ...plant.sensors import NOISE
 from ...practice.generate import Practice, make_practice
+from ...reading import MOST_BYTES_OF_RESULTS, read_json
 from ...units import BAR, RPM
 from .cases import GROUPS, Case
 from .judging import covered, hidden_in, judge
@@ -132,7 +132,7 @@ def run_case(case: Case, how: Running = Running()) -> dict[str, Any]:
     """Hides, diagnoses and judges; one row of trials.json."""
     with _folder(case, how.logs) as folder:
         practice_logs(case, folder, how)
-        truth, form = (json.loads((folder / name).read_text()) for name in ("truth.json", "form.json"))
+        truth, form = (read_json(folder / name, "a practice rig") for name in ("truth.json", "form.json"))
         files = [folder / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
         without = [h["name"] for h in truth["effects"]] if case.unlisted else []
         if not case.twins:
@@ -172,9 +172,14 @@ def _sizes(truth: Mapping[str, Any]) -> dict[str, float]:
 def rows_of(folder: Path) -> list[dict[str, Any]]:
     """All rows that the slices of a run have left in a folder, in the order of groups and seeds; a trial that two of them ran
     counts once."""
-    rows = [r for path in sorted(folder.glob("trials*.json")) for r in json.loads(path.read_text())["rows"]]
+    rows = [r for path in sorted(folder.glob("trials*.json")) for r in _rows(path)]
     once = {(r["group"], r["seed"]): r for r in reversed(rows)}
     return sorted(once.values(), key=lambda r: (list(GROUPS).index(r["group"]), r["seed"]))
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = read_json(path, "the trials of a run", most=MOST_BYTES_OF_RESULTS)["rows"]
+    return rows
 
 
 def run_trials(
@@ -187,7 +192,7 @@ def run_trials(
     """
     out.mkdir(parents=True, exist_ok=True)
     path = out / name
-    own: list[dict[str, Any]] = json.loads(path.read_text())["rows"] if path.exists() else []
+    own = _rows(path) if path.exists() else []
     end = time.monotonic() + 60.0 * minutes
     for case in wanted:
         if any((r["group"], tuple(r["hidden"]), r["seed"]) == _key(case) for r in rows_of(out)):

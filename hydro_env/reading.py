@@ -1,0 +1,216 @@
+"""Reading YAML and JSON: every such file of the project is read here, and nothing else parses either.
+
+What is read comes from strangers, too. So it is plain data (tables with text keys, lists, text, numbers, truth values, null)
+of a bounded size, depth and number of values, and whatever is wrong is one `InputError` that names file and line:
+
+* the file is UTF-8 text, with or without a byte order mark;
+* a key is text and stands once in its table;
+* text can be written again: no NUL, no half of a surrogate pair;
+* whole numbers have at most `DIGITS` digits;
+* in YAML, what looks like a date or like 1:30 is text, an alias costs what it stands for, `<<` merges nothing, and there
+  are no tags beyond those of plain data. Python's recursion limit and the alias limit guard against "billion laughs".
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hydro_env.errors import InputError, shown
+
+__all__ = ["MOST_BYTES_OF_RESULTS", "parse_json", "parse_yaml", "read_json", "read_text", "read_yaml"]
+
+MOST_BYTES = 2**20
+"""Size of a file that is written by hand; the largest of the package has 10 kB. PyYAML takes some seconds for as much."""
+MOST_BYTES_OF_RESULTS = 2**28
+"""Size of a JSON file that a command wrote."""
+MOST_VALUES = 10**6
+"""Values in a file written by hand, each alias counted as what it stands for."""
+DEPTH = 40
+"""Tables and lists inside each other."""
+DIGITS = 40
+"""Of a whole number: enough for the 128 bits of a random stream's entropy."""
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+def read_text(path: str | Path, what: str, *, most: int = MOST_BYTES) -> str:
+    """The text of a UTF-8 file. InputError that says that `what` is expected ("a model in YAML") for anything else."""
+    try:
+        with Path(path).open("rb") as file:
+            data = file.read(most + 1)
+    except FileNotFoundError:
+        raise InputError(f"{path}: cannot be read (no such file); expected {what}") from None
+    except (OSError, ValueError) as problem:  # ValueError: a path with a NUL
+        reason = getattr(problem, "strerror", None) or problem
+        raise InputError(f"{path}: cannot be read ({reason}); expected {what}") from None
+    if len(data) > most:
+        raise InputError(f"{path}: larger than {most / 2**20:g} MiB; expected {what}")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        line = data.count(b"\n", 0, problem.start) + 1
+        raise InputError(
+            f"{path} line {line}: not a UTF-8 text file; expected {what}, saved with the encoding UTF-8"
+        ) from None
+
+
+def read_yaml(path: str | Path, what: str) -> Any:
+    """The content of a YAML file. InputError that names the file and `what` is expected."""
+    return parse_yaml(read_text(path, what), str(path))
+
+
+def read_json(path: str | Path, what: str, *, most: int = MOST_BYTES) -> Any:
+    """The content of a JSON file. InputError that names the file and `what` is expected."""
+    return parse_json(read_text(path, what, most=most), str(path), most_values=most)
+
+
+# --- YAML -------------------------------------------------------------------------------------------------------------
+_PLAIN = ("map", "seq", "str", "int", "float", "bool", "null")
+_TAG = "tag:yaml.org,2002:"
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML of plain data, without the silent traps of YAML 1.1."""
+
+    yaml_constructors = {  # noqa: RUF012 (PyYAML's way)
+        f"{_TAG}{kind}": yaml.SafeLoader.yaml_constructors[f"{_TAG}{kind}"] for kind in _PLAIN
+    }
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 (filled below)
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        if node.tag not in self.yaml_constructors:
+            tag = node.tag.replace(_TAG, "!!")
+            raise _problem(node, f"the tag {shown(tag)} is not known here; write plain text or numbers")
+        try:
+            return super().construct_object(node, deep)  # type: ignore[no-untyped-call]
+        except (ValueError, IndexError, KeyError):
+            kind = node.tag.replace(_TAG, "!!")
+            raise _problem(node, f"{shown(node.value)} is no {kind}, or is too long") from None
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        taken: set[str] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if isinstance(key, bool):
+                raise _problem(
+                    key_node,
+                    f"the key {key_node.value!r} is a truth value in YAML; in quotes it is a name",
+                )
+            if not isinstance(key, str):
+                raise _problem(key_node, f"the key {shown(key)} is no text; in quotes it is a name")
+            if key in taken:
+                raise _problem(key_node, f"the key {shown(key)} is given twice")
+            taken.add(key)
+        return super().construct_mapping(node, deep)
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Merges no other table into this one: merges of merges grow without end."""
+
+
+# What a plain scalar may be. Left out: dates, numbers to the base 60, merges and "=".
+_RESOLVED = {
+    "bool": (r"yes|Yes|YES|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF", "yYnNtTfFoO"),
+    "float": (
+        r"[-+]?(?:[0-9][0-9_]*)\.[0-9_]*(?:[eE][-+][0-9]+)?|[-+]?\.[0-9][0-9_]*(?:[eE][-+][0-9]+)?"
+        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
+        "-+0123456789.",
+    ),
+    "int": (r"[-+]?(?:0|[1-9][0-9_]*)", "-+0123456789"),
+    "null": (r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+}
+for _kind, (_pattern, _first) in _RESOLVED.items():
+    _Loader.add_implicit_resolver(f"{_TAG}{_kind}", re.compile(rf"(?:{_pattern})\Z"), list(_first))
+
+
+def _problem(node: yaml.Node, text: str) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=text, problem_mark=node.start_mark)
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """The content of a YAML text. InputError, naming `where` and the line, for what is none; see the module."""
+    try:
+        data = yaml.load(text, _Loader)
+    except yaml.reader.ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        raise InputError(
+            f"{where} line {line}: not YAML: it holds the character {shown(chr(error.character))}"
+        ) from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line_of = f" line {mark.line + 1}" if mark is not None else ""
+        raise InputError(f"{where}{line_of}: not YAML: {getattr(error, 'problem', None) or error}") from None
+    except RecursionError:
+        raise _too_deep(where) from None
+    _check(data, where, MOST_VALUES)
+    return data
+
+
+# --- JSON -------------------------------------------------------------------------------------------------------------
+def parse_json(text: str, where: str, *, most_values: int = MOST_VALUES) -> Any:
+    """The content of a JSON text. InputError, naming `where`, for what is none; see the module."""
+    try:
+        data = json.loads(text, object_pairs_hook=_table, parse_constant=_refused, parse_int=_whole)
+    except json.JSONDecodeError as error:
+        raise InputError(f"{where} line {error.lineno}: not JSON: {error.msg}") from None
+    except ValueError as error:
+        raise InputError(f"{where}: {error}") from None
+    except RecursionError:
+        raise _too_deep(where) from None
+    _check(data, where, most_values)
+    return data
+
+
+def _table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in table:
+            raise ValueError(f"the key {shown(key)} is given twice")
+        table[key] = value
+    return table
+
+
+def _refused(constant: str) -> Any:
+    raise ValueError(f"not JSON: {constant} is no number of JSON")
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > DIGITS + 1:
+        raise ValueError(f"the whole number {digits[:20]}... has more than {DIGITS} digits")
+    return int(digits)
+
+
+# --- both -------------------------------------------------------------------------------------------------------------
+def _too_deep(where: str) -> InputError:
+    return InputError(f"{where}: nested too deep; at most {DEPTH} tables and lists stand inside each other")
+
+
+def _check(data: Any, where: str, most: int) -> None:
+    """InputError for data too deep, too many, or of which a text or number cannot be used. Aliases are followed each time."""
+    waiting, count = [(data, 0)], 0
+    while waiting:
+        value, depth = waiting.pop()
+        count += 1
+        if count > most:
+            raise InputError(f"{where}: more than {most} values, an alias counted as what it stands for")
+        if isinstance(value, dict | list):
+            if depth == DEPTH:
+                raise _too_deep(where)
+            inner = value if isinstance(value, list) else [*value, *value.values()]
+            waiting += [(each, depth + 1) for each in inner]
+        elif isinstance(value, str):
+            if "\0" in value or (not value.isascii() and _unwritable(value)):
+                raise InputError(f"{where}: the text {shown(value)} holds a character that cannot be written")
+        elif isinstance(value, int) and abs(value) >= 10**DIGITS:
+            raise InputError(f"{where}: the whole number {shown(value)} has more than {DIGITS} digits")
+
+
+def _unwritable(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return True
+    return False
