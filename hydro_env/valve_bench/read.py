@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import re
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,6 +27,8 @@ __all__ = ["Columns", "read_curve"]
 QUANTITIES = {"current": "A", "voltage": "V", "fraction": "1", "length": "m"}
 #: Most rows of a file that may lack a number.
 HOLES = 0.5
+#: Letters of a file that are looked through for the way its numbers are written, and of a row.
+HEAD, MOST_LETTERS = 2**18, 2**16
 
 
 @dataclass(frozen=True)
@@ -222,11 +225,16 @@ def _unit(
 
 
 def _has_suffixes(path: Path) -> bool:
-    """Whether numbers in the first lines are written with suffixes such as 25.1m."""
+    """Whether numbers in the first lines are written with suffixes such as 25.1m. InputError for a line that is too long."""
     opener = gzip.open if path.suffix == ".gz" else open
     try:
         with opener(path, "rt", errors="replace") as file:  # type: ignore[operator]
-            head = [line for _, line in zip(range(2000), file, strict=False)]
-    except (OSError, EOFError):
+            head = file.read(HEAD).splitlines()
+    except (OSError, EOFError, zlib.error):
         return False  # said properly by the reader
-    return any(re.search(r"(?:^|[\s,;])[-+]?\d+\.?\d*[munkM](?:$|[\s,;])", line) for line in head)
+    for number, line in enumerate(head, 1):
+        if len(line) > MOST_LETTERS:
+            raise InputError(
+                f"{path}: row {number} has more than {MOST_LETTERS} letters; a curve has a few numbers in a row"
+            )
+    return any(re.search(r"(?:^|[\s,;])[-+]?\d+(?:\.\d*)?[munkM](?:$|[\s,;])", line) for line in head)
