@@ -560,7 +560,7 @@ def test_measured_curve_on_the_command_line(tmp_path: Path) -> None:
         (["paper", "--controllers", "pdi_paper"], ["pdi_paper"]),
         (["paper", "--signal", "pressure"], ["pressure", "current or command"]),
         (["paper", "--seconds", "5,x"], ["--seconds"]),
-        (["paper", "--seconds", "0.01"], ["too short"]),
+        (["paper", "--seconds", "0.01"], ["from 0.5 to 3600 s"]),
         (["paper", "--sweep-period", "5,20"], ["--sweep-period"]),
     ],
 )
