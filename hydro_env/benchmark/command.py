@@ -24,8 +24,10 @@ from hydro_env.benchmark.report import scores_page, scores_table
 from hydro_env.benchmark.statistics import Summary, gap_closed, probability_of_improvement, summarise
 from hydro_env.benchmark.suite import Suite, check_suite, load_suite
 from hydro_env.controllers.base import Floats
-from hydro_env.controllers.registry import CONTROLLERS, make_controller
+from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
 from hydro_env.controllers.rollout import roll_out
+from hydro_env.controllers.tuning.gains import read_gains
+from hydro_env.controllers.user_files import controllers_in
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError, place_of, shown
 from hydro_env.files import output_folder, write_json, write_text
@@ -69,6 +71,8 @@ class Cell:
     plant: str | None = None
     traces: dict[str, Any] = field(default_factory=dict)
     failure: str | None = None
+    trust: bool = False
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -138,18 +142,20 @@ def run(
     jobs: int = 1,
     cells_folder: str | Path | None = None,
     progress: bool = True,
+    trust: bool = False,
 ) -> dict[str, Any]:
     """Scores controllers and writes `out/scores.json` and `out/scores.html`.
 
     Args:
         out: folder to write to, made if need be; None writes nothing.
-        controllers: names of `CONTROLLERS`, gains or policy files, `module:Class`, `file.py:Class` or
-            objects with `reset` and `act`; "all" stands for all that ship. By default those.
+        controllers: what `make_controller` takes; `file.py` stands for all controllers in it, "all" for all that ship. By
+            default those.
         selection: what they drive; the full suite by default.
         conditions: on what.
         engine, jobs: where the cells run, see `hydro_env.parallel`; makes no difference to the scores.
         cells_folder: keeps finished cells, and gives back those that are still the same.
         progress: whether to show a progress bar.
+        trust: whether agents of Stable-Baselines3 (.zip) may be loaded, which runs code from the file.
 
     Returns what scores.json holds. InputError for a name that does not exist.
     """
@@ -157,7 +163,7 @@ def run(
     chosen = (selection or Selection()).load(conditions.plant)
     check_engine(engine, jobs)
     conditions.check(chosen)
-    cells = list(_cells(_specs(controllers or ["all"]), chosen))
+    cells = list(_cells(_specs(controllers or ["all"]), chosen, trust))
     with nullcontext() if out is None else output_folder(out) as folder:
         done = run_tasks(
             cells,
@@ -181,21 +187,27 @@ def run(
 
 
 def _specs(controllers: Sequence[Any]) -> list[Any]:
-    """The controllers with "all" spelt out, less those for another plant; one that is also named by itself comes once."""
+    """The controllers with "all" and files spelt out, less those for another plant; one that is also named by itself comes
+    once."""
     own = [entry for entry in CONTROLLERS.values() if entry.available and not entry.apart]
+    controllers = [
+        each
+        for spec in controllers
+        for each in (controllers_in(str(spec)) if str(spec).endswith(".py") else [spec])
+    ]
     if not any(isinstance(spec, str) and spec == "all" for spec in controllers):
-        return list(controllers)
+        return controllers
     names = [entry.name for entry in own]
     return names + [spec for spec in controllers if not isinstance(spec, str) or spec not in ("all", *names)]
 
 
-def _cells(specs: Sequence[Any], suite: Suite) -> Iterator[Cell]:
+def _cells(specs: Sequence[Any], suite: Suite, trust: bool) -> Iterator[Cell]:
     """Every controller on every split and scenario; a controller given twice or under a taken name is
     numbered.
     """
     taken: set[str] = set()
     for spec in specs:
-        made = make_controller(spec)
+        made = make_controller(spec, trust=trust)
         first = name = _text(spec, "name", getattr(made, "name", type(made).__name__))
         while name in taken:
             name = f"{first}_{len(taken)}"
@@ -207,7 +219,7 @@ def _cells(specs: Sequence[Any], suite: Suite) -> Iterator[Cell]:
             _text(spec, "plant", plant)
         for split, cases in suite.splits.items():
             for scenario in suite.scenarios:
-                yield Cell(portable, name, split, scenario, cases, needs=needs, plant=plant)
+                yield Cell(portable, name, split, scenario, cases, needs=needs, plant=plant, trust=trust)
 
 
 def _text(spec: Any, key: str, value: Any) -> str:
@@ -236,11 +248,13 @@ def _content(spec: Any) -> str:
         return repr(spec.to_dict())
     if not isinstance(spec, str | Path):
         raise TypeError("an object says nothing of the code behind it")
-    source = str(spec).rpartition(":")[0]
+    source = split_gains(str(spec))[0].rpartition(":")[0]
     if source and not source.endswith(".py"):
         module = importlib.util.find_spec(source)
         source = "" if module is None or module.origin is None else module.origin
     path = Path(source or spec)
+    if path.suffix == ".json" and ":" in (law := read_gains(path).controller):
+        spec = f"{spec} {_content(law)}"
     return f"{spec} {hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ''}"
 
 
@@ -258,7 +272,7 @@ def _run_cell(cell: Cell, conditions: Conditions) -> Cell | Failure:
 
 def _driven(cell: Cell, conditions: Conditions) -> Cell:
     """The cell with its scores. Nothing that a controller keeps from one cell reaches another: each has one of its own."""
-    controller = make_controller(copy.deepcopy(cell.controller))
+    controller = make_controller(copy.deepcopy(cell.controller), trust=cell.trust)
     own = getattr(controller, "plant", None)
     done = roll_out(
         controller,
@@ -273,7 +287,12 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
     for name, values in metrics.items():
         if not np.all(np.isfinite(values)):
             raise ValueError(f"{name} of case {int(np.argmin(np.isfinite(values)))} is not finite")
-    return replace(cell, metrics=metrics, strata=done.faults, traces=_kept(done.trace, metrics[TRACE_METRIC]))
+    note = ""
+    if done.typical_command > 1.0:
+        note = f"half of its commands are beyond {done.typical_command:.3g}, and 1 was applied instead: a command is a fraction"
+        note += " of the rated one, not a voltage"
+    traces = _kept(done.trace, metrics[TRACE_METRIC])
+    return replace(cell, metrics=metrics, strata=done.faults, traces=traces, note=note)
 
 
 def _kept(trace: Trace, difference: Floats) -> dict[str, Any]:
@@ -339,6 +358,11 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
             {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, "reason": cell.failure}
             for cell in cells
             if cell.failure is not None
+        ],
+        "notes": [
+            {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, "note": cell.note}
+            for cell in cells
+            if cell.note
         ],
         "improvement": _improvement(cells, suite, baseline),
         "gap_closed": _gaps_closed(summaries, baseline),
@@ -406,4 +430,5 @@ def _traces(cells: list[Cell], control_period: float) -> dict[str, Any] | None:
 
 def report(scores: dict[str, Any]) -> str:
     """What the command prints."""
-    return f"{scores['about']}\n\n{scores_table(scores)}"
+    notes = {each["controller"]: f"\nnote: {each['controller']}: {each['note']}" for each in scores["notes"]}
+    return f"{scores['about']}\n\n{scores_table(scores)}{''.join(notes.values())}"

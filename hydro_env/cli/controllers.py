@@ -7,13 +7,15 @@ from typing import Annotated
 import typer
 
 from hydro_env.cli.options import Cells, ControlPeriod, Engine, Jobs, Out, Plant, Seed, number, writing
+from hydro_env.errors import InputError
 from hydro_env.limits import Limits
 
 TunedController = Annotated[
     str,
     typer.Option(
         "--controller",
-        help="Control law whose gains are tuned; `all`: every shipped controller, with the same budget each.",
+        help="Control law whose gains are tuned, or file.py:Class with gains declared in the class; `all`: every shipped "
+        "controller, with the same budget each.",
     ),
 ]
 Split = Annotated[
@@ -96,8 +98,9 @@ def benchmark(
         list[str] | None,
         typer.Argument(
             metavar="[CONTROLLER]...",
-            help="Names, gains files (.json), policies (.npz), module:Class or file.py:Class; all (default): every "
-            "shipped controller.",
+            help="Names, gains files (.json), policies (.npz), agents of Stable-Baselines3 (.zip, with --trust), file.py:Class "
+            "(file.py: all in it) or module:Class, each with gains if wanted (NAME:Kp=0.2,Ki=1); all (default): every shipped "
+            "controller.",
         ),
     ] = None,
     more: Annotated[
@@ -119,6 +122,9 @@ def benchmark(
             within=Limits(1e-3, 1e6, unit="s"), help="Time limit of a controller for one split and scenario."
         ),
     ] = 600.0,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Load agents from .zip files; they are pickles and can run code.")
+    ] = False,
     engine: Engine = "local",
     jobs: Jobs = 1,
     cells: Cells = None,
@@ -138,5 +144,9 @@ def benchmark(
             engine=engine,
             jobs=jobs,
             cells_folder=cells,
+            trust=trust,
         )
+        if not scores["rows"]:
+            first = scores["failed"][0]
+            raise InputError(f"every controller failed; {first['controller']}: {first['reason']}")
         print(command.report(scores))

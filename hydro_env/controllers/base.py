@@ -87,6 +87,8 @@ class Controller:
     plant: str | None = None
     limits: tuple[Floats, Floats]
     """Least and largest command of this sample, each (num_rigs, 2), while `command` works."""
+    asked: Floats
+    """What `command` returned for this sample, (num_rigs, 2), before it was limited."""
     sent: Floats
     """The command in force, (num_rigs, 2)."""
 
@@ -148,7 +150,8 @@ class Controller:
         most = self.gains.get("slew", inf) * FRACTION_PER_V * self.period
         last = self.__asked[-1]
         self.limits = np.maximum(last - most, -1.0), np.minimum(last + most, 1.0)
-        self.__asked = [*self.__asked[1:], np.clip(self.command(measured), *self.limits)]
+        self.asked = self.command(measured)
+        self.__asked = [*self.__asked[1:], np.clip(self.asked, *self.limits)]
         share = self.gains.get("shape", 0.0)
         ends, middle = self.__asked[0] + self.__asked[-1], self.__asked[self.__spacing]
         smooth = self.__outer * ends + (1.0 - 2.0 * self.__outer) * middle

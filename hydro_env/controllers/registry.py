@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from hydro_env.controllers.base import Controller
@@ -24,9 +20,10 @@ from hydro_env.controllers.classical.pid import TABLE_III, PidController, Ramped
 from hydro_env.controllers.mpc.flow_control import AdaptiveFlow, BenchFlow, ProbingFlow
 from hydro_env.controllers.mpc.oracle import Oracle
 from hydro_env.controllers.tuning.gains import read_gains
-from hydro_env.errors import InputError, suggestion
+from hydro_env.controllers.user_files import checked, controllers_in, loaded
+from hydro_env.errors import InputError, place_of, suggestion
 
-__all__ = ["CONTROLLERS", "LAWS", "Entry", "make_controller"]
+__all__ = ["CONTROLLERS", "LAWS", "Entry", "law_of", "make_controller", "split_gains"]
 
 HERE = Path(__file__).parent
 
@@ -100,67 +97,102 @@ CONTROLLERS: dict[str, Entry] = {
 """The controllers that ship with the package, in the order of the leaderboard."""
 
 
-def make_controller(spec: Any, **overrides: Any) -> Any:
-    """A controller from a name of `CONTROLLERS` (`NAME:gain=1.5,other=2` changes gains of it), a gains file (.json), a policy
-    file (.npz), `module:Class`, `path/to/file.py:Class`, a class or a ready object.
+def make_controller(spec: Any, *, trust: bool = False, **overrides: Any) -> Any:
+    """A controller from a name of `CONTROLLERS`, a gains file (.json), a policy file (.npz), an agent of Stable-Baselines3
+    (.zip), `path/to/file.py:Class`, `module:Class`, a class or a ready object. All that is text may end with gains, as in
+    `NAME:gain=1.5,other=2`; `file.py` will do for a file with one controller.
 
-    `overrides` replace single gains of a controller with gains, or are passed to a class. InputError says
-    which names there are, and which one was probably meant.
+    `overrides` replace single gains of a controller with gains, or are passed to a class. `trust`: whether a .zip, which is a
+    pickle, may be loaded. InputError says which names there are, and which one was probably meant.
     """
     if not isinstance(spec, str | Path):
-        return _checked(spec(**overrides) if isinstance(spec, type) else spec, repr(spec))
-    text = str(spec)
-    if text in CONTROLLERS:
-        entry = CONTROLLERS[text]
-        if not entry.available:
-            raise InputError(f"controller {text!r}: its file {entry.file} is not there")
-        controller = entry.build()
-    elif text.endswith(".json"):
-        controller = _from_gains(Path(text), Path(text).stem)
-    elif text.endswith(".npz"):
-        controller = _from_policy(Path(text), Path(text).stem)
-    elif text.partition(":")[0] in CONTROLLERS:
-        controller = make_controller(text.partition(":")[0], **_overrides(text))
-        controller.name = text
-    elif ":" in text:
-        return _from_python(text, overrides)
-    else:
-        if text.endswith(".py"):
-            raise InputError(f"controller {text!r}: name its class too, as in {text}:MyController")
-        others = "a .json gains file, a .npz policy, module:Class and file.py:Class will do too"
-        raise InputError(f"unknown controller {text!r}: {suggestion(text, CONTROLLERS)}; {others}")
+        return checked(spec(**overrides) if isinstance(spec, type) else spec, repr(spec))
+    text, changes = split_gains(str(spec))
+    controller, overrides = _unchanged(text, trust, changes | overrides)
     if overrides:
         if not isinstance(controller, Controller):
             raise InputError(f"controller {text!r}: has no gains that could be changed")
-        return controller.with_gains(**overrides)
+        controller = controller.with_gains(**overrides)
+    if changes:
+        controller.name = f"{controller.name}:{str(spec).rpartition(':')[2]}"
     return controller
 
 
-def _overrides(text: str) -> dict[str, float]:
+def split_gains(text: str) -> tuple[str, dict[str, float]]:
+    """`file.py:Class:Kp=0.2,Ki=1` as `file.py:Class` and the gains. InputError for what is neither a name nor a gain."""
+    head, _, tail = text.rpartition(":")
+    if not head or ("=" not in tail and head not in CONTROLLERS):
+        return text, {}
     try:
-        return {
-            key: float(value)
-            for key, value in (each.split("=") for each in text.partition(":")[2].split(","))
-        }
+        return head, {key: float(value) for key, value in (each.split("=") for each in tail.split(","))}
     except ValueError:
         raise InputError(
             f"controller {text!r}: after the colon GAIN=NUMBER is expected, several with commas"
         ) from None
 
 
+def law_of(name: str) -> type[Controller]:
+    """A control law by its name in `LAWS`, or `file.py:Class` or `module:Class` of a subclass of `Controller` that declares its
+    gains. InputError for anything else.
+    """
+    if name in LAWS:
+        return LAWS[name]
+    if ":" not in name:
+        raise InputError(
+            f"unknown control law {name!r}: {suggestion(name, LAWS)}; file.py:Class and module:Class will do too"
+        )
+    law = loaded(name)
+    if not (isinstance(law, type) and issubclass(law, Controller) and law.GAINS):
+        raise InputError(
+            f"{name}: has no gains to tune: a subclass of Controller that lists them in GAINS is right"
+        )
+    return law
+
+
+def _unchanged(text: str, trust: bool, gains: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+    """The controller before single gains of it are changed, and those of `gains` that it has not taken yet."""
+    if text in CONTROLLERS:
+        entry = CONTROLLERS[text]
+        if not entry.available:
+            raise InputError(f"controller {text!r}: its file {entry.file} is not there")
+        return entry.build(), gains
+    path = Path(text)
+    if text.endswith(".json"):
+        return _from_gains(path, path.stem), gains
+    if text.endswith(".npz"):
+        return _from_policy(path, path.stem), gains
+    if text.endswith(".zip"):
+        from hydro_env.controllers.learned.sb3_policy import Sb3Policy
+
+        return Sb3Policy(path, path.stem, trust), gains
+    if text.endswith(".py"):
+        text, *others = controllers_in(text)
+        if others:
+            names = ", ".join([text, *others])
+            raise InputError(f"controller {path}: has several, name one of them: {names}")
+    if ":" in text:
+        return _from_python(text, gains), {}
+    kinds = "a .json gains file, a .npz policy, a .zip of Stable-Baselines3, file.py:Class and module:Class will do too"
+    raise InputError(f"unknown controller {text!r}: {suggestion(text, CONTROLLERS)}; {kinds}")
+
+
 def _from_gains(path: Path, name: str) -> Controller:
     found = read_gains(path)
-    if found.controller not in LAWS:
-        raise InputError(
-            f"{path}: unknown control law {found.controller!r}: {suggestion(found.controller, LAWS)}"
-        )
     try:
-        controller = LAWS[found.controller](found.name or name, **found.gains)
+        law = law_of(_beside(path, found.controller))
+        controller = law(found.name or name, **found.gains)
         controller.for_periods(found.by_period())
         controller.plant = found.plant or None
         return controller
     except InputError as problem:
         raise InputError(f"{path}: {problem}") from None
+
+
+def _beside(path: Path, law: str) -> str:
+    """`file.py:Class` of a gains file; a file that is not in the working folder is looked for beside the gains."""
+    file, _, name = law.rpartition(":")
+    other = path.parent / Path(file).name
+    return f"{other}:{name}" if file.endswith(".py") and not Path(file).is_file() and other.is_file() else law
 
 
 def _from_policy(path: Path, name: str) -> Any:
@@ -172,47 +204,16 @@ def _from_policy(path: Path, name: str) -> Any:
 
 
 def _from_python(text: str, overrides: dict[str, Any]) -> Any:
-    where, _, attribute = text.rpartition(":")
-    module = _load_file(Path(where)) if where.endswith(".py") else _import(where)
-    made = getattr(module, attribute, None)
-    if made is None:
-        names = [name for name, value in vars(module).items() if isinstance(value, type)]
-        raise InputError(f"{where}: has no {attribute!r}: {suggestion(attribute, names)}")
+    made = loaded(text)
     try:
         controller = made(**overrides) if callable(made) else made
     except InputError:
         raise
     except Exception as problem:
-        raise InputError(f"{text}: could not be made: {type(problem).__name__}: {problem}") from problem
+        place = f" ({place_of(problem)})" if place_of(problem) else ""
+        raise InputError(
+            f"{text}: could not be made: {type(problem).__name__}: {problem}{place}"
+        ) from problem
     if not isinstance(getattr(controller, "name", None), str):
-        controller.name = attribute
-    return _checked(controller, text)
-
-
-def _import(where: str) -> ModuleType:
-    try:
-        return importlib.import_module(where)
-    except ImportError as problem:
-        raise InputError(f"{where}: cannot be imported ({problem})") from None
-
-
-def _load_file(path: Path) -> ModuleType:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    spec = importlib.util.spec_from_file_location(f"hydro_env_user_{path.stem}", path)
-    assert spec is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # so that what it defines can be pickled to worker processes
-    try:
-        # From the source itself: Python's cache takes a file of the same size that was written in the same second for the same.
-        exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
-    except Exception as problem:
-        raise InputError(f"{path}: {type(problem).__name__}: {problem}") from problem
-    return module
-
-
-def _checked(controller: Any, text: str) -> Any:
-    for method in ("reset", "act"):
-        if not callable(getattr(controller, method, None)):
-            raise InputError(f"{text}: is no controller, it has no method {method!r}")
-    return controller
+        controller.name = text.rpartition(":")[2]
+    return checked(controller, text)

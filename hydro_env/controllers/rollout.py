@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Controller, Floats
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.tasks import Trace, compute
 
@@ -21,10 +21,12 @@ __all__ = ["Episodes", "roll_out"]
 
 @dataclass(frozen=True)
 class Episodes:
-    """What happened: the true signals of every rig, and which fault each rig had ("" for none)."""
+    """What happened: the true signals of every rig, and which fault each rig had ("" for none). `typical_command` is the median
+    size of what the controller returned, before it was limited to [-1, 1]."""
 
     trace: Trace
     faults: tuple[str, ...]
+    typical_command: float
 
     def metrics(self, names: Iterable[str] | None = None) -> dict[str, Floats]:
         """Scores of every rig by metric, each (num_rigs,)."""
@@ -66,12 +68,16 @@ def roll_out(
     faults = tuple(str(fault) for fault in info["fault"])
     signals = {key: [np.array(info[key])] for key in ("setpoint_rpm", "speed_rpm", "angle_difference_deg")}
     commands: list[Floats] = []
+    sizes: list[NDArray[np.float32]] = []
     spent = 0.0
     done = np.zeros(len(seeds), dtype=bool)
     while not done.all():
         began = perf_counter()
-        action = _checked(controller.act(observation), len(seeds))
+        returned = _checked(controller.act(observation), len(seeds))
         spent += perf_counter() - began
+        action = np.clip(returned, -1.0, 1.0)
+        asked = controller.asked if isinstance(controller, Controller) else returned
+        sizes.append(np.abs(asked).astype(np.float32))
         if spent > limit:
             raise TimeoutError(
                 f"took more than {limit:g} s for {len(commands) + 1} steps of {len(seeds)} rigs"
@@ -88,11 +94,11 @@ def roll_out(
         command=np.array(commands),
         **{key: np.array(rows) for key, rows in signals.items()},
     )
-    return Episodes(trace, faults)
+    return Episodes(trace, faults, float(np.median(sizes)))
 
 
 def _checked(action: Any, num_rigs: int) -> Floats:
-    """The action as commands (num_rigs, 2) in [-1, 1]; ValueError if it is none."""
+    """The action as commands (num_rigs, 2), not limited yet; ValueError if it is none."""
     try:
         given = np.asarray(action)
     except ValueError:
@@ -107,7 +113,7 @@ def _checked(action: Any, num_rigs: int) -> Floats:
     finite = np.isfinite(command).all(axis=1)
     if not finite.all():
         raise ValueError(f"act returned a command that is not finite for case {int(np.argmin(finite))}")
-    return np.clip(command, -1.0, 1.0)
+    return command
 
 
 def _kind(action: Any, given: NDArray[Any]) -> str:

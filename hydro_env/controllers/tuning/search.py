@@ -13,7 +13,8 @@ candidates drive the same pairs with the same noise. Only the split `train` may 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
@@ -25,9 +26,9 @@ from scipy.optimize import differential_evolution
 from tqdm import tqdm
 
 from hydro_env.controllers.base import FRACTION_PER_V, Controller, Floats, Gain
-from hydro_env.controllers.registry import LAWS
+from hydro_env.controllers.registry import law_of
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.errors import InputError, suggestion
+from hydro_env.errors import InputError, place_of
 from hydro_env.plant import load_model, simulate
 from hydro_env.tasks import OWN, default_mismatch, load_scenario
 from hydro_env.units import RPM
@@ -52,7 +53,7 @@ rated command a second."""
 class Task:
     """The law, and what it is tuned for.
 
-    law: a key of `LAWS`. weight: rpm of tracking error that one rpm of the peak difference is worth. plant: preset or model
+    law: as for `law_of`. weight: rpm of tracking error that one rpm of the peak difference is worth. plant: preset or model
     file. mismatch: "train", or None ("own", "none") for the plant's own pair of valves; "auto": "own" for a plant file that sets
     what "train" draws. calm: whether the RMS of the difference and the
     variation of the command count in the cost. scenarios: count equally.
@@ -123,7 +124,7 @@ def search(wanted: Search, near: Mapping[str, float] | None = None) -> dict[str,
     InputError for a control law or split that may not be tuned on, or a budget below two generations.
     """
     task = _checked(wanted)
-    law, cases, seeds = LAWS[task.law], wanted.cases, range(wanted.seed, wanted.seed + wanted.cases)
+    law, cases, seeds = law_of(task.law), wanted.cases, range(wanted.seed, wanted.seed + wanted.cases)
     names = [gain.name for gain in law.GAINS]
     generation = cases * POPULATION * len(task.scenarios)
     generations = wanted.episodes // generation - 1
@@ -145,7 +146,7 @@ def search(wanted: Search, near: Mapping[str, float] | None = None) -> dict[str,
         total=(generations + 1) * generation, desc=f"{task.law} {wanted.period:g} s", unit="episode",
         disable=not wanted.progress,
     )  # fmt: skip
-    with bar:
+    with bar, _users_errors():
         found = differential_evolution(
             costs, bounds, init=first, maxiter=generations,
             rng=np.random.default_rng(wanted.seed), vectorized=True, updating="deferred", mutation=(0.4, 0.9),
@@ -162,11 +163,24 @@ def search(wanted: Search, near: Mapping[str, float] | None = None) -> dict[str,
     return {"gains": gains, "tuning": _account(wanted, task, generations, near is not None) | done}
 
 
+@contextmanager
+def _users_errors() -> Iterator[None]:
+    """Turns what a user's controller raises, which SciPy wraps, into an InputError with file and line."""
+    try:
+        yield
+    except Exception as problem:
+        first: BaseException = problem
+        while first.__context__ is not None:
+            first = first.__context__
+        if not (place := place_of(first)):
+            raise
+        raise InputError(f"{place}: {type(first).__name__}: {first}") from None
+
+
 def _checked(wanted: Search) -> Task:
     """The task with the names of its scenarios."""
     task = wanted.task
-    if task.law not in LAWS:
-        raise InputError(f"unknown control law {task.law!r}: {suggestion(task.law, LAWS)}")
+    law_of(task.law)
     if task.mismatch not in ("train", None):
         raise InputError(
             f"mismatch {task.mismatch!r}: gains are tuned on 'train' or on the plant's own pair, never on other splits"

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from hydro_env.controllers.base import Controller
-from hydro_env.controllers.registry import LAWS
+from hydro_env.controllers.registry import law_of
 from hydro_env.controllers.tuning.gains import GainsFile, read_gains, write_gains
 from hydro_env.controllers.tuning.search import Search, Task, costs_of, drive, search
 from hydro_env.errors import InputError, suggestion
@@ -82,7 +82,9 @@ def run(out: str | Path, wanted: Search, name: str | None = None) -> dict[str, A
     }
     words = " ".join(f"--{key} {shlex.quote(str(value))}" for key, value in options.items())
     tuning = {"command": f"hydro-env tune {words}"} | found["tuning"]
-    file = GainsFile(task.law, found["gains"], _units(LAWS[task.law]), tuning, name or task.law)
+    file = GainsFile(
+        task.law, found["gains"], _units(law_of(task.law)), tuning, name or task.law.rpartition(":")[2]
+    )
     with output_folder(out) as folder:
         write_gains(folder / "gains.json", file)
     return {"controller": task.law, "gains": file.gains, "units": file.units, "tuning": tuning}
@@ -123,7 +125,7 @@ def _tuned(name: str, out: Path, seed: int, progress: bool) -> GainsFile:
         own = best.pop(PERIOD)
         others = {f"{period:g}": each for period, each in best.items()}
         plant = task.plant if task.mismatch is None else ""
-        file = GainsFile(task.law, own["gains"], _units(LAWS[task.law]), own["tuning"], name, others, plant)
+        file = GainsFile(task.law, own["gains"], _units(law_of(task.law)), own["tuning"], name, others, plant)
         write_gains(folder / path.name, file)
     return file
 
@@ -141,7 +143,7 @@ def _by_period(
 
 def _cheaper(task: Task, seed: int, period: float, found: list[dict[str, Any]]) -> dict[str, Any]:
     """The one of several results of searches that costs least on the same `JUDGED` pairs, with what they all cost."""
-    law, pairs = LAWS[task.law], range(seed, seed + JUDGED)
+    law, pairs = law_of(task.law), range(seed, seed + JUDGED)
     costs = [float(costs_of(law(task.law, **each["gains"]), 1, task, pairs, period)[0]) for each in found]
     searches = [
         {key: each["tuning"][key] for key in ("cases", "trials", "episodes")}

@@ -1,0 +1,97 @@
+"""Agents as Stable-Baselines3 saves them (`model.save("my_ppo.zip")`), trained on the plain observation.
+
+Such a file holds pickled objects, and unpickling runs whatever code is in them. It is loaded only where the user says that its
+origin is trusted. Needs the extra `agents`.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.controllers.base import Floats
+from hydro_env.envs.observation import OBSERVATION
+from hydro_env.errors import InputError
+
+__all__ = ["Sb3Policy"]
+
+
+class Sb3Policy:
+    """Drives with the deterministic action of a saved agent; one that was trained with `history` gets its frames.
+
+    InputError for a file that is not trusted or not saved by Stable-Baselines3, and for an agent with other observations or
+    actions than those of `HydraulicSync-v0`.
+    """
+
+    def __init__(self, path: Path, name: str, trust: bool) -> None:
+        self.name = name
+        policy = _kind_of_policy(path)
+        if not trust:
+            raise InputError(
+                f"{path}: holds pickled objects, so that loading it runs code from the file; with --trust it is loaded"
+            )
+        self._model = _algorithm(path, policy).load(path, device="cpu")
+        observed, acted = self._model.observation_space.shape, self._model.action_space.shape
+        if observed is None or len(observed) != 1 or observed[0] % len(OBSERVATION) or acted != (2,):
+            raise InputError(
+                f"{path}: observations {observed} and actions {acted} are not those of HydraulicSync-v0: "
+                f"({len(OBSERVATION)} for each frame,) and (2,)"
+            )
+        self._history = observed[0] // len(OBSERVATION)
+
+    def reset(self, num_rigs: int, control_period: float) -> None:
+        """Forgets the last episode."""
+        self._state: Any = None
+        self._first = np.ones(num_rigs, dtype=bool)
+        self._frames: list[NDArray[Any]] = []
+
+    def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
+        """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n)."""
+        newest = np.asarray(observation, dtype=np.float32)[:, -len(OBSERVATION) :]
+        self._frames = [*(self._frames or [newest] * self._history), newest][-self._history :]
+        action, self._state = self._model.predict(
+            np.concatenate(self._frames, axis=1),
+            state=self._state,
+            episode_start=self._first,
+            deterministic=True,
+        )
+        self._first = np.zeros_like(self._first)
+        return np.asarray(action, dtype=float)
+
+
+def _kind_of_policy(path: Path) -> str:
+    """The module of the agent's policy class, read without unpickling anything."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such agent")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return str(json.loads(archive.read("data"))["policy_class"]["__module__"])
+    except (zipfile.BadZipFile, KeyError, TypeError, ValueError):
+        raise InputError(f"{path}: is no agent as Stable-Baselines3 saves one (model.save)") from None
+
+
+def _algorithm(path: Path, policy: str) -> Any:
+    """The class that loads agents with policies of this module; PPO, TRPO and A2C share theirs, and so do DDPG and TD3."""
+    kinds: dict[str, Any]
+    if policy.startswith("sb3_contrib"):
+        import sb3_contrib as library
+
+        kinds = {
+            "recurrent": library.RecurrentPPO,
+            "tqc": library.TQC,
+            "crossq": library.CrossQ,
+            "ars": library.ARS,
+        }
+    else:
+        import stable_baselines3 as library
+
+        kinds = {"sac": library.SAC, "td3": library.TD3, "common": library.PPO}
+    found = [kind for name, kind in kinds.items() if f".{name}." in policy]
+    if not found:
+        raise InputError(f"{path}: agents with policies of {policy} are not known")
+    return found[0]

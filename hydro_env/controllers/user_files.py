@@ -1,0 +1,76 @@
+"""Controllers from Python code of the user's: `file.py:Class` and `package.module:Class`."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from hydro_env.errors import InputError, place_of, suggestion
+
+__all__ = ["checked", "controllers_in", "loaded"]
+
+
+def controllers_in(path: str) -> list[str]:
+    """`file.py:Class` of every class in a file that has `reset` and `act`, in the order in which they stand there.
+
+    InputError if the file cannot be run or has none.
+    """
+    module = _load_file(Path(path))
+    own = [value for value in vars(module).values() if isinstance(value, type)]
+    names = [kind.__name__ for kind in own if kind.__module__ == module.__name__ and _drives(kind)]
+    names = [name for name in names if not name.startswith("_")]
+    if not names:
+        raise InputError(f"{path}: has no class with the methods 'reset' and 'act'")
+    return [f"{path}:{name}" for name in names]
+
+
+def loaded(text: str) -> Any:
+    """What `file.py:NAME` or `package.module:NAME` stands for. InputError if the code cannot be run or lacks the name."""
+    where, _, attribute = text.rpartition(":")
+    module = _load_file(Path(where)) if where.endswith(".py") else _import(where)
+    if not hasattr(module, attribute):
+        names = [name for name, value in vars(module).items() if isinstance(value, type)]
+        raise InputError(f"{where}: has no {attribute!r}: {suggestion(attribute, names)}")
+    return getattr(module, attribute)
+
+
+def checked(controller: Any, text: str) -> Any:
+    """The controller. InputError if it lacks a method that a controller has."""
+    for method in ("reset", "act"):
+        if not callable(getattr(controller, method, None)):
+            raise InputError(f"{text}: is no controller, it has no method {method!r}")
+    return controller
+
+
+def _drives(kind: type) -> bool:
+    return all(callable(getattr(kind, method, None)) for method in ("reset", "act"))
+
+
+def _import(where: str) -> ModuleType:
+    try:
+        return importlib.import_module(where)
+    except ImportError as problem:
+        raise InputError(f"{where}: cannot be imported ({problem})") from None
+
+
+def _load_file(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    # Files of one name in two folders are two modules.
+    digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
+    spec = importlib.util.spec_from_file_location(f"hydro_env_user_{path.stem}_{digest}", path)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # so that what it defines can be pickled to worker processes
+    try:
+        # From the source itself: Python's cache takes a file of the same size that was written in the same second for the same.
+        exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
+    except Exception as problem:
+        where = place_of(problem) or str(path)
+        raise InputError(f"{where}: {type(problem).__name__}: {problem}") from problem
+    return module
