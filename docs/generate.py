@@ -32,6 +32,7 @@ import hydro_env.benchmark
 import hydro_env.tasks
 from hydro_env.benchmark.report import NEEDS
 from hydro_env.cli import app
+from hydro_env.cli.help import EXAMPLES
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.learned.flow_interface import OutputSettings
@@ -414,7 +415,9 @@ def commands() -> str:
                 shown = "required"
             rows.append([label, getattr(parameter, "help", None) or "", shown])
         text = inspect.cleandoc(command.help or "")
-        parts.append(f"## hydro-env {name}\n\n{text}\n\n{_table(['option', 'meaning', 'default'], rows)}")
+        examples = "\n".join(EXAMPLES[name])
+        table = _table(["option", "meaning", "default"], rows)
+        parts.append(f"## hydro-env {name}\n\n{text}\n\n```text\n{examples}\n```\n\n{table}")
     return "\n\n".join(parts)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,8 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from hydro_env import __version__, cli
+from hydro_env.cli.help import EXAMPLES, GROUPS
 from hydro_env.cli.main import spread
 from hydro_env.errors import InputError
 
@@ -74,6 +77,7 @@ def test_help_lists_the_commands(run: Run) -> None:
         "demo",
         "diagnose",
         "hide",
+        "list",
         "reproduce",
         "speed",
         "tune",
@@ -86,6 +90,8 @@ def test_help_lists_the_commands(run: Run) -> None:
 def test_every_command_takes_out(run: Run) -> None:
     for command in cli.app.registered_commands:
         name = command.name or command.callback.__name__  # type: ignore[union-attr]
+        if name == "list":  # prints, and writes only where it is asked to
+            continue
         status, _, err = run(name, *(["x.csv"] if name == "diagnose" else []))
         assert status == 2 and err.startswith("error: Missing option '--out'"), name
 
@@ -330,3 +336,37 @@ def test_a_reader_that_leaves_takes_no_results_with_it(tmp_path: Path) -> None:
     os.close(writer)
     assert done.returncode == 0 and "Error" not in done.stderr
     assert (tmp_path / "practice" / "truth.json").is_file()
+
+
+@pytest.mark.parametrize("example", [each for examples in EXAMPLES.values() for each in examples])
+def test_examples_of_the_help_are_understood(example: str) -> None:
+    _, name, *words = shlex.split(example)
+    command = typer.main.get_command(cli.app).commands[name]  # type: ignore[attr-defined]
+    command.make_context(name, spread(words, ["--sealed"]))
+
+
+def test_every_command_has_examples_and_grouped_options(run: Run) -> None:
+    for name, command in typer.main.get_command(cli.app).commands.items():  # type: ignore[attr-defined]
+        _, out, _ = run(name, "--help")
+        assert EXAMPLES[name] and all(example in out for example in EXAMPLES[name])
+        grouped = {option for options in GROUPS.values() for option in options}
+        left = {p.name for p in command.params if p.param_type_name == "option"} - grouped
+        assert not left, f"{name}: {left} stand in no group"
+    assert "Examples:" in run("--help")[1]
+
+
+def test_list(run: Run, tmp_path: Path) -> None:
+    status, out, _ = run("list")
+    assert status == 0
+    for line in ("controllers\n  pid_paper ", "effects\n", "  dead_zone ", "  rig ", "  sine ", "  own "):
+        assert line in out
+    assert all(len(line.split(maxsplit=1)) == 2 for line in out.splitlines() if line.startswith("  "))
+    status, out, _ = run("list", "effects", "--json", "--out", "lists")
+    data = json.loads(out)
+    assert (
+        set(data) == {"schema", "effects"} and json.loads((tmp_path / "lists/list.json").read_text()) == data
+    )
+    overlap = next(each for each in data["effects"] if each["name"] == "dead_zone")["parameters"][0]
+    assert overlap["unit"] == "m" and overlap["high"] == 4.5e-4
+    status, _, err = run("list", "effect")
+    assert status == 2 and "did you mean 'effects'" in err

@@ -289,7 +289,7 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
             raise ValueError(f"{name} of case {int(np.argmin(np.isfinite(values)))} is not finite")
     note = ""
     if done.typical_command > 1.0:
-        note = f"half of its commands are beyond {done.typical_command:.3g}, and 1 was applied instead: a command is a fraction"
+        note = f"half of its commands are {done.typical_command:.3g} or more, and 1 was applied instead: a command is a fraction"
         note += " of the rated one, not a voltage"
     traces = _kept(done.trace, metrics[TRACE_METRIC])
     return replace(cell, metrics=metrics, strata=done.faults, traces=traces, note=note)

@@ -11,7 +11,7 @@ from typing import Any
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import parse_yaml, read_yaml
 
-__all__ = ["Suite", "load_suite"]
+__all__ = ["Suite", "load_suite", "shipped_suites"]
 
 KEYS = ("splits", "scenarios", "metrics")
 
@@ -46,6 +46,17 @@ class Suite:
         )
 
 
+def shipped_suites() -> list[Suite]:
+    """The suites of the package."""
+    own = _shipped()
+    return [Suite(name, t["splits"], tuple(t["scenarios"]), tuple(t["metrics"])) for name, t in own.items()]
+
+
+def _shipped() -> Any:
+    text = files("hydro_env.benchmark").joinpath("suite.yaml").read_text(encoding="utf-8")
+    return parse_yaml(text, "suite.yaml")
+
+
 def load_suite(
     spec: str | Path, *, splits: Iterable[str], scenarios: Iterable[str], metrics: Iterable[str]
 ) -> Suite:
@@ -53,9 +64,7 @@ def load_suite(
     does not.
     """
     known = {"splits": list(splits), "scenarios": list(scenarios), "metrics": list(metrics)}
-    own = parse_yaml(
-        files("hydro_env.benchmark").joinpath("suite.yaml").read_text(encoding="utf-8"), "suite.yaml"
-    )
+    own = _shipped()
     if str(spec) in own:
         return _checked(str(spec), own[str(spec)], known, "suite.yaml")
     path = Path(spec)

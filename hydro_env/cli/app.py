@@ -10,11 +10,14 @@ from hydro_env import __version__
 from hydro_env.cli.controllers import benchmark, tune
 from hydro_env.cli.diagnosis import diagnose, hide
 from hydro_env.cli.experiments import close_loop, demo, reproduce, speed
+from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
+from hydro_env.cli.listing import list_names
 from hydro_env.cli.valve_test import valve_test
 
 __all__ = ["app"]
 
 app = typer.Typer(
+    cls=HelpfulGroup,
     add_completion=False,
     invoke_without_command=True,
     pretty_exceptions_enable=False,
@@ -41,4 +44,5 @@ def _options(
 
 
 for _command in (demo, reproduce, valve_test, speed, tune, benchmark, hide, diagnose, close_loop):
-    app.command(_command.__name__.replace("_", "-"))(_command)
+    app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)
+app.command("list", cls=HelpfulCommand)(list_names)

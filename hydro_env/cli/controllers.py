@@ -108,7 +108,13 @@ def benchmark(
         typer.Option("--controllers", metavar="CONTROLLER...", help="The same, as an option."),
     ] = None,
     suite: Annotated[str, typer.Option(help="quick, full or a YAML file.")] = "full",
-    split: Annotated[list[str] | None, typer.Option(help="Only this split; may be repeated.")] = None,
+    split: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Only this split; may be repeated. own: the plant's own pair of valves, the default for a plant file that "
+            "sets what the suite's splits draw."
+        ),
+    ] = None,
     scenario: Annotated[list[str] | None, typer.Option(help="Only this scenario; may be repeated.")] = None,
     cases: Annotated[
         int | None, number(within=PAIRS, help="Pairs of valves per split. Default: the suite's.")

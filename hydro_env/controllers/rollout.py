@@ -76,7 +76,8 @@ def roll_out(
         returned = _checked(controller.act(observation), len(seeds))
         spent += perf_counter() - began
         action = np.clip(returned, -1.0, 1.0)
-        asked = controller.asked if isinstance(controller, Controller) else returned
+        # A law with an `act` of its own has no `asked`.
+        asked = getattr(controller, "asked", returned) if isinstance(controller, Controller) else returned
         sizes.append(np.abs(asked).astype(np.float32))
         if spent > limit:
             raise TimeoutError(

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -44,8 +45,8 @@ from .catalogue import CATALOGUE
 from .parameters import PARAMETERS, Parameter
 
 __all__ = [
-    "SUBSTEP", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "load_model", "parameter_of", "preset_names", "sources_of",
-    "values_set_by",
+    "SUBSTEP", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "load_model", "parameter_of", "preset_names",
+    "preset_summary", "sources_of", "values_set_by",
 ]  # fmt: skip
 
 SCHEMA = "hydro_env/model/1"
@@ -444,6 +445,13 @@ def _shipped(name: str) -> frozenset[float]:
     """The values of a base parameter in the presets, which say where they are from."""
     own = [_data(preset)[0] for preset in preset_names()]
     return frozenset(float(d[side][name]) for d in own for side in _CHANNELS if name in d.get(side, {}))
+
+
+def preset_summary(name: str) -> str:
+    """What a preset is, in a line: the first sentence of the comment that its file begins with."""
+    text = (resources.files(__package__) / "presets" / f"{name}.yaml").read_text(encoding="utf-8")
+    comment = " ".join(line.lstrip("# ") for line in text.partition("schema:")[0].splitlines())
+    return re.split(r"\. (?=[A-Z])|;|\.$", comment)[0]
 
 
 @cache

@@ -128,6 +128,7 @@ class Mismatch:
     cases: int | None = None
     outside: Mapping[str, Range] = field(default_factory=dict)
     faults: Mapping[str, Mapping[str, Range]] = field(default_factory=dict)
+    summary: str = ""
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -298,7 +299,7 @@ def _check_keys(data: Mapping[Any, Any], known: Sequence[str], where: str) -> No
 
 
 def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[str, Mismatch]) -> Mismatch:
-    _check_keys(data, ("entropy", "cases", "outside", "parameters", "faults"), where)
+    _check_keys(data, ("summary", "entropy", "cases", "outside", "parameters", "faults"), where)
     ranges = _read_ranges(data.get("parameters"), where)
     outside: dict[str, Range] = {}
     if "outside" in data:
@@ -324,6 +325,7 @@ def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[
         cases=data.get("cases"),
         outside=outside,
         faults={fault: _read_ranges(what, f"{where}: faults.{fault}") for fault, what in faults.items()},
+        summary=str(data.get("summary", "")),
     )
 
 

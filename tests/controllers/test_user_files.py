@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import gymnasium
@@ -152,3 +153,13 @@ def test_other_archives_are_refused(folder: Path) -> None:
         make_controller("agent.zip", trust=True)
     with pytest.raises(InputError, match="no such agent"):
         make_controller("other.zip", trust=True)
+
+
+def test_the_template_of_the_guide_drives(folder: Path) -> None:
+    guide = Path(__file__).parents[2] / "docs" / "howto" / "score_a_controller.md"
+    (template,) = re.findall(r"```python\n(# mine\.py.*?)```", guide.read_text(encoding="utf-8"), flags=re.S)
+    (folder / "mine.py").write_text(template)
+    got = scored("mine.py", "pid_paper")
+    rows = {(r["controller"], r["metric"]): r["iqm"] for r in got["rows"]}
+    assert not got["failed"] and not got["notes"]
+    assert rows["MyController", "tracking_mae_rpm"] < rows["pid_paper", "tracking_mae_rpm"]

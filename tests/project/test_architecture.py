@@ -35,7 +35,8 @@ ALLOWED = {
     "benchmark": "errors files reading units pages parallel plant tasks envs controllers",
     "experiments": "errors files reading units pages waveforms parallel plant practice tasks measured envs valve_bench"
     " controllers diagnosis benchmark",
-    "cli": "errors files limits units plant practice measured valve_bench controllers diagnosis benchmark experiments",
+    "cli": "errors files limits units plant practice tasks measured valve_bench controllers diagnosis benchmark"
+    " experiments",
     "__main__": "cli",
 }
 

@@ -115,7 +115,7 @@ def test_python_of_the_tutorials(tutorial: Path) -> None:
         exec(compile(block, tutorial.name, "exec"), scope)
 
 
-@pytest.mark.parametrize("name", ["describe_your_rig.md", "train_an_agent.md"])
+@pytest.mark.parametrize("name", ["describe_your_rig.md", "score_a_controller.md", "train_an_agent.md"])
 def test_python_of_the_guides(name: str) -> None:
     for block in re.findall(
         r"```python\n(.*?)```", (DOCS / "howto" / name).read_text(encoding="utf-8"), flags=re.S

@@ -1,0 +1,113 @@
+"""What `--help` shows: options in groups, and examples that can be copied."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from typer.core import TyperCommand, TyperGroup
+
+__all__ = ["EXAMPLES", "HelpfulCommand", "HelpfulGroup"]
+
+EXAMPLES: dict[str, tuple[str, ...]] = {
+    "": (
+        "hydro-env demo --out demo",
+        "hydro-env list controllers",
+        "hydro-env benchmark --suite quick --out scores",
+        "hydro-env hide dead_zone:1 --out practice",
+    ),
+    "demo": ("hydro-env demo --out demo",),
+    "reproduce": ("hydro-env reproduce --out paper",),
+    "valve-test": (
+        "hydro-env valve-test --out valves",
+        "hydro-env valve-test my_rig.yaml:1 my_rig.yaml:2 --out valves",
+        "hydro-env valve-test measured.csv --rated 730 --row-period 0.01 --out valves",
+    ),
+    "speed": ("hydro-env speed --num-envs 1024 --seconds 0.5 --out speed",),
+    "tune": (
+        "hydro-env tune --controller cross_coupled --out gains",
+        "hydro-env tune --controller my_file.py:MyController --plant my_rig.yaml --out gains",
+        "hydro-env tune --linear --out gains",
+    ),
+    "benchmark": (
+        "hydro-env benchmark --suite quick --out scores",
+        "hydro-env benchmark my_file.py:MyController:Kp=0.02 pid_tuned --suite quick --out scores",
+        "hydro-env benchmark my_agent.zip ppo --trust --split test_extrap --out scores",
+        "hydro-env benchmark gains/gains.json --plant my_rig.yaml --out scores",
+    ),
+    "hide": (
+        "hydro-env hide dead_zone:1 --out practice",
+        "hydro-env hide supply_droop magnetic_hysteresis:2 --severity large --seed 3 --out practice",
+        "hydro-env hide dead_zone:1 --value dead_zone.overlap_positive=8e-5 --out practice",
+    ),
+    "diagnose": (
+        "hydro-env diagnose practice/fit_1.csv practice/fit_2.csv --sealed practice/sealed.csv --out found",
+        "hydro-env diagnose --inspect monday.csv --out look",
+        "hydro-env diagnose monday.csv --sealed tuesday.csv --mapping look/mapping.yaml --model my_rig.yaml --out found",
+    ),
+    "close-loop": ("hydro-env close-loop --seeds 1 --out loop",),
+    "list": (
+        "hydro-env list",
+        "hydro-env list effects",
+        "hydro-env list controllers --json",
+    ),
+}
+"""Examples by command; "" for those of `hydro-env --help`."""
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "Task": (
+        "more", "controller", "controllers", "suite", "split", "scenario", "cases", "mismatch", "weight", "episodes", "only",
+        "linear", "max_sensitivity", "case", "seeds", "none", "severity", "value", "noise", "base_error", "rate", "duration",
+        "record", "num_envs", "seconds", "sealed", "accept", "signal",
+    ),
+    "Rig and model": ("plant", "model", "control_period", "steady", "effect_files"),
+    "Columns of logs and curves": (
+        "inspect", "mapping", "signal_column", "flow_column", "time_column", "signal_unit", "flow_unit", "time_unit", "rated",
+        "row_period", "sweep_period", "one_valve",
+    ),
+    "Running": ("seed", "limit", "trust", "engine", "jobs", "cells"),
+    "Output": ("out", "name", "pictures", "as_json"),
+}  # fmt: skip
+"""Options, by the names of their parameters, under the heading that they stand below; all others come last."""
+
+
+def _write_examples(formatter: Any, command: str) -> None:
+    if command in EXAMPLES:
+        with formatter.section("Examples"):
+            # One line each, however long: it is to be copied.
+            for example in EXAMPLES[command]:
+                formatter.write(f"  {example}\n")
+
+
+class HelpfulCommand(TyperCommand):
+    """A command whose help shows its options in `GROUPS`, and its `EXAMPLES`."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Writes arguments and groups of options."""
+        groups: dict[str, list[tuple[str, str]]] = {
+            "Arguments": [],
+            **{name: [] for name in GROUPS},
+            "Help": [],
+        }
+        headings = {option: heading for heading, options in GROUPS.items() for option in options}
+        for parameter in self.get_params(ctx):
+            if (record := parameter.get_help_record(ctx)) is not None:
+                argument = parameter.param_type_name == "argument"
+                heading = "Arguments" if argument else headings.get(str(parameter.name), "Help")
+                groups[heading].append(record)
+        for heading, records in groups.items():
+            if records:
+                with formatter.section(heading):
+                    formatter.write_dl(records)
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Writes the examples."""
+        _write_examples(formatter, str(self.name))
+
+
+class HelpfulGroup(TyperGroup):
+    """`hydro-env` itself."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Writes the examples, and where each command's own are."""
+        _write_examples(formatter, "")
+        formatter.write("\nOptions and examples of a command: hydro-env COMMAND --help\n")
