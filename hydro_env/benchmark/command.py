@@ -429,6 +429,9 @@ def _traces(cells: list[Cell], control_period: float) -> dict[str, Any] | None:
 
 
 def report(scores: dict[str, Any]) -> str:
-    """What the command prints."""
+    """What the command prints. InputError if every controller failed everywhere."""
+    if not scores["rows"]:
+        first = scores["failed"][0]
+        raise InputError(f"every controller failed; {first['controller']}: {first['reason']}")
     notes = {each["controller"]: f"\nnote: {each['controller']}: {each['note']}" for each in scores["notes"]}
     return f"{scores['about']}\n\n{scores_table(scores)}{''.join(notes.values())}"

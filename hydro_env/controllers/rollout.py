@@ -60,10 +60,7 @@ def roll_out(
         dtype=dtype,
     )
     observation, info = env.reset(seed=[int(seed) for seed in seeds])
-    if getattr(controller, "needs", "measurements") != "measurements":
-        controller.prepare(copy.deepcopy(env.plant))
-    if getattr(controller, "needs", "measurements") == "everything":
-        controller.foresee(np.stack([env.course(row).load for row in range(len(seeds))], axis=1))
+    _inform(controller, env)
     controller.reset(len(seeds), control_period)
     faults = tuple(str(fault) for fault in info["fault"])
     signals = {key: [np.array(info[key])] for key in ("setpoint_rpm", "speed_rpm", "angle_difference_deg")}
@@ -96,6 +93,15 @@ def roll_out(
         **{key: np.array(rows) for key, rows in signals.items()},
     )
     return Episodes(trace, faults, float(np.median(sizes)))
+
+
+def _inform(controller: Any, env: HydraulicSyncVectorEnv) -> None:
+    """Shows a controller beforehand what its `needs` ask for."""
+    needs = getattr(controller, "needs", "measurements")
+    if needs != "measurements":
+        controller.prepare(copy.deepcopy(env.plant))
+    if needs == "everything":
+        controller.foresee(np.stack([env.course(row).load for row in range(env.num_envs)], axis=1))
 
 
 def _checked(action: Any, num_rigs: int) -> Floats:
