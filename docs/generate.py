@@ -5,6 +5,7 @@ tests/project/test_docs.py checks that all are up to date. The reference is made
 docs/results.json. To publish new results, name the files that hold them:
 
     python docs/generate.py scores/scores.json speed/speed.json      # of `hydro-env benchmark` and `hydro-env speed`
+    python docs/generate.py licences                                 # of the installed packages
     python docs/generate.py robustness=runs/robustness/robustness.md # the first table of a Markdown file, by its name
 """
 
@@ -20,6 +21,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
+from importlib import metadata
 from itertools import combinations
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -56,11 +58,12 @@ from hydro_env.units import UNITS
 HERE = Path(__file__).parent
 ROOT = HERE.parent
 RESULTS = HERE / "results.json"
+LICENCES = HERE / "licences.json"
 
 
 def pages() -> list[Path]:
     """Every page that may hold generated parts."""
-    return [ROOT / "README.md", *sorted(HERE.rglob("*.md"))]
+    return [ROOT / "README.md", ROOT / "SECURITY.md", *sorted(HERE.rglob("*.md"))]
 
 
 def _number(value: float) -> str:
@@ -466,8 +469,53 @@ SPEED = (
 )  # fmt: skip
 
 
+def licences() -> str:
+    return _table(["package", "version", "licence"], json.loads(LICENCES.read_text(encoding="utf-8")))
+
+
+def take_licences() -> None:
+    """Keeps the declared licences of all pinned packages. A package that is not installed in the pinned version keeps its row."""
+    kept = (
+        {row[0]: row for row in json.loads(LICENCES.read_text(encoding="utf-8"))} if LICENCES.exists() else {}
+    )
+    rows, missing = [], []
+    for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines():
+        name, _, version = line.partition("==")
+        try:
+            about = metadata.metadata(name)
+        except metadata.PackageNotFoundError:
+            about = None
+        if about is not None and about["Version"].partition("+")[0] == version:  # "+cpu" is the same package
+            rows.append([name, version, _licence(about)])
+        elif kept.get(name, ["", ""])[1] == version:
+            rows.append(kept[name])
+        else:
+            missing.append(line)
+    if missing:
+        raise SystemExit(f"licences: not installed: {' '.join(missing)}")
+    LICENCES.write_text(_json(rows) + "\n", encoding="utf-8")
+
+
+def _licence(about: Any) -> str:
+    """What a package declares: an SPDX expression, else its classifiers, else the first line of its free text."""
+    classified = [
+        each.rpartition(" :: ")[2]
+        for each in about.get_all("Classifier", [])
+        if each.startswith("License :: ")
+    ]
+    stated = (
+        about["License-Expression"],
+        "; ".join(classified),
+        (about["License"] or "").strip().partition("\n")[0],
+    )
+    return next((text for text in stated if text), "not declared")
+
+
 def take(argument: str) -> None:
     """Keeps what the tables need of a result file, with the commit it was measured at."""
+    if argument == "licences":
+        take_licences()
+        return
     results = _results()
     name, _, path = argument.rpartition("=")
     if name:
@@ -709,7 +757,7 @@ PARTS: dict[str, Callable[[], str]] = {
         diagnosis_stages,
         diagnosis_rules,
         diagnosis_settings, commands, commands_short, log_columns, units, scores, scores_short,
-        classical, agents, variation, speed, speed_short, error, trials, diagnosis_short,
+        classical, agents, variation, speed, speed_short, error, trials, diagnosis_short, licences,
     )
 }  # fmt: skip
 PARTS["mapping_file"] = lambda: _docstring(mapping)

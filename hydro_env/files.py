@@ -158,7 +158,10 @@ def _remove(folders: list[Path], work: Path | None = None) -> None:
 
 def _move_into(work: Path, out: Path) -> None:
     """Moves what is in `work` to `out` and removes `work`. If a move fails, `out` is as it was before."""
-    replaced = Path(tempfile.mkdtemp(dir=out, prefix=f".{out.name}-"))
+    try:
+        replaced = Path(tempfile.mkdtemp(dir=out, prefix=f".{out.name}-"))
+    except OSError as problem:
+        raise OSError(problem.errno, problem.strerror, str(out)) from None
     moves: list[tuple[Path, Path]] = []
 
     def move(item: Path, place: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -111,6 +112,12 @@ def test_every_constraint_is_a_plain_pin() -> None:
     ]
     names = {re.split(r"[^A-Za-z0-9_-]", each)[0].lower().replace("_", "-") for each in wanted}
     assert names - {"hydro-env"} <= pinned
+
+
+def test_the_licence_of_every_pinned_package_is_listed() -> None:
+    rows = json.loads((ROOT / "docs" / "licences.json").read_text(encoding="utf-8"))
+    listed = [f"{name}=={version}" for name, version, licence in rows if licence]
+    assert listed == (ROOT / "constraints.txt").read_text().splitlines()
 
 
 def test_the_citation_has_the_version_of_the_package() -> None:
