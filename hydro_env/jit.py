@@ -17,6 +17,7 @@ import linecache
 import logging
 import os
 import pickle
+import stat
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -34,7 +35,7 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 from hydro_env.files import write_bytes
-from hydro_env.pickles import distrust, seal, unseal
+from hydro_env.pickles import Damaged, distrust, seal, unseal
 
 __all__ = ["compiled"]
 
@@ -94,6 +95,8 @@ class _Cache(NullCache):  # type: ignore[misc]
             return None
         path = folder / self._name(signature, target.codegen())
         try:
+            if not stat.S_ISREG(path.lstat().st_mode):  # reading a pipe or a device might never end
+                raise Damaged("it is no file")
             found = CompileResult._rebuild(target, *pickle.loads(unseal(path.read_bytes())))
             os.utime(path)  # used last now, see `_make_room`
             return found
