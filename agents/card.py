@@ -20,6 +20,7 @@ from hydro_env.benchmark.statistics import cvar, iqm
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
+from hydro_env.limits import Limits
 
 from .command import run_command
 from .evaluate import METRICS
@@ -93,8 +94,12 @@ def card_rows(
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m agents.card", description=__doc__)
     parser.add_argument("controllers", nargs="+", help="shipped controllers, policy files, or seeds:FOLDER")
-    parser.add_argument("--first", type=int, default=700, help="first case of each split")
-    parser.add_argument("--cases", type=int, default=200, help="pairs of valves in each split")
+    parser.add_argument(
+        "--first", type=Limits(0, 999, whole=True), default=700, help="first case of each split"
+    )
+    parser.add_argument(
+        "--cases", type=Limits(1, 1000, whole=True), default=200, help="pairs of valves in each split"
+    )
     chosen = parser.parse_args()
 
     def run() -> None:

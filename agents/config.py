@@ -24,8 +24,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 from hydro_env.controllers.learned.policy_interface import make_interface
-from hydro_env.errors import InputError, suggestion
-from hydro_env.reading import parse_yaml, read_text
+from hydro_env.errors import InputError, shown, suggestion
+from hydro_env.reading import MOST_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
 
 __all__ = ["ALGORITHMS", "ENV_ID", "Config", "Training", "read_config"]
@@ -93,7 +93,7 @@ class Config:
 def read_config(path: str | Path) -> Config:
     """Reads a training file. InputError, in one line that names file and key, for anything that is not right."""
     path = Path(path)
-    text = read_text(path, "a training file in YAML")
+    text = read_text(path, "a training file in YAML", most=MOST_BYTES_OF_YAML)
     data = parse_yaml(text, str(path))
     if not isinstance(data, dict) or not all(isinstance(table, dict) for table in data.values()):
         raise InputError(f"{path}: should hold the tables {ENV_ID!r} and 'training'")
@@ -129,9 +129,10 @@ def _known(where: str, key: object, known: Iterable[str]) -> None:
 
 
 def _whole(where: str, key: str, value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | float) or value != int(value) or value < 1:
+    fits = isinstance(value, int | float) and not isinstance(value, bool) and 1 <= value <= 1e15
+    if not fits or value % 1:
         raise InputError(
-            f"{where}: {key} is {value!r}, expected a whole number of at least 1 (write 1.0e+6, not 1e6)"
+            f"{where}: {key} is {shown(value)}, expected a whole number of at least 1 (write 1.0e+6, not 1e6)"
         )
     return int(value)
 

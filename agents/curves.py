@@ -17,7 +17,7 @@ from agents.command import run_command
 from agents.config import read_config
 from hydro_env.errors import InputError
 from hydro_env.files import write_bytes
-from hydro_env.reading import read_json
+from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
 
 __all__ = ["draw", "read_curves"]
 
@@ -33,7 +33,9 @@ def read_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
             raise InputError(f"{run}: holds no curve.json of a training run")
         for folder in folders:
             training = read_config(folder / "config.yml").training
-            points = read_json(folder / "curve.json", "the curve of a training run")
+            points = read_json(
+                folder / "curve.json", "the curve of a training run", most=MOST_BYTES_OF_RESULTS
+            )
             found.append(
                 {"run": folder.name, "algorithm": training.algorithm, "seed": training.seed, "points": points}
             )

@@ -20,6 +20,7 @@ from hydro_env.controllers.estimation.valve_map import true_map
 from hydro_env.controllers.learned.flow_interface import FlowInterface
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.files import write_bytes
+from hydro_env.limits import Limits
 
 __all__ = ["course", "draw"]
 
@@ -117,7 +118,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m agents.picture", description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--agent", default="ppo", help="name of a shipped agent, or a policy file")
-    parser.add_argument("--case", type=int, default=37, help="pair of val; 37 is a typical one")
+    parser.add_argument(
+        "--case", type=Limits(0, 999, whole=True), default=37, help="pair of val; 37 is a typical one"
+    )
     chosen = parser.parse_args()
     draw(chosen.out, chosen.agent, chosen.case)
 

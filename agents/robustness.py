@@ -24,6 +24,7 @@ from hydro_env.controllers import make_controller
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
 from hydro_env.files import write_bytes
+from hydro_env.limits import Limits
 from hydro_env.plant import Plant, load_model
 from hydro_env.tasks import Trace, compute
 
@@ -146,8 +147,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m agents.robustness", description=__doc__)
     parser.add_argument("controllers", nargs="*", default=CONTROLLERS, help="names or policy files")
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--first", type=int, default=900, help="first case of the split")
-    parser.add_argument("--cases", type=int, default=100, help="pairs of valves")
+    parser.add_argument(
+        "--first", type=Limits(0, 999, whole=True), default=900, help="first case of the split"
+    )
+    parser.add_argument("--cases", type=Limits(1, 1000, whole=True), default=100, help="pairs of valves")
     chosen = parser.parse_args()
 
     def run() -> None:

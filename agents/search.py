@@ -19,6 +19,7 @@ from agents.command import run_command
 from agents.config import ENV_ID, read_config
 from agents.train import train
 from hydro_env.errors import InputError
+from hydro_env.limits import SEEDS, Limits
 from hydro_env.reading import read_yaml
 
 if TYPE_CHECKING:
@@ -95,9 +96,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m agents.search", description=__doc__)
     parser.add_argument("--config", type=Path, required=True, help="training file to start from")
     parser.add_argument("--out", type=Path, required=True, help="folder of the study and its runs")
-    parser.add_argument("--trials", type=int, default=20, help="trials to add")
-    parser.add_argument("--steps", type=int, default=300_000, help="control periods of a trial")
-    parser.add_argument("--seed", type=int, default=0, help="of the sampler")
+    parser.add_argument("--trials", type=Limits(1, 100_000, whole=True), default=20, help="trials to add")
+    parser.add_argument(
+        "--steps", type=Limits(1, 10**12, whole=True), default=300_000, help="control periods of a trial"
+    )
+    parser.add_argument("--seed", type=SEEDS, default=0, help="of the sampler")
     chosen = parser.parse_args()
 
     def run() -> None:

@@ -31,6 +31,7 @@ from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
 from hydro_env.files import write_bytes, write_json
+from hydro_env.limits import CORES, SEEDS, Limits
 from hydro_env.parallel import ENGINES, Failure, check_engine, run
 
 __all__ = ["SCHEMA", "main", "sweep"]
@@ -167,11 +168,16 @@ def main() -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--config", type=Path, required=True, help="training file, see configs/")
-    parser.add_argument("--seeds", type=int, nargs="+", required=True, help="one policy for each")
+    parser.add_argument("--seeds", type=SEEDS, nargs="+", required=True, help="one policy for each")
     parser.add_argument("--out", type=Path, required=True, help="folder of the sweep")
     parser.add_argument("--engine", default="local", help=f"one of {', '.join(ENGINES)}")
-    parser.add_argument("--jobs", type=int, default=1, help="processes of engine local")
-    parser.add_argument("--pairs", type=int, default=64, help="pairs of val that score a finished policy")
+    parser.add_argument("--jobs", type=CORES, default=1, help="processes of engine local")
+    parser.add_argument(
+        "--pairs",
+        type=Limits(1, 1000, whole=True),
+        default=64,
+        help="pairs of val that score a finished policy",
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     arguments = parser.parse_args()
     command = " ".join(["python -m agents.sweep", *sys.argv[1:]])

@@ -6,6 +6,7 @@ right: "is inf, expected a number from 0.05 to 3600 s".
 
 from __future__ import annotations
 
+import argparse
 import math
 from dataclasses import dataclass
 from numbers import Integral, Real
@@ -13,7 +14,7 @@ from typing import Any
 
 from hydro_env.errors import InputError, shown
 
-__all__ = ["SEEDS", "Limits"]
+__all__ = ["CORES", "SEEDS", "Limits"]
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,13 @@ class Limits:
             raise InputError(f"{name} is {_cut(text)}, expected {self}")
         return value
 
+    def __call__(self, text: str) -> Any:
+        """The same as the `type` of an option of argparse."""
+        try:
+            return self.read(text, "the value")
+        except InputError as problem:
+            raise argparse.ArgumentTypeError(str(problem)) from None
+
 
 def _cut(text: str) -> str:
     return text.strip() if len(text) <= 40 else f"{text[:40]}..."
@@ -57,3 +65,5 @@ def _short(value: float) -> str:
 
 #: Seeds that every random generator takes.
 SEEDS = Limits(0, 2**32 - 1, whole=True)
+#: Processes or threads.
+CORES = Limits(1, 1024, whole=True)

@@ -22,10 +22,20 @@ import yaml
 
 from hydro_env.errors import InputError, shown
 
-__all__ = ["MOST_BYTES_OF_RESULTS", "parse_json", "parse_yaml", "read_json", "read_text", "read_yaml"]
+__all__ = [
+    "MOST_BYTES_OF_RESULTS",
+    "MOST_BYTES_OF_YAML",
+    "parse_json",
+    "parse_yaml",
+    "read_json",
+    "read_text",
+    "read_yaml",
+]
 
+MOST_BYTES_OF_YAML = 2**17
+"""Size of a YAML file; the largest of the package has 10 kB. PyYAML takes some seconds for as much."""
 MOST_BYTES = 2**20
-"""Size of a file that is written by hand; the largest of the package has 10 kB. PyYAML takes some seconds for as much."""
+"""Size of any other file that is written by hand."""
 MOST_BYTES_OF_RESULTS = 2**28
 """Size of a JSON file that a command wrote."""
 MOST_VALUES = 10**6
@@ -60,7 +70,7 @@ def read_text(path: str | Path, what: str, *, most: int = MOST_BYTES) -> str:
 
 def read_yaml(path: str | Path, what: str) -> Any:
     """The content of a YAML file. InputError that names the file and `what` is expected."""
-    return parse_yaml(read_text(path, what), str(path))
+    return parse_yaml(read_text(path, what, most=MOST_BYTES_OF_YAML), str(path))
 
 
 def read_json(path: str | Path, what: str, *, most: int = MOST_BYTES) -> Any:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
 import pytest
 from jinja2 import UndefinedError
 
-from hydro_env.pages import figure, png, render, svg
+from hydro_env.pages import figure, fill, png, render, svg
 
 
 @pytest.fixture
@@ -47,3 +48,31 @@ def test_png(tmp_path: Path) -> None:
     drawing, _ = figure()
     png(drawing, tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    "name", ["/*A*/null", "/*STYLE*/", "</script>", '"\\', "{{ 7*7 }}", "\\1", "\ud800", "\u2028"]
+)
+def test_a_text_stands_for_no_place_of_the_page(tmp_path: Path, name: str) -> None:
+    template = tmp_path / "page.html"
+    template.write_text("<style>/*STYLE*/</style><script>const A = /*A*/null, B = /*B*/null;</script>")
+    page = fill(template, A={"name": name}, B=[name])
+    script = page.partition("<script>")[2]
+    first, end = json.JSONDecoder().raw_decode(script, len("const A = "))
+    second, _ = json.JSONDecoder().raw_decode(script, end + len(", B = "))
+    assert (first, second) == ({"name": name}, [name]) and page.count("</script>") == 1
+    page.encode()
+
+
+def test_a_name_with_dollars_is_no_formula(tmp_path: Path) -> None:
+    drawing, (axis,) = figure()
+    axis.plot([1, 10], [1, 10], label="$x_{$")
+    axis.set(title="$\\frac$", xscale="log")
+    axis.legend()
+    text = str(svg(drawing, r"\1 \g<x>"))
+    assert "$x_{$" in text and r'aria-label="\1 \g&lt;x&gt;"' in text
+    assert (
+        "$" not in text.replace("$x_{$", "").replace("$\\frac$", "").partition("<style")[0]
+        or "mathdefault" not in text
+    )
+    png(drawing, tmp_path / "a.png")

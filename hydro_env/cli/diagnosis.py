@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from hydro_env.cli.options import CORES, EffectFiles, Model, Out, Seed, number, writing
+from hydro_env.cli.options import EffectFiles, Model, Out, Seed, number, writing
 from hydro_env.files import write_text
-from hydro_env.limits import Limits
+from hydro_env.limits import CORES, Limits
 
 FitLogs = Annotated[
     list[str] | None,

@@ -150,7 +150,7 @@ def spread(arguments: list[str], options: Sequence[str]) -> list[str]:
 
 
 def _fail(problem: object, status: int = 2) -> int:
-    print(f"error: {' '.join(str(problem).split())}", file=sys.stderr)
+    print(f"error: {InputError(problem)}", file=sys.stderr)  # whatever it was, one line that can be printed
     return status
 
 

@@ -12,7 +12,7 @@ import typer
 
 from hydro_env.errors import InputError, shown
 from hydro_env.files import output_folder
-from hydro_env.limits import SEEDS, Limits
+from hydro_env.limits import CORES, SEEDS, Limits
 
 __all__ = [
     "Cells",
@@ -59,7 +59,6 @@ EffectFiles = Annotated[
         "--effects", metavar="FILE.py", help="Python file that registers your own effects; it is run."
     ),
 ]
-CORES = Limits(1, 1024, whole=True)
 Jobs = Annotated[int, number("--jobs", within=CORES, help="Number of processes.")]
 Engine = Annotated[
     str, typer.Option(help="local: --jobs processes; ray: the Ray cluster at RAY_ADDRESS or on this machine.")

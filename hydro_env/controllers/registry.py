@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -192,12 +193,14 @@ def _beside(path: Path, law: str) -> str:
     """`file.py:Class` of a gains file; a file that is not in the working folder is looked for beside the gains."""
     file, _, name = law.rpartition(":")
     other = path.parent / Path(file).name
-    return f"{other}:{name}" if file.endswith(".py") and not Path(file).is_file() and other.is_file() else law
+    return (
+        f"{other}:{name}"
+        if file.endswith(".py") and not os.path.isfile(file) and os.path.isfile(other)
+        else law
+    )
 
 
 def _from_policy(path: Path, name: str) -> Any:
-    if not path.is_file():
-        raise InputError(f"{path}: no such policy file")
     from hydro_env.controllers.learned.policy import NumpyPolicy
 
     return NumpyPolicy(path, name)
@@ -214,6 +217,7 @@ def _from_python(text: str, overrides: dict[str, Any]) -> Any:
         raise InputError(
             f"{text}: could not be made: {type(problem).__name__}: {problem}{place}"
         ) from problem
+    checked(controller, text)
     if not isinstance(getattr(controller, "name", None), str):
         controller.name = text.rpartition(":")[2]
-    return checked(controller, text)
+    return controller

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
+import os
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -54,12 +55,12 @@ def _drives(kind: type) -> bool:
 def _import(where: str) -> ModuleType:
     try:
         return importlib.import_module(where)
-    except ImportError as problem:
-        raise InputError(f"{where}: cannot be imported ({problem})") from None
+    except Exception as problem:  # a user's module may fail in any way, and not every text is the name of one
+        raise InputError(f"{where}: cannot be imported ({type(problem).__name__}: {problem})") from None
 
 
 def _load_file(path: Path) -> ModuleType:
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"{path}: no such file")
     # Files of one name in two folders are two modules.
     digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]

@@ -175,7 +175,10 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         rows = self._all
         mask = options.pop("reset_mask", None)
         if mask is not None:
-            mask = np.asarray(mask)
+            try:
+                mask = np.asarray(mask)
+            except ValueError:
+                raise InputError(f"reset: reset_mask is {shown(mask)}, expected a mask of rows") from None
             if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
                 raise InputError(
                     f"reset: reset_mask must be a mask of {self.num_envs} rows with one at least chosen"

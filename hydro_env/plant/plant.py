@@ -188,7 +188,7 @@ class Plant:
             index = index[np.asarray(rows)].reshape(-1)
         pair = np.broadcast_to(np.asarray(values, dtype=np.float64), (index.size, 2))
         if name in self._delays and pair.max(initial=0.0) > self._longest_delay:
-            raise ValueError(
+            raise InputError(
                 f"{name} is {pair.max():g} s, the delay line of this plant holds {self._longest_delay:g} s"
             )
         self._memory[index // half, row, index % half] = pair[:, 0]

@@ -7,6 +7,7 @@ formats of `hydro_env.measured`. What is missing from the file is said by `Colum
 from __future__ import annotations
 
 import gzip
+import os
 import re
 import zlib
 from dataclasses import dataclass, field
@@ -86,8 +87,8 @@ class _Choice:
 def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | None = None) -> Curve:
     """Reads a measured curve. InputError, naming file, row or column, for whatever cannot be used."""
     path, columns = Path(path), columns or Columns()
-    if not path.is_file():
-        what = "not a file" if path.exists() else "no such file, and no preset of that name"
+    if not os.path.isfile(path):
+        what = "not a file" if os.path.exists(path) else "no such file, and no preset of that name"
         raise InputError(f"{path}: {what}")
     choice = _Choice(path, columns)
     suffixed = not is_binary(path) and _has_suffixes(path)

@@ -1,11 +1,15 @@
 """Policy files and the numpy runner: none of this needs torch."""
 
+import io
 import itertools
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.stats import trim_mean
 
 from hydro_env.controllers.learned.flow_interface import FlowInterface
@@ -221,3 +225,40 @@ def test_shipped_policies_drive_as_when_they_were_scored(path):
     paper = roll_out(make_controller("pid_paper"), range(val["pairs"]), **where).metrics()
     share = 0.25 if plant == "paper_dead_zone" else 0.5  # of the difference that the paper's PID leaves
     assert val["max_speed_difference_rpm"] < share * trim_mean(paper["max_speed_difference_rpm"], 0.25)
+
+
+@given(st.data())
+@settings(deadline=None, max_examples=150)
+def test_damaged_bytes_are_refused_or_read(tmp_path_factory, data):
+    """Whatever zip, deflate and npy readers make of damage: a policy, or one line."""
+    folder = tmp_path_factory.mktemp("damaged")
+    path = write(folder / "p.npz", **arrays())
+    content = bytearray(path.read_bytes())
+    for at, value in data.draw(
+        st.lists(st.tuples(st.integers(0, len(content) - 1), st.integers(0, 255)), max_size=6)
+    ):
+        content[at] = value
+    path.write_bytes(content[: data.draw(st.integers(1, len(content)))])
+    try:
+        NumpyPolicy(path)
+    except InputError as problem:
+        assert str(problem).startswith(str(path)) and str(problem).isprintable()
+
+
+@pytest.mark.parametrize("shape", [(10**10,), (2**60,), (10**5, 10**5)])
+def test_a_header_that_asks_for_all_memory_gets_none(tmp_path, shape):
+    memory = io.BytesIO()
+    np.lib.format.write_array_header_1_0(memory, {"descr": "<f4", "fortran_order": False, "shape": shape})
+    path = write(tmp_path / "p.npz", **arrays())
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("w9.npy", memory.getvalue())
+    with pytest.raises(InputError, match="does not fit its 0 bytes"):
+        NumpyPolicy(path)
+
+
+def test_a_small_file_that_unpacks_to_much_is_refused(tmp_path):
+    path = write(tmp_path / "p.npz", **arrays())
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("w9.npy", bytes(100_000_000))
+    with pytest.raises(InputError, match="holds more than 64 MiB"):
+        NumpyPolicy(path)

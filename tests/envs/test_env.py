@@ -8,6 +8,8 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import hydro_env  # noqa: F401 (registers the environment)
 from hydro_env.envs import OBSERVATION, HydraulicSyncEnv, decode
@@ -363,3 +365,38 @@ def test_decode_refuses_other_shapes():
     for shape in ((9,), (2, 8), (2, 0)):
         with pytest.raises(ValueError, match="shape"):
             decode(np.zeros(shape))
+
+
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.binary() | st.complex_numbers() | st.just(object()),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=9) | st.integers(), inner, max_size=4),
+    max_leaves=8,
+)  # fmt: skip
+
+
+@given(
+    st.sampled_from(["plant", "scenario", "mismatch", "control_period", "history", "noise", "reward"]),
+    ANYTHING,
+)
+@settings(deadline=None, max_examples=300)
+def test_any_argument_works_or_is_refused_by_its_name(name, value):
+    try:
+        make(**{name: value}).close()
+    except InputError as problem:
+        assert name in str(problem) or "model" in str(problem)
+        assert str(problem).isprintable()
+
+
+@given(st.sampled_from(["mismatch", "scenario", "case", "reset_mask"]), ANYTHING)
+@settings(deadline=None, max_examples=100)
+def test_any_option_of_reset_works_or_is_refused(name, value):
+    try:
+        make().reset(seed=1, options={name: value})
+    except InputError as problem:
+        assert str(problem).isprintable()
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "x", b"x", [1], 2**128, True, np.zeros(2)])
+def test_a_seed_is_a_whole_number(seed):
+    with pytest.raises(InputError, match="reset: seed is"):
+        make().reset(seed=seed)

@@ -33,7 +33,7 @@ ALLOWED = {
     "controllers": "errors files reading units jit waveforms plant tasks envs valve_bench",
     "diagnosis": "errors files units pages waveforms parallel plant tasks measured",
     "benchmark": "errors files reading units pages parallel plant tasks envs controllers",
-    "experiments": "errors files reading units pages waveforms parallel plant practice tasks measured envs valve_bench"
+    "experiments": "errors files reading limits units pages waveforms parallel plant practice tasks measured envs valve_bench"
     " controllers diagnosis benchmark",
     "cli": "errors files limits units plant practice tasks measured valve_bench controllers diagnosis benchmark"
     " experiments",

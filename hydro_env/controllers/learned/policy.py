@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -92,7 +93,7 @@ def _product(hidden: Floats, weight: Floats) -> Floats:
 def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
     """The network and the metadata of a policy file. InputError names what is wrong with it."""
     path = Path(path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError(f"{path}: no such policy file")
     try:
         arrays = _arrays(path)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ...diagnosis import RULES
 from ...errors import InputError
+from ...limits import CORES, SEEDS, Limits
 from .ablation import ablation_table, folder_without, write_ablation
 from .cases import EMPTY, GROUPS, Case, cases
 from .judging import summary
@@ -27,11 +28,16 @@ def _arguments() -> argparse.Namespace:
     add = parser.add_argument
     add("--out", type=Path, required=True, help="folder of the trials' rows")
     add("--groups", nargs="*", default=["nothing", "parameters", "medium", "two", "unlisted"], choices=GROUPS)
-    add("--seed", type=int, default=20000)
-    add("--minutes", type=float, default=math.inf)
-    add("--jobs", type=int, default=1, help="threads of a diagnosis")
+    add("--seed", type=SEEDS, default=20000)
+    add("--minutes", type=Limits(0.0, 1e6, unit="min"), default=math.inf)
+    add("--jobs", type=CORES, default=1, help="threads of a diagnosis")
     add("--slice", default="1/1", help="K/N: every N-th trial from the K-th")
-    add("--empty", type=int, default=EMPTY, help="trials of each group that hides nothing")
+    add(
+        "--empty",
+        type=Limits(0, 100_000, whole=True),
+        default=EMPTY,
+        help="trials of each group that hides nothing",
+    )
     add("--only", type=_numbers, nargs="*", help="seeds of the trials to be run, or FIRST-LAST")
     add("--logs", type=Path, help="folder in which practice logs are kept")
     add("--make", action="store_true", help="only makes the logs, in --logs")

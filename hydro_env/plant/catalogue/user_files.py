@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -25,7 +26,7 @@ def load_effects(paths: Iterable[str | Path]) -> tuple[str, ...]:
     """
     names: list[str] = []
     for path in paths:
-        file = Path(path).resolve()
+        file = Path(os.path.realpath(path))
         if file not in _LOADED or any(name not in CATALOGUE for name in _LOADED[file]):
             _LOADED[file] = _run(file, str(path))
         names += _LOADED[file]
@@ -33,7 +34,7 @@ def load_effects(paths: Iterable[str | Path]) -> tuple[str, ...]:
 
 
 def _run(file: Path, shown: str) -> tuple[str, ...]:
-    if not file.is_file() or file.suffix != ".py":
+    if not os.path.isfile(file) or file.suffix != ".py":
         raise InputError(
             f"{shown}: not a Python file with effects; one that calls hydro_env.plant.register is right"
         )
