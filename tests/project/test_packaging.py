@@ -62,6 +62,20 @@ def test_wheel_holds_every_data_file(wheel: list[str]) -> None:
     assert any(name.endswith("licenses/LICENSE") for name in wheel)
 
 
+def test_readme_on_the_package_index_has_addresses(tmp_path: Path) -> None:
+    """Every link of the README leads to a file of the repository, also where only the README is shown."""
+    command = [sys.executable, "-m", "hatchling", "metadata"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    metadata = json.loads(done.stdout)
+    source, text = metadata["urls"]["Source"], metadata["readme"]["text"]
+    assert f"git clone {source} " in text
+    links = re.findall(r"\]\(([^)]+)\)", text)
+    assert len(links) == len(re.findall(r"\]\(([^)]+)\)", (ROOT / "README.md").read_text(encoding="utf-8")))
+    for link in links:
+        place, _, path = link.removeprefix(f"{source}/").partition("/main/")
+        assert place in ("raw", "blob") and (ROOT / path.partition("#")[0]).is_file(), link
+
+
 def test_core_imports_without_the_extras(tmp_path: Path) -> None:
     code = f"""
 import importlib, importlib.abc, pkgutil, sys
