@@ -65,7 +65,11 @@ OnlySplits = Annotated[
     ),
 ]
 Trust = Annotated[
-    bool, typer.Option("--trust", help="Load agents from .zip files; they are pickles and can run code.")
+    bool,
+    typer.Option(
+        "--trust",
+        help="Use files that can run code: agents (.zip, a pickle), gains of a law in a Python file.",
+    ),
 ]
 
 

@@ -22,7 +22,7 @@ from hydro_env.controllers.mpc.flow_control import AdaptiveFlow, BenchFlow, Prob
 from hydro_env.controllers.mpc.oracle import Oracle
 from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.controllers.user_files import checked, controllers_in, loaded
-from hydro_env.errors import InputError, place_of, suggestion
+from hydro_env.errors import InputError, place_of, shown, suggestion
 
 __all__ = ["CONTROLLERS", "LAWS", "Entry", "law_of", "make_controller", "split_gains"]
 
@@ -103,8 +103,9 @@ def make_controller(spec: Any, *, trust: bool = False, **overrides: Any) -> Any:
     (.zip), `path/to/file.py:Class`, `module:Class`, a class or a ready object. All that is text may end with gains, as in
     `NAME:gain=1.5,other=2`; `file.py` will do for a file with one controller.
 
-    `overrides` replace single gains of a controller with gains, or are passed to a class. `trust`: whether a .zip, which is a
-    pickle, may be loaded. InputError says which names there are, and which one was probably meant.
+    `overrides` replace single gains of a controller with gains, or are passed to a class. `trust`: whether files may run code: a
+    .zip, which is a pickle, and gains of a law in a Python file.
+    InputError says which names there are, and which one was probably meant.
     """
     if not isinstance(spec, str | Path):
         return checked(spec(**overrides) if isinstance(spec, type) else spec, repr(spec))
@@ -159,7 +160,7 @@ def _unchanged(text: str, trust: bool, gains: dict[str, Any]) -> tuple[Any, dict
         return entry.build(), gains
     path = Path(text)
     if text.endswith(".json"):
-        return _from_gains(path, path.stem), gains
+        return _from_gains(path, path.stem, trust), gains
     if text.endswith(".npz"):
         return _from_policy(path, path.stem), gains
     if text.endswith(".zip"):
@@ -177,8 +178,12 @@ def _unchanged(text: str, trust: bool, gains: dict[str, Any]) -> tuple[Any, dict
     raise InputError(f"unknown controller {text!r}: {suggestion(text, CONTROLLERS)}; {kinds}")
 
 
-def _from_gains(path: Path, name: str) -> Controller:
+def _from_gains(path: Path, name: str, trust: bool = False) -> Controller:
     found = read_gains(path)
+    if ":" in found.controller and not trust:
+        raise InputError(
+            f"{path}: are gains of {shown(found.controller)}, code that would be run; with --trust it is"
+        )
     try:
         law = law_of(_beside(path, found.controller))
         controller = law(found.name or name, **found.gains)
