@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["check_channels", "check_sizes"]
 
+_RATED = (
+    420 * BAR
+)  # valves to ISO 4401 are rated for 350 bar, the strongest pumps and motors in common use for 420 bar at most
 _CORRELATE = 20_000  # rows that suffice for a correlation
 _IN_MAPPING = "give the right unit in a mapping"
 
@@ -63,7 +66,7 @@ def _size(
     # What the file's numbers would be in another unit: the reading so far undone.
     if signal in ("pressure", "supply"):
         raw = peak / BAR if source.unit == "bar" else None
-        if peak > 700 * BAR:
+        if peak > _RATED:
             unit = "" if raw is None else "kPa" if raw < 60_000.0 else "Pa"
             yield odd(f"{peak / BAR:.4g} bar", "is it in kPa, psi or Pa", peak > 2000 * BAR, unit)
         elif signal == "supply" and peak < 5 * BAR:

@@ -14,7 +14,7 @@ import io
 import math
 import re
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
@@ -70,6 +70,8 @@ class Cells:
 
     def read(self, text: str, start: int) -> tuple[list[np.ndarray], np.ndarray]:
         """The wanted columns (rows,) of a block of whole lines, the first of which is line `start`, and the lines' numbers."""
+        if not text or text.isspace():
+            return [np.empty(0)] * len(self.wanted), np.empty(0, np.int64)
         if self.dialect.blanks:
             text = "".join("\t".join(line.split()) + "\n" for line in io.StringIO(text, newline=""))
         columns = self.fast(text)
@@ -80,8 +82,10 @@ class Cells:
     def fast(self, text: str) -> list[np.ndarray] | None:
         """The columns of a block of complete rows of plain or missing numbers, None of any other block."""
         library = _pyarrow()
-        # One column cannot be told from empty lines, and a quoted cell may hold a delimiter or the end of a line.
-        if library is None or self.dialect.width < 2 or not self.places or '"' in text:
+        # One column cannot be told from empty lines, and a quoted cell may hold a delimiter or the end of a line. A delimiter
+        # is one byte there.
+        plain = self.dialect.delimiter.isascii() and '"' not in text
+        if library is None or self.dialect.width < 2 or not self.places or not plain:
             return None
         named = [str(place) for place in range(self.dialect.width)]
         wanted = [named[place] for place in self.places]
@@ -114,7 +118,7 @@ class Cells:
         values, kept = array("d"), array("q")
         width = self.dialect.width
         rows = csv.reader(io.StringIO(text, newline=""), delimiter=self.dialect.delimiter)
-        for row in rows:
+        for row in self._rows(rows, start):
             if not self.decimal_comma and len(row) == width:
                 try:  # a row of plain numbers: most are
                     values.extend([float(row[place]) for place in self.places])
@@ -134,6 +138,15 @@ class Cells:
             )
         block = np.array(values).reshape(len(kept), len(self.places))
         return list(np.ascontiguousarray(block.T)), np.array(kept)
+
+    def _rows(self, rows: Any, start: int) -> Iterator[list[str]]:
+        """The rows of a reader; InputError where a cell does not end."""
+        try:
+            yield from rows
+        except csv.Error as error:
+            raise InputError(
+                f"{self.path}: row {start + rows.line_num - 1} is not readable as CSV ({error}); is a quotation mark not closed?"
+            ) from None
 
     def _wrong_width(self, row: list[str], line: int) -> InputError:
         hint = "a cell is missing, or the recording was cut off here"

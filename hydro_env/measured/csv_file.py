@@ -1,6 +1,7 @@
 """CSV files (also gzipped): encoding, delimiter, header and units are recognised and said, the columns asked for are read.
 
-One streaming pass; the memory it takes is that of the columns and of one block of text.
+One streaming pass; the memory it takes is that of the columns and of one block of text. A line, and what a gzipped file
+unpacks to, may not be longer than any log's.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import gzip
 import re
 import zlib
 from array import array
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,16 +19,18 @@ from typing import IO
 
 import numpy as np
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, suggestion
 from hydro_env.measured.csv_cells import MISSING, Cells, Dialect, is_number, is_value, seconds
 from hydro_env.measured.finding import Finding
-from hydro_env.measured.table import Table
+from hydro_env.measured.table import Table, check_size
 from hydro_env.units import unit
 
 __all__ = ["CsvStyle", "read_csv"]
 
 #: Characters parsed at a time, first and then: one odd cell costs the careful reading of no more than its block.
 _FIRST_BLOCK, _BLOCK = 1 << 16, 1 << 22
+#: Characters of a line at most: as many as Python's csv module takes in one cell.
+_LONGEST_LINE = 131_072
 _BROKEN_GZIP = (gzip.BadGzipFile, EOFError, zlib.error)
 
 Choose = Callable[[tuple[str, ...]], Sequence[str]]
@@ -63,23 +67,33 @@ def read_csv(path: Path, choose: Choose, style: CsvStyle | None = None) -> Table
     style = style or CsvStyle()
     encoding, findings = _encoding(path, style.encoding)
     try:
-        with _open(path, encoding) as file:
-            return _read(path, file, choose, style, findings)
+        return _decoded(path, encoding, "strict", choose, style, findings)
     except UnicodeError:
-        pass
+        if style.encoding or encoding != "utf-8-sig":
+            said = (
+                f"{style.encoding} as its mapping says"
+                if style.encoding
+                else "UTF-16 as it begins; is it cut off?"
+            )
+            raise InputError(f"{path}: not encoded in {said}") from None
+    findings.clear()  # the first pass may have found some already
+    findings.append(Finding("encoding", "not UTF-8; read as Windows-1252", "save the log as UTF-8"))
+    return _decoded(path, "cp1252", "replace", choose, style, findings)
+
+
+def _decoded(
+    path: Path, encoding: str, errors: str, choose: Choose, style: CsvStyle, findings: list[Finding]
+) -> Table:
+    try:
+        with _open(path, encoding, errors) as file:
+            return _read(path, file, choose, style, findings)
     except _BROKEN_GZIP as error:
         raise InputError(f"{path}: not a complete gzip file ({error}); compress it again") from None
     except csv.Error as error:
         raise InputError(f"{path}: not readable as CSV ({error})") from None
-    if style.encoding:
-        raise InputError(f"{path}: not encoded in {style.encoding} as its mapping says")
-    findings.clear()  # the first pass may have found some already
-    findings.append(Finding("encoding", "not UTF-8; read as Windows-1252", "save the log as UTF-8"))
-    with _open(path, "cp1252", "replace") as file:
-        return _read(path, file, choose, style, findings)
 
 
-def _open(path: Path, encoding: str, errors: str = "strict") -> IO[str]:
+def _open(path: Path, encoding: str, errors: str) -> IO[str]:
     if path.suffix == ".gz":
         return gzip.open(path, "rt", encoding=encoding, errors=errors, newline="")
     return open(path, encoding=encoding, errors=errors, newline="")
@@ -116,37 +130,39 @@ def _read(path: Path, file: IO[str], choose: Choose, style: CsvStyle, findings: 
     header = _header(path, file, style, findings)
     names = header.names
     wanted = list(dict.fromkeys(choose(names)))
+    times = Counter(names)
     for name in wanted:
-        if names.count(name) > 1:
+        if not times[name]:
+            raise InputError(f"{path}: column {name!r} is not in the header; {suggestion(name, names)}")
+        if times[name] > 1:
             found = [str(i + 1) for i, other in enumerate(names) if other == name]
             raise InputError(
                 f"{path}: column {name!r} appears {len(found)} times (columns {', '.join(found)}); keep one of them"
             )
-    units = _units_in_names(names) | _units_row(file, header, style.si_suffixes, findings)
+    units = _units_in_names(names) | _units_row(path, file, header, style.si_suffixes, findings)
     blanks = header.delimiter == " "
     dialect = Dialect(
         len(names), "\t" if blanks else header.delimiter, blanks, style.decimal, style.si_suffixes
     )
     cells = Cells(path, dialect, wanted, [names.index(name) for name in wanted], findings)
-    columns, lines = _numbers(path, cells, _blocks(file, header))
+    columns, lines = _numbers(path, cells, _blocks(path, file, header))
     return Table(path, names, columns, lines, findings, units)
 
 
 def _header(path: Path, file: IO[str], style: CsvStyle, findings: list[Finding]) -> _Header:
     """Reads up to the first line of data: `sep=` line, column names, delimiter."""
-    for _ in range(style.skip_rows):
-        file.readline()
-    line = style.skip_rows + 1
-    first = file.readline()
-    while first and not first.strip():
-        first = file.readline()
+    line, first = 1, _line(path, file, 1)
+    while first and (line <= style.skip_rows or not first.strip()):
         line += 1
+        first = _line(path, file, line)
     first = first.lstrip("\ufeff")
     delimiter = style.delimiter
     if delimiter is None and first.lower().startswith("sep="):
-        delimiter = first.strip()[4:] or ","
-        first = file.readline()
+        delimiter = first.strip("\r\n")[4:] or ","
+        if len(delimiter) > 1 and delimiter.strip():  # a blank or tab may be the separator itself
+            delimiter = delimiter.strip()
         line += 1
+        first = _line(path, file, line)
     elif delimiter is None:
         delimiter = _delimiter(first)
         if delimiter != ",":
@@ -154,6 +170,10 @@ def _header(path: Path, file: IO[str], style: CsvStyle, findings: list[Finding])
             findings.append(
                 Finding("delimiter", f"columns are separated by {shown!r}, read so", "write commas")
             )
+    if len(delimiter) != 1 or delimiter in '"\r\n' or delimiter.isalnum():
+        raise InputError(
+            f"{path}: columns cannot be separated by {delimiter!r}; one mark is right, such as ; in `sep=;` or in the mapping"
+        )
     if delimiter == " ":  # a unit in brackets belongs to the name before it
         cells = _cells_of(re.sub(r"\s+(?=[(\[])", "", first), delimiter)
     else:
@@ -168,7 +188,21 @@ def _header(path: Path, file: IO[str], style: CsvStyle, findings: list[Finding])
         raise InputError(
             f"{path}: row {line} holds numbers where the header should be; add the line of column names"
         )
-    return _Header(names, delimiter, file.readline(), line + 1)
+    return _Header(names, delimiter, _line(path, file, line + 1), line + 1)
+
+
+def _line(path: Path, file: IO[str], number: int) -> str:
+    """The next line, which is line `number`."""
+    text = file.readline(_LONGEST_LINE + 1)
+    if len(text) > _LONGEST_LINE:
+        raise _too_long(path, number)
+    return text
+
+
+def _too_long(path: Path, number: int) -> InputError:
+    return InputError(
+        f"{path}: row {number} is longer than {_LONGEST_LINE} characters; is an end of line missing, or is it no CSV file?"
+    )
 
 
 def _cells_of(line: str, delimiter: str) -> list[str]:
@@ -185,7 +219,9 @@ def _delimiter(header: str) -> str:
     return " " if len(header.split()) > 1 else ","
 
 
-def _units_row(file: IO[str], header: _Header, si_suffixes: bool, findings: list[Finding]) -> dict[str, str]:
+def _units_row(
+    path: Path, file: IO[str], header: _Header, si_suffixes: bool, findings: list[Finding]
+) -> dict[str, str]:
     """Units by column where the line after the names is a row of units, which is then passed over."""
     try:
         cells = [cell.strip().strip("[]()") for cell in _cells_of(header.text, header.delimiter)]
@@ -203,7 +239,7 @@ def _units_row(file: IO[str], header: _Header, si_suffixes: bool, findings: list
     if len(units) < 2:
         return {}
     findings.append(Finding("units_row", f"row {header.line} holds units, read so", row=header.line))
-    header.text, header.line = file.readline(), header.line + 1
+    header.text, header.line = _line(path, file, header.line + 1), header.line + 1
     return units
 
 
@@ -225,11 +261,17 @@ def _is_unit(text: str) -> bool:
     return True
 
 
-def _blocks(file: IO[str], header: _Header) -> Iterator[tuple[str, int]]:
+def _blocks(path: Path, file: IO[str], header: _Header) -> Iterator[tuple[str, int]]:
     """Whole lines of data and the number of the first of them."""
     text, line = header.text + file.read(_FIRST_BLOCK), header.line
     while text:
-        text += file.readline()
+        text += file.readline(_LONGEST_LINE + 1)
+        start = 0
+        while len(text) - start > _LONGEST_LINE:  # from the last end of a line within reach to the next
+            end = max(text.rfind(mark, start, start + _LONGEST_LINE) for mark in "\r\n") + 1
+            if not end:
+                raise _too_long(path, line + _count_lines(text[:start]))
+            start = end
         yield text, line
         line += _count_lines(text)
         text = file.read(_BLOCK)
@@ -247,6 +289,7 @@ def _numbers(
     """All rows of the wanted columns by name, and the numbers of their lines."""
     columns, lines = [array("d") for _ in cells.wanted], array("q")  # they grow in place
     for text, start in blocks:
+        check_size(path, max(start, len(lines) * len(columns)))
         block, numbers = cells.read(text, start)
         infinite = [
             (int(np.argmax(bad)), place) for place, bad in enumerate(map(np.isinf, block)) if bad.any()

@@ -1,16 +1,25 @@
-"""A file of any log format as a table of named columns: CSV, and here Parquet, MAT 5 and 7.3, MDF 4 and TDMS.
+"""A file of any log format as a table of named columns: CSV, and here Parquet, MAT 5 and 7.3, MDF 3 and 4 and TDMS.
 
 MAT 5 needs nothing beyond the core; the others need the libraries of the extra `measured`, imported on first use.
 In MAT files a column is a numeric vector (structures are named with dots, `log.speed`; the columns of a matrix are
 `data(:,1)`, ...), in TDMS files a channel (its name, or `group/channel` where that is ambiguous), in MDF files a channel
 (all put on the fastest clock, as column `time_s` where the file has no such channel). Units that MDF and TDMS files carry
 are in the table's `units`.
+
+No file runs code. What a library would evaluate or fetch on behalf of a file is refused or not asked for: formulas, bus
+databases and attachments of MDF files, data of HDF5 files that lie in other files.
 """
 
 from __future__ import annotations
 
 import importlib
+import logging
+import math
+import warnings
+import zlib
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +27,14 @@ import numpy as np
 
 from hydro_env.errors import InputError
 from hydro_env.measured.csv_file import CsvStyle, read_csv
-from hydro_env.measured.table import Table
+from hydro_env.measured.finding import Finding
+from hydro_env.measured.table import MOST_VALUES, Table, check_file, check_size
 
 __all__ = ["is_binary", "read_table"]
 
 Choose = Callable[[tuple[str, ...]], Sequence[str]]
+#: The columns of an open file by name, each a function that reads it.
+Columns = dict[str, Callable[[], Any]]
 
 
 def is_binary(path: Path) -> bool:
@@ -35,42 +47,42 @@ def read_table(path: Path, choose: Choose, style: CsvStyle | None = None) -> Tab
 
     `InputError` names the file and what would be right, of CSV also row and column.
     """
-    return read_binary(path, choose) if is_binary(path) else read_csv(path, choose, style)
+    check_file(path)
+    try:
+        return read_binary(path, choose) if is_binary(path) else read_csv(path, choose, style)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); copy it anew") from None
+    except MemoryError:
+        raise InputError(
+            f"{path}: does not fit into memory; export a shorter part, or fewer columns"
+        ) from None
 
 
 def read_binary(path: Path, choose: Choose) -> Table:
     """Reads the columns that `choose(names)` asks for; `InputError` names the file and what would be right."""
+    if path.suffix == ".gz":
+        raise InputError(f"{path}: only CSV files are read gzipped; unpack it first")
     reader, what = BINARY[path.suffix.lower()]
-    units: dict[str, str] = {}
     if not path.stat().st_size:
         raise InputError(f"{path}: the file is empty; a log needs columns and rows")
-    try:
-        available = reader(path, units)
-    except (InputError, MemoryError):
-        raise
-    except Exception as error:  # each library has its own family of errors
-        reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise InputError(
-            f"{path}: not readable as {what} ({reason}); export it again or save it as CSV"
-        ) from None
-    if not available:
-        raise InputError(f"{path}: not readable as {what} (no columns); export it again or save it as CSV")
+    units: dict[str, str] = {}
     columns: dict[str, np.ndarray] = {}
-    for name in choose(tuple(available)):
+    with _collected_warnings() as warned:
         try:
-            values = np.asarray(available[name]())
-            if values.dtype.kind in "mM":  # dates and durations, as seconds
-                values = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64) / 1e9
-            columns[name] = values.astype(float).ravel()
-        except (TypeError, ValueError):
+            with reader(path, units) as available:
+                names = tuple(available)
+                if not names:
+                    raise ValueError("no columns")
+                for name in choose(names):
+                    columns[name] = _numbers(path, name, available[name]())
+                    check_size(path, len(columns[name]) * len(columns))
+        except (InputError, MemoryError):
+            raise
+        except Exception as error:  # each library has its own family of errors
+            reason = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
             raise InputError(
-                f"{path}: column {name!r} holds no numbers; a log's columns are plain numbers"
+                f"{path}: not readable as {what} ({reason}); export it again or save it as CSV"
             ) from None
-        infinite = np.flatnonzero(np.isinf(columns[name]))
-        if len(infinite):
-            raise InputError(
-                f"{path}: row {infinite[0] + 1}, column {name!r}: infinite; put NaN where nothing was measured"
-            )
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         shown = ", ".join(f"{name!r} {count}" for name, count in lengths.items())
@@ -80,7 +92,53 @@ def read_binary(path: Path, choose: Choose) -> Table:
     count = next(iter(lengths.values()), 0)
     if count == 0:
         raise InputError(f"{path}: no rows; a log needs at least two samples")
-    return Table(path, tuple(available), columns, np.arange(1, count + 1), units=units)
+    findings = [
+        Finding("damaged_file", f"reading it as {what} gave a warning: {text}", "is it complete?")
+        for text in dict.fromkeys(warned)
+    ]
+    return Table(path, names, columns, np.arange(1, count + 1), findings, units=units)
+
+
+def _numbers(path: Path, name: str, values: Any) -> np.ndarray:
+    """A column as numbers (T,)."""
+    values = np.asarray(values)
+    try:
+        if values.dtype.kind in "mM":  # dates and durations, as seconds
+            values = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64) / 1e9
+        elif values.dtype.kind not in "biuf":
+            values = np.array([np.nan if value is None else value for value in values.ravel()])
+        numbers = values.astype(float).ravel()
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{path}: column {name!r} holds no numbers; a log's columns are plain numbers"
+        ) from None
+    infinite = np.flatnonzero(np.isinf(numbers))
+    if len(infinite):
+        raise InputError(
+            f"{path}: row {infinite[0] + 1}, column {name!r}: infinite; put NaN where nothing was measured"
+        )
+    return numbers
+
+
+@contextmanager
+def _collected_warnings() -> Iterator[list[str]]:
+    """What the libraries say of a file while it is read, rather than print: some report damage in no other way."""
+    found: list[str] = []
+
+    def keep(record: logging.LogRecord) -> bool:
+        found.append(record.getMessage().strip().partition("\n")[0])
+        return False
+
+    loggers = [logging.getLogger(name) for name in _TALKATIVE]
+    for logger in loggers:
+        logger.addFilter(keep)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield found
+    finally:
+        for logger in loggers:
+            logger.removeFilter(keep)
 
 
 def _library(name: str, path: Path) -> Any:
@@ -93,28 +151,55 @@ def _library(name: str, path: Path) -> Any:
         ) from None
 
 
-def _parquet(path: Path, units: dict[str, str]) -> dict[str, Callable[[], Any]]:
+@contextmanager
+def _parquet(path: Path, units: dict[str, str]) -> Iterator[Columns]:
     parquet = _library("pyarrow.parquet", path)
-    file = parquet.ParquetFile(path)
+    with parquet.ParquetFile(path) as file:
 
-    def column(name: str) -> Callable[[], Any]:
-        return lambda: file.read([name]).column(0).to_numpy()
+        def column(name: str) -> Callable[[], Any]:
+            def read() -> Any:
+                check_size(path, file.metadata.num_rows)
+                return file.read([name]).column(0).to_numpy()
 
-    return {name: column(name) for name in file.schema_arrow.names}
+            return read
+
+        yield {name: column(name) for name in file.schema_arrow.names}
 
 
-def _mat(path: Path, units: dict[str, str]) -> dict[str, Callable[[], Any]]:
+@contextmanager
+def _mat(path: Path, units: dict[str, str]) -> Iterator[Columns]:
     with open(path, "rb") as file:
         is_hdf = b"MATLAB 7.3" in file.read(128)
     if is_hdf:
-        return _mat73(path)
-    from scipy.io import loadmat
+        with _mat73(path) as columns:
+            yield columns
+        return
+    from scipy.io import loadmat, whosmat
 
+    check_size(path, sum(math.prod(shape) for _, shape, _ in whosmat(path)))
+    check_size(path, _unpacked_size(path) // 8)  # of what lies in structures as well
     content = loadmat(path, squeeze_me=True, struct_as_record=False)
-    columns: dict[str, Callable[[], Any]] = {}
-    for name, values in _vectors({key: value for key, value in content.items() if not key.startswith("__")}):
-        columns[name] = lambda values=values: values  # type: ignore[misc]
-    return columns
+    named = {key: value for key, value in content.items() if not key.startswith("__")}
+    yield {name: lambda values=values: values for name, values in _vectors(named)}  # type: ignore[misc]
+
+
+def _unpacked_size(path: Path) -> int:
+    """Bytes that the compressed elements of a MAT 5 file unpack to, without keeping them; stops where they are too many."""
+    size = 0
+    with open(path, "rb") as file:
+        file.seek(126)
+        order = "little" if file.read(2) == b"IM" else "big"
+        while len(tag := file.read(8)) == 8:
+            kind, length = (int.from_bytes(tag[n : n + 4], order) for n in (0, 4))  # type: ignore[arg-type]
+            end = file.tell() + length
+            unpack = zlib.decompressobj()
+            while kind == _MI_COMPRESSED and file.tell() < end and size <= 8 * MOST_VALUES:
+                packed = file.read(min(1 << 14, end - file.tell()))
+                size += len(unpack.decompress(packed))
+                if not packed:
+                    return size
+            file.seek(end)
+    return size
 
 
 def _vectors(content: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -129,73 +214,147 @@ def _vectors(content: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, A
                 yield f"{prefix}{key}(:,{number + 1})", value[:, number]
 
 
-def _mat73(path: Path) -> dict[str, Callable[[], Any]]:
+@contextmanager
+def _mat73(path: Path) -> Iterator[Columns]:
     h5py = _library("h5py", path)
-    columns: dict[str, Callable[[], Any]] = {}
+    columns: Columns = {}
     with h5py.File(path, "r") as file:
 
+        def read(item: Any, row: int | None = None) -> Any:
+            check_size(path, item.size)
+            if item.external or item.is_virtual:
+                raise InputError(f"{path}: {item.name} lies in another file; save the values themselves")
+            return item[()] if row is None else item[row]
+
         def visit(name: str, item: Any) -> None:
-            if (
-                isinstance(item, h5py.Dataset)
-                and not name.startswith("#")
-                and item.size == max(item.shape, default=0)
-            ):
-                values = item[()]
-                columns[name.replace("/", ".")] = lambda: values
-            elif isinstance(item, h5py.Dataset) and not name.startswith("#") and item.ndim == 2:
-                matrix = item[()]  # MATLAB writes column by column, so a matrix lies on its side here
-                for number in range(matrix.shape[0] if matrix.shape[0] <= 64 < matrix.shape[1] else 0):
-                    columns[f"{name.replace('/', '.')}(:,{number + 1})"] = lambda row=matrix[number]: row  # type: ignore[misc]
+            if not isinstance(item, h5py.Dataset) or name.startswith("#") or not item.shape:
+                return
+            dotted = name.replace("/", ".")
+            if item.size == max(item.shape):
+                columns[dotted] = lambda: read(item)
+            elif item.ndim == 2 and item.shape[0] <= 64 < item.shape[1]:
+                # MATLAB writes column by column, so a matrix lies on its side here.
+                for row in range(item.shape[0]):
+                    columns[f"{dotted}(:,{row + 1})"] = lambda row=row: read(item, row)  # type: ignore[misc]
 
         file.visititems(visit)
-    return columns
+        yield columns
 
 
-def _mdf(path: Path, units: dict[str, str]) -> dict[str, Callable[[], Any]]:
+@contextmanager
+def _mdf(path: Path, units: dict[str, str]) -> Iterator[Columns]:
     asammdf = _library("asammdf", path)
-    with asammdf.MDF(path) as file:
-        signals = {
-            name: file.get(name, group=places[0][0], index=places[0][1])
-            for name, places in file.channels_db.items()
-        }
-    masters = [signal.timestamps for signal in signals.values() if len(signal)]
-    clock = max(masters, key=len) if masters else np.zeros(0)
-    columns: dict[str, Callable[[], Any]] = {}
-    for name, signal in signals.items():
-        if signal.samples.dtype.kind not in "biuf":
-            continue
+    # Bus logging would read databases that the file brings along.
+    with closing(asammdf.MDF(path, process_bus_logging=False)) as file:
+        for group in file.groups:
+            record = group.channel_group.samples_byte_nr + getattr(
+                group.channel_group, "invalidation_bytes_nr", 0
+            )
+            check_size(path, group.channel_group.cycles_nr * max(record // 8, 1))
+        for group, number in file.masters_db.items():
+            _check_channel(path, file.groups[group], number)
 
-        def values(signal: Any = signal) -> Any:
-            if len(signal.timestamps) == len(clock) and np.array_equal(signal.timestamps, clock):
-                return signal.samples
-            # A slower raster holds its last value until the next one; before its first sample nothing is known.
-            last = np.searchsorted(signal.timestamps, clock, side="right") - 1
-            return np.where(last >= 0, signal.samples[np.maximum(last, 0)].astype(float), np.nan)
+        @cache
+        def clock_of(group: int) -> np.ndarray:
+            return np.asarray(file.get_master(group))
 
-        columns[name] = values
-        if signal.unit:
-            units[name] = str(signal.unit)
-    columns.setdefault("time_s", lambda: clock)
-    return columns
+        @cache
+        def clock() -> np.ndarray:
+            return max((clock_of(number) for number in range(len(file.groups))), key=len)
+
+        def column(group: int, number: int) -> Callable[[], Any]:
+            def read() -> Any:
+                _check_channel(path, file.groups[group], number)
+                signal = file.get(group=group, index=number)
+                own, common, values = clock_of(group), clock(), signal.samples
+                if len(values) < len(own):  # samples that the file marks as invalid are left out
+                    values = np.full(len(own), np.nan)
+                    values[np.searchsorted(own, signal.timestamps)] = signal.samples.astype(float)
+                if len(own) == len(common) and np.array_equal(own, common):
+                    return values
+                # A slower raster holds its last value until the next one; before its first sample nothing is known.
+                last = np.searchsorted(own, common, side="right") - 1
+                return np.where(last >= 0, values[np.maximum(last, 0)].astype(float), np.nan)
+
+            return read
+
+        columns: Columns = {}
+        for name, ((group, number), *_) in file.channels_db.items():
+            if file.groups[group].channel_dependencies[number]:  # a structure or an array, no signal
+                continue
+            columns[name] = column(group, number)
+            channel = file.groups[group].channels[number]
+            unit = getattr(channel, "unit", "") or getattr(channel.conversion, "unit", "")
+            if unit:
+                units[name] = str(unit)
+        columns.setdefault("time_s", clock)
+        yield columns
 
 
-def _tdms(path: Path, units: dict[str, str]) -> dict[str, Callable[[], Any]]:
+def _check_channel(path: Path, group: Any, number: int) -> None:
+    """InputError for a channel whose values a formula of the file, or a table of texts and formulas, would make, and for one
+    that lies outside its record: the library reads there unchecked."""
+    channel = group.channels[number]
+    blocks = type(channel).__module__.rpartition(".")[2]
+    constants = {"v4_blocks": "v4_constants", "v2_v3_blocks": "v2_v3_constants"}[blocks]
+    names = vars(importlib.import_module(f"asammdf.blocks.{constants}"))
+    rule = channel.conversion
+    plain = {names.get(f"CONVERSION_TYPE_{kind}") for kind in _PLAIN_CONVERSIONS}
+    if rule is not None and rule.conversion_type not in plain:
+        raise InputError(
+            f"{path}: the values of channel {channel.name!r} come from a formula or a table of texts in the file, which is "
+            "never run; export physical values (no conversion, or a linear one)"
+        )
+    if blocks == "v4_blocks":
+        # Of a channel with an attachment the library opens whatever file is named.
+        if channel.channel_type == names["CHANNEL_TYPE_VLSD"] or channel.attachment is not None:
+            raise InputError(
+                f"{path}: column {channel.name!r} holds texts, blocks of bytes or an attached file, no numbers"
+            )
+        bits = 8 * channel.byte_offset + channel.bit_offset + channel.bit_count
+        validity = channel.pos_invalidation_bit // 8 if group.channel_group.invalidation_bytes_nr else -1
+        outside = validity >= group.channel_group.invalidation_bytes_nr
+    else:
+        bits = 8 * channel.additional_byte_offset + channel.start_offset + channel.bit_count
+        outside = False
+    if outside or bits > 8 * group.channel_group.samples_byte_nr:
+        raise InputError(
+            f"{path}: channel {channel.name!r} lies outside its record: the file is damaged; export it again"
+        )
+
+
+@contextmanager
+def _tdms(path: Path, units: dict[str, str]) -> Iterator[Columns]:
     tdms = _library("nptdms", path)
-    file = tdms.TdmsFile.read(path)
-    channels = [channel for group in file.groups() for channel in group.channels()]
-    names = [channel.name for channel in channels]
-    columns: dict[str, Callable[[], Any]] = {}
-    for channel in channels:
-        name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
-        columns[name] = lambda channel=channel: channel[:]  # type: ignore[misc]
-        if channel.properties.get("unit_string"):
-            units[name] = str(channel.properties["unit_string"])
-    if "time_s" not in columns and channels and "wf_increment" in channels[0].properties:
-        columns["time_s"] = lambda: channels[0].time_track()
-    return columns
+    with tdms.TdmsFile.open(path) as file:
+        channels = [channel for group in file.groups() for channel in group.channels()]
+        names = [channel.name for channel in channels]
+        columns: Columns = {}
+        for channel in channels:
+
+            def read(channel: Any = channel) -> Any:
+                check_size(path, len(channel))
+                return channel[:]
+
+            name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
+            columns[name] = read
+            if channel.properties.get("unit_string"):
+                units[name] = str(channel.properties["unit_string"])
+        if "time_s" not in columns and channels and "wf_increment" in channels[0].properties:
+            columns["time_s"] = lambda: channels[0].time_track()
+        yield columns
 
 
-BINARY: dict[str, tuple[Callable[[Path, dict[str, str]], dict[str, Callable[[], Any]]], str]] = {
+#: Loggers of the libraries that print unless asked not to.
+_TALKATIVE = (
+    "asammdf", "nptdms.base_segment", "nptdms.reader", "nptdms.scaling", "nptdms.tdms_segment", "nptdms.types",
+)  # fmt: skip
+#: Conversions of MDF 3 and 4 that are arithmetic on numbers, by their names in asammdf.
+_PLAIN_CONVERSIONS = ("NON", "NONE", "LIN", "LINEAR", "RAT", "POLY", "EXPO", "LOGH", "TAB", "TABI", "RTAB")
+#: The type of a compressed element of a MAT 5 file ("MAT-File Format", The MathWorks).
+_MI_COMPRESSED = 15
+
+BINARY: dict[str, tuple[Callable[[Path, dict[str, str]], AbstractContextManager[Columns]], str]] = {
     ".parquet": (_parquet, "Parquet"),
     ".mat": (_mat, "a MAT file"),
     ".mf4": (_mdf, "MDF 4"),

@@ -23,8 +23,21 @@ from hydro_env.units import to_si, unit
 if TYPE_CHECKING:
     from hydro_env.measured.log import RigLog
 
-__all__ = ["Spoilt", "after_gaps", "check_clock", "check_log", "check_units", "jump_size"]
+__all__ = [
+    "LARGEST",
+    "Spoilt",
+    "after_gaps",
+    "check_clock",
+    "check_log",
+    "check_numbers",
+    "check_units",
+    "jump_size",
+]
 
+LARGEST = (
+    1e18  # in SI; the squares of larger ones leave the range of single precision, in which logs are fitted
+)
+_RESOLUTION_S = 1e-6  # clocks are read to the microsecond, and no rig is recorded faster
 _SETTLE_S = 1.0  # after a gap the state of a simulation is a guess for so long
 Spoilt = dict[tuple[str, int], np.ndarray]
 
@@ -34,15 +47,17 @@ def check_clock(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """The clock of a table: time in s (K,) and the indices (K,) of the rows to keep (None = all).
 
-    `InputError` where a time is missing or runs backwards, or where the stamps are too coarse to order the rows;
-    a few repeated stamps are dropped with a finding, gaps and an uneven rate are findings.
+    `InputError` where a time is missing or runs backwards, where the stamps are too coarse to order the rows or nearer to
+    each other than a microsecond; a few repeated stamps are dropped with a finding, gaps and an uneven rate are findings.
     """
-    time = to_si(table.columns[column], unit)
+    with np.errstate(all="ignore"):
+        time = to_si(table.columns[column], unit)
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
         raise InputError(
             f"{table.path}: row {table.row(bad[0])}, column {column!r}: no time; every row needs one, so delete the row"
         )
+    check_numbers(table, column, time)
     if abs(time[0]) > 1e6 or any(f.code == "time_stamps" for f in table.findings):
         message = f"time starts at {time[0]:.0f} s; counted from the first row"
         findings.append(Finding("epoch_time", message, column=column))
@@ -79,9 +94,25 @@ def check_clock(
                 f"{table.path}: column {column!r}: all rows have the same time; a log needs at least two"
             )
         steps = np.diff(time)
+    if float(np.median(steps)) < _RESOLUTION_S:
+        raise InputError(
+            f"{table.path}: column {column!r}: rows come every {np.median(steps):.3g} s; a clock is read to 1e-06 s, so give "
+            "its right unit in a mapping"
+        )
     rows = table.lines if keep is None else table.lines[keep]
     findings.extend(_rate(steps, time, rows, column))
     return time, keep
+
+
+def check_numbers(table: Table, column: str, values: np.ndarray) -> None:
+    """InputError if a value (T,) in SI is larger than anything measured."""
+    huge = np.flatnonzero(np.abs(values) > LARGEST)
+    if len(huge):
+        row = huge[0]
+        raise InputError(
+            f"{table.path}: row {table.row(row)}, column {column!r}: {table.columns[column][row]:.6g} is no measurement; "
+            "leave the cell empty where nothing was measured"
+        )
 
 
 def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str) -> Iterator[Finding]:

@@ -21,6 +21,7 @@ from ..errors import InputError
 from ..units import UNITS, unit
 from .csv_file import CsvStyle
 from .formats import read_table
+from .gate import LARGEST
 from .log import RigLog
 from .log_files import read_log
 from .mapping import Mapping, contract_columns, contract_mapping, load_mapping
@@ -68,8 +69,8 @@ class Proposal:
     problem: str
 
 
-def _columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Every column of numbers of a file, and the units that the file gives."""
+def _columns(path: Path, notes: list[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Every column of numbers of a file, and the units that the file gives; `notes` gets the reasons why others are not read."""
 
     def read(wanted: tuple[str, ...] | None) -> Any:
         def choose(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -77,8 +78,6 @@ def _columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
 
         return read_table(path, choose, CsvStyle(header=None))
 
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give the path of a log")
     try:
         table = read(None)
         return table.columns, table.units
@@ -99,7 +98,8 @@ def _columns(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         for name in names:  # some columns are text, or on another clock
             try:
                 table = read((name,))
-            except InputError:
+            except InputError as reason:
+                notes.append(f"{name!r}: left out; {str(reason).removeprefix(f'{path}: ')}")
                 continue
             columns[name], units = table.columns[name], table.units
         longest = max((len(v) for v in columns.values()), default=0)
@@ -163,16 +163,18 @@ def _signal_of(name: str) -> str | None:
 def propose(path: str | Path) -> Proposal:
     """Looks at a log and proposes a mapping. InputError if it cannot be read at all."""
     path = Path(path)
-    columns, units = _columns(path)
+    notes: list[str] = []
+    columns, units = _columns(path, notes)
+    for values in columns.values():  # what is larger is no measurement, and reading will say so
+        values[np.abs(values) > LARGEST] = np.nan
     if {"time_s"} <= set(columns) and sum(n in contract_columns() for n in columns) >= 3:
         try:
             mapping = contract_mapping(tuple(columns), path)
         except InputError as error:
-            return Proposal("", ("the header is the rig log's own",), None, str(error))
+            return Proposal("", (*notes, "the header is the rig log's own"), None, str(error))
         content = mapping.model_dump(by_alias=True, exclude_defaults=True, exclude_none=True)
         content = {"schema": content.pop("schema_", None) or content.pop("schema"), **content}
-        return _tried(path, content, ["the header is the rig log's own: no mapping is needed"])
-    notes: list[str] = []
+        return _tried(path, content, [*notes, "the header is the rig log's own: no mapping is needed"])
     return _tried(path, _guessed(path, columns, units, notes), notes)
 
 

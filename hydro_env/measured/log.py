@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.mapping import CHANNEL_SIGNALS, RIG_SIGNALS
+from hydro_env.measured.table import check_size
 
 __all__ = ["HELD", "RigLog", "field_of"]
 
@@ -105,11 +107,12 @@ class RigLog:
         """The log on an even grid of `period` s: commands, loads and set-points held, measurements interpolated, and
         NaN inside gaps (steps of more than 1.75 median ones).
 
-        No filter is applied: noise above the new rate folds back.
+        No filter is applied: noise above the new rate folds back. InputError where the grid would have more rows than any log.
         """
         if not period > 0.0:
             raise ValueError("the period must be positive")
         span = self.time_s[-1] - self.time_s[0]
+        check_size(Path(self.name), int(min(span / period, 1e18)) * (1 + 2 * len(self.signals)))
         grid = self.time_s[0] + period * np.arange(int(np.floor(span / period + 1e-6)) + 1)
         # A grid point that misses a row by rounding alone must see that row's command.
         held = np.searchsorted(self.time_s, grid + 1e-6 * period, side="right") - 1

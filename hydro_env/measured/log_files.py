@@ -15,7 +15,7 @@ from hydro_env.files import replacing
 from hydro_env.measured.csv_file import CsvStyle
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.formats import read_table
-from hydro_env.measured.gate import Spoilt, after_gaps, check_clock, check_log, check_units
+from hydro_env.measured.gate import Spoilt, after_gaps, check_clock, check_log, check_numbers, check_units
 from hydro_env.measured.log import HELD, RigLog, field_of
 from hydro_env.measured.mapping import (
     CHANNEL_SIGNALS,
@@ -23,6 +23,7 @@ from hydro_env.measured.mapping import (
     CONTRACT_RIG,
     RIG_SIGNALS,
     Mapping,
+    Part,
     Source,
     contract_columns,
     contract_mapping,
@@ -41,14 +42,12 @@ def read_log(path: str | Path, mapping: Mapping | str | Path | None = None) -> R
     `InputError` (one line: file, row, column, what would be right) where the log cannot be used.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give the path of a log")
     if mapping is not None and not isinstance(mapping, Mapping):
         mapping = load_mapping(mapping)
     chosen: list[Mapping] = []
 
     def choose(names: tuple[str, ...]) -> tuple[str, ...]:
-        chosen.append(mapping or contract_mapping(names, path))
+        chosen[:] = [mapping or contract_mapping(names, path)]  # a second reading may see another header
         for column in chosen[0].columns():
             if column not in names:
                 raise InputError(
@@ -147,10 +146,17 @@ def _values(
         message = f"column {source.column!r} holds no value"
         findings.append(Finding("empty_column", message, "taken as absent", column=source.column))
         return None
-    result = source.si(cells)
+    result = _si(table, source)
     if source.minus is not None:
-        result = result - source.minus.si(table.columns[source.minus.column])
+        result = result - _si(table, source.minus)
     return np.asarray(result if keep is None else result[keep])
+
+
+def _si(table: Table, part: Part) -> np.ndarray:
+    with np.errstate(all="ignore"):
+        values = np.asarray(part.si(table.columns[part.column]))
+    check_numbers(table, part.column, values)
+    return values
 
 
 def _hold(

@@ -143,7 +143,7 @@ class Time(_Strict):
 
     column: str | None = None
     unit: str = "s"
-    sample_rate: Annotated[float, Field(gt=0)] | None = None
+    sample_rate: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None
 
     @model_validator(mode="after")
     def _one_clock(self) -> Time:

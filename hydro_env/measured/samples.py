@@ -45,8 +45,10 @@ def check_samples(
         message = f"{len(missing)} of {len(values)} cells of {column!r} hold no value, the first in row {rows[missing[0]]}"
         findings.append(Finding("missing_values", message, _LEFT_OUT, row=int(rows[missing[0]]), **place))
     finite = values[np.isfinite(values)]
-    if not len(finite) or signal == "load":
+    if not len(finite):
         return findings, spoilt
+    if signal == "load":
+        return [*findings, *_load_at_limit(log, values, rows, place)], spoilt
     low, high = float(finite.min()), float(finite.max())
     if high == low:
         if len(finite) > 10:
@@ -200,6 +202,32 @@ def _stuck(
             message += f", and more such stretches: {bad.sum() * log.period:.3g} s in all"
         hint = f"a stuck sensor or a frozen recorder: {_LEFT_OUT}"
         yield Finding("stuck", message, hint, row=int(rows[first]), **place), bad
+
+
+def _load_at_limit(
+    log: RigLog, values: np.ndarray, rows: np.ndarray, place: dict[str, Any]
+) -> Iterator[Finding]:
+    """A measured load that repeats its largest or smallest value: noise never does. A computed load may rest anywhere."""
+    starts, lengths = _runs(values)
+    least = max(20, int(_STUCK_S / log.period))
+    for limit, name in ((np.nanmin(values), "smallest"), (np.nanmax(values), "largest")):
+        long = (lengths >= least) & (values[starts] == limit)
+        if limit == 0.0 or not long.any():
+            continue
+        elsewhere = values[np.repeat(lengths < least, lengths)]
+        steps = np.abs(np.diff(elsewhere))
+        # Noise within one step of the converter does repeat itself.
+        resolution = np.min(steps[steps > 0.0], initial=np.inf)
+        if not _is_noisy(elsewhere) or np.median(steps) < 3.0 * resolution:
+            continue
+        first = starts[long][0]
+        unit = "N" if log.kinds[place["channel"] - 1] == "cylinder" else "N m"
+        message = (
+            f"{place['column']!r} stays at its {name} value, {limit:.4g} {unit}, for {lengths[long].sum() * log.period:.3g} s, "
+            f"first in row {rows[first]}, though it is noisy elsewhere: the sensor was at its limit"
+        )
+        hint = "the true load is larger there and is taken as logged; widen the sensor's range"
+        yield Finding("clipped", message, hint, row=int(rows[first]), **place)
 
 
 def _is_noisy(values: np.ndarray) -> bool:

@@ -309,7 +309,7 @@ def test_a_part_on_one_side_of_a_clock_jump_can_be_used(
     path = _save(tmp_path / "fit.csv", columns)
     assert "jumps by" in _refused(path, path, "--steady")
     status, text = _hydro_env(
-        "diagnose", f"{path}@0:2", "--sealed", f"{path}@602.5:604.5", "--steady", "--out", tmp_path / "out"
+        "diagnose", f"{path}@0:2.5", "--sealed", f"{path}@602.5:", "--steady", "--out", tmp_path / "out"
     )
     assert status == 0, text
 
@@ -799,3 +799,53 @@ def test_a_column_that_the_mapping_lacks_is_named(tmp_path: Path, recorded: tupl
     path = _save(tmp_path / "log.csv", columns)
     line = _refused(path, path, "--mapping", _mapping(tmp_path))
     assert "'n_right'" in line and "did you mean 'n_rihgt'" in line
+
+
+# --- suspicions about pressures and loads
+
+
+def test_small_pressures_in_kilopascal_are_suspected_before_a_model_is_looked_at(
+    tmp_path: Path, recorded: tuple[Columns, Columns]
+) -> None:
+    columns = _copy(recorded[0])
+    for name in ("pressure_1_bar", "pressure_2_bar"):
+        columns[name] *= 100 * 5.0 / np.abs(columns[name]).max()  # 5 bar at most
+    assert "is it in kPa" in _inspected(_save(tmp_path / "log.csv", columns))
+
+
+def test_psi_called_bar_with_many_blank_cells_is_refused(
+    tmp_path: Path, recorded: tuple[Columns, Columns]
+) -> None:
+    columns = _copy(recorded[0])
+    for name in ("pressure_1_bar", "pressure_2_bar"):
+        columns[name] *= 14.504
+        columns[name][::3] = np.nan
+    path, sealed = _save(tmp_path / "fit.csv", columns), _save(tmp_path / "sealed.csv", recorded[1])
+    line = _refused(path, sealed, "--model", "paper_dead_zone")
+    assert "times the model's pressure" in line and "is it in psi" in line
+
+
+@pytest.mark.parametrize("stuck", [1.0, -2.0, 20.0])
+def test_a_load_that_does_not_act_is_named(
+    tmp_path: Path, recorded: tuple[Columns, Columns], stuck: float
+) -> None:
+    fit, sealed = (_copy(each) for each in recorded)
+    for columns in (fit, sealed):
+        columns["load_1_Nm"] = np.full(len(columns["time_s"]), stuck)
+    line = _refused(_save(tmp_path / "fit.csv", fit), _save(tmp_path / "sealed.csv", sealed))
+    assert "did not act" in line and "stuck or at its limit" in line and "--accept load" in line
+
+
+def test_a_measured_load_at_the_limit_of_its_sensor_is_said(
+    tmp_path: Path, recorded: tuple[Columns, Columns]
+) -> None:
+    load = 0.02 * _drive(9, 5000)[:, 0] + 0.01 * np.random.default_rng(1).normal(size=5000)
+    columns = _copy(recorded[0]) | {"load_1_Nm": load}
+    assert "its limit" not in _inspected(_save(tmp_path / "free.csv", columns))
+    columns["load_1_Nm"] = np.minimum(load, 0.4)
+    assert "'load_1_Nm' stays at its largest value, 0.4 N m" in _inspected(
+        _save(tmp_path / "log.csv", columns)
+    )
+    profile = np.clip(np.abs(np.arange(5000) % 2000 - 1000) / 500.0, 0.2, 1.5)  # computed: ramps and plateaus
+    columns["load_1_Nm"] = profile
+    assert "its limit" not in _inspected(_save(tmp_path / "profile.csv", columns))

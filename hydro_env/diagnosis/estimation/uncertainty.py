@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..input.duration import STRETCH_S
 from .estimate import Estimate
 from .fit import Fit
 
@@ -18,8 +19,6 @@ __all__ = [
     "CANNOT_BE_PREDICTED", "Intervals", "bootstrap", "courses_apart", "intervals_of", "probability_of_gain", "unpredictable",
 ]  # fmt: skip
 
-#: Length of a stretch that is drawn or left out as a whole, s.
-STRETCH_S = 0.5
 #: Length of a manoeuvre that is left out as a whole, s.
 MANOEUVRE_S = 2.0
 REPLICAS = 200

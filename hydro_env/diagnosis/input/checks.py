@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...measured import Mapping, RigLog
+from .duration import check_duration
 from .parts import Part, overlap, read_parts
 
 __all__ = ["read_logs"]
@@ -22,7 +23,8 @@ def read_logs(
     fit: Sequence[str | Path | RigLog], held_out: Sequence[str | Path | RigLog], mapping: Mapping | str | Path | None,
     accept: Collection[str] = (),
 ) -> tuple[list[Part], list[Part]]:  # fmt: skip
-    """The logs to fit and those held out. InputError for anything that cannot be used, and for rows that are in both."""
+    """The logs to fit and those held out. InputError for anything that cannot be used, for rows that are in both, and
+    for logs that are too short."""
     if not fit:
         raise InputError("no fit log; name at least one log to fit")
     if not held_out:
@@ -33,6 +35,8 @@ def read_logs(
     overlap(parts, proofs)
     parts, proofs = _with_common_signals(*_without_idle(parts, proofs))
     _check_channels(parts, proofs)
+    check_duration(parts, "fit")
+    check_duration(proofs, "held-out")
     return parts, proofs
 
 

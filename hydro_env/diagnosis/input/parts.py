@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import os
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -105,7 +106,7 @@ def _parts(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[P
 
 def _split(word: str) -> tuple[str, list[tuple[float, float]]]:
     path, at, text = word.rpartition("@")
-    if not at or Path(word).exists():
+    if not at or os.path.exists(word):  # also False of a name that is too long
         return word, ALL
     windows = []
     for piece in text.split(","):

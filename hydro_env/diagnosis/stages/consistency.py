@@ -79,9 +79,21 @@ def implausible(rig: RigModel, given: Estimates) -> list[Finding]:
 
 
 def _load(rig: RigModel) -> Iterator[Finding]:
-    """Loads of the other sign: the shaft then fits with the mirrored load and not with the one as logged."""
+    """Loads of the other sign, and loads that do not act: the shaft then fits with the mirrored load, or with none, and not
+    with the one as logged."""
     for channel in rig.channels:
         own, mirrored = (_unlike(_shaft(rig, channel, channel, load_scale=sign)) for sign in (1.0, -1.0))
+        logged, without = (_error(rig, channel, load_scale=scale) for scale in (1.0, 0.0))
+        if logged > max(_LESS * without, 1.0):
+            peak = max(
+                float(np.nanmax(np.abs(p.log.load[:, channel]))) for p in rig.parts if p.log.load is not None
+            )
+            message = (
+                f"the shaft of channel {channel + 1} turns as if the load that is logged (up to {peak:.4g} N m) did not act: "
+                f"with it the speed from pressure and load is off by {logged:.2g} times its swing, without it by {without:.2g}; "
+                "is the load sensor stuck or at its limit, its zero off, or its unit another?"
+            )
+            yield Finding("load", message, "correct or leave out the load", "load", channel + 1, sure=True)
         if own > _LESS * max(mirrored, 1e-3) and mirrored < 0.1:
             message = (
                 f"the shaft of channel {channel + 1} turns as if its load had the other sign (correlation {1.0 - mirrored:.3f} "
@@ -96,7 +108,9 @@ def _load(rig: RigModel) -> Iterator[Finding]:
 def _units(rig: RigModel, likes: dict[tuple[str, int], tuple[float, float]]) -> Iterator[Finding]:
     """Signals whose size is off by the factor between two units."""
     for channel in rig.channels:
-        tied = {"speed", "pressure"} <= {signal for signal, c in likes if c == channel}
+        # Pressures with many holes give no shaft; then the model of each signal is all there is.
+        both = {"speed", "pressure"} <= {signal for signal, c in likes if c == channel}
+        tied = both and _shaft(rig, channel, channel) is not None
         if tied:
             yield from _tied_units(rig, channel, likes)
         for signal in _UNITS:
@@ -248,18 +262,35 @@ def _unlike(shaft: tuple[float, float] | None) -> float:
 
 
 def _shaft(
-    rig: RigModel,
-    pressing: int,
-    turning: int,
-    *,
-    load_of: int | None = None,
-    load_scale: float = 1.0,
-    speed_scale: float = 1.0,
-    pressure_scale: float = 1.0,
-) -> tuple[float, float] | None:
+    rig: RigModel, pressing: int, turning: int, *, load_of: int | None = None, load_scale: float = 1.0,
+    speed_scale: float = 1.0, pressure_scale: float = 1.0,
+) -> tuple[float, float] | None:  # fmt: skip
     """The speed of channel `turning` beside the one that the measured pressure of channel `pressing` gives to the shaft:
     correlation and ratio of their sizes; None where they are not logged. All may be scaled before; the load is that of
     channel `load_of`, of `turning` if None."""
+    loaded = turning if load_of is None else load_of
+    both = _replayed(rig, pressing, turning, loaded, load_scale, pressure_scale)
+    if both is None:
+        return None
+    one, two = speed_scale * both[0], both[1]
+    if one.size < 100 or not (np.std(one) > 0.0 and np.std(two) > 0.0):
+        return None
+    return float(np.corrcoef(one, two)[0, 1]), float(np.std(one) / np.std(two))
+
+
+def _error(rig: RigModel, channel: int, load_scale: float) -> float:
+    """How far the speed of a channel is from the one that its pressure and its load, scaled, give to the shaft: the RMS in
+    times the standard deviation of the speed; 0 where it cannot be said."""
+    both = _replayed(rig, channel, channel, channel, load_scale)
+    if both is None or both[0].size < 100 or not np.std(both[0]) > 0.0:
+        return 0.0
+    return float(np.sqrt(np.mean((both[0] - both[1]) ** 2)) / np.std(both[0]))
+
+
+def _replayed(
+    rig: RigModel, pressing: int, turning: int, loaded: int, load_scale: float, pressure_scale: float = 1.0
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The measured speed of channel `turning` (n,), and what the pressure of `pressing` and the load of `loaded` give (n,)."""
     measured, replayed = [], []
     names = {"displacement": "D", "inertia": "J", "friction": "B"}
     shaft = {key: rig.model.value(name, pressing) for key, name in names.items()}
@@ -267,22 +298,16 @@ def _shaft(
         log = part.log
         if log.pressure is None or not (log.has("pressure", pressing) and log.has("speed", turning)):
             return None
-        pressure, speed = pressure_scale * log.pressure[:, pressing], speed_scale * log.speed[:, turning]
-        known = np.isfinite(pressure)
-        if known.mean() < 0.9:
+        pressure, speed = pressure_scale * log.pressure[:, pressing], log.speed[:, turning]
+        if np.isfinite(pressure).mean() < 0.9:
             return None
         load = np.zeros(len(log))
-        loaded = turning if load_of is None else load_of
         if log.load is not None and log.has("load", loaded):
             load = load_scale * np.nan_to_num(log.load[:, loaded])
         used = part.inside & np.isfinite(speed)
         measured.append(speed[used])
-        driven = shaft_speed(filled(pressure), load, log.period, **shaft)
-        replayed.append(driven[used])
-    one, two = np.concatenate(measured), np.concatenate(replayed)
-    if one.size < 100 or not (np.std(one) > 0.0 and np.std(two) > 0.0):
-        return None
-    return float(np.corrcoef(one, two)[0, 1]), float(np.std(one) / np.std(two))
+        replayed.append(shaft_speed(filled(pressure), load, log.period, **shaft)[used])
+    return np.concatenate(measured), np.concatenate(replayed)
 
 
 def _pair(
