@@ -93,7 +93,7 @@ def parameters() -> str:
             _number(p.nominal),
             p.unit,
             f"{_number(p.low)} to {_number(p.high)}",
-            f"{_number(p.possible[0])} to {_number(p.possible[1])}",
+            " to ".join(map(_number, p.possible)) + (", or 0" if p.name in ("Fc", "Fs") else ""),
             p.source,
         ]
         for p in PARAMETERS.values()
@@ -104,7 +104,7 @@ def parameters() -> str:
         "nominal",
         "unit",
         "plausible range",
-        "possible in a file",
+        "accepted",
         "source",
     ]
     return _table(head, rows)

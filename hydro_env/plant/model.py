@@ -43,6 +43,7 @@ from ..files import write_text
 from ..reading import parse_yaml, read_yaml
 from .catalogue import CATALOGUE
 from .parameters import PARAMETERS, Parameter
+from .stiffness import LEAST_FRICTION, SPOOL, greatest_force, parts_wanted
 
 __all__ = [
     "SUBSTEP", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "load_model", "parameter_of", "preset_names",
@@ -59,6 +60,8 @@ VALVE_PARAMETERS = (
 )  # fmt: skip
 #: Ports whose effects belong to a valve. Driver, supply and orifice law (its supply pressure) are the rig's.
 VALVE_PORTS = ("coil", "force", "opening")
+#: A stiff channel takes a substep in at most 64 parts, of which the last third is a reserve.
+_MOST_PARTS = 40.0
 _CHANNELS = ("both", "channel_1", "channel_2")
 #: Files that may build on each other: a model on its base or valve, that one on its own, ...
 MOST_FILES = 5
@@ -86,7 +89,8 @@ class PlantModel:
 
     Only what differs from the nominal or neutral value need be there. An effect acts if it is in `effects`; it may be
     there with neutral values (then it may be varied later). `substep` is the longest step of the integrator in s that
-    the model is to be simulated with. InputError for unknown names or values that are no numbers.
+    the model is to be simulated with; a stiff channel takes it in parts. InputError for unknown names, values that are no
+    numbers, and those outside of what is simulated correctly (`Parameter.possible`, `stiffness`).
     """
 
     name: str = "nominal"
@@ -103,10 +107,9 @@ class PlantModel:
             first, second = float(pair[0]), float(pair[1])
             if math.isnan(first) or math.isnan(second):
                 raise InputError(f"model {self.name!r}: {name} is not a number")
-            if name in PARAMETERS:
-                _check_base(name, (first, second), f"model {self.name!r}")
-            else:
-                _check_own(name, (first, second), f"model {self.name!r}")
+            for value in (first, second):
+                if wrong := _out_of_range(value, parameter_of(name)):
+                    raise InputError(f"model {self.name!r}: {name}: {wrong}")
             clean[name] = (first, second)
         for name in self.declared:
             if name not in CATALOGUE:
@@ -116,6 +119,8 @@ class PlantModel:
         named = {n.split(".", 1)[0] for n in clean if "." in n} | set(self.declared)
         object.__setattr__(self, "values", clean)
         object.__setattr__(self, "declared", tuple(n for n in CATALOGUE if n in named))
+        for channel in (0, 1):
+            _check_spool(self, channel, f"model {self.name!r}")
 
     @property
     def channels(self) -> tuple[dict[str, float], dict[str, float]]:
@@ -201,21 +206,57 @@ def _exact(data: Any) -> Any:
 
 
 # --- reading ----------------------------------------------------------------------------------------------------------
-_ZERO_ALLOWED = {"B", "C", "s2", "Km", "Fc"}
+_FRICTION = ("Fc", "Fs")
+#: Room for the rounding of a value that stands at an end.
+_AT_END = 1e-9
 
 
-def _check_base(name: str, pair: tuple[float, float], where: str) -> None:
-    for value in pair:
-        if value < 0.0 or math.isinf(value) or (value == 0.0 and name not in _ZERO_ALLOWED):
-            kind = "finite" if math.isinf(value) else "positive"
-            raise InputError(f"{where}: {name} is {value:g}; {PARAMETERS[name].note or name} must be {kind}")
+def _out_of_range(value: float, p: Parameter) -> str:
+    """What is wrong with a value that is not simulated correctly or that no component has, "" if nothing is."""
+    low, high = p.possible
+    room = _AT_END * max(abs(end) for end in (low, high) if math.isfinite(end))
+    absent = p.name in _FRICTION and value == 0.0
+    if value == p.neutral or absent or low - room <= value <= high + room:
+        return ""
+    ends = f"{low:g} to {_in_unit(high, p)}" if high < math.inf else f"{_in_unit(low, p)} or more"
+    none = ", or 0 for none" if p.name in _FRICTION else ""
+    return f"{_in_unit(value, p)} is out of range; {p.title} is {ends}{none}"
 
 
-def _check_own(name: str, pair: tuple[float, float], where: str) -> None:
-    """What varies by factors about a neutral value, such as a viscosity or a time constant, is never zero."""
-    p = parameter_of(name)
-    if p.log and p.nominal > 0.0 and min(pair) <= 0.0:
-        raise InputError(f"{where}: {name} is {min(pair):g}; it must be positive")
+def _check_spool(model: PlantModel, channel: int, where: str) -> None:
+    """InputError for a spool that no substep resolves or no stop holds: its friction, mass or stop is too small."""
+    values = {name: model.value(name, channel) for name in SPOOL}
+    for effect in map(CATALOGUE.__getitem__, model.declared):
+        for base, own in effect.adds_to.items():
+            values[base] += model.value(f"{effect.name}.{own}", channel)
+    force = greatest_force(*(values[name] for name in ("alpha", "R", "k", "x_max", "u_rated")))
+    least = force / values["x_max"] - 2.0 * values["k"]  # the stop yields by the stroke
+    if values["k_stop"] < least:
+        raise InputError(
+            f"{where}: channel {channel + 1}: k_stop is {values['k_stop']:g}; against {force:.3g} N of the coil {least:.3g} N/m"
+            " or more can be simulated"
+        )
+    friction = [values[name] for name in _FRICTION]
+    if max(friction) <= _AT_END:
+        return
+    if min(friction) < (1.0 - _AT_END) * LEAST_FRICTION:
+        raise InputError(
+            f"{where}: channel {channel + 1} has {friction[0]:g} N of Coulomb and {friction[1]:g} N of static friction in all;"
+            f" {LEAST_FRICTION:g} N or more can be simulated, or Fc and Fs 0 for none"
+        )
+
+    def parts(mass: float) -> float:
+        return parts_wanted(model.substep, {**values, "m": mass})
+
+    if parts(values["m"]) > _MOST_PARTS:
+        low, high = values["m"], 1e6 * values["m"]
+        for _ in range(60):
+            middle = math.sqrt(low * high)
+            low, high = (middle, high) if parts(middle) > _MOST_PARTS else (low, middle)
+        raise InputError(
+            f"{where}: channel {channel + 1}: m is {values['m']:g}; with these Fc, Fs, s0, s1 and k_stop {high:.3g} kg or more"
+            " can be simulated"
+        )
 
 
 def _number(value: object, where: str) -> float:
@@ -252,10 +293,8 @@ class _Draft:
     def take(self, name: str, side: str, given: object, where: str) -> None:
         """Sets a value that the file gives on one side. InputError if it is no number, or none that a component can have."""
         value, p = _number(given, where), parameter_of(name)
-        low, high = p.possible
-        if value != p.neutral and not low <= value <= high:
-            ends = f"{low:g} to {_in_unit(high, p)}" if high < math.inf else f"{_in_unit(low, p)} or more"
-            raise InputError(f"{where}: {_in_unit(value, p)} is out of range; {p.title} is {ends}")
+        if wrong := _out_of_range(value, p):
+            raise InputError(f"{where}: {wrong}")
         if (
             value != 0.0
             and not p.low <= value <= p.high

@@ -61,7 +61,8 @@ class Plant:
 
     Row i behaves bit for bit like the same row alone. `effects` names further effects whose parameters may be set by
     row; those of the model are always there. `substep` is the longest step of the integrator in s, the model's own unless
-    given: a period is divided into the fewest equal substeps that are not longer. `dtype` is float64, or float32 for
+    given: a period is divided into the fewest equal substeps that are not longer, and a stiff channel takes these in parts
+    (`stiffness`). `dtype` is float64, or float32 for
     about twice the speed: it resolves the angle and the time of an episode to seven digits only. `block` is how many rigs go
     through the kernel together (1, 2, 4, 8 or 16, chosen by their number unless given), a matter of speed alone.
 

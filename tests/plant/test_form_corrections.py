@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hydro_env.plant import BUILT_IN, CATALOGUE, PlantModel, load_model, simulate
+from hydro_env.plant import BUILT_IN, CATALOGUE, Plant, PlantModel, load_model, simulate
 from hydro_env.plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
 
 SHAPES = [e.name for e in CATALOGUE.values() if e.family == FAMILY]
@@ -134,3 +135,20 @@ def test_the_second_bristle_takes_over_what_the_first_one_had_more() -> None:
     )
     # Nearly the same friction in motion, which is far from none.
     assert np.sqrt(np.mean((one - two) ** 2)) < 0.25 * np.sqrt(np.mean((one - none) ** 2))
+
+
+@pytest.mark.parametrize("name", ["bristle_shape", "override_shape"])
+def test_no_end_of_a_correction_breaks_it(name: str) -> None:
+    """A bristle that takes more friction than there is, and a relief valve whose flow falls with the pressure."""
+    parameters = CATALOGUE[name].parameters
+    corners = list(itertools.product(*((p.low, min(p.high, 1e9)) for p in parameters)))[:64]
+    plant = Plant("paper", len(corners), effects=[name])
+    for row, corner in enumerate(corners):
+        plant.set_values(
+            {f"{name}.{p.name}": value for p, value in zip(parameters, corner, strict=True)}, rows=[row]
+        )
+    plant.reset()
+    command = 73.0 * np.random.default_rng(0).choice([-1.0, 1.0], (40, len(corners), 2))
+    speed = plant.run(command, None, 0.01)["speed"]
+    assert not plant.diverged.any()
+    assert np.isfinite(speed).all() and np.abs(speed).max() < 1000.0

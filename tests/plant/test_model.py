@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
 from math import inf
@@ -42,17 +43,54 @@ def _values(names: list[str]) -> st.SearchStrategy[dict[str, tuple[float, float]
 
 
 @pytest.mark.filterwarnings("ignore::hydro_env.errors.InputWarning")
-@settings(suppress_health_check=[HealthCheck.too_slow])
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(base=_values(list(PARAMETERS)), effects=_values(_EFFECTS))
 def test_any_model_survives_a_round_trip(
     tmp_path_factory: pytest.TempPathFactory, base: dict, effects: dict
 ) -> None:
-    model = PlantModel("mine", {**base, **effects})
+    try:
+        model = PlantModel("mine", {**base, **effects})
+    except InputError as refused:
+        assert re.search(r"channel [12](: m is|: k_stop is| has) .* can be simulated", str(refused))
+        return
     path = tmp_path_factory.mktemp("model") / "model.yaml"
     model.to_yaml(path)
     again = load_model(path)
     assert again == model
     assert load_model(model.to_dict()) == model
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"L": 0.001}, "L: 0.001 H is out of range; inductance of the coil is 0.005 to 2 H"),
+        ({"Fs": 1e-5, "Fc": 1e-5}, "Fc: 1e-05 N is out of range; .* is 0.005 to 2 N, or 0 for none"),
+        ({"Fc": 0.0}, "channel 1 has 0 N of Coulomb and 0.2 N of static friction in all; 0.005 N or more"),
+        (
+            {"m": 0.02, "s1": 2e3, "s0": 3e6, "Fc": 0.005},
+            r"channel 1: m is 0.02; .* 0.\d+ kg or more can be simulated",
+        ),
+        (
+            {"R": 1.0, "k_stop": 1e4},
+            "channel 1: k_stop is 10000; against 1.46e[+]03 N of the coil 1.43e[+]06 N/m or more can be simulated",
+        ),
+        ({"Km": -1.0}, "Km: -1 .* is 0 to 5e-09"),
+        ({"shaft_backlash.inertia": 1e-6}, "0.0001 to 0.01 kg m2"),
+        ({"driver_saturation.voltage_limit": 10.0}, "20 to 73 V"),
+    ],
+)
+def test_what_is_not_simulated_correctly_is_refused_with_the_bound(values: dict, said: str) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        load_model("paper").with_values(values)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_least_mass_that_is_named_is_accepted() -> None:
+    stiff = {"m": 0.02, "s1": 2e3, "s0": 3e6, "Fc": 0.005}
+    with pytest.raises(InputError) as caught:
+        load_model("paper").with_values(stiff)
+    least = float(str(caught.value).split(" kg or more")[0].rsplit(" ", 1)[1])
+    load_model("paper").with_values({**stiff, "m": 1.01 * least})
 
 
 def test_values_and_channels() -> None:
@@ -112,9 +150,9 @@ def test_a_missing_file_or_preset_is_named() -> None:
     [
         ("effects: {dead_zone: {both: {overlap_positive: 70}}}", ["70 m", "0 to 0.00045 m"]),
         ("effects: {dead_zone: {both: {overlap_positive: -1.0e-5}}}", ["-1e-05 m", "0 to 0.00045 m"]),
-        ("both: {D: 8.47}", ["both.D: 8.47 m3/rad", "1e-08 to 0.001 m3/rad"]),
-        ("channel_1: {Kq: 315000}", ["channel_1.Kq: 315000 m2/s", "100 m2/s"]),
-        ("both: {u_rated: 0.001}", ["0.01 V or more"]),
+        ("both: {D: 8.47}", ["both.D: 8.47 m3/rad", " to 1.48"]),
+        ("channel_1: {Kq: 315000}", ["channel_1.Kq: 315000 m2/s", "7.5 m2/s"]),
+        ("both: {u_rated: 0.001}", ["0.1 V or more"]),
     ],
 )
 def test_values_that_no_component_has_are_refused(given: str, words: list[str], tmp_path: Path) -> None:

@@ -124,8 +124,8 @@ def test_the_delay_line_is_as_long_as_the_models_delay() -> None:
         ValueError, match=r"command_delay\.delay is 0\.08 s, the delay line of this plant holds 0\.05 s"
     ):
         plant.set("command_delay.delay", 0.08)
-    with pytest.raises(InputError, match="delayed forever"):
-        Plant(load_model("paper").with_values({"command_delay.delay": np.inf}), 1)
+    with pytest.raises(InputError, match="dead time is 0 to 10 s"):
+        load_model("paper").with_values({"command_delay.delay": np.inf})
 
 
 # --- the integrator ---------------------------------------------------------------------------------------------------
@@ -146,7 +146,7 @@ def test_the_method_meets_its_order_conditions_with_any_matrix() -> None:
 def test_the_error_falls_with_the_third_power_of_the_step() -> None:
     """On a smooth motion: the spool never turns, and the Stribeck speed is high."""
     commands = 0.3 * np.arange(100)[:, None] * np.ones((1, 2))
-    values = {"vs": 1.0, "Fc": 0.02, "Fs": 0.02, "s0": 3e4}
+    values = {"vs": 1.0, "Fc": 0.02, "Fs": 0.02, "s0": 1.2e4, "s1": 200.0}
 
     def final(substep: float) -> np.ndarray:
         out = simulate(
@@ -186,7 +186,7 @@ def test_the_order_holds_with_every_effect() -> None:
     commands = (12.0 * np.sin(8.0 * time) + 150.0 * time)[:, None] * [1.0, 0.8]
 
     def final(substep: float) -> np.ndarray:
-        plant = crowd(substep, names, vs=1.0, Fc=0.02, Fs=0.02, s0=3e4)
+        plant = crowd(substep, names, vs=1.0, Fc=0.02, Fs=0.02, s0=1.2e4, s1=200.0)
         out = plant.run(commands, None, 1e-3, ("speed", "pressure", "measured_speed"))
         return np.stack([out["speed"][-1], out["pressure"][-1] / 1e5, out["measured_speed"][-1]], axis=-1)
 

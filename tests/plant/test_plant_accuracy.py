@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from hydro_env.errors import InputError
+from hydro_env.experiments.accuracy import COMMANDS, commands, compare, drawn, ends_of_base, ends_of_effects
 from hydro_env.plant import BUILT_IN, CATALOGUE, Plant, load_model, simulate
 from hydro_env.practice.reference import run_closed_loop, simulate_reference
 from tests.practice.test_reference import PaperPID
@@ -105,3 +107,61 @@ def test_each_effect_at_its_strongest(name, strongest):
     row = BUILT_IN.index(name)
     error = max(np.abs(kernel[signal][:, row] - truth[signal]).max() for signal in kernel) / RPM
     assert error < 0.1
+
+
+#: What a whole substep of 125 us does not resolve, and a spool without dry friction.
+STIFF = {
+    "no friction": {"Fc": 0.0, "Fs": 0.0},
+    "little friction": {"Fc": 0.005, "Fs": 0.005},
+    "stiff bristles": {"s0": 3e6},
+    "light spool": {"m": 0.02},
+    "hard stop": {"k_stop": 1e7, "v_stop": 1e-3},
+    "quick coil": {"L": 0.005, "magnetic_hysteresis.amplitude": 2.0, "magnetic_hysteresis.width": 0.01},
+}
+
+
+@pytest.mark.parametrize("name", STIFF)
+def test_stiff_models_take_the_substep_in_parts(name):
+    rng = np.random.default_rng(4)
+    levels = np.concatenate([rng.uniform(-1.0, 1.0, (30, 2)), rng.choice([-1.0, 1.0], (30, 2))])
+    model = load_model("paper").with_values(STIFF[name])
+    assert _error_rpm(model, 73.0 * levels, None, 0.01) < 0.1
+
+
+def test_random_models_against_the_reference():
+    """Within the accepted ranges, both channels alike; a motor that turns fast may be off by 1e-4 of its speed."""
+    rng = np.random.default_rng(3)
+    cases, _ = drawn(4, rng)
+    for case, kind in zip(cases, ("random", "bang_bang") * 2, strict=True):
+        command = commands(kind, 0.4, rng) * np.minimum(case.model.pair("u_rated"), 200.0)
+        speed = simulate(case.model, command, None, 0.01)["speed"]
+        error = _error_rpm(case.model, command, None, 0.01)
+        assert error < max(0.1, 1e-4 * np.abs(speed).max() / RPM), case
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", COMMANDS)
+def test_ends_of_all_ranges_against_an_eighth_of_the_substep(kind):
+    """All accepted models do not diverge, and few of them are off: those where neighbouring motions separate."""
+    cases = []
+    for case in (*ends_of_base(), *ends_of_effects()):
+        try:
+            _ = case.model
+        except InputError:
+            continue
+        cases.append(case)
+    rng = np.random.default_rng(5)
+    share = commands(kind, 0.5, rng)
+    results = [r for n in range(0, len(cases), 64) for r in compare(cases[n : n + 64], share, kind)[0]]
+    assert not any(r.diverged for r in results)
+    assert sum(r.error > r.bound for r in results) < 0.02 * len(results)
+
+
+@pytest.mark.slow
+def test_random_models_against_an_eighth_of_the_substep():
+    rng = np.random.default_rng(6)
+    cases, _ = drawn(200, rng)
+    for kind in COMMANDS:
+        results, _ = compare(cases, commands(kind, 1.0, rng), kind)
+        assert not any(r.diverged for r in results)
+        assert sum(r.error > r.bound for r in results) < 0.05 * len(results)

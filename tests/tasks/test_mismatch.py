@@ -164,7 +164,7 @@ def test_rig_effects_are_shared():
         ({"Kq": [1, 2, 3]}, "each of the two"),
         ({"Kq": True}, "neither a number"),
         ({"Kq": float("nan")}, "neither a number"),
-        ({"J": -1.0}, "positive"),
+        ({"J": -1.0}, "out of range"),
         ({"Fc": {"uniform": [0.1, 0.3], "at_most": "Fs"}}, "not among the parameters above"),
         ({"supply_droop.relative_drop": [0.1, 0.2]}, "share"),
     ],

@@ -28,6 +28,7 @@ COMMAND_DELAY = Effect(
             typical=0.005,
             note="dead time",
             source="one to three control periods of 10 ms",
+            possible=(0.0, 10.0),
         ),
     ),
     delays_command="delay",

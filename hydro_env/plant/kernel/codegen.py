@@ -2,7 +2,7 @@
 
 A sweep is one loop over all lanes. `settle` computes once what the parameters and the length of the step settle; `begin`
 makes the first stage of a step and the factors of its matrix, `finish` the other three; `ask` says which lanes take the step
-in parts; `look` gives the outputs and `guard` puts lanes that have diverged to rest.
+in parts; `refine` finds stiff channels; `look` gives the outputs and `guard` puts lanes that have diverged to rest.
 
 What makes it fast: nothing is computed in every stage that `settle` can compute once; sums over earlier stages come before
 the rates they are added to, so that little waits for the friction's long chain of operations; the matrix W leaves out the
@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from ..catalogue import Effect
+from ..stiffness import FINE_PARTS, SPOOL
 from . import vector_ir
 from .integrator import METHOD, integral_coefficients
 from .layout import DIVISORS, FACTORS, INTEGRAL, STATES, Layout, in_text, layout_of, uses
@@ -29,7 +30,7 @@ from .template import DELAY, EXCHANGE, MODULE
 __all__ = ["Module", "module_text"]
 
 #: Beyond these magnitudes (SI) a state counts as diverged; a state of an effect beyond the last.
-STATE_CAPS = (1e2, 1e-2, 1e3, 1e-2, 1e10, 1e5, 1e12)
+STATE_CAPS = (1e3, 1e-2, 1e3, 1e-2, 1e10, 1e5, 1e12)
 #: A lane at an end stop takes a substep in so many parts; at a sharp bend of an effect, as many as the effect asks for.
 STOP_PARTS = 5
 
@@ -104,13 +105,32 @@ class _Sweeps:
         loaded = at.load(at.parameters, "\n".join([*divided, *own]))
         return loaded + divided + own + self._store(at.reciprocals) + self._store(at.settled)
 
+    def refine(self) -> list[str]:
+        """What is left of the dry friction, and in how many parts stiff channels take every step."""
+        lines = [*self.at.load(SPOOL, " ".join(SPOOL)), "dry = (Fc > 0.0) | (Fs > 0.0)"]
+        lines += ["s0 = s0 if dry else 0.0", "s1 = s1 if dry else 0.0"]
+        lines += ["left = friction_left(Fc, Fs)", "Fs = friction_left(Fs, Fc)", "Fc = left"]
+        lines += [
+            "force = greatest_force(alpha, R, k, x_max, u_rated)",
+            "bristles = bristle_parts(h, force, m, Fc, Fs, s0, s1)",
+            "fine = fine_parts(bristles, stop_parts(h, force, m, x_max, k_stop, v_stop))",
+        ]
+        return lines + self._store(("Fc", "Fs", "s0", "s1", "fine"))
+
     def ask(self) -> list[str]:
-        """In how many parts each lane takes the step: of several bends the one with most parts decides."""
+        """In how many parts each lane takes the step: of several bends the one with most parts decides.
+
+        A stiff channel takes each of them in its own number of parts.
+        """
         at = self.at
-        lines = [*at.load([*at.states, *at.parameters], "\n".join(b.test for b in self.bends)), "parts = 0.0"]
+        lines = [*at.load([*at.states, *at.parameters], "\n".join(b.test for b in self.bends)), "parts = 1.0"]
         for bend in sorted(self.bends, key=lambda bend: bend.parts):
             lines.append(f"parts = {float(bend.parts)} if {bend.test} else parts")
-        return [*lines, f"{at.cell('asked')} = parts"]
+        return [
+            *lines,
+            f"parts = parts * {at.cell('fine')}",
+            f"{at.cell('asked')} = parts if parts > 1.0 else 0.0",
+        ]
 
     def _solve(self, summed: bool) -> list[str]:
         """(ig - W) u = r, where r is the rate plus, if `summed`, a combination of earlier stages."""
@@ -203,6 +223,12 @@ def _bends(effects: Iterable[Effect]) -> list[_Bend]:
     return bends
 
 
+def _part_numbers(bends: Iterable[_Bend]) -> tuple[int, ...]:
+    """Numbers of parts that a lane may ask for: first those of the bends, then those that only stiff channels need."""
+    own = {1, *(bend.parts for bend in bends)}
+    return (*sorted(own), *sorted({fine * parts for fine in FINE_PARTS for parts in own} - own))
+
+
 def _coefficients() -> list[str]:
     """The tableau for a step of h, ih = 1 / h."""
     p, q = integral_coefficients(METHOD)
@@ -268,7 +294,8 @@ def module_text(effects: tuple[Effect, ...], half: int, single: bool) -> Module:
         half=half, moving=layout.moving, kept=layout.kept, total=len(at), saved=layout.saved,
         command=at["command"], load=at["load"], applied=at["applied"], time=at["time"], rated=at["u_rated"],
         asked=at["asked"], before=at["before0"], after=at["after0"],
-        part_numbers=(1, *sorted({bend.parts for bend in bends})),
+        part_numbers=_part_numbers(bends), whole=1 + len({bend.parts for bend in bends}), fine=at["fine"],
+        refine=_sweep(sweeps.refine()),
         gamma=repr(METHOD.gamma), coefficients=_indent(fused("\n".join(_coefficients())).splitlines()),
         prepare=_sweep(sweeps.settle()), ask=_sweep(sweeps.ask()), first=_sweep(sweeps.first_stage()),
         second=_sweep(sweeps.later_stage(1)), third=_sweep(sweeps.later_stage(2)), fourth=_sweep(sweeps.later_stage(3)),

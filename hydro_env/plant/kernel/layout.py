@@ -106,7 +106,7 @@ def layout_of(effects: tuple[Effect, ...], half: int) -> Layout:
         *(f"u{stage}__{name}" for stage in range(3) for name in bare.staged),
         "applied", "next_flow", "other_flow",
         *bare.reciprocals,
-        "asked",
+        "asked", "fine",
         *(f"{copy}{row}" for copy in ("before", "after") for row in range(bare.saved)),
     ]  # fmt: skip
     return replace(bare, rows={name: row for row, name in enumerate(names)})

@@ -19,6 +19,7 @@ from .. import vector_math
 from ..catalogue import Effect
 from ..catalogue.effect import arguments
 from ..rhs import rates
+from ..stiffness import LAWS
 from . import vector_ir
 from .layout import DIVISORS, Layout, in_text, uses
 
@@ -66,6 +67,7 @@ def chain(quantity: str, effects: Iterable[Effect], changed: Mapping[str, str] |
 def functions(effects: Iterable[Effect]) -> list[str]:
     """The text of the functions that statements call: those of `vector_math` and the laws."""
     pasted = [_paste(f, f.__name__) for f in (getattr(vector_math, name) for name in HELPERS)]
+    pasted += [_paste(f, f.__name__) for f in LAWS]
     for effect in effects:
         pasted += [_paste(law, _law_name(effect, quantity)) for quantity, law in effect.laws.items()]
         if effect.corner is not None:

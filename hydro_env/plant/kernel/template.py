@@ -50,8 +50,9 @@ KEPT = {kept}
 TOTAL = {total}
 COMMAND, LOAD, APPLIED, TIME, RATED = {command}, {load}, {applied}, {time}, {rated}
 ASKED, SAVED, BEFORE, AFTER = {asked}, {saved}, {before}, {after}
+FINE = {fine}
 PART_NUMBERS = {part_numbers}
-KINDS = len(PART_NUMBERS)
+KINDS, PLAIN_KINDS = len(PART_NUMBERS), {whole}
 
 
 def positive(value):
@@ -82,6 +83,12 @@ def settle(cells, h):
     gh = {gamma} * h
     ig = 1.0 / gh
 {prepare}
+
+
+@vectors
+def refine(cells, h):
+    """Once for all steps of h seconds: the dry friction that is left, and how finely stiff channels take each."""
+{refine}
 
 
 @vectors
@@ -128,6 +135,12 @@ def advance(memory, cells, ring, head, commands, loads, substeps, h, record, eve
         for i in range(KEPT * LANES):
             cells[i] = memory[start + i]
 {additions}
+        refine(cells, whole_step)
+        kinds = PLAIN_KINDS
+        for l in range(LANES):
+            if cells[FINE * LANES + l] > 1.0:
+                kinds = KINDS
+        stiff = kinds > PLAIN_KINDS
         settled = whole_step
         settle(cells, settled)
         for t in range(commands.shape[0]):
@@ -157,11 +170,11 @@ def advance(memory, cells, ring, head, commands, loads, substeps, h, record, eve
                 {apply}
             for n in range(substeps):
 {ring}
-                # Lanes at an end stop or a sharp bend of an effect take the step in parts. A step is made for all lanes
-                # whole, and if there are such lanes once more for each number of parts they ask for; AFTER collects
+                # Stiff lanes and those at an end stop or a sharp bend of an effect take the step in parts. A step is made
+                # for all lanes whole, and if there are such lanes once more for each number of parts they ask for; AFTER collects
                 # for each lane the result that is meant for it.
                 split = False
-                for kind in range(KINDS):
+                for kind in range(kinds):
                     parts = PART_NUMBERS[kind]
                     if kind > 0:
                         asked = False
@@ -177,7 +190,7 @@ def advance(memory, cells, ring, head, commands, loads, substeps, h, record, eve
                         settled = h
                     for _ in range(parts):
                         near = begin(cells, h)
-                        if near and kind == 0:
+                        if (near or stiff) and kind == 0:
                             split = True
                             ask(cells, h)
                             for i in range(SAVED * LANES):

@@ -106,10 +106,12 @@ def _spool_friction(p, y, dy):
     if not p.different:
         coulomb += p.spool_stiction__coulomb
         static += p.spool_stiction__static
-    peak = math.exp(-((v / p.vs) ** 2))
-    z_rate = v - abs(v) * p.s0 / (coulomb + (static - coulomb) * peak) * z
-    dy[p.at_states + 3] = z_rate
-    friction = p.s0 * z + p.s1 * z_rate + p.s2 * v
+    friction = p.s2 * v
+    if max(coulomb, static) > 0.0:
+        peak = math.exp(-((v / p.vs) ** 2))
+        z_rate = v - abs(v) * p.s0 / (coulomb + (static - coulomb) * peak) * z
+        dy[p.at_states + 3] = z_rate
+        friction = p.s0 * z + p.s1 * z_rate + p.s2 * v
     if p.at_second_bristle >= 0:
         z = y[p.at_second_bristle]
         coulomb, static = p.spool_stiction__coulomb, p.spool_stiction__static

@@ -69,6 +69,9 @@ def _override(leakage, pressure, rounding, steepening, relief_pressure, conducta
     near = rounding - abs(excess)
     near = near if near > 0.0 else 0.0
     excess = excess if excess > 0.0 else 0.0
+    # A slope that falls with the excess falls to zero; the flow does not turn back.
+    turn = 0.5e6 / -steepening if steepening < 0.0 else excess
+    excess = excess if excess < turn else turn
     more = 0.25 * near * near / (rounding if rounding > 1.0 else 1.0) + steepening * excess * excess * 1e-6
     return leakage + sign(pressure) * conductance * more
 

@@ -1,0 +1,295 @@
+"""How accurately models are simulated that lie far apart, within the ranges that are accepted.
+
+    python -m hydro_env.experiments.accuracy --out DIR [--ends] [--models N] [--seconds S] [--sample N] [--seed N]
+
+`--ends` takes every base parameter over its accepted range, two of them at their ends, and every effect with each of its
+parameters at either end. `--models` draws models: base parameters and effects within the accepted ranges. Each is driven for S
+seconds by smooth, random and bang-bang commands of full range, and compared with the same at an eighth of the substep. A
+model that differs there by more than 0.1 rpm (RMS) is compared again, an eighth with a sixteenth: where these differ too, the
+motion separates neighbouring solutions and no simulator foretells it. `--sample` models, chosen by chance, are also compared
+with the reference simulator, each under one of the commands in turn.
+
+`accuracy.csv` has a line for each model and command: the RMS of the speed and of its errors in rpm, and what the model is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import itertools
+import math
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.errors import InputError
+from hydro_env.files import write_text
+from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Parameter, Plant, PlantModel, load_model
+from hydro_env.practice.reference import simulate_reference
+from hydro_env.units import RPM
+
+__all__ = ["COMMANDS", "Case", "Result", "commands", "compare", "drawn", "ends_of_base", "ends_of_effects"]
+
+Array = NDArray[np.float64]
+
+COMMANDS = ("smooth", "random", "bang_bang")
+PERIOD = 0.01
+#: What an infinite limit of the command stands for, V.
+_NO_LIMIT = 200.0
+#: Most combinations of ends of the parameters of one effect.
+_MOST_CORNERS = 16
+#: An error below this (rpm, RMS), or below this share of the speed, is none.
+TOLERANCE_RPM, TOLERANCE_SHARE = 0.1, 1e-4
+
+
+@dataclass(frozen=True)
+class Case:
+    """What differs from the preset `paper`, the same on both channels."""
+
+    values: dict[str, float]
+
+    @property
+    def model(self) -> PlantModel:
+        """InputError if the model is refused."""
+        return load_model("paper").with_values(self.values, name="case")
+
+    @property
+    def plain(self) -> bool:
+        """Whether no effect acts."""
+        return not any("." in name for name in self.values)
+
+
+@dataclass
+class Result:
+    """A case under one command: RMS of the speed and of the errors in rpm, None where not compared."""
+
+    case: Case
+    command: str
+    speed: float
+    error: float
+    finer: float | None = None
+    reference: float | None = None
+    diverged: bool = False
+
+    @property
+    def bound(self) -> float:
+        return max(TOLERANCE_RPM, TOLERANCE_SHARE * self.speed)
+
+    @property
+    def separates(self) -> bool:
+        """Whether halving an eighth of the substep still moves the result."""
+        return self.finer is not None and self.finer > 0.5 * TOLERANCE_RPM
+
+
+def commands(kind: str, seconds: float, rng: np.random.Generator) -> Array:
+    """Shares of the rated command, (T, 2)."""
+    rows = round(seconds / PERIOD)
+    time = np.arange(rows)[:, None] * PERIOD
+    if kind == "smooth":
+        phase = rng.uniform(0.0, 2.0 * math.pi, 2)
+        slow, fast = (np.sin(2.0 * math.pi * f * time + n * phase) for n, f in ((1, 0.8), (2, 3.0)))
+        return 0.6 * slow + 0.15 * fast
+    if kind == "random":
+        return rng.uniform(-1.0, 1.0, (rows, 2))
+    return np.where(np.cumsum(rng.random((rows, 2)) < 0.4, axis=0) % 2 == 0, 1.0, -1.0)
+
+
+# --- cases ------------------------------------------------------------------------------------------------------------
+def _ends(p: Parameter) -> tuple[float, float]:
+    low, high = p.possible
+    return low, high if math.isfinite(high) else max(_NO_LIMIT, 2.0 * low)
+
+
+def ends_of_base(steps: int = 7) -> list[Case]:
+    """Each base parameter over its accepted range, any two of them at their ends, and no dry friction."""
+    cases = [Case({"Fc": 0.0, "Fs": 0.0})]
+    for name, p in PARAMETERS.items():
+        low, high = _ends(p)
+        over = np.geomspace(low or 1e-3 * high, high, steps)
+        cases += [Case({name: float(value)}) for value in (over if low else np.r_[0.0, over])]
+    for one, other in itertools.combinations(PARAMETERS, 2):
+        corners = itertools.product(_ends(PARAMETERS[one]), _ends(PARAMETERS[other]))
+        cases += [Case({one: a, other: b}) for a, b in corners]
+    return cases
+
+
+def ends_of_effects(names: Iterable[str] = BUILT_IN, seed: int = 0) -> list[Case]:
+    """Each effect with its parameters at either end: all combinations, or as many by chance where they are many."""
+    rng = np.random.default_rng(seed)
+    cases = []
+    for effect in map(CATALOGUE.__getitem__, names):
+        keys = [f"{effect.name}.{p.name}" for p in effect.parameters]
+        corners = list(itertools.product(*((p.low, min(p.high, 1e9)) for p in effect.parameters)))
+        if len(corners) > _MOST_CORNERS:
+            corners = [corners[n] for n in rng.choice(len(corners), _MOST_CORNERS, replace=False)]
+        cases += [Case(dict(zip(keys, corner, strict=True))) for corner in corners]
+    return cases
+
+
+def drawn(count: int, rng: np.random.Generator, move: float = 0.35) -> tuple[list[Case], int]:
+    """Random models, and how many draws were refused: a third of the base parameters, and on every second one effects."""
+    cases: list[Case] = []
+    refused = 0
+    while len(cases) < count:
+        values: dict[str, float] = {}
+        for name, p in PARAMETERS.items():
+            if rng.random() < move:
+                values[name] = _value(p, *_ends(p), rng)
+        for name in rng.choice(BUILT_IN, rng.choice([0, 0, 1, 2]), replace=False):
+            for p in CATALOGUE[name].parameters:
+                values[f"{name}.{p.name}"] = _value(p, p.low, min(p.high, 1e9), rng)
+        try:
+            _ = Case(values).model
+        except InputError:
+            refused += 1
+        else:
+            cases.append(Case(values))
+    return cases, refused
+
+
+def _value(p: Parameter, low: float, high: float, rng: np.random.Generator) -> float:
+    """An end of the range, or a value between, by factors where these are natural."""
+    if rng.random() < 0.3:
+        return (low, high)[rng.integers(2)]
+    if p.log:
+        return float(np.exp(rng.uniform(math.log(max(low, 1e-3 * high)), math.log(high))))
+    return float(rng.uniform(low, high))
+
+
+# --- comparison -------------------------------------------------------------------------------------------------------
+def _run(cases: Sequence[Case], share: Array, parts: int) -> tuple[Array, NDArray[np.bool_], float]:
+    """Speeds (T, cases, 2) in rpm at the substep divided by `parts`, which diverged, and channel substeps."""
+    effects = () if all(case.plain for case in cases) else BUILT_IN
+    model = load_model("paper")
+    # A rig to a block: in a common one all take the parts that any of them asks for.
+    plant = Plant(model, len(cases), effects=effects, substep=model.substep / parts, block=1)
+    for row, case in enumerate(cases):
+        plant.set_values(case.values, rows=[row])
+    plant.reset()
+    volts = share[:, None] * np.minimum(plant.get("u_rated"), _NO_LIMIT)
+    speed = plant.run(volts, None, PERIOD, ("speed",))["speed"]
+    return speed / RPM, plant.diverged, float(2 * len(cases) * len(share) * plant.substeps(PERIOD))
+
+
+def _rms(values: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=(0, 2))))
+
+
+def compare(cases: Sequence[Case], share: Array, command: str) -> tuple[list[Result], float]:
+    """The results under one command, and the number of channel substeps that were made at the model's own substep."""
+    plain = [case for case in cases if case.plain]
+    groups = [group for group in (plain, [case for case in cases if not case.plain]) if group]
+    results: list[Result] = []
+    made = 0.0
+    for group in groups:
+        speed, diverged, substeps = _run(group, share, 1)
+        eighth, broken, _ = _run(group, share, 8)
+        made += substeps
+        found = [
+            Result(case, command, *numbers)
+            for case, *numbers in zip(
+                group, _rms(eighth).tolist(), _rms(speed - eighth).tolist(), strict=True
+            )
+        ]
+        for result, bad in zip(found, (diverged | broken).tolist(), strict=True):
+            result.diverged = bad
+        doubtful = [n for n, result in enumerate(found) if result.error > result.bound]
+        if doubtful:
+            sixteenth, _, _ = _run([group[n] for n in doubtful], share, 16)
+            for n, finer in zip(doubtful, _rms(eighth[:, doubtful] - sixteenth).tolist(), strict=True):
+                found[n].finer = finer
+        results += found
+    return results, made
+
+
+def against_reference(case: Case, share: Array) -> float:
+    """RMS error of the speeds against the reference simulator, rpm."""
+    model = case.model
+    volts = share * np.minimum(model.pair("u_rated"), _NO_LIMIT)
+    truth = simulate_reference(model, volts, None, PERIOD, tolerance=1e-8)["speed"]
+    speed, _, _ = _run([case], share, 1)
+    return float(_rms(speed - truth[:, None] / RPM)[0])
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+def summary(results: Sequence[Result], made: float, refused: int) -> str:
+    """What was found, in lines."""
+    errors = np.array([result.error for result in results])
+    over = [r for r in results if r.error > r.bound and not r.separates]
+    references = [r for r in results if r.reference is not None]
+    lines = [
+        f"{len(results)} runs of {len({id(r.case) for r in results})} models, {made:.3g} channel substeps; {refused} models"
+        " drawn were refused",
+        f"diverged: {sum(r.diverged for r in results)}",
+        f"error in rpm: median {np.median(errors):.2g}, 99 % below {np.quantile(errors, 0.99):.2g}",
+        f"separating: {sum(r.separates for r in results)}; others above the bound: {len(over)}",
+    ]
+    if references:
+        worst = [r.reference for r in references if r.reference is not None]
+        within = sum(r.reference <= r.bound for r in references if r.reference is not None)
+        lines.append(
+            f"against the reference: {within} of {len(references)} within, median {np.median(worst):.2g} rpm"
+        )
+    return "\n".join(lines)
+
+
+def table(results: Sequence[Result]) -> str:
+    """The results as CSV, the worst first."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(["command", "speed_rpm", "error_rpm", "finer_rpm", "reference_rpm", "diverged", "model"])
+    for r in sorted(results, key=lambda r: -r.error):
+        numbers = ["" if v is None else f"{v:.3g}" for v in (r.speed, r.error, r.finer, r.reference)]
+        said = " ".join(f"{name}={value:.4g}" for name, value in r.case.values.items())
+        writer.writerow([r.command, *numbers, int(r.diverged), said])
+    return out.getvalue()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--ends", action="store_true")
+    parser.add_argument("--models", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=2.0)
+    parser.add_argument("--sample", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(options.seed)
+    cases, refused = drawn(options.models, rng)
+    if options.ends:
+        for case in (*ends_of_base(), *ends_of_effects()):
+            try:
+                _ = case.model
+            except InputError:
+                refused += 1
+            else:
+                cases.append(case)
+    if not cases:
+        parser.error("--ends or --models: nothing to simulate")
+    sampled = set(rng.permutation(len(cases))[: options.sample].tolist())
+    results: list[Result] = []
+    made = 0.0
+    for turn, kind in enumerate(COMMANDS):
+        share = commands(kind, options.seconds, rng)
+        for start in range(0, len(cases), 64):
+            found, substeps = compare(cases[start : start + 64], share, kind)
+            results += found
+            made += substeps
+        own: dict[int, Any] = {id(cases[n]): n for n in sampled if n % len(COMMANDS) == turn}
+        for result in results:
+            if result.command == kind and id(result.case) in own:
+                result.reference = against_reference(result.case, share)
+        write_text(options.out / "accuracy.csv", table(results))
+        print(f"{kind}:\n{summary(results, made, refused)}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,85 @@
+"""How finely a channel has to be stepped, from its parameters alone.
+
+The spool is what limits the substep of h seconds; the method damps coil, pressure and shaft. With its greatest force F and
+mass m it gains the speed a h in a substep, a = 2 F / m. Four ratios say what a substep resolves:
+
+    stretch    h s1 / m                             damping of the bristles against the mass
+    contact    h sqrt(k_stop / m)                   natural frequency at an end stop
+    blow       h sqrt(k_stop (1 + v / v_stop) / m)  the same at the blow, v = sqrt(F x_max / m)
+    coupled    stretch * a h^2 / g                  how often a spool that turns moves its bristles by their travel g = Fc / s0
+
+The last one falls with the third power of h; it grows where static friction is more than twelve times the Coulomb
+friction, to which it has to fall. Each has to stay below a bound. The bounds were measured on models that lie far apart
+(`python -m hydro_env.experiments.accuracy`). Where one is passed, the channel takes every substep in 4, 16 or 64 parts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from .vector_math import sqrt
+
+__all__ = ["FINE_PARTS", "LAWS", "LEAST_FRICTION", "SPOOL", "greatest_force", "parts_wanted"]
+
+#: Numbers of parts in which a stiff channel takes every substep.
+FINE_PARTS = (4, 16, 64)
+#: Dry friction of the spool, N, below which only none is simulated: 0.3 um of travel, where stiction begins to be seen.
+LEAST_FRICTION = 0.005
+#: Base parameters that decide.
+SPOOL = ("m", "R", "alpha", "k", "Fc", "Fs", "s0", "s1", "x_max", "k_stop", "v_stop", "u_rated")
+
+
+def greatest_force(alpha, R, k, x_max, u_rated):
+    """The greatest force on the spool, N: of the coil or the spring. No limit of the command counts as 300 V."""
+    pull = alpha * (u_rated if u_rated < 300.0 else 300.0) / R
+    spring = k * x_max
+    return pull if pull > spring else spring
+
+
+def bristle_parts(substep, force, m, Fc, Fs, s0, s1):
+    """The third power of the number of parts in which the bristles want a substep (s)."""
+    friction = Fc if Fc < Fs else Fs
+    drop = Fs / (12.0 * Fc)
+    stretch = substep * s1 / m
+    coupled = substep * substep * 2.0 * force * s0 / (m * friction) * stretch * (drop if drop > 1.0 else 1.0)
+    coupled = coupled / 0.55
+    stretch = stretch / 0.65
+    cubed = stretch * stretch * stretch
+    return cubed if cubed > coupled else coupled
+
+
+def stop_parts(substep, force, m, x_max, k_stop, v_stop):
+    """The same for the end stops."""
+    contact = substep * sqrt(k_stop / m)
+    blow = contact * sqrt(1.0 + sqrt(force * x_max / m) / v_stop)
+    contact = contact / 0.6
+    blow = blow / 3.0
+    most = blow if blow > contact else contact
+    return most * most * most
+
+
+def fine_parts(bristles, stops):
+    """In how many parts a channel takes every substep: 1, 4, 16 or 64, with a reserve of a third and more."""
+    cubed = stops if stops > bristles else bristles
+    parts = 16.0 if cubed <= 1e3 else 64.0
+    parts = 4.0 if cubed <= 27.0 else parts
+    return 1.0 if cubed <= 1.0 else parts
+
+
+def friction_left(friction, other):
+    """What is left of Fc or Fs (N) when effects have added to it or taken from it; 1 N that acts on nothing if none is."""
+    least = friction if friction > 0.005 else 0.005
+    return least if friction > 0.0 or other > 0.0 else 1.0
+
+
+#: What the kernel takes from here.
+LAWS = (greatest_force, bristle_parts, stop_parts, fine_parts, friction_left)
+
+
+def parts_wanted(substep: float, values: Mapping[str, float]) -> float:
+    """Into how many parts a substep (s) should be divided for a spool with these values of `SPOOL`, less than one included."""
+    v = values
+    force = greatest_force(v["alpha"], v["R"], v["k"], v["x_max"], v["u_rated"])
+    bristles = bristle_parts(substep, force, v["m"], v["Fc"], v["Fs"], v["s0"], v["s1"])
+    stops = stop_parts(substep, force, v["m"], v["x_max"], v["k_stop"], v["v_stop"])
+    return float(max(bristles, stops) ** (1.0 / 3.0))
