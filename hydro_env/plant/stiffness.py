@@ -8,9 +8,10 @@ mass m it gains the speed a h in a substep, a = 2 F / m. Four ratios say what a 
     blow       h sqrt(k_stop (1 + v / v_stop) / m)  the same at the blow, v = sqrt(F x_max / m)
     coupled    stretch * a h^2 / g                  how often a spool that turns moves its bristles by their travel g = Fc / s0
 
-The last one falls with the third power of h; it grows where static friction is more than twelve times the Coulomb
-friction, to which it has to fall. Each has to stay below a bound. The bounds were measured on models that lie far apart
-(`python -m hydro_env.experiments.accuracy`). Where one is passed, the channel takes every substep in 4, 16 or 64 parts.
+The last one falls with the third power of h; it grows where static friction is more than four times the Coulomb friction, to
+which it has to fall. Where a hysteresis follows the current, the coil counts too, with h R / L. Each has to stay below a
+bound. The bounds were measured on models that lie far apart (`python -m hydro_env.experiments.accuracy`). Where one is passed,
+the channel takes every substep in 4, 16 or 64 parts.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def greatest_force(alpha, R, k, x_max, u_rated):
 def bristle_parts(substep, force, m, Fc, Fs, s0, s1):
     """The third power of the number of parts in which the bristles want a substep (s)."""
     friction = Fc if Fc < Fs else Fs
-    drop = Fs / (12.0 * Fc)
+    drop = Fs / (4.0 * Fc)
     stretch = substep * s1 / m
     coupled = substep * substep * 2.0 * force * s0 / (m * friction) * stretch * (drop if drop > 1.0 else 1.0)
     coupled = coupled / 0.55
@@ -58,9 +59,16 @@ def stop_parts(substep, force, m, x_max, k_stop, v_stop):
     return most * most * most
 
 
-def fine_parts(bristles, stops):
+def coil_parts(substep, R, L):
+    """The same for the coil, where an effect follows the rate of the current."""
+    ratio = substep * R / (0.35 * L)
+    return ratio * ratio * ratio
+
+
+def fine_parts(bristles, stops, coil):
     """In how many parts a channel takes every substep: 1, 4, 16 or 64, with a reserve of a third and more."""
     cubed = stops if stops > bristles else bristles
+    cubed = coil if coil > cubed else cubed
     parts = 16.0 if cubed <= 1e3 else 64.0
     parts = 4.0 if cubed <= 27.0 else parts
     return 1.0 if cubed <= 1.0 else parts
@@ -73,7 +81,7 @@ def friction_left(friction, other):
 
 
 #: What the kernel takes from here.
-LAWS = (greatest_force, bristle_parts, stop_parts, fine_parts, friction_left)
+LAWS = (greatest_force, bristle_parts, stop_parts, coil_parts, fine_parts, friction_left)
 
 
 def parts_wanted(substep: float, values: Mapping[str, float]) -> float:

@@ -67,8 +67,8 @@ def test_any_model_survives_a_round_trip(
         ({"Fs": 1e-5, "Fc": 1e-5}, "Fc: 1e-05 N is out of range; .* is 0.005 to 2 N, or 0 for none"),
         ({"Fc": 0.0}, "channel 1 has 0 N of Coulomb and 0.2 N of static friction in all; 0.005 N or more"),
         (
-            {"m": 0.02, "s1": 2e3, "s0": 3e6, "Fc": 0.005},
-            r"channel 1: m is 0.02; .* 0.\d+ kg or more can be simulated",
+            {"m": 0.04, "s1": 2e3, "s0": 3e6, "Fc": 0.005},
+            r"channel 1: m is 0.04; .* 0.\d+ kg or more can be simulated",
         ),
         (
             {"R": 1.0, "k_stop": 1e4},
@@ -86,7 +86,7 @@ def test_what_is_not_simulated_correctly_is_refused_with_the_bound(values: dict,
 
 
 def test_the_least_mass_that_is_named_is_accepted() -> None:
-    stiff = {"m": 0.02, "s1": 2e3, "s0": 3e6, "Fc": 0.005}
+    stiff = {"m": 0.04, "s1": 2e3, "s0": 3e6, "Fc": 0.005}
     with pytest.raises(InputError) as caught:
         load_model("paper").with_values(stiff)
     least = float(str(caught.value).split(" kg or more")[0].rsplit(" ", 1)[1])

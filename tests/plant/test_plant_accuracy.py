@@ -114,8 +114,9 @@ STIFF = {
     "no friction": {"Fc": 0.0, "Fs": 0.0},
     "little friction": {"Fc": 0.005, "Fs": 0.005},
     "stiff bristles": {"s0": 3e6},
-    "light spool": {"m": 0.02},
+    "light spool": {"m": 0.04},
     "hard stop": {"k_stop": 1e7, "v_stop": 1e-3},
+    "high breakaway": {"Fs": 2.0},
     "quick coil": {"L": 0.005, "magnetic_hysteresis.amplitude": 2.0, "magnetic_hysteresis.width": 0.01},
 }
 

@@ -107,13 +107,25 @@ class _Sweeps:
 
     def refine(self) -> list[str]:
         """What is left of the dry friction, and in how many parts stiff channels take every step."""
-        lines = [*self.at.load(SPOOL, " ".join(SPOOL)), "dry = (Fc > 0.0) | (Fs > 0.0)"]
+        at = self.at
+        sizes = [
+            in_text(e, p.name)
+            for e in at.effects
+            if e.reads("current_rate")
+            for p in e.parameters
+            if p.carries_size
+        ]
+        coil = " | ".join(f"(abs({name}) > 0.0)" for name in sizes) or "L < 0.0"
+        asked = (*SPOOL, "L", *sizes)
+        lines = [*at.load(asked, " ".join(asked)), "dry = (Fc > 0.0) | (Fs > 0.0)"]
         lines += ["s0 = s0 if dry else 0.0", "s1 = s1 if dry else 0.0"]
         lines += ["left = friction_left(Fc, Fs)", "Fs = friction_left(Fs, Fc)", "Fc = left"]
         lines += [
             "force = greatest_force(alpha, R, k, x_max, u_rated)",
             "bristles = bristle_parts(h, force, m, Fc, Fs, s0, s1)",
-            "fine = fine_parts(bristles, stop_parts(h, force, m, x_max, k_stop, v_stop))",
+            "stops = stop_parts(h, force, m, x_max, k_stop, v_stop)",
+            f"coil = coil_parts(h, R, L) if {coil} else 0.0",
+            "fine = fine_parts(bristles, stops, coil)",
         ]
         return lines + self._store(("Fc", "Fs", "s0", "s1", "fine"))
 
