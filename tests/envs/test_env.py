@@ -220,7 +220,7 @@ def test_episode_ends_by_truncation_with_its_scenario():
 
 
 def test_divergence_terminates_with_its_reason():
-    env = make(mismatch={"J": 1e-12, "m": 1e-9, "V": 1e-12}, control_period=0.01)
+    env = make(control_period=0.01)
     env.reset(seed=0)
     env.plant.memory[:, env.plant.row_of("diverged"), :] = 1.0
     _, reward, terminated, _, info = env.step(np.zeros(2))
