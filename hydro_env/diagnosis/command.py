@@ -45,7 +45,7 @@ def run(
         folder.mkdir(parents=True, exist_ok=True)
         found.report(folder / "report.html")
         write_json(folder / "diagnosis.json", found.as_dict())
-        found.model.to_yaml(folder / "model.yaml")
+        found.model.to_yaml(folder / "model.yaml", source="diagnosis of logs")
     if not quiet:
         print(found.summary())
     return found

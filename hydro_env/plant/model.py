@@ -177,9 +177,14 @@ class PlantModel:
             data["effects"] = effects
         return data
 
-    def to_yaml(self, path: str | Path) -> None:
-        """Writes the model file (atomically)."""
-        write_text(Path(path), yaml.safe_dump(_exact(self.to_dict()), sort_keys=False))
+    def to_yaml(self, path: str | Path, source: str = "") -> None:
+        """Writes the model file (atomically); `source` says where its values are from, if they have one source."""
+        data = self.to_dict()
+        if source:
+            data["sources"] = dict.fromkeys(
+                (*(n for n in self.values if "." not in n), *self.declared), source
+            )
+        write_text(Path(path), yaml.safe_dump(_exact(data), sort_keys=False))
 
 
 class _Float(float):
