@@ -1,10 +1,10 @@
-"""What else would do as well in the place of an effect that was taken."""
+"""What becomes of a candidate, and what else would do as well in the place of an effect that was taken."""
 
 import numpy as np
 import pytest
 
 from hydro_env.diagnosis.estimation import solve
-from hydro_env.diagnosis.stages.candidates import Accepted, Search, Selection
+from hydro_env.diagnosis.stages.candidates import AT_EDGE, Accepted, Search, Selection, judge
 from hydro_env.diagnosis.stages.elimination import compare_competing, drop_unneeded
 from hydro_env.diagnosis.stages.naming import name_effects
 from hydro_env.diagnosis.stages.screening import screen
@@ -72,3 +72,13 @@ def test_an_effect_that_led_known_parameters_out_of_a_bad_place_is_not_named(
     assert [c.effect for c in search.accepted] == (["line_loss"] if kept else [])
     assert search.present[0].effects() == (["line_loss"] if kept else [])
     assert fit.at_noise(search.present[0], 1.05) and len(search.candidates) == (0 if kept else 1)
+
+
+@pytest.mark.parametrize(("beyond", "outcome"), [(1.005, "taken"), (1.6, AT_EDGE)])
+def test_a_size_at_the_edge_counts_where_it_leaves_nothing(beyond: float, outcome: str) -> None:
+    name = "flow_gain_nonlinearity"
+    bend, high = np.abs(np.sin(2.0 * TIME)) * np.sin(2.0 * TIME), CATALOGUE[name].parameter("curvature").high
+    fit, base = logged({f"{name}.curvature": bend}, {f"{name}.curvature": beyond * high}, ROWS)
+    found = base.extended(name, {"curvature": 0.5})
+    solve(fit, [found], 6)
+    assert judge(fit, base, found, name, 1000.0) == outcome

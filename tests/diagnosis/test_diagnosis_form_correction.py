@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +14,9 @@ from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns
 from hydro_env.diagnosis.stages.candidates import Accepted, Candidate
 from hydro_env.diagnosis.stages.form_correction import (
-    adopt_earlier,
     correct,
     correct_all,
     correct_placebo,
-    is_correction,
     with_correction,
 )
 from hydro_env.diagnosis.stages.rig_effects import drop_vanished
@@ -68,24 +65,6 @@ def test_a_right_form_is_left_alone(tmp_path: Path) -> None:
     assert not kept and better is found
 
 
-def test_a_form_that_was_found_before_is_taken_up_where_it_is_better(tmp_path: Path) -> None:
-    fit, problem = _fitted(tmp_path, "different")
-    found, _ = correct(fit, problem, [("dead_zone", 0)], check=False)
-    names = [e for e in found.effects() if is_correction(e)]
-    lost = with_correction(problem, "dead_zone", names[0])
-    lost.q[: len(problem.q)] = np.clip(problem.q + 1.0, *(b[: len(problem.q)] for b in lost.bounds))
-    fit.evaluate([lost])
-    other = with_correction(
-        problem, "dead_zone", "opening_shape" if names[0] != "opening_shape" else "corner_shape"
-    )
-    fit.evaluate([other])
-    before = lost.cost, other.cost
-    one = replace(found, unknowns=found.unknowns[: len(lost.unknowns)], q=found.q[: len(lost.q)])
-    adopt_earlier(fit, [lost, other], one)
-    assert lost.cost < before[0] and other.cost == before[1]  # of other unknowns nothing can be taken
-    adopt_earlier(fit, [lost], None)
-
-
 def _bare() -> Estimate:
     unknowns = effect_unknowns(CATALOGUE["dead_zone"], {"overlap_positive": 1e-4, "overlap_negative": 8e-5})
     return Estimate(0, unknowns, np.zeros(len(unknowns)), "dead_zone")
@@ -104,7 +83,7 @@ class _Silent:
 def test_without_a_name_nothing_is_corrected() -> None:
     problems = {0: _bare()}
     fit = Fit(_Silent(), {})  # type: ignore[arg-type]
-    assert correct_all(fit, problems, {}, {}) == (problems, [])
+    assert correct_all(fit, problems, {}) == (problems, [])
     assert correct_placebo(fit, problems, []) == problems
 
 

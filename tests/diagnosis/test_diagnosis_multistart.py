@@ -16,6 +16,7 @@ from hydro_env.diagnosis.estimation import (
     Unknown,
     base_unknown,
     differentiate,
+    effect_starts,
     effect_unknowns,
     grow_horizon,
     noise_of,
@@ -202,3 +203,10 @@ def test_the_beginning_of_a_log_is_simulated_as_in_the_whole(tmp_path: Path) -> 
         for long, cut in zip(rig.segments[c], short.segments[c], strict=True):
             np.testing.assert_array_equal(cut.measured, long.measured[: cut.rows.size])
             np.testing.assert_array_equal(part[c][c][cut.place], whole[c][c][long.place][: cut.rows.size])
+
+
+def test_every_size_and_shape_is_a_start_where_the_whole_list_is_wanted() -> None:
+    eccentric = CATALOGUE["eccentric_load"]
+    few, many = effect_starts(eccentric, 12.0), effect_starts(eccentric, 12.0, whole=True)
+    assert {row["amplitude"] for row in few} < {row["amplitude"] for row in many}
+    assert {row["phase"] for row in few} == {row["phase"] for row in many}

@@ -1,63 +1,17 @@
-"""What makes a name doubtful, and what a candidate is given before it is given up."""
+"""What makes a name doubtful."""
 
 import numpy as np
-import pytest
 
-from hydro_env.diagnosis.estimation import Estimate, Fit, solve, unpredictable
+from hydro_env.diagnosis.estimation import Estimate, Fit, unpredictable
 from hydro_env.diagnosis.estimation.uncertainty import Intervals
 from hydro_env.diagnosis.models.base import Segment
-from hydro_env.diagnosis.stages.candidates import Accepted, Candidate, Search, Selection, at_edge
-from hydro_env.diagnosis.stages.form_correction import correction_leads_inside
-from hydro_env.diagnosis.stages.screening import Screening
-from hydro_env.diagnosis.stages.selection import Refit, refit_promising
+from hydro_env.diagnosis.stages.candidates import Accepted, Selection
 from hydro_env.diagnosis.stages.validation import Proof
 from hydro_env.diagnosis.stages.verdict import doubts
-from hydro_env.plant import CATALOGUE
 from tests.linear_rig import LinearRig, logged, time_of
 
 ROWS = 12000
 TIME = time_of(ROWS)
-GAIN = "flow_gain_nonlinearity"
-
-
-def _screened(effect: str, value: float, gain: float) -> Screening:
-    return Screening(effect, 0, {CATALOGUE[effect].parameters[0].name: value}, gain, 1e4, np.zeros(1))
-
-
-@pytest.mark.parametrize(("size", "inside"), [(0.4, True), (3.0, False)])
-def test_an_estimate_at_the_edge_is_judged_beside_the_form(size: float, inside: bool) -> None:
-    """A form that pushes the estimate to the edge is put right; a size that no rig has stays beyond it."""
-    bend = np.abs(np.sin(2.0 * TIME)) * np.sin(2.0 * TIME)
-    curves = {f"{GAIN}.curvature": bend, "opening_shape.gain_2": 4.0 * bend + np.cos(11.0 * TIME)}
-    fit, base = logged(curves, {f"{GAIN}.curvature": size, "opening_shape.gain_2": 0.3}, ROWS)
-    found = base.extended(GAIN, {"curvature": 0.5})
-    solve(fit, [found], 6)
-    assert at_edge(found, GAIN)
-    assert correction_leads_inside(fit, base, found, GAIN) is inside
-
-
-def test_what_leads_away_at_first_is_refitted_before_it_is_given_up() -> None:
-    curves = {"quadratic_drag.coefficient": 1e4 * np.sin(2.0 * TIME), "load_bias.bias": np.cos(11.0 * TIME)}
-    fit, base = logged(curves, {"quadratic_drag.coefficient": 1e-4}, ROWS)
-    screened = [_screened("quadratic_drag", 1e-4, 900.0), _screened("load_bias", 0.1, 800.0)]
-    refits = [Refit(0, k, base.extended(k.effect, k.start)) for k in screened]
-    refits[0].estimate.q = np.array([0.0, -3.0])  # a short refit that went the wrong way
-    fit.evaluate([r.estimate for r in refits])
-    search = Search(fit, {0: base}, screened, 12.0, {0: base})
-    lost = [
-        Candidate(r.screened.effect, 0, 2, -50.0, 18.0, "others explain more", r.estimate) for r in refits
-    ]
-    search.candidates, best = list(lost), [refits[1]]
-    refit_promising(search, [0], refits, best)
-    assert [r.screened.effect for r in best] == ["load_bias", "quadratic_drag"] and search.candidates == [
-        lost[1]
-    ]
-    values = best[1].estimate.values(0)
-    assert values["quadratic_drag.coefficient"] == pytest.approx(1e-4, rel=0.05)
-    # Where a candidate pays already nothing more is tried.
-    again = [best[1]]
-    refit_promising(search, [0], refits[1:], again)
-    assert len(again) == 1
 
 
 def _doubts(

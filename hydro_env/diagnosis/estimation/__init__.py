@@ -7,7 +7,6 @@ noise            noise and independent samples of a residual
 gauss_newton     the solver
 multistart       restarts, where friction makes local minima
 growing_horizon  fits to the beginning of the logs first
-global_search    every effect from many starts
 explained        criteria: how much of a residual is explained
 uncertainty      block bootstrap
 """
@@ -24,14 +23,12 @@ from .explained import (
 )
 from .fit import Fit, Noise, noise_of
 from .gauss_newton import differentiate, solve
-from .global_search import search_all
 from .growing_horizon import grow_horizon
 from .multistart import (
     SETTLE_ITERATIONS,
     far_from_noise,
     restart_friction,
     settle,
-    solve_in_all_directions,
 )
 from .noise import effective_samples, noise_floor
 from .uncertainty import (
@@ -58,6 +55,6 @@ __all__ = [
     "base_unknown", "bases_of", "could_pay", "courses_apart", "differentiate", "effect_starts", "effect_unknowns",
     "effective_samples", "explained_share", "far_from_noise", "grow_horizon", "intervals_of", "joined", "less_taken",
     "limited_by_effects", "mostly_explained", "nearly_all", "nearly_explained", "noise_floor", "noise_of",
-    "probability_of_gain", "restart_friction", "scaled", "search_all", "settle", "smallest_share", "solve",
-    "solve_in_all_directions", "unexplained", "unpredictable",
+    "probability_of_gain", "restart_friction", "scaled", "settle", "smallest_share", "solve",
+    "unexplained", "unpredictable",
 ]  # fmt: skip

@@ -17,16 +17,12 @@ from .estimate import Estimate
 from .fit import Fit
 from .gauss_newton import solve
 
-__all__ = ["far_from_noise", "restart_friction", "settle", "solve_in_all_directions"]
+__all__ = ["far_from_noise", "restart_friction", "settle"]
 
 RESTART_FRICTION = rule(
     "restart_friction", "restart with other spool friction where little but more than noise is left"
 )
 RESTART_AS_GIVEN = rule("restart_as_given", "refit what was accepted also from the known parameters as given")
-ALL_DIRECTIONS = rule(
-    "all_directions",
-    "improve a calibration near the noise along all directions in which logs fix ratios only",
-)
 
 #: Base parameters that are drawn anew, and the spread of the draws on the scale of their priors.
 DRAWN, DRAW_SPREAD = ("Fc", "Fs", "vs"), 1.0
@@ -43,25 +39,17 @@ def far_from_noise(fit: Fit, estimate: Estimate) -> bool:
     return fit.level(estimate) > SMALL_LEVEL
 
 
-def restart_friction(
-    fit: Fit, estimates: Sequence[Estimate], seed: int = 0, whole: bool = False
-) -> list[Estimate]:
-    """Improves those of `estimates` that are near the noise and not at it, in place; returns the ones that became better.
-
-    With `whole` also what is far from the noise begins anew, and all known parameters do, at the model as given.
-    """
+def restart_friction(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
+    """Improves those of `estimates` that are near the noise and not at it, in place; returns the ones that became better."""
     if not fit.settings.uses(RESTART_FRICTION):
         return []
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     fields: list[tuple[Estimate, list[Estimate]]] = []
     for estimate in estimates:
         drawn = [j for j, u in enumerate(estimate.unknowns) if u.name in DRAWN]
-        if not drawn or fit.at_noise(estimate):
+        if not drawn or fit.at_noise(estimate) or far_from_noise(fit, estimate):
             continue
-        if not whole and far_from_noise(fit, estimate):
-            continue
-        place = estimate.from_given() if whole else estimate
-        fields.append((estimate, [_with_other_friction(place, drawn, rng) for _ in range(STARTS)]))
+        fields.append((estimate, [_with_other_friction(estimate, drawn, rng) for _ in range(STARTS)]))
     for iterations in ROUND_ITERATIONS:
         solve(fit, [p for _, starts in fields for p in starts], iterations)
         for _, starts in fields:
@@ -79,18 +67,6 @@ def _with_other_friction(estimate: Estimate, drawn: Sequence[int], rng: np.rando
     twin = estimate.at(np.clip(q, *estimate.bounds))
     twin.columns = dict(estimate.columns)  # derivatives of before are good enough for the first step
     return twin
-
-
-def solve_in_all_directions(fit: Fit, estimates: Sequence[Estimate]) -> None:
-    """Improves in place, along every direction of `SCALED_TOGETHER`, those of `estimates` that are near the noise and not at it:
-    where next to nothing is missing these do not lead away, and an effect must not win by going along them alone."""
-    if not fit.settings.uses(ALL_DIRECTIONS):
-        return
-    near = [p for p in estimates if p.unknowns and not far_from_noise(fit, p) and not fit.at_noise(p)]
-    finer = [p.in_all_directions() for p in near]
-    solve(fit, finer, sum(ROUND_ITERATIONS))
-    for estimate, other in zip(near, finer, strict=True):
-        estimate.adopt(other)
 
 
 def settle(fit: Fit, estimates: Sequence[Estimate]) -> None:

@@ -15,7 +15,6 @@ from ..estimation import (
     limited_by_effects,
     restart_friction,
     solve,
-    solve_in_all_directions,
 )
 from ..models.base import RigModel
 from ..settings import rule
@@ -83,7 +82,6 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     solve(fit, further, iterations // 3)
     if rig.has_hidden_states:
         solve(fit, restart_friction(fit, list(estimates.values())), iterations)
-        solve_in_all_directions(fit, list(estimates.values()))
     return estimates
 
 

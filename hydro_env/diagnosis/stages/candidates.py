@@ -81,16 +81,12 @@ class Accepted:
 
 @dataclass
 class Selection:
-    """The result: final estimates by channel (the same joint one for both where an effect of the rig was accepted).
-
-    `corrected` are estimates of channels with the form corrected of what had been accepted when a further effect was tried.
-    """
+    """The result: final estimates by channel (the same joint one for both where an effect of the rig was accepted)."""
 
     estimates: Estimates
     accepted: list[Accepted]
     candidates: list[Candidate]
     placebo: Estimates
-    corrected: Estimates = field(default_factory=dict)
 
     def effects_by_channel(self) -> dict[int | None, list[str]]:
         """The accepted effects by channel, None for those of the whole rig."""
@@ -113,7 +109,6 @@ class Search:
     accepted: list[Accepted] = field(default_factory=list)
     candidates: list[Candidate] = field(default_factory=list)
     placebo: Estimates = field(default_factory=dict)
-    corrected: Estimates = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:

@@ -21,37 +21,27 @@ from ..estimation import (
     Fit,
     Unknown,
     Vector,
-    explained_share,
     far_from_noise,
     grow_horizon,
-    restart_friction,
     solve,
 )
 from ..models.base import RigModel, view
 from ..settings import rule
 from ..state import Estimates, State
-from .candidates import at_edge, is_neutral, penalty, penalty_per_parameter
+from .candidates import penalty_per_parameter
 from .refits import LAST_STEPS, refit_found
 
 __all__ = [
-    "Correction", "adopt_earlier", "changes", "correct", "correct_all", "correct_placebo", "correction_leads_inside",
-    "correction_suffices", "is_correction", "run", "with_correction",
+    "Correction", "changes", "correct", "correct_all", "correct_placebo", "is_correction", "run", "with_correction",
 ]  # fmt: skip
 
 CORRECT_FORM = rule("correct_form", "correct the form of named effects")
 LEFT_OUT = rule("left_out_stretches", "a correction of form must also help on stretches that were left out")
-ADOPT_EARLIER = rule(
-    "adopt_earlier", "go on from a correction that was found while a further effect was judged"
-)
-RESTART_CORRECTED = rule("restart_corrected", "restart a corrected model with other spool friction")
 
 #: Iterations of a joint refit with a correction, of the one that is kept, of a halved one, and of a competing effect's.
 TRY_ITERATIONS, KEEP_ITERATIONS, HALF_ITERATIONS, BESIDE_ITERATIONS = 8, 12, 5, 5
 #: Length of the stretches that are fitted and left out in turn, s.
 STRETCH_S = 1.0
-#: What is left, in times the noise, from which a corrected model begins anew; the seed of its draws is another than
-#: calibration's.
-RESTART_ABOVE, RESTART_SEED = 1.05, 1
 #: Corrections of one estimate at most.
 MOST_CORRECTIONS = 2
 
@@ -80,9 +70,7 @@ def run(state: State) -> State:
     fit = state.fit.on(state.rig.for_long_refits())
     final, placebo, corrections = state.final, state.placebo, state.corrections
     if state.settings.uses(CORRECT_FORM):
-        final, corrections = correct_all(
-            fit, final, state.selection.effects_by_channel(), state.selection.corrected
-        )
+        final, corrections = correct_all(fit, final, state.selection.effects_by_channel())
         placebo = correct_placebo(fit, placebo, corrections)
     fine, every = fit.on(state.fine), (*final.values(), *placebo.values())
     refit_found(fine, [p for p in every if not far_from_noise(fine, p)], LAST_STEPS)
@@ -128,13 +116,12 @@ def with_correction(estimate: Estimate, effect: str, correction: str, channel: i
 
 
 def correct(
-    fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]], check: bool = True, earlier: Estimate | None = None
-) -> tuple[Estimate, list[Correction]]:  # fmt: skip
+    fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]]
+) -> tuple[Estimate, list[Correction]]:
     """The estimate with those corrections of its effects `named` (with their channels) that pay for themselves; the estimate
     itself if none does.
 
-    With `check`, a correction must also help on stretches of the fit logs that were left out (`falls_on_left_out`). `earlier`
-    is a corrected estimate that was found before.
+    A correction must also help on stretches of the fit logs that were left out (`falls_on_left_out`).
     """
     kept: list[Correction] = []
     for number in range(MOST_CORRECTIONS):
@@ -150,18 +137,17 @@ def correct(
         ]
         if not tries:
             break
-        _refit_from_two_starts(fit, [p for *_, p in tries], best_only=True)
+        _refit_from_two_starts(fit, [p for *_, p in tries])
         if number == 0 and estimate.channel is not None:
             grow_horizon(fit, [min((p for *_, p in tries), key=lambda p: p.cost)])
-        adopt_earlier(fit, [p for *_, p in tries], earlier)
         needed = [penalty_per_parameter(fit) * _own_size(k, e) for e, _, k, _ in tries]
         worth = [estimate.cost - p.cost - n for (*_, p), n in zip(tries, needed, strict=True)]
         most = int(np.argmax(worth))
         effect, channel, correction, best = tries[most]
         if worth[most] <= 0.0:
             break
-        check = check and fit.settings.uses(LEFT_OUT)
-        falls = falls_on_left_out(fit, estimate, best) if check else (np.inf, np.inf)
+        checked = fit.settings.uses(LEFT_OUT)
+        falls = falls_on_left_out(fit, estimate, best) if checked else (np.inf, np.inf)
         # It must help in both halves, and in all pay for its numbers there too.
         if min(falls) <= 0.0 or sum(falls) < needed[most]:
             break
@@ -171,36 +157,21 @@ def correct(
     return estimate, kept
 
 
-def adopt_earlier(fit: Fit, estimates: Sequence[Estimate], earlier: Estimate | None) -> None:
-    """Puts values that were found before into the estimate of the same unknowns, if they are better there."""
-    for one in estimates if fit.settings.uses(ADOPT_EARLIER) else ():
-        if earlier is not None and [u.name for u in one.unknowns] == [u.name for u in earlier.unknowns]:
-            again = one.at(np.clip(earlier.q, *one.bounds))
-            solve(fit, [again], TRY_ITERATIONS)
-            one.adopt(again)
-
-
-def _refit_from_two_starts(fit: Fit, estimates: Sequence[Estimate], best_only: bool = False) -> None:
-    """Improves all, or only what may become the best: the known parameters have moved to make up for the form, so they begin
+def _refit_from_two_starts(fit: Fit, estimates: Sequence[Estimate]) -> None:
+    """Improves what may become the best of all: the known parameters have moved to make up for the form, so they begin
     where they are and where they were given. Those of a whole rig, whose simulations are slow, begin where they are."""
     again = {id(p): p.from_given().in_all_directions() for p in estimates if p.channel is not None}
-    races = [[p, again[id(p)]] for p in estimates if id(p) in again]
     every = [*estimates, *again.values()]
-    solve(fit, every, TRY_ITERATIONS, races=[every] if best_only else races)
+    solve(fit, every, TRY_ITERATIONS, races=[every])
     for one in estimates:
         if id(one) in again:
             one.adopt(again[id(one)])
 
 
 def correct_all(
-    fit: Fit, estimates: Estimates, named: Mapping[int | None, Sequence[str]], earlier: Mapping[int, Estimate]
+    fit: Fit, estimates: Estimates, named: Mapping[int | None, Sequence[str]]
 ) -> tuple[Estimates, list[Correction]]:
-    """Every estimate with the corrections of what is named there: `named` by channel, None for effects of the whole rig;
-    `earlier` are corrected estimates of channels that were found before.
-
-    What is near the noise then, and not at it, begins anew with other friction of the spool, as calibrated models do, for the
-    same reason: other draws than those with which calibration began.
-    """
+    """Every estimate with the corrections of what is named there: `named` by channel, None for effects of the whole rig."""
     found: Estimates = dict(estimates)
     every: list[Correction] = []
     for one in {id(p): p for p in estimates.values()}.values():
@@ -208,11 +179,7 @@ def correct_all(
         names = [(n, channel) for channel, own in named.items() if c is None or channel == c for n in own]
         if not fit.rig.has_hidden_states or not named or fit.at_noise(one):
             continue
-        better, kept = correct(fit, one, names, earlier=None if c is None else earlier.get(c))
-        if better is one:
-            better = replace(one, q=one.q.copy(), columns=dict(one.columns))
-        if fit.settings.uses(RESTART_CORRECTED) and not fit.at_noise(better, RESTART_ABOVE):
-            solve(fit, restart_friction(fit, [better], RESTART_SEED), KEEP_ITERATIONS)
+        better, kept = correct(fit, one, names)
         found.update(dict.fromkeys(fit.channels_of(one), better))
         every += kept
     return found, every
@@ -247,46 +214,6 @@ def changes(rig: RigModel, estimate: Estimate, correction: str, channel: int) ->
     for s in rig.segments[channel]:
         found.setdefault((channel, s.signal), []).append(change[s.place][s.used])
     return {name: float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) for name, parts in found.items()}
-
-
-# --- form or further effect? ----------------------------------------------------------------------------------------------
-def correction_suffices(
-    fit: Fit, before: Estimate, named: Sequence[tuple[str, int | None]], effect: str, after: Estimate
-) -> tuple[bool, Estimate | None]:
-    """Whether a further effect only corrects the form of those that are `named` already, and the corrected estimate, if any.
-
-    The named effects are corrected in their form; the further one must then still pay.
-    """
-    corrected, kept = correct(fit, before, named, check=False)
-    if not kept:
-        return False, None
-    added = [(u, v) for u, v in zip(after.unknowns, after.q, strict=True) if u.effect == effect]
-    unknowns, q = [*corrected.unknowns, *(u for u, _ in added)], [*corrected.q, *(v for _, v in added)]
-    both = Estimate(corrected.channel, unknowns, np.array(q), effect, follow=corrected.follow)
-    # The further effect may have led the known parameters elsewhere: from there it must be allowed to pay, too.
-    moved = {u.name: v for u, v in zip(after.unknowns, after.q, strict=True)}
-    there = both.at(np.array([moved.get(u.name, v) for u, v in zip(unknowns, q, strict=True)]))
-    solve(fit, [both, there], BESIDE_ITERATIONS)
-    both.adopt(there)
-    share = explained_share(fit, corrected, both, fit.channels_of(both))
-    pays = fit.gain(corrected, both) >= penalty(fit, effect)
-    return not pays or share < fit.settings.least_share or is_neutral(both, effect), corrected
-
-
-def correction_leads_inside(fit: Fit, before: Estimate, after: Estimate, effect: str) -> bool:
-    """Whether an effect that ends at the edge of its range ends inside once its form is corrected, and then pays for both.
-
-    A rig's law is another one than the catalogue's, and a size at the edge may make up for nothing but that.
-    """
-    if not fit.rig.has_hidden_states:
-        return False
-    found = {k: with_correction(after, effect, k) for k in CORRECTIONS.get(effect, {})}
-    _refit_from_two_starts(fit, list(found.values()))
-    for correction, one in found.items():
-        needed = penalty(fit, effect) + penalty_per_parameter(fit) * _own_size(correction, effect)
-        if not at_edge(one, effect) and fit.gain(before, one) > needed:
-            return True
-    return False
 
 
 # --- cross-validation -----------------------------------------------------------------------------------------------------

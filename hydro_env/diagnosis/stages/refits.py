@@ -1,4 +1,4 @@
-"""Refits that several stages share: short ones of candidates, of the present model, and the last one of what was found."""
+"""Refits that several stages share: short ones of candidates, and the last one of what was found."""
 
 from __future__ import annotations
 
@@ -7,21 +7,15 @@ from collections.abc import Sequence
 
 from ..estimation import Estimate, Fit, bases_of, differentiate, solve
 from ..settings import rule
-from ..state import Estimates
 
-__all__ = ["LAST_STEPS", "refit_found", "restart_present", "short_refit"]
+__all__ = ["LAST_STEPS", "refit_found", "short_refit"]
 
-RESTART_PRESENT = rule(
-    "restart_present", "refit the present model from the known parameters of its best extension"
-)
 REFIT_FOUND = rule("refit_found", "refit what was found by the noise that is seen then")
 
 #: Steps of q for the differences in the iterations of the refit of what was found, and of the last one, by the proof's substeps.
 FOUND_STEPS, LAST_STEPS = (0.15, 0.04, 0.4, 0.15, 0.04, 0.4), (0.15, 0.04, 0.01, 0.04, 0.01)
 #: Iterations of a short refit; where simulating costs next to nothing there are more.
 SHORT_ITERATIONS, CHEAP_ITERATIONS = 2, 10
-#: Iterations of the present model's restart, before and after the question whether it gets anywhere.
-RESTART_ITERATIONS = 2, 6
 
 
 def short_refit(fit: Fit, estimates: Sequence[Estimate]) -> None:
@@ -41,25 +35,6 @@ def short_refit(fit: Fit, estimates: Sequence[Estimate]) -> None:
     for _ in range(SHORT_ITERATIONS):
         differentiate(fit, estimates, fresh)
         solve(fit, estimates, 1)
-
-
-def restart_present(fit: Fit, present: Estimates, best: Sequence[tuple[int, Estimate]]) -> None:
-    """Restarts the present estimates of channels, in place, from the base parameters that their best extensions found.
-
-    A candidate must not win because its refit led the known parameters out of a local minimum.
-    """
-    if not fit.settings.uses(RESTART_PRESENT):
-        return
-    restarts = {}
-    for c in dict.fromkeys(c for c, _ in best):
-        own = min((p for k, p in best if k == c), key=lambda p: p.cost)
-        restarts[c] = present[c].at(own.q[: len(present[c].unknowns)].copy())
-    solve(fit, list(restarts.values()), RESTART_ITERATIONS[0])
-    # Where the base parameters alone get nowhere from there, the effect did not carry them out of one.
-    going = {c: p for c, p in restarts.items() if p.cost < present[c].cost}
-    solve(fit, list(going.values()), RESTART_ITERATIONS[1])
-    for c, estimate in going.items():
-        present[c].adopt(estimate)
 
 
 def refit_found(fit: Fit, estimates: Sequence[Estimate], steps: Sequence[float] = FOUND_STEPS) -> None:

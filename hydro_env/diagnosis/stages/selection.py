@@ -11,31 +11,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from ..estimation import SETTLE_ITERATIONS, Estimate, could_pay, grow_horizon, settle, smallest_share, solve
-from ..settings import rule
 from ..state import State
-from .candidates import ACCEPTED, AT_EDGE, OUTDONE, Accepted, Search, Selection, judge, penalty
+from .candidates import ACCEPTED, OUTDONE, Accepted, Search, Selection, judge, penalty
 from .elimination import compare_competing, drop_not_missed, drop_unneeded
-from .form_correction import correction_leads_inside, correction_suffices
-from .refits import refit_found, restart_present, short_refit
+from .refits import refit_found, short_refit
 from .rig_effects import select_rig_effects
 from .screening import Screening, screen
-from .second_search import is_lost, search_again
 
-__all__ = ["Refit", "refit_promising", "run", "select"]
-
-REFIT_HOPEFUL = rule(
-    "refit_hopeful", "first round: refit the best candidate as far as it goes where none pays yet"
-)
-REFIT_PROMISING = rule("refit_promising", "later rounds: refit the best of the screening where none pays yet")
-CORRECTION_SUFFICES = rule(
-    "correction_suffices", "a further effect must explain more than a correction of form does"
-)
-CORRECTION_INSIDE = rule(
-    "correction_inside", "accept a size at its edge that a correction of form leads inside"
-)
+__all__ = ["run", "select"]
 
 #: Short refits and full refits in the first round, and in later ones, where the screening is beside a better model.
 FIRST_REFITS, LATER_REFITS = (9, 3), (5, 2)
@@ -43,11 +27,6 @@ FIRST_REFITS, LATER_REFITS = (9, 3), (5, 2)
 FULL_ITERATIONS, CHEAP_ITERATIONS = 3, 10
 #: Candidates whose short refit reached less than this share of the best one's are not refitted in full.
 WITHIN_REACH = 0.5
-#: Share of its penalty that the best candidate must have reached to be refitted as far as it goes where none pays yet.
-HOPEFUL_SHARE = 0.3
-#: A residual (`Fit.level`) beside what was accepted from which the most promising candidates by their screening are refitted as
-#: far as they go before all are given up, and how many.
-MUCH_LEFT, PROMISING = 1.0, 2
 #: What stays of the residual after an effect is looked into if it is a larger share; no effect has exactly its law.
 WORTH_ANOTHER = 0.01
 
@@ -86,15 +65,10 @@ def select(search: Search) -> Selection:
     fit, calibrated = search.fit, search.calibrated
     first = [c for c in fit.rig.channels if could_pay(fit, calibrated[c], c)]
     of_channels = [k for k in search.screening if k.channel is not None]
-    _forward(search, first, 1, of_channels)
+    _forward(search, first, of_channels)
     if len(fit.rig.channels) == 2 and any(k.channel is None for k in search.screening):
         search.progress("effects of the whole rig")
         select_rig_effects(search)
-    lost = [c for c in fit.rig.channels if is_lost(search, c)]
-    if lost:
-        search.progress("global search from many starts")
-        found = [c for c in lost if search_again(search, c)]
-        _forward(search, [c for c in found if _worth_another(search, c)], 2)
     if fit.rig.has_hidden_states:
         drop_unneeded(search)
     if any(len(search.on(c)) > 1 for c in fit.rig.channels):
@@ -103,7 +77,7 @@ def select(search: Search) -> Selection:
     if search.accepted:
         search.progress("what else would do as well?")
         compare_competing(search)
-    return Selection(search.present, search.accepted, search.candidates, search.placebo, search.corrected)
+    return Selection(search.present, search.accepted, search.candidates, search.placebo)
 
 
 def _worth_another(search: Search, c: int) -> bool:
@@ -114,9 +88,9 @@ def _worth_another(search: Search, c: int) -> bool:
 
 
 # --- forward steps --------------------------------------------------------------------------------------------------------
-def _forward(search: Search, channels: list[int], first: int, screening: Sequence[Screening] = ()) -> None:
-    """Rounds from number `first` on, as long as an effect is accepted on a channel and leaves something."""
-    for number in range(first, search.fit.settings.max_effects + 1):
+def _forward(search: Search, channels: list[int], screening: Sequence[Screening]) -> None:
+    """Rounds, as long as an effect is accepted on a channel and leaves something."""
+    for number in range(1, search.fit.settings.max_effects + 1):
         if not channels:
             break
         if number > 1:
@@ -137,11 +111,6 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
         return []
     best = _best_refits(search, channels, refits, number, full)
     solve(fit, [r.estimate for r in best], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS)
-    restart_present(fit, search.present, [(r.channel, r.estimate) for r in best])
-    if number == 1 and not cheap:
-        settle(fit, _hopeful(search, channels, best))
-    elif not cheap:
-        refit_promising(search, channels, refits, best)
     accepted = [c for c in channels if _accept_best(search, c, [r for r in best if r.channel == c], number)]
     # The winners are refitted as far as they go: what is left afterwards decides on further effects. So are the placebos.
     winners = [search.present[c] for c in accepted]
@@ -198,7 +167,6 @@ def _accept_best(search: Search, c: int, refits: Sequence[Refit], number: int) -
         effect, gain = r.screened.effect, gains[r.screened.effect]
         outcome = judge(fit, before, r.estimate, effect, gain)
         if place == 0:
-            outcome = _judge_beside_form(search, r, before, outcome)
             accepted = outcome == ACCEPTED
             if accepted:
                 competing = search.competing(effect, gains)
@@ -211,68 +179,3 @@ def _accept_best(search: Search, c: int, refits: Sequence[Refit], number: int) -
     if accepted:
         search.present[c] = refits[0].estimate
     return accepted
-
-
-def _judge_beside_form(search: Search, refit: Refit, before: Estimate, outcome: str) -> str:
-    """The outcome of the best candidate where the form of an effect may be wrong: its own, or that of what was accepted."""
-    fit, effect = search.fit, refit.screened.effect
-    at_edge = outcome == AT_EDGE and fit.settings.uses(CORRECTION_INSIDE)
-    if at_edge and correction_leads_inside(fit, before, refit.estimate, effect):
-        outcome = ACCEPTED
-    named = [(k.effect, k.channel) for k in search.on(refit.channel)]
-    if outcome == ACCEPTED and named and fit.settings.uses(CORRECTION_SUFFICES):
-        suffices, corrected = correction_suffices(fit, before, named, effect, refit.estimate)
-        if corrected is not None:
-            search.corrected[refit.channel] = corrected
-        if suffices:
-            outcome = "a correction of the form of what is named already does as well"
-    return outcome
-
-
-# --- before a candidate is given up ---------------------------------------------------------------------------------------
-def _hopeful(search: Search, channels: Sequence[int], best: Sequence[Refit]) -> list[Estimate]:
-    """The best candidate of every channel on which none pays yet, if it pays for some of itself: with few signals a refit is
-    not settled after some steps."""
-    found: list[Estimate] = []
-    if not search.fit.settings.uses(REFIT_HOPEFUL):
-        return found
-    for c in channels:
-        own = [r for r in best if r.channel == c]
-        paid = [_paid(search, r) for r in own]
-        if own and HOPEFUL_SHARE < max(paid) < 1.0:
-            found.append(own[int(np.argmax(paid))].estimate)
-    return found
-
-
-def _paid(search: Search, refit: Refit) -> float:
-    """The gain of a candidate as a share of its penalty."""
-    gain = search.fit.gain(search.present[refit.channel], refit.estimate)
-    return gain / penalty(search.fit, refit.screened.effect)
-
-
-def refit_promising(
-    search: Search, channels: Sequence[int], refits: Sequence[Refit], best: list[Refit]
-) -> None:
-    """Refits as far as they go, in place, the candidates that the screening puts first, where none pays in a later round though
-    much is left.
-
-    What was accepted first has made up for what is still missing, and so have the known parameters: from there the few steps
-    of a short refit may lead away, and a candidate that ends beyond where it began says nothing. Those that were not among the
-    `best` join them.
-    """
-    if not search.fit.settings.uses(REFIT_PROMISING):
-        return
-    fresh: list[tuple[Refit, Estimate]] = []
-    for c in channels:
-        pays = any(_paid(search, r) > 1.0 for r in best if r.channel == c)
-        if pays or search.fit.level(search.present[c]) < MUCH_LEFT:
-            continue
-        promising = sorted((r for r in refits if r.channel == c), key=lambda r: -r.screened.gain)[:PROMISING]
-        for r in promising:
-            fresh.append((r, search.present[c].extended(r.screened.effect, r.screened.start)))
-    settle(search.fit, [p for _, p in fresh])
-    for refit, estimate in fresh:
-        refit.estimate.adopt(estimate)
-        if not any(r is refit for r in best):
-            best.append(refit)
-            search.candidates[:] = [t for t in search.candidates if t.estimate is not refit.estimate]

@@ -11,12 +11,11 @@ from ..estimation import (
     Fit,
     courses_apart,
     mostly_explained,
-    nearly_all,
     unexplained,
 )
 from ..settings import rule
 from ..state import Estimates, State
-from .candidates import Selection, at_edge
+from .candidates import Selection
 from .localisation import locate
 from .validation import NAMED, Proof, proved
 
@@ -29,7 +28,6 @@ DOUBT_LEFT = rule(
 DOUBT_UNCONFIRMED = rule(
     "doubt_unconfirmed", "reject names that explain next to nothing of the held-out logs"
 )
-DOUBT_EDGE = rule("doubt_edge", "reject names whose size stays at the edge of its range")
 
 #: A signal of the held-out logs is made worse if its error is so many times what calibration alone leaves, and so many times
 #: the noise.
@@ -56,7 +54,9 @@ def decide(state: State) -> State:
 def _verdict(fit: Fit, given: Estimates, calibrated: Estimates, selection: Selection) -> str:
     left = any(unexplained(fit, selection.estimates[c], c) for c in fit.rig.channels)
     if selection.accepted:
-        return "effects" if not left or _mostly(fit, calibrated, selection) else "unknown"
+        found = selection.estimates
+        mostly = all(mostly_explained(fit, calibrated[c], found[c], c) for c in fit.rig.channels)
+        return "effects" if mostly or not left else "unknown"
     if left:
         return "unknown"
     better = any(_better(fit, given[c], calibrated[c], c) for c in fit.rig.channels)
@@ -68,17 +68,6 @@ def _better(fit: Fit, given: Estimate, calibrated: Estimate, channel: int) -> bo
     old, new = (fit.rms(p.simulated[channel], channel) for p in (given, calibrated))
     visible = any(old[k] > CALIBRATION_VISIBLE * max(new[k], fit.noise[channel, k[1]]) for k in old)
     return visible and fit.gain(given, calibrated) > CALIBRATION_GAIN * len(calibrated.unknowns)
-
-
-def _mostly(fit: Fit, calibrated: Estimates, selection: Selection) -> bool:
-    """Whether what was found explains most of the residual in every channel that has one left, by level or by power."""
-    for c in fit.rig.channels:
-        own = [k.effect for k in selection.accepted if k.channel == c]
-        if fit.rig.has_hidden_states and any(at_edge(selection.estimates[c], n) for n in own):
-            continue  # accepted for what it explains in a corrected form: see `doubts`
-        if not mostly_explained(fit, calibrated[c], selection.estimates[c], c):
-            return False
-    return True
 
 
 # --- from the held-out logs -----------------------------------------------------------------------------------------------
@@ -110,14 +99,6 @@ def doubts(
     found: list[str] = []
     for c in dict.fromkeys(k.channel for k in selection.accepted if k.channel is not None):
         found += _doubts_of_channel(fit, held_out, final, c, on_fit, on_held_out)
-    for k in selection.accepted:
-        if k.channel is None or not (fit.rig.has_hidden_states and fit.settings.uses(DOUBT_EDGE)):
-            continue
-        if not all(at_edge(p[k.channel], k.effect) for p in (selection.estimates, final)):
-            continue
-        was, left = (on_fit.traces[name][k.channel] for name in ("calibrated", "after"))
-        if not nearly_all(fit, was, left, k.channel):
-            found.append(f"the size of {k.effect.replace('_', ' ')} stays at the edge of its plausible range")
     return list(dict.fromkeys(found))
 
 

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ...plant import BUILT_IN, CATALOGUE, Effect
 
 __all__ = ["EMPTY", "GROUPS", "WITH_NAME", "Case", "cases", "commands"]
@@ -13,12 +15,8 @@ __all__ = ["EMPTY", "GROUPS", "WITH_NAME", "Case", "cases", "commands"]
 #: Largest error of a base parameter.
 BASE_ERROR = 0.15
 EVERYTHING = ("setpoint", "current", "pressure", "load")
-PAIRS = (
-    ("dead_zone:1", "load_bias:1"), ("magnetic_hysteresis:1", "line_loss:1"), ("sensor_lag:1", "null_offset:2"),
-    ("supply_droop", "dead_zone:2"), ("flow_saturation:1", "motor_coulomb_friction:1"), ("dead_zone:both",),
-    ("coil_heating:2", "directional_gain:2"), ("pressure_dependent_flow:1", "eccentric_load:2"),
-    ("spring_preload:2", "quadratic_drag:2"), ("command_delay:1", "flow_gain_nonlinearity:1"),
-)  # fmt: skip
+#: Trials of two effects.
+NUMBER_OF_PAIRS = 20
 #: group: (settings of the log, whether the effect is taken out of the candidates)
 GROUPS: dict[str, dict[str, Any]] = {
     "nothing": {"base_error": 0.0},
@@ -46,14 +44,15 @@ def _and_new(frozen: tuple[str, ...], new: Iterable[Effect]) -> tuple[str, ...]:
     return (*frozen, *(e.name for e in new if not e.family and e.name not in frozen))
 
 
-#: The effects that are hidden one by one.
-_ORDER = _and_new((
+#: The effects that are hidden one by one, and of which pairs are drawn.
+_FROZEN = (
     "command_delay", "driver_saturation", "coil_heating", "magnetic_hysteresis", "spool_stiction", "spring_preload",
     "flow_force", "null_offset", "dead_zone", "flow_saturation", "directional_gain", "flow_gain_nonlinearity",
     "pressure_dependent_flow", "supply_droop", "entrained_air", "line_loss", "crossport_relief", "speed_dependent_leakage",
     "motor_coulomb_friction", "quadratic_drag", "displacement_ripple", "load_bias", "eccentric_load", "shaft_backlash",
     "viscosity_drift", "sensor_lag", "sensor_gain", "sensor_offset",
-), (CATALOGUE[name] for name in BUILT_IN))  # fmt: skip
+)  # fmt: skip
+_ORDER = _and_new(_FROZEN, (CATALOGUE[name] for name in BUILT_IN))
 #: The same for those whose declared twins are taken out, too.
 _ORDER_WITHOUT_TWINS = _and_new((
     "command_delay", "magnetic_hysteresis", "spool_stiction", "spring_preload", "dead_zone", "line_loss", "quadratic_drag",
@@ -92,15 +91,26 @@ def cases(groups: Sequence[str], seed: int, empty: int = EMPTY) -> list[Case]:
         if group in ("nothing", "parameters"):
             sets = [()] * empty
         elif group == "two":
-            sets = list(PAIRS)
+            sets = [_pair(first + number) for number in range(NUMBER_OF_PAIRS)]
         else:
             names = _ORDER_WITHOUT_TWINS if group == "no_twins" else _ORDER
-            sets = [
-                (n if CATALOGUE[n].scope == "rig" else f"{n}:{1 + number % 2}",)
-                for number, n in enumerate(names)
-            ]
+            sets = [(_on(n, 1 + number % 2),) for number, n in enumerate(names)]
         found += [Case(group, hidden, first + number, **GROUPS[group]) for number, hidden in enumerate(sets)]
     return found
+
+
+def _pair(seed: int) -> tuple[str, ...]:
+    """Two effects of the frozen list on channels of their own choice, drawn from a seed; no two that logs cannot part."""
+    rng = np.random.default_rng([seed, 2])
+    while True:
+        one, other = (_FROZEN[n] for n in rng.choice(len(_FROZEN), 2, replace=False))
+        if other not in CATALOGUE[one].indistinguishable_from:
+            channels = rng.integers(1, 3, 2)
+            return _on(one, int(channels[0])), _on(other, int(channels[1]))
+
+
+def _on(effect: str, channel: int) -> str:
+    return effect if CATALOGUE[effect].scope == "rig" else f"{effect}:{channel}"
 
 
 def commands(rows: Sequence[Mapping[str, Any]]) -> list[str]:
