@@ -22,14 +22,9 @@ from .explained import (
     unexplained,
 )
 from .fit import Fit, Noise, noise_of
-from .gauss_newton import differentiate, solve
+from .gauss_newton import SETTLE_ITERATIONS, differentiate, solve
 from .growing_horizon import grow_horizon
-from .multistart import (
-    SETTLE_ITERATIONS,
-    far_from_noise,
-    restart_friction,
-    settle,
-)
+from .multistart import far_from_noise, restart_friction
 from .noise import effective_samples, noise_floor
 from .uncertainty import (
     CANNOT_BE_PREDICTED,
@@ -55,6 +50,6 @@ __all__ = [
     "base_unknown", "bases_of", "could_pay", "courses_apart", "differentiate", "effect_starts", "effect_unknowns",
     "effective_samples", "explained_share", "far_from_noise", "grow_horizon", "intervals_of", "joined", "less_taken",
     "limited_by_effects", "mostly_explained", "nearly_all", "nearly_explained", "noise_floor", "noise_of",
-    "probability_of_gain", "restart_friction", "scaled", "settle", "smallest_share", "solve",
+    "probability_of_gain", "restart_friction", "scaled", "smallest_share", "solve",
     "unexplained", "unpredictable",
 ]  # fmt: skip

@@ -15,7 +15,10 @@ from .estimate import Estimate, Vector
 from .fit import Fit
 from .unknowns import scaled
 
-__all__ = ["differentiate", "solve"]
+__all__ = ["SETTLE_ITERATIONS", "differentiate", "solve"]
+
+#: Most iterations of a refit that is to go as far as it goes.
+SETTLE_ITERATIONS = 12
 
 #: Steps of q for finite differences, in turn: stiction makes the data a rough function of its parameters.
 DIFFERENCE_STEPS = (0.15, 0.04, 0.4)

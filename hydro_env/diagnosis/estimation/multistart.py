@@ -1,9 +1,7 @@
 """Multistart: estimates that begin again from other values, because friction makes a cost with many local minima.
 
 A spool that sticks a moment longer or shorter changes the logs by a jump, so Gauss-Newton steps end in the local minimum in
-which they began. Known parameters that were fitted while an effect was missing have moved to make up for it, often into
-such a minimum. So the friction of the spool is drawn anew several times (`restart_friction`), or the known parameters begin
-at the model as given (`Estimate.from_given`); all starts are improved side by side.
+which they began. So the friction of the spool is drawn anew several times; all starts are improved side by side.
 """
 
 from __future__ import annotations
@@ -17,12 +15,11 @@ from .estimate import Estimate
 from .fit import Fit
 from .gauss_newton import solve
 
-__all__ = ["far_from_noise", "restart_friction", "settle"]
+__all__ = ["far_from_noise", "restart_friction"]
 
 RESTART_FRICTION = rule(
     "restart_friction", "restart with other spool friction where little but more than noise is left"
 )
-RESTART_AS_GIVEN = rule("restart_as_given", "refit what was accepted also from the known parameters as given")
 
 #: Base parameters that are drawn anew, and the spread of the draws on the scale of their priors.
 DRAWN, DRAW_SPREAD = ("Fc", "Fs", "vs"), 1.0
@@ -30,8 +27,6 @@ DRAWN, DRAW_SPREAD = ("Fc", "Fs", "vs"), 1.0
 STARTS, ROUND_ITERATIONS = 12, (2, 3, 4)
 #: A residual (`Fit.level`) up to which a local minimum may be the cause; what a missing effect leaves is larger.
 SMALL_LEVEL = 1.0
-#: Most iterations of the refit of what was accepted.
-SETTLE_ITERATIONS = 12
 
 
 def far_from_noise(fit: Fit, estimate: Estimate) -> bool:
@@ -67,14 +62,3 @@ def _with_other_friction(estimate: Estimate, drawn: Sequence[int], rng: np.rando
     twin = estimate.at(np.clip(q, *estimate.bounds))
     twin.columns = dict(estimate.columns)  # derivatives of before are good enough for the first step
     return twin
-
-
-def settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
-    """Improves the estimates of all as far as they go, also from the known parameters as given, which were moved by what was
-    missing."""
-    twice = fit.rig.has_hidden_states and fit.settings.uses(RESTART_AS_GIVEN)
-    again = [p.from_given().in_all_directions() for p in estimates] if twice else []
-    races = list(zip(estimates, again, strict=False))
-    solve(fit, [*estimates, *again], SETTLE_ITERATIONS, races=races)
-    for estimate, other in zip(estimates, again, strict=False):
-        estimate.adopt(other)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..estimation import Estimate, joined, settle, solve
+from ..estimation import SETTLE_ITERATIONS, Estimate, joined, solve
 from .candidates import (
     ACCEPTED,
     AFTER_ROUNDS,
@@ -56,7 +56,7 @@ def select_rig_effects(search: Search) -> None:
         search.record(one.effect, None, 1, gain, OUTDONE if outcome == ACCEPTED else outcome, estimate)
     if best is full:
         return
-    settle(fit, [best])
+    solve(fit, [best], SETTLE_ITERATIONS)
     for candidate in search.candidates:
         if candidate.estimate is best:
             candidate.outcome = ACCEPTED

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from ..estimation import SETTLE_ITERATIONS, Estimate, could_pay, grow_horizon, settle, smallest_share, solve
+from ..estimation import SETTLE_ITERATIONS, Estimate, could_pay, grow_horizon, smallest_share, solve
 from ..state import State
 from .candidates import ACCEPTED, OUTDONE, Accepted, Search, Selection, judge, penalty
 from .elimination import compare_competing, drop_not_missed, drop_unneeded
@@ -114,7 +114,7 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     accepted = [c for c in channels if _accept_best(search, c, [r for r in best if r.channel == c], number)]
     # The winners are refitted as far as they go: what is left afterwards decides on further effects. So are the placebos.
     winners = [search.present[c] for c in accepted]
-    settle(fit, winners + [search.placebo[c] for c in accepted if number == 1])
+    solve(fit, winners + [search.placebo[c] for c in accepted if number == 1], SETTLE_ITERATIONS)
     if fit.rig.has_hidden_states:
         solve(fit, grow_horizon(fit, winners), SETTLE_ITERATIONS)
     return accepted
