@@ -43,12 +43,12 @@ from hydro_env.diagnosis import RULES, STAGES, Settings
 from hydro_env.envs import HydraulicSyncEnv
 from hydro_env.experiments import blind_trials
 from hydro_env.measured import mapping
-from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, model, parameter_of, preset_names
+from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, model_files, parameter_of, preset_names
 from hydro_env.plant.catalogue import separating_experiment
 from hydro_env.plant.catalogue.form_corrections import CORRECTIONS, follows
 from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
 from hydro_env.plant.catalogue.losses import FAMILY as LOSSES
-from hydro_env.plant.model import sources_of
+from hydro_env.plant.model_files import sources_of
 from hydro_env.practice.hidden import SEVERITIES
 from hydro_env.practice.recorder import SENSORS
 from hydro_env.practice.reference.forms import CONSTANTS
@@ -762,7 +762,7 @@ PARTS: dict[str, Callable[[], str]] = {
 }  # fmt: skip
 PARTS["mapping_file"] = lambda: _docstring(mapping)
 PARTS["blind_trials_help"] = lambda: _docstring(blind_trials)
-PARTS["model_file"] = lambda: _docstring(model)
+PARTS["model_file"] = lambda: _docstring(model_files)
 
 
 def part(name: str) -> str:

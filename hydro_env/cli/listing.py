@@ -70,7 +70,7 @@ def _effects() -> list[dict[str, Any]]:
 
 
 def _presets() -> list[dict[str, Any]]:
-    from hydro_env.plant.model import preset_names, preset_summary
+    from hydro_env.plant.model_files import preset_names, preset_summary
 
     return [{"name": name, "summary": preset_summary(name)} for name in preset_names()]
 

@@ -13,7 +13,8 @@ motor_map    steady flow, torque and efficiency of a model's motor
 
 from .catalogue import BUILT_IN, CATALOGUE, Effect, State, register, unregister
 from .catalogue.user_files import load_effects
-from .model import PlantModel, load_model, parameter_of, preset_names
+from .model import PlantModel, parameter_of
+from .model_files import load_model, preset_names
 from .parameters import PARAMETERS, Parameter
 from .plant import SIGNALS, Plant, simulate
 

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from ..errors import InputError
 from .catalogue import CATALOGUE
 from .kernel import STATES, Kernel, compile_kernel
-from .model import PlantModel, load_model, parameter_of
+from .model import PlantModel, parameter_of
+from .model_files import load_model
 from .parameters import PARAMETERS
 
 __all__ = ["SIGNALS", "Plant", "machine_memory", "simulate"]

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, shown, suggestion
 from ..plant import CATALOGUE, Parameter, PlantModel, parameter_of
-from ..plant.model import values_set_by
+from ..plant.model_files import values_set_by
 from ..reading import parse_yaml, read_yaml
 
 __all__ = [

@@ -12,7 +12,7 @@ from hydro_env import cli
 from hydro_env.benchmark.command import Selection
 from hydro_env.controllers.tuning.search import Task
 from hydro_env.errors import InputError
-from hydro_env.plant.model import values_set_by
+from hydro_env.plant.model_files import values_set_by
 from hydro_env.tasks import default_mismatch, load_mismatch
 
 EVEN = "both: {Kq: 0.45}\neffects: {dead_zone: {both: {overlap_positive: 3.0e-5}}}"

@@ -14,7 +14,7 @@ from hydro_env.envs import HydraulicSyncVectorEnv
 from hydro_env.envs.observation import decode
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant, PlantModel, load_model, preset_names
-from hydro_env.plant.model import sources_of
+from hydro_env.plant.model_files import sources_of
 from hydro_env.units import LPM
 from hydro_env.valve_bench import distance, identify, record
 from hydro_env.valve_bench.curve import Curve

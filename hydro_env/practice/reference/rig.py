@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...errors import InputError
 from ...plant.catalogue import BUILT_IN, CATALOGUE
-from ...plant.model import PlantModel, load_model
+from ...plant.model import PlantModel
+from ...plant.model_files import load_model
 from .equations import outputs
 from .forms import Constants, checked
 from .solver import STATES, Group

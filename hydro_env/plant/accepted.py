@@ -1,0 +1,75 @@
+"""Which values and models are accepted: those that a component can have and that are simulated correctly."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from ..errors import InputError
+from .catalogue import CATALOGUE
+from .parameters import Parameter
+from .stiffness import LEAST_FRICTION, SPOOL, greatest_force, parts_wanted
+
+if TYPE_CHECKING:
+    from .model import PlantModel
+
+__all__ = ["check_spool", "out_of_range", "with_unit"]
+
+#: A stiff channel takes a substep in at most 64 parts, of which the last third is a reserve.
+_MOST_PARTS = 40.0
+_FRICTION = ("Fc", "Fs")
+#: Room for the rounding of a value that stands at an end.
+_AT_END = 1e-9
+
+
+def out_of_range(value: float, p: Parameter) -> str:
+    """What is wrong with a value that is not simulated correctly or that no component has, "" if nothing is."""
+    low, high = p.possible
+    room = _AT_END * max(abs(end) for end in (low, high) if math.isfinite(end))
+    absent = p.name in _FRICTION and value == 0.0
+    if value == p.neutral or absent or low - room <= value <= high + room:
+        return ""
+    ends = f"{low:g} to {with_unit(high, p)}" if high < math.inf else f"{with_unit(low, p)} or more"
+    none = ", or 0 for none" if p.name in _FRICTION else ""
+    return f"{with_unit(value, p)} is out of range; {p.title} is {ends}{none}"
+
+
+def check_spool(model: PlantModel, channel: int, where: str) -> None:
+    """InputError for a spool that no substep resolves or no stop holds: its friction, mass or stop is too small."""
+    values = {name: model.value(name, channel) for name in SPOOL}
+    for effect in map(CATALOGUE.__getitem__, model.declared):
+        for base, own in effect.adds_to.items():
+            values[base] += model.value(f"{effect.name}.{own}", channel)
+    force = greatest_force(*(values[name] for name in ("alpha", "R", "k", "x_max", "u_rated")))
+    least = force / values["x_max"] - 2.0 * values["k"]  # the stop yields by the stroke
+    if values["k_stop"] < least:
+        raise InputError(
+            f"{where}: channel {channel + 1}: k_stop is {values['k_stop']:g}; against {force:.3g} N of the coil {least:.3g} N/m"
+            " or more can be simulated"
+        )
+    friction = [values[name] for name in _FRICTION]
+    if max(friction) <= _AT_END:
+        return
+    if min(friction) < (1.0 - _AT_END) * LEAST_FRICTION:
+        raise InputError(
+            f"{where}: channel {channel + 1} has {friction[0]:g} N of Coulomb and {friction[1]:g} N of static friction in all;"
+            f" {LEAST_FRICTION:g} N or more can be simulated, or Fc and Fs 0 for none"
+        )
+
+    def parts(mass: float) -> float:
+        return parts_wanted(model.substep, {**values, "m": mass})
+
+    if parts(values["m"]) > _MOST_PARTS:
+        low, high = values["m"], 1e6 * values["m"]
+        for _ in range(60):
+            middle = math.sqrt(low * high)
+            low, high = (middle, high) if parts(middle) > _MOST_PARTS else (low, middle)
+        raise InputError(
+            f"{where}: channel {channel + 1}: m is {values['m']:g}; with these Fc, Fs, s0, s1 and k_stop {high:.3g} kg or more"
+            " can be simulated"
+        )
+
+
+def with_unit(value: float, parameter: Parameter) -> str:
+    """A value as text, with its unit."""
+    return f"{value:g}" if parameter.unit == "1" else f"{value:g} {parameter.unit}"
