@@ -1,4 +1,4 @@
-"""The README as the package index shows it: links into the repository become addresses, taken from `project.urls`."""
+"""The README as the package index shows it: links into the repository become addresses, if `project.urls` has its `Source`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ class ReadmeWithAddresses(MetadataHookInterface):
     def update(self, metadata: dict[str, Any]) -> None:
         """Sets the readme in the metadata of the package."""
         text = (Path(self.root) / "README.md").read_text(encoding="utf-8")
-        metadata["readme"] = {
-            "content-type": "text/markdown",
-            "text": with_addresses(text, metadata["urls"]["Source"]),
-        }
+        if source := metadata.get("urls", {}).get("Source"):
+            text = with_addresses(text, source)
+        metadata["readme"] = {"content-type": "text/markdown", "text": text}
 
 
 def with_addresses(text: str, source: str) -> str:

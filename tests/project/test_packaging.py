@@ -63,15 +63,23 @@ def test_wheel_holds_every_data_file(wheel: list[str]) -> None:
 
 
 def test_readme_on_the_package_index_has_addresses(tmp_path: Path) -> None:
-    """Every link of the README leads to a file of the repository, also where only the README is shown."""
-    command = [sys.executable, "-m", "hatchling", "metadata"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    metadata = json.loads(done.stdout)
-    source, text = metadata["urls"]["Source"], metadata["readme"]["text"]
-    assert f"git clone {source} " in text
-    links = re.findall(r"\]\(([^)]+)\)", text)
-    assert len(links) == len(re.findall(r"\]\(([^)]+)\)", (ROOT / "README.md").read_text(encoding="utf-8")))
-    for link in links:
+    """With an address in `project.urls` every link of the README leads to a file of the repository; without one it stays."""
+    for name in ("README.md", "hatch_build.py", "LICENSE", "hydro_env/__init__.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes((ROOT / name).read_bytes())
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    source = "https://example.org/hydro_env"
+
+    def links(extra: str) -> list[str]:
+        (tmp_path / "pyproject.toml").write_text(f"{project}\n{extra}", encoding="utf-8")
+        command = [sys.executable, "-m", "hatchling", "metadata"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+        return re.findall(r"\]\(([^)]+)\)", json.loads(done.stdout)["readme"]["text"])
+
+    plain, absolute = links(""), links(f'[project.urls]\nSource = "{source}"')
+    assert plain == re.findall(r"\]\(([^)]+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert len(absolute) == len(plain) > 5
+    for link in absolute:
         place, _, path = link.removeprefix(f"{source}/").partition("/main/")
         assert place in ("raw", "blob") and (ROOT / path.partition("#")[0]).is_file(), link
 
