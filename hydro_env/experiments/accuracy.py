@@ -21,7 +21,7 @@ import itertools
 import math
 import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -168,7 +168,8 @@ def _run(cases: Sequence[Case], share: Array, parts: int) -> tuple[Array, NDArra
     effects = () if all(case.plain for case in cases) else BUILT_IN
     model = load_model("paper")
     # A rig to a block: in a common one all take the parts that any of them asks for.
-    plant = Plant(model, len(cases), effects=effects, substep=model.substep / parts, block=1)
+    finer = replace(model, substep=model.substep / parts)
+    plant = Plant(finer, len(cases), effects=effects, block=1)
     for row, case in enumerate(cases):
         plant.set_values(case.values, rows=[row])
     plant.reset()

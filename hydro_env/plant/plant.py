@@ -61,11 +61,11 @@ class Plant:
     """`num_rigs` rigs of two channels each.
 
     Row i behaves bit for bit like the same row alone. `effects` names further effects whose parameters may be set by
-    row; those of the model are always there. `substep` is the longest step of the integrator in s, the model's own unless
-    given: a period is divided into the fewest equal substeps that are not longer, and a stiff channel takes these in parts
-    (`stiffness`). `dtype` is float64, or float32 for
-    about twice the speed: it resolves the angle and the time of an episode to seven digits only. `block` is how many rigs go
-    through the kernel together (1, 2, 4, 8 or 16, chosen by their number unless given), a matter of speed alone.
+    row; those of the model are always there. `substep` is the longest step of the integrator in s: a period is divided into
+    the fewest equal substeps that are not longer. Unless given it is the model's own, which a stiff channel takes in parts
+    (`stiffness`); one that is given is taken as it is. `dtype` is float64, or float32 for about twice the speed: it resolves
+    the angle and the time of an episode to seven digits only. `block` is how many rigs go through the kernel together (1, 2,
+    4, 8 or 16, chosen by their number unless given), a matter of speed alone.
 
     InputError for an unknown model and for more rigs than this machine has memory for. ValueError for a number of rigs
     below one, another dtype or another block.
@@ -90,6 +90,7 @@ class Plant:
         self.model = load_model(model)
         self.num_rigs = int(num_rigs)
         self.substep = float(self.model.substep if substep is None else substep)
+        self._in_parts = substep is None
         effects = tuple(effects)
         for name in effects:
             if name not in CATALOGUE:
@@ -323,8 +324,20 @@ class Plant:
         rows: NDArray[np.int64] = _NO_RECORD, every: int = 1, out: Array | None = None,
     ) -> None:  # fmt: skip
         out = self._empty if out is None else out
+        looked_at = h if self._in_parts else 0.0
         self._kernel.advance(
-            self._flat, self._cells, self._ring, self._head, command_V, load_Nm, substeps, h, rows, every, out
+            self._flat,
+            self._cells,
+            self._ring,
+            self._head,
+            command_V,
+            load_Nm,
+            substeps,
+            h,
+            looked_at,
+            rows,
+            every,
+            out,
         )
         self._head = (self._head + substeps * command_V.shape[0]) % self._slots
 

@@ -42,8 +42,8 @@ __all__ = ["STATES", "Kernel", "compile_kernel"]
 class Kernel:
     """A compiled step for a set of effects.
 
-    `advance(memory, cells, ring, head, commands, loads, substeps, h, record, every, out)` runs every block through all rows of
-    `commands`; see the generated text. `rows` maps names of states, parameters and outputs to rows of the memory.
+    `advance(memory, cells, ring, head, commands, loads, substeps, h, looked_at, record, every, out)` runs every block through
+    all rows of `commands`; see the generated text. `rows` maps names of states, parameters and outputs to rows of the memory.
     `has_delay`: commands go through a delay line.
     """
 

@@ -120,8 +120,10 @@ def finish(cells, h):
 
 
 @block
-def advance(memory, cells, ring, head, commands, loads, substeps, h, record, every, out):
+def advance(memory, cells, ring, head, commands, loads, substeps, h, looked_at, record, every, out):
     """Runs every block through all rows of `commands`, `substeps` steps of `h` seconds to a row.
+
+    `looked_at` is the step in s by which channels are called stiff, `h` or 0: then none is.
 
     memory (blocks * KEPT * LANES,); cells (TOTAL * LANES,), aligned: room to work in; ring (blocks, slots, LANES) and head:
     the delay line; commands, loads (T, rigs or 1, 2): one row for all rigs where the middle is 1; record: rows of the
@@ -135,7 +137,7 @@ def advance(memory, cells, ring, head, commands, loads, substeps, h, record, eve
         for i in range(KEPT * LANES):
             cells[i] = memory[start + i]
 {additions}
-        refine(cells, whole_step)
+        refine(cells, real(looked_at))
         kinds = PLAIN_KINDS
         for l in range(LANES):
             if cells[FINE * LANES + l] > 1.0:
