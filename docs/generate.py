@@ -742,10 +742,12 @@ def diagnosis_short() -> str:
     single = [r for r in rows if r["group"] == "medium"]
     none = [r for r in rows if r["group"] in ("nothing", "parameters")]
     pairs = [r for r in rows if r["group"] == "two"]
+    named, both = sum(r["set"] for r in single), sum(r["both"] for r in pairs)
     return (
-        f"In blind trials against an independent simulator, {sum(r['set'] for r in single)} of {len(single)} single effects and "
-        f"{sum(r['both'] for r in pairs)} of {len(pairs)} pairs were named correctly, with {sum(r['alarm'] for r in none)} false "
-        f"alarms in {len(none)} rigs without a missing effect ([all trials](docs/blind_trials.md))."
+        f"In blind trials against an independent simulator, {named} of {len(single)} single effects and {both} of {len(pairs)} "
+        "pairs drawn at random were named, exactly or as one of effects that are declared indistinguishable, with "
+        f"{sum(r['alarm'] for r in none)} false alarms in {len(none)} rigs without a missing effect "
+        "([all trials](docs/blind_trials.md))."
     )
 
 
