@@ -199,7 +199,9 @@ def measure_ratio(seconds: float = 1.0) -> dict[str, Any] | None:
     ring, nothing, out = np.zeros((1, 1, 32)), np.zeros(0, np.int64), np.zeros((0, 1, 16, 2))
 
     def ours(steps: int) -> None:
-        kernel.advance(memory.reshape(-1), cells, ring, 0, command, load, steps, SUBSTEP, nothing, 1, out)
+        kernel.advance(
+            memory.reshape(-1), cells, ring, 0, command, load, steps, SUBSTEP, SUBSTEP, nothing, 1, out
+        )
 
     with tempfile.TemporaryDirectory() as folder:
         run, peak = _compiled(compiler, Path(folder), kernel.source)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ..errors import InputError
 from .catalogue import CATALOGUE
 from .parameters import Parameter
-from .stiffness import LEAST_FRICTION, SPOOL, greatest_force, parts_wanted
+from .stiffness import LEAST_FRICTION, SPOOL, friction_left, greatest_force, parts_wanted
 
 if TYPE_CHECKING:
     from .model import PlantModel
@@ -47,14 +47,20 @@ def check_spool(model: PlantModel, channel: int, where: str) -> None:
             f"{where}: channel {channel + 1}: k_stop is {values['k_stop']:g}; against {force:.3g} N of the coil {least:.3g} N/m"
             " or more can be simulated"
         )
-    friction = [values[name] for name in _FRICTION]
-    if max(friction) <= _AT_END:
+    # Where an effect takes more than there is, the least is left.
+    most = [max(model.value(name, channel), values[name]) for name in _FRICTION]
+    if max(most) <= _AT_END:
         return
-    if min(friction) < (1.0 - _AT_END) * LEAST_FRICTION:
+    if min(most) < (1.0 - _AT_END) * LEAST_FRICTION:
         raise InputError(
-            f"{where}: channel {channel + 1} has {friction[0]:g} N of Coulomb and {friction[1]:g} N of static friction in all;"
+            f"{where}: channel {channel + 1} has {most[0]:g} N of Coulomb and {most[1]:g} N of static friction in all;"
             f" {LEAST_FRICTION:g} N or more can be simulated, or Fc and Fs 0 for none"
         )
+    both = [values[name] for name in _FRICTION]
+    values |= {
+        n: max(friction_left(a, b), LEAST_FRICTION)
+        for n, a, b in zip(_FRICTION, both, both[::-1], strict=True)
+    }
 
     def parts(mass: float) -> float:
         return parts_wanted(model.substep, {**values, "m": mass})

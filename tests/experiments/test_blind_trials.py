@@ -26,7 +26,7 @@ from hydro_env.practice.hidden import parse_effects
 def test_seeds_are_frozen() -> None:
     found = {(c.group, c.hidden): c.seed for c in trials.cases(list(trials.GROUPS), 100000, 2)}
     assert found["medium", ("command_delay:1",)] == 102000
-    assert found["two", ("supply_droop", "dead_zone:2")] == 103003
+    assert found["two", ("spring_preload:2", "command_delay:1")] == 103003
     assert found["unlisted", ("supply_droop",)] == 104013
     assert found["no_twins", ("sensor_lag:2",)] == 111007
     assert found["noisy", ("sensor_offset:2",)] == 110027
@@ -203,7 +203,7 @@ def test_interrupted_trials_go_on_where_they_were(tmp_path: Path, monkeypatch: p
     published = json.loads((tmp_path / "docs" / "trials.json").read_text())
     assert published["summary"]
     text = trials.table(published["rows"])
-    assert text == trials.table(rows) and "10 of 10 (100 %)" in text
+    assert text == trials.table(rows) and "20 of 20 (100 %)" in text
 
 
 def test_what_the_true_values_leave_of_a_rig_in_another_form(tmp_path: Path) -> None:

@@ -183,7 +183,7 @@ def test_bad_input(tmp_path: Path) -> None:
         run_loop(tmp_path, cases=["dead"])
     with pytest.raises(InputError, match="seeds"):
         run_loop(tmp_path, seeds=0)
-    with pytest.raises(InputError, match="no result"):
+    with pytest.raises(InputError, match="no such file"):
         close_loop.read(tmp_path)
     assert list(tmp_path.iterdir()) == []
 

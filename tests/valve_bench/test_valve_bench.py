@@ -40,7 +40,7 @@ EFFECTS = ("command_delay", "magnetic_hysteresis", "null_offset", "dead_zone", "
            "flow_gain_nonlinearity")  # fmt: skip
 PAPER = replace(load_model("paper"), declared=EFFECTS)
 #: The paper's V1 with next to no friction: what is left is what a test puts in.
-SMOOTH = PAPER.with_values({"Fc": 1e-3, "Fs": 1e-3, "vs": 0.01}, name="smooth")
+SMOOTH = PAPER.with_values({"Fc": 0.0, "Fs": 0.0}, name="smooth")
 FULL = 20.0 * LPM
 
 

@@ -26,6 +26,7 @@ import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
+from threading import Lock
 from types import ModuleType
 from typing import Any
 
@@ -58,8 +59,17 @@ class Kernel:
     source: str
 
 
+#: The compiler of syntax trees is not safe in several threads at once (seen with Python 3.11).
+_COMPILING = Lock()
+
+
 @lru_cache(maxsize=64)
 def _compiled(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
+    with _COMPILING:
+        return _compiled_alone(effects, half, single)
+
+
+def _compiled_alone(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
     generated = module_text(effects, half, single)
     module = _module(generated.text)
     return Kernel(
