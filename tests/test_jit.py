@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from hydro_env import jit
 from hydro_env.jit import compiled
+from tests.damage import damages
 
 CALLED = """
 from hydro_env.jit import compiled
@@ -100,15 +101,10 @@ def test_damaged_machine_code_is_compiled_again(calling, tmp_path: Path, caplog,
     assert calling(2.0, 1.0).inner(1.0) == 2.0
     (path,) = folder.iterdir()
     whole = path.read_bytes()
-    damaged = bytearray(
-        whole[: round(data.draw(st.sampled_from([0.0, 0.5, 1.0]) | st.floats(0.0, 1.0)) * len(whole))]
-    )
-    for place, change in data.draw(st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(1, 255)), max_size=8)):
-        if damaged:
-            damaged[round(place * (len(damaged) - 1))] ^= change
+    damaged = data.draw(damages(whole))
     path.write_bytes(damaged)
     assert calling(2.0, 1.0).inner(1.0) == 2.0
-    changed = bytes(damaged) != whole
+    changed = damaged != whole
     assert [record.levelno for record in caplog.records] == [logging.WARNING] * changed
     assert all("damaged machine code" in record.getMessage() for record in caplog.records)
     again = calling(2.0, 1.0).inner

@@ -24,6 +24,7 @@ from agents.lock import alone_in
 from agents.train import main, make_model, train
 from hydro_env.controllers.learned.policy import SCHEMA, NumpyPolicy, read_policy
 from hydro_env.errors import InputError
+from tests.damage import damages
 
 ROOT = Path(__file__).parents[2]
 PPO, SAC = ROOT / "configs" / "ppo_quick.yml", ROOT / "configs" / "sac_quick.yml"
@@ -212,13 +213,8 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(saved, data):
     place, config = saved
     path = data.draw(st.sampled_from(sorted(place.iterdir())))
     whole = path.read_bytes()
-    damaged = bytearray(
-        whole[: round(data.draw(st.sampled_from([0.0, 0.5, 1.0]) | st.floats(0.0, 1.0)) * len(whole))]
-    )
-    for where, change in data.draw(st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(1, 255)), max_size=8)):
-        if damaged:
-            damaged[round(where * (len(damaged) - 1))] ^= change
-    assume(bytes(damaged) != whole)
+    damaged = data.draw(damages(whole))
+    assume(damaged != whole)
     try:
         path.write_bytes(damaged)
         with pytest.raises(InputError) as caught:

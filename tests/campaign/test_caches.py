@@ -124,7 +124,7 @@ def machine_code(step, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
 
 
 @pytest.mark.parametrize("damage", DAMAGES)
-@pytest.mark.parametrize("files", [(0,), (1,), (2,), (0, 1, 2)], ids=str)
+@pytest.mark.parametrize("files", [(0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2)], ids=str)
 def test_damaged_machine_code(
     step, machine_code, tmp_path: Path, damage: str, files: tuple[int, ...]
 ) -> None:

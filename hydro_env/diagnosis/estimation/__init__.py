@@ -16,7 +16,6 @@ from .explained import (
     could_pay,
     explained_share,
     mostly_explained,
-    nearly_all,
     nearly_explained,
     smallest_share,
     unexplained,
@@ -49,7 +48,7 @@ __all__ = [
     "CANNOT_BE_PREDICTED", "SCALED_TOGETHER", "SETTLE_ITERATIONS", "Estimate", "Fit", "Noise", "Unknown", "Vector",
     "base_unknown", "bases_of", "could_pay", "courses_apart", "differentiate", "effect_starts", "effect_unknowns",
     "effective_samples", "explained_share", "far_from_noise", "grow_horizon", "intervals_of", "joined", "less_taken",
-    "limited_by_effects", "mostly_explained", "nearly_all", "nearly_explained", "noise_floor", "noise_of",
+    "limited_by_effects", "mostly_explained", "nearly_explained", "noise_floor", "noise_of",
     "probability_of_gain", "restart_friction", "scaled", "smallest_share", "solve",
     "unexplained", "unpredictable",
 ]  # fmt: skip

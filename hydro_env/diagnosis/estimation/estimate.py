@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -88,10 +87,10 @@ class Estimate:
         label = self.label if label is None else label
         return Estimate(self.channel, self.unknowns, q, label, follow=self.follow, together=self.together)
 
-    def from_given(self, kept: Collection[str] = ("R", "L")) -> Estimate:
-        """Known parameters as given, but those `kept` (of the coil: the current determines them, whatever is missing behind), and
+    def from_given(self) -> Estimate:
+        """Known parameters as given, but those of the coil (the current determines them, whatever is missing behind), and
         effects as they are: known parameters that were fitted while an effect was missing have moved to make up for it."""
-        known = np.array([not u.effect and u.name not in kept for u in self.unknowns])
+        known = np.array([not u.effect and u.name not in ("R", "L") for u in self.unknowns])
         return self.at(np.clip(np.where(known, 0.0, self.q), *self.bounds))
 
     def in_all_directions(self) -> Estimate:

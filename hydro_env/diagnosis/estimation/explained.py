@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .estimate import Estimate, Vector
+from .estimate import Estimate
 from .fit import Fit
 from .noise import effective_samples
 
@@ -14,7 +14,6 @@ __all__ = [
     "could_pay",
     "explained_share",
     "mostly_explained",
-    "nearly_all",
     "nearly_explained",
     "smallest_share",
     "unexplained",
@@ -66,12 +65,7 @@ def mostly_explained(fit: Fit, before: Estimate, after: Estimate, c: int) -> boo
 
 def nearly_explained(fit: Fit, before: Estimate, after: Estimate, c: int) -> bool:
     """Whether next to nothing of the residual that `before` leaves on channel c is left by `after`, by level."""
-    return nearly_all(fit, before.simulated[c], after.simulated[c], c)
-
-
-def nearly_all(fit: Fit, before: Vector, after: Vector, c: int) -> bool:
-    """The same of simulated samples (n,)."""
-    old, new = (sum(fit.levels(each, c).values()) for each in (before, after))
+    old, new = (sum(fit.levels(each.simulated[c], c).values()) for each in (before, after))
     return new < max(SMALL_SUM, NEXT_TO_NOTHING * old)
 
 
