@@ -572,8 +572,6 @@ def _results() -> dict[str, Any]:
 
 
 def _origin(found: dict[str, Any]) -> str:
-    if not found["command"]:
-        return f"Measured at commit `{found['commit']}`; the script that did so is not kept."
     commands = " and ".join(f"`{command}`" for command in found["command"].split("; "))
     if "commits" not in found:
         return f"Measured with {commands} at commit `{found['commit']}`."

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hydro_env.errors import InputError
 from hydro_env.plant import CATALOGUE, Plant, PlantModel
 from hydro_env.valve_bench.curve import Curve
+from hydro_env.waveforms import triangle
 
 __all__ = ["SIGNALS", "own_channels", "record", "record_rates", "record_rigs"]
 
@@ -102,8 +103,7 @@ def record_rigs(plant: Plant, *, seconds: float = 8.0, period: float = 0.01) -> 
 def _triangle(seconds: float, period: float) -> tuple[NDArray[np.float64], int]:
     """A sweep as shares of the rated signal, after a quarter that conditions the valve; rows of that quarter."""
     quarter = max(1, round(seconds / 4.0 / period))
-    knots = np.array([0, 1, 3, 5]) * quarter
-    return np.interp(np.arange(5 * quarter + 1), knots, [0.0, 1.0, -1.0, 1.0]), quarter
+    return triangle(np.arange(5 * quarter + 1) / (4 * quarter)), quarter
 
 
 def record_rates(
