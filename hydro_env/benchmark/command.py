@@ -12,7 +12,6 @@ import copy
 import hashlib
 import importlib.util
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -30,7 +29,7 @@ from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.controllers.user_files import controllers_in
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError, place_of, shown
-from hydro_env.files import output_folder, write_json, write_text
+from hydro_env.files import write_json, write_text
 from hydro_env.parallel import Failure, Store, check_engine
 from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import load_model
@@ -164,25 +163,26 @@ def run(
     check_engine(engine, jobs)
     conditions.check(chosen)
     cells = list(_cells(_specs(controllers or ["all"]), chosen, trust))
-    with nullcontext() if out is None else output_folder(out) as folder:
-        done = run_tasks(
-            cells,
-            partial(_run_cell, conditions=conditions),
-            engine=engine,
-            jobs=jobs,
-            progress=progress,
-            unit="episode",
-            size=lambda cell: cell.cases,
-            store=None if cells_folder is None else Store(cells_folder, partial(_key, conditions=conditions)),
-        )
-        done = [
-            replace(cell, failure=result.reason) if isinstance(result, Failure) else result
-            for cell, result in zip(cells, done, strict=True)
-        ]
-        scores = _scores(done, chosen, conditions)
-        if folder is not None:
-            write_json(folder / "scores.json", scores)
-            write_text(folder / "scores.html", scores_page(scores, _traces(done, conditions.control_period)))
+    if out is not None:
+        Path(out).mkdir(parents=True, exist_ok=True)
+    done = run_tasks(
+        cells,
+        partial(_run_cell, conditions=conditions),
+        engine=engine,
+        jobs=jobs,
+        progress=progress,
+        unit="episode",
+        size=lambda cell: cell.cases,
+        store=None if cells_folder is None else Store(cells_folder, partial(_key, conditions=conditions)),
+    )
+    done = [
+        replace(cell, failure=result.reason) if isinstance(result, Failure) else result
+        for cell, result in zip(cells, done, strict=True)
+    ]
+    scores = _scores(done, chosen, conditions)
+    if out is not None:
+        write_json(Path(out) / "scores.json", scores)
+        write_text(Path(out) / "scores.html", scores_page(scores, _traces(done, conditions.control_period)))
     return scores
 
 

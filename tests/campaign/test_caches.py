@@ -413,3 +413,30 @@ def test_training_killed_and_resumed(name: str, tmp_path: Path) -> None:
         for key in one.files:
             if key != "metadata":
                 np.testing.assert_array_equal(one[key], other[key])
+
+
+def test_training_whose_files_cannot_grow(tmp_path: Path) -> None:
+    """A real limit of the system on the size of a file: one line that names a file of the run; resumed, the same policy."""
+    pytest.importorskip("stable_baselines3")
+    import numpy as np
+
+    train = [
+        sys.executable, "-m", "agents.train", "--config", str(ROOT / "configs" / "ppo_quick.yml"), "--quiet", "--out"
+    ]  # fmt: skip
+    subprocess.run([*train, str(tmp_path / "whole")], cwd=ROOT, check=True, capture_output=True)
+    sizes = sorted({path.stat().st_size for path in (tmp_path / "whole").rglob("*") if path.is_file()})
+    with np.load(tmp_path / "whole" / "policy.npz") as policy:
+        expected = {key: policy[key] for key in policy.files if key != "metadata"}
+    for size in sorted({0, 1, *(size // 2 for size in sizes), *(size - 1 for size in sizes)}):
+        run = tmp_path / f"run_{size}"
+        limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (size, size))
+        done = subprocess.run(
+            [*train, str(run)], cwd=ROOT, preexec_fn=limit, capture_output=True, text=True, check=False
+        )
+        lines = done.stderr.splitlines()
+        assert done.returncode == 2 and len(lines) == 1, (size, done.stderr)
+        assert lines[0].startswith(f"error: {run}") and "File too large" in lines[0], (size, lines)
+        resume = ["--resume"] if (run / "config.yml").exists() else []
+        subprocess.run([*train, str(run), *resume], cwd=ROOT, check=True, capture_output=True)
+        with np.load(run / "policy.npz") as policy:
+            assert all(np.array_equal(policy[key], value) for key, value in expected.items()), size

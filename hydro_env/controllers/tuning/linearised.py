@@ -21,7 +21,6 @@ from hydro_env.controllers.base import RPM, Floats
 from hydro_env.controllers.classical.pid import TABLE_III
 from hydro_env.controllers.tuning.gains import GainsFile, write_gains
 from hydro_env.errors import InputError
-from hydro_env.files import output_folder
 from hydro_env.plant import PlantModel, load_model
 
 __all__ = ["MS", "largest_sensitivity", "linear_plant", "run", "summary", "tune_channel"]
@@ -108,8 +107,8 @@ def run(
         "table_iii": {key: list(value) for key, value in TABLE_III.items()},
         "relative_to_table_iii": near | {"Kp/Ti": [round(each - 1.0, 3) for each in integral]},
     }
-    with output_folder(out) as folder:
-        write_gains(folder / "gains.json", GainsFile("pid", gains, UNITS, tuning, name or "pid_linear"))
+    Path(out).mkdir(parents=True, exist_ok=True)
+    write_gains(Path(out) / "gains.json", GainsFile("pid", gains, UNITS, tuning, name or "pid_linear"))
     return {"controller": "pid", "gains": gains, "units": UNITS, "tuning": tuning}
 
 

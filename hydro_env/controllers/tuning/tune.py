@@ -22,7 +22,6 @@ from hydro_env.controllers.registry import law_of
 from hydro_env.controllers.tuning.gains import GainsFile, read_gains, write_gains
 from hydro_env.controllers.tuning.search import Search, Task, costs_of, drive, search
 from hydro_env.errors import InputError, suggestion
-from hydro_env.files import output_folder
 from hydro_env.tasks import OWN
 
 __all__ = ["COMMON", "run", "run_all"]
@@ -85,8 +84,8 @@ def run(out: str | Path, wanted: Search, name: str | None = None) -> dict[str, A
     file = GainsFile(
         task.law, found["gains"], _units(law_of(task.law)), tuning, name or task.law.rpartition(":")[2]
     )
-    with output_folder(out) as folder:
-        write_gains(folder / "gains.json", file)
+    Path(out).mkdir(parents=True, exist_ok=True)
+    write_gains(Path(out) / "gains.json", file)
     return {"controller": task.law, "gains": file.gains, "units": file.units, "tuning": tuning}
 
 
@@ -96,7 +95,7 @@ def run_all(
     """Tunes the controllers of `COMMON` (or those of them that are named) for all control periods with the common budget
     and writes `out/NAME.json` for each as soon as it is found. One that is there already from the same command is kept.
 
-    InputError for a name that `COMMON` lacks, or a folder that cannot be written.
+    InputError for a name that `COMMON` lacks, OSError for a folder that cannot be written.
     """
     for name in names or ():
         if name not in COMMON:
@@ -117,16 +116,16 @@ def _tuned(name: str, out: Path, seed: int, progress: bool) -> GainsFile:
         kept = read_gains(path)
         if origin.items() <= kept.tuning.items():
             return kept
-    with output_folder(out) as folder:
-        found = [_by_period(task, seed, progress, *budgets) for budgets in SEARCHES]
-        best = {period: _cheaper(task, seed, period, [each[period] for each in found]) for period in found[0]}
-        for each in best.values():
-            each["tuning"] = origin | each["tuning"]
-        own = best.pop(PERIOD)
-        others = {f"{period:g}": each for period, each in best.items()}
-        plant = task.plant if task.mismatch is None else ""
-        file = GainsFile(task.law, own["gains"], _units(law_of(task.law)), own["tuning"], name, others, plant)
-        write_gains(folder / path.name, file)
+    out.mkdir(parents=True, exist_ok=True)
+    found = [_by_period(task, seed, progress, *budgets) for budgets in SEARCHES]
+    best = {period: _cheaper(task, seed, period, [each[period] for each in found]) for period in found[0]}
+    for each in best.values():
+        each["tuning"] = origin | each["tuning"]
+    own = best.pop(PERIOD)
+    others = {f"{period:g}": each for period, each in best.items()}
+    plant = task.plant if task.mismatch is None else ""
+    file = GainsFile(task.law, own["gains"], _units(law_of(task.law)), own["tuning"], name, others, plant)
+    write_gains(path, file)
     return file
 
 
