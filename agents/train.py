@@ -13,6 +13,7 @@ import json
 import os
 import platform
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -243,7 +244,13 @@ def main() -> None:
     arguments = parser.parse_args()
     command = " ".join(["python -m agents.train", *sys.argv[1:]])
 
+    def once(problem: threading.ExceptHookArgs) -> None:
+        """TensorBoard's thread ends by what its next call raises here: a full disk is to be said once."""
+        if not issubclass(problem.exc_type, OSError):
+            threading.__excepthook__(problem)
+
     def run() -> None:
+        threading.excepthook = once
         config = read_config(arguments.config)
         progress = train(
             config, arguments.out, resume=arguments.resume, command=command, bar=not arguments.quiet
