@@ -9,13 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import typer.main
 
+from hydro_env.cli import app
 from hydro_env.diagnosis import Diagnosis, diagnose
+from hydro_env.diagnosis.estimation.unknowns import base_unknown
+from hydro_env.diagnosis.models.base import view
+from hydro_env.diagnosis.report import pictures
 from hydro_env.diagnosis.report import wording as words
 from hydro_env.diagnosis.report.page import report_page
-from hydro_env.diagnosis.report.statements import left_over, sentence
-from hydro_env.diagnosis.stages.naming import Interval
-from hydro_env.plant import CATALOGUE, load_model
+from hydro_env.diagnosis.report.statements import comment, left_over, remaining, sentence
+from hydro_env.diagnosis.stages.naming import Interval, KnownParameter
+from hydro_env.plant import CATALOGUE, PARAMETERS, load_model
 
 
 @pytest.mark.parametrize(
@@ -120,6 +125,74 @@ def test_the_page_has_every_part_and_needs_no_network(found: Diagnosis) -> None:
     assert page.count("<svg") >= 3
     assert not re.search(r"(src|href)=[\"']?(https?:)?//", page)
     assert "noise, 2 standard deviations" in page and "largest residual" in page
+
+
+def test_the_title_names_logs_model_and_day(found: Diagnosis) -> None:
+    page = report_page(found)
+    assert re.search(r"<title>Diagnosis of fit\.csv, model paper, \d{4}-\d\d-\d\d</title>", page)
+    assert "Held out: " in page.partition("</p>")[0]
+
+
+def test_a_probability_stands_beside_what_remains(found: Diagnosis) -> None:
+    named, entry = found.effects[0], found.state.on_held_out.errors[0, "speed"]
+    text = remaining(found, named)
+    assert (
+        f"{entry['after']:.3g} of {entry['calibrated']:.3g} rpm on channel 1 (noise {entry['noise']:.3g})"
+        == text
+    )
+    page = report_page(found)
+    assert f"Probability {named.probability:.2f}.</strong> Remains: {text}" in page
+    assert page.count("</em>: how likely these logs make it") == 1
+
+
+def test_bars_show_their_values(found: Diagnosis) -> None:
+    drawing = str(pictures.bars(found))
+    for model in ("before", "calibrated", "placebo", "after"):
+        assert f"{words.number(found.state.on_held_out.errors[0, 'speed'][model])} rpm" in drawing
+
+
+def _commands(page: str) -> list[list[str]]:
+    blocks = re.findall(r"<pre>(.*?)</pre>", page, flags=re.S)
+    return [
+        line.split()[1:] for block in blocks for line in block.splitlines() if line.startswith("hydro-env")
+    ]
+
+
+def test_what_to_do_next_are_commands_that_exist(found: Diagnosis) -> None:
+    """A steady model is for logs only; one with dynamics can be driven."""
+    rig = view(found.state.rig, has_hidden_states=True)
+    driven = _with(found, fit=dataclasses.replace(found.state.fit, rig=rig))
+    steady, dynamic = _commands(report_page(found)), _commands(report_page(driven))
+    assert [words[0] for words in steady] == ["diagnose"] and "--steady" in steady[0]
+    assert [words[0] for words in dynamic] == ["diagnose", "benchmark", "tune"]
+    known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    for name, *rest in steady + dynamic:
+        options = {option for parameter in known[name].params for option in parameter.opts}
+        assert "model.yaml" in rest and {each for each in rest if each.startswith("--")} <= options
+
+
+@pytest.mark.parametrize(
+    ("symbol", "factor", "sure", "said"),
+    [
+        ("J", 1.63, True, "moved by +63 %, more than the -26 to +35 %"),
+        ("J", 0.5, True, "moved by -50 %"),
+        ("J", 1.2, True, ""),
+        ("J", 1.63, False, ""),
+        ("D", 1.08, True, "moved by +8 %, more than the -5 to +5 %"),
+        ("lag", 7.76, True, "not given: estimated from these logs alone"),
+    ],
+)
+def test_a_known_parameter_that_moved_far_has_a_comment(
+    found: Diagnosis, symbol: str, factor: float, sure: bool, said: str
+) -> None:
+    described = {**PARAMETERS, **found.state.rig.own}[symbol]
+    given, unknown = described.nominal, base_unknown(described, described.nominal)
+    value, width = factor * given, 0.01 if sure else 1.0
+    estimate = Interval(value, value * (1 - width), value * (1 + width), described.unit)
+    text = comment(
+        found, KnownParameter(symbol, 0, given, estimate, (unknown.value(-1.0), unknown.value(1.0)))
+    )
+    assert text.startswith(said) if said else text == ""
 
 
 def test_what_is_left_is_told_slow_from_fast(found: Diagnosis) -> None:

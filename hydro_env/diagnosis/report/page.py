@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from datetime import date
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
+from ... import __version__
 from ...pages import render
 from ...plant import CATALOGUE
 from ..stages.naming import known_parameters
@@ -23,15 +25,17 @@ def report_page(found: Diagnosis) -> str:
     state = found.state
     return render(
         files(__package__).joinpath("page.html"),
-        title="Diagnosis of a hydraulic rig", found=found, words=words, catalogue=CATALOGUE,
+        title=f"Diagnosis of {statements.log_names(found)}, model {state.model.name}, {date.today()}", version=__version__,
+        found=found, words=words, catalogue=CATALOGUE, next_step=statements.next_step(found),
         sentence=statements.sentence(found), head=statements.headline(found),
         left=[text for text in (statements.left_over(found), statements.weak_proof(found)) if text],
-        named=[(n, statements.effect_values(found, n)) for n in found.effects],
+        named=[(n, statements.effect_values(found, n), statements.remaining(found, n)) for n in found.effects],
         corrections=statements.correction_texts(found), columns=statements.error_columns(found),
         errors=statements.errors_of(state.on_held_out), bars=pictures.bars(found), traces=pictures.traces(found),
         locations=[(p, statements.windows_text(found, p)) for p in statements.shown_locations(found)],
         maps=pictures.maps(found), next_experiment=state.next_experiment, ranking=statements.ranking(found),
-        parameters=known_parameters(state.rig, state.shown), detectable=_detectable(found),
+        parameters=[(p, statements.comment(found, p)) for p in known_parameters(state.rig, state.shown)],
+        detectable=_detectable(found),
         logs=[p.label for p in state.rig.parts], held_out=[p.label for p in state.held_out_parts],
     )  # fmt: skip
 

@@ -101,7 +101,7 @@ def _map(found: Diagnosis, location: Location) -> tuple[str, Any]:
     above.axhline(0.0, color=COLOURS[4], linewidth=0.8)
     above.errorbar(x, y, 2.0 * spread, color=COLOURS[1], marker="o", markersize=3.5, capsize=2)
     above.set_xlabel(form.over)
-    above.set_ylabel("\n".join(textwrap.wrap(f"missing: {form.error}", 22)))
+    above.set_ylabel("\n".join(textwrap.wrap(f"residual: {form.error}", 22)))
     segment = next(s for s in rig.segments[channel] if s.signal == "speed" and s.log == number)
     unit, size = unit_of(rig, "speed", channel)
     log = rig.parts[number].log
@@ -133,23 +133,29 @@ def _thin(values: np.ndarray) -> np.ndarray:
 def bars(found: Diagnosis) -> Any:
     """RMS errors on the held-out logs in noise units."""
     signals = errors_of(found.state.on_held_out)
-    drawing, (axis,) = figure(1, height=0.45 * len(signals) + 1.2)
+    drawing, (axis,) = figure(1, height=0.8 * len(signals) + 0.9)
     formed = bool(found.state.corrections)
     names = ("before", "calibrated", "placebo", *((NAMED,) if formed else ()), "after")
-    said = {NAMED: "names only", "after": "after, with shape correction" if formed else "after"}
+    said = {NAMED: "effects only", "after": "after, with shape correction" if formed else "after"}
     step = 0.8 / len(names)
     rows = np.arange(len(signals))[::-1]
     over_noise = {n: [s.errors[n] / max(s.errors["noise"], 1e-30) for s in signals] for n in names}
     for n, name in enumerate(names):
         values = [max(v, 1e-3) for v in over_noise[name]]
         style = {"color": _MODEL_COLOURS[name], "label": said.get(name, name)}
-        axis.barh(rows + 0.3 - step * n, values, 0.9 * step, **style)
+        drawn = axis.barh(rows + 0.3 - step * n, values, 0.9 * step, **style)
+        texts = [f"{words.number(s.errors[name])} {s.unit}" for s in signals]
+        axis.bar_label(drawn, texts, padding=4, fontsize=8)
+    axis.grid(axis="y", visible=False)
+    axis.margins(y=0.02)
     axis.axvline(1.0, color=COLOURS[4], linewidth=2.0)
     axis.set_xscale("log")
-    axis.set_xlim(0.5, max(2.0, 1.3 * max(v for values in over_noise.values() for v in values)))
+    # The bars end at 85 % of the width, so that their values have room.
+    widest = max(2.0, *(v for values in over_noise.values() for v in values))
+    axis.set_xlim(0.5, 0.5 * (widest / 0.5) ** (1.0 / 0.85))
     axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.xaxis.set_minor_formatter(lambda value, _: "")
     axis.set_yticks(rows, [f"{s.name} {s.channel + 1}" for s in signals])
-    axis.set_xlabel("RMS error over noise (1: nothing left to explain)")
+    axis.set_xlabel("RMS error over noise (1, grey line: nothing left to explain)")
     axis.legend(ncols=len(names), **_ABOVE)
     return svg(drawing, "errors of the models in noise units")

@@ -10,7 +10,7 @@ import numpy as np
 from ...plant import CATALOGUE
 from ..models.base import RigModel
 from ..stages.candidates import Candidate
-from ..stages.naming import NamedEffect
+from ..stages.naming import KnownParameter, NamedEffect
 from ..stages.naming import effect_values as values_of_effect
 from ..stages.validation import NAMED, Proof, shown_unit
 from . import wording as words
@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from ..stages.localisation import Location
 
 __all__ = [
-    "AT_NOISE", "SignalErrors", "correction_texts", "effect_values", "error_columns", "errors_of", "headline",
-    "left_over", "ranking", "sentence", "shown_locations", "unit_of", "weak_proof", "windows_text",
+    "AT_NOISE", "SignalErrors", "comment", "correction_texts", "effect_values", "error_columns", "errors_of", "headline",
+    "left_over", "log_names", "next_step", "ranking", "remaining", "sentence", "shown_locations", "unit_of", "weak_proof",
+    "windows_text",
 ]  # fmt: skip
 
 #: A signal is at the noise if its error is less than this factor above it.
@@ -135,6 +136,27 @@ def _said(n: NamedEffect) -> str:
     )
 
 
+#: What to do after each verdict.
+_NEXT = {
+    "none": "The model explains these logs. Keep it, and check below which effects the logs could have shown.",
+    "calibration": "Use the calibrated values. First check the known parameters that have a comment.",
+    "effects": "Check the named effects on the rig, for example with a valve test. Then use the improved model.",
+    "unknown": "Record the next experiment, and look at the equation and the regime that hold most of the residual. Do not "
+    "rely on the improved model there: it has only what was explained.",
+}
+
+
+def next_step(found: Diagnosis) -> str:
+    """What the verdict asks for."""
+    return _NEXT[found.verdict]
+
+
+def log_names(found: Diagnosis) -> str:
+    """The logs that were fitted, two by name."""
+    names = list(dict.fromkeys(part.log.name for part in found.state.rig.parts))
+    return words.listed(names if len(names) < 3 else [*names[:2], f"{len(names) - 2} more"])
+
+
 # --- what is left ---------------------------------------------------------------------------------------------------------
 def left_over(found: Diagnosis) -> str:
     """What the final model leaves on the held-out logs of the speed that is worst: slow (physics) or fast (noise); or nothing."""
@@ -155,6 +177,16 @@ def left_over(found: Diagnosis) -> str:
         more = f", with short events of {fast:.2g} {unit} in it" if fast > noise else ""
         return f"{text}; the rest is as fast as noise is{more}."
     return f"{text}: something is still missing there, or the effect has another functional form than the catalogue's."
+
+
+def remaining(found: Diagnosis, n: NamedEffect) -> str:
+    """What the named effects together leave of the speeds of an effect's channels on the held-out logs."""
+    speeds = [s for s in _speeds(found) if s.channel in (n.channels or found.state.rig.channels)]
+    return words.listed([
+        f"{s.errors['after']:.3g} of {s.errors['calibrated']:.3g} {s.unit} on channel {s.channel + 1} "
+        f"(noise {s.errors['noise']:.3g})"
+        for s in speeds
+    ])  # fmt: skip
 
 
 def _slow_share(proof: Proof, c: int) -> float | None:
@@ -218,10 +250,23 @@ def effect_values(found: Diagnosis, n: NamedEffect) -> list[tuple[str, str, str]
     ]
 
 
+def comment(found: Diagnosis, p: KnownParameter) -> str:
+    """What to think of a known parameter that moved further than such values usually do, or that was not known; or nothing."""
+    if p.symbol in found.state.rig.own:
+        return "not given: estimated from these logs alone"
+    if not p.unusual:
+        return ""
+    down, up = (100.0 * (end / p.nominal - 1.0) for end in p.usual)
+    return (
+        f"moved by {100.0 * p.change:+.0f} %, more than the {down:+.0f} to {up:+.0f} % to which such a value is usually known: "
+        "check it on the rig or in its data sheet; otherwise it may stand in for an effect that is missing"
+    )
+
+
 def error_columns(found: Diagnosis) -> list[tuple[str, str, int]]:
     """(model, heading, width) of the table of errors; where a form was corrected, the names alone have a column."""
     plain = [(model, model, width) for model, width in _COLUMNS]
-    return [*plain[:3], (NAMED, "names only", 12), *plain[3:]] if found.state.corrections else plain
+    return [*plain[:3], (NAMED, "effects only", 14), *plain[3:]] if found.state.corrections else plain
 
 
 def correction_texts(found: Diagnosis) -> list[str]:

@@ -39,12 +39,14 @@ class Interval:
 
 @dataclass(frozen=True)
 class KnownParameter:
-    """A base parameter of a channel: its nominal value (as given), and its estimate."""
+    """A base parameter of a channel: its nominal value (as given), its estimate, and the range in which such a value usually
+    lies about the given one: one standard deviation of the prior of calibration either way."""
 
     symbol: str
     channel: int
     nominal: float
     estimate: Interval
+    usual: tuple[float, float]
 
     @property
     def name(self) -> str:
@@ -59,6 +61,11 @@ class KnownParameter:
     def moved(self) -> bool:
         """Whether the interval excludes the nominal value."""
         return not self.estimate.low <= self.nominal <= self.estimate.high
+
+    @property
+    def unusual(self) -> bool:
+        """Whether it moved, and further than such values usually do."""
+        return self.moved and not self.usual[0] <= self.estimate.value <= self.usual[1]
 
 
 @dataclass(frozen=True)
@@ -186,7 +193,7 @@ def _interval(estimate: Estimate, j: int) -> Interval:
 def known_parameters(rig: RigModel, estimates: Estimates) -> list[KnownParameter]:
     """The base parameters of every channel."""
     return [
-        KnownParameter(u.name, c, rig.given(u.name, c), _interval(estimate, j))
+        KnownParameter(u.name, c, rig.given(u.name, c), _interval(estimate, j), (u.value(-1.0), u.value(1.0)))
         for c, estimate in estimates.items()
         for j, u in enumerate(estimate.unknowns)
         if u.channel in (None, c) and not u.effect
