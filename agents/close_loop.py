@@ -18,8 +18,6 @@ from pathlib import Path
 from typing import Any
 
 from agents.command import run_command
-from agents.config import Config, read_config
-from agents.train import train
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.errors import InputError
 from hydro_env.experiments import close_loop
@@ -29,6 +27,8 @@ from hydro_env.files import write_json
 from hydro_env.plant import load_model
 from hydro_env.practice.generate import constants_of
 from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
+from hydro_env.training.config import Config, read_config
+from hydro_env.training.train import train
 
 __all__ = ["main", "run"]
 

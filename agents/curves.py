@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from agents.command import run_command
-from agents.config import read_config
 from hydro_env.errors import InputError
 from hydro_env.files import write_bytes
 from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
+from hydro_env.training.config import read_config
 
 __all__ = ["draw", "read_curves"]
 
@@ -85,10 +85,10 @@ def main() -> None:
     chosen = parser.parse_args()
 
     def run() -> None:
-        from agents.evaluate import METRICS
         from hydro_env.benchmark.statistics import iqm
         from hydro_env.controllers import make_controller
         from hydro_env.controllers.rollout import roll_out
+        from hydro_env.training.evaluate import METRICS
 
         curves = read_curves(chosen.runs)
         scores = roll_out(make_controller("probing_flow"), range(128), mismatch="val").metrics(METRICS)

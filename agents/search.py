@@ -1,9 +1,10 @@
 """Looks for better settings with Optuna: `python -m agents.search --config configs/ppo.yml --out runs/search`.
 
 Each trial is a shortened training run in a folder of its own, `OUT/trial_0007`, whose `config.yml` is an ordinary training
-file with the tried values filled in; what it is judged by is the best score on `val` (see `agents.config.Training`). Trials
-that fall behind the median of the others are stopped early. The study lies in `OUT/study.db` (SQLite): a search that was
-stopped goes on where it was, several processes may share one, and `optuna-dashboard sqlite:///OUT/study.db` shows it.
+file with the tried values filled in; what it is judged by is the best score on `val` (see
+`hydro_env.training.config.Training`). Trials that fall behind the median of the others are stopped early. The study lies in
+`OUT/study.db` (SQLite): a search that was stopped goes on where it was, several processes may share one, and
+`optuna-dashboard sqlite:///OUT/study.db` shows it.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from agents.command import run_command
-from agents.config import ENV_ID, read_config
-from agents.train import train
 from hydro_env.errors import InputError
 from hydro_env.limits import SEEDS, Limits
 from hydro_env.reading import read_yaml
+from hydro_env.training.config import ENV_ID, read_config
+from hydro_env.training.train import train
 
 if TYPE_CHECKING:
     import optuna

@@ -23,9 +23,6 @@ from typing import Any
 import numpy as np
 
 from agents.command import run_command
-from agents.config import Config, read_config
-from agents.evaluate import METRICS
-from agents.train import make_model, train
 from hydro_env.benchmark.statistics import bootstrap_interval, iqm
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.rollout import roll_out
@@ -33,6 +30,9 @@ from hydro_env.errors import InputError
 from hydro_env.files import write_bytes, write_json
 from hydro_env.limits import CORES, SEEDS, Limits
 from hydro_env.parallel import ENGINES, Failure, check_engine, run
+from hydro_env.training.config import Config, read_config
+from hydro_env.training.evaluate import METRICS
+from hydro_env.training.train import make_model, train
 
 __all__ = ["SCHEMA", "main", "sweep"]
 

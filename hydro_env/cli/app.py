@@ -12,6 +12,7 @@ from hydro_env.cli.diagnosis import diagnose, hide
 from hydro_env.cli.experiments import close_loop, demo, reproduce, speed
 from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
 from hydro_env.cli.listing import list_names
+from hydro_env.cli.training import train
 from hydro_env.cli.valve_test import valve_test
 
 __all__ = ["app"]
@@ -43,6 +44,6 @@ def _options(
         print(context.get_help())
 
 
-for _command in (demo, reproduce, valve_test, speed, tune, benchmark, hide, diagnose, close_loop):
+for _command in (demo, reproduce, valve_test, speed, tune, train, benchmark, hide, diagnose, close_loop):
     app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)
 app.command("list", cls=HelpfulCommand)(list_names)

@@ -28,6 +28,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "hydro-env tune --controller my_file.py:MyController --plant my_rig.yaml --out gains",
         "hydro-env tune --linear --out gains",
     ),
+    "train": (
+        "hydro-env train --algo ppo_quick --out run",
+        "hydro-env train --algo sac --seed 3 --out runs/sac_3",
+        "hydro-env train --config my_training.yml --out run",
+        "hydro-env train --resume --out run",
+    ),
     "benchmark": (
         "hydro-env benchmark --suite quick --out scores",
         "hydro-env benchmark my_file.py:MyController:Kp=0.02 pid_tuned --suite quick --out scores",
@@ -55,6 +61,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "Task": (
+        "algo", "config", "steps",
         "more", "controller", "controllers", "suite", "split", "scenario", "cases", "mismatch", "weight", "episodes", "only",
         "linear", "max_sensitivity", "case", "seeds", "none", "severity", "value", "noise", "base_error", "rate", "duration",
         "record", "num_envs", "seconds", "sealed", "accept", "signal",
@@ -64,7 +71,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "inspect", "mapping", "signal_column", "flow_column", "time_column", "signal_unit", "flow_unit", "time_unit", "rated",
         "row_period", "sweep_period", "one_valve",
     ),
-    "Running": ("seed", "limit", "trust", "engine", "jobs", "cells"),
+    "Running": ("seed", "limit", "trust", "engine", "jobs", "cells", "resume", "quiet"),
     "Output": ("out", "name", "pictures", "as_json"),
 }  # fmt: skip
 """Options, by the names of their parameters, under the heading that they stand below; all others come last."""

@@ -28,6 +28,8 @@ EXTRAS = {
     "nptdms": "measured",
     "pygame": "render",
     "torch": "agents",
+    "filelock": "agents",
+    "tensorboard": "agents",
     "stable_baselines3": "agents",
     "sb3_contrib": "agents",
     "onnx": "agents",

@@ -46,8 +46,8 @@ def test_the_study_writes_a_table():
 
 def test_the_search_tries_values_and_goes_on(tmp_path):
     pytest.importorskip("optuna")
-    from agents.config import read_config
     from agents.search import search
+    from hydro_env.training.config import read_config
 
     text = (ROOT / "configs" / "ppo_quick.yml").read_text()
     config = tmp_path / "quick.yml"

@@ -14,11 +14,11 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from agents import checkpoint
-from agents.config import read_config
 from agents.sweep import sweep
 from hydro_env.controllers.learned.policy import read_policy
 from hydro_env.errors import InputError
+from hydro_env.training import checkpoint
+from hydro_env.training.config import read_config
 
 ROOT = Path(__file__).parents[2]
 QUICK = ROOT / "configs" / "ppo_quick.yml"

@@ -18,12 +18,13 @@ import json
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from agents import checkpoint
-from agents.config import read_config
-from agents.lock import alone_in
-from agents.train import main, make_model, train
+from hydro_env.cli import run
 from hydro_env.controllers.learned.policy import SCHEMA, NumpyPolicy, read_policy
 from hydro_env.errors import InputError
+from hydro_env.training import checkpoint
+from hydro_env.training.config import read_config
+from hydro_env.training.lock import alone_in
+from hydro_env.training.train import make_model, train
 from tests.damage import damages
 
 ROOT = Path(__file__).parents[2]
@@ -77,14 +78,11 @@ def test_bad_configuration_is_named_in_one_line(tmp_path, old, new, says):
     assert not (tmp_path / "run").exists()
 
 
-def test_bad_configuration_ends_with_status_2(tmp_path, monkeypatch, capsys):
+def test_bad_configuration_ends_with_status_2(tmp_path, capsys):
     path = tmp_path / "bad.yml"
     path.write_text(PPO.read_text().replace("n_epochs", "n_epoch"))
-    monkeypatch.setattr(sys, "argv", ["agents.train", "--config", str(path), "--out", str(tmp_path / "run")])
-    with pytest.raises(SystemExit) as ended:
-        main()
+    assert run(["train", "--config", str(path), "--out", str(tmp_path / "run")]) == 2
     said = capsys.readouterr().err
-    assert ended.value.code == 2
     assert said.startswith("error: ") and said.count("\n") == 1
 
 
@@ -93,7 +91,7 @@ def test_exported_policy_equals_the_original(tmp_path, path):
     config = read_config(path)
     train(config, tmp_path / "run", bar=False)
     model, _ = checkpoint.restore(checkpoint.latest(tmp_path / "run" / "checkpoints"), config.algorithm)
-    from agents.export import export_policy
+    from hydro_env.training.export import export_policy
 
     export_policy(model, tmp_path / "last.npz", model.env.interface.table(), {})
     network = NumpyPolicy(tmp_path / "last.npz").network
@@ -107,7 +105,7 @@ def test_exported_policy_equals_the_original(tmp_path, path):
 def test_onnx_equals_the_policy_file(tmp_path, activation, squash):
     onnxruntime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    from agents.export import export_onnx
+    from hydro_env.training.export import export_onnx
 
     stream = np.random.default_rng(0)
     sizes = [(24, 9), (16, 24), (2, 16)]
@@ -261,7 +259,7 @@ def test_a_checkpoint_that_others_could_have_written_is_not_loaded(saved, monkey
 
 def test_a_second_run_in_the_same_folder_is_refused(tmp_path):
     """Whoever comes first has the folder, until it ends: a killed process leaves nothing that stands in the way."""
-    code = "import sys, time; from pathlib import Path; from agents.lock import alone_in\n"
+    code = "import sys, time; from pathlib import Path; from hydro_env.training.lock import alone_in\n"
     code += f"with alone_in(Path({str(tmp_path / 'run')!r})): print('in', flush=True); time.sleep(600)"
     process = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stdout=subprocess.PIPE)
     try:
@@ -281,3 +279,25 @@ def test_resume_wants_a_run(tmp_path):
     config = read_config(PPO)
     with pytest.raises(InputError, match="no checkpoint"):
         train(config, tmp_path / "empty", resume=True, bar=False)
+
+
+def test_a_recipe_with_other_steps_and_seed_is_trained_by_its_name(tmp_path, capsys):
+    out = tmp_path / "run"
+    assert (
+        run(["train", "--algo", "ppo_quick", "--steps", "512", "--seed", "7", "--quiet", "--out", str(out)])
+        == 0
+    )
+    begun = read_config(out / "config.yml")
+    assert (begun.num_steps, begun.training.seed) == (512, 7)
+    assert begun.hyper.keys() == read_config(PPO).hyper.keys()
+    assert json.loads((out / "curve.json").read_text())[-1]["steps"] == 512
+    assert run(["train", "--resume", "--quiet", "--out", str(out)]) == 0
+    capsys.readouterr()
+    for words, says in (
+        (["--algo", "ppoo"], "did you mean 'ppo'"),
+        (["--algo", "ppo", "--config", str(PPO)], "give one of them"),
+        (["--algo", "ppo_quick", "--resume", "--seed", "8"], "differs from"),
+    ):
+        assert run(["train", *words, "--quiet", "--out", str(out)]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("error: ") and said.count("\n") == 1 and says in said

@@ -436,7 +436,10 @@ def test_training_whose_files_cannot_grow(tmp_path: Path) -> None:
         )
         lines = done.stderr.splitlines()
         assert done.returncode == 2 and len(lines) == 1, (size, done.stderr)
-        assert lines[0].startswith("error: ") and str(run) in lines[0] and "File too large" in lines[0], (size, lines)
+        assert lines[0].startswith("error: ") and str(run) in lines[0] and "File too large" in lines[0], (
+            size,
+            lines,
+        )
         resume = ["--resume"] if (run / "config.yml").exists() else []
         subprocess.run([*train, str(run), *resume], cwd=ROOT, check=True, capture_output=True)
         with np.load(run / "policy.npz") as policy:

@@ -86,7 +86,7 @@ TRAINING = yaml.safe_load((ROOT / "configs" / "ppo_quick.yml").read_text())
 
 
 def _training(path: Path) -> Any:
-    from agents.config import read_config
+    from hydro_env.training.config import read_config
 
     return read_config(path)
 
@@ -623,7 +623,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def prepare(name: str) -> None:
     """What takes time and memory of its own: the import of PyTorch."""
     if name.startswith("yaml training"):
-        pytest.importorskip("agents.config", reason="needs the extra agents")
+        pytest.importorskip("hydro_env.training.config", reason="needs the extra agents")
 
 
 @pytest.mark.parametrize("name", SMOKE)

@@ -315,7 +315,7 @@ def test_the_command_with_bad_input(
 def test_the_agent_with_a_folder_that_is_no_result(quick: list[Any], tmp_path: Path, missing: str) -> None:
     pytest.importorskip("stable_baselines3")
     from agents import close_loop as agent
-    from agents.config import read_config
+    from hydro_env.training.config import read_config
 
     rigs = tmp_path / "rigs"
     rigs.mkdir()
@@ -348,7 +348,7 @@ def test_the_agent_beside_the_controllers(
     """Trains for a moment on each model, drives the hidden rig, and does nothing twice."""
     pytest.importorskip("stable_baselines3")
     from agents import close_loop as agent
-    from agents.config import read_config
+    from hydro_env.training.config import read_config
 
     (tmp_path / "rigs").mkdir()
     run_loop(tmp_path / "rigs", cases=["dead_zone"], seeds=1, generations=2, pictures=False, progress=False)

@@ -33,9 +33,10 @@ ALLOWED = {
     "controllers": "errors files reading units jit waveforms plant tasks envs valve_bench",
     "diagnosis": "errors files units pages waveforms parallel plant tasks measured",
     "benchmark": "errors files reading units pages parallel plant tasks envs controllers",
+    "training": "errors files reading pickles units tasks controllers sb3",
     "experiments": "errors files reading limits units pages waveforms parallel plant practice tasks measured envs valve_bench"
     " controllers diagnosis benchmark",
-    "cli": "errors files limits units plant practice tasks measured valve_bench controllers diagnosis benchmark"
+    "cli": "errors files limits units plant practice tasks measured valve_bench controllers diagnosis benchmark training"
     " experiments",
     "__main__": "cli",
 }

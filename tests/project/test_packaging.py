@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from hydro_env import __version__
+from hydro_env.training.recipes import RECIPES
 
 ROOT = Path(__file__).parents[2]
 
@@ -23,7 +24,7 @@ OPTIONAL = (
 )  # fmt: skip
 """No module of the core may import these when it is imported."""
 
-NEEDS_EXTRA = ("hydro_env.sb3", "hydro_env.__main__")
+NEEDS_EXTRA = ("hydro_env.sb3", "hydro_env.training.", "hydro_env.__main__")
 """Modules that exist to be imported with an extra, or that run when imported."""
 
 
@@ -58,6 +59,7 @@ def test_wheel_holds_every_data_file(wheel: list[str]) -> None:
         if path.is_file() and path.suffix in {".py", ".typed", ".yaml", ".json", ".npz", ".html", ".css"}
     }
     assert "hydro_env/py.typed" in source and "hydro_env/plant/presets/paper.yaml" in source
+    source |= {f"hydro_env/training/recipes/{name}.yml" for name in RECIPES}
     assert source <= set(wheel)
     assert any(name.endswith("licenses/LICENSE") for name in wheel)
 
@@ -96,7 +98,7 @@ class Block(importlib.abc.MetaPathFinder):
 sys.meta_path.insert(0, Block())
 import hydro_env
 for module in pkgutil.walk_packages(hydro_env.__path__, "hydro_env."):
-    if module.name not in {NEEDS_EXTRA!r}:
+    if not module.name.startswith({NEEDS_EXTRA!r}):
         importlib.import_module(module.name)
 import gymnasium
 env = gymnasium.make("hydro_env:HydraulicSync-v0")

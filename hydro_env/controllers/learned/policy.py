@@ -102,10 +102,10 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
     ) as problem:  # the readers of zip, deflate and npy each have their own errors for what is damaged
         reason = f"{type(problem).__name__}: {problem}"
         raise InputError(
-            f"{path}: is no policy file, it should be an npz of plain arrays (agents.export); {reason}"
+            f"{path}: is no policy file, it should be an npz of plain arrays (hydro_env.training.export); {reason}"
         ) from None
     if "metadata" not in arrays:
-        raise InputError(f"{path}: has no 'metadata'; a policy file is written by agents.export")
+        raise InputError(f"{path}: has no 'metadata'; a policy file is written by hydro_env.training.export")
     text = arrays.pop("metadata")
     if text.shape != () or text.dtype.kind != "U":
         raise InputError(f"{path}: 'metadata' is an array {text.shape} of {text.dtype}, expected one text")

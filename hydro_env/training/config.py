@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+import yaml
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
@@ -28,7 +29,7 @@ from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import MOST_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
 
-__all__ = ["ALGORITHMS", "ENV_ID", "Config", "Training", "read_config"]
+__all__ = ["ALGORITHMS", "ENV_ID", "Config", "Training", "read_config", "with_changes"]
 
 ENV_ID = "HydraulicSync-v0"
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
@@ -48,7 +49,7 @@ class Training:
         algorithm: "ppo" or "sac".
         interface: table of `hydro_env.controllers.learned.policy_interface.make_interface`; the plain observation if empty.
         peak: what a speed difference of 20 rpm costs beside the environment's reward; grows with the square, see
-            `agents.policy_env`.
+            `hydro_env.training.policy_env`.
         seed: of networks, exploration and environment.
         checkpoint_every: env steps between checkpoints.
         evaluate_every: env steps between evaluations.
@@ -92,8 +93,22 @@ class Config:
 
 def read_config(path: str | Path) -> Config:
     """Reads a training file. InputError, in one line that names file and key, for anything that is not right."""
-    path = Path(path)
-    text = read_text(path, "a training file in YAML", most=MOST_BYTES_OF_YAML)
+    return _config(Path(path), read_text(path, "a training file in YAML", most=MOST_BYTES_OF_YAML))
+
+
+def with_changes(config: Config, *, steps: int | None = None, seed: int | None = None) -> Config:
+    """The same file with another number of control periods or another seed; None leaves them."""
+    if steps is None and seed is None:
+        return config
+    data = parse_yaml(config.text, str(config.path))
+    if steps is not None:
+        data[ENV_ID]["n_timesteps"] = steps
+    if seed is not None:
+        data["training"]["seed"] = seed
+    return _config(config.path, yaml.safe_dump(data, sort_keys=False))
+
+
+def _config(path: Path, text: str) -> Config:
     data = parse_yaml(text, str(path))
     if not isinstance(data, dict) or not all(isinstance(table, dict) for table in data.values()):
         raise InputError(f"{path}: should hold the tables {ENV_ID!r} and 'training'")

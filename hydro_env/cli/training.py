@@ -1,0 +1,72 @@
+"""The command `train`."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydro_env.cli.options import Out, number
+from hydro_env.errors import InputError
+from hydro_env.limits import SEEDS, Limits
+
+__all__ = ["train"]
+
+
+def train(
+    out: Out,
+    algo: Annotated[
+        str | None,
+        typer.Option(
+            help="Recipe: ppo, sac, ppo_calm, ppo_rig; ppo_quick and sac_quick take seconds. Default: ppo."
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE.yml", help="A training file of your own instead.")
+    ] = None,
+    steps: Annotated[
+        int | None,
+        number(
+            within=Limits(1, 10**12, whole=True),
+            help="Control periods of single rigs. Default: the recipe's.",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, number(within=SEEDS, help="Seed of networks, exploration and environment.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on from the last checkpoint in --out, with the same options.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress bar.")] = False,
+) -> None:
+    """Train a learned agent (needs the extra `agents`).
+
+    Writes policy.npz, which `benchmark` takes, curve.json and checkpoints. A stopped run goes on with --resume.
+    """
+    if algo is not None and config is not None:
+        raise InputError("--algo and --config both name a training file; give one of them")
+    begun = out / "config.yml"
+    from hydro_env.training.config import read_config, with_changes
+    from hydro_env.training.recipes import recipe
+    from hydro_env.training.train import train as run
+
+    if config is None:
+        config = begun if resume and algo is None and begun.is_file() else recipe(algo or "ppo")
+    chosen = with_changes(read_config(config), steps=steps, seed=seed)
+    threading.excepthook = _once
+    progress = run(chosen, out, resume=resume, command=" ".join(["hydro-env", *sys.argv[1:]]), bar=not quiet)
+    last = min(progress["curve"], key=lambda row: row["score"])
+    print(
+        f"best on val after {last['steps']} steps: "
+        f"largest speed difference {last['max_speed_difference_rpm']:.1f} rpm, "
+        f"tracking error {last['tracking_mae_rpm']:.1f} rpm; {out / 'policy.npz'}"
+    )
+
+
+def _once(problem: threading.ExceptHookArgs) -> None:
+    """TensorBoard's thread ends by what its next call raises in this command: a full disk is to be said once."""
+    if not issubclass(problem.exc_type, OSError):
+        threading.__excepthook__(problem)

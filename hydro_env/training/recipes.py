@@ -1,0 +1,29 @@
+"""The training files that ship: those of the shipped agents, and quick ones that only show that training works."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hydro_env.errors import InputError, suggestion
+
+__all__ = ["RECIPES", "recipe"]
+
+#: Their names, and what they train.
+RECIPES = {
+    "ppo": "the shipped agent `ppo`",
+    "ppo_calm": "the shipped agent `ppo_calm`",
+    "ppo_rig": "the shipped agent `ppo_rig`",
+    "sac": "the shipped agent `sac`",
+    "ppo_quick": "a few seconds of PPO, to see that it works",
+    "sac_quick": "a few seconds of SAC, to see that it works",
+}
+PACKAGE = Path(__file__).parents[1]
+#: Where they lie: in an installed package, or in a checkout.
+FOLDERS = (PACKAGE / "training" / "recipes", PACKAGE.parent / "configs")
+
+
+def recipe(name: str) -> Path:
+    """The training file of a name. InputError if there is none."""
+    if name not in RECIPES:
+        raise InputError(f"no recipe {name!r}: {suggestion(name, RECIPES)}")
+    return next(path for folder in FOLDERS if (path := folder / f"{name}.yml").is_file())
