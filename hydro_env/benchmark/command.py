@@ -33,7 +33,7 @@ from hydro_env.files import write_json, write_text
 from hydro_env.parallel import Failure, Store, check_engine
 from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import load_model
-from hydro_env.tasks import METRICS, OWN, SCENARIOS, SPLITS, Trace, default_mismatch
+from hydro_env.tasks import METRICS, OWN, SCENARIOS, SPLITS, Trace, default_mismatch, never_settled
 
 __all__ = ["SCHEMA", "Conditions", "Selection", "run"]
 
@@ -66,6 +66,7 @@ class Cell:
     cases: int
     metrics: dict[str, Floats] = field(default_factory=dict)
     strata: tuple[str, ...] | None = None
+    unsettled: int = 0
     needs: str = "measurements"
     plant: str | None = None
     traces: dict[str, Any] = field(default_factory=dict)
@@ -292,7 +293,8 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
         note = f"half of its commands are {done.typical_command:.3g} or more, and 1 was applied instead: a command is a fraction"
         note += " of the rated one, not a voltage"
     traces = _kept(done.trace, metrics[TRACE_METRIC])
-    return replace(cell, metrics=metrics, strata=done.faults, traces=traces, note=note)
+    unsettled = int(np.sum(never_settled(done.trace)))
+    return replace(cell, metrics=metrics, strata=done.faults, unsettled=unsettled, traces=traces, note=note)
 
 
 def _kept(trace: Trace, difference: Floats) -> dict[str, Any]:
@@ -307,18 +309,21 @@ def _kept(trace: Trace, difference: Floats) -> dict[str, Any]:
 
 def _thinned(trace: Trace, case: int) -> dict[str, Any]:
     """One case of a trace with the samples and digits that a picture needs: the speed of motor 1 in rpm, and
-    by how much it is ahead of motor 2 in tenths of an rpm. Of every few samples the one with the largest
-    difference is kept, so that no peak is lost.
+    by how much it is ahead of motor 2 in tenths of an rpm; the commands in % of the rated one. Of every few samples the one
+    with the largest difference is kept, so that no peak is lost.
     """
     total = len(trace.setpoint_rpm)
     every = max(1, total // TRACE_SAMPLES)
     apart = trace.difference_rpm[:, case]
     rows = [n + int(np.argmax(np.abs(apart[n : n + every]))) for n in range(0, total, every)]
+    in_force = np.minimum(rows, len(trace.command) - 1)
+    command = np.rint(100.0 * trace.command[in_force, case]).astype(int)
     return {
         "sample": rows,
         "setpoint_rpm": np.rint(trace.setpoint_rpm[rows, case]).astype(int).tolist(),
         "speed_rpm": np.rint(trace.speed_rpm[rows, case, 0]).astype(int).tolist(),
         "ahead_drpm": np.rint(10.0 * apart[rows]).astype(int).tolist(),
+        "command_percent": command.T.tolist(),
     }
 
 
@@ -358,6 +363,11 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
             {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, "reason": cell.failure}
             for cell in cells
             if cell.failure is not None
+        ],
+        "never_settled": [
+            {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, "cases": cell.unsettled}
+            for cell in cells
+            if cell.unsettled
         ],
         "notes": [
             {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, "note": cell.note}

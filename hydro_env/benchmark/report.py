@@ -9,7 +9,9 @@ from __future__ import annotations
 from importlib.resources import files
 from typing import Any
 
+from hydro_env import __version__
 from hydro_env.pages import fill
+from hydro_env.tasks import METRICS
 
 __all__ = ["privileged_information", "scores_page", "scores_table"]
 
@@ -31,7 +33,7 @@ def scores_table(scores: dict[str, Any]) -> str:
     failed = {(f["split"], f["scenario"], f["controller"]): f["reason"] for f in scores["failed"]}
     done = [(r["split"], r["scenario"]) for r in scores["rows"]]
     blocks = list(dict.fromkeys(done + [(f["split"], f["scenario"]) for f in scores["failed"]]))
-    extras = _extras(scores)
+    extras = {**_extras(scores), **_never(scores)}
     width = max([len(name) for name in scores["controllers"]] + [len("controller")])
     lines = []
     for split, scenario in blocks:
@@ -40,7 +42,11 @@ def scores_table(scores: dict[str, Any]) -> str:
         )
         lines.append(f"\n{split} / {scenario}, {n} cases: interquartile mean and its 95 % interval")
         texts = {
-            name: [_cell(cells.get((split, scenario, name, metric))) for metric in columns]
+            name: [
+                extras.get((split, scenario, name, metric))
+                or _cell(cells.get((split, scenario, name, metric)))
+                for metric in columns
+            ]
             + [extras.get((split, scenario, name, what), "-") for what in EXTRAS]
             for name in scores["controllers"]
             if (split, scenario, name) not in failed
@@ -68,6 +74,18 @@ def _extras(scores: dict[str, Any]) -> dict[tuple[str, str, str, str], str]:
         (entry["split"], entry["scenario"], entry["controller"], what): f"{share:.0%}"
         for what, entry, share in shares
         if entry["metric"] == "max_speed_difference_rpm"
+    }
+
+
+SETTLING = "sync_settling_time_s"
+
+
+def _never(scores: dict[str, Any]) -> dict[tuple[str, str, str, str], str]:
+    """What stands for a settling time where no case settled: the number would be the length of the episode."""
+    return {
+        (entry["split"], entry["scenario"], entry["controller"], SETTLING): "never settled"
+        for entry in scores["never_settled"]
+        if entry["cases"] == scores["splits"][entry["split"]]
     }
 
 
@@ -103,5 +121,10 @@ def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
     """The HTML page. `traces`: {"period_s", "metric", "splits": {split: {scenario: {controller: {"typical": case,
     "worst": case}}}}}, each case as `hydro_env.benchmark.command` thins it."""
     privileged = {name: privileged_information(scores, name) for name in scores["controllers"]}
+    metrics = {
+        name: {"title": f"{each.title}, {each.unit}", "definition": each.definition}
+        for name, each in METRICS.items()
+    }
     page = files("hydro_env.benchmark").joinpath("scores_page.html")
-    return fill(page, SCORES={**scores, "privileged": privileged}, TRACES=traces)
+    more = {"privileged": privileged, "metrics": metrics, "version": __version__, "settling": SETTLING}
+    return fill(page, SCORES={**scores, **more}, TRACES=traces)

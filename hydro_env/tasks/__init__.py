@@ -5,7 +5,7 @@ mismatch   splits, distributions and named pairs of valves (data in splits.yaml)
 metrics    scores of recorded episodes
 """
 
-from .metrics import METRICS, Metric, Trace, compute
+from .metrics import METRICS, Metric, Trace, compute, never_settled
 from .mismatch import NAMED_PAIRS, OWN, SPLITS, Mismatch, Pairs, default_mismatch, draw_pairs, load_mismatch
 from .scenarios import NOMINAL_TORQUE, SCENARIOS, Reference, Scenario, load_scenario
 
@@ -27,4 +27,5 @@ __all__ = [
     "draw_pairs",
     "load_mismatch",
     "load_scenario",
+    "never_settled",
 ]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, suggestion
 
-__all__ = ["METRICS", "SETTLED_RPM", "SETTLED_S", "Metric", "Trace", "compute"]
+__all__ = ["METRICS", "SETTLED_RPM", "SETTLED_S", "Metric", "Trace", "compute", "never_settled"]
 
 Floats = NDArray[np.float64]
 
@@ -51,9 +51,10 @@ class Trace:
 
 @dataclass(frozen=True)
 class Metric:
-    """One score; lower is better for all of them. `of(trace)` -> (N,)."""
+    """One score; lower is better for all of them. `title` is what it is called in words. `of(trace)` -> (N,)."""
 
     name: str
+    title: str
     unit: str
     definition: str
     of: Callable[[Trace], Floats]
@@ -68,17 +69,30 @@ def _rms_difference(trace: Trace) -> Floats:
 
 
 def _settling_time(trace: Trace) -> Floats:
+    return _longest_apart(trace)[0]
+
+
+def never_settled(trace: Trace) -> NDArray[np.bool_]:
+    """(N,), whether the longest time out of step was still running when the episode ended: `sync_settling_time_s` is then only a
+    lower bound, set by the length of the episode."""
+    return _longest_apart(trace)[1]
+
+
+def _longest_apart(trace: Trace) -> tuple[Floats, NDArray[np.bool_]]:
+    """The longest time out of step in s, (N,), and whether the episode ended in it, (N,)."""
     apart = np.abs(trace.difference_rpm) > SETTLED_RPM
     enough = max(1, round(SETTLED_S / trace.period))  # rows together that end a time out of step
     rigs = apart.shape[1]
     first = np.zeros(rigs, dtype=int)  # row in which the present time out of step began
     last = np.full(rigs, -enough - 1)  # last row with the motors apart
     longest = np.zeros(rigs, dtype=int)
+    end = np.full(rigs, -enough - 1)  # last row of the longest time out of step
     for row in range(apart.shape[0]):
         first = np.where(row - last > enough, row, first)
         last = np.where(apart[row], row, last)
+        end = np.where(apart[row] & (row + 1 - first > longest), row, end)
         longest = np.maximum(longest, np.where(apart[row], row + 1 - first, 0))
-    return longest * trace.period
+    return longest * trace.period, apart.shape[0] - 1 - end < enough
 
 
 def _angle_difference(trace: Trace) -> Floats:
@@ -97,18 +111,21 @@ def _variation(trace: Trace) -> Floats:
 _ALL = (
     Metric(
         "max_speed_difference_rpm",
+        "peak synchronisation error",
         "rpm",
         "largest absolute difference of the two speeds in the episode",
         _largest_difference,
     ),
     Metric(
         "rms_speed_difference_rpm",
+        "RMS speed difference",
         "rpm",
         "root of the mean squared difference of the two speeds",
         _rms_difference,
     ),
     Metric(
         "sync_settling_time_s",
+        "settling time of the speed difference",
         "s",
         f"longest time out of step: from when the speeds differ by more than {SETTLED_RPM:g} rpm until they differ by no "
         f"more for at least {SETTLED_S:g} s, or the episode ends",
@@ -116,18 +133,21 @@ _ALL = (
     ),
     Metric(
         "shaft_angle_difference_deg",
+        "largest shaft angle difference",
         "deg",
         "largest absolute difference of the angles turned since the start",
         _angle_difference,
     ),
     Metric(
         "tracking_mae_rpm",
+        "mean absolute tracking error",
         "rpm",
         "mean absolute difference between speed and set-point, over time and both motors",
         _tracking,
     ),
     Metric(
         "command_variation",
+        "command variation",
         "1/s",
         "sum of the absolute changes of the command (fraction of the rated one; from zero at the start) per second, "
         "mean of both valves",

@@ -15,6 +15,7 @@ from hydro_env.cli import main
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
+from tests.browser import needs_browser, shown
 
 SMALL = {"splits": ["test_interp"], "scenarios": ["setpoint_steps"], "cases": 4, "progress": False}
 
@@ -132,6 +133,81 @@ def test_page_keeps_the_typical_and_the_worst_case_behind_each_row(scores):
             np.testing.assert_allclose(each["speed_rpm"], again.trace.speed_rpm[rows, case, 0], atol=0.51)
             assert len(rows) <= 130 and rows == sorted(rows)
     assert len(json.dumps(traces)) < 20_000
+
+
+def test_page_keeps_the_commands_of_both_valves(scores):
+    _, out = scores
+    kept = _embedded((out / "scores.html").read_text(), "T")["splits"]["test_interp"]["setpoint_steps"]
+    case = kept["cross_coupled"]["worst"]
+    again = roll_out(
+        make_controller("cross_coupled"), range(4), mismatch="test_interp", scenario="setpoint_steps"
+    )
+    rows = np.minimum(case["sample"], len(again.trace.command) - 1)
+    np.testing.assert_allclose(
+        np.transpose(case["command_percent"]), 100 * again.trace.command[rows, case["case"]], atol=0.51
+    )
+
+
+class Apart(Raises):
+    """Turns one motor only."""
+
+    name = "apart"
+
+    def act(self, observation):
+        return np.tile([0.8, 0.0], (len(observation), 1))
+
+
+class Volts(Apart):
+    name = "volts"
+
+    def act(self, observation):
+        return np.full((len(observation), 2), 40.0)
+
+
+@pytest.fixture(scope="module")
+def unsettled(tmp_path_factory):
+    out = tmp_path_factory.mktemp("unsettled")
+    return run(out, controllers=["cross_coupled", Apart(), Volts(), Raises()], **SMALL), out
+
+
+def test_who_never_settled_has_no_settling_time(unsettled):
+    got, _ = unsettled
+    cases = {entry["controller"]: entry["cases"] for entry in got["never_settled"]}
+    assert cases["apart"] == 4 and "cross_coupled" not in cases
+    lines = {line.split()[0]: line for line in scores_table(got).splitlines() if line.startswith("  ")}
+    assert "never settled" in lines["apart"] and "never settled" not in lines["cross_coupled"]
+
+
+@needs_browser
+def test_the_page_says_what_its_script_draws(unsettled, tmp_path):
+    """Never settled, notes, failures, who is not drawn, and the titles of all axes."""
+    _, out = unsettled
+    page = shown(out / "scores.html", tmp_path)
+    body = page.partition('id="table"')[2].partition("</table>")[0]
+    assert re.search(r">apart<.*?<td[^>]*>never settled<", body) and page.count(">never settled<") >= 1
+    assert not re.search(r">cross_coupled<[^/]*never settled", body)
+    assert "volts: half of its commands are 40 or more" in page and "failed: RuntimeError" in page
+    assert "Not drawn: raises" in page and "because they failed: raises" in page
+    for title in (
+        "speed, rpm",
+        "difference,",
+        "command,",
+        "% of rated",
+        "time, s",
+        "peak synchronisation error, rpm (log)",
+    ):
+        assert f">{title}</text>" in page, title
+    drawn = re.findall(r'aria-label="speeds and commands with (\w+)', page)
+    assert drawn == ["cross_coupled", "apart", "volts"]
+
+
+@needs_browser
+def test_a_hostile_name_stays_text_in_the_page(unsettled, tmp_path):
+    name = "<img src=x onerror=alert(1)></script>/*TRACES*/null"
+    nasty = json.loads(json.dumps(unsettled[0]).replace('"apart"', json.dumps(name)))
+    (tmp_path / "scores.html").write_text(scores_page(nasty, None))
+    page = shown(tmp_path / "scores.html", tmp_path / "profile")
+    assert "<img" not in page and "&lt;img src=x" in page
 
 
 def test_legend_names_the_actual_baseline(scores):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_env.errors import InputError
-from hydro_env.tasks.metrics import METRICS, Trace, compute
+from hydro_env.tasks.metrics import METRICS, Trace, compute, never_settled
 
 
 def trace(speeds, *, setpoint=100.0, period=0.5, angle=None, command=None):
@@ -50,6 +50,18 @@ def test_settling_time():
     # never in step: all of the episode; out of step at its end: up to the end
     assert value(apart, apart, apart) == pytest.approx(0.15)
     assert value(together, together, apart, apart) == pytest.approx(0.10)
+
+
+def test_a_time_out_of_step_that_the_episode_cuts_off_is_never_settled():
+    apart, together = (100, 80), (100, 95)
+    never = lambda *rows: bool(never_settled(trace(rows, period=0.05))[0])  # noqa: E731
+    assert never(together, apart, apart) and never(
+        apart, apart, together
+    )  # one row is too few to be back in step
+    assert not never(together, together) and not never(apart, apart, together, together)
+    # The longest time ended; a shorter one was cut off: the value is a settling time.
+    assert not never(apart, apart, apart, together, together, apart)
+    assert never(apart, together, together, apart, apart)
 
 
 def test_settling_time_tells_controllers_apart_where_loads_never_rest():
