@@ -19,6 +19,7 @@ LONG = (
     "test_blind_trials.py",
     "test_close_loop.py",
     "test_controllers.py::test_a_common_search_goes_on_where_it_was_interrupted",
+    "test_demo.py",
     "test_diagnosis_uncertainty.py",
     "test_diagnosis_dynamic_rig.py::test_the_fits_numbers_are_near_those_of_the_proof",
     "test_diagnosis_form_correction.py",

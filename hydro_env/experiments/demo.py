@@ -22,6 +22,7 @@ from hydro_env.benchmark.report import privileged_information
 from hydro_env.controllers.registry import CONTROLLERS
 from hydro_env.diagnosis import command as diagnosis
 from hydro_env.experiments import reproduce
+from hydro_env.experiments.shaft_animation import animation, record
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, figure, legend, png, render, svg
 from hydro_env.practice import command as hide
@@ -33,17 +34,20 @@ HIDDEN = ("dead_zone:1",)
 """What the third part hides."""
 
 BOARD = (
-    ("setpoint_steps", "max_speed_difference_rpm", "steps: peak error, rpm"),
-    ("setpoint_steps", "tracking_mae_rpm", "steps: tracking error, rpm"),
-    ("load_step", "max_speed_difference_rpm", "load step: peak error, rpm"),
-    ("load_step", "tracking_mae_rpm", "load step: tracking error, rpm"),
+    ("setpoint_steps", "max_speed_difference_rpm", "set-point steps: peak synchronisation error, rpm"),
+    ("setpoint_steps", "tracking_mae_rpm", "set-point steps: mean absolute tracking error, rpm"),
+    ("load_step", "max_speed_difference_rpm", "load step: peak synchronisation error, rpm"),
+    ("load_step", "tracking_mae_rpm", "load step: mean absolute tracking error, rpm"),
 )
-"""Columns of the score board: scenario, metric, heading. The first two are drawn."""
+"""Columns of the leaderboard: scenario, metric, heading. The first two are drawn."""
+PAPER, TUNED, BOUND = "pid_paper", "pid_tuned", "oracle"
+SPLIT = "test_interp"
+"""The one split of the quick suite; the animation shows one of its cases."""
 
 GAPS = (
     ("before", "model as given"),
     ("calibrated", "calibrated"),
-    ("placebo", "calibrated, with the best wrong effect"),
+    ("placebo", "placebo: calibrated, with the best wrong effect"),
     ("after", "calibrated, with the named effect"),
 )
 
@@ -79,21 +83,11 @@ def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
     with clock.part("the paper's experiment"):
         paper = _paper(_folder(out, "reproduce"))
     with clock.part("scoreboard"):
-        board = _board(_folder(out, "benchmark"), seed, jobs)
+        board = _board(_scored(_folder(out, "benchmark"), seed, jobs))
     with clock.part("diagnosis"):
         finding = _diagnosis(_folder(out, "practice"), _folder(out, "diagnosis"), seed)
     png(paper["drawing"], out / "demo.png")
-    page = render(
-        files(__package__).joinpath("demo.html"),
-        title="Two hydraulic motors, two unequal valves",
-        version=__version__,
-        seconds=sum(part["seconds"] for part in clock.parts),
-        parts=clock.parts,
-        paper=paper,
-        board=board,
-        finding=finding,
-    )
-    write_text(out / "index.html", page)
+    write_text(out / "index.html", page(paper, board, finding, clock.parts))
     result = {
         "schema": "hydro_env/demo/1",
         "paper": paper["numbers"],
@@ -103,6 +97,25 @@ def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
     }
     write_json(out / "demo.json", result)
     return result
+
+
+def page(
+    paper: dict[str, Any], board: dict[str, Any], finding: dict[str, Any], parts: list[dict[str, Any]]
+) -> str:
+    """The HTML page; `parts` are the names and seconds of the parts."""
+    from markupsafe import Markup
+
+    return render(
+        files(__package__).joinpath("demo.html"),
+        title="Two hydraulic motors, two unequal valves",
+        version=__version__,
+        seconds=sum(part["seconds"] for part in parts),
+        parts=parts,
+        rig=Markup(files(__package__).joinpath("demo_rig.html").read_text(encoding="utf-8")),
+        paper=paper,
+        board=board,
+        finding=finding,
+    )
 
 
 def _folder(out: Path, name: str) -> Path:
@@ -173,40 +186,66 @@ def _drawing(traces: Any, published: float) -> Any:
 
 
 # --- 2. the leaderboard -----------------------------------------------------------------------------------------------
-def _board(out: Path, seed: int, jobs: int) -> dict[str, Any]:
-    scores = benchmark.run(
+def _scored(out: Path, seed: int, jobs: int) -> dict[str, Any]:
+    return benchmark.run(
         out, selection=benchmark.Selection("quick"), conditions=benchmark.Conditions(seed=seed), jobs=jobs
     )
+
+
+def _board(scores: dict[str, Any]) -> dict[str, Any]:
     cells = {(row["controller"], row["scenario"], row["metric"]): row for row in scores["rows"]}
+    shown = _chosen(scores, cells)
+    agent = next(name for name in shown if _learned(name))
+    titles = {PAPER: f"The paper's PID ({PAPER})", agent: f"The best agent ({agent})"}
+    seeds = range(scores["seed"], scores["seed"] + scores["splits"][SPLIT])
     rows = []
-    for name in scores["controllers"]:
-        found = [cells.get((name, scenario, metric)) for scenario, metric, _ in BOARD]
-        file = CONTROLLERS[name].file
-        learned = file is not None and file.suffix == ".npz"
+    for name, why in shown.items():
         notes = [
-            "learned: a network on a model-based law" if learned else "",
+            why,
+            "a network on a model-based law" if _learned(name) else "",
             privileged_information(scores, name),
         ]
+        found = [_cell(cells.get((name, scenario, metric))) for scenario, metric, _ in BOARD]
         rows.append(
-            {
-                "name": name,
-                "note": ", ".join(filter(None, notes)),
-                "learned": learned,
-                "cells": [_cell(row) for row in found],
-            }
+            {"name": name, "note": "; ".join(filter(None, notes)), "learned": _learned(name), "cells": found}
         )
+    recorded = record(titles, seeds, split=SPLIT, scenario=BOARD[0][0])
     return {
         "about": scores["about"],
         "cases": max(row["n"] for row in scores["rows"]),
+        "controllers": len(scores["controllers"]),
         "columns": [heading for _, _, heading in BOARD],
         "rows": rows,
+        "agent": agent,
+        "seed": recorded["seed"],
+        "animation": animation(recorded),
         "picture": svg(
-            _dots(scores["controllers"], cells),
-            "peak synchronisation error and tracking error of every controller",
+            _front(scores, cells, shown), "peak synchronisation error over tracking error of every controller"
         ),
         "numbers": [
             row for row in scores["rows"] if (row["scenario"], row["metric"]) in {key[:2] for key in BOARD}
         ],
+    }
+
+
+def _learned(name: str) -> bool:
+    file = CONTROLLERS[name].file
+    return file is not None and file.suffix == ".npz"
+
+
+def _chosen(scores: dict[str, Any], cells: dict[Any, Any]) -> dict[str, str]:
+    """The rows that the page shows, and why these."""
+    scored = [name for name in scores["controllers"] if (name, *BOARD[0][:2]) in cells]
+    peak = {name: cells[name, *BOARD[0][:2]]["iqm"] for name in scored}
+    plain = [name for name in scored if not privileged_information(scores, name)]
+    law = min((name for name in plain if not _learned(name)), key=peak.__getitem__)
+    agent = min((name for name in plain if _learned(name)), key=peak.__getitem__)
+    return {
+        PAPER: "Table III of the paper",
+        TUNED: "the same law, gains found by search",
+        law: "the law with the lowest peak error, without privileged information",
+        agent: "the learned agent with the lowest peak error",
+        BOUND: "the bound",
     }
 
 
@@ -217,33 +256,40 @@ def _cell(row: dict[str, Any] | None) -> dict[str, str]:
     return {"text": _short(row["iqm"]), "interval": f"{_short(low)} to {_short(high)}"}
 
 
-def _dots(controllers: list[str], cells: dict[Any, Any]) -> Any:
-    """A line for each controller: largest difference and tracking error on the set-point steps, with their intervals."""
-    drawing, (axis,) = figure(height=0.7 + 0.3 * len(controllers))
-    marks = (
-        (BOARD[0], "peak synchronisation error", "o", COLOURS[0]),
-        (BOARD[1], "tracking error", "D", COLOURS[1]),
+def _front(scores: dict[str, Any], cells: dict[Any, Any], shown: dict[str, str]) -> Any:
+    """Peak synchronisation error over tracking error of every controller on the set-point steps, the rows of the table by name,
+    and the Pareto front of those without privileged information."""
+    drawing, (axis,) = figure(height=3.4)
+    at = {
+        name: [cells[name, scenario, metric]["iqm"] for scenario, metric, _ in (BOARD[1], BOARD[0])]
+        for name in scores["controllers"]
+        if (name, *BOARD[0][:2]) in cells
+    }
+    plain = [name for name in at if not privileged_information(scores, name)]
+    for name, (x, y) in at.items():
+        colour = COLOURS[1] if _learned(name) else COLOURS[0]
+        hollow = {} if name in plain else {"markerfacecolor": "none"}
+        axis.plot(x, y, "o", color=colour, markersize=6 if name in shown else 4, **hollow)
+        if name in shown:
+            axis.annotate(
+                name, (x, y), (7, 3), textcoords="offset points", fontsize=9, color=colour, zorder=5
+            )
+    best = sorted(
+        at[name] for name in plain
+         if not any(at[n][0] <= at[name][0] and at[n][1] <= at[name][1] and n != name for n in plain)
+    )  # fmt: skip
+    axis.plot(*np.transpose(best), "--", color=COLOURS[4], linewidth=1.1, zorder=0)
+    axis.set(
+        xscale="log",
+        yscale="log",
+        xlabel="mean absolute tracking error, rpm",
+        ylabel="peak synchronisation error, rpm",
     )
-    for column, label, mark, colour in marks:
-        rows = [
-            (line, cells[name, *column[:2]])
-            for line, name in enumerate(controllers)
-            if (name, *column[:2]) in cells
-        ]
-        means = np.array([row["iqm"] for _, row in rows])
-        ends = np.array([row["ci95"] for _, row in rows]).reshape(-1, 2)
-        bars = np.abs(ends - means[:, None]).T
-        style = {"fmt": mark, "color": colour, "markersize": 5, "elinewidth": 1.2, "label": label}
-        axis.errorbar(means, [line for line, _ in rows], xerr=bars, **style)
-    axis.set_yticks(range(len(controllers)), controllers)
-    axis.invert_yaxis()
-    axis.set(xscale="log", xlabel="rpm, set-point steps")
-    axis.xaxis.set_major_formatter("{x:g}")
-    limits = axis.get_xlim()
-    axis.set_xticks([digit * 10**power for power in range(4) for digit in (1, 2, 5)])
-    axis.set_xlim(limits)
+    for side, limits in ((axis.xaxis, axis.get_xlim()), (axis.yaxis, axis.get_ylim())):
+        ticks = [digit * 10.0**power for power in range(-1, 4) for digit in (1, 2, 3, 5)]
+        side.set_ticks([tick for tick in ticks if limits[0] <= tick <= limits[1]])
+        side.set_major_formatter("{x:g}")
     axis.minorticks_off()
-    legend(axis)
     return drawing
 
 
@@ -287,8 +333,8 @@ def _where(channel: str) -> str:
 
 
 def _parameter(name: str, true: float | None, found: dict[str, Any]) -> dict[str, str]:
-    """A line of the table: hidden and found value; metres are shown as micrometres, which is how one speaks of laps."""
-    scale, unit = (1e6, "um") if found["unit"] == "m" else (1.0, found["unit"])
+    """A line of the table: hidden and found value; metres are shown as micrometres, the usual unit of a lap."""
+    scale, unit = (1e6, "µm") if found["unit"] == "m" else (1.0, found["unit"])
     low, high = found.get("low"), found.get("high")
     text = f"{low * scale:.4g} to {high * scale:.4g}" if low is not None and high is not None else ""
     return {
@@ -301,16 +347,20 @@ def _parameter(name: str, true: float | None, found: dict[str, Any]) -> dict[str
 
 
 def _gaps(signals: dict[str, dict[str, float]]) -> Any:
-    """Bars: error of each speed on the sealed log at every stage, with the noise as a line."""
+    """Bars: error of each speed on the held-out log at every stage, with the noise as a line."""
     speeds = [name for name in signals if name.startswith("speed_")]
     drawing, axes = figure(len(speeds), height=1.5)
+    shown = [signals[name][key] for name in speeds for key in ("noise", *(key for key, _ in GAPS))]
+    least, most = min(shown), max(shown)
     for axis, name in zip(axes, speeds, strict=True):
         values = [signals[name][key] for key, _ in GAPS]
         colours = [COLOURS[4], COLOURS[4], COLOURS[1], COLOURS[0]]
         bars = axis.barh([label for _, label in GAPS], values, color=colours, height=0.62)
-        axis.bar_label(bars, [_short(value) for value in values], padding=4, fontsize=8.5)
+        axis.bar_label(bars, [f"{_short(value)} rpm" for value in values], padding=4, fontsize=8.5)
         axis.axvline(signals[name]["noise"], color=COLOURS[2], linestyle="--", linewidth=1.2)
         axis.invert_yaxis()
+        axis.set(xscale="log", xlim=(0.5 * least, 2.0 * most))
+        axis.xaxis.set_major_formatter("{x:g}")
         axis.set_title(f"motor {name.split('_')[1]}; dashed: noise of the sensor", loc="left", fontsize=9)
         axis.grid(axis="y", visible=False)
     axes[-1].set_xlabel("error on the held-out log (RMS), rpm")
