@@ -74,7 +74,7 @@ def valve_test(
     """Measure steady flow curves as in ISO 10770-1.
 
     Dead zone, hysteresis, gain, linearity, ... of modelled or measured valves, lag or hysteresis, and the most similar
-    pair of several valves; writes valve_test.json, curves.csv and pictures.
+    pair of several valves; writes valve_test.json, curves.csv, valve_test.html and pictures.
     """
     times = numbers("--seconds", seconds, SWEEP)
     if not times:

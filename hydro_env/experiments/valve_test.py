@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from hydro_env.errors import InputError
 from hydro_env.experiments.valve_pairs import Valve, synchronisation
+from hydro_env.experiments.valve_test_page import gain_of, page
 from hydro_env.files import write_json, write_text
 from hydro_env.plant import load_model, preset_names
 from hydro_env.units import LPM
@@ -49,7 +50,7 @@ class Settings:
         one_valve: all measured files are sweeps of the same valve.
         controllers: under which all pairs of modelled valves are driven; none: no such comparison.
         seeds: seeds of the sensor noise per pair and order.
-        pictures: whether to draw valve_test.png and valve_rates.png.
+        pictures: whether to write valve_test.html and draw valve_test.png and valve_rates.png.
     """
 
     signal: str = "current"
@@ -110,7 +111,7 @@ def run(
     }
     write_text(out / "curves.csv", _table(tested))
     if settings.pictures:
-        _draw(out, tested)
+        _draw(out, tested, data)
     write_json(out / "valve_test.json", data)
     return data
 
@@ -128,17 +129,21 @@ def _synchronised(
     )
 
 
-def _draw(out: Path, tested: Sequence[Tested]) -> None:
-    from hydro_env.pages import png
+def _draw(out: Path, tested: Sequence[Tested], data: dict[str, Any]) -> None:
+    from hydro_env.pages import png, svg
     from hydro_env.valve_bench.picture import draw_curves, draw_rates
 
     # A modelled valve's loops hardly differ; a measured one's may.
     sweeps = [(each.curve,) if each.model else each.sweeps for each in tested]
-    png(draw_curves(sweeps, [each.figures for each in tested]), out / "valve_test.png")
+    curves = draw_curves(sweeps, [each.figures for each in tested])
+    inline: list[Any] = [svg(curves, "flow over signal of every valve"), None]
+    png(curves, out / "valve_test.png")
     several = [each for each in tested if each.rates.hysteresis_percent is not None]
     if several:
-        drawing = draw_rates([each.curve.name for each in several], [each.rates for each in several])
-        png(drawing, out / "valve_rates.png")
+        rates = draw_rates([each.curve.name for each in several], [each.rates for each in several])
+        inline[1] = svg(rates, "width of the loop over the sweep rate")
+        png(rates, out / "valve_rates.png")
+    write_text(out / "valve_test.html", page(data, *inline))
 
 
 def default_valves() -> list[str]:
@@ -297,20 +302,22 @@ def _table(tested: Sequence[Tested]) -> str:
 def summary(data: dict[str, Any]) -> str:
     """The result in a few lines for the terminal."""
     width = max(len(valve["name"]) for valve in data["valves"])
+    unit, gain = gain_of(data["valves"])
+    # The unit of every column stands below its head; + and - are the two directions of the flow.
     lines = [
-        f"{'valve':{width}}  dead zone, %    hysteresis, %  null   gain, l/min per  linearity    max. flow   loop is",
-        f"{'':{width}}    +       -     at signal, %     %       + / -         + / -, %   + / -, l/min",
+        f"{'valve':{width}}    dead zone    hyster.  widest     null        gain       linearity     max. flow   loop is",
+        f"{'':{width}}       %           %      at, %      %     {unit:^15}      %           l/min",
+        f"{'':{width}}    +       -                                +       -      +     -      +       -",
     ]
     for valve in data["valves"]:
         sides = valve["positive"], valve["negative"]
-        unit = valve["rated_signal"]["unit"]
+        gains = [None if side is None else {"gain": gain(valve, side)} for side in sides]
         loop = valve["hysteresis"]
         lines.append(
-            f"{valve['name']:{width}} {_two(sides, 'dead_zone_percent', '6.2f', ' ')}  "
-            f"{_number(loop['percent'], '6.2f')} at{_number(loop['widest_at_percent'], '5.0f')} "
-            f"{_number(valve['null']['percent'], '7.2f')} {_two(sides, 'gain_lpm_per_unit', '6.1f')} {unit:2} "
-            f"{_two(sides, 'linearity_percent', '5.2f')} {_two(sides, 'maximum_flow_lpm', '6.2f')}  "
-            f"{valve['rate_check']['verdict']}"
+            f"{valve['name']:{width}} {_two(sides, 'dead_zone_percent', '7.2f')} {_number(loop['percent'], '8.2f')}"
+            f"{_number(loop['widest_at_percent'], '8.0f')} {_number(valve['null']['percent'], '9.2f')}  "
+            f"{_two(gains, 'gain', '#7.4g')} {_two(sides, 'linearity_percent', '5.2f')}  "
+            f"{_two(sides, 'maximum_flow_lpm', '7.2f')}  {valve['rate_check']['verdict']}"
         )
     for valve in data["valves"]:
         check = valve["rate_check"]
@@ -343,8 +350,9 @@ def summary(data: dict[str, Any]) -> str:
 
 
 def _number(value: float | None, form: str) -> str:
-    return "-".rjust(int(form.split(".")[0])) if value is None else format(value, form)
+    """A number; one that rounds to zero has no sign."""
+    return "-".rjust(int(form.lstrip("#").split(".")[0])) if value is None else format(value, f"z{form}")
 
 
-def _two(sides: tuple[dict[str, Any] | None, ...], key: str, form: str, between: str = "/") -> str:
-    return between.join(_number(None if side is None else side[key], form) for side in sides)
+def _two(sides: Sequence[dict[str, Any] | None], key: str, form: str) -> str:
+    return " ".join(_number(None if side is None else side[key], form) for side in sides)

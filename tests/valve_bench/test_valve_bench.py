@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import os
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from hydro_env import cli
 from hydro_env.errors import InputError
 from hydro_env.experiments import valve_test
 from hydro_env.experiments.valve_pairs import Valve, pair_model
+from hydro_env.experiments.valve_test_page import gain_of
 from hydro_env.plant import Plant, load_model
 from hydro_env.units import LPM
 from hydro_env.valve_bench import (
@@ -527,7 +529,45 @@ def test_models_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert gain["rpm_less_than_best_other"] == pytest.approx(min(others) - own["max_speed_difference_rpm"])
     for picture in ("valve_test.png", "valve_rates.png"):
         assert (out / picture).stat().st_size > 10_000
-    assert "most similar" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "most similar" in said and "l/min per A" in said and "-0.00" not in said
+    page = (out / "valve_test.html").read_text()
+    assert page.count("<svg") == 2 and not re.search(r"(src|href)=[\"']?(https?:)?//", page)
+    # A simulated valve scatters by next to nothing, which is not printed as 1e-12; and a null of zero has no sign.
+    assert data["valves"][2]["positive"]["dead_zone_uncertainty"] < 1e-4
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", page)
+    assert "&lt; 0.01" in cells and not [cell for cell in cells if re.search(r"\de-|-0\.00$", cell)]
+    heads = set(re.findall(r'<th class="wrap">([^<]*)</th>', page))
+    units = ["%", "deg", "rpm", "l/min"]
+    assert all(sum(unit in head for unit in units) <= 1 for head in heads)
+    assert {
+        "dead zone, %",
+        "gain, l/min per A",
+        "maximum flow, l/min",
+        "peak synchronisation error, rpm",
+    } <= heads
+
+
+def test_gains_of_valves_with_different_signals_have_one_unit() -> None:
+    current = {"rated_signal": {"value": 0.5, "unit": "A"}}
+    voltage = {"rated_signal": {"value": 10.0, "unit": "V"}}
+    unit, gain = gain_of([current, current])
+    assert unit == "l/min per A" and gain(current, {"gain_lpm_per_unit": 30.0}) == 30.0
+    unit, gain = gain_of([current, voltage])
+    assert unit == "l/min per %"
+    # 15 l/min at the rated signal of both.
+    assert gain(current, {"gain_lpm_per_unit": 30.0}) == gain(voltage, {"gain_lpm_per_unit": 1.5}) == 0.15
+
+
+def test_a_hostile_name_stays_text_in_the_page(tmp_path: Path) -> None:
+    name = "<img src=x onerror=alert(1)>{{ 7*7 }}"
+    path = tmp_path / f"{name.replace('/', '')}.csv"
+    write(path, rows_of(made(width=0.05, seconds=100.0, rows=2000)))
+    assert (
+        command(path, "--flow-column", "3", "--signal-column", "current (mA)", "--out", tmp_path / "out") == 0
+    )
+    page = (tmp_path / "out" / "valve_test.html").read_text()
+    assert "<img" not in page and "&lt;img src=x" in page and "{{ 7*7 }}" in page
 
 
 def test_measured_curve_on_the_command_line(tmp_path: Path) -> None:
