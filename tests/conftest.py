@@ -14,8 +14,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 LONG = (
     "test_agents_tools.py",
     "test_balances.py",
+    "test_benchmark.py::test_a_hostile_name_stays_text_in_the_page",
     "test_benchmark.py::test_every_controller_is_vectorised_over_rigs",
     "test_benchmark.py::test_jobs_change_nothing",
+    "test_benchmark.py::test_the_page_says_what_its_script_draws",
     "test_blind_trials.py",
     "test_close_loop.py",
     "test_controllers.py::test_a_common_search_goes_on_where_it_was_interrupted",
