@@ -205,9 +205,12 @@ def test_the_page_says_what_its_script_draws(unsettled, tmp_path):
 def test_a_hostile_name_stays_text_in_the_page(unsettled, tmp_path):
     name = "<img src=x onerror=alert(1)></script>/*TRACES*/null"
     nasty = json.loads(json.dumps(unsettled[0]).replace('"apart"', json.dumps(name)))
+    nasty["splits"]["own"] = 4
     (tmp_path / "scores.html").write_text(scores_page(nasty, None))
     page = shown(tmp_path / "scores.html", tmp_path / "profile")
     assert "<img" not in page and "&lt;img src=x" in page
+    # Of several splits, what each one draws in place of the plant's values is said beside it.
+    assert "draws these values of each valve anew, whatever the plant itself has: dead_zone, Kq" in page
 
 
 def test_legend_names_the_actual_baseline(scores):

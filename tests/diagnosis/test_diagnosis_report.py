@@ -15,7 +15,7 @@ from hydro_env.cli import app
 from hydro_env.diagnosis import Diagnosis, diagnose
 from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.models.base import view
-from hydro_env.diagnosis.report import pictures
+from hydro_env.diagnosis.report import pictures, summary
 from hydro_env.diagnosis.report import wording as words
 from hydro_env.diagnosis.report.page import report_page
 from hydro_env.diagnosis.report.statements import comment, left_over, remaining, sentence
@@ -172,6 +172,23 @@ def test_what_to_do_next_are_commands_that_exist(found: Diagnosis) -> None:
 
 
 @pytest.mark.parametrize(
+    ("verdict", "said", "model"),
+    [
+        ("none", "The model explains these logs", "is the model as given"),
+        ("calibration", "Use the calibrated values", "the values of the known parameters below"),
+        ("effects", "Check the named effects on the rig", "the named effects and the values"),
+        ("unknown", "Record the next experiment", "the named effects and the values"),
+    ],
+)
+def test_every_verdict_says_what_to_do(found: Diagnosis, verdict: str, said: str, model: str) -> None:
+    effects = found.effects if verdict in ("effects", "unknown") else []
+    page = report_page(_with(found, verdict=verdict, effects=effects))
+    after = page.partition("<h2>What to do next</h2>")[2].partition("<h2>")[0]
+    assert said in after and model in after and f"Verdict: {verdict}." in page
+    assert ("What the model lacks" in page) == bool(effects)
+
+
+@pytest.mark.parametrize(
     ("symbol", "factor", "sure", "said"),
     [
         ("J", 1.63, True, "moved by +63 %, more than the -26 to +35 %"),
@@ -193,6 +210,19 @@ def test_a_known_parameter_that_moved_far_has_a_comment(
         found, KnownParameter(symbol, 0, given, estimate, (unknown.value(-1.0), unknown.value(1.0)))
     )
     assert text.startswith(said) if said else text == ""
+
+
+def test_the_terminal_names_known_parameters_to_check(
+    found: Diagnosis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [
+        KnownParameter("J", 0, 1.0, Interval(value, value - 0.01, value + 0.01, "kg m2"), (0.74, 1.35))
+        for value in (1.63, 1.2)
+    ]
+    rows[1] = dataclasses.replace(rows[1], symbol="Kq")
+    monkeypatch.setattr(summary, "known_parameters", lambda rig, estimates: rows)
+    monkeypatch.setattr(found.state.rig, "own", {})
+    assert "J_1 +63 %, Kq_1 +20 %; check J_1: further than usual" in found.summary()
 
 
 def test_what_is_left_is_told_slow_from_fast(found: Diagnosis) -> None:

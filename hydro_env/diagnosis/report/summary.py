@@ -139,7 +139,8 @@ def _known(found: Diagnosis) -> str:
         for p in rows[:6]
     )
     more = f" and {len(rows) - 6} more" if len(rows) > 6 else ""
-    return f"  known parameters that moved: {text}{more}"
+    far = ", ".join(p.name for p in rows if p.unusual and p.symbol not in own)
+    return f"  known parameters that moved: {text}{more}{f'; check {far}: further than usual' if far else ''}"
 
 
 def _hidden(found: Diagnosis) -> str:
