@@ -31,7 +31,7 @@ from hydro_env.files import write_bytes, write_json
 from hydro_env.limits import CORES, SEEDS, Limits
 from hydro_env.parallel import ENGINES, Failure, check_engine, run
 from hydro_env.training.config import Config, read_config
-from hydro_env.training.evaluate import METRICS
+from hydro_env.training.evaluate import METRICS, scored_pairs
 from hydro_env.training.train import make_model, train
 
 __all__ = ["SCHEMA", "main", "sweep"]
@@ -114,13 +114,14 @@ def _train_seed(seed: int, *, config: Config, out: Path, pairs: int, command: st
     folder = out / f"seed_{seed}"
     progress = train(own, folder, resume=(folder / "config.yml").is_file(), command=command, bar=False)
     best = min(progress["curve"], key=lambda row: row["score"])
-    kwargs = {key: config.env_kwargs[key] for key in ("plant", "control_period") if key in config.env_kwargs}
+    kwargs = scored_pairs(config.env_kwargs)
     first = config.training.evaluate_pairs
     scores = {}
     for scenario in config.training.evaluate_scenarios:
         policy = NumpyPolicy(folder / "policy.npz")
-        episodes = roll_out(policy, range(first, first + pairs), mismatch="val", scenario=scenario, **kwargs)
+        episodes = roll_out(policy, range(first, first + pairs), scenario=scenario, **kwargs)
         scores[scenario] = {name: float(iqm(values)) for name, values in episodes.metrics(METRICS).items()}
+        scores[scenario]["mean_return"] = float(np.mean(episodes.returns))
     files = {name: (folder / name).read_bytes() for name in ("policy.npz", "curve.json")}
     return {
         "seed": seed,
@@ -143,7 +144,7 @@ def _rows(finished: list[dict[str, Any]], scenarios: Sequence[str]) -> list[dict
     """Interquartile mean over the seeds of every metric in every scenario."""
     rows = []
     for scenario in scenarios if finished else ():
-        for metric in METRICS:
+        for metric in (*METRICS, "mean_return"):
             values = np.array([each["scores"][scenario][metric] for each in finished])
             where = {"scenario": scenario, "metric": metric, "n": len(values)}
             rows.append({**where, "iqm": float(iqm(values)), "ci95": list(bootstrap_interval(values))})

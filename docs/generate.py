@@ -26,6 +26,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
+import gymnasium
 import numpy as np
 import typer.main
 import yaml
@@ -40,7 +41,9 @@ from hydro_env.controllers.base import Controller
 from hydro_env.controllers.learned.flow_interface import OutputSettings
 from hydro_env.controllers.mpc.flow_controller import FlowSettings
 from hydro_env.diagnosis import RULES, STAGES, Settings
-from hydro_env.envs import HydraulicSyncEnv
+from hydro_env.envs import HydraulicSyncEnv, Reward
+from hydro_env.envs.observation import LIMIT, NOISE, OBSERVATION, SCALES
+from hydro_env.envs.step_kernels import COLUMNS
 from hydro_env.experiments import blind_trials
 from hydro_env.measured import mapping
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, model_files, parameter_of, preset_names
@@ -53,7 +56,8 @@ from hydro_env.practice.hidden import SEVERITIES
 from hydro_env.practice.recorder import SENSORS
 from hydro_env.practice.reference.forms import CONSTANTS
 from hydro_env.tasks import METRICS, SCENARIOS
-from hydro_env.units import UNITS
+from hydro_env.tasks.mismatch import SPLITS
+from hydro_env.units import BAR, RPM, UNITS
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
@@ -390,6 +394,76 @@ def _first_line(thing: Any) -> str:
 def environment() -> str:
     """The docstring of the environment, one level of headings down."""
     return inspect.cleandoc(HydraulicSyncEnv.__doc__ or "")
+
+
+def observation() -> str:
+    """The signals of a frame."""
+    units = {"setpoint": ("rpm", RPM), "speed": ("rpm", RPM), "current": ("A", 1.0), "pressure": ("bar", BAR)}
+    levels = {"speed": NOISE["speed_rpm"], "current": NOISE["current_A"], "pressure": NOISE["pressure_bar"]}
+    meaning = {
+        "setpoint": "set-point of the period that begins",
+        "speed": "measured speed of motor",
+        "current": "measured current of coil",
+        "pressure": "measured pressure difference over motor",
+        "command": "last command, clipped, of valve",
+    }
+    rows = []
+    for number, (name, scale) in enumerate(zip(OBSERVATION, SCALES, strict=True)):
+        kind, _, channel = name.partition("_")
+        unit, factor = units.get(kind, ("of the rated command", 1.0))
+        noise = f"{levels[kind]:g} {unit}" if kind in levels else "none"
+        one = scale / factor
+        limit = 1.0 if kind == "command" else LIMIT
+        bounds = f"±{limit * one:g} {unit}"
+        rows.append([number, f"`{name}`", f"{meaning[kind]} {channel}", f"{one:g} {unit}", bounds, noise])
+    head = ["index", "name", "what it is", "1.0 stands for", "clipped to", "noise (standard deviation)"]
+    return _table(head, rows)
+
+
+def reward() -> str:
+    """The terms of the reward with their default weights."""
+    weights = Reward()
+    formulas = {
+        "tracking": "|speed - set-point| / 100 rpm, mean of both motors",
+        "difference": "|speed 1 - speed 2| / 100 rpm",
+        "variation": "|action - action before|, mean of both valves",
+        "divergence": "1, once, if the simulation diverges",
+    }
+    rows = []
+    for each in fields(Reward):
+        key = f"reward_{each.name}"
+        told = f'`info["{key}"]`' if key in COLUMNS else ""
+        rows.append([f"`{each.name}`", f"{getattr(weights, each.name):g}", formulas[each.name], told])
+    return _table(["term", "weight", "what is weighed and subtracted", "where it is told"], rows)
+
+
+def episodes() -> str:
+    """The scenarios with the length of an episode."""
+    period = inspect.signature(HydraulicSyncEnv).parameters["control_period"].default
+    rows = [
+        [f"`{s.name}`", s.summary, f"{s.duration:g} s", s.steps(period), "yes" if s.random else ""]
+        for s in SCENARIOS.values()
+    ]
+    head = ["scenario", "what is driven", "length", f"steps at {period:g} s", "drawn anew in each episode"]
+    return _table(head, rows)
+
+
+def splits_short() -> str:
+    """The splits in one line each."""
+    rows = [
+        [f"`{name}`", split.cases or "unlimited", split.summary.partition(":")[2].strip() or split.summary]
+        for name, split in SPLITS.items()
+    ]
+    return _table(["split", "pairs", "what they are"], rows)
+
+
+def threshold() -> str:
+    """The reward threshold of the registered specification."""
+    spec = gymnasium.spec("HydraulicSync-v0")
+    return (
+        f'`gymnasium.spec("HydraulicSync-v0").reward_threshold` is {spec.reward_threshold:g}: the mean return of '
+        "`cross_coupled` in the default task, rounded."
+    )
 
 
 # --- command line and files -------------------------------------------------------------------------------------------
@@ -754,6 +828,7 @@ PARTS: dict[str, Callable[[], str]] = {
     for made in (
         parameters, presets, preset_values, effects, twins, form_corrections, severities, sensors, form_constants, losses,
         controllers, gains, law_settings, searches, splits, faults, scenarios, metrics, suites, environment, packages,
+        observation, reward, episodes, splits_short, threshold,
         diagnosis_stages,
         diagnosis_rules,
         diagnosis_settings, commands, commands_short, log_columns, units, scores, scores_short,

@@ -17,4 +17,7 @@ _register(
     id="HydraulicSync-v0",
     entry_point="hydro_env.envs.hydraulic_sync:HydraulicSyncEnv",
     vector_entry_point="hydro_env.envs.batch:HydraulicSyncVectorEnv",
+    # Mean return of `cross_coupled`, the best classical law without privileged information, over 1000 episodes of the default
+    # task, rounded (standard error 1.4). Episodes end themselves: see `envs.made_spec`.
+    reward_threshold=-150.0,
 )

@@ -22,11 +22,13 @@ __all__ = ["Episodes", "roll_out"]
 @dataclass(frozen=True)
 class Episodes:
     """What happened: the true signals of every rig, and which fault each rig had ("" for none). `typical_command` is the median
-    size of what the controller returned, before it was limited to [-1, 1]."""
+    size of what the controller returned, before it was limited to [-1, 1]; `returns` (num_rigs,) are the sums of the
+    environment's reward with its default weights."""
 
     trace: Trace
     faults: tuple[str, ...]
     typical_command: float
+    returns: Floats
 
     def metrics(self, names: Iterable[str] | None = None) -> dict[str, Floats]:
         """Scores of every rig by metric, each (num_rigs,)."""
@@ -66,8 +68,7 @@ def roll_out(
     signals = {key: [np.array(info[key])] for key in ("setpoint_rpm", "speed_rpm", "angle_difference_deg")}
     commands: list[Floats] = []
     sizes: list[NDArray[np.float32]] = []
-    spent = 0.0
-    done = np.zeros(len(seeds), dtype=bool)
+    spent, returns, done = 0.0, np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
     while not done.all():
         began = perf_counter()
         returned = _checked(controller.act(observation), len(seeds))
@@ -80,7 +81,8 @@ def roll_out(
             raise TimeoutError(
                 f"took more than {limit:g} s for {len(commands) + 1} steps of {len(seeds)} rigs"
             )
-        observation, _, terminated, truncated, info = env.step(action.astype(np.float32))
+        observation, reward, terminated, truncated, info = env.step(action.astype(np.float32))
+        returns += reward
         if np.any(terminated):
             raise ValueError(f"the plant of case {int(np.argmax(terminated))} diverged")
         done = np.asarray(truncated)
@@ -92,7 +94,7 @@ def roll_out(
         command=np.array(commands),
         **{key: np.array(rows) for key, rows in signals.items()},
     )
-    return Episodes(trace, faults, float(np.median(sizes)))
+    return Episodes(trace, faults, float(np.median(sizes)), returns)
 
 
 def _inform(controller: Any, env: HydraulicSyncVectorEnv) -> None:

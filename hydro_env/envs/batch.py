@@ -13,6 +13,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +24,7 @@ from ..plant import Plant, PlantModel, load_model
 from ..plant.plant import machine_memory
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, default_mismatch, load_mismatch, own_values
 from ..tasks.scenarios import Reference, Scenario, load_scenario
+from .made_spec import made_spec
 from .observation import FRAME, LIMIT, SCALES, noise_levels
 from .render import Recorder
 from .reward import Reward, load_reward
@@ -44,6 +46,7 @@ DIVERGED = "diverged: the simulation of the plant is no longer finite or plausib
 NUM_ENVS = Limits(1, 2**40, whole=True)
 CONTROL_PERIOD = Limits(1e-4, 1.0, unit="s")
 HISTORY = Limits(1, 1000, whole=True, unit="frames")
+RENDER_WIDTH = Limits(160, 7680, whole=True, unit="pixels")
 EPISODE = Limits(1, 2**40, whole=True, unit="steps")
 SEED = Limits(0, 2**128 - 1, whole=True)
 
@@ -71,6 +74,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012 (Gymnasium's way)
+    _spec: EnvSpec | None = None
 
     def __init__(
         self,
@@ -87,6 +91,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         dtype: str = "float64",
+        render_width: int = 640,
     ) -> None:
         super().__init__()
         self.num_envs = NUM_ENVS.check(num_envs, "num_envs")
@@ -125,7 +130,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
         self._levels = noise_levels(noise)
         self._weights = self.reward.weights()
-        self._recorder = Recorder(self.num_envs) if render_mode is not None else None
+        self._recorder: Recorder | None = None
+        if render_mode is not None:
+            self._recorder = Recorder(self.num_envs, RENDER_WIDTH.check(render_width, "render_width"))
         self._settable: dict[str, tuple[float, float]] = {}
         self._clear()
 
@@ -230,7 +237,25 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """A picture (height, width, 3) of each row's recent past, if `render_mode` is "rgb_array"."""
         if self._recorder is None:
             return None
-        return tuple(self._recorder.picture(row, self.control_period) for row in range(self.num_envs))
+        return tuple(
+            self._recorder.picture(row, self.control_period, float(self._rated[row].max()))
+            for row in range(self.num_envs)
+        )
+
+    @property
+    def spec(self) -> EnvSpec | None:  # type: ignore[override]
+        """What Gymnasium made this from; `max_episode_steps` is the length of its episodes."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = made_spec(spec, self.episode_steps)
+
+    @property
+    def episode_steps(self) -> int:
+        """Control periods in an episode of the scenario that it was made with."""
+        steps = self.scenario.steps(self.control_period)
+        return steps if self.max_episode_steps is None else min(steps, self.max_episode_steps)
 
     # --- what the single environment and Stable-Baselines3 build on -----------------------------------------------
     @property
@@ -455,7 +480,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         else:
             self._frames[rows] = observation[rows]
         if self._recorder is not None:
-            self._recorder.add(rows, result[1], self._fraction, self.plant.spool)
+            self._recorder.add(rows, result[1], self.plant.angle)
 
     def _step_info(
         self,

@@ -8,6 +8,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
@@ -15,6 +16,7 @@ from ..plant import Plant, PlantModel
 from ..tasks.mismatch import Mismatch
 from ..tasks.scenarios import Scenario
 from .batch import DIVERGED, SEED, HydraulicSyncVectorEnv
+from .made_spec import made_spec
 from .reward import Reward
 
 __all__ = ["HydraulicSyncEnv"]
@@ -41,13 +43,9 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     `Box(-10, 10, (9 * history,), float32)`: what can be measured, divided by fixed scales. With `history` above 1 the
     last frames, oldest first; at the start of an episode the first frame stands for those before it.
 
-    | Num | Signal | 1.0 stands for | Noise (standard deviation) |
-    |-----|--------|----------------|----------------------------|
-    | 0 | set-point in force from now on | 600 rpm | none |
-    | 1, 2 | speeds of motors 1 and 2 | 600 rpm | 1 rpm |
-    | 3, 4 | coil currents of valves 1 and 2 | 0.73 A | 2 mA |
-    | 5, 6 | pressure differences over motors 1 and 2 | 10 bar | 0.05 bar |
-    | 7, 8 | the last action, clipped | rated command | none |
+    In order: set-point in force from now on; speeds of motors 1 and 2; currents of coils 1 and 2; pressure differences over
+    motors 1 and 2; the last action, clipped. `hydro_env.envs.observation` has names, scales and noise as data, and
+    docs/reference/environment.md as a table.
 
     `hydro_env.envs.observation.decode` gives them back in SI.
 
@@ -63,8 +61,12 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## End
 
-    *Truncation* at the end of the scenario. *Termination* only if the simulation diverges numerically, which costs 10
-    once; `info["termination"]` then says so.
+    *Truncation* at the end of the scenario: 600 steps by default. *Termination* only if the simulation diverges numerically,
+    which costs 10 once; `info["termination"]` then says so.
+
+    The environment ends its episodes itself, since their length depends on scenario and control period. So Gymnasium's
+    registered specification has no limit; `env.spec.max_episode_steps` of an environment that was made has its own length.
+    `env.spec.reward_threshold` is the mean return of `cross_coupled` in the default task, None in another one.
 
     ## Info
 
@@ -84,7 +86,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
       file or mapping of parameters to ranges or values, or `own` (None) for the plant's own pair. Default `auto`: `own`
       for a plant file that sets itself what `train` draws (`Kq`, a dead zone, ...), else `train`.
     * `control_period`: s, default 0.01.
-    * `render_mode`: None or "rgb_array" (Gymnasium shows it in a window for "human", given pygame).
+    * `render_mode`: None or "rgb_array" (extra `render`; Gymnasium shows it in a window for "human").
+    * `render_width`: of the picture in pixels, default 640; its height is three quarters of that.
     * `history`: frames in an observation, default 1.
     * `noise`: factor on the sensors' noise, 0 for none, or levels such as {"speed_rpm": 2.0}.
     * `reward`: weights to be changed, such as {"variation": 0.5}.
@@ -104,6 +107,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012 (Gymnasium's way)
+    _spec: EnvSpec | None = None
 
     def __init__(
         self,
@@ -116,6 +120,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         history: int = 1,
         noise: float | Mapping[str, float] = 1.0,
         reward: Mapping[str, float] | Reward | None = None,
+        render_width: int = 640,
     ) -> None:
         self.batch = HydraulicSyncVectorEnv(
             1,
@@ -128,12 +133,22 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             noise=noise,
             reward=reward,
             autoreset_mode=AutoresetMode.DISABLED,
+            render_width=render_width,
         )
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.batch.metadata["render_fps"]}
         self.observation_space = self.batch.single_observation_space
         self.action_space = self.batch.single_action_space
         self._seeded = False
+
+    @property
+    def spec(self) -> EnvSpec | None:  # type: ignore[override]
+        """What Gymnasium made this from; `max_episode_steps` is the length of its episodes."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = made_spec(spec, self.batch.episode_steps)
 
     @property
     def plant(self) -> Plant:

@@ -1,9 +1,15 @@
-"""A small picture of a rig at work: speeds against the set-point, commands and spools. NumPy alone draws it."""
+"""A picture of a rig at work: both shafts, their speeds against the set-point, and both commands (needs the extra `render`)."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from PIL.ImageDraw import ImageDraw
 
 __all__ = ["Recorder"]
 
@@ -11,73 +17,151 @@ Floats = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 #: Control periods that the picture shows.
-SHOWN = 280
-HEIGHT, WIDTH = 240, 320
-_WHITE, _GRID, _BLACK = (255, 255, 255), (222, 224, 228), (60, 60, 60)
-_COLOURS = ((31, 119, 180), (255, 127, 14))  # motor or valve 1, 2
-_SPEED_RPM, _SPOOL_M = 800.0, 1e-3
+SHOWN = 300
+#: A picture is this many units wide and high; a unit is about the height of a line of text.
+ACROSS, DOWN = 32, 24
+#: It is drawn this many times larger, then reduced, so that lines are smooth.
+FINER = 2
+#: Range of the axis of the speeds, rpm.
+MOST_RPM = 800.0
+
+_WHITE, _GRID, _BLACK = "#ffffff", "#d8dade", "#303030"
+_COLOURS = ("#1f6fb4", "#e8710a")  # motor and valve 1, 2
+#: Columns of what is kept of each instant.
+_SETPOINT, _SPEED, _COMMAND, _ANGLE = 0, (1, 2), (3, 4), (5, 6)
+_KEPT = 7
+
+Curve = tuple[Floats, str]
 
 
 class Recorder:
-    """The recent past of every rig: set-point and speeds in rpm, commands as fractions, spools in m."""
+    """The recent past of every rig: set-point and speeds in rpm, commands in V, shaft angles in rad."""
 
-    def __init__(self, num_rigs: int) -> None:
-        self._past = np.full((num_rigs, SHOWN, 7), np.nan)
+    def __init__(self, num_rigs: int, width: int) -> None:
+        try:
+            import PIL.Image  # noqa: F401
+        except ImportError as problem:
+            raise gymnasium.error.DependencyNotInstalled(
+                "pictures need Pillow: pip install 'hydro_env[render]'"
+            ) from problem
+        self._width = width
+        self._past = np.full((num_rigs, SHOWN, _KEPT), np.nan)
+        self._instants = np.zeros(num_rigs, np.int64)
 
     def clear(self, rows: NDArray[np.int64]) -> None:
         """Forgets the past of some rows."""
         self._past[rows] = np.nan
+        self._instants[rows] = 0
 
-    def add(self, rows: NDArray[np.int64], true: Floats, fraction: Floats, spool: Floats) -> None:
-        """Adds an instant of some rows."""
+    def add(self, rows: NDArray[np.int64], true: Floats, angle: Floats) -> None:
+        """Adds an instant of some rows, given the true signals (N, TRUE) and the shaft angles (N, 2) of all."""
         self._past[rows] = np.roll(self._past[rows], -1, axis=1)
-        now = np.column_stack([true[:, 2], true[:, 0:2], fraction, spool])
+        now = np.column_stack([true[:, 2], true[:, 0:2], true[:, 4:6], angle])
         self._past[rows, -1] = now[rows]
+        self._instants[rows] += 1
 
-    def picture(self, row: int, period: float) -> Picture:
-        """(HEIGHT, WIDTH, 3): speeds above, a bar per valve below.
-
-        Speeds: +-800 rpm, set-point black, a line every 200 rpm and second. Bars: the command as an outline, the spool
-        filled; full width is the rated command and 1 mm.
+    def picture(self, row: int, period: float, rated: float) -> Picture:
+        """(3/4 width, width, 3): above, the shafts as they now stand, with speeds and commands in numbers; below, the last
+        `SHOWN` control periods. `period` in s; `rated`, the rated command in V, is the range of the axis of the commands.
         """
-        image = np.empty((HEIGHT, WIDTH, 3), np.uint8)
-        image[:] = _WHITE
+        from PIL import Image, ImageDraw
+
+        size = (FINER * self._width, FINER * self._width * DOWN // ACROSS)
+        image = Image.new("RGB", size, _WHITE)
+        page = _Page(ImageDraw.Draw(image), size[0] / ACROSS)
         past = self._past[row]
-        top, bottom, left = 8, 176, 20
-        for level in range(-800, 801, 200):
-            image[_height(level, top, bottom), left : left + SHOWN] = _GRID if level else _BLACK
-        for back in range(0, SHOWN, max(1, round(1.0 / period))):
-            image[top : bottom + 1, left + SHOWN - 1 - back] = _GRID
-        for column, colour in ((0, _BLACK), (1, _COLOURS[0]), (2, _COLOURS[1])):
-            _curve(image, past[:, column], top, bottom, left, colour)
-        middle, half = left + SHOWN // 2, SHOWN // 2
+        now = np.nan_to_num(past[-1])
         for channel, colour in enumerate(_COLOURS):
-            y = 188 + 24 * channel
-            command, spool = np.clip(
-                np.nan_to_num(past[-1, [3 + channel, 5 + channel]]) / (1.0, _SPOOL_M), -1.0, 1.0
-            )
-            ends = sorted((middle, middle + round(half * spool)))
-            image[y + 5 : y + 12, ends[0] : ends[1] + 1] = colour
-            ends = sorted((middle, middle + round(half * command)))
-            image[[y, y + 17], ends[0] : ends[1] + 1] = colour
-            image[y : y + 18, ends] = colour
-            image[y - 2 : y + 20, middle] = _BLACK
-        return image
+            left = 1.0 + 15.5 * channel
+            page.shaft(left + 3.2, 4.0, 3.2, now[_ANGLE[channel]], colour)
+            page.text(left + 7.2, 2.2, f"motor {channel + 1}", colour)
+            page.text(left + 7.2, 4.0, f"{now[_SPEED[channel]]:z.0f} rpm", colour)
+            page.text(left + 7.2, 5.8, f"{now[_COMMAND[channel]]:z.1f} V", colour)
+        page.text(1.0, 8.3, f"set-point {now[_SETPOINT]:z.0f} rpm", _BLACK)
+        difference = now[_SPEED[0]] - now[_SPEED[1]]
+        page.text(31.0, 8.3, f"difference {difference:z.0f} rpm", _BLACK, "rm")
+        end = (self._instants[row] - 1) * period
+        time = end + period * np.arange(1 - SHOWN, 1)
+        speeds = [(past[:, _SETPOINT], _BLACK), *zip(past[:, _SPEED].T, _COLOURS, strict=True)]
+        commands = list(zip(past[:, _COMMAND].T, _COLOURS, strict=True))
+        page.axes((10.9, 16.6), "speed, rpm", time, MOST_RPM, 400.0, speeds)
+        page.axes((18.6, 21.8), "command, V", time, rated, rated, commands)
+        page.times(23.0, time)
+        return np.array(image.reduce(FINER))
 
 
-def _height(speed: float, top: int, bottom: int) -> int:
-    share = float(np.clip(speed / _SPEED_RPM, -1.0, 1.0))
-    return round(0.5 * (top + bottom) - 0.5 * (bottom - top) * share)
+class _Page:
+    """A drawing in units: shafts, text, axes with curves."""
+
+    LEFT, RIGHT = 4.0, 31.0
+
+    def __init__(self, draw: ImageDraw, unit: float) -> None:
+        from PIL import ImageFont
+
+        self.draw, self.unit = draw, unit
+        self.font = ImageFont.load_default(1.25 * unit)
+        self.thin, self.thick = max(1, round(0.06 * unit)), max(1, round(0.16 * unit))
+
+    def text(self, x: float, y: float, text: str, colour: str, anchor: str = "lm") -> None:
+        self.draw.text((x * self.unit, y * self.unit), text, colour, self.font, anchor)
+
+    def line(self, points: Floats, colour: str, width: int) -> None:
+        self.draw.line([tuple(point) for point in points * self.unit], colour, width, joint="curve")
+
+    def shaft(self, x: float, y: float, radius: float, angle: float, colour: str) -> None:
+        """A shaft end with a mark that turns clockwise with positive speed."""
+
+        def box(share: float) -> list[float]:
+            r = share * radius
+            return [side * self.unit for side in (x - r, y - r, x + r, y + r)]
+
+        self.draw.ellipse(box(1.0), _GRID, colour, 2 * self.thick)
+        mark = np.degrees(angle) % 360.0 - 90.0
+        self.draw.pieslice(box(0.8), mark - 22.0, mark + 22.0, colour)
+        self.draw.ellipse(box(0.25), _WHITE, colour, self.thick)
+
+    def axes(
+        self,
+        span: tuple[float, float],
+        title: str,
+        time: Floats,
+        most: float,
+        tick: float,
+        curves: list[Curve],
+    ) -> None:
+        """Curves over time between two heights, for values from -most to most, with a line every `tick`."""
+        top, bottom = span
+        middle, half = 0.5 * (top + bottom), 0.5 * (bottom - top)
+        self.text(self.LEFT, top - 0.95, title, _BLACK)
+        for level in np.arange(-(most // tick), most // tick + 1) * tick:
+            y = middle - half * level / most
+            self.line(np.array([[self.LEFT, y], [self.RIGHT, y]]), _BLACK if level == 0 else _GRID, self.thin)
+            if level in (0.0, tick, -tick):
+                self.text(self.LEFT - 0.3, y, f"{level:z.3g}", _BLACK, "rm")
+        for instant in _seconds(time):
+            x = self.across(instant, time)
+            self.line(np.array([[x, top], [x, bottom]]), _GRID, self.thin)
+        for values, colour in curves:
+            seen = ~np.isnan(values)
+            if seen.sum() > 1:
+                y = middle - half * np.clip(values[seen] / most, -1.0, 1.0)
+                self.line(np.column_stack([self.across(time[seen], time), y]), colour, self.thick)
+
+    def times(self, y: float, time: Floats) -> None:
+        """Numbers and title of the axis of time."""
+        for instant in _seconds(time):
+            x = self.across(instant, time)
+            if x < self.RIGHT - 5.0:
+                self.text(x, y, f"{instant:g}", _BLACK, "mm")
+        self.text(self.RIGHT, y, "time, s", _BLACK, "rm")
+
+    def across(self, instant: Any, time: Floats) -> Any:
+        """Where instants (a number or an array) of the axis of time lie."""
+        return self.LEFT + (self.RIGHT - self.LEFT) * (instant - time[0]) / (time[-1] - time[0])
 
 
-def _curve(
-    image: Picture, values: Floats, top: int, bottom: int, left: int, colour: tuple[int, int, int]
-) -> None:
-    before = None
-    for x, value in enumerate(values):
-        if np.isnan(value):
-            continue
-        y = _height(float(value), top, bottom)
-        low, high = (y, y) if before is None else (min(before, y), max(before, y))
-        image[low : high + 1, left + x] = colour
-        before = y
+def _seconds(time: Floats) -> Floats:
+    """Instants of the episode at which the axis of time has a line: about one a third of it."""
+    step = 10.0 ** np.floor(np.log10(time[-1] - time[0]))
+    ticks = np.arange(np.ceil(max(time[0], 0.0) / step), np.floor(time[-1] / step + 1e-9) + 1) * step
+    return np.round(ticks, 9)

@@ -1,7 +1,8 @@
-"""Scores of a policy during training, on the split `val` alone and in rpm."""
+"""Scores of a policy during training, in rpm, and its return; never on pairs of a test split unless it is trained on them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,17 @@ from scipy.stats import trim_mean
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.rollout import roll_out
 
-__all__ = ["METRICS", "evaluate"]
+__all__ = ["METRICS", "evaluate", "scored_pairs"]
 
 METRICS = ("max_speed_difference_rpm", "rms_speed_difference_rpm", "tracking_mae_rpm", "command_variation")
+
+
+def scored_pairs(env_kwargs: Mapping[str, Any]) -> dict[str, Any]:
+    """Plant, control period and mismatch on which a policy trained with these arguments is scored: pairs of `val` for those
+    of `train`, otherwise the mismatch it is trained on (the plant's own pair, with other noise, if that is `null`)."""
+    kwargs = {key: env_kwargs[key] for key in ("plant", "control_period") if key in env_kwargs}
+    mismatch = env_kwargs.get("mismatch", "train")
+    return {**kwargs, "mismatch": "val" if mismatch == "train" else mismatch}
 
 
 def evaluate(
@@ -22,13 +31,11 @@ def evaluate(
     env_kwargs: dict[str, Any],
     scenario: str = "setpoint_steps",
 ) -> dict[str, float]:
-    """Interquartile means over the first `pairs` pairs of `val` in a scenario, and the 95th percentile of the largest
-    speed difference. A policy that is trained on the plant's own pair (`mismatch: null`) is scored on that one, `pairs`
-    times with other noise."""
-    kwargs = {key: env_kwargs[key] for key in ("plant", "control_period") if key in env_kwargs}
-    mismatch = None if env_kwargs.get("mismatch", "train") is None else "val"
-    episodes = roll_out(NumpyPolicy(policy), range(pairs), mismatch=mismatch, scenario=scenario, **kwargs)
+    """Interquartile means over the first `pairs` pairs of `scored_pairs` in a scenario, the 95th percentile of the largest
+    speed difference, and the mean return with the environment's default weights."""
+    episodes = roll_out(NumpyPolicy(policy), range(pairs), scenario=scenario, **scored_pairs(env_kwargs))
     metrics = episodes.metrics(METRICS)
     scores = {name: float(trim_mean(metrics[name], 0.25)) for name in METRICS}
     scores["max_speed_difference_rpm_p95"] = float(np.percentile(metrics["max_speed_difference_rpm"], 95))
+    scores["mean_return"] = float(np.mean(episodes.returns))
     return scores

@@ -158,8 +158,7 @@ def versions() -> dict[str, str]:
 def staggered(rigs: HydraulicSyncVecEnv, groups: int = 16) -> list[dict[str, Any]]:
     """Options that let the first episodes end at different times, so that a rollout holds every phase of an episode."""
     batch = rigs.batch
-    length = batch.scenario.steps(batch.control_period)
-    length = length if batch.max_episode_steps is None else min(length, batch.max_episode_steps)
+    length = batch.episode_steps
     durations = [max(1, length * (group + 1) // groups) * batch.control_period for group in range(groups)]
     scenarios = [replace(batch.scenario, duration=duration) for duration in durations]
     return [{"scenario": scenarios[row % groups]} for row in range(rigs.num_envs)]

@@ -236,7 +236,7 @@ def test_spaces_and_metadata():
 
 def test_render():
     frames = make(2, render_mode="rgb_array").render()
-    assert len(frames) == 2 and frames[0].shape == (240, 320, 3)
+    assert len(frames) == 2 and frames[0].shape == (480, 640, 3)
 
 
 def test_wrong_use_is_named():

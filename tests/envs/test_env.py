@@ -2,18 +2,22 @@
 
 import copy
 import pickle
+import sys
 import warnings
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import RecordVideo
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hydro_env  # noqa: F401 (registers the environment)
 from hydro_env.envs import OBSERVATION, HydraulicSyncEnv, decode
 from hydro_env.envs.observation import LIMIT, SCALES
+from hydro_env.envs.render import Recorder
+from hydro_env.envs.step_kernels import TRUE
 from hydro_env.errors import InputError
 from hydro_env.tasks import draw_pairs
 from hydro_env.tasks.mismatch import CASE_STRIDE
@@ -292,16 +296,82 @@ def test_stuck_and_noisy_speed_sensors():
     assert (shown - true)[:, 1].std() == pytest.approx(20, rel=0.2)
 
 
-def test_render():
-    env = make(render_mode="rgb_array", scenario="setpoint_steps")
+@pytest.mark.parametrize("width", [320, 1280])
+def test_pictures_show_shafts_speeds_and_commands(width):
+    pytest.importorskip("PIL")
+    env = make(render_mode="rgb_array", scenario="setpoint_steps", render_width=width)
     env.reset(seed=0)
     first = env.render()
     run(env, 60, np.random.default_rng(0))
     later = env.render()
-    assert first.shape == later.shape == (240, 320, 3)
+    assert first.shape == later.shape == (width * 3 // 4, width, 3)
     assert first.dtype == np.uint8
-    assert (first != later).any()
+    changed = (first != later).any(axis=2)
+    third, half = width // 4, width // 2
+    for part in (
+        changed[:third, :half],
+        changed[:third, half:],
+        changed[third : 2 * third],
+        changed[2 * third :],
+    ):
+        assert part.any()  # shaft 1 and its numbers, shaft 2, speeds, commands
     assert make().render() is None
+
+
+def test_shafts_in_pictures_turn():
+    pytest.importorskip("PIL")
+    recorder = Recorder(2, 320)
+    true, rows = np.zeros((2, TRUE)), np.arange(2)
+    recorder.add(rows, true, np.array([[0.0, 1.0], [0.0, 1.0 + 2 * np.pi]]))
+    one, two = (recorder.picture(row, 0.01, 73.0) for row in (0, 1))
+    assert (one == two).all()  # a whole turn further
+    recorder.add(rows, true, np.array([[0.0, 1.0], [0.0, 2.0]]))
+    one, two = (recorder.picture(row, 0.01, 73.0) for row in (0, 1))
+    differ = (one != two).any(axis=2)
+    assert differ[:80, 160:].any() and not differ[:, :160].any()
+
+
+def test_pictures_without_the_extra_say_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "PIL", None)
+    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r"hydro_env\[render\]"):
+        make(render_mode="rgb_array")
+
+
+def test_videos_are_recorded(tmp_path):
+    pytest.importorskip("moviepy")
+    env = gymnasium.make(
+        "hydro_env:HydraulicSync-v0", render_mode="rgb_array", scenario={"duration": 0.1}, render_width=320
+    )
+    env = RecordVideo(env, str(tmp_path / "videos"))
+    env.reset(seed=0)
+    over = False
+    while not over:
+        *_, over, _ = env.step(np.array([0.5, 0.5], np.float32))
+    env.close()
+    (video,) = (tmp_path / "videos").glob("*.mp4")
+    assert video.stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "steps", "threshold"),
+    [
+        ({}, 600, -150.0),
+        ({"history": 3}, 600, -150.0),
+        ({"scenario": "staircase"}, 800, None),
+        ({"control_period": 0.005, "mismatch": "own"}, 1200, None),
+    ],
+)
+def test_the_specification_of_what_was_made_has_its_length(arguments, steps, threshold):
+    """No limit of Gymnasium's cuts an episode off, neither of this environment nor of one made again from its specification."""
+    made = gymnasium.make("hydro_env:HydraulicSync-v0", **arguments)
+    assert (made.spec.max_episode_steps, made.spec.reward_threshold) == (steps, threshold)
+    for env in (made, gymnasium.make(made.spec)):
+        env.reset(seed=0)
+        ends = [env.step(np.zeros(2, np.float32))[3] for _ in range(steps)]
+        assert not any(ends[:-1]) and ends[-1]
+        assert env.spec == made.spec
+    batch = gymnasium.make_vec("hydro_env:HydraulicSync-v0", num_envs=2, **arguments)
+    assert (batch.spec.max_episode_steps, batch.spec.reward_threshold) == (steps, threshold)
 
 
 @pytest.mark.parametrize(
@@ -317,6 +387,7 @@ def test_render():
         ({"reward": {"tracing": 1.0}}, "tracing"),
         ({"reward": {"tracking": "much"}}, "tracking"),
         ({"render_mode": "ansi"}, "render_mode"),
+        ({"render_mode": "rgb_array", "render_width": 10}, "render_width"),
         ({"scenario": {"duration": 1e-4}}, "shorter"),
     ],
 )

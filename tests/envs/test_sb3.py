@@ -90,7 +90,7 @@ def test_attributes_and_methods():
     assert env.get_attr("control_period", [0, 2]) == [0.01, 0.01]
     assert env.has_attr("scenario") and not env.has_attr("nothing")
     assert env.env_is_wrapped(VecMonitor) == [False] * 3
-    assert env.env_method("render", indices=1)[0].shape == (240, 320, 3)
+    assert env.env_method("render", indices=1)[0].shape == (480, 640, 3)
     assert env.render().ndim == 3
     env.set_attr("max_episode_steps", 4)
     assert env.get_attr("max_episode_steps") == [4] * 3

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 
 OPTIONAL = (
     "torch", "stable_baselines3", "sb3_contrib", "onnx", "onnxruntime", "tensorboard", "plotly", "jinja2", "matplotlib",
-    "pandas", "pyarrow", "asammdf", "nptdms", "h5py", "pygame", "ray", "agents",
+    "pandas", "pyarrow", "asammdf", "nptdms", "h5py", "pygame", "PIL", "moviepy", "ray", "agents",
 )  # fmt: skip
 """No module of the core may import these when it is imported."""
 

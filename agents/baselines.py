@@ -1,0 +1,271 @@
+"""Learning curves of Stable-Baselines3 at its default settings, and the line to beat:
+`python -m agents.baselines --algo ppo sac --seeds 5 --steps 150000 --out runs/baselines`.
+
+Every seed is one rig, the plain observation, the environment's reward and the algorithm's own defaults: nothing is tuned. OUT
+receives a sweep of `agents.sweep` for each algorithm, and `baselines.json`, `.md` and `.png`: mean return, peak synchronisation
+error and tracking error over control periods, beside those of classical controllers on the same episodes. The same command again
+goes on with what is not finished.
+
+`--rung` trains on another rung of the ladder of tasks, from easy to hard. `--lines` measures the classical controllers on every
+rung, without training, and writes the table of the documents, `ladder.md`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from agents.command import run_command
+from hydro_env.files import write_bytes, write_json
+from hydro_env.limits import CORES, Limits
+from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
+
+__all__ = ["LADDER", "lines", "main", "training_file"]
+
+SCHEMA = "hydro_env/baselines/1"
+ALGORITHMS = ("ppo", "sac")
+
+#: Arguments of the environment for tasks from easy to hard, and what each adds.
+LADDER: dict[str, tuple[str, dict[str, Any]]] = {
+    "equal": (
+        "two equal valves without dead zone",
+        {"plant": "paper", "mismatch": {"Kq": 476106e-6, "Fc": 0.1, "Fs": 0.2, "vs": 0.007}},
+    ),
+    "pair": ("the paper's two valves, one with a dead zone, always the same", {"mismatch": "own"}),
+    "train": ("another pair of valves in every episode: the default", {}),
+    "test_extrap": ("valves beyond the training ranges", {"mismatch": "test_extrap"}),
+    "rig": ("a realistic machine: 24 V coils, supply droop, friction of the motors", {"plant": "rig"}),
+}
+#: Controllers that the lines show; the shipped agent is `ppo`, a network on a model-based law, and `ppo_rig` on `rig`.
+CONTROLLERS = ("pid_paper", "pid_tuned", "cross_coupled", "shipped agent")
+SCENARIOS = ("random_steps", "setpoint_steps")
+PEAK, TRACKING, RETURN = "max_speed_difference_rpm", "tracking_mae_rpm", "mean_return"
+TITLES = {
+    RETURN: "mean return",
+    PEAK: "peak synchronisation error, rpm",
+    TRACKING: "mean absolute tracking error, rpm",
+}
+#: Control periods between two points of a curve; checkpoints of SAC hold its replay buffer and are rarer.
+EVALUATE_EVERY, CHECKPOINT_EVERY = 10_000, 50_000
+
+
+class Still:
+    """Zero commands: what the other returns are to be compared with."""
+
+    def reset(self, num_rigs: int, control_period: float) -> None:
+        """Has nothing to forget."""
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Zero commands (n, 2)."""
+        return np.zeros((len(observation), 2))
+
+
+def training_file(algorithm: str, rung: str, steps: int, pairs: int) -> str:
+    """The text of a training file that changes nothing of the algorithm's default settings."""
+    table = {
+        "HydraulicSync-v0": {"n_envs": 1, "n_timesteps": steps, "env_kwargs": LADDER[rung][1]},
+        "training": {
+            "algorithm": algorithm,
+            "evaluate_every": EVALUATE_EVERY,
+            "checkpoint_every": CHECKPOINT_EVERY,
+            "evaluate_scenarios": list(SCENARIOS),
+            "evaluate_pairs": pairs,
+        },
+    }
+    return yaml.safe_dump(table, sort_keys=False)
+
+
+def lines(rung: str, pairs: int) -> dict[str, dict[str, dict[str, float]]]:
+    """Of every controller and scenario: mean return, interquartile means of peak and tracking error, on the episodes that
+    evaluations of a training run drive."""
+    from hydro_env.benchmark.statistics import iqm
+    from hydro_env.controllers import make_controller
+    from hydro_env.controllers.rollout import roll_out
+    from hydro_env.training.evaluate import scored_pairs
+
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for name in ("zero commands", *CONTROLLERS):
+        found[name] = {}
+        for scenario in SCENARIOS:
+            shipped = "ppo_rig" if rung == "rig" else "ppo"
+            controller = (
+                Still()
+                if name == "zero commands"
+                else make_controller(shipped if name == "shipped agent" else name)
+            )
+            episodes = roll_out(controller, range(pairs), scenario=scenario, **scored_pairs(LADDER[rung][1]))
+            metrics = episodes.metrics((PEAK, TRACKING))
+            found[name][scenario] = {
+                RETURN: float(np.mean(episodes.returns)),
+                **{metric: float(iqm(values)) for metric, values in metrics.items()},
+            }
+    return found
+
+
+def train(arguments: argparse.Namespace, command: str) -> None:
+    """Trains every seed of every algorithm; writes `baselines.json` and the picture."""
+    from agents.sweep import sweep
+    from hydro_env.training.config import read_config
+
+    out: Path = arguments.out
+    out.mkdir(parents=True, exist_ok=True)
+    curves, final = {}, {}
+    for algorithm in arguments.algo:
+        file = out / f"{algorithm}.yml"
+        write_bytes(file, training_file(algorithm, arguments.rung, arguments.steps, arguments.pairs).encode())
+        summary = sweep(
+            read_config(file),
+            range(arguments.seeds),
+            out / algorithm,
+            jobs=arguments.jobs,
+            pairs=arguments.pairs,
+            command=command,
+            progress=not arguments.quiet,
+        )
+        final[algorithm] = summary["rows"]
+        curves[algorithm] = [
+            read_json(
+                out / algorithm / f"seed_{each['seed']}" / "curve.json",
+                "a learning curve",
+                most=MOST_BYTES_OF_RESULTS,
+            )
+            for each in summary["seeds"]
+        ]
+        for each in summary["failed"]:
+            print(f"{algorithm}, seed {each['seed']} failed: {each['reason']}", file=sys.stderr)
+    measured = {
+        "schema": SCHEMA,
+        "command": command,
+        "rung": arguments.rung,
+        "pairs": arguments.pairs,
+        "curves": curves,
+        "final": final,
+        "lines": lines(arguments.rung, arguments.pairs),
+    }
+    write_json(out / "baselines.json", measured)
+    draw(curves, measured["lines"], out / "baselines.png")
+    summary_table(measured, out / "baselines.md")
+
+
+def draw(
+    curves: Mapping[str, Sequence[Any]], levels: Mapping[str, Mapping[str, Mapping[str, float]]], out: Path
+) -> None:
+    """Writes the picture: a panel for each figure, a line for each seed, `levels` as dashed lines."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    from agents.curves import COLOURS
+
+    figure, axes = plt.subplots(1, 3, figsize=(12, 4))
+    for axis, metric in zip(axes, (RETURN, PEAK, TRACKING), strict=True):
+        for algorithm, seeds in curves.items():
+            for number, points in enumerate(seeds):
+                thousands = [point["steps"] / 1e3 for point in points]
+                values = [abs(point[metric]) for point in points]
+                label = f"{algorithm.upper()}, a line per seed" if number == 0 else None
+                axis.plot(thousands, values, ".-", color=COLOURS[algorithm], lw=1, label=label)
+        for grey, (name, level) in zip(("0.75", "0.6", "0.45", "0.3", "0.0"), levels.items(), strict=True):
+            axis.axhline(abs(level[SCENARIOS[0]][metric]), color=grey, lw=1, ls="--", label=name)
+        axis.set_yscale("log")
+        axis.set_xlabel("thousand control periods")
+        axis.set_ylabel(TITLES[metric] if metric != RETURN else "minus the mean return")
+        axis.grid(True, which="both", color="0.92")
+    axes[-1].legend(fontsize=8)
+    figure.suptitle(
+        f"{SCENARIOS[0]}, default settings of Stable-Baselines3; lower is better in every panel", fontsize=10
+    )
+    figure.tight_layout()
+    memory = io.BytesIO()
+    figure.savefig(memory, format="png", dpi=90)
+    plt.close(figure)
+    write_bytes(out, memory.getvalue())
+
+
+def ladder(arguments: argparse.Namespace) -> None:
+    """Measures the lines of every rung; writes `ladder.json` and `ladder.md`."""
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    found = {rung: lines(rung, arguments.pairs) for rung in LADDER}
+    write_json(arguments.out / "ladder.json", {"schema": SCHEMA, "pairs": arguments.pairs, "lines": found})
+    names = ["zero commands", *CONTROLLERS]
+    rows = []
+    for rung, levels in found.items():
+        what, kwargs = LADDER[rung]
+        returns = [f"{levels[name][SCENARIOS[0]][RETURN]:.0f}" for name in names]
+        rows.append([f"`{rung}`: {what}", f"`{_arguments(kwargs)}`" if kwargs else "none", *returns])
+    write_table(
+        arguments.out / "ladder.md", ["rung", "arguments of `gymnasium.make`", *map(_code, names)], rows
+    )
+
+
+def summary_table(measured: Mapping[str, Any], out: Path) -> None:
+    """Writes the last row of figures of every algorithm and the lines; over seeds the interquartile mean and its interval."""
+    head = ["controller", "mean return"]
+    head += [f"peak / tracking error in `{scenario}`, rpm" for scenario in SCENARIOS]
+    rows = []
+    for algorithm, final in measured["final"].items():
+        cells = {(row["scenario"], row["metric"]): row for row in final}
+        if cells:
+            best = cells[SCENARIOS[0], RETURN]
+            row = [
+                f"{algorithm.upper()}, best of each of {best['n']} seeds",
+                "{:.0f} [{:.0f}, {:.0f}]".format(best["iqm"], *best["ci95"]),
+            ]
+            row += [f"{cells[s, PEAK]['iqm']:.0f} / {cells[s, TRACKING]['iqm']:.0f}" for s in SCENARIOS]
+            rows.append(row)
+    for name, levels in measured["lines"].items():
+        errors = [f"{levels[s][PEAK]:.0f} / {levels[s][TRACKING]:.0f}" for s in SCENARIOS]
+        rows.append([_code(name), f"{levels[SCENARIOS[0]][RETURN]:.0f}", *errors])
+    write_table(out, head, rows)
+
+
+def write_table(path: Path, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table in Markdown, which `docs/generate.py NAME=FILE` takes."""
+    text = "\n".join("| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rows])
+    write_bytes(path, f"{text}\n".encode())
+    print(path)
+
+
+def _code(name: str) -> str:
+    return f"`{name}`" if "_" in name else name
+
+
+def _arguments(kwargs: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key}={value!r}" for key, value in kwargs.items())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m agents.baselines",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--algo", choices=ALGORITHMS, nargs="+", default=list(ALGORITHMS))
+    parser.add_argument("--seeds", type=Limits(1, 1000, whole=True), default=5, help="how many, from 0 on")
+    parser.add_argument(
+        "--steps", type=Limits(1, 10**12, whole=True), default=150_000, help="control periods"
+    )
+    parser.add_argument("--rung", choices=LADDER, default="train", help="of the ladder of tasks")
+    parser.add_argument(
+        "--pairs", type=Limits(1, 500, whole=True), default=64, help="episodes of an evaluation"
+    )
+    parser.add_argument("--jobs", type=CORES, default=1, help="seeds trained side by side")
+    parser.add_argument("--lines", action="store_true", help="the classical controllers alone, on every rung")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write to")
+    arguments = parser.parse_args()
+    command = " ".join(["python -m agents.baselines", *sys.argv[1:]])
+    run_command(lambda: ladder(arguments) if arguments.lines else train(arguments, command))
+
+
+if __name__ == "__main__":
+    main()
