@@ -1,12 +1,13 @@
 """How finely a channel has to be stepped, from its parameters alone.
 
 The spool is what limits the substep of h seconds; the method damps coil, pressure and shaft. With its greatest force F and
-mass m it gains the speed a h in a substep, a = 2 F / m. Four ratios say what a substep resolves:
+mass m it gains the speed a h in a substep, a = 2 F / m. Five ratios say what a substep resolves:
 
     stretch    h s1 / m                             damping of the bristles against the mass
     contact    h sqrt(k_stop / m)                   natural frequency at an end stop
     blow       h sqrt(k_stop (1 + v / v_stop) / m)  the same at the blow, v = sqrt(F x_max / m)
-    coupled    stretch * a h^2 / g                  how often a spool that turns moves its bristles by their travel g = Fc / s0
+    turn       a h^2 / g                            how often a spool that turns moves its bristles by their travel g = Fc / s0
+    coupled    stretch * turn                       the same with damped bristles
 
 The last one falls with the third power of h; it grows where static friction is more than four times the Coulomb friction, to
 which it has to fall. Where a hysteresis follows the current, the coil counts too, with h R / L. Each has to stay below a
@@ -42,11 +43,15 @@ def bristle_parts(substep, force, m, Fc, Fs, s0, s1):
     friction = Fc if Fc < Fs else Fs
     drop = Fs / (4.0 * Fc)
     stretch = substep * s1 / m
-    coupled = substep * substep * 2.0 * force * s0 / (m * friction) * stretch * (drop if drop > 1.0 else 1.0)
+    turn = substep * substep * 2.0 * force * s0 / (m * friction)
+    coupled = turn * stretch * (drop if drop > 1.0 else 1.0)
     coupled = coupled / 0.55
     stretch = stretch / 0.65
+    turn = turn / 6.0
     cubed = stretch * stretch * stretch
-    return cubed if cubed > coupled else coupled
+    cubed = cubed if cubed > coupled else coupled
+    turned = turn * sqrt(turn)
+    return cubed if cubed > turned else turned
 
 
 def stop_parts(substep, force, m, x_max, k_stop, v_stop):

@@ -30,7 +30,7 @@ from .template import DELAY, EXCHANGE, MODULE
 __all__ = ["Module", "module_text"]
 
 #: Beyond these magnitudes (SI) a state counts as diverged; a state of an effect beyond the last.
-STATE_CAPS = (1e3, 1e-2, 1e3, 1e-2, 1e10, 1e5, 1e12)
+STATE_CAPS = (1e3, 1e-2, 1e3, 1e-2, 1e12, 1e7, 1e12)
 #: A lane at an end stop takes a substep in so many parts; at a sharp bend of an effect, as many as the effect asks for.
 STOP_PARTS = 5
 
