@@ -1,7 +1,7 @@
 """Two hydraulic motors behind two unequal proportional valves.
 
 hydro_env.plant         the rig: equations, effects, fast batched simulation
-hydro_env.envs          the Gymnasium environment `HydraulicSync-v0`, single and batched
+hydro_env.envs          the Gymnasium environments `HydraulicSync-v0` and `HydraulicSyncIncrement-v0`
 hydro_env.controllers   classical and learned controllers
 hydro_env.benchmark     their scores on a fixed suite
 hydro_env.diagnosis     what a model lacks, found from logs
@@ -13,11 +13,17 @@ from gymnasium.envs.registration import register as _register
 __version__ = "0.1.0"
 __all__ = ["__version__"]
 
-_register(
-    id="HydraulicSync-v0",
-    entry_point="hydro_env.envs.hydraulic_sync:HydraulicSyncEnv",
-    vector_entry_point="hydro_env.envs.batch:HydraulicSyncVectorEnv",
-    # Mean return of `cross_coupled`, the best classical law without privileged information, over 1000 episodes of the default
-    # task, rounded (standard error 1.4). Episodes end themselves: see `envs.made_spec`.
-    reward_threshold=-150.0,
-)
+for _id, _arguments in (
+    ("HydraulicSync-v0", {}),
+    # Actions change the command, as in the velocity form of a PID, so that a policy without memory can integrate.
+    ("HydraulicSyncIncrement-v0", {"increment": 0.3, "history": 2}),
+):
+    _register(
+        id=_id,
+        entry_point="hydro_env.envs.hydraulic_sync:HydraulicSyncEnv",
+        vector_entry_point="hydro_env.envs.batch:HydraulicSyncVectorEnv",
+        kwargs=_arguments,
+        # Mean return of `cross_coupled`, the best classical law without privileged information, over 1000 episodes of the
+        # default task, rounded (standard error 1.4). Episodes end themselves: see `envs.made_spec`.
+        reward_threshold=-150.0,
+    )

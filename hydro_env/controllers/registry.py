@@ -104,7 +104,8 @@ def make_controller(spec: Any, *, trust: bool = False, **overrides: Any) -> Any:
     `NAME:gain=1.5,other=2`; `file.py` will do for a file with one controller.
 
     `overrides` replace single gains of a controller with gains, or are passed to a class. `trust`: whether files may run code: a
-    .zip, which is a pickle, and gains of a law in a Python file.
+    .zip, which is a pickle, and gains of a law in a Python file. An agent that was trained with `increment` gets it as
+    `my_agent.zip:increment=0.3`.
     InputError says which names there are, and which one was probably meant.
     """
     if not isinstance(spec, str | Path):
@@ -166,7 +167,8 @@ def _unchanged(text: str, trust: bool, gains: dict[str, Any]) -> tuple[Any, dict
     if text.endswith(".zip"):
         from hydro_env.controllers.learned.sb3_policy import Sb3Policy
 
-        return Sb3Policy(path, path.stem, trust), gains
+        own = dict(gains)
+        return Sb3Policy(path, path.stem, trust, own.pop("increment", None)), own
     if text.endswith(".py"):
         text, *others = controllers_in(text)
         if others:

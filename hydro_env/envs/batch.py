@@ -46,6 +46,7 @@ DIVERGED = "diverged: the simulation of the plant is no longer finite or plausib
 NUM_ENVS = Limits(1, 2**40, whole=True)
 CONTROL_PERIOD = Limits(1e-4, 1.0, unit="s")
 HISTORY = Limits(1, 1000, whole=True, unit="frames")
+INCREMENT = Limits(1e-6, 2.0)
 RENDER_WIDTH = Limits(160, 7680, whole=True, unit="pixels")
 EPISODE = Limits(1, 2**40, whole=True, unit="steps")
 SEED = Limits(0, 2**128 - 1, whole=True)
@@ -92,11 +93,13 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         max_episode_steps: int | None = None,
         dtype: str = "float64",
         render_width: int = 640,
+        increment: float | None = None,
     ) -> None:
         super().__init__()
         self.num_envs = NUM_ENVS.check(num_envs, "num_envs")
         self.control_period = CONTROL_PERIOD.check(control_period, "control_period")
         self.history = HISTORY.check(history, "history")
+        self.increment = None if increment is None else INCREMENT.check(increment, "increment")
         self.max_episode_steps = (
             None if max_episode_steps is None else EPISODE.check(max_episode_steps, "max_episode_steps")
         )
@@ -121,9 +124,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         # First of what takes room, so that a batch that cannot fit is refused in its words.
         self._effects: tuple[str, ...] = ()
         self._build(self.mismatch)
-        width = FRAME * self.history
         _check_room(self.num_envs, self.history)
-        self.single_observation_space = spaces.Box(-LIMIT, LIMIT, (width,), np.float32)
+        self.single_observation_space = spaces.Box(-LIMIT, LIMIT, (FRAME * self.history,), np.float32)
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -279,6 +281,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         wanted = np.ascontiguousarray(actions, dtype=np.float64)
         if wanted.shape != self._command.shape:
             raise ValueError(f"actions have the shape {wanted.shape}, expected {self._command.shape}")
+        if self.increment is not None:
+            wanted = self._fraction + self.increment * np.clip(wanted, -1.0, 1.0)
         if not apply(
             wanted, self._rated, self._step, self._last, self._load, self._fraction, self._moved, self._command,
             self._torque,

@@ -36,7 +36,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ## Action space
 
     `Box(-1, 1, (2,), float32)`: the commands of valve 1 and valve 2 as fractions of the rated command (73 V), held over
-    the control period. Values beyond are clipped; values that are not finite raise a ValueError.
+    the control period. Values beyond are clipped; values that are not finite raise a ValueError. With `increment` they are
+    changes of the commands, in fractions of that increment.
 
     ## Observation space
 
@@ -72,8 +73,9 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     True values, without noise and lag: `speed_rpm` (2,), `setpoint_rpm`, `speed_difference_rpm` (1 less 2),
     `command_V` (2,), `angle_difference_deg` (1 less 2). After a step also `reward_tracking`, `reward_difference`,
-    `reward_variation`; after a reset `mismatch` (parameter: (2,) values, SI), `fault` (its name, or "") and `case`
-    (number in the split's list, -1 if it has none).
+    `reward_variation`, and costs for constrained methods: `cost_difference`, by how many rpm the speed difference exceeds
+    20 rpm, and `cost_travel`, the mean change of the commands as a fraction of the rated one. After a reset `mismatch`
+    (parameter: (2,) values, SI), `fault` (its name, or "") and `case` (number in the split's list, -1 if it has none).
 
     ## Arguments
 
@@ -91,6 +93,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     * `history`: frames in an observation, default 1.
     * `noise`: factor on the sensors' noise, 0 for none, or levels such as {"speed_rpm": 2.0}.
     * `reward`: weights to be changed, such as {"variation": 0.5}.
+    * `increment`: None, or what an action of 1 adds to the command in a control period, as a fraction of the rated one.
 
     `reset(options=...)` takes, for that episode, `mismatch`, `scenario` and `case` (number of the case of a split with
     a fixed list). Anything unknown raises `hydro_env.errors.InputError`.
@@ -103,7 +106,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Version history
 
-    * v0: first version.
+    * v0: first version. `HydraulicSyncIncrement-v0` is the same with `increment=0.3, history=2`.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012 (Gymnasium's way)
@@ -121,6 +124,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         noise: float | Mapping[str, float] = 1.0,
         reward: Mapping[str, float] | Reward | None = None,
         render_width: int = 640,
+        increment: float | None = None,
     ) -> None:
         self.batch = HydraulicSyncVectorEnv(
             1,
@@ -134,6 +138,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             reward=reward,
             autoreset_mode=AutoresetMode.DISABLED,
             render_width=render_width,
+            increment=increment,
         )
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.batch.metadata["render_fps"]}
@@ -190,6 +195,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             "reward_tracking": values[7],
             "reward_difference": values[8],
             "reward_variation": values[9],
+            "cost_difference": values[10],
+            "cost_travel": values[11],
         }
         ended = bool(terminated[0])
         if ended:

@@ -18,6 +18,7 @@ SAME_TASK = {
     "render_mode",
     "render_width",
     "history",
+    "increment",
     "dtype",
     "num_envs",
     "vectorization_mode",

@@ -26,8 +26,12 @@ COLUMNS: dict[str, slice | int] = {
     "reward_tracking": 7,
     "reward_difference": 8,
     "reward_variation": 9,
+    "cost_difference": 10,
+    "cost_travel": 11,
 }
-TRUE = 10
+TRUE = 12
+#: Speed difference, rpm, beyond which `cost_difference` counts; what good controllers stay below once the motors run.
+COST_BOUND_RPM = 20.0
 
 _TO_RPM = 1.0 / RPM
 _TO_DEG = 1.0 / DEGREE
@@ -94,16 +98,14 @@ def look(
         observation[i, newest + 7] = fraction[i, 0]
         observation[i, newest + 8] = fraction[i, 1]
         for j in range(newest, observation.shape[1]):
-            value = observation[i, j]
-            value = value if value < limit else limit
+            value = observation[i, j] if observation[i, j] < limit else limit
             observation[i, j] = value if value > -limit else -limit
 
         one = cells[where[0], lane] * _TO_RPM
         two = cells[where[0], lane + half] * _TO_RPM
         aim = setpoint[i, t - 1 if t > 0 else 0] * _TO_RPM  # the set-point that was in force
         tracking = -weights[0] * 0.5 * (abs(one - aim) + abs(two - aim))
-        difference = -weights[1] * abs(one - two)
-        variation = -weights[2] * moved[i]
+        difference, variation = -weights[1] * abs(one - two), -weights[2] * moved[i]
         lost = cells[where[5], lane] > 0.0 or cells[where[5], lane + half] > 0.0
         true[i, 0] = one
         true[i, 1] = two
@@ -115,6 +117,8 @@ def look(
         true[i, 7] = tracking
         true[i, 8] = difference
         true[i, 9] = variation
+        true[i, 10] = max(abs(one - two) - COST_BOUND_RPM, 0.0)
+        true[i, 11] = moved[i]
         reward[i] = tracking + difference + variation - (weights[3] if lost else 0.0)
         terminated[i] = lost
         truncated[i] = now >= end

@@ -204,12 +204,37 @@ def test_reward_by_hand():
         assert info["reward_difference"] == pytest.approx(parts[1])
         assert info["reward_variation"] == pytest.approx(parts[2])
         assert reward == pytest.approx(sum(parts))
+        assert info["cost_difference"] == pytest.approx(max(abs(one - two) - 20.0, 0.0))
+        assert info["cost_travel"] == pytest.approx(np.abs(action - before).mean())
         before = action
     assert info["setpoint_rpm"] == pytest.approx(100)
     np.testing.assert_allclose(env.batch.course().setpoint[[0, 4, 5]], np.array([300, 300, 100]) * RPM)
     env = make(reward={"tracking": 0.0, "difference": 0.0, "variation": 2.0})
     env.reset(seed=0)
     assert env.step(np.array([1.0, 0.0]))[1] == pytest.approx(-1.0)
+
+
+def test_increments_change_the_command():
+    """Driven with the sums of the same actions, HydraulicSync-v0 shows the same signals, bit for bit."""
+    changing, plain = gymnasium.make("hydro_env:HydraulicSyncIncrement-v0"), make(history=2)
+    assert changing.observation_space.shape == (18,) and changing.spec.reward_threshold == -150.0
+    batch = gymnasium.make_vec("hydro_env:HydraulicSyncIncrement-v0", num_envs=2)
+    observation, other = changing.reset(seed=3)[0], plain.reset(seed=3)[0]
+    rows = batch.reset(seed=3)[0]
+    command = np.zeros(2)
+    stream = np.random.default_rng(0)
+    for _ in range(40):
+        np.testing.assert_array_equal(observation, other)
+        np.testing.assert_array_equal(observation, rows[0])
+        action = stream.uniform(-1.5, 1.5, 2)
+        command = np.clip(command + 0.3 * np.clip(action, -1.0, 1.0), -1.0, 1.0)
+        observation, reward, *_, info = changing.step(action)
+        other, expected, *_ = plain.step(command)
+        rows = batch.step(np.stack([action, action]))[0]
+        assert reward == expected
+        np.testing.assert_allclose(info["command_V"], 73.0 * command)
+    with pytest.raises(ValueError, match="not finite"):
+        changing.step(np.array([np.nan, 0.0]))
 
 
 def test_episode_ends_by_truncation_with_its_scenario():

@@ -55,6 +55,7 @@ MOST_PARAMETERS = 10
 CROWDED = {
     "hydro_env.plant.rhs.rates": "states, inputs and parameters of one channel by their own names",
     "hydro_env.envs.batch.HydraulicSyncVectorEnv.__init__": "the keyword arguments of gymnasium.make_vec",
+    "hydro_env.envs.hydraulic_sync.HydraulicSyncEnv.__init__": "the keyword arguments of gymnasium.make",
     "hydro_env.envs.step_kernels.look": "called every step: unpacking named tuples costs 2 us, a tenth of a step of one rig",
     "hydro_env.plant.catalogue.form_corrections.valve._gain_curve": "a law asks by name for all that it reads",
     "hydro_env.plant.catalogue.form_corrections.valve._second_bristle": "a law asks by name for all that it reads",

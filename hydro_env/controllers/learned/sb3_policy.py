@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
+from hydro_env.envs.batch import INCREMENT
 from hydro_env.envs.observation import OBSERVATION
 from hydro_env.errors import InputError
 
@@ -22,14 +23,16 @@ __all__ = ["Sb3Policy"]
 
 
 class Sb3Policy:
-    """Drives with the deterministic action of a saved agent; one that was trained with `history` gets its frames.
+    """Drives with the deterministic action of a saved agent; one that was trained with `history` gets its frames, one that was
+    trained with `increment` (HydraulicSyncIncrement-v0: 0.3) changes its commands by its actions.
 
     InputError for a file that is not trusted or not saved by Stable-Baselines3, and for an agent with other observations or
     actions than those of `HydraulicSync-v0`.
     """
 
-    def __init__(self, path: Path, name: str, trust: bool) -> None:
+    def __init__(self, path: Path, name: str, trust: bool, increment: float | None = None) -> None:
         self.name = name
+        self._increment = None if increment is None else INCREMENT.check(increment, f"{path}: increment")
         policy = _kind_of_policy(path)
         if not trust:
             raise InputError(
@@ -61,7 +64,10 @@ class Sb3Policy:
             deterministic=True,
         )
         self._first = np.zeros_like(self._first)
-        return np.asarray(action, dtype=float)
+        action = np.asarray(action, dtype=float)
+        if self._increment is None:
+            return action
+        return np.clip(newest[:, -2:] + self._increment * np.clip(action, -1.0, 1.0), -1.0, 1.0)
 
 
 def _kind_of_policy(path: Path) -> str:
