@@ -21,7 +21,8 @@ def train(
     algo: Annotated[
         str | None,
         typer.Option(
-            help="Recipe: ppo, sac, ppo_calm, ppo_rig; ppo_quick and sac_quick take seconds. Default: ppo."
+            help="Recipe: ppo, sac, ppo_calm, ppo_rig; ppo_plain and sac_plain, without a law; ppo_quick and sac_quick, "
+            "which take seconds. Default: ppo."
         ),
     ] = None,
     config: Annotated[

@@ -301,3 +301,28 @@ def test_a_recipe_with_other_steps_and_seed_is_trained_by_its_name(tmp_path, cap
         assert run(["train", *words, "--quiet", "--out", str(out)]) == 2
         said = capsys.readouterr().err
         assert said.startswith("error: ") and said.count("\n") == 1 and says in said
+
+
+def test_the_network_of_increments_drives_as_in_the_environment_of_increments(tmp_path):
+    """A policy file trained with the interface's increments, and the same weights in HydraulicSyncIncrement-v0."""
+    import gymnasium
+
+    interface = {"kind": "frames", "frames": 2, "increment": 0.3}
+    text = PPO.read_text().replace(
+        PPO.read_text().split("interface: ")[1].split("\n")[0], json.dumps(interface)
+    )
+    (tmp_path / "plain.yml").write_text(text)
+    config = read_config(tmp_path / "plain.yml")
+    train(config, tmp_path / "run", bar=False)
+    policy = NumpyPolicy(tmp_path / "run" / "policy.npz")
+    assert policy.interface.table() == {**interface, "width": 9}
+    plain = gymnasium.make("hydro_env:HydraulicSync-v0", mismatch="val", scenario="setpoint_steps")
+    changing = gymnasium.make(
+        "hydro_env:HydraulicSyncIncrement-v0", mismatch="val", scenario="setpoint_steps"
+    )
+    one, two = plain.reset(seed=1)[0], changing.reset(seed=1)[0]
+    policy.reset(1, 0.01)
+    for _ in range(100):
+        one = plain.step(policy.act(one[None])[0])[0]
+        two = changing.step(np.clip(policy.network(two[None].astype(np.float64))[0], -1.0, 1.0))[0]
+        np.testing.assert_allclose(one, two[-9:], atol=1e-5)

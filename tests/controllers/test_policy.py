@@ -173,7 +173,7 @@ def test_the_valves_are_known_before_the_first_step():
             {"interface": {"kind": "flow", "law": {"probing": {"active": 1}}}},
             "active 1 should be true or false",
         ),
-        ({"interface": {"kind": "frames", "frames": "many"}}, "frames 'many'"),
+        ({"interface": {"kind": "frames", "frames": "many"}}, "frames is 'many'"),
         ({"interface": 3}, "interface"),
     ],
 )

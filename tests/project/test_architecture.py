@@ -30,7 +30,7 @@ ALLOWED = {
     "envs": "errors files limits units jit plant tasks",
     "sb3": "errors envs",
     "valve_bench": "errors files units pages waveforms plant measured",
-    "controllers": "errors files reading units jit waveforms plant tasks envs valve_bench",
+    "controllers": "errors files reading limits units jit waveforms plant tasks envs valve_bench",
     "diagnosis": "errors files units pages waveforms parallel plant tasks measured",
     "benchmark": "errors files reading units pages parallel plant tasks envs controllers",
     "training": "errors files reading pickles units tasks controllers sb3",

@@ -1,6 +1,6 @@
 """What a policy's network sees of the rig, and how its outputs become valve commands.
 
-The same code runs in training (`agents`) and in the shipped controllers, so that what was trained is what runs. With
+The same code runs in training (`hydro_env.training`) and in the shipped controllers, so that what was trained is what runs. With
 `FramesInterface` the network sees the last observations as they are, and its outputs are the commands: nothing is built in.
 `FlowInterface` (`learned.flow_interface`) puts the network on top of the flow controller.
 """
@@ -14,8 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.errors import InputError, shown
+from hydro_env.limits import Limits
 
 __all__ = ["FramesInterface", "PolicyInterface", "make_interface"]
+
+FRAMES = Limits(1, 999, whole=True)
 
 Floats = NDArray[np.floating[Any]]
 Rows = NDArray[Any]
@@ -63,26 +66,28 @@ def make_interface(table: Any) -> PolicyInterface:
         return FlowInterface.from_table(given)
     if kind != "frames":
         raise InputError(f"kind {shown(kind)} is unknown; there are flow, frames")
+    limits = {"frames": FRAMES, "width": FRAMES, "increment": Limits(0.0, 2.0)}
     for key, value in given.items():
-        if key not in ("frames", "width"):
-            raise InputError(f"{shown(key)} is unknown; known for kind 'frames' are frames, width")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 1 <= value < 1e3 or value % 1:
-            raise InputError(f"{key} {shown(value)} should be a whole number from 1 to 999")
+        if key not in limits:
+            raise InputError(f"{shown(key)} is unknown; known for kind 'frames' are {', '.join(limits)}")
+        given[key] = limits[key].check(value, key)
     return FramesInterface(**given)
 
 
 class FramesInterface:
-    """The last `frames` observations of `width` numbers each, newest last; the outputs are the commands."""
+    """The last `frames` observations of `width` numbers each, newest last. The outputs are the commands; with `increment` they
+    are changes of the commands, in fractions of it, and the commands so far are the newest frame's last two numbers."""
 
     rows_per_rig = 1
     num_actions = 2
 
-    def __init__(self, frames: int = 1, width: int = 9) -> None:
-        self.frames, self.width = int(frames), int(width)
+    def __init__(self, frames: int = 1, width: int = 9, increment: float = 0.0) -> None:
+        self.frames, self.width, self.increment = int(frames), int(width), float(increment)
         self.num_features = self.frames * self.width
 
     def table(self) -> dict[str, Any]:
-        return {"kind": "frames", "frames": self.frames, "width": self.width}
+        table = {"kind": "frames", "frames": self.frames, "width": self.width}
+        return {**table, "increment": self.increment} if self.increment else table
 
     def start(self, observation: Floats, period: float) -> Floats:
         self._seen = np.tile(self._newest(observation), (1, self.frames))
@@ -101,4 +106,7 @@ class FramesInterface:
         return np.asarray(observation, dtype=np.float32)[:, -self.width :]
 
     def command(self, outputs: Floats) -> Floats:
-        return np.clip(outputs, -1.0, 1.0)
+        outputs = np.clip(outputs, -1.0, 1.0)
+        return (
+            np.clip(self._seen[:, -2:] + self.increment * outputs, -1.0, 1.0) if self.increment else outputs
+        )
