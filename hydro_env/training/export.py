@@ -1,9 +1,8 @@
 """Policies of Stable-Baselines3 as policy files, and policy files as ONNX: the deterministic path alone.
 
-`python -m hydro_env.training.export MODEL.zip --config configs/ppo.yml --out policy.npz` does by hand what a training run does by
-itself. `python -m hydro_env.training.export policy.npz --out policy.onnx` writes the network for other runtimes: input `inputs`
-(rows, features), output `outputs` (rows, actions) in [-1, 1]. The interface (what the inputs are and what becomes
-of the outputs) is code, not part of the graph; its settings are in the graph's metadata under `interface`.
+A training run exports by itself; `python -m agents.export` in a checkout does it by hand. An ONNX file has the input `inputs`
+(rows, features) and the output `outputs` (rows, actions) in [-1, 1]. The interface (what the inputs are and what becomes of the
+outputs) is code, not part of the graph; its settings are in the graph's metadata under `interface`.
 """
 
 from __future__ import annotations

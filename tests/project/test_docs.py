@@ -115,11 +115,19 @@ def test_python_of_the_tutorials(tutorial: Path) -> None:
         exec(compile(block, tutorial.name, "exec"), scope)
 
 
-@pytest.mark.parametrize("name", ["describe_your_rig.md", "score_a_controller.md", "train_an_agent.md"])
-def test_python_of_the_guides(name: str) -> None:
-    for block in re.findall(
-        r"```python\n(.*?)```", (DOCS / "howto" / name).read_text(encoding="utf-8"), flags=re.S
-    ):
+@pytest.mark.parametrize(
+    "name",
+    [
+        "howto/describe_your_rig.md",
+        "howto/score_a_controller.md",
+        "howto/train_an_agent.md",
+        "reference/environment.md",
+    ],
+)
+def test_python_of_the_guides(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (DOCS / name).read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    for block in re.findall(r"```python\n(.*?)```", text, flags=re.S):
         exec(compile(block, name, "exec"), {"__name__": "guide"})
 
 
