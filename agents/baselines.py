@@ -163,10 +163,11 @@ def draw(
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     from agents.curves import COLOURS
 
-    figure, axes = plt.subplots(1, 3, figsize=(12, 4))
+    figure, axes = plt.subplots(1, 3, figsize=(14, 4.5))
     for axis, metric in zip(axes, (RETURN, PEAK, TRACKING), strict=True):
         for algorithm, seeds in curves.items():
             for number, points in enumerate(seeds):
@@ -174,13 +175,19 @@ def draw(
                 values = [abs(point[metric]) for point in points]
                 label = f"{algorithm.upper()}, a line per seed" if number == 0 else None
                 axis.plot(thousands, values, ".-", color=COLOURS[algorithm], lw=1, label=label)
-        for grey, (name, level) in zip(("0.75", "0.6", "0.45", "0.3", "0.0"), levels.items(), strict=True):
-            axis.axhline(abs(level[SCENARIOS[0]][metric]), color=grey, lw=1, ls="--", label=name)
+        for name, level in levels.items():
+            value = abs(level[SCENARIOS[0]][metric])
+            axis.axhline(value, color="0.4", lw=1, ls="--")
+            axis.text(1.01, value, name, transform=axis.get_yaxis_transform(), fontsize=8, va="center")
+        axis.set_xlim(left=0.0)
         axis.set_yscale("log")
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter(NullFormatter())
         axis.set_xlabel("thousand control periods")
         axis.set_ylabel(TITLES[metric] if metric != RETURN else "minus the mean return")
-        axis.grid(True, which="both", color="0.92")
-    axes[-1].legend(fontsize=8)
+        axis.grid(True, which="major", color="0.9")
+    axes[0].legend(fontsize=8, loc="lower left")
     figure.suptitle(
         f"{SCENARIOS[0]}, default settings of Stable-Baselines3; lower is better in every panel", fontsize=10
     )
