@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.envs.observation import with_errors
 from hydro_env.errors import InputError, shown
 from hydro_env.limits import Limits
 
@@ -66,40 +67,50 @@ def make_interface(table: Any) -> PolicyInterface:
         return FlowInterface.from_table(given)
     if kind != "frames":
         raise InputError(f"kind {shown(kind)} is unknown; there are flow, frames")
-    limits = {"frames": FRAMES, "width": FRAMES, "increment": Limits(0.0, 2.0)}
+    limits = {"frames": FRAMES, "width": FRAMES, "increment": Limits(0.0, 2.0), "errors": None}
     for key, value in given.items():
         if key not in limits:
             raise InputError(f"{shown(key)} is unknown; known for kind 'frames' are {', '.join(limits)}")
-        given[key] = limits[key].check(value, key)
+        within = limits[key]
+        if within is not None:
+            given[key] = within.check(value, key)
+        elif not isinstance(value, bool):
+            raise InputError(f"{key} {shown(value)} should be true or false")
     return FramesInterface(**given)
 
 
 class FramesInterface:
     """The last `frames` observations of `width` numbers each, newest last. The outputs are the commands; with `increment` they
-    are changes of the commands, in fractions of it, and the commands so far are the newest frame's last two numbers."""
+    are changes of the commands, in fractions of it, and the commands so far are the newest frame's last two numbers. `errors`:
+    see `hydro_env.envs.observation.with_errors`."""
 
     rows_per_rig = 1
     num_actions = 2
 
-    def __init__(self, frames: int = 1, width: int = 9, increment: float = 0.0) -> None:
+    def __init__(self, frames: int = 1, width: int = 9, increment: float = 0.0, errors: bool = False) -> None:
         self.frames, self.width, self.increment = int(frames), int(width), float(increment)
-        self.num_features = self.frames * self.width
+        self.errors = errors
+        self.num_features = self.frames * (self.width + 3 * errors)
 
     def table(self) -> dict[str, Any]:
-        table = {"kind": "frames", "frames": self.frames, "width": self.width}
-        return {**table, "increment": self.increment} if self.increment else table
+        table: dict[str, Any] = {"kind": "frames", "frames": self.frames, "width": self.width}
+        changed = {"increment": self.increment, "errors": self.errors}
+        return table | {key: value for key, value in changed.items() if value}
 
     def start(self, observation: Floats, period: float) -> Floats:
         self._seen = np.tile(self._newest(observation), (1, self.frames))
-        return self._seen.copy()
+        return self._inputs(self._seen)
 
     def restart(self, rows: Rows, observation: Floats) -> Floats:
         self._seen[rows] = np.tile(self._newest(observation), (1, self.frames))
-        return self._seen[rows]
+        return self._inputs(self._seen[rows])
 
     def see(self, observation: Floats) -> Floats:
         self._seen = np.concatenate([self._seen[:, self.width :], self._newest(observation)], axis=1)
-        return self._seen.copy()
+        return self._inputs(self._seen)
+
+    def _inputs(self, seen: NDArray[np.float32]) -> Floats:
+        return with_errors(seen) if self.errors else seen.copy()
 
     def _newest(self, observation: Floats) -> NDArray[np.float32]:
         """The newest frame, whatever history the environment adds."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
 from hydro_env.envs.batch import INCREMENT
-from hydro_env.envs.observation import OBSERVATION
+from hydro_env.envs.observation import OBSERVATION, with_errors
 from hydro_env.errors import InputError
 
 __all__ = ["Sb3Policy"]
@@ -24,7 +24,8 @@ __all__ = ["Sb3Policy"]
 
 class Sb3Policy:
     """Drives with the deterministic action of a saved agent; one that was trained with `history` gets its frames, one that was
-    trained with `increment` (HydraulicSyncIncrement-v0: 0.3) changes its commands by its actions.
+    trained with `increment` (HydraulicSyncIncrement-v0: 0.3) changes its commands by its actions. One that was trained behind
+    `with_errors` is recognised by its number of inputs.
 
     InputError for a file that is not trusted or not saved by Stable-Baselines3, and for an agent with other observations or
     actions than those of `HydraulicSync-v0`.
@@ -40,12 +41,20 @@ class Sb3Policy:
             )
         self._model = _algorithm(path, policy).load(path, device="cpu")
         observed, acted = self._model.observation_space.shape, self._model.action_space.shape
-        if observed is None or len(observed) != 1 or observed[0] % len(OBSERVATION) or acted != (2,):
+        width, self._errors = len(OBSERVATION), False
+        if (
+            observed is not None
+            and len(observed) == 1
+            and observed[0] % width
+            and not observed[0] % (width + 3)
+        ):
+            width, self._errors = width + 3, True
+        if observed is None or len(observed) != 1 or observed[0] % width or acted != (2,):
             raise InputError(
                 f"{path}: observations {observed} and actions {acted} are not those of HydraulicSync-v0: "
-                f"({len(OBSERVATION)} for each frame,) and (2,)"
+                f"({len(OBSERVATION)} for each frame,), or {len(OBSERVATION) + 3} with its errors, and (2,)"
             )
-        self._history = observed[0] // len(OBSERVATION)
+        self._history = observed[0] // width
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode."""
@@ -57,8 +66,9 @@ class Sb3Policy:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n)."""
         newest = np.asarray(observation, dtype=np.float32)[:, -len(OBSERVATION) :]
         self._frames = [*(self._frames or [newest] * self._history), newest][-self._history :]
+        frames = np.concatenate(self._frames, axis=1)
         action, self._state = self._model.predict(
-            np.concatenate(self._frames, axis=1),
+            with_errors(frames) if self._errors else frames,
             state=self._state,
             episode_start=self._first,
             deterministic=True,
