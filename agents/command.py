@@ -22,5 +22,5 @@ def run_command(work: Callable[[], None]) -> None:
         print(f"error: {where}{problem.strerror or problem}", file=sys.stderr)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
-        print("stopped; --resume goes on from the last checkpoint", file=sys.stderr)
+        print("stopped; the same command goes on with what is not finished", file=sys.stderr)
         raise SystemExit(130) from None
