@@ -21,9 +21,9 @@ from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
 from hydro_env.limits import Limits
+from hydro_env.training.evaluate import METRICS
 
 from .command import run_command
-from .evaluate import METRICS
 
 __all__ = ["ROWS", "card_rows", "interval"]
 

@@ -14,14 +14,16 @@ from pathlib import Path
 from typing import Any
 
 from agents.command import run_command
+from agents.recurrent.settings import read_settings
 from hydro_env.errors import InputError
 from hydro_env.files import write_bytes
-from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
+from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json, read_yaml
 from hydro_env.training.config import read_config
 
 __all__ = ["draw", "read_curves"]
 
-COLOURS = {"ppo": "#0072b2", "sac": "#d55e00"}
+COLOURS = {"ppo": "#0072b2", "sac": "#d55e00", "imitation": "#009e73", "gradient": "#cc79a7"}
+"""Of algorithms, and of the stages of a recurrent policy."""
 
 
 def read_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
@@ -32,14 +34,28 @@ def read_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
         if not folders:
             raise InputError(f"{run}: holds no curve.json of a training run")
         for folder in folders:
-            training = read_config(folder / "config.yml").training
+            algorithm, seed = _trained(folder / "config.yml")
             points = read_json(
                 folder / "curve.json", "the curve of a training run", most=MOST_BYTES_OF_RESULTS
             )
-            found.append(
-                {"run": folder.name, "algorithm": training.algorithm, "seed": training.seed, "points": points}
-            )
+            found.append({"run": folder.name, "algorithm": algorithm, "seed": seed, "points": points})
     return found
+
+
+def _trained(path: Path) -> tuple[str, int]:
+    """Algorithm and seed of a training file, of Stable-Baselines3 or of `agents.recurrent`."""
+    if "imitation" in read_yaml(path, "a training file in YAML"):
+        return "gru", read_settings(path).training.seed
+    training = read_config(path).training
+    return training.algorithm, training.seed
+
+
+def _parts(curve: dict[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """The points of a curve by what they are coloured for: the stages of a recurrent policy, or the algorithm."""
+    parts: dict[str, list[dict[str, Any]]] = {}
+    for point in curve["points"]:
+        parts.setdefault(point.get("stage", curve["algorithm"]), []).append(point)
+    return parts
 
 
 def draw(curves: list[dict[str, Any]], levels: dict[str, float], out: Path) -> None:
@@ -50,16 +66,16 @@ def draw(curves: list[dict[str, Any]], levels: dict[str, float], out: Path) -> N
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(2, 2, figsize=(10, 6), sharey="row", sharex="col")
-    for curve in curves:
-        colour = COLOURS[curve["algorithm"]]
-        for column, key in enumerate(("steps", "seconds")):
-            x = [point[key] / (1.0 if key == "seconds" else 1e3) for point in curve["points"]]
-            for row, name in enumerate(("max_speed_difference_rpm", "tracking_mae_rpm")):
-                axes[row, column].plot(
-                    x, [point[name] for point in curve["points"]], ".-", color=colour, lw=1
-                )
-    for name, colour in COLOURS.items():
-        axes[0, 0].plot([], [], color=colour, label=name)
+    named = [(name, points) for curve in curves for name, points in _parts(curve).items()]
+    for name, points in named:
+        periods = [point["steps"] / 1e6 for point in points]
+        minutes = [point.get("cpu_seconds", point["seconds"]) / 60.0 for point in points]
+        for column, x in enumerate((periods, minutes)):
+            for row, score in enumerate(("max_speed_difference_rpm", "tracking_mae_rpm")):
+                y = [point[score] for point in points]
+                axes[row, column].plot(x, y, ".-", color=COLOURS[name], lw=1)
+    for name in dict.fromkeys(name for name, _ in named):
+        axes[0, 0].plot([], [], color=COLOURS[name], label=name)
     for text, level in levels.items():
         axes[0, 0].axhline(level, color="0.5", lw=1, ls="--")
         axes[0, 1].axhline(level, color="0.5", lw=1, ls="--", label=text)
@@ -67,8 +83,8 @@ def draw(curves: list[dict[str, Any]], levels: dict[str, float], out: Path) -> N
         axis.legend(fontsize=8)
     axes[0, 0].set_ylabel("largest difference, rpm")
     axes[1, 0].set_ylabel("tracking error, rpm")
-    axes[1, 0].set_xlabel("thousand control periods")
-    axes[1, 1].set_xlabel("seconds, one thread")
+    axes[1, 0].set_xlabel("million control periods")
+    axes[1, 1].set_xlabel("minutes, one thread")
     figure.suptitle("val, setpoint_steps, interquartile means; a line per seed", fontsize=10)
     figure.tight_layout()
     memory = io.BytesIO()

@@ -202,6 +202,15 @@ class Plant:
         for name, value in values.items():
             self.set(name, value, rows)
 
+    def shift(self, state: str, by: float, rows: slice) -> None:
+        """Adds to a state of some rigs, as finite differences need it. KeyError for a name that is no state of this plant."""
+        row = self._row(state)
+        if row >= self._kernel.rows["time"]:  # states come first
+            raise KeyError(f"{state}: is no state of the plant")
+        index, half = np.arange(self.num_rigs)[rows], self._kernel.half
+        for lane in (index % half, index % half + half):
+            self._memory[index // half, row, lane] += by
+
     # --- time -----------------------------------------------------------------------------------------------------
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Puts all rigs, or `rows` (indices or mask), to rest at time zero."""

@@ -15,11 +15,12 @@ pytest.importorskip("stable_baselines3")
 
 import json
 
+import torch
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from hydro_env.cli import run
-from hydro_env.controllers.learned.policy import SCHEMA, NumpyPolicy, read_policy
+from hydro_env.controllers.learned.policy import RECURRENT_SCHEMA, SCHEMA, NumpyPolicy, read_policy
 from hydro_env.errors import InputError
 from hydro_env.training import checkpoint
 from hydro_env.training.config import read_config
@@ -121,6 +122,30 @@ def test_onnx_equals_the_policy_file(tmp_path, activation, squash):
     network, _ = read_policy(tmp_path / "policy.npz")
     np.testing.assert_allclose(outputs, network(inputs), atol=1e-5)
     assert json.loads(session.get_modelmeta().custom_metadata_map["interface"]) == interface
+
+
+def test_a_recurrent_network_is_the_same_in_torch_numpy_and_onnx(tmp_path):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnx")
+    from agents.recurrent.network import RecurrentPolicy
+    from hydro_env.training.export import export_onnx, write_policy
+
+    torch.manual_seed(0)
+    policy = RecurrentPolicy(sizes=(24, 16, 20), notes=5)
+    path = tmp_path / "policy.npz"
+    write_policy(path, policy.arrays(), policy.metadata())
+    network, metadata = read_policy(path)
+    assert metadata["schema"] == RECURRENT_SCHEMA
+    export_onnx(path, tmp_path / "policy.onnx")
+    session = onnxruntime.InferenceSession(str(tmp_path / "policy.onnx"), providers=["CPUExecutionProvider"])
+    inputs = np.random.default_rng(0).normal(0.0, 1.0, (80, 7, policy.num_inputs)).astype(np.float32)
+    with torch.no_grad():
+        expected, _ = policy(torch.from_numpy(inputs), torch.zeros(7, 16))
+    states, state = network.start(7), np.zeros((7, 16), np.float32)
+    for seen, wanted in zip(inputs, expected.clamp(-1.0, 1.0).numpy(), strict=True):
+        np.testing.assert_allclose(network(seen, states), wanted, atol=1e-5)
+        outputs, state = session.run(None, {"inputs": seen, "state1": state})
+        np.testing.assert_allclose(outputs, wanted, atol=1e-5)
 
 
 @pytest.mark.parametrize("path", [PPO, SAC], ids=["ppo", "sac"])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.stats import trim_mean
 
 from hydro_env.controllers.learned.flow_interface import FlowInterface
-from hydro_env.controllers.learned.policy import SCHEMA, NumpyPolicy, read_policy
+from hydro_env.controllers.learned.policy import RECURRENT_SCHEMA, SCHEMA, NumpyPolicy, read_policy
 from hydro_env.controllers.learned.policy_interface import FramesInterface, make_interface
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.controllers.registry import make_controller
@@ -38,6 +38,15 @@ def arrays(interface=None, width=16, squash="clip", seed=0):
         content[f"b{n}"] = stream.normal(0.0, 0.1, fan_out).astype(np.float32)
     metadata = {"schema": SCHEMA, "activation": "tanh", "squash": squash, "interface": made.table()}
     return {"metadata": np.array(json.dumps(metadata)), **content}
+
+
+def recurrent(width=16, seed=0):
+    """The content of a policy file whose second layer is a gated recurrent unit."""
+    content, stream = arrays(width=width, seed=seed), np.random.default_rng(seed)
+    for name, shape in {"w1": (48, width), "v1": (48, 16), "b1": (48,), "c1": (48,)}.items():
+        content[name] = stream.normal(0.0, 0.3, shape).astype(np.float32)
+    metadata = {**json.loads(str(content["metadata"])), "schema": RECURRENT_SCHEMA}
+    return {**content, "metadata": np.array(json.dumps(metadata))}
 
 
 def write(path, **content):
@@ -66,6 +75,16 @@ def test_a_row_of_a_batch_is_that_rig_alone(tmp_path, interface):
     alone = drive(policy, 1, [6])
     np.testing.assert_allclose(together[:, 1:2], alone, atol=1e-9)
     assert np.abs(together).max() <= 1.0
+
+
+def test_a_recurrent_policy_remembers_until_it_is_reset(tmp_path):
+    policy = NumpyPolicy(write(tmp_path / "p.npz", **recurrent()))
+    together, again = drive(policy, 3, [5, 6, 7]), drive(policy, 3, [5, 6, 7])
+    np.testing.assert_array_equal(together, again)
+    np.testing.assert_array_equal(together[:, 1:2], drive(policy, 1, [6]))
+    seen = np.full((1, 9), 0.1, np.float32)
+    policy.reset(1, 0.01)
+    assert np.abs(policy.act(seen) - policy.act(seen)).max() > 1e-3
 
 
 def test_reset_forgets_everything(tmp_path):
@@ -157,6 +176,10 @@ def test_the_valves_are_known_before_the_first_step():
         ({"w1": np.zeros((16, 5), np.float32)}, "takes 5 inputs"),
         ({"b0": np.zeros(3, np.float32)}, "do not fit"),
         ({"w2": np.full((2, 16), np.nan, np.float32)}, "not finite"),
+        ({"v1": np.zeros((48, 17), np.float32)}, "do not fit: \\(3 H, in\\)"),
+        ({"c1": None}, "v, c beside those of a recurrent one"),
+        ({"c1": np.full(48, np.inf, np.float32)}, "c1 holds a value that is not finite"),
+        ({"v1": None, "c1": None}, "schema 'hydro_env/policy/2'"),
         ({"w0": np.zeros((16, 9), int)}, "floating-point"),
         ({"metadata": np.array("{")}, "not JSON"),
         ({"metadata": np.array("{}")}, "schema"),
@@ -178,7 +201,7 @@ def test_the_valves_are_known_before_the_first_step():
     ],
 )
 def test_a_broken_file_is_named_in_one_line(tmp_path, change, says):
-    content = arrays()
+    content = recurrent() if any(key[0] in "vc" for key in change) else arrays()
     metadata = json.loads(str(content["metadata"]))
     for key, value in change.items():
         if key in ("activation", "interface"):

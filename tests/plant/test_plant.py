@@ -455,3 +455,14 @@ def test_any_block_gives_the_same_bits(block):
 def test_a_block_that_no_kernel_takes_is_named(block):
     with pytest.raises(ValueError, match=f"block is {block}, expected one of 1, 2, 4, 8, 16"):
         Plant("paper", 4, block=block)
+
+
+def test_a_shift_moves_one_state_of_the_rigs_that_are_meant():
+    plant = Plant("paper_dead_zone", 40)
+    before = {name: plant.get(name) for name in STATES}
+    plant.shift("spool", 1e-6, slice(20, 30))
+    moved = plant.get("spool") - before["spool"]
+    assert (moved[20:30] == 1e-6).all() and np.count_nonzero(moved) == 20
+    assert all((plant.get(name) == before[name]).all() for name in STATES if name != "spool")
+    with pytest.raises(KeyError, match="no state"):
+        plant.shift("Kq", 1.0, slice(None))

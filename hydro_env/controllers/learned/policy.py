@@ -1,9 +1,12 @@
 """Trained policies without a learning library: a policy file, the network in it, and what lies around the network.
 
-A policy file is an npz without pickled objects: the weights `w0`, `b0`, `w1`, ... of a fully connected network (stored
-as SB3 has them, outputs first) and `metadata`, a JSON text: what the file is (`schema`), `activation` of the hidden
-layers, `squash` of the output ("clip" for PPO's mean, "tanh" for SAC's), `interface` (how observations become the network's
-inputs and its outputs become commands, see `learned.policy_interface`) and, for the reader, how it was trained.
+A policy file is an npz without pickled objects: the weights `w0`, `b0`, `w1`, ... of a network (stored as torch has them,
+outputs first) and `metadata`, a JSON text: what the file is (`schema`), `activation` of the hidden layers, `squash` of the
+output ("clip" for PPO's mean, "tanh" for SAC's), `interface` (how observations become the network's inputs and its outputs
+become commands, see `learned.policy_interface`) and, for the reader, how it was trained.
+
+A layer n that also has `v{n}` and `c{n}` is a gated recurrent unit (Cho et al., 2014) of H units in torch's form: `w` (3 H,
+inputs), `v` (3 H, H) and the biases `b` and `c` (3 H,) stand for the reset gate, the update gate and the new state.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +27,11 @@ from hydro_env.controllers.learned.policy_interface import PolicyInterface, make
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import parse_json
 
-__all__ = ["SCHEMA", "Network", "NumpyPolicy", "read_policy"]
+__all__ = ["RECURRENT_SCHEMA", "SCHEMA", "Network", "NumpyPolicy", "read_policy"]
 
 SCHEMA = "hydro_env/policy/2"
+RECURRENT_SCHEMA = "hydro_env/policy/3"
+"""Of files with a recurrent layer, which readers of the other schema would not understand."""
 
 Floats = NDArray[np.floating[Any]]
 
@@ -47,38 +52,89 @@ SQUASHES: dict[str, Callable[[Floats], Floats]] = {
 }
 
 
+class Dense(NamedTuple):
+    """A fully connected layer: weight (outputs, inputs), bias (outputs,)."""
+
+    weight: Floats
+    bias: Floats
+
+    @property
+    def outputs(self) -> int:
+        return int(self.weight.shape[0])
+
+    def __call__(self, inputs: Floats) -> Floats:
+        return _product(inputs, self.weight) + self.bias
+
+
+class Gru(NamedTuple):
+    """A gated recurrent unit, see the module's text: weight (3 H, inputs) and bias (3 H,) of the inputs, `back` (3 H, H) and
+    `back_bias` (3 H,) of the state."""
+
+    weight: Floats
+    bias: Floats
+    back: Floats
+    back_bias: Floats
+
+    @property
+    def outputs(self) -> int:
+        return int(self.back.shape[1])
+
+    def __call__(self, inputs: Floats, state: Floats) -> Floats:
+        """The next state (..., H) from inputs and state."""
+        given = np.split(_product(inputs, self.weight) + self.bias, 3, axis=-1)
+        own = np.split(_product(state, self.back) + self.back_bias, 3, axis=-1)
+        reset, keep = (_logistic(a + b) for a, b in zip(given[:2], own[:2], strict=True))
+        new = np.tanh(given[2] + reset * own[2])
+        following: Floats = new + keep * (state - new)
+        return following
+
+
+def _logistic(x: Floats) -> Floats:
+    """1 / (1 + exp(-x)), in a form that does not overflow."""
+    value: Floats = 0.5 + 0.5 * np.tanh(0.5 * x)
+    return value
+
+
 @dataclass(frozen=True)
 class Network:
-    """A fully connected network: `layers` of (weight (outputs, inputs), bias (outputs,))."""
+    """A network of `layers`; `activation` follows each dense layer but the last, `squash` the last."""
 
-    layers: Sequence[tuple[Floats, Floats]]
+    layers: Sequence[Dense | Gru]
     activation: str
     squash: str
 
     @property
     def num_inputs(self) -> int:
-        return int(self.layers[0][0].shape[1])
+        return int(self.layers[0].weight.shape[1])
 
     @property
     def num_outputs(self) -> int:
-        return int(self.layers[-1][0].shape[0])
+        return self.layers[-1].outputs
 
-    def __call__(self, inputs: Floats) -> Floats:
-        """Outputs (..., num_outputs) in [-1, 1] for inputs (..., num_inputs), in the precision of the weights."""
-        hidden = np.asarray(inputs, dtype=self.layers[0][0].dtype)
-        activate = ACTIVATIONS[self.activation]
-        for weight, bias in self.layers[:-1]:
-            hidden = activate(_product(hidden, weight) + bias)
-        weight, bias = self.layers[-1]
-        return SQUASHES[self.squash](_product(hidden, weight) + bias)
+    def start(self, rows: int) -> list[Floats]:
+        """States of the recurrent layers before the first input, (rows, H) each."""
+        units = [layer for layer in self.layers if isinstance(layer, Gru)]
+        return [np.zeros((rows, layer.outputs), layer.weight.dtype) for layer in units]
+
+    def __call__(self, inputs: Floats, states: list[Floats] | None = None) -> Floats:
+        """Outputs (..., num_outputs) in [-1, 1] for inputs (..., num_inputs), in the precision of the weights. `states` are
+        those of the recurrent layers, (..., H) each, as `start` makes them; they are replaced."""
+        hidden = np.asarray(inputs, dtype=self.layers[0].weight.dtype)
+        activate, unit = ACTIVATIONS[self.activation], 0
+        for layer in self.layers[:-1]:
+            if isinstance(layer, Gru):
+                assert states is not None
+                hidden = states[unit] = layer(hidden, states[unit])
+                unit += 1
+            else:
+                hidden = activate(layer(hidden))
+        last = self.layers[-1]
+        assert isinstance(last, Dense)
+        return SQUASHES[self.squash](last(hidden))
 
     def astype(self, dtype: type) -> Network:
         """The same network in another precision."""
-
-        def cast(array: Floats) -> Floats:
-            return array.astype(dtype)
-
-        layers = [(cast(weight), cast(bias)) for weight, bias in self.layers]
+        layers = [type(layer)(*(array.astype(dtype) for array in layer)) for layer in self.layers]
         return Network(layers, self.activation, self.squash)
 
 
@@ -110,8 +166,9 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
     if text.shape != () or text.dtype.kind != "U":
         raise InputError(f"{path}: 'metadata' is an array {text.shape} of {text.dtype}, expected one text")
     metadata = parse_json(str(text), f"{path}: 'metadata'")
-    if not isinstance(metadata, dict) or metadata.get("schema") != SCHEMA:
-        raise InputError(f"{path}: 'metadata' should say schema {SCHEMA!r}")
+    schema = RECURRENT_SCHEMA if any(name.startswith("v") for name in arrays) else SCHEMA
+    if not isinstance(metadata, dict) or metadata.get("schema") != schema:
+        raise InputError(f"{path}: 'metadata' should say schema {schema!r}")
     for key, known in (("activation", ACTIVATIONS), ("squash", SQUASHES)):
         named = metadata.get(key)
         if not isinstance(named, str) or named not in known:
@@ -152,37 +209,56 @@ def _array(data: bytes) -> NDArray[Any]:
     return np.ndarray(shape, dtype, rest, order="F" if by_columns else "C")
 
 
-def _layers(path: Path, arrays: dict[str, NDArray[Any]]) -> list[tuple[Floats, Floats]]:
-    count = len(arrays) // 2
-    wanted = {f"{kind}{n}" for n in range(count) for kind in "wb"}
+def _layers(path: Path, arrays: dict[str, NDArray[Any]]) -> list[Dense | Gru]:
+    count = sum(name.startswith("w") for name in arrays)
+    recurrent = {n for n in range(count - 1) if f"v{n}" in arrays}
+    wanted = {f"{kind}{n}" for n in range(count) for kind in ("wbvc" if n in recurrent else "wb")}
     if not 0 < count <= MOST_LAYERS or set(arrays) != wanted:
         raise InputError(
             f"{path}: holds {', '.join(sorted(arrays)) or 'no weights'}; it should hold w0, b0, w1, b1, ... of at most"
-            f" {MOST_LAYERS} layers"
+            f" {MOST_LAYERS} layers, and v, c beside those of a recurrent one, which is not the last"
         )
-    layers: list[tuple[Floats, Floats]] = []
-    width: int | None = None
+    layers: list[Dense | Gru] = []
     for n in range(count):
-        weight, bias = arrays[f"w{n}"], arrays[f"b{n}"]
-        if weight.dtype.kind != "f" or bias.dtype.kind != "f":
-            raise InputError(f"{path}: w{n} and b{n} should hold floating-point numbers")
-        if weight.ndim != 2 or bias.shape != weight.shape[:1] or not min(weight.shape) >= 1:
+        _check_numbers(path, n, arrays)
+        layers.append(_gru(path, n, arrays) if n in recurrent else _dense(path, n, arrays))
+        inputs = layers[n].weight.shape[1]
+        if n and inputs != layers[n - 1].outputs:
             raise InputError(
-                f"{path}: w{n} {weight.shape} and b{n} {bias.shape} do not fit: (out, in) and (out,)"
+                f"{path}: w{n} takes {inputs} inputs, the layer before has {layers[n - 1].outputs} outputs"
             )
-        if max(weight.shape) > MOST_UNITS:
-            raise InputError(f"{path}: w{n} {weight.shape}: a layer has at most {MOST_UNITS} units")
-        if width is not None and weight.shape[1] != width:
-            raise InputError(
-                f"{path}: w{n} takes {weight.shape[1]} inputs, the layer before has {width} outputs"
-            )
-        if not max(np.abs(weight).max(), np.abs(bias).max()) <= MOST_WEIGHT:
-            raise InputError(
-                f"{path}: w{n} or b{n} holds a value that is not finite, or beyond {MOST_WEIGHT:g}"
-            )
-        width = weight.shape[0]
-        layers.append((weight, bias))
     return layers
+
+
+def _check_numbers(path: Path, n: int, arrays: dict[str, NDArray[Any]]) -> None:
+    """InputError unless the arrays of layer n hold numbers that can be reckoned with, and not too many."""
+    for name in (f"{kind}{n}" for kind in "wbvc" if f"{kind}{n}" in arrays):
+        array = arrays[name]
+        if array.dtype.kind != "f":
+            raise InputError(f"{path}: {name} should hold floating-point numbers")
+        if array.ndim and max(array.shape) > MOST_UNITS:
+            raise InputError(f"{path}: {name} {array.shape}: a layer has at most {MOST_UNITS} units")
+        if array.size and not np.abs(array).max() <= MOST_WEIGHT:
+            raise InputError(f"{path}: {name} holds a value that is not finite, or beyond {MOST_WEIGHT:g}")
+
+
+def _dense(path: Path, n: int, arrays: dict[str, NDArray[Any]]) -> Dense:
+    weight, bias = arrays[f"w{n}"], arrays[f"b{n}"]
+    if weight.ndim != 2 or bias.shape != weight.shape[:1] or not min(weight.shape) >= 1:
+        raise InputError(
+            f"{path}: w{n} {weight.shape} and b{n} {bias.shape} do not fit: (out, in) and (out,)"
+        )
+    return Dense(weight, bias)
+
+
+def _gru(path: Path, n: int, arrays: dict[str, NDArray[Any]]) -> Gru:
+    weight, bias, back, back_bias = (arrays[f"{kind}{n}"] for kind in "wbvc")
+    units = back.shape[-1] if back.ndim == 2 else 0
+    fits = weight.ndim == 2 and min(weight.shape) >= 1 and weight.shape[0] == 3 * units
+    if not (fits and back.shape == (3 * units, units) and bias.shape == back_bias.shape == (3 * units,)):
+        shapes = ", ".join(f"{kind}{n} {arrays[f'{kind}{n}'].shape}" for kind in "wbvc")
+        raise InputError(f"{path}: {shapes} do not fit: (3 H, in), (3 H,), (3 H, H) and (3 H,)")
+    return Gru(weight, bias, back, back_bias)
 
 
 class NumpyPolicy:
@@ -225,7 +301,8 @@ class NumpyPolicy:
             )
         if self._fresh:
             inputs = self.interface.start(observation, self._period)
+            self._states = self.network.start(len(inputs))
             self._fresh = False
         else:
             inputs = self.interface.see(observation)
-        return self.interface.command(self.network(inputs))
+        return self.interface.command(self.network(inputs, self._states))

@@ -1,0 +1,127 @@
+"""The training file of a recurrent policy: YAML with the tables below; what is left out keeps its default."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hydro_env.controllers.settings import HAND, from_table, setting
+from hydro_env.errors import InputError, suggestion
+from hydro_env.reading import MOST_BYTES_OF_YAML, parse_yaml, read_text
+
+__all__ = ["Gradient", "Imitation", "Sizes", "Settings", "Training", "read_settings"]
+
+MILLION = 1e6
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Units of the layers."""
+
+    inputs: int = setting(64, "1", "dense layer before the recurrent one", HAND)
+    recurrent: int = setting(80, "1", "gated recurrent unit", HAND)
+    outputs: int = setting(64, "1", "dense layer after it", HAND)
+
+
+@dataclass(frozen=True)
+class Imitation:
+    """The first stage, see `agents.recurrent.imitation`."""
+
+    periods: float = setting(25.0, "million", "control periods of single rigs", HAND)
+    rigs: int = setting(
+        640, "1", "driven side by side", "the law and the network are fastest at some hundreds"
+    )
+    window: int = setting(
+        100, "periods", "through which is propagated back; the length of an episode is a multiple", HAND
+    )
+    batch: int = setting(80, "1", "rigs whose window makes a step of the optimiser", HAND)
+    epochs: int = setting(2, "1", "uses of each window; the law costs as much as a use", HAND)
+    rate: float = setting(2e-3, "1", "step size of Adam", HAND)
+    precise: float = setting(
+        0.02, "1", "error of a command from which on it counts in proportion, not squared", HAND
+    )
+    notes: float = setting(
+        1.0, "1", "weight of what is known of valves and rig, which the state is to hold", HAND
+    )
+    handover: float = setting(8.0, "million", "periods after which the student drives all that it may", HAND)
+    share: float = setting(0.9, "1", "most of the rigs that the student drives", HAND)
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """The second stage, see `agents.recurrent.simulator_gradient`."""
+
+    periods: float = setting(100.0, "million", "control periods of single rigs", HAND)
+    rigs: int = setting(256, "1", "driven side by side", "as many as fill the plant's blocks well")
+    window: int = setting(
+        60, "periods", "through which is propagated back; the length of an episode is a multiple", HAND
+    )
+    rate: float = setting(4e-4, "1", "step size of Adam, which falls to a twentieth along a cosine", HAND)
+    difference: float = setting(1.0, "1", "weight of the squared speed difference over 10 rpm", HAND)
+    corner: float = setting(
+        40.0, "rpm", "from which on it counts in proportion: what a sudden load does", HAND
+    )
+    tracking: float = setting(0.0025, "1/rpm", "weight of the tracking error", HAND)
+    travel: float = setting(0.1, "1", "weight of the move of a command", HAND)
+    notes: float = setting(
+        0.3, "1", "weight of what is known of the valves, which the state is to hold", HAND
+    )
+    keep_state: float = setting(0.9, "1", "of the plant's adjoint that is kept each period", HAND)
+    keep_memory: float = setting(0.97, "1", "of the adjoint of the recurrent state", HAND)
+    most_state: float = setting(
+        500.0, "1", "largest adjoint of one rig's plant", "a multiple of the usual ones"
+    )
+    most_memory: float = setting(50.0, "1", "of its recurrent state", "likewise")
+    most_reading: float = setting(200.0, "1", "of its readings", "likewise")
+    most_command: float = setting(50.0, "1", "of its commands", "likewise")
+
+
+@dataclass(frozen=True)
+class Training:
+    """What both stages share."""
+
+    seed: int = setting(0, "1", "of network and episodes", HAND)
+    evaluate: float = setting(2.0, "million", "periods between evaluations and checkpoints", HAND)
+    pairs: int = setting(100, "1", "pairs of `val` an evaluation drives in `setpoint_steps`", HAND)
+    tracking_weight: float = setting(0.5, "1", "of the tracking error in the score that chooses", HAND)
+    tail_weight: float = setting(0.25, "1", "of the 95th percentile in it", HAND)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A training file; `env` are arguments of the environment, `text` the file itself."""
+
+    network: Sizes = field(default_factory=Sizes)
+    imitation: Imitation = field(default_factory=Imitation)
+    gradient: Gradient = field(default_factory=Gradient)
+    training: Training = field(default_factory=Training)
+    env: dict[str, Any] = field(default_factory=dict)
+    text: str = ""
+
+
+ENV = {"plant": "paper_dead_zone", "mismatch": "train"}
+
+
+def read_settings(path: Path) -> Settings:
+    """Reads a training file. InputError, in one line that names file and key, for anything that is not right."""
+    text = read_text(path, "a training file in YAML", most=MOST_BYTES_OF_YAML)
+    data = parse_yaml(text, str(path))
+    tables = {"network": Sizes, "imitation": Imitation, "gradient": Gradient, "training": Training}
+    if not isinstance(data, dict) or not all(isinstance(table, dict) for table in data.values()):
+        raise InputError(f"{path}: should hold the tables {', '.join((*tables, 'env'))}")
+    for key in data:
+        if key not in (*tables, "env"):
+            raise InputError(f"{path}: unknown key {key!r}: {suggestion(key, [*tables, 'env'])}")
+    env = {**ENV, **data.get("env", {})}
+    for key in env:
+        if key not in ENV:
+            raise InputError(f"{path}: env: unknown key {key!r}: {suggestion(key, ENV)}")
+    read: dict[str, Any] = {
+        key: from_table(kind, data.get(key, {}), f"{path}: {key}: ") for key, kind in tables.items()
+    }
+    for name in ("imitation", "gradient"):
+        for key in ("rigs", "window"):
+            if getattr(read[name], key) < 1:
+                raise InputError(f"{path}: {name}: {key} should be at least 1")
+    return Settings(**read, env=env, text=text)

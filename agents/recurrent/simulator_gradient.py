@@ -1,0 +1,206 @@
+"""The second stage: the gradient of the cost through the simulator (as in Xu et al., Accelerated policy learning with parallel
+differentiable simulation, 2022).
+
+How a rig's state after a control period depends on its state and its commands before is found by forward differences: copies
+of all rigs, each with one state or the commands shifted a little, are simulated beside them. Both channels are shifted at once,
+since neither acts on the other. With these slopes the cost of a window is differentiated by the network's weights: through
+plant, sensors and recurrent state, back to the window's beginning.
+
+A closed loop over many dead zones and stick-slips multiplies small changes without bound, so what is propagated back is bounded
+(`Bounded`): of each rig by a largest length, and the plant's part by a decay. There is no noise on the commands and no critic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import cos, pi
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.autograd.function import Function, FunctionCtx, once_differentiable
+
+from agents.recurrent.network import RecurrentPolicy
+from agents.recurrent.rigs import KNOWN, Rigs
+from agents.recurrent.settings import MILLION, Gradient, Settings
+from hydro_env.envs.observation import OBSERVATION, SCALES
+from hydro_env.plant import Plant
+from hydro_env.tasks.mismatch import SENSOR_PARAMETERS
+from hydro_env.units import RPM
+
+__all__ = ["GradientStage", "Slopes"]
+
+SHIFTED = {"spool": (200e-6, 0.005), "spool_speed": (0.04, 0.01), "speed": (600.0 * RPM, 0.005)}
+"""States whose change is still felt a control period later: what 1 stands for, SI, and by how much of it they are shifted. Coil
+and pressure settle within a millisecond, the bristle of the spool's friction moves it by less than a micrometre."""
+SHIFT = 0.03
+"""By which the commands are shifted: of the rated one, up or down by chance. A spool that sticks does not follow a smaller shift
+(friction is up to 2.7 % of the rated command), although a policy that changes moves it sooner or later."""
+SEEN = {
+    "current": SCALES[OBSERVATION.index("current_1")],
+    "pressure": SCALES[OBSERVATION.index("pressure_1")],
+}
+"""Readings that follow from them within a period, and what 1 stands for."""
+AFTER = {**{name: scale for name, (scale, _) in SHIFTED.items()}, **SEEN}
+SPEED = list(AFTER).index("speed")
+TO_RPM = AFTER["speed"] / RPM
+
+
+class Slopes:
+    """Forward differences of a control period, on copies of a plant's rigs."""
+
+    def __init__(self, plant: Plant, stream: np.random.Generator) -> None:
+        self._plant, self._stream, n = plant, stream, plant.num_rigs
+        self._copies = len(SHIFTED) + 1
+        self._rows = np.tile(np.arange(n), self._copies)
+        self._twins = Plant(plant.model, n * self._copies, effects=plant.effects, dtype=plant.memory.dtype)
+
+    def match(self, names: Iterable[str]) -> None:
+        """Gives the copies their rigs' own parameters of these names; sensors have no part in it."""
+        for name in names:
+            if name not in SENSOR_PARAMETERS:
+                self._twins.set(name, self._plant.get(name)[self._rows])
+
+    def before(self) -> None:
+        """Puts the copies beside their rigs, which stand at the beginning of a period."""
+        n = self._plant.num_rigs
+        self._twins.take_state(self._plant, self._rows)
+        for k, (name, (scale, shift)) in enumerate(SHIFTED.items()):
+            self._twins.shift(name, scale * shift, slice(k * n, (k + 1) * n))
+
+    def after(self, period: float) -> tuple[Tensor, Tensor]:
+        """The scaled states (num_rigs, 2, AFTER) of the rigs, which have gone through the period, and their slopes by what was
+        shifted, (SHIFTED + 1, num_rigs, 2, AFTER); the last are those by the command."""
+        plant, n = self._plant, self._plant.num_rigs
+        up = self._stream.choice([-SHIFT, SHIFT], (n, 2))
+        command = plant.get("command")[self._rows]
+        command[-n:] += up * plant.get("u_rated")
+        self._twins.step(command, plant.get("load")[self._rows], period)
+        states = _scaled(plant)
+        slopes = _scaled(self._twins).view(self._copies, n, 2, len(AFTER)) - states
+        for k, (_, shift) in enumerate(SHIFTED.values()):
+            slopes[k] /= shift
+        slopes[-1] /= torch.from_numpy(up.astype(np.float32))[..., None]
+        return states, slopes
+
+
+def _scaled(plant: Plant) -> Tensor:
+    columns = [plant.get(name) / scale for name, scale in AFTER.items()]
+    return torch.from_numpy(np.stack(columns, axis=-1).astype(np.float32))
+
+
+class Period(Function):
+    """The states after a period, whose gradient by the states and commands before is that of the slopes."""
+
+    @staticmethod
+    def forward(ctx: FunctionCtx, before: Tensor, command: Tensor, after: Tensor, slopes: Tensor) -> Tensor:
+        ctx.save_for_backward(slopes)
+        return after.clone()
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor, None, None]:
+        (slopes,) = ctx.saved_tensors
+        by = (slopes * gradient).sum(-1)  # (SHIFTED + 1, N, 2)
+        before = torch.zeros_like(gradient)
+        before[..., : len(SHIFTED)] = by[:-1].permute(1, 2, 0)
+        return before, by[-1], None, None
+
+
+class Bounded(Function):
+    """The values as they are; their gradient is multiplied by `keep` and, for each rig, at most `most` long."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, most: float, keep: float) -> Tensor:
+        ctx.most, ctx.keep = most, keep
+        return values.view_as(values)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
+        length = gradient.flatten(1).norm(dim=1).clamp(min=1e-9)
+        factor = ctx.keep * (ctx.most / length).clamp(max=1.0)
+        return gradient * factor.view(-1, *[1] * (gradient.dim() - 1)), None, None
+
+
+class GradientStage:
+    """`window()` drives one window and learns from it; `done` counts control periods of single rigs."""
+
+    def __init__(self, settings: Settings, policy: RecurrentPolicy, done: int) -> None:
+        s = self.settings = settings.gradient
+        self.policy, self.done, self.total = policy, done, int(s.periods * MILLION)
+        stream = np.random.default_rng([settings.training.seed, 1, done])
+        self.rigs = Rigs(settings, s.rigs, s.window, seed=int(stream.integers(2**40)))
+        self.optimiser = torch.optim.Adam(policy.parameters(), lr=s.rate, betas=(0.9, 0.98))
+        self._slopes = Slopes(self.rigs.env.plant, stream)
+        self._slopes.match(self.rigs.env.pairs)
+        self._state = torch.zeros(s.rigs, policy.units)
+        self._updates = 0
+
+    def window(self) -> dict[str, float]:
+        """Returns the mean costs of a period: speed difference, tracking, travel; and the notes' loss on the valves."""
+        s = self.settings
+        costs, notes = self._drive()
+        begun = self.rigs.next_window()
+        self._state[begun] = 0.0
+        self._slopes.match(self.rigs.env.pairs)
+        self.optimiser.zero_grad(set_to_none=True)
+        # summed over rigs, so that bounds on one rig's gradient do not depend on how many there are
+        ((costs.sum() + s.notes * notes) * s.rigs).backward()
+        for each in self.policy.parameters():
+            assert each.grad is not None  # the heads have one as well
+            each.grad /= s.rigs * s.window
+        size = nn.utils.clip_grad_norm_(self.policy.parameters(), 1.0)
+        warm = min(1.0, (self._updates + 1) / 30.0)  # Adam knows nothing of the gradients' size yet
+        fraction = min(1.0, self.done / self.total)
+        for group in self.optimiser.param_groups:
+            group["lr"] = s.rate * warm * max(0.05, 0.5 * (1.0 + cos(pi * fraction)))
+        if torch.isfinite(size):
+            self.optimiser.step()
+        self._updates += 1
+        self.done += s.window * s.rigs
+        means = (torch.cat([costs, notes[None]]).detach() / s.window).tolist()
+        return dict(zip(("difference", "tracking", "travel", "valves"), means, strict=True))
+
+    def _drive(self) -> tuple[Tensor, Tensor]:
+        """The costs (3,) of a window and the notes' loss, which can be differentiated by the network's weights."""
+        s, rigs, policy = self.settings, self.rigs, self.policy
+        state, plant = self._state, _scaled(rigs.env.plant)
+        sent = torch.from_numpy(rigs.observation[:, -2:])
+        before = torch.from_numpy(rigs.before)
+        valves = torch.from_numpy(rigs.valves().astype(np.float32))
+        total, notes = torch.zeros(3), torch.zeros(())
+        for t in range(s.window):
+            setpoint = rigs.observation[:, :1] * (SCALES[0] / RPM)
+            if t > 0:
+                state = Bounded.apply(state, s.most_memory, s.keep_memory)
+                plant = Bounded.apply(plant, s.most_state, s.keep_state)
+                sent = Bounded.apply(sent, s.most_command, 1.0)
+            seen = self._seen(plant, sent) if t > 0 else torch.from_numpy(rigs.observation)
+            commands, state = policy.step(torch.cat([before, seen], 1), state)
+            commands = commands.clamp(-1.0, 1.0)
+            notes = notes + (policy.note(state)[:, :KNOWN] - valves).square().mean()
+            self._slopes.before()
+            rigs.step(commands.detach().numpy())
+            plant = Period.apply(plant, commands, *self._slopes.after(rigs.env.control_period))
+            total = total + _costs(s, TO_RPM * plant[..., SPEED], torch.from_numpy(setpoint), commands - sent)
+            sent, before = commands, seen
+        self._state = state.detach().clone()
+        return total, notes
+
+    def _seen(self, plant: Tensor, sent: Tensor) -> Tensor:
+        """The observation (N, 9), which moves with the states and commands it was taken from."""
+        moving = torch.cat([plant[..., SPEED], plant[..., -2], plant[..., -1], sent], 1)
+        moving = Bounded.apply(moving, self.settings.most_reading, 1.0)
+        shown = torch.from_numpy(self.rigs.observation)
+        return shown + nn.functional.pad(moving - moving.detach(), (1, 0))
+
+
+def _costs(s: Gradient, speed: Tensor, setpoint: Tensor, move: Tensor) -> Tensor:
+    """The costs (3,) of a period: speeds (N, 2) and set-point (N, 1) in rpm, moves (N, 2) of the commands."""
+    apart = (speed[:, 0] - speed[:, 1]).abs()
+    beyond = s.corner * (2.0 * apart - s.corner)
+    difference = torch.where(apart < s.corner, apart**2, beyond).mean() / 100.0
+    tracking = (speed - setpoint).abs().mean()
+    return torch.stack([s.difference * difference, s.tracking * tracking, s.travel * move.abs().mean()])

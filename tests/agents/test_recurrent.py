@@ -1,0 +1,198 @@
+"""The recurrent policy: what its two stages learn from, and a run that is stopped and goes on."""
+
+import copy
+import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+
+import torch
+
+from agents.recurrent.__main__ import train
+from agents.recurrent.imitation import NOTES, ImitationStage, Teacher
+from agents.recurrent.network import RecurrentPolicy
+from agents.recurrent.rigs import KNOWN, Rigs
+from agents.recurrent.settings import Gradient, Settings, read_settings
+from agents.recurrent.simulator_gradient import GradientStage
+from hydro_env.controllers.learned.policy import NumpyPolicy
+from hydro_env.controllers.mpc.flow_control import ProbingFlow
+from hydro_env.errors import InputError
+
+ROOT = Path(__file__).parents[2]
+SHORT = """
+env: {plant: paper_dead_zone, mismatch: train}
+network: {inputs: 16, recurrent: 12, outputs: 8}
+imitation: {periods: 0.0064, rigs: 16, window: 100, batch: 8, epochs: 1}
+gradient: {periods: 0.0064, rigs: 16, window: 20}
+training: {evaluate: 0.0032, pairs: 4}
+"""
+
+
+def settings_of(tmp_path, text=SHORT):
+    path = tmp_path / "short.yml"
+    path.write_text(text)
+    return read_settings(path)
+
+
+def policy_of(**sizes):
+    torch.manual_seed(0)
+    return RecurrentPolicy((16, 12, 8), KNOWN + NOTES)
+
+
+def test_the_shipped_recipe_is_valid_and_small():
+    settings = read_settings(ROOT / "configs" / "gru.yml")
+    sizes = settings.network
+    policy = RecurrentPolicy((sizes.inputs, sizes.recurrent, sizes.outputs), KNOWN + NOTES)
+    assert sum(array.size for array in policy.arrays().values()) <= 50_000
+    assert settings.env["mismatch"] == "train"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("imitation:", "imitaton:", "unknown key 'imitaton': did you mean 'imitation'"),
+        ("periods: 0.0064, rigs: 16, window: 100", "period: 1", "imitation: 'period' is unknown"),
+        ("window: 20", "window: 7", "an episode of 600 periods should be a multiple"),
+        ("rigs: 16, window: 20", "rigs: 0, window: 20", "gradient: rigs should be at least 1"),
+        ("plant:", "plan:", "env: unknown key 'plan'"),
+        ("recurrent: 12", "recurrent: many", "recurrent 'many' should be a number"),
+    ],
+)
+def test_a_wrong_training_file_is_named_in_one_line(tmp_path, old, new, says):
+    assert old in SHORT
+    with pytest.raises(InputError) as caught:
+        settings = settings_of(tmp_path, SHORT.replace(old, new))
+        GradientStage(settings, policy_of(), 0)
+    assert says in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_teacher_that_is_followed_is_the_law():
+    """What it says of rigs that it drives itself is what the law alone sends. It reads in single precision what was sent, and
+    a saturated plan can turn that into another one: not on more than one rig in five."""
+    rigs = Rigs(Settings(), 16, 100, seed=3)
+    teacher, law = Teacher(rigs.observation, 0.01), ProbingFlow()
+    law.settings = teacher._law.settings
+    law.reset(16, 0.01)
+    for _ in range(80):
+        commands = teacher.command()
+        apart = np.abs(commands - law.act(rigs.observation)).max(axis=1)
+        assert np.quantile(apart, 0.8) < 1e-5
+        rigs.step(commands)
+        teacher.see(rigs.observation, np.ones(16, bool))
+
+
+def test_windows_hold_whole_episodes():
+    rigs = Rigs(Settings(), 32, 100, seed=0)
+    begun = np.zeros(32, int)
+    for _ in range(6):
+        for _ in range(100):
+            rigs.step(np.zeros((32, 2)))
+        new = rigs.next_window()
+        begun[new] += 1
+        np.testing.assert_array_equal(rigs.before[new], rigs.observation[new])
+        assert (rigs.observation[new, -2:] == 0.0).all()
+    assert (begun == 1).all()
+
+
+def test_the_gradient_is_that_of_the_simulated_cost():
+    """Unbounded, it predicts what a change of the last layer's bias costs: against simulations of the same rigs with it. The
+    spools hardly stick here; where they do, forward differences depend on their size."""
+    whole = replace(
+        Gradient(), rigs=64, window=6, keep_state=1.0, keep_memory=1.0,
+        most_state=1e9, most_memory=1e9, most_reading=1e9, most_command=1e9,
+    )  # fmt: skip
+    policy = policy_of()
+    stage = GradientStage(Settings(gradient=whole), policy, 0)
+    plant = stage.rigs.env.plant
+    for name in ("Fc", "Fs"):
+        plant.set(name, 0.02 * plant.get(name))
+    for t in range(60):  # valves open to one side: no dead zone on the way
+        stage.rigs.step(np.full((64, 2), min(0.4, 0.02 * t)))
+    begun, state = copy.deepcopy(stage.rigs.env), torch.zeros(64, policy.units)
+
+    def cost():
+        stage.rigs.env, stage._state = copy.deepcopy(begun), state
+        stage._slopes._plant = stage.rigs.env.plant
+        stage.rigs.observation = stage.rigs.before = begun._frames.copy()
+        return stage._drive()[0].sum()
+
+    with torch.no_grad():
+        policy.act.bias.fill_(0.4)
+    stage._slopes.match([*stage.rigs.env.pairs, "Fc", "Fs"])
+    cost().backward()
+    for channel in (0, 1):
+        found = []
+        for by in (0.02, -0.02):
+            with torch.no_grad():
+                policy.act.bias[channel] += by
+                found.append(cost().item())
+                policy.act.bias[channel] -= by
+        assert policy.act.bias.grad[channel].item() == pytest.approx((found[0] - found[1]) / 0.04, rel=0.15)
+
+
+def test_imitation_lowers_the_error_of_the_commands(tmp_path):
+    settings = settings_of(tmp_path)
+    quick = replace(settings.imitation, periods=1.0, batch=4, epochs=8, rate=0.02)
+    stage = ImitationStage(replace(settings, imitation=quick), policy_of(), 0)
+    errors = [stage.window()["command_error"] for _ in range(12)]
+    assert np.mean(errors[-2:]) < 0.5 * np.mean(errors[:2])
+
+
+def test_a_run_scores_saves_and_goes_on(tmp_path):
+    settings = settings_of(tmp_path)
+    out = tmp_path / "run"
+    whole = train(settings, out, bar=False)
+    assert [row["stage"] for row in whole.progress["curve"]] == ["imitation"] * 2 + ["gradient"] * 2
+    assert whole.periods == 12_800
+    policy = NumpyPolicy(out / "policy.npz")
+    assert policy.metadata["steps"] in [row["steps"] for row in whole.progress["curve"]]
+    with pytest.raises(InputError, match="--resume"):
+        train(settings, out, bar=False)
+    assert train(settings, out, resume=True, bar=False).periods == 12_800
+    longer = settings_of(tmp_path, SHORT.replace("gradient: {periods: 0.0064", "gradient: {periods: 0.0096"))
+    after = train(longer, out, resume=True, bar=False)
+    assert after.periods == 16_000 and len(after.progress["curve"]) == 5
+    assert json.loads((out / "curve.json").read_text()) == after.progress["curve"]
+    (out / "checkpoint.pt").write_bytes((out / "checkpoint.pt").read_bytes()[:1000])
+    with pytest.raises(
+        InputError, match=r"checkpoint.pt: cannot be resumed .* delete it to start over"
+    ) as caught:
+        train(settings, out, resume=True, bar=False)
+    assert "\n" not in str(caught.value)
+
+
+def test_killed_and_resumed(tmp_path):
+    (tmp_path / "long.yml").write_text(SHORT.replace("periods: 0.0064", "periods: 1.0"))
+    run = tmp_path / "run"
+    command = [
+        sys.executable,
+        "-m",
+        "agents.recurrent",
+        "--config",
+        str(tmp_path / "long.yml"),
+        "--out",
+        str(run),
+    ]
+    process = subprocess.Popen([*command, "--quiet"], cwd=ROOT, stderr=subprocess.PIPE)
+    try:
+        for _ in range(6000):  # on a busy machine the start alone takes a minute
+            if (run / "curve.json").is_file() and (run / "checkpoint.pt").is_file():
+                break
+            assert process.poll() is None, process.stderr.read().decode()
+            time.sleep(0.1)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    before = json.loads((run / "curve.json").read_text())
+    after = train(settings_of(tmp_path, SHORT), run, resume=True, bar=False)
+    assert after.progress["stage"] == "gradient"
+    assert after.progress["curve"][: len(before)] == before
