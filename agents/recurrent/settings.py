@@ -28,7 +28,7 @@ class Sizes:
 class Imitation:
     """The first stage, see `agents.recurrent.imitation`."""
 
-    periods: float = setting(25.0, "million", "control periods of single rigs", HAND)
+    periods: float = setting(11.5, "million", "control periods of single rigs", HAND)
     rigs: int = setting(
         640, "1", "driven side by side", "the law and the network are fastest at some hundreds"
     )
@@ -52,7 +52,7 @@ class Imitation:
 class Gradient:
     """The second stage, see `agents.recurrent.simulator_gradient`."""
 
-    periods: float = setting(100.0, "million", "control periods of single rigs", HAND)
+    periods: float = setting(45.0, "million", "control periods of single rigs", HAND)
     rigs: int = setting(256, "1", "driven side by side", "as many as fill the plant's blocks well")
     window: int = setting(
         60, "periods", "through which is propagated back; the length of an episode is a multiple", HAND
