@@ -15,7 +15,6 @@ RECIPES = {
     "ppo_rig": "the shipped agent `ppo_rig`",
     "sac": "the shipped agent `sac`",
     "ppo_plain": "PPO from the plain observation, without a law, in a quarter of an hour",
-    "sac_plain": "SAC from the plain observation, without a law, in a quarter of an hour",
     "ppo_quick": "a few seconds of PPO, to see that it works",
     "sac_quick": "a few seconds of SAC, to see that it works",
 }
