@@ -1,7 +1,7 @@
 """`hydro-env speed`: how fast the plant and the environment run here, and how large the error is at that speed.
 
 Speed without accuracy means nothing, so both are measured in one run: the error is the largest difference of the speed
-to the reference simulator (SciPy's stiff solver on the plain equations) under three kinds of command.
+to the reference simulator (SciPy's stiff solver on the plain equations) under the same kinds of command.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +26,11 @@ from hydro_env.plant.model import SUBSTEP
 from hydro_env.units import RPM
 
 __all__ = [
+    "KINDS",
     "NUM_ENVS",
+    "commands",
     "measure_batch",
+    "measure_commands",
     "measure_effects",
     "measure_errors",
     "measure_single",
@@ -37,7 +40,11 @@ __all__ = [
 ]
 
 NUM_ENVS = (1, 16, 64, 256, 1024)
+#: Kinds of command, see `commands`.
+KINDS = ("smooth", "uniform", "gaussian", "bang_bang")
 PERIOD = 0.01
+#: Limit of the command, V.
+LIMIT = 73.0
 
 
 def _rate(work: Callable[[], int], seconds: float) -> float:
@@ -56,11 +63,20 @@ def _rate(work: Callable[[], int], seconds: float) -> float:
     return best
 
 
-def _commands(rows: int, rigs: int, rng: np.random.Generator) -> np.ndarray:
-    """What a controller does: slow motion with a little unrest, (rows, rigs, 2) V."""
-    phase = rng.uniform(0, 2 * np.pi, (rigs, 2))
-    time_s = np.arange(rows)[:, None, None] * PERIOD
-    return 35.0 * np.sin(2 * np.pi * 0.4 * time_s + phase) + rng.normal(0.0, 1.0, (rows, rigs, 2))
+def commands(kind: str, rows: int, rigs: int, rng: np.random.Generator) -> np.ndarray:
+    """Commands of one of `KINDS`, (rows, rigs, 2) V: what a controller does (slow motion with a little unrest), and what
+    policies without training send, which drives spools into their end stops.
+    """
+    if kind == "smooth":
+        phase = rng.uniform(0, 2 * np.pi, (rigs, 2))
+        time_s = np.arange(rows)[:, None, None] * PERIOD
+        return 35.0 * np.sin(2 * np.pi * 0.4 * time_s + phase) + rng.normal(0.0, 1.0, (rows, rigs, 2))
+    shares = {
+        "uniform": lambda size: rng.uniform(-1.0, 1.0, size),
+        "gaussian": lambda size: np.clip(rng.normal(0.0, 1.0, size), -1.0, 1.0),
+        "bang_bang": lambda size: rng.choice([-1.0, 1.0], size),
+    }
+    return np.asarray(LIMIT * shares[kind]((rows, rigs, 2)))
 
 
 def measure_single(seconds: float = 1.0) -> dict[str, float]:
@@ -69,7 +85,7 @@ def measure_single(seconds: float = 1.0) -> dict[str, float]:
 
     env = HydraulicSyncEnv()
     env.reset(seed=0)
-    actions = (_commands(600, 1, np.random.default_rng(0))[:, 0] / 73.0).astype(np.float32)
+    actions = (commands("smooth", 600, 1, np.random.default_rng(0))[:, 0] / LIMIT).astype(np.float32)
 
     def steps() -> int:
         env.reset(seed=0)
@@ -78,7 +94,7 @@ def measure_single(seconds: float = 1.0) -> dict[str, float]:
         return 500
 
     plant = Plant("paper_dead_zone")
-    volts = actions.astype(float) * 73.0
+    volts = actions.astype(float) * LIMIT
 
     def plant_steps() -> int:
         for command in volts[:500]:
@@ -88,14 +104,16 @@ def measure_single(seconds: float = 1.0) -> dict[str, float]:
     return {"env_steps_per_s": _rate(steps, seconds), "plant_steps_per_s": _rate(plant_steps, seconds)}
 
 
-def measure_batch(num_envs: int, seconds: float = 1.0, dtype: str = "float64") -> dict[str, Any]:
-    """Steps a second of a native batch, summed over its environments, with the kernel's share."""
+def measure_batch(
+    num_envs: int, seconds: float = 1.0, dtype: str = "float64", kind: str = "smooth"
+) -> dict[str, Any]:
+    """Steps a second of a native batch under a kind of command, summed over its environments, with the kernel's share."""
     from hydro_env.envs.batch import HydraulicSyncVectorEnv
 
     rows = max(5, min(500, 20_000 // num_envs))
     envs = HydraulicSyncVectorEnv(num_envs, dtype=dtype)
-    commands = _commands(rows, num_envs, np.random.default_rng(0))
-    actions = (commands / 73.0).astype(np.float32)
+    volts = commands(kind, rows, num_envs, np.random.default_rng(0))
+    actions = (volts / LIMIT).astype(np.float32)
     envs.reset(seed=0)
 
     def steps() -> int:
@@ -106,7 +124,7 @@ def measure_batch(num_envs: int, seconds: float = 1.0, dtype: str = "float64") -
     plant = Plant("paper_dead_zone", num_envs, dtype=dtype)
 
     def plant_steps() -> int:
-        plant.run(commands, None, PERIOD, (), 1)
+        plant.run(volts, None, PERIOD, (), 1)
         return rows * num_envs
 
     rate, kernel = _rate(steps, seconds), _rate(plant_steps, seconds)
@@ -120,6 +138,19 @@ def measure_batch(num_envs: int, seconds: float = 1.0, dtype: str = "float64") -
         "channel_substeps_per_s": kernel * substeps,
         "times_real_time": rate * PERIOD,
     }
+
+
+def measure_commands(
+    num_envs: int, seconds: float, errors: Mapping[str, Mapping[str, float]]
+) -> list[dict[str, Any]]:
+    """Steps a second under every kind of command, with the error (rpm) that `errors` names for it by dtype and kind."""
+    rows = []
+    for dtype, kind in tqdm([(d, k) for d in errors for k in KINDS], desc="commands", leave=False):
+        found = measure_batch(num_envs, seconds, dtype, kind)
+        rates = {name: found[name] for name in ("env_steps_per_s", "plant_steps_per_s")}
+        error = errors[dtype]["random" if kind == "uniform" else kind]
+        rows.append({"kind": kind, "dtype": dtype, "num_envs": num_envs, **rates, "error_rpm": error})
+    return rows
 
 
 def measure_errors(dtypes: Sequence[str] = ("float64", "float32")) -> list[dict[str, float]]:
@@ -136,10 +167,12 @@ def measure_errors(dtypes: Sequence[str] = ("float64", "float32")) -> list[dict[
         "steps": steps,
         "random": rng.uniform(-73.0, 73.0, (200, 2)),
         "bang_bang": 73.0 * rng.choice([-1.0, 1.0], (200, 2)),
+        "smooth": commands("smooth", 200, 1, rng)[:, 0],
+        "gaussian": commands("gaussian", 200, 1, rng)[:, 0],
     }
     errors: list[dict[str, float]] = [{} for _ in dtypes]
-    for name, commands in kinds.items():
-        fine = np.repeat(commands, 5, axis=0)
+    for name, volts in kinds.items():
+        fine = np.repeat(volts, 5, axis=0)
         truth = simulate_reference(model, fine, np.zeros_like(fine), PERIOD / 5, tolerance=1e-8)
         for found, dtype in zip(errors, dtypes, strict=True):
             ours = Plant(model, dtype=dtype).run(fine, None, PERIOD / 5, ("speed",))["speed"][:, 0]
@@ -152,12 +185,12 @@ def measure_effects(seconds: float = 1.0) -> dict[str, float]:
 
     What a model does not name is not compiled in and costs nothing; the last figure is what naming all of them costs.
     """
-    commands = _commands(20, 1024, np.random.default_rng(0))
+    volts = commands("smooth", 20, 1024, np.random.default_rng(0))
 
     def cost(plant: Plant) -> float:
         def steps() -> int:
-            plant.run(commands, None, PERIOD, (), 1)
-            return commands.shape[0] * plant.num_rigs * 2 * plant.substeps(PERIOD)
+            plant.run(volts, None, PERIOD, (), 1)
+            return volts.shape[0] * plant.num_rigs * 2 * plant.substeps(PERIOD)
 
         return 1e9 / _rate(steps, seconds)
 
@@ -215,6 +248,7 @@ def run(out: str | Path, *, num_envs: Sequence[int] = NUM_ENVS, seconds: float =
         "start": start,
         "single": measure_single(seconds),
         "batch": batch,
+        "commands": measure_commands(max(num_envs), seconds, {"float64": error, "float32": error_float32}),
         "error_rpm": error,
         "error_float32_rpm": error_float32,
         "near_limit": measure_ratio(seconds),
@@ -233,6 +267,13 @@ def summary(result: dict[str, Any]) -> str:
             f"{row['num_envs']:12d} {row['dtype']}{row['env_steps_per_s']:14.0f}{row['plant_steps_per_s']:14.0f}"
             f"{1e9 / row['channel_substeps_per_s']:25.1f}{row['times_real_time']:18.0f}"
         )
+    rigs = result["commands"][0]["num_envs"]
+    lines.append(
+        f"env steps/s of {rigs} environments by kind of command, and largest error against the reference"
+    )
+    for row in result["commands"]:
+        what = f"{row['kind']:>12s} {row['dtype']}"
+        lines.append(f"{what}{row['env_steps_per_s']:14.0f}{row['error_rpm']:10.3f} rpm")
     single, error = result["single"], result["error_rpm"]
     lines.append(
         f"float32: largest error against the reference {result['error_float32_rpm']['worst_against_reference']:.3f} rpm"

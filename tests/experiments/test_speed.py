@@ -23,6 +23,10 @@ def test_speed_writes_rates_and_the_error_at_that_speed(tmp_path: Path) -> None:
     assert row["times_real_time"] == pytest.approx(row["env_steps_per_s"] * 0.01)
     assert 0 < result["error_rpm"]["worst_against_reference"] < 0.1
     assert 0 < result["error_float32_rpm"]["worst_against_reference"] < 0.1
+    kinds = [(row["dtype"], row["kind"]) for row in result["commands"]]
+    assert kinds == [(dtype, kind) for dtype in ("float64", "float32") for kind in speed.KINDS]
+    for row in result["commands"]:
+        assert row["num_envs"] == 3 and row["env_steps_per_s"] > 0 and 0 < row["error_rpm"] < 0.1
     assert 0 < result["effects"]["base_ns"] < result["effects"]["all_neutral_ns"]
     assert 0 < result["start"]["warm_s"] < result["start"]["cold_s"]
     assert "rpm" in speed.summary(result)
