@@ -92,6 +92,7 @@ CONTROLLERS: dict[str, Entry] = {
         _policy("ppo", "neural policy on a model-based law, trained with PPO"),
         _policy("ppo_calm", "the same on a slower reference: better synchronised, more tracking error"),
         _policy("sac", "neural policy on a model-based law, trained with SAC"),
+        _policy("gru", "recurrent network from the observation alone, without a law"),
         _policy("ppo_rig", "neural policy for the preset `rig`", apart=True),
     )
 }
