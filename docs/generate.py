@@ -536,7 +536,17 @@ SCORES = (
     ("test_extrap", "setpoint_steps", "set-point steps, `test_extrap`"),
 )
 SCENARIOS_OF_VAL = ("setpoint_steps", "load_step", "staircase", "sine", "unequal_load", "disturbance")
-SHORT = ("pid_paper", "pid_tuned", "cross_coupled", "compensated", "ppo", "gru", "bench_flow", "servo_pid", "oracle")
+SHORT = (
+    "pid_paper",
+    "pid_tuned",
+    "cross_coupled",
+    "compensated",
+    "ppo",
+    "gru",
+    "bench_flow",
+    "servo_pid",
+    "oracle",
+)
 SPEED = (
     "machine", "single", "batch", "commands", "error_rpm", "error_float32_rpm", "substep_s", "near_limit",
     "memory_bytes_per_env", "effects", "start",
