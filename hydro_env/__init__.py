@@ -16,7 +16,7 @@ __all__ = ["__version__"]
 for _id, _arguments in (
     ("HydraulicSync-v0", {}),
     # Actions change the command, as in the velocity form of a PID, so that a policy without memory can integrate.
-    ("HydraulicSyncIncrement-v0", {"increment": 0.3, "history": 2}),
+    ("HydraulicSyncIncrement-v0", {"increment": 0.3, "history": 2, "errors": True}),
 ):
     _register(
         id=_id,

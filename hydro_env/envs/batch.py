@@ -25,7 +25,7 @@ from ..plant.plant import machine_memory
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, default_mismatch, load_mismatch, own_values
 from ..tasks.scenarios import Reference, Scenario, load_scenario
 from .made_spec import made_spec
-from .observation import FRAME, LIMIT, SCALES, noise_levels
+from .observation import ERRORS, FRAME, LIMIT, SCALES, noise_levels, with_errors
 from .render import Recorder
 from .reward import Reward, load_reward
 from .step_kernels import COLUMNS, SIGNALS, TRUE, apply, look
@@ -94,6 +94,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         dtype: str = "float64",
         render_width: int = 640,
         increment: float | None = None,
+        errors: bool = False,
     ) -> None:
         super().__init__()
         self.num_envs = NUM_ENVS.check(num_envs, "num_envs")
@@ -103,10 +104,11 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.max_episode_steps = (
             None if max_episode_steps is None else EPISODE.check(max_episode_steps, "max_episode_steps")
         )
+        _one_of("errors", errors, (False, True))
         _one_of("dtype", dtype, ("float64", "float32"))
         _one_of("render_mode", render_mode, (None, "rgb_array"))
         _one_of("autoreset_mode", autoreset_mode, (*AutoresetMode, *(mode.value for mode in AutoresetMode)))
-        self.dtype = np.dtype(dtype)
+        self.dtype, self.errors = np.dtype(dtype), errors
         self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
         self.scenario = load_scenario(scenario)
         self.mismatch = load_mismatch(
@@ -125,11 +127,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._effects: tuple[str, ...] = ()
         self._build(self.mismatch)
         _check_room(self.num_envs, self.history)
-        self.single_observation_space = spaces.Box(-LIMIT, LIMIT, (FRAME * self.history,), np.float32)
-        self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
-
+        self._make_spaces()
         self._levels = noise_levels(noise)
         self._weights = self.reward.weights()
         self._recorder: Recorder | None = None
@@ -137,6 +135,13 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             self._recorder = Recorder(self.num_envs, RENDER_WIDTH.check(render_width, "render_width"))
         self._settable: dict[str, tuple[float, float]] = {}
         self._clear()
+
+    def _make_spaces(self) -> None:
+        width = (FRAME + ERRORS * self.errors) * self.history
+        self.single_observation_space = spaces.Box(-LIMIT, LIMIT, (width,), np.float32)
+        self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     def _clear(self) -> None:
         """Makes room for what belongs to the episodes of each row."""
@@ -198,7 +203,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._look(self._all if mask is None else rows, result)
         if mask is not None:  # rows that are not reset show what they showed last
             result[0][~mask] = self._frames[~mask]
-        return result[0], self._reset_info({}, rows, result[1])
+        return self.seen(result[0]), self._reset_info({}, rows, result[1])
 
     def step(
         self, actions: ArrayLike
@@ -225,7 +230,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             rows = np.flatnonzero(ended)
             final = np.full(self.num_envs, None, object)
             for row in rows:
-                final[row] = observation[row].copy()
+                final[row] = self.seen(observation[row]).copy()
             final_info = self._step_info(true.copy(), terminated, ended, ended)
             self._restart(rows, result)
             info = self._step_info(true, np.zeros_like(ended), everyone, ~ended)
@@ -233,7 +238,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             self._reset_info(info, rows, true)
             ended = np.zeros_like(ended)
         self._ended = ended
-        return observation, reward, terminated, truncated, info
+        return self.seen(observation), reward, terminated, truncated, info
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture (height, width, 3) of each row's recent past, if `render_mode` is "rgb_array"."""
@@ -243,6 +248,17 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             self._recorder.picture(row, self.control_period, float(self._rated[row].max()))
             for row in range(self.num_envs)
         )
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """An attribute, or what a method returns, for each row, as Gymnasium's own batches have it and trainers expect it.
+
+        Everything but pictures the rows have in common. ValueError for what steps or resets them.
+        """
+        if name in ("reset", "step", "advance"):
+            raise ValueError(f"{name} concerns all rows: call it on the environment itself")
+        found = getattr(self, name)
+        answer = found(*args, **kwargs) if callable(found) else found
+        return answer if name == "render" and answer is not None else (answer,) * self.num_envs
 
     @property
     def spec(self) -> EnvSpec | None:  # type: ignore[override]
@@ -275,7 +291,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         return Reference(self._setpoint[row, :rows].copy(), self._load[row, :rows].copy())
 
     def advance(self, actions: ArrayLike) -> Result:
-        """One control period for all rows, without autoreset and info. ValueError as for `step`."""
+        """One control period for all rows, without autoreset, info and `errors`. ValueError as for `step`."""
         if not self._seeds:
             raise gymnasium.error.ResetNeeded("reset the environment before the first step")
         wanted = np.ascontiguousarray(actions, dtype=np.float64)
@@ -485,6 +501,10 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             self._frames[rows] = observation[rows]
         if self._recorder is not None:
             self._recorder.add(rows, result[1], self.plant.angle)
+
+    def seen(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What leaves the environment of its frames."""
+        return with_errors(observation) if self.errors else observation
 
     def _step_info(
         self,

@@ -41,8 +41,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Observation space
 
-    `Box(-10, 10, (9 * history,), float32)`: what can be measured, divided by fixed scales. With `history` above 1 the
-    last frames, oldest first; at the start of an episode the first frame stands for those before it.
+    `Box(-10, 10, (9 * history,), float32)`: what can be measured, divided by fixed scales; 12 * history with `errors`. With
+    `history` above 1 the last frames, oldest first; at the start of an episode the first frame stands for those before it.
 
     In order: set-point in force from now on; speeds of motors 1 and 2; currents of coils 1 and 2; pressure differences over
     motors 1 and 2; the last action, clipped. `hydro_env.envs.observation` has names, scales and noise as data, and
@@ -94,6 +94,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     * `noise`: factor on the sensors' noise, 0 for none, or levels such as {"speed_rpm": 2.0}.
     * `reward`: weights to be changed, such as {"variation": 0.5}.
     * `increment`: None, or what an action of 1 adds to the command in a control period, as a fraction of the rated one.
+    * `errors`: whether each frame's errors to the set-point and speed difference, magnified, stand in front of the frames; see
+      `hydro_env.envs.observation.with_errors`.
 
     `reset(options=...)` takes, for that episode, `mismatch`, `scenario` and `case` (number of the case of a split with
     a fixed list). Anything unknown raises `hydro_env.errors.InputError`.
@@ -106,7 +108,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Version history
 
-    * v0: first version. `HydraulicSyncIncrement-v0` is the same with `increment=0.3, history=2`.
+    * v0: first version. `HydraulicSyncIncrement-v0` is the same with `increment=0.3, history=2, errors=True`.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012 (Gymnasium's way)
@@ -125,6 +127,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         reward: Mapping[str, float] | Reward | None = None,
         render_width: int = 640,
         increment: float | None = None,
+        errors: bool = False,
     ) -> None:
         self.batch = HydraulicSyncVectorEnv(
             1,
@@ -139,6 +142,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             autoreset_mode=AutoresetMode.DISABLED,
             render_width=render_width,
             increment=increment,
+            errors=errors,
         )
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.batch.metadata["render_fps"]}
@@ -201,7 +205,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         ended = bool(terminated[0])
         if ended:
             info["termination"] = DIVERGED
-        return observation[0], float(reward[0]), ended, bool(truncated[0]), info
+        return self.batch.seen(observation)[0], float(reward[0]), ended, bool(truncated[0]), info
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """A picture (height, width, 3) of the recent past, if `render_mode` is "rgb_array"."""

@@ -19,6 +19,7 @@ SAME_TASK = {
     "render_width",
     "history",
     "increment",
+    "errors",
     "dtype",
     "num_envs",
     "vectorization_mode",

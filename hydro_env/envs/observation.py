@@ -30,6 +30,8 @@ OBSERVATION = (
 #: Factor on the sensors' noise, or one level of it.
 LEVEL = Limits(0.0, 1e6)
 FRAME = len(OBSERVATION)
+#: What `with_errors` adds to a frame.
+ERRORS = 3
 
 #: What 1.0 stands for: 600 rpm, in rad/s; the rated current, A; 10 bar, in Pa; the rated command.
 SCALES: Floats = np.array([600 * RPM] * 3 + [0.73] * 2 + [10 * BAR] * 2 + [1.0] * 2)
@@ -61,9 +63,14 @@ class Measurements:
 
 
 def decode(observation: NDArray[np.floating]) -> Measurements:
-    """The newest frame of observations (N, n) in SI. ValueError if n is no multiple of the length of a frame."""
+    """The newest frame of observations (N, n) in SI, with errors in front or without. ValueError if n is no multiple of the
+    length of a frame."""
     array = np.asarray(observation)
-    if array.ndim != 2 or array.shape[1] == 0 or array.shape[1] % FRAME:
+    if (
+        array.ndim != 2
+        or array.shape[1] == 0
+        or (array.shape[1] % FRAME and array.shape[1] % (FRAME + ERRORS))
+    ):
         raise ValueError(
             f"observations have the shape {array.shape}, expected (N, {FRAME}) or (N, k * {FRAME})"
         )

@@ -332,8 +332,6 @@ def test_the_network_of_increments_drives_as_in_the_environment_of_increments(tm
     """A policy file trained with the interface's increments, and the same weights in HydraulicSyncIncrement-v0."""
     import gymnasium
 
-    from hydro_env.envs.observation import with_errors
-
     interface = {"kind": "frames", "frames": 2, "increment": 0.3, "errors": True}
     text = PPO.read_text().replace(
         PPO.read_text().split("interface: ")[1].split("\n")[0], json.dumps(interface)
@@ -351,7 +349,5 @@ def test_the_network_of_increments_drives_as_in_the_environment_of_increments(tm
     policy.reset(1, 0.01)
     for _ in range(100):
         one = plain.step(policy.act(one[None])[0])[0]
-        two = changing.step(np.clip(policy.network(with_errors(two[None]).astype(np.float64))[0], -1.0, 1.0))[
-            0
-        ]
+        two = changing.step(np.clip(policy.network(two[None].astype(np.float64))[0], -1.0, 1.0))[0]
         np.testing.assert_allclose(one, two[-9:], atol=1e-5)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import hydro_env  # noqa: F401 (registers the environment)
 from hydro_env.envs import OBSERVATION, HydraulicSyncEnv, decode
-from hydro_env.envs.observation import LIMIT, SCALES
+from hydro_env.envs.observation import LIMIT, SCALES, with_errors
 from hydro_env.envs.render import Recorder
 from hydro_env.envs.step_kernels import TRUE
 from hydro_env.errors import InputError
@@ -217,15 +217,16 @@ def test_reward_by_hand():
 def test_increments_change_the_command():
     """Driven with the sums of the same actions, HydraulicSync-v0 shows the same signals, bit for bit."""
     changing, plain = gymnasium.make("hydro_env:HydraulicSyncIncrement-v0"), make(history=2)
-    assert changing.observation_space.shape == (18,) and changing.spec.reward_threshold == -150.0
+    assert changing.observation_space.shape == (24,) and changing.spec.reward_threshold == -150.0
     batch = gymnasium.make_vec("hydro_env:HydraulicSyncIncrement-v0", num_envs=2)
     observation, other = changing.reset(seed=3)[0], plain.reset(seed=3)[0]
     rows = batch.reset(seed=3)[0]
     command = np.zeros(2)
     stream = np.random.default_rng(0)
     for _ in range(40):
-        np.testing.assert_array_equal(observation, other)
+        np.testing.assert_array_equal(observation, with_errors(other))
         np.testing.assert_array_equal(observation, rows[0])
+        np.testing.assert_array_equal(decode(rows).speed[0], decode(other[None]).speed[0])
         action = stream.uniform(-1.5, 1.5, 2)
         command = np.clip(command + 0.3 * np.clip(action, -1.0, 1.0), -1.0, 1.0)
         observation, reward, *_, info = changing.step(action)
@@ -235,6 +236,18 @@ def test_increments_change_the_command():
         np.testing.assert_allclose(info["command_V"], 73.0 * command)
     with pytest.raises(ValueError, match="not finite"):
         changing.step(np.array([np.nan, 0.0]))
+
+
+def test_a_batch_answers_calls_for_each_row_as_gymnasiums_own_batches_do():
+    batch = gymnasium.make_vec("hydro_env:HydraulicSync-v0", num_envs=2, render_mode="rgb_array")
+    batch.reset(seed=0)
+    assert batch.call("control_period") == (0.01, 0.01)
+    one, two = batch.call("render")
+    np.testing.assert_array_equal(one, batch.render()[0])
+    assert two.shape == one.shape
+    assert gymnasium.make_vec("hydro_env:HydraulicSync-v0", num_envs=2).call("render") == (None, None)
+    with pytest.raises(ValueError, match="step concerns all rows"):
+        batch.call("step", np.zeros((2, 2)))
 
 
 def test_episode_ends_by_truncation_with_its_scenario():
