@@ -1,10 +1,10 @@
-"""Learning curves of Stable-Baselines3 at its default settings, and the line to beat:
-`python -m agents.baselines --algo ppo sac --seeds 5 --steps 150000 --out runs/baselines`.
+"""Learning curves of Stable-Baselines3 at its default settings and with the recipes, and the line to beat:
+`python -m agents.baselines --algo ppo sac --steps 150000 20000 --recipes ppo sac --seeds 5 --out runs/baselines`.
 
-Every seed is one rig, the plain observation, the environment's reward and the algorithm's own defaults: nothing is tuned. OUT
-receives a sweep of `agents.sweep` for each algorithm, and `baselines.json`, `.md` and `.png`: mean return, peak synchronisation
-error and tracking error over control periods, beside those of classical controllers on the same episodes. The same command again
-goes on with what is not finished.
+`--algo`: every seed is one rig, the plain observation, the environment's reward and the algorithm's own defaults: nothing is
+tuned. `--recipes`: the training files of those names. OUT receives a sweep of `agents.sweep` for each of them, and
+`baselines.json`, `.md` and `.png`: mean return, peak synchronisation error and tracking error over control periods, beside those
+of classical controllers on the same episodes. The same command again goes on with what is not finished.
 
 `--rung` trains on another rung of the ladder of tasks, from easy to hard. `--lines` measures the classical controllers on every
 rung, without training, and writes the table of the documents, `ladder.md`.
@@ -27,6 +27,7 @@ from agents.command import run_command
 from hydro_env.files import write_bytes, write_json
 from hydro_env.limits import CORES, Limits
 from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
+from hydro_env.training.recipes import RECIPES, recipe
 
 __all__ = ["LADDER", "lines", "main", "training_file"]
 
@@ -53,8 +54,8 @@ TITLES = {
     PEAK: "peak synchronisation error, rpm",
     TRACKING: "mean absolute tracking error, rpm",
 }
-#: Control periods between two points of a curve; checkpoints of SAC hold its replay buffer and are rarer.
-EVALUATE_EVERY, CHECKPOINT_EVERY = 10_000, 50_000
+#: Control periods between two points of a curve at default settings, and between checkpoints.
+EVALUATE_EVERY, CHECKPOINT_EVERY = {"ppo": 10_000, "sac": 4_000}, 50_000
 
 
 class Still:
@@ -74,7 +75,7 @@ def training_file(algorithm: str, rung: str, steps: int, pairs: int) -> str:
         "HydraulicSync-v0": {"n_envs": 1, "n_timesteps": steps, "env_kwargs": LADDER[rung][1]},
         "training": {
             "algorithm": algorithm,
-            "evaluate_every": EVALUATE_EVERY,
+            "evaluate_every": EVALUATE_EVERY[algorithm],
             "checkpoint_every": CHECKPOINT_EVERY,
             "evaluate_scenarios": list(SCENARIOS),
             "evaluate_pairs": pairs,
@@ -110,37 +111,40 @@ def lines(rung: str, pairs: int) -> dict[str, dict[str, dict[str, float]]]:
     return found
 
 
+def training_files(arguments: argparse.Namespace) -> dict[str, Path]:
+    """What the command trains: the training file by the name of its folder; writes those of default settings."""
+    files = {}
+    for algorithm, steps in zip(arguments.algo, arguments.steps, strict=True):
+        files[algorithm] = arguments.out / f"{algorithm}.yml"
+        write_bytes(
+            files[algorithm], training_file(algorithm, arguments.rung, steps, arguments.pairs).encode()
+        )
+    return files | {f"{name}_recipe": recipe(name) for name in arguments.recipes}
+
+
 def train(arguments: argparse.Namespace, command: str) -> None:
-    """Trains every seed of every algorithm; writes `baselines.json` and the picture."""
+    """Trains every seed of every file; writes `baselines.json`, the picture and the table."""
     from agents.sweep import sweep
     from hydro_env.training.config import read_config
 
     out: Path = arguments.out
     out.mkdir(parents=True, exist_ok=True)
     curves, final = {}, {}
-    for algorithm in arguments.algo:
-        file = out / f"{algorithm}.yml"
-        write_bytes(file, training_file(algorithm, arguments.rung, arguments.steps, arguments.pairs).encode())
+    for name, file in training_files(arguments).items():
         summary = sweep(
             read_config(file),
             range(arguments.seeds),
-            out / algorithm,
+            out / name,
             jobs=arguments.jobs,
             pairs=arguments.pairs,
             command=command,
             progress=not arguments.quiet,
         )
-        final[algorithm] = summary["rows"]
-        curves[algorithm] = [
-            read_json(
-                out / algorithm / f"seed_{each['seed']}" / "curve.json",
-                "a learning curve",
-                most=MOST_BYTES_OF_RESULTS,
-            )
-            for each in summary["seeds"]
-        ]
+        final[name] = summary["rows"]
+        paths = [out / name / f"seed_{each['seed']}" / "curve.json" for each in summary["seeds"]]
+        curves[name] = [read_json(path, "a learning curve", most=MOST_BYTES_OF_RESULTS) for path in paths]
         for each in summary["failed"]:
-            print(f"{algorithm}, seed {each['seed']} failed: {each['reason']}", file=sys.stderr)
+            print(f"{name}, seed {each['seed']} failed: {each['reason']}", file=sys.stderr)
     measured = {
         "schema": SCHEMA,
         "command": command,
@@ -153,6 +157,12 @@ def train(arguments: argparse.Namespace, command: str) -> None:
     write_json(out / "baselines.json", measured)
     draw(curves, measured["lines"], out / "baselines.png")
     summary_table(measured, out / "baselines.md")
+
+
+def title(name: str) -> str:
+    """What a folder holds, for readers: "PPO, default settings" of `ppo`, "PPO, recipe" of `ppo_recipe`."""
+    algorithm, _, rest = name.partition("_")
+    return f"{algorithm.upper()}, {'recipe' if rest else 'default settings'}"
 
 
 def draw(
@@ -169,33 +179,40 @@ def draw(
 
     figure, axes = plt.subplots(1, 3, figsize=(14, 4.5))
     for axis, metric in zip(axes, (RETURN, PEAK, TRACKING), strict=True):
-        for algorithm, seeds in curves.items():
+        for name, seeds in curves.items():
+            algorithm, _, rest = name.partition("_")
+            look = {"color": COLOURS[algorithm], "lw": 1.0, "ls": "-" if rest else ":", "marker": "."}
             for number, points in enumerate(seeds):
-                thousands = [point["steps"] / 1e3 for point in points]
-                values = [abs(point[metric]) for point in points]
-                label = f"{algorithm.upper()}, a line per seed" if number == 0 else None
-                axis.plot(thousands, values, ".-", color=COLOURS[algorithm], lw=1, label=label)
+                values = [abs(_scores(point)[metric]) for point in points]
+                label = f"{title(name)}, a line per seed" if number == 0 else None
+                axis.plot([point["steps"] for point in points], values, label=label, markersize=3, **look)
         for name, level in levels.items():
             value = abs(level[SCENARIOS[0]][metric])
             axis.axhline(value, color="0.4", lw=1, ls="--")
             axis.text(1.01, value, name, transform=axis.get_yaxis_transform(), fontsize=8, va="center")
-        axis.set_xlim(left=0.0)
+        axis.set_xscale("log")
         axis.set_yscale("log")
         axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.yaxis.set_major_formatter("{x:g}")
         axis.yaxis.set_minor_formatter(NullFormatter())
-        axis.set_xlabel("thousand control periods")
+        axis.set_xlabel("control periods")
         axis.set_ylabel(TITLES[metric] if metric != RETURN else "minus the mean return")
         axis.grid(True, which="major", color="0.9")
     axes[0].legend(fontsize=8, loc="lower left")
     figure.suptitle(
-        f"{SCENARIOS[0]}, default settings of Stable-Baselines3; lower is better in every panel", fontsize=10
+        f"Stable-Baselines3 in {SCENARIOS[0]}, pairs of val; lower is better in every panel", fontsize=10
     )
     figure.tight_layout()
     memory = io.BytesIO()
     figure.savefig(memory, format="png", dpi=90)
     plt.close(figure)
     write_bytes(out, memory.getvalue())
+
+
+def _scores(point: Mapping[str, Any]) -> Mapping[str, float]:
+    """Those of a point of a curve in the scenario that is drawn."""
+    scores: Mapping[str, float] = point["scenarios"][SCENARIOS[0]]
+    return scores
 
 
 def ladder(arguments: argparse.Namespace) -> None:
@@ -219,12 +236,12 @@ def summary_table(measured: Mapping[str, Any], out: Path) -> None:
     head = ["controller", "mean return"]
     head += [f"peak / tracking error in `{scenario}`, rpm" for scenario in SCENARIOS]
     rows = []
-    for algorithm, final in measured["final"].items():
+    for name, final in measured["final"].items():
         cells = {(row["scenario"], row["metric"]): row for row in final}
         if cells:
             best = cells[SCENARIOS[0], RETURN]
             row = [
-                f"{algorithm.upper()}, best of each of {best['n']} seeds",
+                f"{title(name)}, best of each of {best['n']} seeds",
                 "{:.0f} [{:.0f}, {:.0f}]".format(best["iqm"], *best["ci95"]),
             ]
             row += [f"{cells[s, PEAK]['iqm']:.0f} / {cells[s, TRACKING]['iqm']:.0f}" for s in SCENARIOS]
@@ -256,10 +273,15 @@ def main() -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--algo", choices=ALGORITHMS, nargs="+", default=list(ALGORITHMS))
+    parser.add_argument("--algo", choices=ALGORITHMS, nargs="*", default=[], help="at default settings")
+    parser.add_argument("--recipes", choices=RECIPES, nargs="*", default=[], help="by their training files")
     parser.add_argument("--seeds", type=Limits(1, 1000, whole=True), default=5, help="how many, from 0 on")
     parser.add_argument(
-        "--steps", type=Limits(1, 10**12, whole=True), default=150_000, help="control periods"
+        "--steps",
+        type=Limits(1, 10**12, whole=True),
+        nargs="*",
+        default=[],
+        help="control periods at default settings, one for each --algo",
     )
     parser.add_argument("--rung", choices=LADDER, default="train", help="of the ladder of tasks")
     parser.add_argument(
@@ -270,6 +292,8 @@ def main() -> None:
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.add_argument("--out", type=Path, required=True, help="folder to write to")
     arguments = parser.parse_args()
+    if len(arguments.steps) != len(arguments.algo):
+        parser.error("--steps takes one number for each --algo")
     command = " ".join(["python -m agents.baselines", *sys.argv[1:]])
     run_command(lambda: ladder(arguments) if arguments.lines else train(arguments, command))
 

@@ -1,9 +1,9 @@
 """Trains a policy, or goes on training it.
 
 The folder of a run receives `policy.npz`, the policy with the best score on the split `val`; `curve.json`, the scores over
-steps and wall time; `checkpoints/`, the newest state, from which a resumed run goes on exactly; `tensorboard/`; and `config.yml`,
-the file the run was started with. With one seed, the same versions and the same machine a run gives the same policy,
-whether it was interrupted or not.
+steps, wall and processor time, those of each scenario under `scenarios`; `checkpoints/`, the newest state, from which a resumed
+run goes on exactly; `tensorboard/`; and `config.yml`, the file the run was started with. With one seed, the same versions and the
+same machine a run gives the same policy, whether it was interrupted or not.
 """
 
 from __future__ import annotations
@@ -71,6 +71,7 @@ class Run(BaseCallback):
             leave=True,
         )
         self._since = time.monotonic() - progress["seconds"]
+        self._cpu_since = time.process_time() - progress["cpu_seconds"]
         self._checked = 0
 
     @property
@@ -97,8 +98,15 @@ class Run(BaseCallback):
 
     def save(self) -> None:
         """Writes a checkpoint and the curve that belongs to it."""
-        self.progress["steps"], self.progress["seconds"] = self.steps, time.monotonic() - self._since
+        self.progress |= {"steps": self.steps, **self.times()}
         checkpoint.save(self.out / "checkpoints", self.model, self.progress)
+
+    def times(self) -> dict[str, float]:
+        """Wall and processor time of the run, s."""
+        return {
+            "seconds": round(time.monotonic() - self._since, 1),
+            "cpu_seconds": round(time.process_time() - self._cpu_since, 1),
+        }
 
     def evaluate(self) -> None:
         """Scores the present policy on `val`; exports it if it is the best so far."""
@@ -118,8 +126,9 @@ class Run(BaseCallback):
         tail = np.mean([scores["max_speed_difference_rpm_p95"] for scores in each.values()])
         score = float(difference + training.tracking_weight * tracking + training.tail_weight * tail)
         scores = each[training.evaluate_scenarios[0]]
-        seconds = round(time.monotonic() - self._since, 1)
-        self.progress["curve"].append({"steps": self.steps, "seconds": seconds, "score": score, **scores})
+        times = self.times()
+        point = {"steps": self.steps, **times, "score": score, **scores, "scenarios": each}
+        self.progress["curve"].append(point)
         if score < self.progress["best"]:
             self.progress["best"] = score
             val = {
@@ -128,7 +137,7 @@ class Run(BaseCallback):
                 "scenario": training.evaluate_scenarios[0],
             }
             val = {**val, **scores, "scenarios": each}
-            self._export(self.out / "policy.npz", {**about, "seconds": seconds, "val": val})
+            self._export(self.out / "policy.npz", {**about, **times, "val": val})
         candidate.unlink()
         self.progress["evaluated"] = self.steps
         text = json.dumps(self.progress["curve"], indent=1)
@@ -203,7 +212,14 @@ def train(
             model, progress = checkpoint.restore(newest, config.algorithm)
         else:
             model = make_model(config)
-            progress = {"steps": 0, "seconds": 0.0, "evaluated": 0, "best": float("inf"), "curve": []}
+            progress = {
+                "steps": 0,
+                "seconds": 0.0,
+                "cpu_seconds": 0.0,
+                "evaluated": 0,
+                "best": float("inf"),
+                "curve": [],
+            }
             write_bytes(out / "config.yml", config.text.encode())
         model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
         rows = make_interface(config.training.interface).rows_per_rig

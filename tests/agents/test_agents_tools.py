@@ -104,7 +104,7 @@ def test_baselines_train_and_draw_beside_the_line_to_beat(tmp_path, monkeypatch)
         assert curve[0]["mean_return"] < returns["cross_coupled"] < 0.0
         assert returns["zero commands"] < returns["cross_coupled"]
         assert (tmp_path / "baselines.png").stat().st_size > 10_000
-        assert "PPO, best of each of 1 seeds" in (tmp_path / "baselines.md").read_text()
+        assert "PPO, default settings, best of each of 1 seeds" in (tmp_path / "baselines.md").read_text()
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
