@@ -127,8 +127,8 @@ def output_folder(out: str | Path) -> Iterator[Path]:
             else:
                 os.replace(work, out)
     except OSError as problem:
-        if problem.filename and Path(problem.filename).is_relative_to(work):
-            problem.filename = str(out / Path(problem.filename).relative_to(work))
+        if problem.filename and (place := Path(problem.filename).absolute()).is_relative_to(work.absolute()):
+            problem.filename = str(out / place.relative_to(work.absolute()))
         _remove(made, work)
         raise
     except BaseException:

@@ -8,6 +8,7 @@ import typer
 
 from hydro_env import __version__
 from hydro_env.cli.controllers import benchmark, tune
+from hydro_env.cli.dataset import dataset
 from hydro_env.cli.diagnosis import diagnose, hide
 from hydro_env.cli.experiments import close_loop, demo, reproduce, speed
 from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
@@ -44,6 +45,18 @@ def _options(
         print(context.get_help())
 
 
-for _command in (demo, reproduce, valve_test, speed, tune, train, benchmark, hide, diagnose, close_loop):
+for _command in (
+    demo,
+    reproduce,
+    valve_test,
+    speed,
+    tune,
+    train,
+    benchmark,
+    dataset,
+    hide,
+    diagnose,
+    close_loop,
+):
     app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)
 app.command("list", cls=HelpfulCommand)(list_names)

@@ -40,6 +40,11 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "hydro-env benchmark my_agent.zip ppo --trust --split test_extrap --out scores",
         "hydro-env benchmark gains/gains.json --plant my_rig.yaml --out scores",
     ),
+    "dataset": (
+        "hydro-env dataset --out data",
+        "hydro-env dataset --controller pid_tuned --controller oracle --split train --episodes 1000 --out data",
+        "hydro-env dataset --controller my_file.py:MyController --scenario sine --out data",
+    ),
     "hide": (
         "hydro-env hide dead_zone:1 --out practice",
         "hydro-env hide supply_droop magnetic_hysteresis:2 --severity large --seed 3 --out practice",

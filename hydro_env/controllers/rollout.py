@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import inf
 from time import perf_counter
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,40 @@ from hydro_env.controllers.base import Controller, Floats
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.tasks import Trace, compute
 
-__all__ = ["Episodes", "roll_out"]
+__all__ = ["Episodes", "Recorder", "roll_out"]
+
+
+class Recorder(Protocol):
+    """Is shown all that the environment gave in a roll-out, with one row per rig. It may keep the arrays."""
+
+    def begin(self, observation: NDArray[np.float32], info: dict[str, Any]) -> None:
+        """After the reset."""
+
+    def step(
+        self, action: Floats, observation: NDArray[np.float32], reward: Floats, info: dict[str, Any]
+    ) -> None:
+        """After each control period; `action` (num_rigs, 2) is within [-1, 1] and was applied as float32."""
+
+
+class _TraceRecorder:
+    """Keeps what the metrics need."""
+
+    def begin(self, observation: NDArray[np.float32], info: dict[str, Any]) -> None:
+        self.signals = {
+            key: [np.array(info[key])] for key in ("setpoint_rpm", "speed_rpm", "angle_difference_deg")
+        }
+        self.commands: list[Floats] = []
+
+    def step(
+        self, action: Floats, observation: NDArray[np.float32], reward: Floats, info: dict[str, Any]
+    ) -> None:
+        self.commands.append(action)
+        for key, rows in self.signals.items():
+            rows.append(np.array(info[key]))
+
+    def trace(self, period: float) -> Trace:
+        signals = {key: np.array(rows) for key, rows in self.signals.items()}
+        return Trace(period=period, command=np.array(self.commands), **signals)
 
 
 @dataclass(frozen=True)
@@ -45,13 +78,14 @@ def roll_out(
     control_period: float = 0.01,
     limit: float = inf,
     dtype: str = "float64",
+    recorder: Recorder | None = None,
 ) -> Episodes:
     """Lets a controller drive one episode per seed, all at once. Row i is what a reset with `seeds[i]` draws.
 
     A controller whose `needs` is not "measurements" is shown a copy of the plant beforehand, and the loads to come if
     it is "everything". What the controller raises is passed on; ValueError if it returns something that is no command,
     or if a rig diverges; TimeoutError if it has taken more than `limit` s by itself, looked at after every `act`.
-    `dtype` is that of the plant.
+    `dtype` is that of the plant; `recorder` is shown everything as it happens.
     """
     env = HydraulicSyncVectorEnv(
         len(seeds),
@@ -62,11 +96,13 @@ def roll_out(
         dtype=dtype,
     )
     observation, info = env.reset(seed=[int(seed) for seed in seeds])
+    kept = _TraceRecorder()
+    recorders: list[Recorder] = [kept] if recorder is None else [kept, recorder]
+    for each in recorders:
+        each.begin(observation, info)
     _inform(controller, env)
     controller.reset(len(seeds), control_period)
     faults = tuple(str(fault) for fault in info["fault"])
-    signals = {key: [np.array(info[key])] for key in ("setpoint_rpm", "speed_rpm", "angle_difference_deg")}
-    commands: list[Floats] = []
     sizes: list[NDArray[np.float32]] = []
     spent, returns, done = 0.0, np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
     while not done.all():
@@ -78,23 +114,15 @@ def roll_out(
         asked = getattr(controller, "asked", returned) if isinstance(controller, Controller) else returned
         sizes.append(np.abs(asked).astype(np.float32))
         if spent > limit:
-            raise TimeoutError(
-                f"took more than {limit:g} s for {len(commands) + 1} steps of {len(seeds)} rigs"
-            )
+            raise TimeoutError(f"took more than {limit:g} s for {len(sizes)} steps of {len(seeds)} rigs")
         observation, reward, terminated, truncated, info = env.step(action.astype(np.float32))
+        for each in recorders:
+            each.step(action, observation, reward, info)
         returns += reward
         if np.any(terminated):
             raise ValueError(f"the plant of case {int(np.argmax(terminated))} diverged")
         done = np.asarray(truncated)
-        commands.append(action)
-        for key, rows in signals.items():
-            rows.append(np.array(info[key]))
-    trace = Trace(
-        period=control_period,
-        command=np.array(commands),
-        **{key: np.array(rows) for key, rows in signals.items()},
-    )
-    return Episodes(trace, faults, float(np.median(sizes)), returns)
+    return Episodes(kept.trace(control_period), faults, float(np.median(sizes)), returns)
 
 
 def _inform(controller: Any, env: HydraulicSyncVectorEnv) -> None:

@@ -29,15 +29,17 @@ ALLOWED = {
     "measured": "errors files reading units",
     "envs": "errors files limits units jit plant tasks",
     "sb3": "errors envs",
+    "multi_agent": "errors envs",
     "valve_bench": "errors files units pages waveforms plant measured",
     "controllers": "errors files reading limits units jit waveforms plant tasks envs valve_bench",
+    "datasets": "errors plant tasks controllers",
     "diagnosis": "errors files units pages waveforms parallel plant tasks measured",
     "benchmark": "errors files reading units pages parallel plant tasks envs controllers",
     "training": "errors files reading pickles units tasks controllers sb3",
     "experiments": "errors files reading limits units pages waveforms parallel plant practice tasks measured envs valve_bench"
     " controllers diagnosis benchmark",
-    "cli": "errors files limits units plant practice tasks measured valve_bench controllers diagnosis benchmark training"
-    " experiments",
+    "cli": "errors files limits units plant practice tasks measured valve_bench controllers datasets diagnosis benchmark"
+    " training experiments",
     "__main__": "cli",
 }
 

@@ -20,11 +20,11 @@ ROOT = Path(__file__).parents[2]
 
 OPTIONAL = (
     "torch", "stable_baselines3", "sb3_contrib", "onnx", "onnxruntime", "tensorboard", "plotly", "jinja2", "matplotlib",
-    "pandas", "pyarrow", "asammdf", "nptdms", "h5py", "pygame", "PIL", "moviepy", "ray", "agents",
+    "pandas", "pyarrow", "asammdf", "nptdms", "h5py", "pygame", "PIL", "moviepy", "ray", "minari", "pettingzoo", "agents",
 )  # fmt: skip
 """No module of the core may import these when it is imported."""
 
-NEEDS_EXTRA = ("hydro_env.sb3", "hydro_env.training.", "hydro_env.__main__")
+NEEDS_EXTRA = ("hydro_env.sb3", "hydro_env.multi_agent", "hydro_env.training.", "hydro_env.__main__")
 """Modules that exist to be imported with an extra, or that run when imported."""
 
 
