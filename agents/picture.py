@@ -1,8 +1,8 @@
 """A start and a reversal under three controllers: `python -m agents.picture --out docs/images/agents_start_and_reversal.png`.
 
 The first second and the first reversal of one pair of `val` that no controller has met before, driven by the tuned PID,
-the same PID on servo valves, and an agent: speeds, speed difference, commands. For the agent the picture also shows the
-estimated and the true dead-zone edges.
+the same PID on servo valves, and a law: speeds, speed difference, commands. The picture also shows the dead-zone edges
+that the law estimates, and the true ones.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.estimation.valve_map import true_map
-from hydro_env.controllers.learned.flow_interface import FlowInterface
+from hydro_env.controllers.mpc.flow_control import ProbingFlow
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.files import write_bytes
 from hydro_env.limits import Limits
@@ -44,10 +44,9 @@ def course(name: str, case: int, seconds: float = 3.0) -> dict[str, NDArray[np.f
         rows["time"].append(step * env.control_period)
         rows["speed"].append(info["speed_rpm"][0].copy())
         action = controller.act(observation)
-        interface = getattr(controller, "interface", None)
         edge = np.full((2, 2), np.nan)
-        if isinstance(interface, FlowInterface):
-            edge = interface.controller.estimator.valves.state.edge[0].copy()
+        if isinstance(controller, ProbingFlow):
+            edge = controller.law.estimator.valves.state.edge[0].copy()
         rows["edge"].append(edge)
         rows["command"].append(np.array(action[0]))
         rows["setpoint"].append(float(info["setpoint_rpm"][0]))
@@ -57,7 +56,7 @@ def course(name: str, case: int, seconds: float = 3.0) -> dict[str, NDArray[np.f
     return made
 
 
-def draw(out: Path, agent: str = "ppo", case: int = 37) -> None:
+def draw(out: Path, name: str = "probing_flow", case: int = 37) -> None:
     """Writes the picture (PNG)."""
     import io
 
@@ -66,7 +65,7 @@ def draw(out: Path, agent: str = "ppo", case: int = 37) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    names = {"pid_tuned": "PID, tuned", "servo_pid": "PID on servo valves", agent: f"agent {agent}"}
+    names = {"pid_tuned": "PID, tuned", "servo_pid": "PID on servo valves", name: name}
     courses = {name: course(name, case) for name in names}
     widths = [each for _ in names for each in (WINDOWS[0][1] - WINDOWS[0][0], WINDOWS[1][1] - WINDOWS[1][0])]
     figure, axes = plt.subplots(
@@ -117,12 +116,12 @@ def draw(out: Path, agent: str = "ppo", case: int = 37) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m agents.picture", description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--agent", default="ppo", help="name of a shipped agent, or a policy file")
+    parser.add_argument("--controller", default="probing_flow", help="name of a controller, or a policy file")
     parser.add_argument(
         "--case", type=Limits(0, 999, whole=True), default=37, help="pair of val; 37 is a typical one"
     )
     chosen = parser.parse_args()
-    draw(chosen.out, chosen.agent, chosen.case)
+    draw(chosen.out, chosen.controller, chosen.case)
 
 
 if __name__ == "__main__":

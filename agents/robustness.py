@@ -35,9 +35,10 @@ CONTROLLERS: tuple[str, ...] = (
     "cross_coupled",
     "virtual_leader",
     "adaptive_flow",
+    "probing_flow",
     "ppo",
-    "ppo_calm",
     "sac",
+    "gru",
 )
 METRICS = ("max_speed_difference_rpm", "tracking_mae_rpm", "command_variation")
 DURATION = 6.0

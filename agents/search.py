@@ -39,7 +39,6 @@ def suggest(trial: optuna.Trial, data: dict[str, Any]) -> dict[str, Any]:
     reward = table["env_kwargs"].setdefault("reward", {})
     reward["tracking"] = trial.suggest_float("reward_tracking", 0.1, 1.0, log=True)
     reward["difference"] = trial.suggest_float("reward_difference", 1.0, 10.0, log=True)
-    training["peak"] = trial.suggest_float("peak", 0.1, 5.0, log=True)
     if training["algorithm"] == "ppo":
         table["gae_lambda"] = trial.suggest_float("gae_lambda", 0.8, 0.98)
         table["n_epochs"] = trial.suggest_int("n_epochs", 3, 12)
@@ -47,10 +46,6 @@ def suggest(trial: optuna.Trial, data: dict[str, Any]) -> dict[str, Any]:
     else:
         table["tau"] = trial.suggest_float("tau", 0.002, 0.05, log=True)
         table["gradient_steps"] = trial.suggest_int("gradient_steps", 1, 4)
-    if training.get("interface", {}).get("kind") == "flow":
-        outputs = training["interface"].setdefault("outputs", {})
-        for key, low, high in (("flow", 0.05, 0.4), ("command", 0.02, 0.2), ("pace", 0.1, 1.0)):
-            outputs[key] = trial.suggest_float(f"outputs_{key}", low, high, log=True)
     return data
 
 

@@ -21,8 +21,7 @@ def train(
     algo: Annotated[
         str | None,
         typer.Option(
-            help="Recipe: ppo, sac, ppo_calm, ppo_rig; ppo_plain, without a law; ppo_quick and sac_quick, "
-            "which take seconds. Default: ppo."
+            help="Recipe: ppo; ppo_quick and sac_quick, which take seconds. Default: ppo."
         ),
     ] = None,
     config: Annotated[

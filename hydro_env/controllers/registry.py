@@ -18,7 +18,7 @@ from hydro_env.controllers.classical.cross_coupling import (
 )
 from hydro_env.controllers.classical.disturbance_observer import DisturbanceObserver
 from hydro_env.controllers.classical.pid import TABLE_III, PidController, RampedPid
-from hydro_env.controllers.mpc.flow_control import AdaptiveFlow, BenchFlow, ProbingFlow
+from hydro_env.controllers.mpc.flow_control import AdaptiveFlow, BenchFlow, ProbingFlow, RigFlow
 from hydro_env.controllers.mpc.oracle import Oracle
 from hydro_env.controllers.tuning.gains import read_gains
 from hydro_env.controllers.user_files import checked, controllers_in, loaded
@@ -59,8 +59,8 @@ class Entry:
         return self.file is None or self.file.is_file()
 
 
-def _law(law: type[Controller], name: str, summary: str) -> Entry:
-    return Entry(name, summary, lambda: law(name))
+def _law(law: type[Controller], name: str, summary: str, apart: bool = False) -> Entry:
+    return Entry(name, summary, lambda: law(name), apart=apart)
 
 
 def _tuned(name: str, summary: str) -> Entry:
@@ -89,11 +89,10 @@ CONTROLLERS: dict[str, Entry] = {
         _law(BenchFlow, "bench_flow", "the same, starting from valve-bench curves"),
         _tuned("servo_pid", "PID behind a ramp, on the same motors behind servo valves"),
         _tuned("oracle", "model-predictive control with the true plant: the bound"),
-        _policy("ppo", "neural policy on a model-based law, trained with PPO"),
-        _policy("ppo_calm", "the same on a slower reference: better synchronised, more tracking error"),
-        _policy("sac", "neural policy on a model-based law, trained with SAC"),
-        _policy("gru", "recurrent network from the observation alone, without a law"),
-        _policy("ppo_rig", "neural policy for the preset `rig`", apart=True),
+        _policy("ppo", "network from the observation alone, trained with PPO"),
+        _policy("sac", "network from the observation alone, trained with SAC"),
+        _policy("gru", "recurrent network from the observation alone"),
+        _law(RigFlow, "probing_flow_rig", "`probing_flow` with settings for the preset `rig`", apart=True),
     )
 }
 """The controllers that ship with the package, in the order of the leaderboard."""

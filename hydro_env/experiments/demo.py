@@ -202,7 +202,7 @@ def _board(scores: dict[str, Any]) -> dict[str, Any]:
     for name, why in shown.items():
         notes = [
             why,
-            "a network on a model-based law" if _learned(name) else "",
+            "a network from the observation alone" if _learned(name) else "",
             privileged_information(scores, name),
         ]
         found = [_cell(cells.get((name, scenario, metric))) for scenario, metric, _ in BOARD]

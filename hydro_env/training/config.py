@@ -7,7 +7,7 @@ HydraulicSync-v0:              # RL-Zoo's keys: n_envs, n_timesteps, policy, env
   policy_kwargs: dict(net_arch=[64, 64], activation_fn=nn.Tanh)
 training:                      # what RL-Zoo has no key for
   algorithm: ppo
-  interface: {kind: flow}
+  interface: {kind: frames, frames: 2, increment: 0.3, errors: true}
 """
 
 from __future__ import annotations
@@ -48,8 +48,6 @@ class Training:
     Attributes:
         algorithm: "ppo" or "sac".
         interface: table of `hydro_env.controllers.learned.policy_interface.make_interface`; the plain observation if empty.
-        peak: what a speed difference of 20 rpm costs beside the environment's reward; grows with the square, see
-            `hydro_env.training.policy_env`.
         seed: of networks, exploration and environment.
         checkpoint_every: env steps between checkpoints.
         evaluate_every: env steps between evaluations.
@@ -63,7 +61,6 @@ class Training:
 
     algorithm: str
     interface: dict[str, Any] = field(default_factory=dict)
-    peak: float = 0.0
     seed: int = 0
     checkpoint_every: int = 1_000_000
     evaluate_every: int = 500_000
@@ -166,7 +163,7 @@ def _training(path: Path, table: dict[str, Any]) -> Training:
             values[key] = _whole(where, key, values[key])
     kinds: dict[str, Any] = {
         "seed": int,
-        **dict.fromkeys(("tracking_weight", "tail_weight", "peak"), (int, float)),
+        **dict.fromkeys(("tracking_weight", "tail_weight"), (int, float)),
     }
     for key, kind in kinds.items():
         if key in values and (

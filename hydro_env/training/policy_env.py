@@ -14,42 +14,25 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 
 from hydro_env.controllers.learned.policy_interface import PolicyInterface
 from hydro_env.sb3 import HydraulicSyncVecEnv
-from hydro_env.units import RPM
 
 __all__ = ["PolicyVecEnv"]
-
-PEAK_RPM = 20.0
 
 
 class PolicyVecEnv(VecEnvWrapper):
     """Shows the network's inputs as observations and takes its outputs as actions.
 
-    An interface with several rows per rig makes several environments of each rig, which share its reward and its end. Episode
-    returns are kept here, since Stable-Baselines3 reports them only for environments that do.
-
-    `peak` is what a (true) speed difference of 20 rpm costs in a control period, beside the environment's own reward. The
-    cost grows with the square, since the largest difference is what counts in the end, up to 40 rpm: what a sudden load on
-    one motor does before any control can answer is not to drown the rest.
+    Episode returns are kept here, since Stable-Baselines3 reports them only for environments that do.
     """
 
-    def __init__(
-        self, venv: HydraulicSyncVecEnv, interface: PolicyInterface, period: float, peak: float = 0.0
-    ) -> None:
-        self.interface, self.period, self.rows, self.peak = (
-            interface,
-            period,
-            interface.rows_per_rig,
-            float(peak),
-        )
-        self.num_rigs = venv.num_envs
+    def __init__(self, venv: HydraulicSyncVecEnv, interface: PolicyInterface, period: float) -> None:
+        self.interface, self.period = interface, period
         super().__init__(
             venv,
             observation_space=spaces.Box(-np.inf, np.inf, (interface.num_features,), np.float32),
             action_space=spaces.Box(-1.0, 1.0, (interface.num_actions,), np.float32),
         )
-        self.num_envs = self.num_rigs * self.rows
-        self._return = np.zeros(self.num_rigs)
-        self._length = np.zeros(self.num_rigs, dtype=int)
+        self._return = np.zeros(self.num_envs)
+        self._length = np.zeros(self.num_envs, dtype=int)
 
     def reset(self) -> VecEnvObs:
         observation = self.venv.reset()
@@ -62,10 +45,6 @@ class PolicyVecEnv(VecEnvWrapper):
     def step_wait(self) -> VecEnvStepReturn:
         observation, reward, done, infos = self.venv.step_wait()
         observation = np.asarray(observation)
-        if self.peak:
-            speed = self.venv.batch.plant.speed  # type: ignore[attr-defined]
-            apart = np.abs(speed[:, 0] - speed[:, 1]) / (PEAK_RPM * RPM)
-            reward = (reward - self.peak * np.minimum(apart**2, 4.0)).astype(np.float32)
         self._return += reward
         self._length += 1
         ended = np.flatnonzero(done)
@@ -78,17 +57,15 @@ class PolicyVecEnv(VecEnvWrapper):
         outcomes: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if ended.size:
             for row in ended:
-                own = slice(row * self.rows, (row + 1) * self.rows)
-                for info, inputs in zip(outcomes[own], seen[own].copy(), strict=True):
-                    info["terminal_observation"] = inputs
-                    info["TimeLimit.truncated"] = infos[row].get("TimeLimit.truncated", False)
-                    info["episode"] = {"r": float(self._return[row]), "l": int(self._length[row]), "t": 0.0}
-            fresh = self.interface.restart(ended, observation[ended]).reshape(ended.size, self.rows, -1)
-            seen = seen.reshape(self.num_rigs, self.rows, -1).copy()
-            seen[ended] = fresh
-            seen = seen.reshape(self.num_envs, -1)
+                outcomes[row] = {
+                    "terminal_observation": seen[row].copy(),
+                    "TimeLimit.truncated": infos[row].get("TimeLimit.truncated", False),
+                    "episode": {"r": float(self._return[row]), "l": int(self._length[row]), "t": 0.0},
+                }
+            seen = seen.copy()
+            seen[ended] = self.interface.restart(ended, observation[ended])
             self._return[ended], self._length[ended] = 0.0, 0
-        return seen, np.repeat(reward, self.rows), np.repeat(done, self.rows), outcomes
+        return seen, reward, done, outcomes
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the table of class members that the base class keeps, which cannot be pickled."""
@@ -101,4 +78,4 @@ class PolicyVecEnv(VecEnvWrapper):
         return [False] * self.num_envs
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        return list(self.venv.seed(seed)) * self.rows
+        return list(self.venv.seed(seed))

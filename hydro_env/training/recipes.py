@@ -10,11 +10,7 @@ __all__ = ["RECIPES", "recipe"]
 
 #: Their names, and what they train.
 RECIPES = {
-    "ppo": "the shipped agent `ppo`",
-    "ppo_calm": "the shipped agent `ppo_calm`",
-    "ppo_rig": "the shipped agent `ppo_rig`",
-    "sac": "the shipped agent `sac`",
-    "ppo_plain": "PPO from the plain observation, without a law, in a quarter of an hour",
+    "ppo": "the shipped agent `ppo`, from the plain observation, in a quarter of an hour",
     "ppo_quick": "a few seconds of PPO, to see that it works",
     "sac_quick": "a few seconds of SAC, to see that it works",
 }

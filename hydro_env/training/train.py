@@ -61,7 +61,6 @@ class Run(BaseCallback):
         super().__init__()
         self.config, self.out, self.command, self.progress = config, out, command, progress
         self.report = report
-        self._rows = make_interface(config.training.interface).rows_per_rig
         self._bar = tqdm(
             total=config.num_steps,
             initial=progress["steps"],
@@ -76,7 +75,7 @@ class Run(BaseCallback):
 
     @property
     def steps(self) -> int:
-        return self.model.num_timesteps // self._rows
+        return int(self.model.num_timesteps)
 
     def _on_rollout_start(self) -> None:
         training = self.config.training
@@ -187,7 +186,7 @@ def make_model(config: Config) -> BaseAlgorithm:
         raise InputError(f"{config.path}: env_kwargs: {problem}") from None
     rigs.set_options(staggered(rigs))
     period = float(env_kwargs["control_period"])
-    env = PolicyVecEnv(rigs, make_interface(config.training.interface), period, config.training.peak)
+    env = PolicyVecEnv(rigs, make_interface(config.training.interface), period)
     try:
         return config.algorithm(config.policy, env, seed=config.training.seed, device="cpu", **config.hyper)
     except (TypeError, ValueError, AssertionError) as problem:
@@ -222,9 +221,8 @@ def train(
             }
             write_bytes(out / "config.yml", config.text.encode())
         model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
-        rows = make_interface(config.training.interface).rows_per_rig
         run = Run(config, out, command, progress, bar, report)
-        left = config.num_steps * rows - model.num_timesteps
+        left = config.num_steps - model.num_timesteps
         if left > 0:
             model.learn(left, callback=run, log_interval=1, reset_num_timesteps=newest is None)
         return progress

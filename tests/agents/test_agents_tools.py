@@ -58,7 +58,7 @@ def test_the_search_tries_values_and_goes_on(tmp_path):
     study = search(config, tmp_path / "out", trials=1, steps=512)
     assert len(study.trials) == 2
     tried = read_config(tmp_path / "out" / "trial_0001" / "config.yml")
-    assert tried.training.peak > 0.0 and tried.num_steps == 512
+    assert tried.hyper["gamma"] != read_config(config).hyper["gamma"] and tried.num_steps == 512
 
 
 def test_the_search_says_what_it_needs(tmp_path):

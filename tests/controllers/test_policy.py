@@ -12,19 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import trim_mean
 
-from hydro_env.controllers.learned.flow_interface import FlowInterface
 from hydro_env.controllers.learned.policy import RECURRENT_SCHEMA, SCHEMA, NumpyPolicy, read_policy
 from hydro_env.controllers.learned.policy_interface import FramesInterface, make_interface
-from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
+from hydro_env.controllers.mpc.flow_controller import FlowController
 from hydro_env.controllers.registry import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.envs import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
 
 SHIPPED = sorted((Path(__file__).parents[2] / "hydro_env" / "controllers" / "policies").glob("*.npz"))
-
-
-AVERAGED = FlowSettings(planner=None)
 
 
 def arrays(interface=None, width=16, squash="clip", seed=0):
@@ -67,7 +63,7 @@ def drive(policy, num_rigs, seeds, steps=60):
 
 @pytest.mark.parametrize(
     "interface",
-    [{"kind": "frames", "frames": 2}, {"kind": "flow", "law": {"planner": None}}, {"kind": "flow"}],
+    [{"kind": "frames", "frames": 2}, {"kind": "frames", "frames": 2, "increment": 0.3, "errors": True}],
 )
 def test_a_row_of_a_batch_is_that_rig_alone(tmp_path, interface):
     policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays(interface)), dtype=np.float64)
@@ -88,16 +84,15 @@ def test_a_recurrent_policy_remembers_until_it_is_reset(tmp_path):
 
 
 def test_reset_forgets_everything(tmp_path):
-    policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays({"kind": "flow", "law": {"planner": None}})))
+    policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays({"kind": "frames", "frames": 3, "increment": 0.3})))
     np.testing.assert_array_equal(drive(policy, 2, [1, 2]), drive(policy, 2, [1, 2]))
 
 
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: FlowInterface(AVERAGED),
-        lambda: FlowInterface(),
         lambda: FramesInterface(3),
+        lambda: FramesInterface(2, increment=0.3, errors=True),
     ],
 )
 def test_restarting_rows_equals_starting_them(make):
@@ -105,8 +100,7 @@ def test_restarting_rows_equals_starting_them(make):
     stream = np.random.default_rng(0)
     observations = stream.normal(0.0, 0.3, (7, 3, 9)).astype(np.float32)
     interface, fresh, undisturbed = make(), make(), make()
-    rows, actions = interface.rows_per_rig, interface.num_actions
-    outputs = stream.normal(0.0, 0.3, (7, 3 * rows, actions))
+    outputs = stream.normal(0.0, 0.3, (7, 3, 2))
     for each in (interface, undisturbed):
         each.start(observations[0], 0.01)
         for n in range(1, 5):
@@ -117,25 +111,11 @@ def test_restarting_rows_equals_starting_them(make):
     for n in (5, 6):
         commands, expected = interface.command(outputs[n]), undisturbed.command(outputs[n])
         np.testing.assert_array_equal(commands[[0, 2]], expected[[0, 2]])
-        np.testing.assert_array_equal(commands[[1]], fresh.command(outputs[n][rows : 2 * rows]))
+        np.testing.assert_array_equal(commands[[1]], fresh.command(outputs[n][1:2]))
         seen, expected = interface.see(observations[n]), undisturbed.see(observations[n])
-        np.testing.assert_array_equal(seen[:rows], expected[:rows])
-        np.testing.assert_array_equal(seen[2 * rows :], expected[2 * rows :])
-        np.testing.assert_array_equal(seen[rows : 2 * rows], fresh.see(observations[n][[1]]))
-
-
-@pytest.mark.parametrize("make", [lambda: FlowInterface(AVERAGED), lambda: FlowInterface()])
-def test_interfaces_treat_both_channels_alike(make):
-    stream = np.random.default_rng(1)
-    observations = stream.normal(0.0, 0.3, (5, 4, 9)).astype(np.float32)
-    swapped = observations[..., [0, 2, 1, 4, 3, 6, 5, 8, 7]]
-    one, other = make(), make()
-    seen, mirrored = one.start(observations[0], 0.01), other.start(swapped[0], 0.01)
-    for n in range(1, 5):
-        seen, mirrored = one.see(observations[n]), other.see(swapped[n])
-    np.testing.assert_allclose(seen.reshape(4, 2, -1), mirrored.reshape(4, 2, -1)[:, ::-1], atol=1e-6)
-    outputs = stream.normal(0.0, 0.3, (4, 2, one.num_actions))
-    np.testing.assert_allclose(one.command(outputs), other.command(outputs[:, ::-1])[:, ::-1], atol=1e-9)
+        np.testing.assert_array_equal(seen[:1], expected[:1])
+        np.testing.assert_array_equal(seen[2:], expected[2:])
+        np.testing.assert_array_equal(seen[1:2], fresh.see(observations[n][[1]]))
 
 
 def rigs_and_truth(num_rigs=24):
@@ -187,15 +167,7 @@ def test_the_valves_are_known_before_the_first_step():
         ({"metadata": np.array({"schema": SCHEMA}, dtype=object)}, "plain arrays"),
         ({"w0": np.zeros((16, 11), np.float32)}, "its interface wants 9 and 2"),
         ({"activation": "sine"}, "activation 'sine' is unknown"),
-        ({"interface": {"kind": "flow", "law": {"reference": {"raet": 1.0}}}}, "did you mean 'rate'"),
-        (
-            {"interface": {"kind": "flow", "law": {"reference": {"rate": -1.0}}}},
-            "rate -1.0 should be at least 0",
-        ),
-        (
-            {"interface": {"kind": "flow", "law": {"probing": {"active": 1}}}},
-            "active 1 should be true or false",
-        ),
+        ({"interface": {"kind": "flow"}}, "kind 'flow' is unknown"),
         ({"interface": {"kind": "frames", "frames": "many"}}, "frames is 'many'"),
         ({"interface": 3}, "interface"),
     ],

@@ -5,9 +5,8 @@ from typing import get_args, get_type_hints
 
 import pytest
 
-from hydro_env.controllers.learned.flow_interface import OutputSettings
-from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.controllers.mpc.flow_controller import FlowSettings
+from hydro_env.controllers.settings import as_table, from_table
 from hydro_env.errors import InputError
 
 
@@ -20,7 +19,7 @@ def parts(kind):
                 yield from parts(inner)
 
 
-@pytest.mark.parametrize("kind", [*parts(FlowSettings), OutputSettings], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", list(parts(FlowSettings)), ids=lambda kind: kind.__name__)
 def test_every_setting_has_a_unit_and_a_reason(kind):
     for each in fields(kind):
         if not any(
@@ -34,23 +33,24 @@ def test_every_setting_has_a_unit_and_a_reason(kind):
 
 
 def test_tables_come_back():
-    table = {"kind": "flow", "law": {"reference": {"rise": 12.0}, "planner": None}, "outputs": {"flow": 0.05}}
-    interface = make_interface(table)
-    again = make_interface(interface.table())
-    assert again.table() == interface.table()
-    assert (again.controller.settings.reference.rise, again.controller.settings.planner) == (12.0, None)
+    given = from_table(FlowSettings, {"reference": {"rise": 12.0}, "planner": None}, "law: ")
+    again = from_table(FlowSettings, as_table(given), "law: ")
+    assert again == given
+    assert (again.reference.rise, again.planner) == (12.0, None)
 
 
 @pytest.mark.parametrize(
     ("table", "says"),
     [
-        ({"law": {"planer": None}}, "did you mean 'planner'"),
-        ({"law": {"reference": 3}}, "law: reference: should be a table"),
-        ({"law": {"feedback": {"track": "much"}}}, "law: feedback: track 'much' should be a number"),
-        ({"laws": {}}, "'laws' is unknown"),
+        ({"planer": None}, "did you mean 'planner'"),
+        ({"reference": 3}, "law: reference: should be a table"),
+        ({"reference": {"raet": 1.0}}, "did you mean 'rate'"),
+        ({"reference": {"rate": -1.0}}, "rate -1.0 should be at least 0"),
+        ({"probing": {"active": 1}}, "active 1 should be true or false"),
+        ({"feedback": {"track": "much"}}, "law: feedback: track 'much' should be a number"),
     ],
 )
 def test_mistakes_are_named_in_one_line(table, says):
     with pytest.raises(InputError, match=says) as caught:
-        make_interface({"kind": "flow", **table})
+        from_table(FlowSettings, table, "law: ")
     assert "\n" not in str(caught.value)

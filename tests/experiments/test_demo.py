@@ -56,7 +56,7 @@ def page() -> str:
         "bench_flow",
         "oracle",
         "ppo",
-        "ppo_calm",
+        "gru",
     ]
     scores = benchmark.run(
         None, controllers=names, selection=benchmark.Selection("quick", cases=2), progress=False
@@ -64,7 +64,7 @@ def page() -> str:
     board = demo._board(scores)
     plain = {n: r["iqm"] for n in names for r in scores["rows"]
              if (r["controller"], r["scenario"], r["metric"]) == (n, *demo.BOARD[0][:2])}  # fmt: skip
-    law, agent = min("cross_coupled", "probing_flow", key=plain.get), min("ppo", "ppo_calm", key=plain.get)
+    law, agent = min("cross_coupled", "probing_flow", key=plain.get), min("ppo", "gru", key=plain.get)
     assert [row["name"] for row in board["rows"]] == ["pid_paper", "pid_tuned", law, agent, "oracle"]
     assert board["agent"] == agent and board["controllers"] == len(names)
     numbers = (

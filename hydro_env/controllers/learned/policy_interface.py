@@ -1,8 +1,7 @@
 """What a policy's network sees of the rig, and how its outputs become valve commands.
 
 The same code runs in training (`hydro_env.training`) and in the shipped controllers, so that what was trained is what runs. With
-`FramesInterface` the network sees the last observations as they are, and its outputs are the commands: nothing is built in.
-`FlowInterface` (`learned.flow_interface`) puts the network on top of the flow controller.
+`FramesInterface` the network sees the last observations as they are, and its outputs are the commands or changes of them.
 """
 
 from __future__ import annotations
@@ -28,11 +27,9 @@ Rows = NDArray[Any]
 class PolicyInterface(Protocol):
     """Stands between the observations of a batch of rigs and a network.
 
-    `rows_per_rig`: how many inputs the network gets for each rig; `num_features`, `num_actions`: their and the outputs'
-    number. Inputs have the shape (num_rigs * rows_per_rig, num_features).
+    `num_features`, `num_actions`: number of inputs and outputs of the network. Inputs have the shape (num_rigs, num_features).
     """
 
-    rows_per_rig: int
     num_features: int
     num_actions: int
 
@@ -53,20 +50,16 @@ class PolicyInterface(Protocol):
 
 
 def make_interface(table: Any) -> PolicyInterface:
-    """An interface from its table, `{"kind": "flow" | "frames", ...}`; the plain observation without any.
+    """An interface from its table, `{"kind": "frames", ...}`; the plain observation without any.
 
     InputError for anything that is not right.
     """
-    from hydro_env.controllers.learned.flow_interface import FlowInterface
-
     if table is not None and not isinstance(table, Mapping):
         raise InputError(f"should be a table with a key 'kind', found {type(table).__name__}")
     given = dict(table or {"kind": "frames"})
     kind = given.pop("kind", None)
-    if kind == "flow":
-        return FlowInterface.from_table(given)
     if kind != "frames":
-        raise InputError(f"kind {shown(kind)} is unknown; there are flow, frames")
+        raise InputError(f"kind {shown(kind)} is unknown; there is frames")
     limits = {"frames": FRAMES, "width": FRAMES, "increment": Limits(0.0, 2.0), "errors": None}
     for key, value in given.items():
         if key not in limits:
@@ -84,7 +77,6 @@ class FramesInterface:
     are changes of the commands, in fractions of it, and the commands so far are the newest frame's last two numbers. `errors`:
     see `hydro_env.envs.observation.with_errors`."""
 
-    rows_per_rig = 1
     num_actions = 2
 
     def __init__(self, frames: int = 1, width: int = 9, increment: float = 0.0, errors: bool = False) -> None:

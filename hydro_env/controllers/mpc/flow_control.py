@@ -1,4 +1,4 @@
-"""The flow controller without a network, by what it may know of the valves beforehand.
+"""The flow controller, by what it may know of the valves beforehand.
 
 `adaptive_flow` learns edges and gains where the drive happens to take it, and averages its commands. `probing_flow` looks for
 them while the rig is at rest, before the set-point first moves, and plans its commands. `bench_flow` begins with what a valve
@@ -21,9 +21,10 @@ from hydro_env.controllers.base import Controller, Floats, Gain
 from hydro_env.controllers.estimation.bench_map import on_the_bench
 from hydro_env.controllers.estimation.valve_map import ValveMap
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
+from hydro_env.controllers.settings import from_table
 from hydro_env.plant import Plant
 
-__all__ = ["AdaptiveFlow", "BenchFlow", "ProbingFlow"]
+__all__ = ["AdaptiveFlow", "BenchFlow", "ProbingFlow", "RigFlow"]
 
 SURE = 0.015, 0.06
 """Standard deviations that an edge and a gain from the bench are given, as shares of rated command and rated gain. The bench
@@ -81,6 +82,42 @@ class ProbingFlow(Controller):
 
     def _begin(self, observation: NDArray[np.floating[Any]]) -> None:
         self.law.start(observation, self.period)
+
+
+RIG = from_table(
+    FlowSettings,
+    {
+        "motor": {"leakage": 0.01666, "compliance": 0.0625, "mode": 23.2},
+        "estimator": {
+            "spool": {"damping": 0.3, "friction": 0.54},
+            "valves": {
+                "drift": 0.0247, "gain_drift": 0.0085, "still": 0.016, "moving": 0.346, "first": 0.0056, "idle": 1.0,
+                "unused": 0.0,
+            },
+            "delay": {"certain": 12.0, "most": 100.0, "loose": 0.0},
+        },
+        "reference": {"rate": 14.9, "rise": 42.7, "doubt": 2.9, "capacity": 1.0, "foresight": 0.0},
+        "probing": {"led": False, "sweep": 2.36, "detect": 0.0047, "patience": 0.0},
+        "crossing": {"search": 2.19, "known": 0.0135},
+        "feedback": {"track": 30.0, "couple": 60.0, "delay": 0.0114, "lead": 1.23, "late": 0.78},
+        "planner": None,
+    },
+    "",
+)  # fmt: skip
+"""For the preset `rig`, whose motors hardly leak and follow the flow. Found by an evolution strategy on pairs of `train`."""
+
+
+class RigFlow(ProbingFlow):
+    """Probes the valves of a machine like the preset `rig`, whose motor is known to it; commands are averaged, not planned."""
+
+    GAINS = (
+        replace(RATE, default=14.9),
+        replace(RISE, default=42.7),
+        FALL,
+        replace(SWEEP, default=2.36),
+        replace(SEARCH, default=2.19),
+    )
+    settings = RIG
 
 
 NO_PROBING = replace(FlowSettings(), probing=replace(FlowSettings().probing, active=False))

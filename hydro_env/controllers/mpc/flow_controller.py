@@ -18,7 +18,7 @@ Where a speed sensor is poor, while a rig probes or crosses, and at control peri
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +34,10 @@ from hydro_env.controllers.mpc.probing import Probing, ProbingSettings
 from hydro_env.controllers.mpc.reference import Reference, ReferenceSettings
 from hydro_env.envs.observation import Measurements, decode
 
-__all__ = ["FlowController", "FlowSettings", "Refinement"]
+__all__ = ["FlowController", "FlowSettings"]
 
 Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice
-
-SIDES = np.array([1.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -54,14 +52,6 @@ class FlowSettings:
     feedback: FeedbackSettings = field(default_factory=FeedbackSettings)
     compensation: CompensationSettings = field(default_factory=CompensationSettings)
     planner: PlannerSettings | None = field(default_factory=PlannerSettings)
-
-
-class Refinement(NamedTuple):
-    """What a network adds, each (num_rigs, 2): flow (rated flows), the load that takes it (N m), and a shift of the command."""
-
-    flow: Floats
-    load: Floats
-    command: Floats
 
 
 class FlowController:
@@ -124,27 +114,26 @@ class FlowController:
         self.feedback.update(seen.speed, motors, noise, e.delay.periods, self.wanted, reference, probing)
         return seen
 
-    def command(self, refinement: Refinement | None = None) -> Floats:
+    def command(self) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1]."""
-        given = refinement or Refinement(*np.zeros((3, *self.sent.shape)))
         e, probing = self.estimator, self.probing.active
         valves = e.valves.state
-        flow = self.feedback.state.flow + given.flow
+        flow = self.feedback.state.flow.copy()
         asked = self.compensation.command(flow, valves)
         self.crossing.steer(asked, e.flow, FLOWING * e.flow_noise, valves)
         self.probing.steer(asked, e.valves.middle)
         idle = (self.crossing.state.active | probing)[:, None]
         self.wanted = np.where(idle, 0.0, flow)
         last = self.sent
-        sent = self.shaper.step(asked + given.command, self.feedback.state.sudden)
+        sent = self.shaper.step(asked, self.feedback.state.sudden)
         led = self.probing.lead(sent, e.spool, e.valves, e.channel)
         self.shaper.unshaped[:] = np.where(led, sent, self.shaper.unshaped)
         if self.planner and self._plans:
-            sent = self._plan(sent, last, given)
+            sent = self._plan(sent, last)
         self.sent = sent
         return sent.copy()
 
-    def _plan(self, averaged: Floats, last: Floats, given: Refinement) -> Floats:
+    def _plan(self, averaged: Floats, last: Floats) -> Floats:
         """Planned commands where they can be planned, the `averaged` ones elsewhere."""
         assert self.planner is not None
         e, shaper = self.estimator, self.shaper
@@ -157,8 +146,7 @@ class FlowController:
         plain[..., 1] = averaged + (1.0 - 2.0 * shaper.outer) * (final - last)
         plain[..., 2:] = final[..., None]
         np.clip(plain, -1.0, 1.0, out=plain)
-        # what is added counts as what the model has wrong: flow that a load takes, an opening that is shifted
-        load, edge = e.motors.state.torque + given.load, valves.edge + given.command[..., None] * SIDES
+        load, edge = e.motors.state.torque.copy(), valves.edge.copy()
         place, motor = np.stack([e.spool.position, e.spool.speed, e.spool.coil]), e.motors.state.speed.copy()
         if e.delay.periods.any():
             predict_delayed(e.delay.periods, e.sent, place, motor, load, edge, valves.gain, e.channel)

@@ -43,13 +43,12 @@ ReferenceNumbers: Any = numbers_of(ReferenceSettings)
 
 class ReferenceState(NamedTuple):
     """Speed (rad/s) and acceleration (rad/s2), the flow they take, each (N,), and the speeds before, newest first,
-    (periods, N). `pace` (N,): factor on rate and rise."""
+    (periods, N)."""
 
     speed: Floats
     acceleration: Floats
     flow: Floats
     history: Floats
-    pace: Floats
 
 
 class Reference:
@@ -64,7 +63,7 @@ class Reference:
         self._growth = settings.rise * min(1.0, TUNED_PERIOD / period) ** 1.5 * period
         speed, acceleration, flow = np.zeros((3, num_rigs))
         history = np.zeros((remembered, num_rigs))
-        self.state = ReferenceState(speed, acceleration, flow, history, np.ones(num_rigs))
+        self.state = ReferenceState(speed, acceleration, flow, history)
         self._setpoint, self._slope = np.zeros(num_rigs), np.zeros(num_rigs)
         self.smooth = np.zeros(num_rigs, bool)
 
@@ -72,7 +71,7 @@ class Reference:
         """Begins at the mean of both motors' speeds (n, 2)."""
         r = self.state
         r.speed[rows], r.acceleration[rows], r.flow[rows] = np.mean(speed, axis=1), 0.0, 0.0
-        r.history[:, rows], r.pace[rows] = r.speed[rows], 1.0
+        r.history[:, rows] = r.speed[rows]
         self._setpoint[rows], self._slope[rows] = setpoint, 0.0
 
     def foresee(self, setpoint: Floats, response: float) -> Floats:
@@ -128,10 +127,10 @@ def _acceleration(s, growth, m, i, setpoint, held, valves, r):
     gain, edge = valves.gain[i], valves.edge[i]
     now = held + m.per_acceleration * r.acceleration[i]
     unsure = np.sqrt(max(valves.gain_variance[i, 0], valves.gain_variance[i, 1])) / 0.12
-    rise = growth * r.pace[i] / (1.0 + s.doubt * unsure)
+    rise = growth / (1.0 + s.doubt * unsure)
     upward = rise if now >= 0.0 else s.fall * rise
     downward = rise if now <= 0.0 else s.fall * rise
-    flow = held + m.per_acceleration * s.rate * r.pace[i] * (setpoint - r.speed[i])
+    flow = held + m.per_acceleration * s.rate * (setpoint - r.speed[i])
     flow = min(max(flow, now - downward), now + upward)
     least = s.capacity * min(capacity(gain[0], edge[0, 1]), capacity(gain[1], edge[1, 1]))
     most = s.capacity * min(capacity(gain[0], edge[0, 0]), capacity(gain[1], edge[1, 0]))
