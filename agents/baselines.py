@@ -45,8 +45,8 @@ LADDER: dict[str, tuple[str, dict[str, Any]]] = {
     "test_extrap": ("valves beyond the training ranges", {"mismatch": "test_extrap"}),
     "rig": ("a realistic machine: 24 V coils, supply droop, friction of the motors", {"plant": "rig"}),
 }
-#: Controllers that the lines show; the shipped agent is `ppo`, a network on a model-based law, and `ppo_rig` on `rig`.
-CONTROLLERS = ("pid_paper", "pid_tuned", "cross_coupled", "shipped agent")
+#: Controllers that the lines show; `probing_flow` has settings of its own on `rig`.
+CONTROLLERS = ("pid_paper", "pid_tuned", "cross_coupled", "probing_flow")
 SCENARIOS = ("random_steps", "setpoint_steps")
 PEAK, TRACKING, RETURN = "max_speed_difference_rpm", "tracking_mae_rpm", "mean_return"
 TITLES = {
@@ -96,12 +96,8 @@ def lines(rung: str, pairs: int) -> dict[str, dict[str, dict[str, float]]]:
     for name in ("zero commands", *CONTROLLERS):
         found[name] = {}
         for scenario in SCENARIOS:
-            shipped = "ppo_rig" if rung == "rig" else "ppo"
-            controller = (
-                Still()
-                if name == "zero commands"
-                else make_controller(shipped if name == "shipped agent" else name)
-            )
+            own = "probing_flow_rig" if name == "probing_flow" and rung == "rig" else name
+            controller = Still() if name == "zero commands" else make_controller(own)
             episodes = roll_out(controller, range(pairs), scenario=scenario, **scored_pairs(LADDER[rung][1]))
             metrics = episodes.metrics((PEAK, TRACKING))
             found[name][scenario] = {

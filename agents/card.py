@@ -34,7 +34,7 @@ ROWS = (
 )
 HEAD = [
     "| controller | split | scenario | largest difference [95 % interval] | its 95th percentile | mean of the worst 5 %"
-    " | RMS difference | tracking error | command variation, 1/s |",
+    " | RMS difference | tracking error | command travel, 1/s |",
     "|---|---|---|---|---|---|---|---|---|",
 ]
 

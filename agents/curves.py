@@ -1,4 +1,4 @@
-"""Learning curves of runs over steps and wall time: `python -m agents.curves runs/ppo --out docs/images/agents_curves.png`.
+"""Learning curves of runs over steps and wall time: `python -m agents.curves runs/ppo --out runs/ppo/curves.png`.
 
 Reads each run's `curve.json`; a folder of `agents.sweep` stands for all its seeds. Beside the picture a JSON file of the same
 name holds the points.

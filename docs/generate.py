@@ -38,7 +38,6 @@ from hydro_env.cli import app
 from hydro_env.cli.help import EXAMPLES
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Controller
-from hydro_env.controllers.learned.flow_interface import OutputSettings
 from hydro_env.controllers.mpc.flow_controller import FlowSettings
 from hydro_env.diagnosis import RULES, STAGES, Settings
 from hydro_env.envs import HydraulicSyncEnv, Reward
@@ -243,7 +242,7 @@ def controllers() -> str:
 
 
 def law_settings() -> str:
-    """Settings of the flow controller and of a policy's outputs: a row for each field of each part."""
+    """Settings of the flow controller: a row for each field of each part."""
     rows: list[list[object]] = []
 
     def add(kind: type, path: str) -> None:
@@ -259,7 +258,6 @@ def law_settings() -> str:
             rows.append([f"`{path}.{each.name}`", str(value).lower(), _unit(each.metadata["unit"]), text])
 
     add(FlowSettings, "law")
-    add(OutputSettings, "outputs")
     return _table(["setting", "default", "unit", "meaning and source"], rows)
 
 
@@ -528,7 +526,7 @@ def _docstring(module: Any) -> str:
 
 
 # --- measured ---------------------------------------------------------------------------------------------------------
-PEAK, TRACKING = "max_speed_difference_rpm", "tracking_mae_rpm"
+PEAK, TRACKING, TRAVEL = "max_speed_difference_rpm", "tracking_mae_rpm", "command_travel_per_s"
 SCORES = (
     ("test_interp", "setpoint_steps", "set-point steps"),
     ("test_interp", "load_step", "load step"),
@@ -543,6 +541,7 @@ SHORT = (
     "compensated",
     "ppo",
     "gru",
+    "probing_flow",
     "bench_flow",
     "servo_pid",
     "oracle",
@@ -618,7 +617,7 @@ def take(argument: str) -> None:
             rows = [
                 [*(r[c] for c in columns[:4]), *(round(r[c], 6) for c in columns[4:])]
                 for r in data["rows"]
-                if (r["split"], r["scenario"]) in places and r["metric"] in (PEAK, TRACKING)
+                if (r["split"], r["scenario"]) in places and r["metric"] in (PEAK, TRACKING, TRAVEL)
             ]
             # Controllers that this file does not score keep their rows.
             kept, old = results["scores"], [name for name in CONTROLLERS if name not in data["controllers"]]
@@ -682,7 +681,8 @@ def _digits(value: float) -> str:
     return f"{value:.0f}" if value >= 100 else f"{value:.1f}"
 
 
-def _scores(names: Sequence[str], columns: Sequence[tuple[str, str, str]]) -> str:
+def _scores(names: Sequence[str], columns: Sequence[tuple[str, str, str]], travel: str = "") -> str:
+    """Peak / tracking error by scenario; `travel`: split of which the command travel in set-point steps is shown as well."""
     found, cells = _scored()
     rows = []
     for name in (each for each in found["commits"] if each in names):
@@ -690,13 +690,17 @@ def _scores(names: Sequence[str], columns: Sequence[tuple[str, str, str]]) -> st
         for split, scenario, _ in columns:
             pair = [cells.get((name, split, scenario, metric)) for metric in (PEAK, TRACKING)]
             row.append(" / ".join("–" if each is None else _digits(each[0]) for each in pair))
+        if travel:
+            moved = cells.get((name, travel, "setpoint_steps", TRAVEL))
+            row.append("–" if moved is None else f"{moved[0]:.2f}")
         rows.append(row)
-    return _table(["controller", *(heading for _, _, heading in columns)], rows)
+    more = ["command travel, 1/s"] if travel else []
+    return _table(["controller", *(heading for _, _, heading in columns), *more], rows)
 
 
 def scores() -> str:
     found = _results()["scores"]
-    return f"{_origin(found)}\n\n{_scores(list(found['commits']), SCORES)}"
+    return f"{_origin(found)}\n\n{_scores(list(found['commits']), SCORES, travel='test_interp')}"
 
 
 def scores_short() -> str:

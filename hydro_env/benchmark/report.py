@@ -29,6 +29,8 @@ def scores_table(scores: dict[str, Any]) -> str:
     means.
     """
     columns = list(dict.fromkeys(row["metric"] for row in scores["rows"]))
+    if "command_travel_per_s" in columns and "command_variation" in columns:
+        columns.remove("command_variation")  # the same under an older name
     cells = {(r["split"], r["scenario"], r["controller"], r["metric"]): r for r in scores["rows"]}
     failed = {(f["split"], f["scenario"], f["controller"]): f["reason"] for f in scores["failed"]}
     done = [(r["split"], r["scenario"]) for r in scores["rows"]]
@@ -101,6 +103,8 @@ def _short(metric: str) -> str:
         ("shaft_angle_difference_", "shaft angle_"),
     ):
         metric = metric.replace(long, short)
+    if metric.endswith("_per_s"):
+        return f"{metric.removesuffix('_per_s').replace('_', ' ')}, 1/s"
     head, _, unit = metric.rpartition("_")
     return f"{head.replace('_', ' ')}, {unit}" if unit in ("rpm", "s", "deg") else metric.replace("_", " ")
 

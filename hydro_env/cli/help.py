@@ -30,7 +30,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "train": (
         "hydro-env train --algo ppo_quick --out run",
-        "hydro-env train --algo sac --seed 3 --out runs/sac_3",
+        "hydro-env train --algo ppo --seed 3 --out runs/ppo_3",
         "hydro-env train --config my_training.yml --out run",
         "hydro-env train --resume --out run",
     ),

@@ -54,7 +54,7 @@ SCENARIOS = ("setpoint_steps", "load_step", "sine")
 #: Largest error of a base parameter of the model that the engineer has.
 BASE_ERROR = 0.1
 #: Controllers as shipped, which know no model of the rig.
-SHIPPED = ("cross_coupled", "adaptive_flow", "ppo")
+SHIPPED = ("cross_coupled", "adaptive_flow", "probing_flow")
 
 
 # --- rigs ---------------------------------------------------------------------------------------------------------------

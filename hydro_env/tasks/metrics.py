@@ -153,6 +153,14 @@ _ALL = (
         "mean of both valves",
         _variation,
     ),
+    Metric(
+        "command_travel_per_s",
+        "command travel",
+        "1/s",
+        "the same under the name that the leaderboard shows: how far both valves' commands move a second (fraction of the rated "
+        "one). A controller that shakes its valves wears them",
+        _variation,
+    ),
 )
 
 #: The metrics by name.

@@ -30,7 +30,7 @@ from tests.damage import damages
 
 ROOT = Path(__file__).parents[2]
 PPO, SAC = ROOT / "configs" / "ppo_quick.yml", ROOT / "configs" / "sac_quick.yml"
-TIMES = ("seconds",)
+TIMES = ("seconds", "cpu_seconds")
 
 
 def weights(path):

@@ -84,7 +84,9 @@ def test_a_recurrent_policy_remembers_until_it_is_reset(tmp_path):
 
 
 def test_reset_forgets_everything(tmp_path):
-    policy = NumpyPolicy(write(tmp_path / "p.npz", **arrays({"kind": "frames", "frames": 3, "increment": 0.3})))
+    policy = NumpyPolicy(
+        write(tmp_path / "p.npz", **arrays({"kind": "frames", "frames": 3, "increment": 0.3}))
+    )
     np.testing.assert_array_equal(drive(policy, 2, [1, 2]), drive(policy, 2, [1, 2]))
 
 

@@ -1,6 +1,6 @@
 """Tunes a controller's gains on the training pairs: `hydro-env tune`; the search itself is in `tuning.search`.
 
-The controllers that ship (`--controller all`) have one budget, about that of the search of the law beneath the agents, which
+The controllers that ship (`--controller all`) have one budget, about that of the search of `probing_flow`, which
 had some 480 000 episodes. The search can reach a local minimum, so it runs twice, with few pairs and with many
 (`SEARCHES`), at `PERIOD` and then, the first generation around the gains found there, at each of `OTHER_PERIODS`. Whichever
 costs less on the many pairs ships. That is a quarter of an hour of a core for each controller; what has been found is kept
