@@ -38,6 +38,7 @@ METRICS = {
     "shaft_angle_difference_deg",
     "tracking_mae_rpm",
     "command_variation",
+    "command_travel_per_s",
 }
 
 
