@@ -1,7 +1,7 @@
 """Writes a trained model as a policy file, or a policy file as ONNX.
 
 `python -m agents.export MODEL.zip --config configs/ppo.yml --out policy.npz` does by hand what a training run does by itself.
-`python -m agents.export policy.npz --out policy.onnx` writes the network for other runtimes, see `hydro_env.training.export`.
+`python -m agents.export policy.npz --out policy.onnx` writes the network for other runtimes, see `hydro_env.export.onnx`.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ import torch
 from agents.command import run_command
 from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError
+from hydro_env.export.onnx import export_onnx
 from hydro_env.pickles import distrust
 from hydro_env.training.config import read_config
-from hydro_env.training.export import export_onnx, export_policy
+from hydro_env.training.export import export_policy
 
 
 def main() -> None:

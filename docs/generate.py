@@ -465,14 +465,19 @@ def threshold() -> str:
 
 
 # --- command line and files -------------------------------------------------------------------------------------------
-def _click() -> Any:
-    return typer.main.get_command(app)
+def _commands() -> dict[str, Any]:
+    """All commands by what stands behind `hydro-env`, those of groups as `export fmu`."""
+    found: dict[str, Any] = {}
+    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+        inner = getattr(command, "commands", None)
+        found |= {name: command} if inner is None else {f"{name} {each}": inner[each] for each in inner}
+    return found
 
 
 def commands() -> str:
     """Every command with its arguments and options."""
     parts = []
-    for name, command in sorted(_click().commands.items()):
+    for name, command in sorted(_commands().items()):
         rows = []
         for parameter in command.params:
             if getattr(parameter, "hidden", False):
@@ -490,7 +495,7 @@ def commands() -> str:
                 shown = "required"
             rows.append([label, getattr(parameter, "help", None) or "", shown])
         text = inspect.cleandoc(command.help or "")
-        examples = "\n".join(EXAMPLES[name])
+        examples = "\n".join(EXAMPLES[name.rpartition(" ")[2]])
         table = _table(["option", "meaning", "default"], rows)
         parts.append(f"## hydro-env {name}\n\n{text}\n\n```text\n{examples}\n```\n\n{table}")
     return "\n\n".join(parts)
@@ -500,7 +505,7 @@ def commands_short() -> str:
     """The commands and their first lines."""
     rows = [
         [f"`hydro-env {name}`", (command.help or "").strip().splitlines()[0]]
-        for name, command in _click().commands.items()
+        for name, command in _commands().items()
     ]
     return _table(["command", "what it does"], rows)
 

@@ -44,6 +44,8 @@ LONG = (
     "test_style.py::test_checker[mypy]",
     "test_sweep.py",
     "test_training.py",
+    "test_export_controllers.py",
+    "test_fmu.py",
 )
 
 

@@ -11,6 +11,7 @@ from hydro_env.cli.controllers import benchmark, tune
 from hydro_env.cli.dataset import dataset
 from hydro_env.cli.diagnosis import diagnose, hide
 from hydro_env.cli.experiments import close_loop, demo, reproduce, speed
+from hydro_env.cli.export import export
 from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
 from hydro_env.cli.listing import list_names
 from hydro_env.cli.training import train
@@ -59,4 +60,5 @@ for _command in (
     close_loop,
 ):
     app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)
+app.add_typer(export, name="export")
 app.command("list", cls=HelpfulCommand)(list_names)

@@ -56,6 +56,20 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "hydro-env diagnose monday.csv --sealed tuesday.csv --mapping look/mapping.yaml --model my_rig.yaml --out found",
     ),
     "close-loop": ("hydro-env close-loop --seeds 1 --out loop",),
+    "export": (
+        "hydro-env export fmu --model my_rig.yaml --out fmu",
+        "hydro-env export c gru --out c",
+    ),
+    "fmu": (
+        "hydro-env export fmu --model paper_dead_zone --out fmu",
+        "hydro-env export fmu --model my_rig.yaml --fmi 2 --out fmu",
+    ),
+    "c": (
+        "hydro-env export c cross_coupled --out c",
+        "hydro-env export c pid_tuned:Kp=0.05 --control-period 0.005 --out c",
+    ),
+    "st": ("hydro-env export st cross_coupled --out plc",),
+    "onnx": ("hydro-env export onnx gru --out onnx",),
     "list": (
         "hydro-env list",
         "hydro-env list effects",
@@ -69,7 +83,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "algo", "config", "steps",
         "more", "controller", "controllers", "suite", "split", "scenario", "cases", "mismatch", "weight", "episodes", "only",
         "linear", "max_sensitivity", "case", "seeds", "none", "severity", "value", "noise", "base_error", "rate", "duration",
-        "record", "num_envs", "seconds", "sealed", "accept", "signal",
+        "record", "num_envs", "seconds", "sealed", "accept", "signal", "fmi",
     ),
     "Rig and model": ("plant", "model", "control_period", "steady", "effect_files"),
     "Columns of logs and curves": (
@@ -117,9 +131,11 @@ class HelpfulCommand(TyperCommand):
 
 
 class HelpfulGroup(TyperGroup):
-    """`hydro-env` itself."""
+    """`hydro-env` itself, or a group of its commands."""
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Writes the examples, and where each command's own are."""
-        _write_examples(formatter, "")
-        formatter.write("\nOptions and examples of a command: hydro-env COMMAND --help\n")
+        own = str(self.name) if self.name in EXAMPLES else ""
+        _write_examples(formatter, own)
+        path = f"hydro-env {own}".strip()
+        formatter.write(f"\nOptions and examples of a command: {path} COMMAND --help\n")

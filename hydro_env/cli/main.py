@@ -35,6 +35,7 @@ EXTRAS = {
     "onnx": "agents",
     "onnxruntime": "agents",
     "ray": "ray",
+    "fmpy": "fmu",
 }
 """Which extra of the package holds an optional library."""
 

@@ -133,6 +133,11 @@ class Plant:
         """The compiled step."""
         return self._kernel
 
+    @property
+    def delay_slots(self) -> int:
+        """Slots of the delay line, a substep each; 1 where no effect delays the command."""
+        return int(self._ring.shape[1])
+
     # --- rows of the memory ---------------------------------------------------------------------------------------
     @property
     def effects(self) -> tuple[str, ...]:

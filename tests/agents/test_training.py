@@ -106,7 +106,7 @@ def test_exported_policy_equals_the_original(tmp_path, path):
 def test_onnx_equals_the_policy_file(tmp_path, activation, squash):
     onnxruntime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
-    from hydro_env.training.export import export_onnx
+    from hydro_env.export.onnx import export_onnx
 
     stream = np.random.default_rng(0)
     sizes = [(24, 9), (16, 24), (2, 16)]
@@ -128,7 +128,8 @@ def test_a_recurrent_network_is_the_same_in_torch_numpy_and_onnx(tmp_path):
     onnxruntime = pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")
     from agents.recurrent.network import RecurrentPolicy
-    from hydro_env.training.export import export_onnx, write_policy
+    from hydro_env.export.onnx import export_onnx
+    from hydro_env.training.export import write_policy
 
     torch.manual_seed(0)
     policy = RecurrentPolicy(sizes=(24, 16, 20), notes=5)

@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer.main
 
-from hydro_env.cli import app
 from hydro_env.experiments.paper_rig import SETPOINT_STEPS, run_paper
 from hydro_env.plant import load_model
 
@@ -23,7 +21,7 @@ PAGES: list[Path] = [
     ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "hydro_env").rglob("*.md")),
 ]
-COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+COMMANDS: dict[str, Any] = GENERATE["_commands"]()
 
 
 def names(page: Path) -> str:
@@ -85,7 +83,7 @@ def test_named_modules_exist(page: Path) -> None:
 
 def test_named_commands_and_options_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")
-    for command, rest in re.findall(r"hydro-env ([a-z][a-z-]+)([^\n`|#]*)", text):
+    for command, rest in re.findall(r"hydro-env (export [a-z]+|[a-z][a-z-]+)([^\n`|#]*)", text):
         assert command in COMMANDS, command
         known = {opt for p in COMMANDS[command].params for opt in (*p.opts, *p.secondary_opts)} | {"--help"}
         assert set(re.findall(r"(?<=\s)--[a-z-]+", rest)) <= known, f"hydro-env {command}{rest}"

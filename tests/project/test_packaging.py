@@ -20,7 +20,8 @@ ROOT = Path(__file__).parents[2]
 
 OPTIONAL = (
     "torch", "stable_baselines3", "sb3_contrib", "onnx", "onnxruntime", "tensorboard", "plotly", "jinja2", "matplotlib",
-    "pandas", "pyarrow", "asammdf", "nptdms", "h5py", "pygame", "PIL", "moviepy", "ray", "minari", "pettingzoo", "agents",
+    "pandas", "pyarrow", "asammdf", "nptdms", "h5py", "pygame", "PIL", "moviepy", "ray", "minari", "pettingzoo",
+    "fmpy", "agents",
 )  # fmt: skip
 """No module of the core may import these when it is imported."""
 
@@ -56,7 +57,8 @@ def test_wheel_holds_every_data_file(wheel: list[str]) -> None:
     source = {
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "hydro_env").rglob("*")
-        if path.is_file() and path.suffix in {".py", ".typed", ".yaml", ".json", ".npz", ".html", ".css"}
+        if path.is_file()
+        and path.suffix in {".py", ".typed", ".yaml", ".json", ".npz", ".html", ".css", ".c"}
     }
     assert "hydro_env/py.typed" in source and "hydro_env/plant/presets/paper.yaml" in source
     source |= {f"hydro_env/training/recipes/{name}.yml" for name in RECIPES}

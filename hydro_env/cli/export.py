@@ -1,0 +1,110 @@
+"""The command `export` with what it exports: fmu, c, st, onnx."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
+from hydro_env.cli.options import Out, number, writing
+from hydro_env.errors import InputError
+from hydro_env.limits import Limits
+
+__all__ = ["export"]
+
+export = typer.Typer(
+    cls=HelpfulGroup,
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    help="Take the rig or a controller to another tool: FMU, C99, Structured Text, ONNX.",
+)
+
+Controller = Annotated[
+    str,
+    typer.Argument(
+        metavar="CONTROLLER",
+        help="A shipped controller, a gains file (.json) or a policy (.npz), with gains if wanted (NAME:Kp=0.2).",
+    ),
+]
+Bench = Annotated[
+    str,
+    typer.Option(
+        "--plant", help="Preset or YAML file of the rig whose valves a controller had on the bench."
+    ),
+]
+Period = Annotated[
+    float,
+    number("--control-period", within=Limits(1e-4, 1.0, unit="s"), help="Control period that is built in."),
+]
+Single = Annotated[bool, typer.Option("--single", help="Networks in single precision: smaller and faster.")]
+
+
+@export.command(cls=HelpfulCommand)
+def fmu(
+    out: Out,
+    model: Annotated[str, typer.Option(help="Preset or YAML file of the rig.")],
+    fmi: Annotated[str, typer.Option(help="Version of the standard: 2, 3 or both.")] = "both",
+) -> None:
+    """Export a rig as a co-simulation FMU.
+
+    FMI 2.0 and 3.0, with the C source and, where there is a C compiler, a binary for this machine.
+    """
+    versions = {"2": (2,), "3": (3,), "both": (2, 3)}.get(fmi)
+    if versions is None:
+        raise InputError(f"--fmi is {fmi!r}; 2, 3 or both is right")
+    with writing(out) as folder:
+        from hydro_env.export.fmu.build import export_fmu
+        from hydro_env.plant import load_model
+
+        made = export_fmu(load_model(model), folder, versions)
+        if made.note:
+            print(f"Note: {made.note}.")
+
+
+@export.command(cls=HelpfulCommand)
+def c(
+    controller: Controller,
+    out: Out,
+    control_period: Period = 0.01,
+    plant: Bench = "paper_dead_zone",
+    single: Single = False,
+) -> None:
+    """Export a controller as C99.
+
+    One header and one source; a state of fixed size, nothing allocated, nothing but math.h.
+    """
+    with writing(out) as folder:
+        from hydro_env.export.controllers import c_files
+
+        c_files(controller, folder, control_period, plant, single)
+
+
+@export.command(cls=HelpfulCommand)
+def st(
+    controller: Controller,
+    out: Out,
+    control_period: Period = 0.01,
+    plant: Bench = "paper_dead_zone",
+    single: Single = False,
+) -> None:
+    """Export a controller as Structured Text.
+
+    A function block of IEC 61131-3 for a PLC: PID, couplings, and networks.
+    """
+    with writing(out) as folder:
+        from hydro_env.export.controllers import st_file
+
+        st_file(controller, folder, control_period, plant, single)
+
+
+@export.command(cls=HelpfulCommand)
+def onnx(controller: Controller, out: Out) -> None:
+    """Export the network of a learned agent as ONNX.
+
+    The graph alone; its metadata say what its inputs are (needs the extra `agents`).
+    """
+    with writing(out) as folder:
+        from hydro_env.export.controllers import onnx_file
+
+        onnx_file(controller, folder)

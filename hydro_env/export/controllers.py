@@ -1,0 +1,116 @@
+"""Controllers as C, Structured Text or ONNX: from the name that a user gives to files in a folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_env import __version__
+from hydro_env.controllers.base import Controller
+from hydro_env.controllers.learned.policy import NumpyPolicy
+from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
+from hydro_env.errors import InputError
+from hydro_env.files import write_json, write_text
+from hydro_env.plant import PARAMETERS, Plant, load_model
+
+from .c_code import c_code
+from .structured_text import structured_text
+from .symbols import TraceError
+from .tracing import Program, trace
+from .translate import TranslationError
+
+__all__ = ["c_files", "onnx_file", "program_of", "st_file"]
+
+RATED = PARAMETERS["u_rated"].nominal
+
+
+def program_of(spec: str, period: float, plant: str = "paper_dead_zone", single: bool = False) -> Program:
+    """What a controller does with its samples. `plant`: the rig whose valves are put on the bench for one that needs it;
+    `single`: a network in single precision, as it runs in Python unless asked otherwise.
+
+    InputError for a name that nobody knows, a controller that needs the true plant, and one that cannot be followed.
+    """
+    controller = _controller(spec, plant, single)
+    try:
+        return trace(controller, period, controller.name.partition(":")[0])
+    except (TraceError, TranslationError) as problem:
+        raise InputError(f"controller {spec!r} cannot be exported: {problem}") from None
+
+
+def _controller(spec: str, plant: str, single: bool) -> Any:
+    controller = make_controller(spec)
+    if isinstance(controller, NumpyPolicy):
+        entry = CONTROLLERS.get(split_gains(spec)[0])
+        path = entry.file if entry is not None and entry.file is not None else Path(spec)
+        return NumpyPolicy(path, controller.name, np.float32 if single else np.float64)
+    if not isinstance(controller, Controller) or not type(controller).__module__.startswith("hydro_env."):
+        raise InputError(
+            f"controller {spec!r} cannot be exported: shipped controllers, gains files (.json) of their laws and policies (.npz)"
+            " can be"
+        )
+    if controller.needs in ("parameters", "everything"):
+        raise InputError(
+            f"controller {spec!r} cannot be exported: it needs the true plant, which no rig can tell it; one that goes by"
+            " measurements is right"
+        )
+    if controller.needs == "bench":
+        controller.prepare(Plant(load_model(plant)))
+    return controller
+
+
+def _about(spec: str) -> str:
+    entry = CONTROLLERS.get(split_gains(spec)[0])
+    return f"In short: {entry.summary}." if entry is not None else "From a file of its user."
+
+
+def c_files(spec: str, folder: Path, period: float, plant: str, single: bool) -> dict[str, Any]:
+    """Writes NAME.h, NAME.c and export.json; what the latter holds."""
+    program = program_of(spec, period, plant, single)
+    code = c_code(program, __version__, _about(spec), RATED)
+    write_text(folder / f"{code.name}.h", code.header)
+    write_text(folder / f"{code.name}.c", code.source)
+    return _noted(folder, "c", spec, program, [f"{code.name}.h", f"{code.name}.c"])
+
+
+def st_file(spec: str, folder: Path, period: float, plant: str, single: bool) -> dict[str, Any]:
+    """Writes NAME.st and export.json; what the latter holds. InputError for one that calls compiled functions."""
+    program = program_of(spec, period, plant, single)
+    try:
+        text = structured_text(program, __version__, _about(spec), RATED)
+    except TraceError as problem:
+        raise InputError(f"controller {spec!r} cannot be exported: {problem}") from None
+    name = f"{program.name}.st"
+    write_text(folder / name, text)
+    return _noted(folder, "st", spec, program, [name])
+
+
+def _noted(folder: Path, kind: str, spec: str, program: Program, files: list[str]) -> dict[str, Any]:
+    about = {
+        "schema": "hydro_env/export/1", "kind": kind, "controller": spec, "control_period_s": program.period,
+        "state_numbers": sum(each.size for each in program.state),
+        "files": [{"file": name, "bytes": (folder / name).stat().st_size} for name in files],
+    }  # fmt: skip
+    write_json(folder / "export.json", about)
+    return about
+
+
+def onnx_file(spec: str, folder: Path) -> dict[str, Any]:
+    """Writes NAME.onnx and export.json; what the latter holds. InputError for a controller without a network."""
+    from .onnx import export_onnx
+
+    controller = make_controller(spec)
+    if not isinstance(controller, NumpyPolicy):
+        raise InputError(
+            f"controller {spec!r} has no network: learned agents and policies (.npz) can be exported as ONNX"
+        )
+    entry = CONTROLLERS.get(spec)
+    name = f"{controller.name}.onnx"
+    export_onnx(entry.file if entry is not None and entry.file is not None else spec, folder / name)
+    about = {
+        "schema": "hydro_env/export/1", "kind": "onnx", "controller": spec, "interface": controller.interface.table(),
+        "files": [{"file": name, "bytes": (folder / name).stat().st_size}],
+    }  # fmt: skip
+    write_json(folder / "export.json", about)
+    return about

@@ -1,0 +1,173 @@
+"""modelDescription.xml: variables with units, bounds and what the catalogue says of them, for FMI 2.0 and 3.0.
+
+Names: inputs `command_1` (V) and `load_1` (N m), outputs `speed_1`, `pressure_1` ..., parameters `channel_1.Kq`,
+`channel_1.dead_zone.overlap_positive`, and `rig.supply_droop.relative_drop` where both channels share one. All SI.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+from xml.etree import ElementTree as xml
+
+from hydro_env.export.plant_source import PlantSource
+from hydro_env.plant.catalogue import CATALOGUE
+from hydro_env.plant.model import parameter_of
+
+from .units import DISPLAYED, base_unit
+
+__all__ = ["FIRST_REFERENCE", "Variable", "model_description", "variables"]
+
+#: Value references: time, both commands, both loads, then all cells of the plant's memory.
+TIME_REFERENCE, COMMAND_REFERENCE, LOAD_REFERENCE, FIRST_REFERENCE = 0, 1, 3, 16
+#: Communication step that is proposed, s.
+STEP = 0.01
+
+_SIGNALS = {
+    "current": ("A", "current of the coil"), "spool": ("m", "position of the spool"),
+    "spool_speed": ("m/s", "speed of the spool"),
+    "bristle": ("m", "deflection of the bristles of the spool's friction"),
+    "pressure": ("Pa", "pressure difference over the motor"), "speed": ("rad/s", "speed of the shaft"),
+    "angle": ("rad", "angle of the shaft since the start"), "flow": ("m3/s", "flow through the valve"),
+    "measured_speed": ("rad/s", "speed of the shaft as its sensor shows it, without noise"),
+    "diverged": ("1", "1 once the channel has diverged numerically and was put to rest"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of the unit. `causality`: independent, input, output or parameter; `bounds` only where finite."""
+
+    name: str
+    reference: int
+    causality: str
+    unit: str
+    text: str
+    start: float | None = None
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+
+
+def variables(source: PlantSource) -> list[Variable]:
+    """All variables, in the order of the description."""
+    found = [Variable("time", TIME_REFERENCE, "independent", "s", "time")]
+    for c in (1, 2):
+        text = f"command of valve {c}, held over a step and limited to +-u_rated"
+        found.append(Variable(f"command_{c}", COMMAND_REFERENCE + c - 1, "input", "V", text, 0.0))
+    for c in (1, 2):
+        text = f"torque of the load on the shaft of motor {c}, held over a step"
+        found.append(Variable(f"load_{c}", LOAD_REFERENCE + c - 1, "input", "N m", text, 0.0))
+    for name in source.outputs:
+        unit, text = _SIGNALS.get(name, ("", ""))
+        shown = name.replace("__", ".", 1)
+        if not text:
+            text = f"state of the effect {CATALOGUE[name.split('__')[0]].title}"
+        for c in (1, 2):
+            place = FIRST_REFERENCE + source.places[name] + c - 1
+            found.append(Variable(f"{shown}_{c}", place, "output", unit, f"{text}, channel {c}"))
+    for name in source.parameters:
+        found += _parameter(source, name)
+    return found
+
+
+def _parameter(source: PlantSource, name: str) -> list[Variable]:
+    """A parameter, once for each channel or once for the rig."""
+    p = parameter_of(name)
+    effect = f"{CATALOGUE[name.split('.')[0]].title}: " if "." in name else ""
+    made = []
+    for c in (0,) if name in source.shared else (0, 1):
+        start = source.model.value(name, c)
+        bounds = min(p.possible[0], p.nominal, start), max(p.possible[1], p.nominal, start)
+        place = FIRST_REFERENCE + source.places[name] + c
+        owner = "rig" if name in source.shared else f"channel_{c + 1}"
+        text = f"{effect}{p.title} ({p.source})" if p.source else f"{effect}{p.title}"
+        made.append(Variable(f"{owner}.{name}", place, "parameter", p.unit, text, start, bounds))
+    return made
+
+
+def model_description(source: PlantSource, version: int, identifier: str, token: str, tool: str) -> bytes:
+    """The XML of FMI 2.0 or 3.0 (`version` 2 or 3)."""
+    root = xml.Element(
+        "fmiModelDescription", fmiVersion=f"{version}.0", modelName=source.model.name,
+        description="Two hydraulic motors, each behind its own proportional valve", generationTool=tool,
+        variableNamingConvention="structured", license="MIT",
+    )  # fmt: skip
+    root.set("guid" if version == 2 else "instantiationToken", token)
+    able = {
+        "canHandleVariableCommunicationStepSize": "true",
+        "canSerializeFMUstate" if version == 2 else "canSerializeFMUState": "true",
+    }
+    able["canGetAndSetFMUstate" if version == 2 else "canGetAndSetFMUState"] = "true"
+    interface = xml.SubElement(root, "CoSimulation", {"modelIdentifier": identifier, **able})
+    if version == 2:
+        files = xml.SubElement(interface, "SourceFiles")
+        for name in ("plant.c", "fmi2.c"):
+            xml.SubElement(files, "File", name=name)
+    every = [
+        v for v in variables(source) if version == 3 or v.causality != "independent"
+    ]  # optional in FMI 2.0
+    _units(xml.SubElement(root, "UnitDefinitions"), every)
+    categories = xml.SubElement(root, "LogCategories")
+    xml.SubElement(categories, "Category", name="logStatusError", description="why a call was refused")
+    xml.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(STEP))
+    listed = xml.SubElement(root, "ModelVariables")
+    for each in every:
+        _variable(listed, each, version)
+    _structure(xml.SubElement(root, "ModelStructure"), every, version)
+    xml.indent(root)
+    return xml.tostring(root, encoding="UTF-8", xml_declaration=True)
+
+
+def _units(parent: xml.Element, every: list[Variable]) -> None:
+    for unit in dict.fromkeys(each.unit for each in every if each.unit):
+        exponents, factor = base_unit(unit)
+        given: dict[str, str] = {name: str(power) for name, power in exponents.items()}
+        if factor != 1.0:
+            given["factor"] = repr(factor)
+        element = xml.SubElement(parent, "Unit", name=unit)
+        xml.SubElement(element, "BaseUnit", given)
+        if unit in DISPLAYED:
+            shown, per = DISPLAYED[unit]
+            xml.SubElement(element, "DisplayUnit", name=shown, factor=repr(per))
+
+
+def _number(value: float) -> str:
+    return "INF" if value == math.inf else "-INF" if value == -math.inf else repr(float(value))
+
+
+def _variable(parent: xml.Element, each: Variable, version: int) -> None:
+    variability = {"parameter": "tunable"}.get(each.causality, "continuous")
+    named = {
+        "name": each.name, "valueReference": str(each.reference), "description": each.text, "causality": each.causality,
+        "variability": variability,
+    }  # fmt: skip
+    if each.causality == "output":
+        named["initial"] = "calculated"
+    elif each.causality == "parameter":
+        named["initial"] = "exact"
+    typed: dict[str, Any] = {"unit": each.unit} if each.unit else {}
+    if each.unit in DISPLAYED:
+        typed["displayUnit"] = DISPLAYED[each.unit][0]
+    typed |= {key: _number(v) for key, v in zip(("min", "max"), each.bounds, strict=True) if math.isfinite(v)}
+    if each.start is not None:
+        typed["start"] = _number(each.start)
+    if version == 2:
+        element = xml.SubElement(parent, "ScalarVariable", named)
+        xml.SubElement(element, "Real", **typed)
+    else:
+        xml.SubElement(parent, "Float64", {**named, **typed})
+
+
+def _structure(parent: xml.Element, every: list[Variable], version: int) -> None:
+    """What outputs depend on: at an instant on no input, as everything passes a coil or a shaft first."""
+    outputs = [(n, each) for n, each in enumerate(every, start=1) if each.causality == "output"]
+    if version == 2:
+        direct, initial = xml.SubElement(parent, "Outputs"), xml.SubElement(parent, "InitialUnknowns")
+        for n, _ in outputs:
+            xml.SubElement(direct, "Unknown", index=str(n), dependencies="")
+            xml.SubElement(initial, "Unknown", index=str(n))
+        return
+    for _, each in outputs:
+        xml.SubElement(parent, "Output", valueReference=str(each.reference), dependencies="")
+    for _, each in outputs:
+        xml.SubElement(parent, "InitialUnknown", valueReference=str(each.reference))

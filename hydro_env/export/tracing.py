@@ -1,0 +1,402 @@
+"""A controller of one rig as a program: its own `act` is run on symbols, and what it keeps between samples becomes the state.
+
+While a controller is traced, its modules get a stand-in for NumPy whose new arrays hold expressions, and compiled functions
+are recorded instead of run. The first sample is traced by itself, since a controller sets its state from it; then samples are
+traced until the same program comes out again.
+"""
+
+from __future__ import annotations
+
+import copy
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hydro_env.envs.observation import LIMIT, OBSERVATION, SCALES
+
+from .kernels import Kernels
+from .symbols import (
+    Expr,
+    Items,
+    Kernel,
+    MaskedRows,
+    Place,
+    RowNumbers,
+    Symbols,
+    TraceError,
+    cast,
+    constant,
+    expressions_in,
+    forget,
+    item,
+    known,
+    leaf,
+    operate,
+    symbols,
+)  # fmt: skip
+
+__all__ = ["MEASURED", "Program", "StateArray", "trace"]
+
+#: What a controller is given, in this order, SI: rad/s, A, Pa; commands as fractions of the rated one.
+MEASURED = OBSERVATION
+#: Samples after which what is kept has taken its form, or never will.
+MOST_SAMPLES = 50
+#: Rooms of the package whose modules controllers are made of.
+_TRACED = ("hydro_env.controllers.", "hydro_env.envs.observation")
+
+
+@dataclass
+class StateArray:
+    """An array that is kept between samples."""
+
+    name: str
+    kind: str
+    shape: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        return int(np.prod(self.shape, dtype=int))
+
+
+@dataclass
+class Program:
+    """What a controller does with a sample: at the first one, and at all others.
+
+    `first` and `next` map (array, index) of the state, and ("command", 0 or 1), to expressions of the measurements
+    ("measured", n) and of the state before. Elements of the state that are not in `next` keep their value.
+    """
+
+    name: str
+    period: float
+    state: list[StateArray] = field(default_factory=list)
+    first: dict[tuple[str, int], Expr] = field(default_factory=dict)
+    next: dict[tuple[str, int], Expr] = field(default_factory=dict)
+
+
+# --- the stand-in for NumPy -------------------------------------------------------------------------------------------
+class _Numpy:
+    """NumPy for traced modules: new arrays hold expressions, and symbols stay symbols where NumPy would make numbers."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(np, name)
+
+    @staticmethod
+    def asarray(value: Any, dtype: Any = None) -> Any:
+        if isinstance(value, Symbols):
+            return value if dtype is None else value.astype(dtype)
+        return np.asarray(value, dtype)
+
+    ascontiguousarray = asarray
+
+    @staticmethod
+    def array(value: Any, dtype: Any = None) -> Any:
+        if isinstance(value, Symbols):
+            return value.copy() if dtype is None else value.astype(dtype)
+        if isinstance(value, list | tuple) and any(isinstance(each, Symbols) for each in value):
+            return np.stack(value)  # type: ignore[arg-type]
+        return np.array(value, dtype)
+
+    @staticmethod
+    def full(shape: Any, value: float, dtype: Any = float) -> Symbols:
+        return known(np.full(shape, value, dtype))
+
+    @staticmethod
+    def zeros(shape: Any, dtype: Any = float) -> Symbols:
+        return known(np.zeros(shape, dtype))
+
+    empty = zeros
+
+    @staticmethod
+    def ones(shape: Any, dtype: Any = float) -> Symbols:
+        return known(np.ones(shape, dtype))
+
+    @staticmethod
+    def arange(*bounds: Any) -> Any:
+        return np.arange(*bounds).view(RowNumbers)
+
+    @staticmethod
+    def stack(arrays: Any, axis: int = 0) -> Any:
+        return np.stack(arrays, axis=axis)
+
+
+class _Recorder:
+    """A compiled function of a traced module: with symbols among its arguments it is recorded, else run."""
+
+    def __init__(self, function: Any, kernels: Kernels) -> None:
+        self._function, self._kernels = function, kernels
+        self.py_func = function.py_func
+
+    def __call__(self, *arguments: Any) -> None:
+        if not any(_has_symbols(each) for each in arguments):
+            return self._function(*arguments)
+        call = Kernel(self._function, arguments)
+        seen: dict[int, int] = {}
+        for each in arguments:
+            for array in _arrays_of(each):
+                if id(array) not in seen:
+                    seen[id(array)] = len(call.arrays)
+                    call.arrays.append(array)
+                    call.before.append(array.elements())
+        call.arguments = [_frozen(each, seen) for each in arguments]
+        for place in self._kernels.of(call).written:
+            array = call.arrays[place]
+            after = Items(call, place, array.kind, array.size)
+            made = symbols((item(after, n) for n in range(array.size)), array.shape)
+            array.view(np.ndarray)[...] = made.view(np.ndarray)
+        return None
+
+
+def _has_symbols(value: Any) -> bool:
+    if isinstance(value, tuple):
+        return any(map(_has_symbols, value))
+    return isinstance(value, Symbols | MaskedRows)
+
+
+def _arrays_of(value: Any) -> Iterator[Symbols]:
+    if isinstance(value, tuple):
+        for each in value:
+            yield from _arrays_of(each)
+    elif isinstance(value, Symbols) and value.ndim:
+        yield value
+
+
+def _frozen(value: Any, seen: dict[int, int]) -> Any:
+    """An argument with arrays replaced by their places, and symbols by expressions."""
+    if isinstance(value, tuple):
+        fields = getattr(value, "_fields", None)
+        made = [_frozen(each, seen) for each in value]
+        return dict(zip(fields, made, strict=True)) if fields else made
+    if isinstance(value, Symbols):
+        return (
+            Place(seen[id(value)], value.kind, value.shape) if value.ndim else value.view(np.ndarray).item()
+        )
+    return value
+
+
+@contextmanager
+def _symbolic() -> Iterator[None]:
+    """Controllers' modules with the stand-ins in place."""
+    stand_in, kernels = _Numpy(), Kernels()
+    changed: list[tuple[dict[str, Any], str, Any]] = []
+    recorders: dict[int, _Recorder] = {}
+    try:
+        for name, module in list(sys.modules.items()):
+            if not name.startswith(_TRACED):
+                continue
+            space = vars(module)
+            for key, value in list(space.items()):
+                if value is np:
+                    changed.append((space, key, value))
+                    space[key] = stand_in
+                elif hasattr(value, "py_func") and hasattr(value, "signatures"):
+                    changed.append((space, key, value))
+                    space[key] = recorders.setdefault(id(value), _Recorder(value, kernels))
+                elif type(value) is np.ndarray and value.dtype.kind in "bif":
+                    changed.append((space, key, value))
+                    space[key] = known(value)
+        yield
+    finally:
+        for space, key, value in reversed(changed):
+            space[key] = value
+
+
+# --- the state ---------------------------------------------------------------------------------------------------------
+def _leaves(value: Any, path: str, found: dict[str, Any], seen: set[int]) -> None:
+    """All arrays of expressions, and all plain values, below an object, by their path."""
+    if isinstance(value, Symbols):
+        found[path] = value
+        return
+    if isinstance(value, np.ndarray | np.generic | str | int | float | bool | type(None)):
+        found[path] = value
+        return
+    if id(value) in seen or isinstance(value, type) or (callable(value) and not hasattr(value, "__dict__")):
+        return
+    seen.add(id(value))
+    if isinstance(value, dict):
+        for key, each in value.items():
+            _leaves(each, f"{path}.{key}", found, seen)
+    elif isinstance(value, tuple) and hasattr(value, "_fields"):
+        for key in value._fields:
+            _leaves(getattr(value, key), f"{path}.{key}", found, seen)
+    elif isinstance(value, list | tuple):
+        for n, each in enumerate(value):
+            _leaves(each, f"{path}.{n}", found, seen)
+    elif type(value).__module__.startswith("hydro_env."):
+        _leaves(getattr(value, "__dict__", {}), path, found, seen)
+
+
+def _arrays(controller: Any) -> tuple[dict[str, Symbols], dict[str, Any]]:
+    """The arrays of expressions of a controller by path, and its plain values."""
+    found: dict[str, Any] = {}
+    _leaves(controller, "", found, set())
+    arrays = {path: each for path, each in found.items() if isinstance(each, Symbols)}
+    plain = {path: each for path, each in found.items() if not isinstance(each, Symbols | np.ndarray)}
+    return arrays, plain
+
+
+def _observation() -> Symbols:
+    """The scaled observation, as the environment makes it of what is measured."""
+    made = []
+    for n, scale in enumerate(SCALES):
+        scaled = operate("div", [leaf("measured", n, "double"), constant(scale, "double")])
+        low, high = constant(-LIMIT, "double"), constant(LIMIT, "double")
+        made.append(cast(operate("min", [operate("max", [scaled, low]), high]), "float"))
+    return symbols(made, (1, len(made)))
+
+
+def _commands(sent: Any, given: dict[tuple[str, int], Expr]) -> None:
+    plain = sent.elements() if isinstance(sent, Symbols) else known(sent).elements()
+    for channel in (0, 1):
+        given["command", channel] = cast(plain[channel], "double")
+
+
+def trace(controller: Any, period: float, name: str) -> Program:
+    """The program of a controller at a control period in s. TraceError, in one line, for what cannot be followed."""
+    forget()
+    program = Program(name, period)
+    with _symbolic():
+        controller.reset(1, period)
+        _commands(controller.act(_observation()), program.first)
+        kept = _kept_by(controller)
+        settled = _settled(controller)
+        if {path for path, _ in kept} != set(_arrays(settled)[0]):
+            raise TraceError("what it keeps between samples changes its form after the first one")
+        changing = {key for key, each in kept.items() if each.op != "const"}
+        while True:
+            again = copy.deepcopy(settled)
+            names = _as_state(again, changing, kept)
+            program.next = {}
+            _commands(again.act(_observation()), program.next)
+            after = _kept_by(again)
+            more = {key for key, each in after.items() if key not in changing and each is not kept[key]}
+            if not more:
+                break
+            changing |= more
+        _check_settled(again)
+    _fill(program, kept, after, changing, names)
+    return program
+
+
+def _kept_by(controller: Any) -> dict[tuple[str, int], Expr]:
+    arrays, _ = _arrays(controller)
+    return {(path, n): each for path, array in arrays.items() for n, each in enumerate(array.elements())}
+
+
+def _settled(controller: Any) -> Any:
+    """The controller some samples later, when the same arrays are the same objects from sample to sample: at the beginning a
+    history may hold one array several times."""
+    before: list[list[str]] = []
+    for _ in range(MOST_SAMPLES):
+        controller = copy.deepcopy(controller)
+        kept = _kept_by(controller)
+        _as_state(controller, set(kept), kept)
+        controller.act(_observation())
+        now = list(_together(controller).values())
+        if now == before:
+            return controller
+        before = now
+    raise TraceError(f"what it keeps between samples has not settled after {MOST_SAMPLES} samples")
+
+
+def _together(controller: Any) -> dict[int, list[str]]:
+    """Paths that lead to the same array."""
+    groups: dict[int, list[str]] = {}
+    for path, array in _arrays(controller)[0].items():
+        groups.setdefault(id(array), []).append(path)
+    return groups
+
+
+def _c_name(path: str) -> str:
+    words = [word.strip("_").removeprefix("Controller__") for word in path.split(".") if word]
+    words = [word.split("__")[-1] for word in words]
+    return "_".join(word for word in words if word not in ("law", "state")) or "state"
+
+
+def _as_state(
+    controller: Any, changing: set[tuple[str, int]], kept: dict[tuple[str, int], Expr]
+) -> dict[str, str]:
+    """Puts leaves in the place of what changes, else what was there after the first sample; the names of the arrays by path."""
+    arrays, _ = _arrays(controller)
+    names: dict[str, str] = {}
+    for paths in _together(controller).values():
+        path, array = paths[0], arrays[paths[0]]
+        name = _c_name(path)
+        while name in names.values():
+            name += "_"
+        plain: Any = array.view(np.ndarray)
+        for n, place in enumerate(np.ndindex(plain.shape)):
+            here = {(each, n) for each in paths}
+            if here & changing:
+                changing |= here
+                plain[place] = leaf(name, n, plain[place].kind)
+            else:
+                plain[place] = kept[path, n]
+        names |= dict.fromkeys(paths, name)
+    return names
+
+
+def _check_settled(controller: Any) -> None:
+    """A third sample has to change no plain value, or the program would be another one with time."""
+    _, before = _arrays(controller)
+    again = copy.deepcopy(controller)
+    again.act(_observation())
+    _, after = _arrays(again)
+    for path, value in after.items():
+        if path not in before or (before[path] != value and before[path] == before[path]):
+            raise TraceError(f"{path.strip('.')} is a plain Python value that changes from sample to sample")
+
+
+def _needed(roots: list[Expr]) -> set[tuple[str, int]]:
+    """The leaves that expressions read."""
+    found: set[tuple[str, int]] = set()
+    seen: set[int] = set()
+    stack: list[Any] = list(roots)
+    while stack:
+        node = stack.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        if isinstance(node, Expr):
+            if node.op == "leaf":
+                found.add(node.value)
+            stack += node.args
+        elif isinstance(node, Items):
+            stack.append(node.call)
+        elif isinstance(node, Kernel):
+            stack += [x for row in node.before for x in row] + expressions_in(node.arguments)
+        else:
+            stack += [x for row in node.operands for x in row]
+    return found
+
+
+def _fill(
+    program: Program, kept: dict[tuple[str, int], Expr], after: dict[tuple[str, int], Expr],
+    changing: set[tuple[str, int]], names: dict[str, str],
+) -> None:  # fmt: skip
+    """State and assignments of the program, without what no command depends on."""
+    by_name: dict[tuple[str, int], tuple[str, int]] = {}
+    for path, n in sorted(changing):
+        other = by_name.setdefault((names[path], n), (path, n))
+        if kept[other] is not kept[path, n] or after[other] is not after[path, n]:
+            raise TraceError(
+                f"{path.strip('.')} and {other[0].strip('.')} are the same array in some samples only"
+            )
+    needed: set[tuple[str, int]] = set()
+    found = {key for key in _needed([*program.next.values()]) if key[0] != "measured"}
+    while found - needed:
+        needed |= found
+        found = {key for key in _needed([after[by_name[key]] for key in needed]) if key[0] != "measured"}
+    for path, name in names.items():
+        mine = [n for (own, n) in needed if own == name]
+        if not mine or any(each.name == name for each in program.state):
+            continue
+        size = max(n for p, n in kept if p == path) + 1
+        program.state.append(StateArray(name, kept[path, mine[0]].kind, (size,)))
+        for n in sorted(mine):
+            program.first[name, n] = kept[path, n]
+            if not (after[path, n].op == "leaf" and after[path, n].value == (name, n)):
+                program.next[name, n] = after[path, n]
