@@ -2,8 +2,7 @@
 
 While an agent is developed its makers look at some test pairs, and what they see there steers what they try next. So the
 tables are filled from cases that nobody looks at before: by default 700 to 899 of each split. `seeds:FOLDER` stands for
-all policies `FOLDER/*/policy.npz`, whose scores are pooled: their interval is over pairs and over training seeds. The control
-law beneath the networks alone is the controller `probing_flow`.
+all policies `FOLDER/*/policy.npz`, whose scores are pooled: their interval is over pairs and over training seeds.
 """
 
 from __future__ import annotations
@@ -95,7 +94,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m agents.card", description=__doc__)
     parser.add_argument("controllers", nargs="+", help="shipped controllers, policy files, or seeds:FOLDER")
     parser.add_argument(
-        "--first", type=Limits(0, 999, whole=True), default=700, help="first case of each split"
+        "--first",
+        type=Limits(0, 10**6, whole=True),
+        default=700,
+        help="first case of each split; beyond 999 the same cases with other noise",
     )
     parser.add_argument(
         "--cases", type=Limits(1, 1000, whole=True), default=200, help="pairs of valves in each split"

@@ -37,7 +37,6 @@ CONTROLLERS: tuple[str, ...] = (
     "adaptive_flow",
     "probing_flow",
     "ppo",
-    "sac",
     "gru",
 )
 METRICS = ("max_speed_difference_rpm", "tracking_mae_rpm", "command_variation")

@@ -624,9 +624,9 @@ def take(argument: str) -> None:
                 for r in data["rows"]
                 if (r["split"], r["scenario"]) in places and r["metric"] in (PEAK, TRACKING, TRAVEL)
             ]
-            # Controllers that this file does not score keep their rows.
-            kept, old = results["scores"], [name for name in CONTROLLERS if name not in data["controllers"]]
-            rows += [row for row in kept["rows"] if row[0] in old]
+            # What this file does not score keeps its rows; what no longer ships loses them.
+            kept, new = results["scores"], {tuple(row[:3]) for row in rows}
+            rows += [row for row in kept["rows"] if row[0] in CONTROLLERS and tuple(row[:3]) not in new]
             kept["commits"] |= dict.fromkeys(data["controllers"], _commit())
             kept |= {"seed": data["seed"], "columns": columns, "rows": rows}
         elif data["schema"] == "hydro_env/speed/1":

@@ -6,6 +6,7 @@ Pareto front (synchronisation error over tracking error) and the typical and the
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib.resources import files
 from typing import Any
 
@@ -28,9 +29,7 @@ def scores_table(scores: dict[str, Any]) -> str:
     """One block per split and scenario, one line per controller, one column per metric: interquartile
     means.
     """
-    columns = list(dict.fromkeys(row["metric"] for row in scores["rows"]))
-    if "command_travel_per_s" in columns and "command_variation" in columns:
-        columns.remove("command_variation")  # the same under an older name
+    columns = _distinct(dict.fromkeys(row["metric"] for row in scores["rows"]))
     cells = {(r["split"], r["scenario"], r["controller"], r["metric"]): r for r in scores["rows"]}
     failed = {(f["split"], f["scenario"], f["controller"]): f["reason"] for f in scores["failed"]}
     done = [(r["split"], r["scenario"]) for r in scores["rows"]]
@@ -63,6 +62,11 @@ def scores_table(scores: dict[str, Any]) -> str:
             )
             lines.append("  " + name.ljust(width) + cells_shown)
     return "\n".join(lines).lstrip("\n")
+
+
+def _distinct(metrics: Iterable[str]) -> list[str]:
+    """The metrics without those that are another one under a second name."""
+    return list({METRICS[name].of: name for name in reversed(list(metrics))}.values())[::-1]
 
 
 EXTRAS = ("better", "gap closed")
@@ -101,10 +105,9 @@ def _short(metric: str) -> str:
         ("max_speed_difference_", "peak sync error_"),
         ("_speed_difference_", " diff_"),
         ("shaft_angle_difference_", "shaft angle_"),
+        ("travel_per_s", "travel, 1/s"),
     ):
         metric = metric.replace(long, short)
-    if metric.endswith("_per_s"):
-        return f"{metric.removesuffix('_per_s').replace('_', ' ')}, 1/s"
     head, _, unit = metric.rpartition("_")
     return f"{head.replace('_', ' ')}, {unit}" if unit in ("rpm", "s", "deg") else metric.replace("_", " ")
 
@@ -129,6 +132,13 @@ def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
         name: {"title": f"{each.title}, {each.unit}", "definition": each.definition}
         for name, each in METRICS.items()
     }
+    columns = _distinct(dict.fromkeys(row["metric"] for row in scores["rows"]))
     page = files("hydro_env.benchmark").joinpath("scores_page.html")
-    more = {"privileged": privileged, "metrics": metrics, "version": __version__, "settling": SETTLING}
+    more = {
+        "privileged": privileged,
+        "metrics": metrics,
+        "version": __version__,
+        "settling": SETTLING,
+        "columns": columns,
+    }
     return fill(page, SCORES={**scores, **more}, TRACES=traces)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
-from hydro_env.controllers.learned.policy_interface import PolicyInterface
+from hydro_env.controllers.learned.policy_interface import FramesInterface
 from hydro_env.sb3 import HydraulicSyncVecEnv
 
 __all__ = ["PolicyVecEnv"]
@@ -24,8 +24,8 @@ class PolicyVecEnv(VecEnvWrapper):
     Episode returns are kept here, since Stable-Baselines3 reports them only for environments that do.
     """
 
-    def __init__(self, venv: HydraulicSyncVecEnv, interface: PolicyInterface, period: float) -> None:
-        self.interface, self.period = interface, period
+    def __init__(self, venv: HydraulicSyncVecEnv, interface: FramesInterface) -> None:
+        self.interface = interface
         super().__init__(
             venv,
             observation_space=spaces.Box(-np.inf, np.inf, (interface.num_features,), np.float32),
@@ -37,7 +37,7 @@ class PolicyVecEnv(VecEnvWrapper):
     def reset(self) -> VecEnvObs:
         observation = self.venv.reset()
         self._return[:], self._length[:] = 0.0, 0
-        return self.interface.start(np.asarray(observation), self.period)
+        return self.interface.start(np.asarray(observation))
 
     def step_async(self, actions: NDArray[Any]) -> None:
         self.venv.step_async(self.interface.command(actions).astype(np.float32))

@@ -185,8 +185,7 @@ def make_model(config: Config) -> BaseAlgorithm:
     except TypeError as problem:
         raise InputError(f"{config.path}: env_kwargs: {problem}") from None
     rigs.set_options(staggered(rigs))
-    period = float(env_kwargs["control_period"])
-    env = PolicyVecEnv(rigs, make_interface(config.training.interface), period)
+    env = PolicyVecEnv(rigs, make_interface(config.training.interface))
     try:
         return config.algorithm(config.policy, env, seed=config.training.seed, device="cpu", **config.hyper)
     except (TypeError, ValueError, AssertionError) as problem:

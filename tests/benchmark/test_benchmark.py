@@ -37,8 +37,8 @@ METRICS = {
     "sync_settling_time_s",
     "shaft_angle_difference_deg",
     "tracking_mae_rpm",
-    "command_variation",
     "command_travel_per_s",
+    "command_variation",
 }
 
 

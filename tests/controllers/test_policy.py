@@ -104,12 +104,12 @@ def test_restarting_rows_equals_starting_them(make):
     interface, fresh, undisturbed = make(), make(), make()
     outputs = stream.normal(0.0, 0.3, (7, 3, 2))
     for each in (interface, undisturbed):
-        each.start(observations[0], 0.01)
+        each.start(observations[0])
         for n in range(1, 5):
             each.command(outputs[n])
             each.see(observations[n])
     first = interface.restart(np.array([1]), observations[4][[1]])
-    np.testing.assert_array_equal(first, fresh.start(observations[4][[1]], 0.01))
+    np.testing.assert_array_equal(first, fresh.start(observations[4][[1]]))
     for n in (5, 6):
         commands, expected = interface.command(outputs[n]), undisturbed.command(outputs[n])
         np.testing.assert_array_equal(commands[[0, 2]], expected[[0, 2]])

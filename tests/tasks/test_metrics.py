@@ -28,10 +28,10 @@ def test_differences_and_tracking():
     assert scores["tracking_mae_rpm"] == pytest.approx((3 + 1 + 10 + 2) / 8)
 
 
-def test_command_variation_counts_the_first_move():
+def test_command_travel_counts_the_first_move():
     # valve 1: 0.5 + 0.5, valve 2: 0.2 + 0 over two periods of 0.5 s: mean of 1.0 and 0.2 in one second
     scores = compute(trace([(0, 0)] * 2, command=[(0.5, 0.2), (0.0, 0.2)]))
-    assert scores["command_variation"] == pytest.approx(0.6)
+    assert scores["command_travel_per_s"] == scores["command_variation"] == pytest.approx(0.6)
 
 
 def test_settling_time():

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.learned.policy_interface import PolicyInterface, make_interface
+from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import parse_json
 
@@ -275,7 +275,7 @@ class NumpyPolicy:
         self.network = network.astype(dtype)
         self.name = name or Path(path).stem
         try:
-            self.interface: PolicyInterface = make_interface(self.metadata.get("interface"))
+            self.interface = make_interface(self.metadata.get("interface"))
         except InputError as problem:
             raise InputError(f"{path}: interface: {problem}") from None
         if (self.network.num_inputs, self.network.num_outputs) != (
@@ -289,8 +289,8 @@ class NumpyPolicy:
         self.reset(1, 0.01)
 
     def reset(self, num_rigs: int, control_period: float) -> None:
-        """Forgets the last episode. `control_period` in s."""
-        self._num_rigs, self._period, self._fresh = int(num_rigs), float(control_period), True
+        """Forgets the last episode. The policy drives at any control period (s) in the same way."""
+        self._num_rigs, self._fresh = int(num_rigs), True
 
     def act(self, observation: Floats) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
@@ -300,7 +300,7 @@ class NumpyPolicy:
                 f"{self.name} was reset for {self._num_rigs} rigs, got observations {observation.shape}"
             )
         if self._fresh:
-            inputs = self.interface.start(observation, self._period)
+            inputs = self.interface.start(observation)
             self._states = self.network.start(len(inputs))
             self._fresh = False
         else:

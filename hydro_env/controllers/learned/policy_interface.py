@@ -1,13 +1,12 @@
 """What a policy's network sees of the rig, and how its outputs become valve commands.
 
-The same code runs in training (`hydro_env.training`) and in the shipped controllers, so that what was trained is what runs. With
-`FramesInterface` the network sees the last observations as they are, and its outputs are the commands or changes of them.
+The same code runs in training (`hydro_env.training`) and in the shipped controllers, so that what was trained is what runs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from hydro_env.envs.observation import with_errors
 from hydro_env.errors import InputError, shown
 from hydro_env.limits import Limits
 
-__all__ = ["FramesInterface", "PolicyInterface", "make_interface"]
+__all__ = ["FramesInterface", "make_interface"]
 
 FRAMES = Limits(1, 999, whole=True)
 
@@ -24,33 +23,8 @@ Floats = NDArray[np.floating[Any]]
 Rows = NDArray[Any]
 
 
-class PolicyInterface(Protocol):
-    """Stands between the observations of a batch of rigs and a network.
-
-    `num_features`, `num_actions`: number of inputs and outputs of the network. Inputs have the shape (num_rigs, num_features).
-    """
-
-    num_features: int
-    num_actions: int
-
-    def start(self, observation: Floats, period: float) -> Floats:
-        """Inputs at the first observation of all rigs; forgets everything before."""
-
-    def restart(self, rows: Rows, observation: Floats) -> Floats:
-        """Inputs at the first observation of some rigs (indices), whose episodes begin anew."""
-
-    def see(self, observation: Floats) -> Floats:
-        """Inputs at the next observation of all rigs, a control period later."""
-
-    def command(self, outputs: Floats) -> Floats:
-        """Commands (num_rigs, 2) in [-1, 1] for the network's outputs at the inputs seen last."""
-
-    def table(self) -> dict[str, Any]:
-        """What `make_interface` needs to build the same interface."""
-
-
-def make_interface(table: Any) -> PolicyInterface:
-    """An interface from its table, `{"kind": "frames", ...}`; the plain observation without any.
+def make_interface(table: Any) -> FramesInterface:
+    """An interface from its table in a policy or training file, `{"kind": "frames", ...}`; the plain observation without any.
 
     InputError for anything that is not right.
     """
@@ -73,9 +47,14 @@ def make_interface(table: Any) -> PolicyInterface:
 
 
 class FramesInterface:
-    """The last `frames` observations of `width` numbers each, newest last. The outputs are the commands; with `increment` they
-    are changes of the commands, in fractions of it, and the commands so far are the newest frame's last two numbers. `errors`:
-    see `hydro_env.envs.observation.with_errors`."""
+    """Stands between the observations of a batch of rigs and a network.
+
+    The network sees the last `frames` observations of `width` numbers each, newest last. Its outputs are the commands; with
+    `increment` they are changes of the commands, in fractions of it, and the commands so far are the newest frame's last two
+    numbers. `errors`: see `hydro_env.envs.observation.with_errors`.
+
+    Inputs of the network have the shape (num_rigs, `num_features`), its outputs (num_rigs, `num_actions`).
+    """
 
     num_actions = 2
 
@@ -85,19 +64,23 @@ class FramesInterface:
         self.num_features = self.frames * (self.width + 3 * errors)
 
     def table(self) -> dict[str, Any]:
+        """What `make_interface` needs to build the same interface."""
         table: dict[str, Any] = {"kind": "frames", "frames": self.frames, "width": self.width}
         changed = {"increment": self.increment, "errors": self.errors}
         return table | {key: value for key, value in changed.items() if value}
 
-    def start(self, observation: Floats, period: float) -> Floats:
+    def start(self, observation: Floats) -> Floats:
+        """Inputs at the first observation of all rigs; forgets everything before."""
         self._seen = np.tile(self._newest(observation), (1, self.frames))
         return self._inputs(self._seen)
 
     def restart(self, rows: Rows, observation: Floats) -> Floats:
+        """Inputs at the first observation of some rigs (indices), whose episodes begin anew."""
         self._seen[rows] = np.tile(self._newest(observation), (1, self.frames))
         return self._inputs(self._seen[rows])
 
     def see(self, observation: Floats) -> Floats:
+        """Inputs at the next observation of all rigs, a control period later."""
         self._seen = np.concatenate([self._seen[:, self.width :], self._newest(observation)], axis=1)
         return self._inputs(self._seen)
 
@@ -109,6 +92,7 @@ class FramesInterface:
         return np.asarray(observation, dtype=np.float32)[:, -self.width :]
 
     def command(self, outputs: Floats) -> Floats:
+        """Commands (num_rigs, 2) in [-1, 1] for the network's outputs at the inputs seen last."""
         outputs = np.clip(outputs, -1.0, 1.0)
         return (
             np.clip(self._seen[:, -2:] + self.increment * outputs, -1.0, 1.0) if self.increment else outputs

@@ -96,9 +96,9 @@ RIG = from_table(
             },
             "delay": {"certain": 12.0, "most": 100.0, "loose": 0.0},
         },
-        "reference": {"rate": 14.9, "rise": 42.7, "doubt": 2.9, "capacity": 1.0, "foresight": 0.0},
-        "probing": {"led": False, "sweep": 2.36, "detect": 0.0047, "patience": 0.0},
-        "crossing": {"search": 2.19, "known": 0.0135},
+        "reference": {"doubt": 2.9, "capacity": 1.0, "foresight": 0.0},
+        "probing": {"led": False, "detect": 0.0047, "patience": 0.0},
+        "crossing": {"known": 0.0135},
         "feedback": {"track": 30.0, "couple": 60.0, "delay": 0.0114, "lead": 1.23, "late": 0.78},
         "planner": None,
     },
@@ -110,13 +110,8 @@ RIG = from_table(
 class RigFlow(ProbingFlow):
     """Probes the valves of a machine like the preset `rig`, whose motor is known to it; commands are averaged, not planned."""
 
-    GAINS = (
-        replace(RATE, default=14.9),
-        replace(RISE, default=42.7),
-        FALL,
-        replace(SWEEP, default=2.36),
-        replace(SEARCH, default=2.19),
-    )
+    # the rise of flow has no say here: the reference is slower
+    GAINS = (replace(RATE, default=14.9), replace(SWEEP, default=2.36), replace(SEARCH, default=2.19))
     settings = RIG
 
 
