@@ -34,6 +34,7 @@ LONG = (
     "test_losses.py::test_kernel_and_reference_agree",
     "test_measured_command.py",
     "test_measured_csv.py::test_both_readers_give_the_same",
+    "test_notebooks.py::test_it_runs_small",
     "test_oracle.py",
     "test_plant_accuracy.py",
     "test_policy.py::test_shipped_policies_drive_as_when_they_were_scored",
