@@ -74,6 +74,40 @@ class Teacher:
         )  # fmt: skip
 
 
+class PiTeacher:
+    """PI controllers on speeds and speed difference, as changes of the command: all that they need is in two observations."""
+
+    def __init__(self, observation: NDArray[Any], period: float) -> None:
+        self._before = self._newest = observation.astype(float)
+        self._integral = np.array([7.7, 2.0]) * period
+
+    def command(self) -> NDArray[np.float64]:
+        """What they would send, (num_rigs, 2)."""
+        (error, apart), (error_before, apart_before) = _errors(self._newest), _errors(self._before)
+        step = self._newest[:, :1] - self._before[:, :1]
+        change = 0.066 * (error - error_before - 0.5 * step) + 0.022 * (apart - apart_before)
+        change += self._integral[0] * error + self._integral[1] * apart
+        return (self._newest[:, SENT] + change).clip(-1.0, 1.0)
+
+    def see(self, observation: NDArray[Any], followed: NDArray[np.bool_]) -> None:
+        """Takes in the next observation (num_rigs, 9)."""
+        self._before, self._newest = self._newest, observation.astype(float)
+
+    def restart(self, rigs: NDArray[np.int64], observation: NDArray[Any]) -> None:
+        """Begins anew with the first observations (n, 9) of some rigs."""
+        self._before[rigs] = self._newest[rigs] = observation
+
+    def notes(self) -> NDArray[np.float64]:
+        """They know nothing of the moment."""
+        return np.zeros((len(self._newest), NOTES))
+
+
+def _errors(observation: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Tracking errors (num_rigs, 2) and how far each motor is behind the other (num_rigs, 2), scaled."""
+    speed = observation[:, 1:3]
+    return observation[:, :1] - speed, speed[:, ::-1] - speed
+
+
 class ImitationStage:
     """`window()` drives one window and learns from it; `done` counts control periods of single rigs."""
 
@@ -84,7 +118,7 @@ class ImitationStage:
         self._stream = np.random.default_rng([settings.training.seed, done])
         self.rigs = Rigs(settings, s.rigs, s.window, seed=int(self._stream.integers(2**40)))
         self.optimiser = torch.optim.Adam(policy.parameters(), lr=s.rate, betas=(0.9, 0.98))
-        self._teacher = Teacher(self.rigs.observation, self.rigs.env.control_period)
+        self._teacher = (Teacher if s.law else PiTeacher)(self.rigs.observation, self.rigs.env.control_period)
         self._state = torch.zeros(s.rigs, policy.units)
         self._inputs = torch.zeros(s.window, s.rigs, policy.num_inputs)
         self._labels, self._notes = (

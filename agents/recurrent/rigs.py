@@ -13,6 +13,7 @@ from agents.recurrent.settings import Settings
 from hydro_env.controllers.estimation.valve_map import true_map
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
+from hydro_env.plant import Plant
 
 __all__ = ["KNOWN", "Rigs"]
 
@@ -26,8 +27,13 @@ class Rigs:
     one."""
 
     def __init__(self, settings: Settings, num_rigs: int, window: int, seed: int) -> None:
+        plant = Plant(settings.env["plant"], substep=settings.training.substep or None)
         self.env = HydraulicSyncVectorEnv(
-            num_rigs, **settings.env, scenario=TRAINING, dtype="float32", autoreset_mode="Disabled"
+            num_rigs,
+            **{**settings.env, "plant": plant},
+            scenario=TRAINING,
+            dtype="float32",
+            autoreset_mode="Disabled",
         )
         steps = self.env.scenario.steps(self.env.control_period)
         if steps % window:

@@ -13,6 +13,7 @@ from hydro_env.reading import MOST_BYTES_OF_YAML, parse_yaml, read_text
 __all__ = ["Gradient", "Imitation", "Sizes", "Settings", "Training", "read_settings"]
 
 MILLION = 1e6
+ENV = {"plant": "paper_dead_zone", "mismatch": "train"}
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class Sizes:
 class Imitation:
     """The first stage, see `agents.recurrent.imitation`."""
 
+    law: bool = setting(True, "", "imitates the law, otherwise PI controllers without memory", HAND)
     periods: float = setting(11.5, "million", "control periods of single rigs", HAND)
     rigs: int = setting(
         640, "1", "driven side by side", "the law and the network are fastest at some hundreds"
@@ -83,6 +85,7 @@ class Training:
 
     seed: int = setting(0, "1", "of network and episodes", HAND)
     evaluate: float = setting(2.0, "million", "periods between evaluations and checkpoints", HAND)
+    substep: float = setting(0.0, "s", "of the simulated plant while training; 0: the plant's own", HAND)
     pairs: int = setting(100, "1", "pairs of `val` an evaluation drives in `setpoint_steps`", HAND)
     tracking_weight: float = setting(0.5, "1", "of the tracking error in the score that chooses", HAND)
     tail_weight: float = setting(0.25, "1", "of the 95th percentile in it", HAND)
@@ -96,11 +99,8 @@ class Settings:
     imitation: Imitation = field(default_factory=Imitation)
     gradient: Gradient = field(default_factory=Gradient)
     training: Training = field(default_factory=Training)
-    env: dict[str, Any] = field(default_factory=dict)
+    env: dict[str, Any] = field(default_factory=ENV.copy)
     text: str = ""
-
-
-ENV = {"plant": "paper_dead_zone", "mismatch": "train"}
 
 
 def read_settings(path: Path) -> Settings:

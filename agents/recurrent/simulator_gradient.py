@@ -31,30 +31,56 @@ from hydro_env.units import RPM
 
 __all__ = ["GradientStage", "Slopes"]
 
-SHIFTED = {"spool": (200e-6, 0.005), "spool_speed": (0.04, 0.01), "speed": (600.0 * RPM, 0.005)}
-"""States whose change is still felt a control period later: what 1 stands for, SI, and by how much of it they are shifted. Coil
-and pressure settle within a millisecond, the bristle of the spool's friction moves it by less than a micrometre."""
+SPEED, CURRENT, PRESSURE = (
+    float(SCALES[OBSERVATION.index(f"{name}_1")]) for name in ("speed", "current", "pressure")
+)
+SHIFTS = {
+    "current": (CURRENT, 0.005),
+    "spool": (200e-6, 0.005),
+    "spool_speed": (0.04, 0.01),
+    "pressure": (PRESSURE, 0.005),
+    "speed": (SPEED, 0.005),
+    "magnetic_hysteresis__loop": (1.0, 0.005),
+    "sensor_lag__lagged_speed": (SPEED, 0.005),
+}
+"""States: what 1 stands for, SI, and by how much of it they are shifted. The bristle of the spool's friction moves it by less
+than a micrometre, and the supply, which droops for both channels, moves little within a period."""
+SETTLED = 2.0
+"""Time constants after which a state is forgotten: an eighth of it is left."""
 SHIFT = 0.03
 """By which the commands are shifted: of the rated one, up or down by chance. A spool that sticks does not follow a smaller shift
 (friction is up to 2.7 % of the rated command), although a policy that changes moves it sooner or later."""
-SEEN = {
-    "current": SCALES[OBSERVATION.index("current_1")],
-    "pressure": SCALES[OBSERVATION.index("pressure_1")],
-}
-"""Readings that follow from them within a period, and what 1 stands for."""
-AFTER = {**{name: scale for name, (scale, _) in SHIFTED.items()}, **SEEN}
-SPEED = list(AFTER).index("speed")
-TO_RPM = AFTER["speed"] / RPM
+READINGS = {"measured_speed": SPEED, "current": CURRENT, "pressure": PRESSURE}
+"""What the sensors show, and what 1 stands for: the middle of an observation, two columns each."""
+TO_RPM = SPEED / RPM
+
+
+def lasting(plant: Plant, period: float) -> dict[str, tuple[float, float]]:
+    """The entries of `SHIFTS` whose change is still felt after a control period (s) on this plant."""
+    get = plant.get
+    constants = {"current": get("L") / get("R"), "pressure": get("V") / (get("beta") * get("Km"))}
+    if "sensor_lag" in plant.effects:
+        constants["sensor_lag__lagged_speed"] = get("sensor_lag.time_constant")
+    settled = {name for name, constant in constants.items() if SETTLED * constant.max() <= period}
+    absent = {name for name in SHIFTS if "__" in name and name.partition("__")[0] not in plant.effects}
+    return {name: shift for name, shift in SHIFTS.items() if name not in settled | absent}
 
 
 class Slopes:
     """Forward differences of a control period, on copies of a plant's rigs."""
 
-    def __init__(self, plant: Plant, stream: np.random.Generator) -> None:
-        self._plant, self._stream, n = plant, stream, plant.num_rigs
-        self._copies = len(SHIFTED) + 1
+    def __init__(self, plant: Plant, period: float, stream: np.random.Generator) -> None:
+        self._plant, self._period, self._stream, n = plant, period, stream, plant.num_rigs
+        self._shifts = lasting(plant, period)
+        self._copies = len(self._shifts) + 1
+        self._scales = {name: scale for name, (scale, _) in self._shifts.items()} | READINGS
+        columns = list(self._scales)
+        self.speed, self.readings = columns.index("speed"), [columns.index(name) for name in READINGS]
         self._rows = np.tile(np.arange(n), self._copies)
-        self._twins = Plant(plant.model, n * self._copies, effects=plant.effects, dtype=plant.memory.dtype)
+        self._twins = Plant(
+            plant.model, n * self._copies, effects=plant.effects, substep=plant.given_substep,
+            dtype=plant.memory.dtype,
+        )  # fmt: skip
 
     def match(self, names: Iterable[str]) -> None:
         """Gives the copies their rigs' own parameters of these names; sensors have no part in it."""
@@ -66,28 +92,30 @@ class Slopes:
         """Puts the copies beside their rigs, which stand at the beginning of a period."""
         n = self._plant.num_rigs
         self._twins.take_state(self._plant, self._rows)
-        for k, (name, (scale, shift)) in enumerate(SHIFTED.items()):
+        for k, (name, (scale, shift)) in enumerate(self._shifts.items()):
             self._twins.shift(name, scale * shift, slice(k * n, (k + 1) * n))
 
-    def after(self, period: float) -> tuple[Tensor, Tensor]:
-        """The scaled states (num_rigs, 2, AFTER) of the rigs, which have gone through the period, and their slopes by what was
-        shifted, (SHIFTED + 1, num_rigs, 2, AFTER); the last are those by the command."""
+    def after(self) -> tuple[Tensor, Tensor]:
+        """The scaled states and readings (num_rigs, 2, columns) of the rigs, which have gone through the period, and their slopes
+        by what was shifted, (copies, num_rigs, 2, columns): by the states, which are the first columns, and by the commands."""
         plant, n = self._plant, self._plant.num_rigs
         up = self._stream.choice([-SHIFT, SHIFT], (n, 2))
         command = plant.get("command")[self._rows]
         command[-n:] += up * plant.get("u_rated")
-        self._twins.step(command, plant.get("load")[self._rows], period)
-        states = _scaled(plant)
-        slopes = _scaled(self._twins).view(self._copies, n, 2, len(AFTER)) - states
-        for k, (_, shift) in enumerate(SHIFTED.values()):
+        self._twins.step(command, plant.get("load")[self._rows], self._period)
+        states = self.columns(plant)
+        slopes = self.columns(self._twins).view(self._copies, n, *states.shape[1:]) - states
+        for k, (_, shift) in enumerate(self._shifts.values()):
             slopes[k] /= shift
         slopes[-1] /= torch.from_numpy(up.astype(np.float32))[..., None]
         return states, slopes
 
-
-def _scaled(plant: Plant) -> Tensor:
-    columns = [plant.get(name) / scale for name, scale in AFTER.items()]
-    return torch.from_numpy(np.stack(columns, axis=-1).astype(np.float32))
+    def columns(self, plant: Plant | None = None) -> Tensor:
+        """Scaled states and readings of all rigs, (num_rigs, 2, columns)."""
+        get = (plant or self._plant).get
+        return torch.from_numpy(
+            np.stack([get(name) / scale for name, scale in self._scales.items()], axis=-1).astype(np.float32)
+        )
 
 
 class Period(Function):
@@ -102,9 +130,9 @@ class Period(Function):
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor, None, None]:
         (slopes,) = ctx.saved_tensors
-        by = (slopes * gradient).sum(-1)  # (SHIFTED + 1, N, 2)
+        by = (slopes * gradient).sum(-1)  # (copies, N, 2)
         before = torch.zeros_like(gradient)
-        before[..., : len(SHIFTED)] = by[:-1].permute(1, 2, 0)
+        before[..., : len(by) - 1] = by[:-1].permute(1, 2, 0)
         return before, by[-1], None, None
 
 
@@ -133,7 +161,7 @@ class GradientStage:
         stream = np.random.default_rng([settings.training.seed, 1, done])
         self.rigs = Rigs(settings, s.rigs, s.window, seed=int(stream.integers(2**40)))
         self.optimiser = torch.optim.Adam(policy.parameters(), lr=s.rate, betas=(0.9, 0.98))
-        self._slopes = Slopes(self.rigs.env.plant, stream)
+        self._slopes = Slopes(self.rigs.env.plant, self.rigs.env.control_period, stream)
         self._slopes.match(self.rigs.env.pairs)
         self._state = torch.zeros(s.rigs, policy.units)
         self._updates = 0
@@ -166,7 +194,7 @@ class GradientStage:
     def _drive(self) -> tuple[Tensor, Tensor]:
         """The costs (3,) of a window and the notes' loss, which can be differentiated by the network's weights."""
         s, rigs, policy = self.settings, self.rigs, self.policy
-        state, plant = self._state, _scaled(rigs.env.plant)
+        state, plant = self._state, self._slopes.columns()
         sent = torch.from_numpy(rigs.observation[:, -2:])
         before = torch.from_numpy(rigs.before)
         valves = torch.from_numpy(rigs.valves().astype(np.float32))
@@ -183,15 +211,16 @@ class GradientStage:
             notes = notes + (policy.note(state)[:, :KNOWN] - valves).square().mean()
             self._slopes.before()
             rigs.step(commands.detach().numpy())
-            plant = Period.apply(plant, commands, *self._slopes.after(rigs.env.control_period))
-            total = total + _costs(s, TO_RPM * plant[..., SPEED], torch.from_numpy(setpoint), commands - sent)
+            plant = Period.apply(plant, commands, *self._slopes.after())
+            speed = TO_RPM * plant[..., self._slopes.speed]
+            total = total + _costs(s, speed, torch.from_numpy(setpoint), commands - sent)
             sent, before = commands, seen
         self._state = state.detach().clone()
         return total, notes
 
     def _seen(self, plant: Tensor, sent: Tensor) -> Tensor:
         """The observation (N, 9), which moves with the states and commands it was taken from."""
-        moving = torch.cat([plant[..., SPEED], plant[..., -2], plant[..., -1], sent], 1)
+        moving = torch.cat([plant[..., self._slopes.readings].transpose(1, 2).flatten(1), sent], 1)
         moving = Bounded.apply(moving, self.settings.most_reading, 1.0)
         shown = torch.from_numpy(self.rigs.observation)
         return shown + nn.functional.pad(moving - moving.detach(), (1, 0))

@@ -71,6 +71,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     * `options` of `reset` hold for all rows that it resets; `case=k` means case k + i for row i, a list one for each.
     * `info` holds arrays with one row per rig and masks `_key` as Gymnasium has them; `pairs` the values of the valves.
     * `max_episode_steps` ends episodes early (truncation).
+    * `plant` may be a `Plant`: its model, in the substep that it was given.
     * `dtype`: "float64" (default), or "float32" for a faster plant (see `Plant`).
     """
 
@@ -110,6 +111,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         _one_of("autoreset_mode", autoreset_mode, (*AutoresetMode, *(mode.value for mode in AutoresetMode)))
         self.dtype, self.errors = np.dtype(dtype), errors
         self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
+        self._substep = plant.given_substep if isinstance(plant, Plant) else None
         self.scenario = load_scenario(scenario)
         self.mismatch = load_mismatch(
             default_mismatch(plant) if isinstance(mismatch, str) and mismatch == "auto" else mismatch
@@ -314,7 +316,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     def _build(self, mismatch: Mismatch | None) -> None:
         """Makes the plant anew with the effects that a mismatch needs beside those it had."""
         self._effects += () if mismatch is None else mismatch.effects
-        self.plant = Plant(self.model, self.num_envs, effects=self._effects, dtype=self.dtype)
+        self.plant = Plant(
+            self.model, self.num_envs, effects=self._effects, substep=self._substep, dtype=self.dtype
+        )
         self._where = np.array([self.plant.row_of(name) for name in SIGNALS], np.int64)
         self._half = self.plant.memory.shape[2] // 2
         self._substeps = self.plant.substeps(self.control_period)

@@ -90,7 +90,7 @@ class Plant:
         self.model = load_model(model)
         self.num_rigs = int(num_rigs)
         self.substep = float(self.model.substep if substep is None else substep)
-        self._in_parts = substep is None
+        self.given_substep = substep
         effects = tuple(effects)
         for name in effects:
             if name not in CATALOGUE:
@@ -338,7 +338,7 @@ class Plant:
         rows: NDArray[np.int64] = _NO_RECORD, every: int = 1, out: Array | None = None,
     ) -> None:  # fmt: skip
         out = self._empty if out is None else out
-        looked_at = h if self._in_parts else 0.0
+        looked_at = h if self.given_substep is None else 0.0
         self._kernel.advance(
             self._flat,
             self._cells,

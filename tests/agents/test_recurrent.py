@@ -22,10 +22,11 @@ from agents.recurrent.imitation import NOTES, ImitationStage, Teacher
 from agents.recurrent.network import RecurrentPolicy
 from agents.recurrent.rigs import KNOWN, Rigs
 from agents.recurrent.settings import Gradient, Settings, read_settings
-from agents.recurrent.simulator_gradient import GradientStage
+from agents.recurrent.simulator_gradient import GradientStage, lasting
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.mpc.flow_control import ProbingFlow
 from hydro_env.errors import InputError
+from hydro_env.plant import Plant
 
 ROOT = Path(__file__).parents[2]
 SHORT = """
@@ -48,8 +49,9 @@ def policy_of(**sizes):
     return RecurrentPolicy((16, 12, 8), KNOWN + NOTES)
 
 
-def test_the_shipped_recipe_is_valid_and_small():
-    settings = read_settings(ROOT / "configs" / "gru.yml")
+@pytest.mark.parametrize("name", ["gru", "gru_rig"])
+def test_the_shipped_recipe_is_valid_and_small(name):
+    settings = read_settings(ROOT / "configs" / f"{name}.yml")
     sizes = settings.network
     policy = RecurrentPolicy((sizes.inputs, sizes.recurrent, sizes.outputs), KNOWN + NOTES)
     assert sum(array.size for array in policy.arrays().values()) <= 50_000
@@ -103,18 +105,35 @@ def test_windows_hold_whole_episodes():
     assert (begun == 1).all()
 
 
-def test_the_gradient_is_that_of_the_simulated_cost():
+def test_shifted_are_the_states_that_last_a_period():
+    """Coil and pressure of the paper's plant settle within a millisecond; the coil of `rig` takes 6, its hoses 24."""
+    always = {"spool", "spool_speed", "speed"}
+    assert set(lasting(Plant("paper_dead_zone"), 0.01)) == always
+    on_rig = always | {"current", "pressure", "magnetic_hysteresis__loop"}
+    assert set(lasting(Plant("rig"), 0.01)) == on_rig
+    assert set(lasting(Plant("rig"), 0.005)) == on_rig | {"sensor_lag__lagged_speed"}
+
+
+DRY = "magnetic_hysteresis.amplitude", "motor_coulomb_friction.coulomb", "motor_coulomb_friction.static"
+
+
+@pytest.mark.parametrize(
+    ("name", "dry", "window", "by"), [("paper_dead_zone", (), 6, 0.02), ("rig", DRY, 3, 0.005)]
+)
+def test_the_gradient_is_that_of_the_simulated_cost(name, dry, window, by):
     """Unbounded, it predicts what a change of the last layer's bias costs: against simulations of the same rigs with it. The
     spools hardly stick here; where they do, forward differences depend on their size."""
     whole = replace(
-        Gradient(), rigs=64, window=6, keep_state=1.0, keep_memory=1.0,
+        Gradient(), rigs=64, window=window, keep_state=1.0, keep_memory=1.0,
         most_state=1e9, most_memory=1e9, most_reading=1e9, most_command=1e9,
     )  # fmt: skip
     policy = policy_of()
-    stage = GradientStage(Settings(gradient=whole), policy, 0)
+    env = {"plant": name, "mismatch": "train"}
+    stage = GradientStage(Settings(gradient=whole, env=env), policy, 0)
     plant = stage.rigs.env.plant
-    for name in ("Fc", "Fs"):
-        plant.set(name, 0.02 * plant.get(name))
+    changed = ("Fc", "Fs", *dry)
+    for each in changed:
+        plant.set(each, 0.02 * plant.get(each))
     for t in range(60):  # valves open to one side: no dead zone on the way
         stage.rigs.step(np.full((64, 2), min(0.4, 0.02 * t)))
     begun, state = copy.deepcopy(stage.rigs.env), torch.zeros(64, policy.units)
@@ -127,21 +146,24 @@ def test_the_gradient_is_that_of_the_simulated_cost():
 
     with torch.no_grad():
         policy.act.bias.fill_(0.4)
-    stage._slopes.match([*stage.rigs.env.pairs, "Fc", "Fs"])
+    stage._slopes.match([*stage.rigs.env.pairs, *changed])
     cost().backward()
     for channel in (0, 1):
         found = []
-        for by in (0.02, -0.02):
+        for change in (by, -by):
             with torch.no_grad():
-                policy.act.bias[channel] += by
+                policy.act.bias[channel] += change
                 found.append(cost().item())
-                policy.act.bias[channel] -= by
-        assert policy.act.bias.grad[channel].item() == pytest.approx((found[0] - found[1]) / 0.04, rel=0.15)
+                policy.act.bias[channel] -= change
+        assert policy.act.bias.grad[channel].item() == pytest.approx(
+            (found[0] - found[1]) / (2.0 * by), rel=0.15
+        )
 
 
-def test_imitation_lowers_the_error_of_the_commands(tmp_path):
+@pytest.mark.parametrize("law", [True, False])
+def test_imitation_lowers_the_error_of_the_commands(tmp_path, law):
     settings = settings_of(tmp_path)
-    quick = replace(settings.imitation, periods=1.0, batch=4, epochs=8, rate=0.02)
+    quick = replace(settings.imitation, law=law, periods=1.0, batch=4, epochs=8, rate=0.02)
     stage = ImitationStage(replace(settings, imitation=quick), policy_of(), 0)
     errors = [stage.window()["command_error"] for _ in range(12)]
     assert np.mean(errors[-2:]) < 0.5 * np.mean(errors[:2])

@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 import hydro_env  # noqa: F401 (registers the environment)
 from hydro_env.envs import HydraulicSyncEnv, HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
+from hydro_env.plant import Plant
 
 SHORT = {"duration": 0.12, "setpoint_rpm": [[0.0, 300.0], [0.06, -200.0]], "load_Nm": [[0.03, 0.5, 0.1]]}
 
@@ -261,3 +262,9 @@ def test_a_batch_that_cannot_fit_is_refused_in_a_line(monkeypatch):
         envs.reset(seed=0)
     with pytest.raises(InputError, match=r"10{12} rigs need .* GiB for their plant alone"):
         HydraulicSyncVectorEnv(10**12)
+
+
+def test_a_plant_brings_its_substep():
+    plant = Plant("paper_dead_zone", substep=5e-4)
+    assert HydraulicSyncVectorEnv(2, plant=plant).plant.given_substep == 5e-4
+    assert HydraulicSyncVectorEnv(2, plant=plant.model).plant.given_substep is None
