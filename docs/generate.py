@@ -544,12 +544,12 @@ SHORT = (
     "pid_tuned",
     "cross_coupled",
     "compensated",
-    "ppo",
-    "gru",
     "probing_flow",
     "bench_flow",
     "servo_pid",
     "oracle",
+    "ppo",
+    "gru",
 )
 SPEED = (
     "machine", "single", "batch", "commands", "error_rpm", "error_float32_rpm", "substep_s", "near_limit",
@@ -613,7 +613,8 @@ def take(argument: str) -> None:
         rows = [
             [cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")
         ]
-        results["tables"][name] |= {"commit": _commit(), "head": rows[0], "rows": rows[2:]}
+        kept = {key: value for key, value in results["tables"][name].items() if key != "commits"}
+        results["tables"][name] = kept | {"commit": _commit(), "head": rows[0], "rows": rows[2:]}
     else:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
         if data["schema"] == "hydro_env/scores/1":
@@ -627,7 +628,10 @@ def take(argument: str) -> None:
             # What this file does not score keeps its rows; what no longer ships loses them.
             kept, new = results["scores"], {tuple(row[:3]) for row in rows}
             rows += [row for row in kept["rows"] if row[0] in CONTROLLERS and tuple(row[:3]) not in new]
-            kept["commits"] |= dict.fromkeys(data["controllers"], _commit())
+            for split in data["splits"]:
+                kept["commits"][split] = kept["commits"].get(split, {}) | dict.fromkeys(
+                    data["controllers"], _commit()
+                )
             kept |= {"seed": data["seed"], "columns": columns, "rows": rows}
         elif data["schema"] == "hydro_env/speed/1":
             results["speed"] |= {"commit": _commit(), **{key: data[key] for key in SPEED}}
@@ -677,44 +681,51 @@ def _stored(name: str) -> str:
     return f"{_origin(found)}\n\n{_table(found['head'], found['rows'])}"
 
 
-def _scored() -> tuple[dict[str, Any], dict[tuple[str, ...], list[float]]]:
+def _scored(split: str) -> tuple[dict[str, Any], dict[tuple[str, ...], list[float]]]:
+    """The scores with the commits at which those of a split were measured, and their values by what they are of."""
     found = _results()["scores"]
-    return found, {tuple(row[:4]): row[4:] for row in found["rows"]}
+    commits = {name: commit for name, commit in found["commits"][split].items() if name in CONTROLLERS}
+    return found | {"commits": commits}, {tuple(row[:4]): row[4:] for row in found["rows"]}
 
 
 def _digits(value: float) -> str:
     return f"{value:.0f}" if value >= 100 else f"{value:.1f}"
 
 
-def _scores(names: Sequence[str], columns: Sequence[tuple[str, str, str]], travel: str = "") -> str:
-    """Peak / tracking error by scenario; `travel`: split of which the command travel in set-point steps is shown as well."""
-    found, cells = _scored()
+def _scores(
+    cells: dict[tuple[str, ...], list[float]],
+    names: Sequence[str],
+    columns: Sequence[tuple[str, str, str]],
+    metrics: Sequence[str],
+) -> str:
+    """A row per controller; each cell has the metrics of a split and scenario."""
     rows = []
-    for name in (each for each in found["commits"] if each in names):
+    for name in names:
         row = [f"`{name}`"]
         for split, scenario, _ in columns:
-            pair = [cells.get((name, split, scenario, metric)) for metric in (PEAK, TRACKING)]
-            row.append(" / ".join("–" if each is None else _digits(each[0]) for each in pair))
-        if travel:
-            moved = cells.get((name, travel, "setpoint_steps", TRAVEL))
-            row.append("–" if moved is None else f"{moved[0]:.2f}")
+            values = [cells.get((name, split, scenario, metric)) for metric in metrics]
+            row.append(
+                " / ".join(
+                    "–" if value is None else f"{value[0]:.2f}" if metric == TRAVEL else _digits(value[0])
+                    for metric, value in zip(metrics, values, strict=True)
+                )
+            )
         rows.append(row)
-    more = ["command travel, 1/s"] if travel else []
-    return _table(["controller", *(heading for _, _, heading in columns), *more], rows)
+    return _table(["controller", *(heading for _, _, heading in columns)], rows)
 
 
 def scores() -> str:
-    found = _results()["scores"]
-    return f"{_origin(found)}\n\n{_scores(list(found['commits']), SCORES, travel='test_interp')}"
+    found, cells = _scored("test_interp")
+    return f"{_origin(found)}\n\n{_scores(cells, list(found['commits']), SCORES, (PEAK, TRACKING, TRAVEL))}"
 
 
 def scores_short() -> str:
-    return _scores(SHORT, SCORES[:3])
+    return _scores(_scored("test_interp")[1], SHORT, SCORES[:3], (PEAK, TRACKING))
 
 
 def classical() -> str:
     """Of the controllers that are not learned: with the mean of the worst 5 % of the peak error in brackets."""
-    found, cells = _scored()
+    found, cells = _scored("val")
     rows = []
     for name in found["commits"]:
         if isinstance(make_controller(name), Controller):
