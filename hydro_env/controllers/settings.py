@@ -4,20 +4,20 @@
     class ReferenceSettings:
         rate: float = setting(42.0, "1/s", "how fast the reference runs to the set-point", TUNED)
 
-`from_table` builds them from the nested tables of a YAML or JSON file, `as_table` goes back. Compiled code takes no
-dataclass: `numbers_of` makes a named tuple class of the same fields, `numbers` fills it.
+`from_table` builds them from nested tables, as of a YAML or JSON file. Compiled code takes no dataclass: `numbers_of` makes a
+named tuple class of the same fields, `numbers` fills it.
 """
 
 from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, asdict, field, fields, is_dataclass
+from dataclasses import MISSING, Field, field, fields, is_dataclass
 from typing import Any, TypeVar, get_args, get_type_hints
 
 from hydro_env.errors import InputError, shown, suggestion
 
-__all__ = ["HAND", "TUNED", "as_table", "from_table", "numbers", "numbers_of", "setting"]
+__all__ = ["HAND", "TUNED", "from_table", "numbers", "numbers_of", "setting"]
 
 TUNED = "tuned on `train`"
 """Found by an evolution strategy, or by trial, on pairs of the split `train`; docs/explanation/agents.md tells how."""
@@ -42,11 +42,6 @@ def numbers_of(kind: type) -> Any:
 def numbers(kind: Any, settings: Any) -> Any:
     """The settings as the named tuple class `kind` that `numbers_of` made."""
     return kind(*(getattr(settings, name) for name in kind._fields))
-
-
-def as_table(settings: Any) -> dict[str, Any]:
-    """Nested tables of all fields, ready for JSON."""
-    return asdict(settings)
 
 
 def from_table(kind: type[S], table: Any, where: str = "") -> S:

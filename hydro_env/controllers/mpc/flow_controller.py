@@ -32,7 +32,7 @@ from hydro_env.controllers.mpc.feedback import Feedback, FeedbackSettings
 from hydro_env.controllers.mpc.planner import HORIZON, Planner, PlannerSettings, Scene, predict_delayed
 from hydro_env.controllers.mpc.probing import Probing, ProbingSettings
 from hydro_env.controllers.mpc.reference import Reference, ReferenceSettings
-from hydro_env.envs.observation import Measurements, decode
+from hydro_env.envs.observation import decode
 
 __all__ = ["FlowController", "FlowSettings"]
 
@@ -60,7 +60,7 @@ class FlowController:
     def __init__(self, settings: FlowSettings | None = None) -> None:
         self.settings = settings or FlowSettings()
 
-    def start(self, observation: NDArray[np.floating[Any]], period: float) -> Measurements:
+    def start(self, observation: NDArray[np.floating[Any]], period: float) -> None:
         """Begins with the first observation (num_rigs, n) of all rigs; forgets everything before. `period` in s."""
         s, n = self.settings, len(observation)
         self.period = period
@@ -76,9 +76,9 @@ class FlowController:
         self._response = s.planner.behind if s.planner else s.feedback.delay / period
         self.setpoint: Floats = np.zeros(n)
         self.sent, self.wanted = np.zeros((2, n, 2))
-        return self.restart(np.arange(n), observation)
+        self.restart(np.arange(n), observation)
 
-    def restart(self, rows: Rows, observation: NDArray[np.floating[Any]]) -> Measurements:
+    def restart(self, rows: Rows, observation: NDArray[np.floating[Any]]) -> None:
         """Begins anew with the first observations of some rigs (indices)."""
         seen = decode(np.asarray(observation))
         self.estimator.reset(rows, seen)
@@ -90,11 +90,9 @@ class FlowController:
         if self.planner:
             self.planner.reset(rows, seen.command)
         self.setpoint[rows], self.sent[rows], self.wanted[rows] = seen.setpoint, seen.command, 0.0
-        return seen
 
-    def update(self, observation: NDArray[np.floating[Any]]) -> Measurements:
-        """Takes in the next observation of all rigs and decides what flow they are to get; returns the measurements, with the
-        speeds that the law goes by."""
+    def update(self, observation: NDArray[np.floating[Any]]) -> None:
+        """Takes in the next observation of all rigs and decides what flow they are to get."""
         e, reference, crossing = self.estimator, self.reference.state, self.crossing.state
         steady = ~(crossing.active | self.probing.active) & (np.abs(reference.acceleration) < 1.0)
         seen = e.update(
@@ -112,7 +110,6 @@ class FlowController:
         self.crossing.update(reference.flow, valves, probing)
         noise = e.sensors.state.noise
         self.feedback.update(seen.speed, motors, noise, e.delay.periods, self.wanted, reference, probing)
-        return seen
 
     def command(self) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1]."""
