@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
 from hydro_env.cli.options import Cells, ControlPeriod, Engine, Jobs, Out, Plant, Seed, number, writing
+from hydro_env.errors import InputError
 from hydro_env.limits import Limits
 
 TunedController = Annotated[
@@ -68,7 +70,7 @@ Trust = Annotated[
     bool,
     typer.Option(
         "--trust",
-        help="Use files that can run code: agents (.zip, a pickle), gains of a law in a Python file.",
+        help="Use files that can run code: agents (.zip, a pickle), gains of a law in a Python file, FMUs.",
     ),
 ]
 
@@ -132,6 +134,12 @@ def benchmark(
     plant: Plant = "paper_dead_zone",
     control_period: ControlPeriod = 0.01,
     seed: Seed = 0,
+    mapping: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.yaml", help="Which variables of an FMU (--plant FILE.fmu, with --trust) are meant."
+        ),
+    ] = None,
     limit: Annotated[
         float,
         number(
@@ -150,14 +158,30 @@ def benchmark(
     with writing(out) as folder:
         from hydro_env.benchmark import command
 
+        rig, split = _rig(plant, mapping, split, trust)
         scores = command.run(
             folder,
             controllers=[*(controllers or []), *(more or [])],
             selection=command.Selection(suite, split, scenario, cases),
-            conditions=command.Conditions(plant, control_period, seed, limit),
+            conditions=command.Conditions(rig, control_period, seed, limit),
             engine=engine,
             jobs=jobs,
             cells_folder=cells,
             trust=trust,
         )
         print(command.report(scores))
+
+
+def _rig(
+    plant: str, mapping: Path | None, split: list[str] | None, trust: bool
+) -> tuple[Any, list[str] | None]:
+    """The plant that is driven, and the splits: an FMU has its own pair of valves."""
+    from hydro_env.fmu_plant import is_fmu, load_fmu
+
+    if not is_fmu(plant):
+        if mapping is not None:
+            raise InputError("--mapping goes with an FMU, as in --plant FILE.fmu")
+        return plant, split
+    if split not in (None, ["own"]):
+        raise InputError("--split: an FMU has its own valves, so only own is right")
+    return load_fmu(plant, mapping, trust=trust), ["own"]

@@ -39,6 +39,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "hydro-env benchmark my_file.py:MyController:Kp=0.02 pid_tuned --suite quick --out scores",
         "hydro-env benchmark my_agent.zip ppo --trust --split test_extrap --out scores",
         "hydro-env benchmark gains/gains.json --plant my_rig.yaml --out scores",
+        "hydro-env benchmark pid_tuned --plant my_rig.fmu --mapping my_rig_fmu.yaml --trust --out scores",
     ),
     "dataset": (
         "hydro-env dataset --out data",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import inf
@@ -129,7 +128,7 @@ def _inform(controller: Any, env: HydraulicSyncVectorEnv) -> None:
     """Shows a controller beforehand what its `needs` ask for."""
     needs = getattr(controller, "needs", "measurements")
     if needs != "measurements":
-        controller.prepare(copy.deepcopy(env.plant))
+        controller.prepare(env.plant.copy())
     if needs == "everything":
         controller.foresee(np.stack([env.course(row).load for row in range(env.num_envs)], axis=1))
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError, shown, suggestion
 from ..limits import Limits
 from ..plant import Plant, PlantModel, load_model
-from ..plant.plant import machine_memory
+from ..plant.plant import machine_memory, make_plant
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, default_mismatch, load_mismatch, own_values
 from ..tasks.scenarios import Reference, Scenario, load_scenario
 from .made_spec import made_spec
@@ -316,7 +316,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     def _build(self, mismatch: Mismatch | None) -> None:
         """Makes the plant anew with the effects that a mismatch needs beside those it had."""
         self._effects += () if mismatch is None else mismatch.effects
-        self.plant = Plant(
+        self.plant = make_plant(
             self.model, self.num_envs, effects=self._effects, substep=self._substep, dtype=self.dtype
         )
         self._where = np.array([self.plant.row_of(name) for name in SIGNALS], np.int64)

@@ -5,6 +5,7 @@ Arrays have the shape (num_rigs, 2), column 0 is channel 1, column 1 channel 2; 
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from math import inf
@@ -21,7 +22,7 @@ from .model import PlantModel, parameter_of
 from .model_files import load_model
 from .parameters import PARAMETERS
 
-__all__ = ["SIGNALS", "Plant", "machine_memory", "simulate"]
+__all__ = ["SIGNALS", "Plant", "machine_memory", "make_plant", "simulate"]
 
 #: Signals that can be read and recorded.
 SIGNALS = (*STATES, "flow", "measured_speed")
@@ -420,6 +421,10 @@ class Plant:
         self._kernel = compile_kernel(effects, half, self._memory.dtype)
         self._flat, self._cells = self._memory.reshape(-1), _room(self._kernel)
 
+    def copy(self) -> Plant:
+        """Rigs of their own with the same parameters and state."""
+        return copy.deepcopy(self)
+
     def __deepcopy__(self, memo: dict[int, Any]) -> Plant:
         twin = object.__new__(type(self))
         state = self.__getstate__()
@@ -447,6 +452,13 @@ class PlantOptions(TypedDict, total=False):
     substep: float | None
     dtype: DTypeLike
     block: int | None
+
+
+def make_plant(model: PlantModel, num_rigs: int, **options: Unpack[PlantOptions]) -> Plant:
+    """Rigs of a model. A model of something else that is driven like a rig makes its own, `make_plant(num_rigs)`."""
+    own = getattr(model, "make_plant", None)
+    made: Plant = Plant(model, num_rigs, **options) if own is None else own(num_rigs)
+    return made
 
 
 def simulate(

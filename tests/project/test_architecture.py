@@ -35,12 +35,13 @@ ALLOWED = {
     "datasets": "errors plant tasks controllers",
     "diagnosis": "errors files units pages waveforms parallel plant tasks measured",
     "benchmark": "errors files reading units pages parallel plant tasks envs controllers",
+    "fmu_plant": "errors reading units plant",
     "export": "errors files plant units envs controllers",
     "training": "errors files reading pickles units tasks controllers sb3",
     "experiments": "errors files reading limits units pages waveforms parallel plant practice tasks measured envs valve_bench"
     " controllers diagnosis benchmark",
     "cli": "errors files limits units plant practice tasks measured valve_bench controllers datasets diagnosis benchmark"
-    " training experiments export",
+    " training experiments export fmu_plant",
     "__main__": "cli",
 }
 

@@ -1,0 +1,336 @@
+"""A foreign FMU as the plant: two commands in, two speeds out, driven by the benchmark and the environment like any rig.
+
+An FMU is a program: `load_fmu` asks that its origin be trusted. FMI 2.0 and 3.0 for co-simulation; needs FMPy (extra `fmu`). A
+mapping file says which variables are meant, unless they have the names of `hydro-env export fmu`:
+
+    schema: hydro_env/fmu_mapping/1
+    rated: 10                                # value of the command variables at full command
+    start: {supply.p: 1.0e+7}                # optional: parameters of the FMU
+    channel_1:
+      command: {variable: valve1.u}
+      speed: {variable: motor1.w, unit: rpm, sign: -1}
+      pressure: {variable: motor1.dp, unit: bar}     # optional, as current, angle, load and measured_speed are
+    channel_2: ...
+
+What is not mapped reads zero, but the angle is integrated from the speed, and the speed is what its sensor shows. Noise is the
+environment's. An FMU has valves of its own, so there is nothing to draw: the split is `own`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hydro_env.errors import InputError, shown, suggestion
+from hydro_env.plant import Plant, PlantModel
+from hydro_env.reading import read_yaml
+from hydro_env.units import UNITS, unit
+
+__all__ = ["FmuModel", "FmuRigs", "is_fmu", "load_fmu"]
+
+SCHEMA = "hydro_env/fmu_mapping/1"
+Floats = NDArray[np.float64]
+
+#: Signals of a channel: SI unit, and whether they go in.
+_SIGNALS = {
+    "command": ("V", True), "load": ("N m", True), "speed": ("rad/s", False), "measured_speed": ("rad/s", False),
+    "pressure": ("Pa", False), "current": ("A", False), "angle": ("rad", False),
+}  # fmt: skip
+_NEEDED = ("command", "speed")
+_NO_ROWS = np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True)
+class Link:
+    """A variable of the FMU: SI value = `factor` * value."""
+
+    variable: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class FmuModel(PlantModel):
+    """An FMU in the place of a model: its file, and what its variables mean, by (signal, channel 0 or 1)."""
+
+    file: str = ""
+    links: Mapping[tuple[str, int], Link] = field(default_factory=dict)
+    start: Mapping[str, float] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What tells it from others, the FMU's content included."""
+        digest = hashlib.sha256(Path(self.file).read_bytes()).hexdigest()
+        links = {f"{name}_{c + 1}": [link.variable, link.factor] for (name, c), link in self.links.items()}
+        return {**super().to_dict(), "fmu": digest, "links": links, "start": dict(self.start)}
+
+    def make_plant(self, num_rigs: int) -> FmuRigs:
+        """Rigs of this kind. InputError if the FMU cannot be loaded."""
+        return FmuRigs(self, num_rigs)
+
+
+def is_fmu(plant: object) -> bool:
+    """Whether a plant is named that is an FMU."""
+    return isinstance(plant, str | Path) and Path(plant).suffix == ".fmu"
+
+
+def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool = False) -> FmuModel:
+    """The model for a foreign FMU; `mapping` a file as above.
+
+    InputError for a file that is not trusted, no FMU for co-simulation, or lacks a variable; ModuleNotFoundError without FMPy.
+    """
+    if not os.path.isfile(file):
+        raise InputError(f"{file}: no such FMU")
+    if not trust:
+        raise InputError(
+            f"{file}: is a program, so that using it runs code from the file; with --trust it is used"
+        )
+    description = _description(str(file))
+    rated, start, links = (73.0, {}, _own_names(description)) if mapping is None else _read(Path(mapping))
+    variables = {v.name: v for v in description.modelVariables}
+    for (name, channel), link in links.items():
+        _check(
+            file,
+            variables,
+            link.variable,
+            f"{name} of channel {channel + 1}",
+            "input" if _SIGNALS[name][1] else None,
+        )
+    for name in start:
+        _check(file, variables, name, "start", None)
+    for name in _NEEDED:
+        for channel in (0, 1):
+            if (name, channel) not in links:
+                raise InputError(
+                    f"{mapping or file}: {name} of channel {channel + 1} is missing; name its variable in --mapping"
+                )
+    model = PlantModel(Path(file).stem, {"u_rated": (rated, rated)})
+    return FmuModel(model.name, model.values, (), model.substep, str(file), links, start)
+
+
+def _check(
+    file: str | Path, variables: Mapping[str, Any], name: str, what: str, causality: str | None
+) -> None:
+    if name not in variables:
+        raise InputError(f"{file}: has no variable {shown(name)} ({what}): {suggestion(name, variables)}")
+    if causality is not None and variables[name].causality != causality:
+        raise InputError(
+            f"{file}: {shown(name)} ({what}) is {variables[name].causality or 'local'}, expected an input"
+        )
+    if variables[name].type not in ("Real", "Float64"):
+        raise InputError(
+            f"{file}: {shown(name)} ({what}) is of type {variables[name].type}, expected Real or Float64"
+        )
+
+
+def _own_names(description: Any) -> dict[tuple[str, int], Link]:
+    """The names that `hydro-env export fmu` gives, as far as they are there."""
+    there = {v.name for v in description.modelVariables}
+    names = {(name, c): f"{name}_{c + 1}" for name in _SIGNALS for c in (0, 1)}
+    return {key: Link(name) for key, name in names.items() if name in there}
+
+
+def _read(path: Path) -> tuple[float, dict[str, float], dict[tuple[str, int], Link]]:
+    """Rated command, start values and links of a mapping file."""
+    data = read_yaml(path, "a mapping of an FMU in YAML")
+    known = ("schema", "rated", "start", "channel_1", "channel_2")
+    if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
+        raise InputError(f"{path}: schema should be {SCHEMA!r}")
+    for key in data:
+        if key not in known:
+            raise InputError(f"{path}: unknown key {shown(key)}: {suggestion(key, known)}")
+    start = data.get("start", {})
+    if not isinstance(start, Mapping):
+        raise InputError(f"{path}: start should be a table of variables and numbers")
+    links = {}
+    for channel in (0, 1):
+        table = data.get(f"channel_{channel + 1}")
+        if not isinstance(table, Mapping):
+            raise InputError(f"{path}: channel_{channel + 1} should be a table with command and speed")
+        for name, entry in table.items():
+            if name not in _SIGNALS:
+                raise InputError(
+                    f"{path}: channel_{channel + 1}: {shown(name)} is unknown: {suggestion(name, _SIGNALS)}"
+                )
+            links[name, channel] = _link(f"{path}: channel_{channel + 1}: {name}", name, entry)
+    values = {str(key): _number(f"{path}: start: {key}", value) for key, value in start.items()}
+    return _number(f"{path}: rated", data.get("rated", 73.0)), values, links
+
+
+def _number(where: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
+        raise InputError(f"{where} is {shown(value)}, expected a number")
+    return float(value)
+
+
+def _link(where: str, name: str, entry: Any) -> Link:
+    entry = {"variable": entry} if isinstance(entry, str) else entry
+    known = ("variable",) if name == "command" else ("variable", "unit", "sign")
+    if not isinstance(entry, Mapping) or not isinstance(entry.get("variable"), str):
+        raise InputError(f"{where} should be {{variable: NAME}}")
+    for key in entry:
+        if key not in known:
+            raise InputError(f"{where}: unknown key {shown(key)}: {suggestion(key, known)}")
+    si = _SIGNALS[name][0]
+    own = unit(str(entry.get("unit", si)))
+    if own.quantity != UNITS[si].quantity or own.offset:
+        raise InputError(f"{where}: unit {own.name} is no unit of {UNITS[si].quantity}")
+    return Link(entry["variable"], own.scale * _number(f"{where}: sign", entry.get("sign", 1)))
+
+
+# --- the unit at work ------------------------------------------------------------------------------------------------
+@lru_cache(maxsize=4)
+def _description(file: str) -> Any:
+    import fmpy
+
+    try:
+        description = fmpy.read_model_description(file)
+    except Exception as problem:
+        raise InputError(f"{file}: is no FMU that FMPy can read: {problem}") from None
+    if description.coSimulation is None:
+        raise InputError(f"{file}: is not for co-simulation, which is needed")
+    return description
+
+
+@lru_cache(maxsize=4)
+def _unpacked(file: str) -> tempfile.TemporaryDirectory[str]:
+    """The content of an FMU, for as long as this process lives."""
+    import fmpy
+
+    room = tempfile.TemporaryDirectory(prefix="hydro_env_fmu_")
+    fmpy.extract(file, unzipdir=room.name)
+    return room
+
+
+class _Unit:
+    """One instance of the FMU."""
+
+    def __init__(self, model: FmuModel) -> None:
+        import fmpy
+
+        self._model, description = model, _description(model.file)
+        self._old = description.fmiVersion == "2.0"
+        reference = {v.name: v.valueReference for v in description.modelVariables}
+        self._in = [
+            (key, reference[link.variable], link.factor)
+            for key, link in model.links.items()
+            if _SIGNALS[key[0]][1]
+        ]
+        self._out = [
+            (key, reference[link.variable], link.factor)
+            for key, link in model.links.items()
+            if not _SIGNALS[key[0]][1]
+        ]
+        self._start = [(reference[name], value) for name, value in model.start.items()]
+        try:
+            self._unit = fmpy.instantiate_fmu(_unpacked(model.file).name, description, "CoSimulation")
+        except Exception as problem:
+            raise InputError(f"{model.file}: cannot be started here: {problem}") from None
+        self._get = self._unit.getReal if self._old else self._unit.getFloat64
+        self._set = self._unit.setReal if self._old else self._unit.setFloat64
+        self._begin()
+
+    def _begin(self) -> None:
+        self.time = 0.0
+        if self._start:
+            self._set([r for r, _ in self._start], [v for _, v in self._start])
+        if self._old:
+            self._unit.setupExperiment(startTime=0.0)
+            self._unit.enterInitializationMode()
+        else:
+            self._unit.enterInitializationMode(startTime=0.0)
+        self._unit.exitInitializationMode()
+
+    def reset(self) -> None:
+        """Back to time zero."""
+        self._unit.reset()
+        self._begin()
+
+    def step(self, command: Floats, load: Floats, period: float) -> None:
+        """Holds commands and loads, each (2,), over a period in s."""
+        given = {"command": command, "load": load}
+        self._set(
+            [r for _, r, _ in self._in], [float(given[n][c]) / factor for (n, c), _, factor in self._in]
+        )
+        self._unit.doStep(currentCommunicationPoint=self.time, communicationStepSize=period)
+        self.time += period
+
+    def signals(self) -> dict[tuple[str, int], float]:
+        """What comes out, SI."""
+        values = self._get([r for _, r, _ in self._out])
+        return {key: factor * float(v) for (key, _, factor), v in zip(self._out, values, strict=True)}
+
+
+class FmuRigs(Plant):
+    """Instances of an FMU as a `Plant`: commands, loads and signals as there; parameters belong to the FMU."""
+
+    def __init__(self, model: FmuModel, num_rigs: int = 1) -> None:
+        self._units = [_Unit(model) for _ in range(num_rigs)]
+        super().__init__(model, num_rigs, block=1)
+
+    def set(self, name: str, values: ArrayLike, rows: ArrayLike | None = None) -> None:
+        """InputError: its parameters are the FMU's."""
+        raise InputError(
+            f"{self.model.name}: an FMU has its own valves, {name} cannot be drawn; the split own is right"
+        )
+
+    def reset(self, rows: ArrayLike | None = None) -> None:
+        """Puts all rigs, or `rows` (indices or mask), back to their start."""
+        for i in (
+            range(self.num_rigs) if rows is None else np.arange(self.num_rigs)[np.asarray(rows)].reshape(-1)
+        ):
+            self._units[int(i)].reset()
+        super().reset(rows)
+
+    def _advance(
+        self, command_V: Floats, load_Nm: Floats, substeps: int, h: float,
+        rows: NDArray[np.int64] = _NO_ROWS, every: int = 1, out: Floats | None = None,
+    ) -> None:  # fmt: skip
+        if not len(command_V):
+            for i in range(self.num_rigs):
+                self._show(i, 0.0)
+        for t in range(len(command_V)):
+            if rows.size and out is not None and t % every == 0:
+                out[:, t // every] = np.transpose(self._memory[:, rows, :], (1, 0, 2))
+            for i, unit_of in enumerate(self._units):
+                command = command_V[t, i if command_V.shape[1] > 1 else 0]
+                load = load_Nm[t if len(load_Nm) > 1 else 0, i if load_Nm.shape[1] > 1 else 0]
+                try:
+                    unit_of.step(command, load, substeps * h)
+                except Exception as problem:
+                    raise InputError(
+                        f"{self.model.name}: the FMU refuses a step at {unit_of.time:g} s: {problem}"
+                    ) from None
+                self._show(i, substeps * h)
+
+    def _show(self, i: int, period: float) -> None:
+        """Puts what an instance shows into the memory."""
+        memory, seen = self._memory[i], self._units[i].signals()
+        speed, angle = self.row_of("speed"), self.row_of("angle")
+        before = memory[speed].copy()
+        for c in (0, 1):
+            memory[speed, c] = seen["speed", c]
+            memory[self.row_of("measured_speed"), c] = seen.get(("measured_speed", c), seen["speed", c])
+            for name in ("pressure", "current"):
+                memory[self.row_of(name), c] = seen.get((name, c), 0.0)
+            turned = memory[angle, c] + 0.5 * period * (before[c] + memory[speed, c])
+            memory[angle, c] = seen.get(("angle", c), turned)
+        memory[self.row_of("time")] = self._units[i].time
+        lost = not all(np.isfinite(value) for value in seen.values())
+        memory[self.row_of("diverged")] = 1.0 if lost else 0.0
+        if lost:
+            memory[: self.row_of("time")] = 0.0
+
+    def copy(self) -> Plant:
+        """InputError: the FMU need not be able to copy itself."""
+        raise InputError(
+            f"{self.model.name}: a foreign FMU cannot be put on the valve bench or copied; a controller that goes by"
+            " measurements is right"
+        )

@@ -1,0 +1,150 @@
+"""A foreign FMU as the plant of the benchmark."""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env.cli import main
+from hydro_env.controllers.registry import make_controller
+from hydro_env.controllers.rollout import roll_out
+from hydro_env.errors import InputError
+from hydro_env.export.compiler import find_compiler
+from hydro_env.export.fmu.build import export_fmu
+from hydro_env.fmu_plant import load_fmu
+from hydro_env.plant import load_model
+
+pytest.importorskip("fmpy")
+pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
+
+MAPPING = """\
+schema: hydro_env/fmu_mapping/1
+rated: 73
+start: {channel_2.Kq: 0.3}
+channel_1:
+  command: {variable: valve.one}
+  speed: {variable: motor.one, unit: rpm, sign: -1}
+  pressure: pressure_1
+  load: load_1
+channel_2:
+  command: {variable: command_2}
+  speed: {variable: speed_2}
+  load: load_2
+"""
+
+
+@pytest.fixture(scope="module")
+def units(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return list(export_fmu(load_model("paper_dead_zone"), tmp_path_factory.mktemp("fmu")).files)
+
+
+def renamed(unit: Path, to: Path) -> Path:
+    """The same FMU with other names, and so somebody else's."""
+    with zipfile.ZipFile(unit) as old, zipfile.ZipFile(to, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "modelDescription.xml":
+                data = data.replace(b'"command_1"', b'"valve.one"').replace(b'"speed_1"', b'"motor.one"')
+            new.writestr(name, data)
+    return to
+
+
+@pytest.mark.parametrize("version", [0, 1])
+def test_driven_like_the_rig_that_it_is(units: list[Path], version: int) -> None:
+    """The whole roll-out is the same bit for bit, of two cases at once, with loads."""
+    traces = []
+    for plant in ("paper_dead_zone", load_fmu(units[version], trust=True)):
+        controller = make_controller("cross_coupled")
+        done = roll_out(controller, [4, 5], plant=plant, mismatch="own", scenario="load_step")
+        traces.append((done.trace.speed_rpm, done.trace.command, done.returns))
+    for ours, theirs in zip(*traces, strict=True):
+        assert np.array_equal(ours, theirs)
+
+
+def test_a_mapping_has_names_units_signs_and_start_values(units: list[Path], tmp_path: Path) -> None:
+    unit = renamed(units[0], tmp_path / "theirs.fmu")
+    (tmp_path / "mapping.yaml").write_text(MAPPING)
+    rigs = load_fmu(unit, tmp_path / "mapping.yaml", trust=True).make_plant(1)
+    plain = load_fmu(units[0], trust=True).make_plant(1)
+    speeds = [0.0]
+    for each in (plain, rigs):
+        each.reset()
+        for _ in range(50):
+            each.step([30.0, 40.0], [0.2, 0.1], 0.01)
+            speeds.append(each.speed[0, 1])
+    rpm = 2.0 * np.pi / 60.0
+    assert rigs.speed[0, 0] == pytest.approx(-rpm * plain.speed[0, 0], rel=1e-12)
+    assert rigs.get("pressure")[0].tolist() == [plain.get("pressure")[0, 0], 0.0]
+    assert 0.9 < rigs.speed[0, 1] / plain.speed[0, 1] < 0.98  # a smaller gain on channel 2: 0.3 against 0.315
+    assert rigs.angle[0, 1] == pytest.approx(np.trapezoid([0.0, *speeds[51:]], dx=0.01))  # no angle is mapped
+
+
+def test_the_command(units: list[Path], tmp_path: Path) -> None:
+    arguments = [
+        "benchmark",
+        "pid_tuned",
+        "bench_flow",
+        "--suite",
+        "quick",
+        "--scenario",
+        "setpoint_steps",
+        "--cases",
+        "1",
+    ]
+    with pytest.raises(SystemExit) as ended:
+        main([*arguments, "--plant", str(units[1]), "--trust", "--out", str(tmp_path / "scores")])
+    assert ended.value.code == 0
+    text = (tmp_path / "scores" / "scores.json").read_text()
+    assert '"split": "own"' in text
+    assert "cannot be put on the valve bench" in text  # bench_flow
+
+
+@pytest.mark.parametrize(
+    ("mapping", "says"),
+    [
+        (MAPPING.replace("valve.one", "valve.two"), "has no variable 'valve.two'"),
+        (MAPPING.replace("{variable: valve.one}", "{variable: motor.one}"), "expected an input"),
+        (MAPPING.replace("unit: rpm", "unit: bar"), "is no unit of angular speed"),
+        (
+            MAPPING.replace("speed: {variable: speed_2}", "current: current_2"),
+            "speed of channel 2 is missing",
+        ),
+        (MAPPING.replace("rated: 73", "rated: much"), "rated is 'much'"),
+        (MAPPING.replace("sign:", "sing:"), "unknown key 'sing'"),
+        (MAPPING.replace("start: {channel_2.Kq", "start: {channel_3.Kq"), "has no variable 'channel_3.Kq'"),
+        ("- 1\n", "schema should be"),
+    ],
+)
+def test_bad_mapping(units: list[Path], tmp_path: Path, mapping: str, says: str) -> None:
+    unit = renamed(units[0], tmp_path / "theirs.fmu")
+    (tmp_path / "mapping.yaml").write_text(mapping)
+    with pytest.raises(InputError, match=says):
+        load_fmu(unit, tmp_path / "mapping.yaml", trust=True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--plant", "there.fmu"], "runs code from the file; with --trust"),
+        (["--plant", "gone.fmu", "--trust"], "no such FMU"),
+        (["--plant", "text.fmu", "--trust"], "no FMU that FMPy can read"),
+        (["--plant", "there.fmu", "--trust", "--split", "train"], "only own is right"),
+        (["--plant", "paper", "--mapping", "mapping.yaml"], "goes with an FMU"),
+    ],
+)
+def test_bad_input(
+    units: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    arguments: list[str], says: str,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(units[0], "there.fmu")
+    Path("text.fmu").write_text("no archive")
+    with pytest.raises(SystemExit) as ended:
+        main(["benchmark", "pid_tuned", "--suite", "quick", "--cases", "1", *arguments, "--out", "out"])
+    said = capsys.readouterr().err
+    assert ended.value.code == 2 and said.count("\n") == 1 and says in said
+    assert not Path("out").exists()
