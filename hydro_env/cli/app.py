@@ -13,6 +13,7 @@ from hydro_env.cli.diagnosis import diagnose, hide
 from hydro_env.cli.experiments import close_loop, demo, reproduce, speed
 from hydro_env.cli.export import export
 from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
+from hydro_env.cli.lab import lab
 from hydro_env.cli.listing import list_names
 from hydro_env.cli.training import train
 from hydro_env.cli.valve_test import valve_test
@@ -57,6 +58,7 @@ for _command in (
     dataset,
     hide,
     diagnose,
+    lab,
     close_loop,
 ):
     app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)

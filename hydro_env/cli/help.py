@@ -56,6 +56,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "hydro-env diagnose --inspect monday.csv --out look",
         "hydro-env diagnose monday.csv --sealed tuesday.csv --mapping look/mapping.yaml --model my_rig.yaml --out found",
     ),
+    "lab": ("hydro-env lab", "hydro-env lab --no-browser --port 8200 --out lab"),
     "close-loop": ("hydro-env close-loop --seeds 1 --out loop",),
     "export": (
         "hydro-env export fmu --model my_rig.yaml --out fmu",
@@ -91,7 +92,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "inspect", "mapping", "signal_column", "flow_column", "time_column", "signal_unit", "flow_unit", "time_unit", "rated",
         "row_period", "sweep_period", "one_valve",
     ),
-    "Running": ("seed", "limit", "trust", "engine", "jobs", "cells", "resume", "quiet"),
+    "Running": ("seed", "limit", "trust", "engine", "jobs", "cells", "resume", "quiet", "port", "browser"),
     "Output": ("out", "name", "pictures", "as_json"),
 }  # fmt: skip
 """Options, by the names of their parameters, under the heading that they stand below; all others come last."""

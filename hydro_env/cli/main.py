@@ -36,6 +36,9 @@ EXTRAS = {
     "onnxruntime": "agents",
     "ray": "ray",
     "fmpy": "fmu",
+    "nicegui": "lab",
+    "fastapi": "lab",
+    "uvicorn": "lab",
 }
 """Which extra of the package holds an optional library."""
 

@@ -14,7 +14,7 @@ from .result import Diagnosis
 from .settings import Settings
 from .workflow import diagnose
 
-__all__ = ["run"]
+__all__ = ["run", "write"]
 
 
 def run(
@@ -41,14 +41,18 @@ def run(
             settings=Settings(seed=seed), progress=progress,
         )  # fmt: skip
         bar.set_description("writing the report")
-        folder = Path(out)
-        folder.mkdir(parents=True, exist_ok=True)
-        found.report(folder / "report.html")
-        write_json(folder / "diagnosis.json", found.as_dict())
-        found.model.to_yaml(folder / "model.yaml", source="diagnosis of logs")
+        write(found, Path(out))
     if not quiet:
         print(found.summary())
     return found
+
+
+def write(found: Diagnosis, folder: Path) -> None:
+    """Writes diagnosis.json, report.html and model.yaml to a folder, which is made if needed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    found.report(folder / "report.html")
+    write_json(folder / "diagnosis.json", found.as_dict())
+    found.model.to_yaml(folder / "model.yaml", source="diagnosis of logs")
 
 
 def _cores() -> int:

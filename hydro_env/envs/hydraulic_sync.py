@@ -12,11 +12,13 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from ..errors import InputError, shown
 from ..plant import Plant, PlantModel
 from ..tasks.mismatch import Mismatch
 from ..tasks.scenarios import Scenario
 from .batch import DIVERGED, SEED, HydraulicSyncVectorEnv
 from .made_spec import made_spec
+from .render import PICTURES, Window
 from .reward import Reward
 
 __all__ = ["HydraulicSyncEnv"]
@@ -88,7 +90,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
       file or mapping of parameters to ranges or values, or `own` (None) for the plant's own pair. Default `auto`: `own`
       for a plant file that sets itself what `train` draws (`Kq`, a dead zone, ...), else `train`.
     * `control_period`: s, default 0.01.
-    * `render_mode`: None or "rgb_array" (extra `render`; Gymnasium shows it in a window for "human").
+    * `render_mode`: None, "rgb_array" (pictures) or "human" (a window in real time); extra `render`.
     * `render_width`: of the picture in pixels, default 640; its height is three quarters of that.
     * `history`: frames in an observation, default 1.
     * `noise`: factor on the sensors' noise, 0 for none, or levels such as {"speed_rpm": 2.0}.
@@ -111,7 +113,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     * v0: first version. `HydraulicSyncIncrement-v0` is the same with `increment=0.3, history=2, errors=True`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012 (Gymnasium's way)
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 100}  # noqa: RUF012 (Gymnasium's way)
     _spec: EnvSpec | None = None
 
     def __init__(
@@ -129,13 +131,16 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         increment: float | None = None,
         errors: bool = False,
     ) -> None:
+        if render_mode not in (None, *type(self).metadata["render_modes"]):
+            raise InputError(f"render_mode is {shown(render_mode)}, expected None, 'human' or 'rgb_array'")
+        self._window = Window("hydro_env") if render_mode == "human" else None
         self.batch = HydraulicSyncVectorEnv(
             1,
             plant,
             scenario,
             mismatch,
             control_period,
-            render_mode,
+            "rgb_array" if render_mode == "human" else render_mode,
             history=history,
             noise=noise,
             reward=reward,
@@ -149,6 +154,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self.observation_space = self.batch.single_observation_space
         self.action_space = self.batch.single_action_space
         self._seeded = False
+        self._steps = 0
 
     @property
     def spec(self) -> EnvSpec | None:  # type: ignore[override]
@@ -181,6 +187,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
                 info[key] = {name: pair[0] for name, pair in value.items() if not name.startswith("_")}
             elif not key.startswith("_"):
                 info[key] = value[0] if value.ndim > 1 or value.dtype == object else value[0].item()
+        self._steps = 0
+        self._show()
         return observation[0], info
 
     def step(
@@ -205,9 +213,26 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         ended = bool(terminated[0])
         if ended:
             info["termination"] = DIVERGED
+        self._show()
         return self.batch.seen(observation)[0], float(reward[0]), ended, bool(truncated[0]), info
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """A picture (height, width, 3) of the recent past, if `render_mode` is "rgb_array"."""
-        frames = self.batch.render()
+        """A picture (height, width, 3) of the recent past, if `render_mode` is "rgb_array"; "human" shows it by itself."""
+        frames = None if self._window is not None else self.batch.render()
         return None if frames is None else frames[0]
+
+    def _show(self) -> None:
+        """With "human", shows every so many control periods, so that the film runs in real time."""
+        if self._window is None:
+            return
+        every = max(1, round(1.0 / (PICTURES * self.batch.control_period)))
+        if self._steps % every == 0:
+            frames = self.batch.render()
+            assert frames is not None
+            self._window.show(frames[0], 1.0 / (every * self.batch.control_period))
+        self._steps += 1
+
+    def close(self) -> None:
+        """Closes the window of "human"."""
+        if self._window is not None:
+            self._window.close()

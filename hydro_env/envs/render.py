@@ -1,4 +1,7 @@
-"""A picture of a rig at work: both shafts, their speeds against the set-point, and both commands (needs the extra `render`)."""
+"""A picture of a rig at work: both shafts, their speeds against the set-point, both commands; and a window for such pictures.
+
+Needs the extra `render`.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
-__all__ = ["Recorder"]
+__all__ = ["Recorder", "Window"]
 
 Floats = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -30,6 +33,9 @@ _COLOURS = ("#1f6fb4", "#e8710a")  # motor and valve 1, 2
 #: Columns of what is kept of each instant.
 _SETPOINT, _SPEED, _COMMAND, _ANGLE = 0, (1, 2), (3, 4), (5, 6)
 _KEPT = 7
+
+#: Pictures of a window in a second: as many as the eye needs, and few enough for the simulation to keep up.
+PICTURES = 25
 
 Curve = tuple[Floats, str]
 
@@ -88,6 +94,45 @@ class Recorder:
         page.axes((18.6, 21.8), "command, V", time, rated, rated, commands)
         page.times(23.0, time)
         return np.array(image.reduce(FINER))
+
+
+class Window:
+    """A window that shows pictures of a rig as they are, in step with the clock. Closing it stops nothing but the pictures."""
+
+    def __init__(self, title: str) -> None:
+        try:
+            import pygame
+        except ImportError as problem:
+            raise gymnasium.error.DependencyNotInstalled(
+                "a window needs pygame: pip install 'hydro_env[render]'"
+            ) from problem
+        self._pygame, self._title = pygame, title
+        self._screen: Any = None
+        self._clock = pygame.time.Clock()
+        self._closed = False
+
+    def show(self, picture: Picture, per_second: float) -> None:
+        """Shows a picture (height, width, 3), so many in a second at most."""
+        if self._closed:
+            return
+        pygame = self._pygame
+        if self._screen is None:
+            pygame.display.init()
+            self._screen = pygame.display.set_mode(picture.shape[1::-1])
+            pygame.display.set_caption(self._title)
+        pygame.surfarray.blit_array(self._screen, picture.swapaxes(0, 1))
+        pygame.display.flip()
+        self._clock.tick(per_second)
+        if pygame.event.get(pygame.QUIT):
+            self.close()
+        else:
+            pygame.event.pump()
+
+    def close(self) -> None:
+        """Closes it for good."""
+        if self._screen is not None:
+            self._pygame.display.quit()
+        self._screen, self._closed = None, True
 
 
 class _Page:

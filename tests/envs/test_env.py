@@ -1,6 +1,7 @@
 """The single environment: Gymnasium's and Stable-Baselines3's checks, seeds, copies, options, signals, faults."""
 
 import copy
+import itertools
 import pickle
 import sys
 import warnings
@@ -369,10 +370,35 @@ def test_shafts_in_pictures_turn():
     assert differ[:80, 160:].any() and not differ[:, :160].any()
 
 
+def test_a_window_shows_the_pictures_in_real_time(monkeypatch):
+    """With the driver of SDL that needs no screen: every fourth control period, and no longer once it is closed."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    pygame = pytest.importorskip("pygame")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make("hydro_env:HydraulicSync-v0", render_mode="human", render_width=320)
+    env.reset(seed=0)
+    shown = []
+    for _ in range(9):
+        env.step(np.ones(2, np.float32))
+        shown.append(pygame.surfarray.array3d(pygame.display.get_surface()))
+    changed = [bool((one != two).any()) for one, two in itertools.pairwise(shown)]
+    assert shown[0].shape == (320, 240, 3) and env.render() is None
+    assert changed == [False, False, True, False, False, False, True, False]
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    for _ in range(8):
+        env.step(np.ones(2, np.float32))
+    assert not pygame.display.get_init()
+    env.close()
+
+
 def test_pictures_without_the_extra_say_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "PIL", None)
     with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r"hydro_env\[render\]"):
         make(render_mode="rgb_array")
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r"hydro_env\[render\]"):
+        make(render_mode="human")
 
 
 def test_videos_are_recorded(tmp_path):

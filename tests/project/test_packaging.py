@@ -21,11 +21,20 @@ ROOT = Path(__file__).parents[2]
 OPTIONAL = (
     "torch", "stable_baselines3", "sb3_contrib", "onnx", "onnxruntime", "tensorboard", "plotly", "jinja2", "matplotlib",
     "pandas", "pyarrow", "asammdf", "nptdms", "h5py", "pygame", "PIL", "moviepy", "ray", "minari", "pettingzoo",
-    "fmpy", "agents",
+    "fmpy", "nicegui", "fastapi", "agents",
 )  # fmt: skip
 """No module of the core may import these when it is imported."""
 
-NEEDS_EXTRA = ("hydro_env.sb3", "hydro_env.multi_agent", "hydro_env.training.", "hydro_env.__main__")
+NEEDS_EXTRA = (
+    "hydro_env.sb3",
+    "hydro_env.multi_agent",
+    "hydro_env.training.",
+    "hydro_env.lab.elements",
+    "hydro_env.lab.page",
+    "hydro_env.lab.diagnosis_page",
+    "hydro_env.lab.server",
+    "hydro_env.__main__",
+)
 """Modules that exist to be imported with an extra, or that run when imported."""
 
 
@@ -58,7 +67,7 @@ def test_wheel_holds_every_data_file(wheel: list[str]) -> None:
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "hydro_env").rglob("*")
         if path.is_file()
-        and path.suffix in {".py", ".typed", ".yaml", ".json", ".npz", ".html", ".css", ".c"}
+        and path.suffix in {".py", ".typed", ".yaml", ".json", ".npz", ".html", ".css", ".c", ".js"}
     }
     assert "hydro_env/py.typed" in source and "hydro_env/plant/presets/paper.yaml" in source
     source |= {f"hydro_env/training/recipes/{name}.yml" for name in RECIPES}

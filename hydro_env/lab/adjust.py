@@ -1,0 +1,112 @@
+"""What a slider of an effect stands for: whole positions, with the neutral value at 0, and the values of the catalogue there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, isinf
+
+from hydro_env.lab.rig import effects_offered
+from hydro_env.plant import CATALOGUE, Parameter
+from hydro_env.plant.catalogue import PORTS, Effect
+from hydro_env.units import BAR, MICROMETRE, MILLISECOND, RPM
+
+__all__ = ["POSITIONS", "Slider", "effects_by_port", "sliders", "with_unit"]
+
+#: Positions on one side of the neutral value.
+POSITIONS = 100
+
+#: Units that are read more easily than SI, by the SI unit and the largest value of the parameter.
+_READABLE = {
+    "Pa": ("bar", BAR, inf),
+    "m": ("µm", MICROMETRE, 0.1),
+    "s": ("ms", MILLISECOND, 0.5),
+    "rad/s": ("rpm", RPM, inf),
+}
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A parameter of an effect on one channel (0, 1), or on the whole rig (None).
+
+    Positions are whole numbers from `least` to `most`. 0 is the neutral value. From there to an end the value goes evenly, or by
+    equal factors where the catalogue varies the parameter so, to the bound of the catalogue. Where the neutral value lies outside
+    of the bounds, as that of a limit does, positions 1 to `POSITIONS` are the whole range, from weak to strong.
+    """
+
+    effect: str
+    parameter: Parameter
+    channel: int | None
+
+    @property
+    def name(self) -> str:
+        """The name of the parameter in the plant."""
+        return f"{self.effect}.{self.parameter.name}"
+
+    @property
+    def least(self) -> int:
+        """The lowest position."""
+        return -POSITIONS if self.parameter.low < self.parameter.neutral < inf else 0
+
+    @property
+    def most(self) -> int:
+        """The highest position."""
+        return POSITIONS if self.parameter.high > self.parameter.neutral or self._apart else 0
+
+    @property
+    def _apart(self) -> bool:
+        """Whether the neutral value lies outside of the bounds."""
+        return not self.parameter.low <= self.parameter.neutral <= self.parameter.high
+
+    def value(self, position: int) -> float:
+        """The value (SI) at a position, which is brought within the ends."""
+        p = self.parameter
+        position = min(max(position, self.least), self.most)
+        if position == 0:
+            return p.neutral
+        if self._apart:
+            # A limit is strong where it is low.
+            weak, strong = (p.high, p.low) if isinf(p.neutral) else (p.low, p.high)
+            share = (position - 1) / (POSITIONS - 1)
+        else:
+            weak, strong = p.neutral, p.high if position > 0 else p.low
+            share = abs(position) / POSITIONS
+        if share == 1.0:
+            return strong
+        even = not (p.log and weak > 0.0 and strong > 0.0)
+        value = weak + share * (strong - weak) if even else weak * (strong / weak) ** share
+        return float(round(value)) if p.role == "order" else value
+
+    def position(self, value: float) -> int:
+        """The position whose value is nearest to a value (SI)."""
+        return min(range(self.least, self.most + 1), key=lambda each: self._distance(self.value(each), value))
+
+    def _distance(self, one: float, other: float) -> float:
+        if one == other:
+            return 0.0
+        return inf if isinf(one) or isinf(other) else abs(one - other)
+
+    def text(self, value: float) -> str:
+        """The value with its unit, as an engineer reads it."""
+        if isinf(value):
+            return "none"
+        return with_unit(value, self.parameter)
+
+
+def with_unit(value: float, p: Parameter) -> str:
+    """A value of a parameter with a unit that reads well; all values of one parameter have the same."""
+    unit, size = ("" if p.unit == "1" else p.unit), 1.0
+    if p.unit in _READABLE and p.high < _READABLE[p.unit][2]:
+        unit, size, _ = _READABLE[p.unit]
+    return f"{value / size:.3g} {unit}".strip()
+
+
+def sliders(effect: Effect) -> list[Slider]:
+    """The sliders of an effect: one for each parameter and channel, or one for both where it is the rig's."""
+    channels: tuple[int | None, ...] = (None,) if effect.scope == "rig" else (0, 1)
+    return [Slider(effect.name, p, channel) for p in effect.parameters for channel in channels]
+
+
+def effects_by_port() -> dict[str, list[Effect]]:
+    """The effects offered, by port, in the order in which the signal passes them."""
+    offered = [CATALOGUE[name] for name in effects_offered()]
+    return {port: found for port in PORTS if (found := [e for e in offered if e.port == port])}

@@ -1,0 +1,170 @@
+"""The part of the page for logs: record one, drop some in, look at them, diagnose them, open the report."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nicegui import run, ui
+
+from hydro_env.errors import InputError
+from hydro_env.lab.elements import Drop, quiet_button
+from hydro_env.lab.jobs import Jobs
+from hydro_env.lab.page import section
+from hydro_env.lab.session import Session
+from hydro_env.lab.uploads import Upload, Uploads
+from hydro_env.lab.worker import Worker
+from hydro_env.plant.model_files import preset_names
+
+__all__ = ["DiagnosisPage"]
+
+#: Seconds between two looks at the diagnosis.
+LOOK = 0.3
+ROLES = {"fit": "to fit", "held_out": "held out", "": "not used"}
+YAML_ROLES = {"mapping": "mapping", "model": "model", "": "not used"}
+LABEL = "Logs (CSV, Parquet, MAT, MDF4, TDMS), mapping or model (YAML): drop files here, or choose"
+VERDICTS = {
+    "none": "the model explains the logs",
+    "calibration": "the model explains the logs once known parameters are calibrated",
+    "effects": "effects are missing",
+    "unknown": "something is missing that no known effect explains",
+}
+
+
+class DiagnosisPage:
+    """What one browser sees of the logs and of the diagnosis; all browsers see the same."""
+
+    def __init__(self, worker: Worker, uploads: Uploads, jobs: Jobs) -> None:
+        self._worker, self._uploads, self._jobs = worker, uploads, jobs
+        self._listed: list[tuple[str, str]] = []
+        self._shown: Any = None
+
+    def show(self) -> None:
+        """Builds the part."""
+        preset = self._worker.seen.session.settings.preset
+        with section("Log and diagnosis"):
+            self._record = quiet_button("Record a log, from rest", self._toggle_recording)
+            Drop(
+                LABEL,
+                self._list,
+                self._refuse,
+            )
+            self._files = ui.element("div").classes("w-full")
+            ui.label("With no log held out, the last third of the last log is.").classes("lab-soft")
+            self._model = ui.select(preset_names(), value=preset, label="model to diagnose").classes("w-full")
+            with ui.element("div").classes("lab-row"):
+                self._start = ui.button("Diagnose", on_click=lambda: self._begin("diagnose"))
+                self._look_at = quiet_button("Look at the log", lambda: self._begin("inspect"))
+                self._cancel = quiet_button("Cancel", lambda: run.io_bound(self._jobs.cancel))
+            self._problem = ui.label().classes("lab-bad").props("role=alert")
+            self._progress = ui.linear_progress(0.0, show_value=False).props(
+                'aria-label="progress of the diagnosis"'
+            )
+            self._stage = ui.label().props('role=status aria-live="polite"')
+            self._results = ui.element("div").classes("w-full")
+        ui.timer(LOOK, self._refresh)
+
+    # --- files ----------------------------------------------------------------------------------------------------
+    def _toggle_recording(self) -> None:
+        recording = self._worker.seen.session.recorded is not None
+        self._worker.ask(Session.stop_recording if recording else Session.record)
+
+    def _refuse(self, text: str) -> None:
+        self._problem.text = text.removeprefix("hydro-env lab: ")
+
+    def _list(self) -> None:
+        self._listed = [(str(upload.path), upload.role) for upload in self._uploads.files]
+        self._files.clear()
+        with self._files:
+            for upload in self._uploads.files:
+                self._list_one(upload)
+
+    def _list_one(self, upload: Upload) -> None:
+        roles = YAML_ROLES if upload.path.suffix in (".yaml", ".yml") else ROLES
+
+        def choose(event: Any) -> None:
+            upload.role = event.value
+            self._listed = [(str(each.path), each.role) for each in self._uploads.files]
+
+        def remove() -> None:
+            self._uploads.remove(upload)
+            self._list()
+
+        with ui.element("div").classes("lab-file"):
+            with ui.element("span"):
+                ui.label(upload.name)
+            ui.select(roles, value=upload.role, on_change=choose).props["aria-label"] = (
+                f"use of {upload.name}"
+            )
+            quiet_button("Remove", remove, f"remove {upload.name}")
+
+    # --- the diagnosis --------------------------------------------------------------------------------------------
+    def _begin(self, what: str) -> None:
+        self._problem.text = ""
+        try:
+            fit, mappings = self._uploads.with_role("fit"), self._uploads.with_role("mapping")
+            models = self._uploads.with_role("model")
+            if not fit:
+                raise InputError("no log to fit; drop one in, or record one")
+            model = str(models[-1]) if models else str(self._model.value)
+            self._jobs.start(
+                what, fit, self._uploads.with_role("held_out"), model, mappings[-1] if mappings else None
+            )
+        except InputError as problem:
+            self._problem.text = str(problem)
+
+    def _refresh(self) -> None:
+        if [(str(upload.path), upload.role) for upload in self._uploads.files] != self._listed:
+            self._list()
+        recording = self._worker.seen.session.recorded is not None
+        self._record.text = "Stop recording" if recording else "Record a log, from rest"
+        job, running = self._jobs.latest, self._jobs.running
+        self._start.set_enabled(not running)
+        self._look_at.set_enabled(not running)
+        self._cancel.set_enabled(running)
+        self._progress.set_visibility(running)
+        if job is self._shown:
+            return
+        self._shown = job
+        if job is None:
+            return
+        self._progress.value = job.share
+        count = f", {job.simulations} simulations" if job.simulations else ""
+        self._stage.text = f"{job.stage}{count}"
+        if job.state == "failed":
+            self._problem.text = job.problem
+        self._results.clear()
+        with self._results:
+            for text in job.warnings:
+                ui.label(f"warning: {text}")
+            if job.state == "done" and job.result is not None:
+                self._show_result(job.folder, job.result)
+
+    def _show_result(self, folder: str, result: Any) -> None:
+        if "verdict" in result:
+            ui.label(f"Verdict: {result['verdict']}: {VERDICTS.get(result['verdict'], '')}.").style(
+                "font-weight: 600"
+            )
+            ui.link("Open the report", f"/results/{folder}/report.html", new_tab=True)
+            ui.label(f"Written to {folder} in --out.").classes("lab-soft")
+            _text(result["summary"])
+            return
+        _text(result["text"])
+        if result["mapping"]:
+            ui.label("Proposed mapping; correct what is wrong, then use it:")
+            text = (
+                ui.textarea(value=result["mapping"]).props('aria-label="mapping" outlined').classes("w-full")
+            )
+            quiet_button("Use this mapping", lambda: self._use_mapping(text.value))
+
+    def _use_mapping(self, text: str) -> None:
+        for upload in [each for each in self._uploads.files if each.role == "mapping"]:
+            self._uploads.remove(upload)
+        self._uploads.add(
+            self._uploads.store("mapping.yaml", text), "mapping.yaml (from this page)", "mapping"
+        )
+
+
+def _text(text: str) -> None:
+    """Text as a terminal shows it."""
+    with ui.element("pre").props("tabindex=0"):
+        ui.label(text).style("white-space: pre")

@@ -1,0 +1,238 @@
+"""The page of the rig: what it shows, and what may be chosen. What that does stands in `session` and `worker`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from html import escape
+from importlib.resources import files
+from itertools import groupby
+from typing import Any
+
+from nicegui import ui
+
+from hydro_env.controllers import CONTROLLERS
+from hydro_env.lab.adjust import Slider, effects_by_port, sliders
+from hydro_env.lab.elements import Motors, Plots, SlidingNumber, quiet_button
+from hydro_env.lab.session import LOADS, MANUAL, SETPOINTS, Session
+from hydro_env.lab.worker import Seen, Worker
+from hydro_env.plant.catalogue import Effect
+from hydro_env.plant.model_files import preset_names
+from hydro_env.tasks import NAMED_PAIRS, OWN, SCENARIOS, SPLITS
+
+__all__ = ["RigPage", "section"]
+
+#: Seconds between two pictures, and between two sentences for a screen reader.
+PICTURE, SENTENCE = 0.1, 5.0
+#: Speeds of time that may be chosen.
+TEMPOS = {0.1: "0.1 ×", 0.25: "0.25 ×", 0.5: "0.5 ×", 1.0: "real time", 2.0: "2 ×", 5.0: "5 ×"}
+#: Steps of the sliders of set-point, rpm, and of loads, in a N m.
+RPM_STEP, LOAD_STEPS = 10, 50
+
+
+@contextmanager
+def section(title: str) -> Iterator[None]:
+    """A part of the page with a heading."""
+    with ui.element("section").props(f'aria-label="{title}"'):
+        ui.html(f"<h2>{escape(title)}</h2>", sanitize=False, tag="div")
+        yield
+
+
+class _Follower:
+    """An element whose value follows a choice of the session, as another browser may have made it."""
+
+    def __init__(self, element: Any, choice: Callable[[Seen], Any], seen: Seen) -> None:
+        self._element, self._choice, self._last = element, choice, choice(seen)
+
+    def follow(self, seen: Seen) -> None:
+        """Takes the session's value over when that has changed."""
+        now = self._choice(seen)
+        if now != self._last:
+            self._last = now
+            if self._element.value != now:
+                self._element.value = now
+
+
+class RigPage:
+    """What one browser sees of the rig; all browsers see the same rig."""
+
+    def __init__(self, worker: Worker) -> None:
+        self._worker = worker
+        self._spoken = 0.0
+        self._effects: list[tuple[Slider, SlidingNumber]] = []
+        self._followers: list[_Follower] = []
+
+    def ask(self, change: Callable[[Session], None]) -> None:
+        """Has the session changed."""
+        self._worker.ask(change)
+
+    def _select(
+        self, names: Any, label: str, choice: Callable[[Seen], Any], chosen: Callable[[Any], None]
+    ) -> Any:
+        """A field with a choice of the session; `chosen` is called with what the user takes."""
+        seen = self._worker.seen
+
+        def changed(event: Any) -> None:
+            if event.value != choice(self._worker.seen):
+                chosen(event.value)
+
+        element = ui.select(names, value=choice(seen), label=label, on_change=changed).classes("w-full")
+        self._followers.append(_Follower(element, choice, seen))
+        return element
+
+    # --- what is seen ---------------------------------------------------------------------------------------------
+    def show_rig(self) -> None:
+        """Motors, plots, and what is to be said."""
+        with section("Rig"):
+            self._motors = Motors()
+            self._state = ui.element("p").classes("lab-soft")
+            self._problem = ui.label().classes("lab-bad").props("role=alert")
+            self._sentence = ui.label().classes("lab-quiet").props('role=status aria-live="polite"')
+        with section("Last ten seconds"):
+            self._plots = Plots()
+        ui.timer(PICTURE, self._refresh)
+
+    def _refresh(self) -> None:
+        seen = self._worker.seen
+        self._motors.show(seen)
+        self._plots.show(seen)
+        session, now = seen.session, seen.session.now
+        self._pause.text = "Pause" if seen.running else "Go on"
+        for follower in self._followers:
+            follower.follow(seen)
+        self._problem.text = seen.refused or session.problem
+        self._about.text, self._note.text = CONTROLLERS[session.settings.controller].summary, session.note
+        going = f"{seen.reached:.2g} × real time" if seen.running else "paused"
+        log = "" if session.recorded is None else f", recording: {session.recorded:.0f} s"
+        loads = " and ".join(f"{load:.2f}" for load in session.load_Nm)
+        self._line.text = f"{session.time:.1f} s, {going}; loads {loads} N m{log}"
+        if time.monotonic() - self._spoken >= SENTENCE and seen.running:
+            self._spoken = time.monotonic()
+            speeds = f"motor 1 {now['speed_1_rpm']:.0f}, motor 2 {now['speed_2_rpm']:.0f} rpm"
+            self._sentence.text = (
+                f"difference {now['difference_rpm']:.0f} rpm, {speeds}" if self._aloud.value else ""
+            )
+
+    # --- what may be chosen ---------------------------------------------------------------------------------------
+    def show_time(self) -> None:
+        """Pause, reset, speed of time."""
+        with section("Time"):
+            with ui.element("div").classes("lab-row"):
+                self._pause = ui.button(
+                    "Pause", on_click=lambda: self._worker.pause(self._worker.seen.running)
+                )
+                quiet_button("Reset", lambda: self.ask(Session.reset))
+                self._select(TEMPOS, "speed of time", lambda seen: seen.tempo, self._worker.set_tempo)
+            self._line = ui.label().classes("lab-soft")
+            self._aloud = ui.checkbox("say the difference to a screen reader every 5 s", value=True)
+
+    def show_controller(self) -> None:
+        """The controller, and what drives it."""
+        settings = self._worker.seen.session.settings
+        names = {name: name for name, entry in CONTROLLERS.items() if entry.available}
+        with section("Controller"):
+            self._select(
+                names, "controller", lambda seen: seen.session.settings.controller,
+                lambda name: self.ask(lambda session: session.choose_controller(name)),
+            )  # fmt: skip
+            self._about = ui.label()
+            self._note = ui.label().classes("lab-soft")
+        with section("Course"):
+            self._show_course(settings)
+
+    def _show_course(self, settings: Any) -> None:
+        names = {MANUAL: "by hand", **{name: f"{name}: {each.summary}" for name, each in SCENARIOS.items()}}
+        self._select(
+            names, "set-point", lambda seen: seen.session.settings.scenario,
+            lambda name: self.ask(lambda session: session.choose_scenario(name)),
+        )  # fmt: skip
+        SlidingNumber(
+            "set-point by hand", (int(SETPOINTS.low), int(SETPOINTS.high)), RPM_STEP, round(settings.setpoint_rpm),
+            lambda position: f"{position} rpm",
+            lambda position: self.ask(lambda session: session.set_setpoint(float(position))),
+        )  # fmt: skip
+        with ui.element("div").classes("lab-pair"):
+            for channel in (0, 1):
+                self._show_load(channel, settings.load_Nm[channel])
+
+    def _show_load(self, channel: int, load: float) -> None:
+        SlidingNumber(
+            f"load on motor {channel + 1}", (round(LOADS.low * LOAD_STEPS), round(LOADS.high * LOAD_STEPS)), 1,
+            round(load * LOAD_STEPS), lambda position: f"{position / LOAD_STEPS:.2f} N m",
+            lambda position: self.ask(lambda session: session.set_load(channel, position / LOAD_STEPS)),
+        )  # fmt: skip
+
+    def show_valves(self) -> None:
+        """Preset, split and number of the pair."""
+        settings = self._worker.seen.session.settings
+        splits = {OWN: "own: the preset's pair"} | {name: name for name in (*SPLITS, *NAMED_PAIRS)}
+
+        def chosen(_: Any) -> None:
+            pair = str(preset.value), str(split.value), int(number.value or 0)
+            self.ask(lambda session: session.choose_valves(*pair))
+
+        with section("Valves"):
+            preset = self._select(preset_names(), "preset", lambda seen: seen.session.settings.preset, chosen)
+            with ui.element("div").classes("lab-row"):
+                split = self._select(
+                    splits, "split of pairs", lambda seen: seen.session.settings.split, chosen
+                )
+                number = ui.number("number of the pair", value=settings.number, min=0, step=1, precision=0)
+                number.on("change", chosen)
+                self._followers.append(
+                    _Follower(number, lambda seen: seen.session.settings.number, self._worker.seen)
+                )
+
+    def show_effects(self) -> None:
+        """A slider for every parameter of every effect, by port; a port's sliders are made when it is opened."""
+        with section("Effects"):
+            ui.label("What a real rig does beyond the equations. A slider acts at once.").classes("lab-soft")
+            quiet_button("All as they were", lambda: self.ask(Session.clear_effects))
+            for port, effects in effects_by_port().items():
+                with ui.expansion(f"{port} ({len(effects)})").classes("w-full") as part:
+                    holder = ui.element("div")
+                part.on_value_change(partial(self._open, holder, effects))
+        ui.timer(0.5, self._follow_effects)
+
+    def _open(self, holder: Any, effects: list[Effect], event: Any) -> None:
+        if not event.value or holder.default_slot.children:
+            return
+        with holder:
+            for effect in effects:
+                ui.html(f"<h3>{escape(effect.title)}</h3>", sanitize=False, tag="div")
+                ui.label(effect.summary).classes("lab-soft")
+                for name, pair in groupby(sliders(effect), key=lambda slider: slider.parameter.name):
+                    title = effect.parameter(name).title
+                    ui.label(title)
+                    with ui.element("div").classes("lab-pair"):
+                        for slider in pair:
+                            self._show_slider(slider, title)
+
+    def _show_slider(self, slider: Slider, title: str) -> None:
+        now = self._worker.seen.session.effects[slider.name][slider.channel or 0]
+
+        def moved(position: int) -> None:
+            value = slider.value(position)
+            self.ask(lambda session: session.set_effect(slider.name, slider.channel, value))
+
+        label = "rig" if slider.channel is None else f"channel {slider.channel + 1}"
+        ends, start = (slider.least, slider.most), slider.position(now)
+        shown = SlidingNumber(
+            label, ends, 1, start, lambda position: slider.text(slider.value(position)), moved, title
+        )
+        shown.say(slider.text(now))
+        self._effects.append((slider, shown))
+
+    def _follow_effects(self) -> None:
+        """Places the sliders anew where a value is not the one that was set here: after a reset, or from another browser."""
+        for slider, shown in self._effects:
+            now = self._worker.seen.session.effects[slider.name][slider.channel or 0]
+            if shown.at_rest and shown.props["text"] != slider.text(now):
+                shown.place(slider.position(now), slider.text(now))
+
+
+def style() -> str:
+    """The page's style sheet."""
+    return files(__package__).joinpath("style.css").read_text(encoding="utf-8")

@@ -1,0 +1,70 @@
+"""A log of the session as it would come from a rig: columns, noise and resolution of the practice logs, at 1 kHz."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.lab.rig import PERIOD, RECORDED, SAMPLES
+from hydro_env.practice.recorder import SENSORS, log_text
+
+__all__ = ["LONGEST", "Recording"]
+
+Floats = NDArray[np.float64]
+
+#: Seconds after which a recording ends by itself.
+LONGEST = 120.0
+
+_READ = {sensor.signal: name for name, sensor in SENSORS.items() if sensor.signal in RECORDED}
+#: Where `LiveRig.noise` has each sensor.
+_NOISE = {"measured_speed": slice(0, 2), "current": slice(2, 4), "pressure": slice(4, 6)}
+
+
+class Recording:
+    """Rows of a log, a control period at a time. The readings that a controller got stand in the first row of each."""
+
+    def __init__(self, seed: int) -> None:
+        self._stream = np.random.default_rng(seed)
+        self._rows: dict[str, list[Floats]] = {
+            name: [] for name in ("setpoint", "command", "load", *RECORDED)
+        }
+
+    @property
+    def seconds(self) -> float:
+        """How long it is, s."""
+        return len(self._rows["setpoint"]) * PERIOD
+
+    def add(
+        self,
+        setpoint_rpm: float,
+        command_V: Floats,
+        load_Nm: Floats,
+        noise: Floats,
+        signals: Mapping[str, Floats],
+    ) -> None:
+        """Adds a control period: what was in force, (2,) each, the sensors' noise at its beginning (6,), and what
+        `LiveRig.hold` recorded."""
+        self._rows["setpoint"].append(np.full((SAMPLES, 1), setpoint_rpm))
+        self._rows["command"].append(np.tile(command_V, (SAMPLES, 1)))
+        self._rows["load"].append(np.tile(load_Nm, (SAMPLES, 1)))
+        for name in RECORDED:
+            sensor = SENSORS[_READ[name]]
+            errors = self._stream.standard_normal((SAMPLES, 2))
+            errors[0] = noise[_NOISE[name]]
+            shown = signals[name] / sensor.size + sensor.noise * errors
+            self._rows[name].append(np.round(shown / sensor.resolution) * sensor.resolution)
+
+    def text(self) -> str:
+        """The log as CSV."""
+        rows = {name: np.vstack(blocks) for name, blocks in self._rows.items()}
+        columns = {
+            "time_s": np.arange(len(rows["setpoint"])) * PERIOD / SAMPLES,
+            "setpoint_rpm": rows["setpoint"][:, 0],
+        }
+        named = [("command", "V", "command"), ("load", "Nm", "load")]
+        named += [(_READ[name], SENSORS[_READ[name]].unit, name) for name in RECORDED]
+        for c in (0, 1):
+            columns |= {f"{what}_{c + 1}_{unit}": rows[name][:, c] for what, unit, name in named}
+        return log_text(columns)

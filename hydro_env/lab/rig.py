@@ -1,0 +1,187 @@
+"""One rig in motion: its valves, effects, set-point and loads may change at every control period."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hydro_env.envs.observation import FRAME, LIMIT, SCALES, noise_levels
+from hydro_env.envs.step_kernels import SIGNALS, TRUE, look
+from hydro_env.plant import CATALOGUE, Plant, load_model
+from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
+from hydro_env.tasks import draw_pairs
+from hydro_env.tasks.mismatch import OWN, SENSOR_PARAMETERS, own_values
+from hydro_env.units import RPM
+
+__all__ = ["PERIOD", "LiveRig", "Reading", "effects_offered"]
+
+Floats = NDArray[np.float64]
+
+#: Control period, s, as in the benchmark.
+PERIOD = 0.01
+#: Rows of a recording in a control period: 1 kHz, as practice logs have.
+SAMPLES = 10
+#: What a recording takes from the plant.
+RECORDED = ("measured_speed", "current", "pressure")
+
+_NEVER = np.iinfo(np.int64).max
+_ROW = np.zeros(1, np.int64)
+
+
+def effects_offered() -> list[str]:
+    """Names of the effects that a rig may have: the package's and the user's own, without corrections of form."""
+    return [name for name, effect in CATALOGUE.items() if effect.family != FORMS]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A rig at one instant: what the sensors show, and the true signals (see `envs.step_kernels.COLUMNS`)."""
+
+    observation: NDArray[np.float32]
+    """(1, 9), as the environment gives it."""
+    speed_rpm: Floats
+    """(2,), true."""
+    angle: Floats
+    """(2,), of the shafts since the start, rad."""
+    command_V: Floats
+    """(2,), in force until now."""
+
+
+class LiveRig:
+    """One rig that runs on for as long as it is stepped: `sense`, then `hold`, once a control period.
+
+    All effects of the catalogue are compiled in, so that each may be set at any time; neutral ones change no bit. `noise` is a
+    factor on the sensors' noise. Row for row it is what the environment does with the same course; it has no end and no reward.
+
+    InputError for an unknown plant.
+    """
+
+    def __init__(self, plant: str = "paper_dead_zone", *, noise: float = 1.0, seed: int = 0) -> None:
+        self.preset = plant
+        self.model = load_model(plant)
+        self._offered = effects_offered()
+        self.plant = Plant(self.model, 1, effects=self._offered)
+        self._levels = noise_levels(noise)
+        self._stream = np.random.default_rng(seed)
+        self._where = np.array([self.plant.row_of(name) for name in SIGNALS], np.int64)
+        self._substeps = self.plant.substeps(PERIOD)
+        self._drawn: dict[str, tuple[float, float]] = {}
+        self._set: dict[str, list[float]] = {}
+        self._sensor = {name: np.full((1, 2), p.nominal) for name, p in SENSOR_PARAMETERS.items()}
+        self.reset()
+
+    # --- valves and effects ---------------------------------------------------------------------------------------
+    def take_pair(self, split: str, number: int) -> None:
+        """Puts in a pair of valves: that of a number in a split, or the preset's own for `own`. Effects that were set stay.
+
+        InputError for an unknown split or a number beyond its list.
+        """
+        values: dict[str, Floats] = {}
+        if split != OWN:
+            values = draw_pairs(split, [number], model=self.model).values
+        for name in {*self._drawn, *values}:
+            pair = values[name][0] if name in values else own_values(name, self.model)
+            if name in self._sensor:
+                self._sensor[name][0] = pair
+            elif name not in self._set:
+                self.plant.set(name, [pair])
+            self._drawn[name] = (float(pair[0]), float(pair[1]))
+
+    def value(self, name: str) -> tuple[float, float]:
+        """A parameter of both channels as it now is, SI."""
+        pair = self.plant.get(name)[0]
+        return float(pair[0]), float(pair[1])
+
+    def values(self) -> dict[str, tuple[float, float]]:
+        """Every parameter of the effects offered, of both channels, SI."""
+        return {
+            name: self.value(name)
+            for effect in self.plant.effects
+            if effect in self._offered
+            for name in (f"{effect}.{p.name}" for p in CATALOGUE[effect].parameters)
+        }
+
+    def set(self, name: str, channel: int | None, value: float) -> None:
+        """Sets a parameter of an effect on channel 0 or 1, or on both (None). InputError for a value that cannot be."""
+        pair = list(self.value(name))
+        for each in (0, 1) if channel is None else (channel,):
+            pair[each] = value
+        self.model.with_values({name: pair})  # refuses what no component has
+        self.plant.set(name, [pair])
+        self._set[name] = pair
+
+    def clear(self) -> None:
+        """Takes back all that was `set`: the values are those of the pair of valves, or of the preset."""
+        for name in self._set:
+            self.plant.set(name, [self._drawn.get(name, self.model.pair(name))])
+        self._set.clear()
+
+    # --- time -----------------------------------------------------------------------------------------------------
+    def reset(self) -> None:
+        """Puts the rig to rest at time zero."""
+        self.plant.reset()
+        self.time = 0.0
+        self._fraction, self._held = np.zeros((1, 2)), np.zeros((1, 2))
+        self._noise = np.zeros((1, 1, 6), np.float32)
+
+    @property
+    def rated(self) -> Floats:
+        """Rated commands (2,), V."""
+        return self.plant.get("u_rated")[0]
+
+    def sense(self, setpoint_rpm: float) -> Reading:
+        """What the rig shows now, with the set-point that is in force from now on."""
+        self._stream.standard_normal(out=self._noise[0, 0], dtype=np.float32)
+        # A sensor sticks at its first reading at the earliest.
+        sticks = self.time >= np.maximum(self._sensor["speed_sensor.stuck_from"], PERIOD) - 1e-9
+        observation, true = np.zeros((1, FRAME), np.float32), np.zeros((1, TRUE))
+        nothing, flags = np.zeros(1), np.zeros(1, np.bool_)
+        rated = self.plant.get("u_rated")
+        look(
+            _ROW, self.plant.memory, self.plant.memory.shape[2] // 2, self._where, _ROW, _ROW,
+            np.array([[setpoint_rpm * RPM]]), self._noise, self._levels, SCALES, LIMIT,
+            self._sensor["speed_sensor.noise_factor"], np.where(sticks, 0, _NEVER), self._held, self._fraction, nothing, rated,
+            np.zeros(4), observation, true, nothing.copy(), flags, flags.copy(),
+        )  # fmt: skip
+        return Reading(observation, true[0, 0:2], self.plant.angle[0], true[0, 4:6])
+
+    def hold(
+        self, action: ArrayLike, load_Nm: ArrayLike, *, record: bool = False
+    ) -> dict[str, Floats] | None:
+        """Holds commands (2,), fractions of the rated ones and clipped to [-1, 1], and loads (2,) over a control period.
+
+        With `record` returns the signals `RECORDED`, (SAMPLES, 2) each from the beginning of the period on, SI. ValueError if a
+        command is not finite.
+        """
+        wanted = np.asarray(action, dtype=float).reshape(1, 2)
+        if not np.isfinite(wanted).all():
+            raise ValueError("the command is not a finite number")
+        # As actions are passed on to the environment.
+        self._fraction[:] = np.clip(wanted, -1.0, 1.0).astype(np.float32)
+        command, load = self._fraction * self.rated, np.asarray(load_Nm, dtype=float).reshape(1, 2)
+        rows = None
+        if record:
+            ones = np.ones((SAMPLES, 1))
+            rows = self.plant.run(ones * command, ones * load, PERIOD / SAMPLES, RECORDED)
+        else:
+            self.plant.hold(command, load, self._substeps, PERIOD)
+        self.time = round(self.time + PERIOD, 9)
+        return None if rows is None else {name: values[:, 0] for name, values in rows.items()}
+
+    @property
+    def noise(self) -> Floats:
+        """What the sensors added last, standard normal: speeds, currents, pressures, (6,)."""
+        return self._noise[0, 0].astype(float)
+
+    @property
+    def diverged(self) -> bool:
+        """Whether the simulation left what is plausible; the rig is at rest then."""
+        return bool(self.plant.diverged[0])
+
+    def twin(self) -> Any:
+        """A copy of the plant as it is, for controllers that know it."""
+        return copy.deepcopy(self.plant)

@@ -1,0 +1,156 @@
+"""The web server of `hydro-env lab`: the page, uploads and results, on the loopback address only."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import socket
+import webbrowser
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from fastapi import FastAPI, Request
+from fastapi.responses import FileResponse, PlainTextResponse, Response
+from nicegui import ui
+
+from hydro_env.errors import InputError
+from hydro_env.files import write_text
+from hydro_env.lab.diagnosis_page import DiagnosisPage
+from hydro_env.lab.guard import Guard
+from hydro_env.lab.jobs import Jobs
+from hydro_env.lab.page import RigPage, style
+from hydro_env.lab.session import Session
+from hydro_env.lab.uploads import Uploads
+from hydro_env.lab.worker import Worker
+
+__all__ = ["Lab", "application", "run"]
+
+HOST = "127.0.0.1"
+#: Files of a diagnosis that the page links to.
+RESULTS = ("report.html", "diagnosis.json", "model.yaml")
+TITLE = "hydro_env lab"
+
+
+class Lab:
+    """All that a lab has beside its page: the session at work, the files, the diagnosis. `out` is where logs and reports go."""
+
+    def __init__(self, out: Path, session: Session | None = None) -> None:
+        self.out = out
+        self.uploads, self.jobs = Uploads(), Jobs(out)
+        self.worker = Worker(session or Session(), self._keep_log)
+
+    def _keep_log(self, text: str) -> None:
+        self.out.mkdir(parents=True, exist_ok=True)
+        number = 1
+        while (path := self.out / f"log_{number}.csv").exists():
+            number += 1
+        write_text(path, text)
+        self.uploads.add(path, path.name, "fit")
+
+    def close(self) -> None:
+        """Ends the session and a diagnosis that runs, and deletes what was uploaded."""
+        self.worker.stop()
+        self.jobs.cancel()
+        self.uploads.close()
+
+    def page(self) -> None:
+        """Builds the page for a browser."""
+        ui.page_title(TITLE)
+        ui.add_css(style())
+        ui.colors(primary="#0b62a8")
+        rig, diagnosis = RigPage(self.worker), DiagnosisPage(self.worker, self.uploads, self.jobs)
+        with ui.element("main").classes("lab"):
+            with ui.element("header"):
+                ui.html(f"<h1>{TITLE}</h1>", sanitize=False, tag="div")
+                ui.label("Two hydraulic motors, two unequal valves, one controller.").classes("lab-soft")
+            with ui.element("div"):
+                rig.show_rig()
+            with ui.element("div").classes("lab-choices"):
+                rig.show_time()
+                rig.show_controller()
+                rig.show_valves()
+                rig.show_effects()
+            with ui.element("div"):
+                diagnosis.show()
+
+
+def application(lab: Lab, port: int, key: str, ready: Callable[[], None] = lambda: None) -> Guard:
+    """The guarded web application of a lab; `ready` is called once it is served."""
+
+    @asynccontextmanager
+    async def life(_: FastAPI) -> AsyncIterator[None]:
+        lab.worker.start()
+        asyncio.get_running_loop().call_later(0.2, ready)
+        yield
+
+    app = FastAPI(lifespan=life, docs_url=None, redoc_url=None, openapi_url=None)
+
+    async def upload(request: Request) -> Response:
+        try:
+            await lab.uploads.receive(request.query_params.get("name", ""), request.stream())
+        except InputError as problem:
+            return PlainTextResponse(str(problem), 400)
+        except OSError as problem:
+            return PlainTextResponse(f"cannot be stored: {problem.strerror}", 507)
+        return PlainTextResponse("stored")
+
+    async def result(request: Request) -> Response:
+        folder, file = request.path_params["folder"], request.path_params["file"]
+        path = lab.out / folder / file
+        if not (
+            folder.startswith("diagnosis_") and folder[10:].isdecimal() and file in RESULTS and path.is_file()
+        ):
+            return PlainTextResponse("there is no such result", 404)
+        return FileResponse(path)
+
+    app.add_route("/upload", upload, methods=["POST"])
+    app.add_route("/results/{folder}/{file}", result, methods=["GET"])
+    ui.run_with(
+        app,
+        root=lab.page,
+        title=TITLE,
+        dark=None,
+        language="en-US",
+        tailwind=False,
+        show_welcome_message=False,
+    )
+    return Guard(app, port, key)
+
+
+@contextmanager
+def _listening(port: int) -> Iterator[socket.socket]:
+    """A socket on the loopback address. InputError if the port is taken."""
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((HOST, port))
+        except OSError as problem:
+            raise InputError(
+                f"--port {port}: cannot be used ({problem.strerror}); name another one"
+            ) from None
+        yield listener
+
+
+def run(out: Path, *, port: int = 8137, browser: bool = True) -> None:
+    """Serves the page until Ctrl-C. `port` 0 takes any that is free. InputError if the port is taken."""
+    with _listening(port) as listener:
+        port, key = listener.getsockname()[1], secrets.token_urlsafe(16)
+        address = f"http://{HOST}:{port}/?key={key}"
+
+        def ready() -> None:
+            print(f"{TITLE}: {address}\nCtrl-C ends it. Logs and reports go to {out}.", flush=True)
+            if browser:
+                webbrowser.open(address)
+
+        lab = Lab(out)
+        served: Any = application(lab, port, key, ready)
+        # What the server itself would say of a second Ctrl-C is of no use to anybody.
+        config = uvicorn.Config(served, log_level="critical", timeout_graceful_shutdown=2)
+        try:
+            with suppress(KeyboardInterrupt):
+                uvicorn.Server(config).run(sockets=[listener])
+        finally:
+            lab.close()

@@ -1,0 +1,305 @@
+"""The session: a rig, the controller that drives it, the course it is to follow, and what was seen of late.
+
+A session runs period by period and has no clock, no thread and no page: `worker` runs it in step with the clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.benchmark.report import NEEDS
+from hydro_env.controllers import make_controller
+from hydro_env.errors import InputError
+from hydro_env.lab.recording import LONGEST, Recording
+from hydro_env.lab.rig import PERIOD, LiveRig, Reading
+from hydro_env.limits import Limits
+from hydro_env.tasks import NOMINAL_TORQUE, Reference, load_scenario
+from hydro_env.units import RPM
+
+__all__ = ["CASES", "COLUMNS", "LOADS", "MANUAL", "SETPOINTS", "SHOWN", "Session", "Settings", "Snapshot"]
+
+Floats = NDArray[np.float64]
+
+#: The course in which the set-point is what the slider says.
+MANUAL = "manual"
+#: Control periods that a snapshot shows: 10 s.
+SHOWN = 1000
+#: Columns of `Snapshot.past`; the difference is that of motor 1 less motor 2.
+COLUMNS = (
+    "time_s",
+    "setpoint_rpm",
+    "speed_1_rpm",
+    "speed_2_rpm",
+    "difference_rpm",
+    "command_1_V",
+    "command_2_V",
+)
+
+#: Set-points by hand: as far as the scenarios go.
+SETPOINTS = Limits(-600.0, 600.0, unit="rpm")
+#: Loads by hand, N m: up to twice the nominal one.
+LOADS = Limits(-2.0 * NOMINAL_TORQUE, 2.0 * NOMINAL_TORQUE, unit="N m")
+#: Numbers of pairs of valves.
+CASES = Limits(0, 2**31 - 1, whole=True)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What was chosen: the preset, pair of valves, controller and course, and what is set by hand."""
+
+    preset: str = "paper_dead_zone"
+    split: str = "test_interp"
+    number: int = 0
+    controller: str = "pid_tuned"
+    scenario: str = "setpoint_steps"
+    setpoint_rpm: float = 0.0
+    load_Nm: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The session at one instant, for whoever shows it. `past` (n, len(COLUMNS)) are the last periods, oldest first."""
+
+    settings: Settings
+    time: float
+    angle: tuple[float, float]
+    past: Floats
+    load_Nm: tuple[float, float]
+    """In force, those of the scenario included."""
+    effects: dict[str, tuple[float, float]]
+    """Every parameter of the effects offered, as it is on both channels, SI."""
+    note: str
+    """What is to be known of the controller, "" for nothing."""
+    problem: str
+    """What went wrong last, in one line, "" for nothing."""
+    recorded: float | None
+    """Seconds of the log that is being recorded."""
+
+    @property
+    def now(self) -> dict[str, float]:
+        """The newest row of `past` by column, zeros before there is one."""
+        row = self.past[-1] if len(self.past) else np.zeros(len(COLUMNS))
+        return dict(zip(COLUMNS, map(float, row), strict=True))
+
+
+@dataclass
+class _Course:
+    """A scenario and the row at which it stands; a course by hand has none."""
+
+    reference: Reference | None = None
+    row: int = 0
+    loads: Floats = field(default_factory=lambda: np.zeros((1, 2)))
+
+
+class Session:
+    """A rig under a controller. Every method may be called between two periods; what cannot be is an InputError, and nothing
+    has changed then."""
+
+    def __init__(self, settings: Settings | None = None, *, noise: float = 1.0, seed: int = 0) -> None:
+        self.settings = settings or Settings()
+        self._noise, self._seed = noise, seed
+        self._streams = np.random.SeedSequence(seed)
+        self._recording: Recording | None = None
+        self.finished_log = ""
+        self.problem = ""
+        chosen = self.settings
+        self._rig = self._made(chosen.preset, chosen.split, chosen.number)
+        self._effects = self._rig.values()
+        self._controller = make_controller(chosen.controller)
+        self.choose_scenario(chosen.scenario)
+        self.reset()
+
+    # --- what may be chosen ---------------------------------------------------------------------------------------
+    def choose_valves(self, preset: str, split: str, number: int) -> None:
+        """Puts in another pair of valves; effects that were set by hand stay. with another preset the rig begins anew, at rest
+        and without them."""
+        number = CASES.check(number, "pair")
+        if preset == self.settings.preset:
+            self._rig.take_pair(split, number)
+        else:
+            self._rig = self._made(preset, split, number)
+            self.reset()
+        self.settings = replace(self.settings, preset=preset, split=split, number=number)
+        self._rig_changed()
+
+    def choose_controller(self, name: str) -> None:
+        """Lets another controller take over, from where the rig stands."""
+        self._controller = make_controller(name)
+        self.settings = replace(self.settings, controller=name)
+        self.problem = ""
+        self._fresh = True
+
+    def choose_scenario(self, name: str) -> None:
+        """Follows a scenario from its beginning, over and over, or with `MANUAL` the set-point by hand. The rig runs on."""
+        course = (
+            _Course() if name == MANUAL else _Course(load_scenario(name).reference(PERIOD, self._stream()))
+        )
+        if course.reference is not None:
+            course.loads = course.reference.load
+        self._course = course
+        self.settings = replace(self.settings, scenario=name)
+        self._loads_changed()
+
+    def set_setpoint(self, rpm: float) -> None:
+        """The set-point by hand, which is followed from now on."""
+        self.settings = replace(self.settings, setpoint_rpm=SETPOINTS.check(rpm, "set-point"))
+        if self.settings.scenario != MANUAL:
+            self.choose_scenario(MANUAL)
+
+    def set_load(self, channel: int, torque: float) -> None:
+        """A load in N m on motor 0 or 1, added to that of the scenario."""
+        loads = list(self.settings.load_Nm)
+        loads[channel] = LOADS.check(torque, f"load {channel + 1}")
+        self.settings = replace(self.settings, load_Nm=(loads[0], loads[1]))
+        self._loads_changed()
+
+    def set_effect(self, name: str, channel: int | None, value: float) -> None:
+        """A parameter of an effect (SI), on motor 0 or 1 or both (None)."""
+        self._rig.set(name, channel, value)
+        self._rig_changed()
+
+    def clear_effects(self) -> None:
+        """Takes back what `set_effect` did."""
+        self._rig.clear()
+        self._rig_changed()
+
+    def reset(self) -> None:
+        """Puts the rig to rest at time zero and begins the scenario anew. What was chosen stays."""
+        self._rig.reset()
+        self._course.row = 0
+        self._past = np.zeros((0, len(COLUMNS)))
+        self.problem = ""
+        self._reading: Reading | None = None
+        self._stop_recording()
+        self._fresh = True
+
+    # --- recording ------------------------------------------------------------------------------------------------
+    def record(self) -> None:
+        """Puts the rig to rest and begins a log, so that a diagnosis can simulate it from there. It ends with `stop_recording`,
+        a reset, or after `recording.LONGEST` seconds; its text then stands in `finished_log`."""
+        self.reset()
+        self._recording = Recording(int(self._stream().integers(2**32)))
+
+    def stop_recording(self) -> None:
+        """Ends the log. InputError if none was begun."""
+        if self._recording is None:
+            raise InputError("no log is being recorded")
+        self._stop_recording()
+
+    def _stop_recording(self) -> None:
+        if self._recording is not None and self._recording.seconds > 0.0:
+            self.finished_log = self._recording.text()
+        self._recording = None
+
+    # --- time -----------------------------------------------------------------------------------------------------
+    def advance(self) -> None:
+        """One control period. A controller that fails leaves both valves without command, and `problem` says why."""
+        setpoint, load = self._wanted()
+        reading = self._reading = self._rig.sense(setpoint)
+        self._remember(reading, setpoint)
+        action = self._action(reading)
+        rows = self._rig.hold(action, load, record=self._recording is not None)
+        if self._recording is not None and rows is not None:
+            command = np.clip(action, -1.0, 1.0) * self._rig.rated
+            self._recording.add(setpoint, command, load, self._rig.noise, rows)
+            if self._recording.seconds >= LONGEST:
+                self._stop_recording()
+        if self._rig.diverged:
+            self.reset()
+            self.problem = (
+                "the simulation diverged with these values, and the rig was put to rest; take smaller ones"
+            )
+            return
+        if self._course.reference is not None:
+            self._course.row += 1
+            if self._course.row >= len(self._course.loads) - 1:
+                self.choose_scenario(self.settings.scenario)
+
+    def snapshot(self) -> Snapshot:
+        """The session as it is."""
+        _, load = self._wanted()
+        return Snapshot(
+            self.settings,
+            self._rig.time,
+            (0.0, 0.0)
+            if self._reading is None
+            else (float(self._reading.angle[0]), float(self._reading.angle[1])),
+            self._past,
+            (float(load[0]), float(load[1])),
+            self._effects,
+            self._note(),
+            self.problem,
+            None if self._recording is None else self._recording.seconds,
+        )
+
+    # --- within ---------------------------------------------------------------------------------------------------
+    def _stream(self) -> np.random.Generator:
+        return np.random.default_rng(self._streams.spawn(1)[0])
+
+    def _made(self, preset: str, split: str, number: int) -> LiveRig:
+        rig = LiveRig(preset, noise=self._noise, seed=self._seed)
+        rig.take_pair(split, number)
+        return rig
+
+    def _wanted(self) -> tuple[float, Floats]:
+        """Set-point in rpm and loads (2,) in N m that are in force from now on."""
+        own = np.array(self.settings.load_Nm)
+        reference, row = self._course.reference, self._course.row
+        if reference is None:
+            return self.settings.setpoint_rpm, own
+        return float(reference.setpoint[row]) / RPM, reference.load[row] + own
+
+    @property
+    def _needs(self) -> str:
+        return str(getattr(self._controller, "needs", "measurements"))
+
+    def _rig_changed(self) -> None:
+        """A controller that knows the valves begins anew with what they now are."""
+        self._effects = self._rig.values()
+        if self._needs != "measurements":
+            self._fresh = True
+
+    def _loads_changed(self) -> None:
+        """A controller that knows the loads to come begins anew with what they now are."""
+        if self._needs == "everything":
+            self._fresh = True
+
+    def _action(self, reading: Reading) -> Floats:
+        if self.problem:
+            return np.zeros(2)
+        try:
+            if self._fresh:
+                self._tell()
+                self._fresh = False
+            action = np.asarray(self._controller.act(reading.observation), dtype=float).reshape(2)
+            if not np.isfinite(action).all():
+                raise ValueError("a command is not finite")
+            return action
+        except Exception as problem:  # a controller of the user's may raise anything
+            self.problem = str(InputError(f"{self.settings.controller} failed and was stopped: {problem}"))
+            return np.zeros(2)
+
+    def _tell(self) -> None:
+        if self._needs != "measurements":
+            self._controller.prepare(self._rig.twin())
+        if self._needs == "everything":
+            own = np.array(self.settings.load_Nm)
+            self._controller.foresee((self._course.loads[self._course.row :] + own)[:, None, :])
+        self._controller.reset(1, PERIOD)
+
+    def _remember(self, reading: Reading, setpoint: float) -> None:
+        one, two = reading.speed_rpm
+        row = [self._rig.time, setpoint, one, two, one - two, *reading.command_V]
+        self._past = np.vstack([self._past[-SHOWN + 1 :], row])
+
+    def _note(self) -> str:
+        notes = []
+        if known := NEEDS.get(self._needs, self._needs):
+            notes.append(f"knows {known}")
+        own = getattr(self._controller, "plant", None)
+        if own is not None and own != self.settings.preset:
+            notes.append(f"made for the preset {own}")
+        return "; ".join(notes)

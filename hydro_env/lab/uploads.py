@@ -1,0 +1,99 @@
+"""Files that a page was given: kept in a temporary folder under plain names, bounded, and gone when the lab ends."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from hydro_env.errors import InputError, shown
+
+__all__ = ["LOG_ENDINGS", "MOST_BYTES", "MOST_FILES", "Upload", "Uploads"]
+
+#: Bytes of a file, and files at a time.
+MOST_BYTES = 256 * 2**20
+MOST_FILES = 20
+#: Endings of the files that `measured` reads, and of mappings and models.
+LOG_ENDINGS = (".csv", ".txt", ".csv.gz", ".parquet", ".mat", ".mf4", ".mdf", ".tdms")
+YAML_ENDINGS = (".yaml", ".yml")
+
+
+@dataclass
+class Upload:
+    """A file: where it is, what the page calls it, and what it is to be: "fit", "held_out", "mapping", "model" or ""."""
+
+    path: Path
+    name: str
+    role: str
+
+
+class Uploads:
+    """The files of a page. Nothing is read here, only stored."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="hydro_env_lab_")
+        self._count = 0
+        self.files: list[Upload] = []
+
+    async def receive(self, name: str, chunks: AsyncIterator[bytes]) -> Upload:
+        """Stores what arrives as a file of this name. InputError for an ending that nothing reads, and for too much."""
+        ending = ending_of(name)
+        if len(self.files) >= MOST_FILES:
+            raise InputError(f"there are {MOST_FILES} files already; remove some first")
+        self._count += 1
+        stem = re.sub(r"[^A-Za-z0-9_-]", "_", Path(name).name[: -len(ending)])[:60]
+        path = Path(self._folder.name) / f"{self._count}_{stem}{ending}"
+        size = 0
+        try:
+            with path.open("xb") as file:
+                async for chunk in chunks:
+                    size += len(chunk)
+                    if size > MOST_BYTES:
+                        raise InputError(
+                            f"{name}: larger than {MOST_BYTES // 2**20} MiB; export a shorter part"
+                        )
+                    file.write(chunk)
+        except BaseException:
+            path.unlink(missing_ok=True)
+            raise
+        role = "fit" if ending in LOG_ENDINGS else "mapping" if "mapping" in name.lower() else "model"
+        return self.add(path, str(InputError(Path(name).name)), role)
+
+    def add(self, path: Path, name: str, role: str) -> Upload:
+        """Lists a file that lies elsewhere."""
+        upload = Upload(path, name, role)
+        self.files.append(upload)
+        return upload
+
+    def remove(self, upload: Upload) -> None:
+        """Takes a file off the list, and deletes it if it was uploaded."""
+        self.files.remove(upload)
+        if upload.path.parent == Path(self._folder.name):
+            upload.path.unlink(missing_ok=True)
+
+    def store(self, name: str, text: str) -> Path:
+        """A text as a file of the temporary folder."""
+        path = Path(self._folder.name) / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    def with_role(self, role: str) -> list[Path]:
+        """The files of a role, in their order."""
+        return [upload.path for upload in self.files if upload.role == role]
+
+    def close(self) -> None:
+        """Deletes all that was uploaded."""
+        self.files.clear()
+        self._folder.cleanup()
+
+
+def ending_of(name: str) -> str:
+    """The ending of a file's name, in lower case. InputError for one that nothing reads."""
+    for ending in sorted((*LOG_ENDINGS, *YAML_ENDINGS), key=len, reverse=True):
+        if name.lower().endswith(ending):
+            return ending
+    raise InputError(
+        f"{shown(name)}: expected a log ({', '.join(LOG_ENDINGS)}), or a mapping or model in YAML"
+    )

@@ -1,0 +1,108 @@
+"""The session in a thread of its own, in step with the clock. Whoever asks for a change never waits for it."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hydro_env.errors import InputError
+from hydro_env.lab.rig import PERIOD
+from hydro_env.lab.session import Session, Snapshot
+from hydro_env.limits import Limits
+
+__all__ = ["TEMPO", "Seen", "Worker"]
+
+#: Seconds of the rig in a second of the clock.
+TEMPO = Limits(0.01, 10.0)
+
+#: Pause between two looks at the clock, s.
+_PAUSE = 0.01
+#: What is further behind the clock, in s of the clock, is not caught up with.
+_MOST_BEHIND = 0.1
+#: Time over which the speed that is reached is measured, s.
+_MEASURED_OVER = 1.0
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a page shows: the session, whether it runs, how fast it is to run (`TEMPO`) and how fast it does."""
+
+    session: Snapshot
+    running: bool
+    tempo: float
+    reached: float
+    refused: str
+    """Why the last change was refused, "" if it was made."""
+
+
+class Worker:
+    """Runs a session. `ask` hands it a change, `seen` is the newest state, `logs` receives finished logs as text."""
+
+    def __init__(self, session: Session, logs: Callable[[str], None] = lambda text: None) -> None:
+        self._session, self._logs = session, logs
+        self._changes: queue.SimpleQueue[Callable[[Session], None]] = queue.SimpleQueue()
+        self._running, self._tempo, self._reached = True, 1.0, 1.0
+        self._refused = ""
+        self._over = threading.Event()
+        self.seen = self._look()
+        self._thread = threading.Thread(target=self._run, name="session", daemon=True)
+
+    def start(self) -> None:
+        """Begins to run."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ends the thread, after the period that it is in."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def ask(self, change: Callable[[Session], None]) -> None:
+        """Has a change made between two periods. What is wrong with it stands in `seen.refused` then."""
+        self._changes.put(change)
+
+    def pause(self, paused: bool) -> None:
+        """Holds the rig's time, or lets it go on."""
+        self._running = not paused
+
+    def set_tempo(self, tempo: float) -> None:
+        """How many seconds of the rig there are in a second of the clock."""
+        self._tempo = TEMPO.check(tempo, "speed")
+
+    def _look(self) -> Seen:
+        return Seen(self._session.snapshot(), self._running, self._tempo, self._reached, self._refused)
+
+    def _run(self) -> None:
+        clock = measured = time.perf_counter()
+        owed, done = 0.0, 0
+        while not self._over.is_set():
+            self._make_changes()
+            now = time.perf_counter()
+            if self._running:
+                owed += (now - clock) * self._tempo
+            clock = now
+            owed = min(owed, _MOST_BEHIND * self._tempo + PERIOD)
+            while owed >= PERIOD and not self._over.is_set() and self._changes.empty():
+                self._session.advance()
+                owed, done = owed - PERIOD, done + 1
+                if time.perf_counter() - clock > _PAUSE:
+                    break
+            if now - measured >= _MEASURED_OVER:
+                self._reached = done * PERIOD / (now - measured)
+                measured, done = now, 0
+            if self._session.finished_log:
+                text, self._session.finished_log = self._session.finished_log, ""
+                self._logs(text)
+            self.seen = self._look()
+            self._over.wait(_PAUSE)
+
+    def _make_changes(self) -> None:
+        while not self._changes.empty():
+            self._refused = ""
+            try:
+                self._changes.get()(self._session)
+            except InputError as problem:
+                self._refused = str(problem)

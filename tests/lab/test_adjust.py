@@ -1,0 +1,59 @@
+"""Sliders of effects: neutral in the middle or at the end, the catalogue's bounds at the ends, and every value accepted."""
+
+from __future__ import annotations
+
+from math import inf
+
+import pytest
+
+from hydro_env.lab.adjust import Slider, effects_by_port, sliders
+from hydro_env.lab.rig import effects_offered
+from hydro_env.plant import CATALOGUE, PlantModel
+from hydro_env.plant.catalogue import BUILT_IN, PORTS
+
+
+@pytest.mark.parametrize("effect", BUILT_IN)
+def test_positions_cover_the_catalogues_range(effect: str) -> None:
+    for p in CATALOGUE[effect].parameters:
+        check(Slider(effect, p, 0))
+
+
+def check(slider: Slider) -> None:
+    p = slider.parameter
+    values = [slider.value(position) for position in range(slider.least, slider.most + 1)]
+    finite = [value for value in values if value < inf]
+    assert slider.value(0) == p.neutral and slider.least <= 0 <= slider.most and slider.least < slider.most
+    assert max(finite) == p.high and min(finite) == min(p.low, p.neutral)
+    rising = sorted(values)
+    assert values in (rising, rising[::-1])
+    for value in {*values[::20], values[-1]}:
+        PlantModel(values={slider.name: (value, value)})  # none is refused
+    assert all(slider.value(slider.position(value)) == value for value in values[::20])
+    assert slider.value(10**6) == values[-1]
+
+
+def test_every_effect_has_its_port_and_rigs_have_one_slider() -> None:
+    ports = effects_by_port()
+    assert [port for port in PORTS if port in ports] == list(ports)
+    assert (
+        {effect.name for effects in ports.values() for effect in effects}
+        == {*effects_offered()}
+        == {*BUILT_IN}
+    )
+    assert [slider.channel for slider in sliders(CATALOGUE["supply_droop"])] == [None, None]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("dead_zone.overlap_positive", 7e-5, "70 µm"),
+        ("pressure_dependent_flow.supply_pressure", inf, "none"),
+        ("pressure_dependent_flow.supply_pressure", 1e7, "100 bar"),
+        ("viscosity_drift.time_constant", 100.0, "100 s"),
+        ("command_delay.delay", 0.005, "5 ms"),
+        ("sensor_gain.gain", 1.0, "1"),
+    ],
+)
+def test_values_read_as_an_engineer_writes_them(name: str, value: float, text: str) -> None:
+    effect, parameter = name.split(".")
+    assert Slider(effect, CATALOGUE[effect].parameter(parameter), 0).text(value) == text
