@@ -113,9 +113,10 @@ def test_a_screen_reader_is_told_and_everything_has_a_name(opened: Any) -> None:
         told.inner_text() == first or "difference" in told.inner_text()
     )  # no more often than every five seconds
     unnamed = opened.evaluate(
-        """() => [...document.querySelectorAll('input, button, select, textarea, [role=checkbox]')].filter(e => e.checkVisibility()
-        &&
-        !(e.labels && e.labels.length) && !e.getAttribute('aria-label') && !e.innerText.trim()).map(e => e.outerHTML)"""
+        """() => [...document.querySelectorAll('input, button, select, textarea, [role=checkbox]')]
+        .filter(e => e.checkVisibility())
+        .filter(e => !(e.labels && e.labels.length) && !e.getAttribute('aria-label') && !e.innerText.trim())
+        .map(e => e.outerHTML)"""
     )
     assert unnamed == []
     headings = opened.get_by_role("heading").all_inner_texts()
