@@ -22,7 +22,7 @@ __all__ = ["Guard"]
 HOSTS = ("127.0.0.1", "localhost", "[::1]")
 #: Sent with every answer.
 HEADERS = {
-    "content-security-policy": "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; connect-src 'self' ws: ;"
+    "content-security-policy": "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval';"
     " frame-ancestors 'none'; form-action 'self'; base-uri 'self'",
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import secrets
+import signal
 import socket
 import webbrowser
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -104,7 +106,8 @@ def application(lab: Lab, port: int, key: str, ready: Callable[[], None] = lambd
             folder.startswith("diagnosis_") and folder[10:].isdecimal() and file in RESULTS and path.is_file()
         ):
             return PlainTextResponse("there is no such result", 404)
-        return FileResponse(path)
+        # A report has scripts of its own; none of them may drive the lab.
+        return FileResponse(path, headers={"content-security-policy": "sandbox allow-scripts"})
 
     app.add_route("/upload", upload, methods=["POST"])
     app.add_route("/results/{folder}/{file}", result, methods=["GET"])
@@ -135,7 +138,13 @@ def _listening(port: int) -> Iterator[socket.socket]:
 
 
 def run(out: Path, *, port: int = 8137, browser: bool = True) -> None:
-    """Serves the page until Ctrl-C. `port` 0 takes any that is free. InputError if the port is taken."""
+    """Serves the page until Ctrl-C, or until the terminal or the system ends it. `port` 0 takes any that is free.
+
+    InputError if the port is taken, or `out` cannot be written.
+    """
+    there = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not (there.is_dir() and os.access(there, os.W_OK)):
+        raise InputError(f"--out {out}: cannot write there; name a folder that can be written")
     with _listening(port) as listener:
         port, key = listener.getsockname()[1], secrets.token_urlsafe(16)
         address = f"http://{HOST}:{port}/?key={key}"
@@ -147,6 +156,9 @@ def run(out: Path, *, port: int = 8137, browser: bool = True) -> None:
 
         lab = Lab(out)
         served: Any = application(lab, port, key, ready)
+        for name in ("SIGTERM", "SIGHUP"):
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), signal.default_int_handler)
         # What the server itself would say of a second Ctrl-C is of no use to anybody.
         config = uvicorn.Config(served, log_level="critical", timeout_graceful_shutdown=2)
         try:

@@ -86,7 +86,7 @@ class Worker:
             clock = now
             owed = min(owed, _MOST_BEHIND * self._tempo + PERIOD)
             while owed >= PERIOD and not self._over.is_set() and self._changes.empty():
-                self._session.advance()
+                self._advance()
                 owed, done = owed - PERIOD, done + 1
                 if time.perf_counter() - clock > _PAUSE:
                     break
@@ -94,15 +94,27 @@ class Worker:
                 self._reached = done * PERIOD / (now - measured)
                 measured, done = now, 0
             if self._session.finished_log:
-                text, self._session.finished_log = self._session.finished_log, ""
-                self._logs(text)
+                self._hand_over()
             self.seen = self._look()
             self._over.wait(_PAUSE)
+
+    def _advance(self) -> None:
+        try:
+            self._session.advance()
+        except Exception as problem:  # none is known; the page would stand still without a word
+            self._running, self._refused = False, str(InputError(f"paused: {problem!r}"))
+
+    def _hand_over(self) -> None:
+        text, self._session.finished_log = self._session.finished_log, ""
+        try:
+            self._logs(text)
+        except OSError as problem:
+            self._refused = f"{problem.filename}: the log was not written ({problem.strerror})"
 
     def _make_changes(self) -> None:
         while not self._changes.empty():
             self._refused = ""
             try:
                 self._changes.get()(self._session)
-            except InputError as problem:
-                self._refused = str(problem)
+            except Exception as problem:  # the page has to say it, and the rig runs on
+                self._refused = str(InputError(problem))

@@ -12,12 +12,14 @@ import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+import pytest
 from nicegui import ui
 from nicegui.testing import User
 from nicegui.testing.user_simulation import user_simulation
 
+from hydro_env.errors import InputError
 from hydro_env.lab.elements import SlidingNumber
-from hydro_env.lab.server import Lab
+from hydro_env.lab.server import Lab, run
 from hydro_env.lab.worker import Seen
 from tests.lab.server import served
 
@@ -138,6 +140,21 @@ def test_a_recorded_log_is_listed_and_looked_at(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "log_1.csv").read_text().startswith("time_s,setpoint_rpm,command_1_V")
 
 
+def test_a_log_that_cannot_be_written_is_said_and_the_rig_runs_on(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("a file")
+    lab = Lab(tmp_path / "out")
+
+    async def steps(user: User) -> None:
+        user.find("Record a log, from rest").click()
+        await until(lab, lambda seen: (seen.session.recorded or 0.0) > 0.1)
+        user.find("Record").click()
+        await until(lab, lambda seen: "was not written" in seen.refused)
+        time = lab.worker.seen.session.time
+        await until(lab, lambda seen: seen.session.time > time)
+
+    on_the_page(lab, steps)
+
+
 # --- the server -------------------------------------------------------------------------------------------------------
 def ask(
     port: int, path: str, method: str = "GET", body: bytes | None = None, **headers: str
@@ -202,11 +219,18 @@ def test_a_taken_port_is_one_line(tmp_path: Path) -> None:
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and f"--port {port}" in done.stderr
 
 
-def test_an_impatient_second_interrupt_ends_it_as_well(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot write there"):
+        run(tmp_path / "file" / "out")
+
+
+@pytest.mark.parametrize("signals", [(signal.SIGINT, signal.SIGINT), (signal.SIGTERM,), (signal.SIGHUP,)])
+def test_nothing_is_left_however_it_is_ended(tmp_path: Path, signals: tuple[signal.Signals, ...]) -> None:
     temporary = tmp_path / "temporary"
     with served(tmp_path / "out", temporary) as (process, _, _key):
-        for _ in range(2):
-            process.send_signal(signal.SIGINT)
+        for each in signals:
+            process.send_signal(each)
             time.sleep(0.05)
         _, said = process.communicate(timeout=60)
         assert process.returncode in (0, 130) and "Traceback" not in said
