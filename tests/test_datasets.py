@@ -181,6 +181,21 @@ def test_a_full_disk_leaves_nothing(
         assert "/." not in said.partition(str(root))[2], said
 
 
+def test_an_interruption_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hydro_env import datasets
+
+    real, done = datasets.roll_out, []
+
+    def interrupted(*args, **kwargs):
+        if done:
+            raise KeyboardInterrupt
+        done.append(real(*args, **kwargs))
+
+    monkeypatch.setattr(datasets, "roll_out", interrupted)
+    assert record(tmp_path / "data", "--controller", "random", "--episodes", "1") == 130
+    assert done and not list(tmp_path.iterdir())
+
+
 def test_names_of_data_sets() -> None:
     assert Task("random", "train").id == "hydro_env/random-train-v0"
     assert (

@@ -56,6 +56,13 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert anchor in anchors(file.read_text(encoding="utf-8")), target
 
 
+def test_the_index_lists_every_page() -> None:
+    """The site takes its order from there."""
+    listed = set(re.findall(r"\]\(([^)#]+)\)", (DOCS / "index.md").read_text(encoding="utf-8")))
+    pages = [*DOCS.rglob("*.md"), *DOCS.rglob("*.ipynb")]
+    assert not {path.relative_to(DOCS).as_posix() for path in pages} - {*listed, "index.md"}
+
+
 def test_named_files_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for path in re.findall(r"`((?:hydro_env|agents|configs|tests|docs)/(?!\w+/\d+`)[\w./-]*)`", text):
