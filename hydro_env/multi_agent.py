@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .envs import OBSERVATION, HydraulicSyncEnv
 from .envs.batch import OPTIONS
-from .envs.observation import LIMIT
+from .envs.observation import ERRORS, LIMIT
 from .errors import InputWarning, shown, suggestion
 
 try:
@@ -48,8 +48,10 @@ class HydraulicSyncParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.
 
     * Action of each: `Box(-1, 1, (1,), float32)`, the command of its valve as in `HydraulicSyncEnv`.
     * Observation of each: set-point in force from now on, then of its own channel speed, current, pressure difference and last
-      action, then with `others` (default) the same of the other channel; scaled as in `HydraulicSyncEnv`. With `history` above 1
-      the last frames of these, oldest first. Without `others` an agent cannot see the speed difference that it is to keep small.
+      action, then with `others` (default) the same of the other channel; scaled as in `HydraulicSyncEnv`. With `history`
+      above 1 the last frames of these, oldest first. With `errors` its own error to the set-point stands in front, then with
+      `others` that of the other channel and the speed difference, 1 less 2. Without `others` an agent cannot see the speed
+      difference that it is to keep small.
     * Reward: both get that of the single environment. The task is a common one, and its main term, the speed difference, belongs
       to neither valve alone. The terms are in `info`.
     * `state()` is the observation of the single environment, for a central critic.
@@ -74,8 +76,15 @@ class HydraulicSyncParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.
         self.metadata = {**type(self).metadata, "render_fps": self.rig.metadata["render_fps"]}
         self.possible_agents = list(AGENTS)
         self.agents: list[str] = []
-        frames = np.arange(self.rig.batch.history)[:, None] * len(OBSERVATION)
-        self._columns = [(frames + _seen(channel, bool(others))).ravel() for channel in (0, 1)]
+        count = self.rig.batch.history
+        errors = ERRORS * count if self.rig.batch.errors else 0  # they stand in front of all frames
+        self._columns = []
+        for channel in (0, 1):
+            frames = errors + np.arange(count)[:, None] * len(OBSERVATION) + _seen(channel, bool(others))
+            front = np.arange(0, errors, ERRORS)[:, None] + (
+                [channel, 1 - channel, 2] if others else [channel]
+            )
+            self._columns.append(np.concatenate([front.ravel(), frames.ravel()]))
         shape = self._columns[0].shape
         self.observation_spaces = {agent: spaces.Box(-LIMIT, LIMIT, shape, np.float32) for agent in AGENTS}
         self.action_spaces = {agent: spaces.Box(-1.0, 1.0, (1,), np.float32) for agent in AGENTS}

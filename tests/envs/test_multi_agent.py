@@ -68,6 +68,25 @@ def test_without_the_other_valve() -> None:
         np.testing.assert_array_equal(seen[agent], env.state()[columns])
 
 
+@pytest.mark.parametrize("others", [False, True])
+def test_with_errors_in_front(others: bool) -> None:
+    more = {"errors": True, "history": 2, "scenario": "setpoint_steps", "plant": "paper"}
+    env, plain = (
+        HydraulicSyncParallelEnv(others=others, **more),
+        HydraulicSyncParallelEnv(others=others, **{**more, "errors": False}),
+    )
+    env.reset(seed=3), plain.reset(seed=3)
+    for action in np.random.default_rng(0).uniform(-1, 1, (60, 2)).astype(np.float32):
+        joined = dict(zip(AGENTS, action[:, None], strict=True))
+        seen, without = env.step(joined)[0], plain.step(joined)[0]
+    errors = env.state()[:6].reshape(2, 3)
+    assert np.abs(errors[:, 2]).min() > 0.0
+    for j, agent in enumerate(AGENTS):
+        front = errors[:, [j, 1 - j, 2]] if others else errors[:, [j]]
+        np.testing.assert_array_equal(seen[agent], np.concatenate([front.ravel(), without[agent]]))
+        assert env.observation_space(agent).contains(seen[agent])
+
+
 def test_options_and_wrong_input() -> None:
     env = HydraulicSyncParallelEnv(scenario=SHORT)
     _, infos = env.reset(seed=0, options={"mismatch": "val", "case": 5})
