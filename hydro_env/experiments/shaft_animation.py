@@ -28,7 +28,8 @@ def record(titles: Mapping[str, str], seeds: Sequence[int], *, split: str, scena
         split, scenario: what is driven.
 
     Returns what the page's script draws: `seed` of the case, `period_s` between the samples, `setpoint_rpm` (T,), and for every
-    controller in `runs` `speed_rpm` (2, T) in whole rpm and `ahead_deg` (T,), by how much shaft 1 is ahead of shaft 2.
+    controller in `runs` `speed_rpm` (2, T) in whole rpm, `ahead_deg` (T,), by how much shaft 1 is ahead of shaft 2, and
+    `command_percent` (2, T) of the rated command, that which is in force from then on.
     """
     where: dict[str, Any] = {"mismatch": split, "scenario": scenario}
     name, *_ = titles
@@ -45,9 +46,11 @@ def record(titles: Mapping[str, str], seeds: Sequence[int], *, split: str, scena
 
 
 def _run(trace: Trace) -> dict[str, Any]:
+    command = np.vstack([trace.command[:, 0], trace.command[-1:, 0]])  # after the last row the last one stays
     return {
         "speed_rpm": [_whole(trace.speed_rpm[::EVERY, 0, motor]) for motor in (0, 1)],
         "ahead_deg": _whole(trace.angle_difference_deg[::EVERY, 0]),
+        "command_percent": [_whole(100.0 * command[::EVERY, motor]) for motor in (0, 1)],
     }
 
 

@@ -41,6 +41,9 @@ def test_what_is_animated_is_what_was_driven(recorded: dict[str, Any]) -> None:
         rows = slice(None, None, EVERY)
         np.testing.assert_allclose(np.transpose(run["speed_rpm"]), trace.speed_rpm[rows, 0], atol=0.5)
         np.testing.assert_allclose(run["ahead_deg"], trace.angle_difference_deg[rows, 0], atol=0.5)
+        np.testing.assert_allclose(
+            np.transpose(run["command_percent"])[:-1], 100.0 * trace.command[rows, 0], atol=0.5
+        )
         np.testing.assert_allclose(embedded["setpoint_rpm"], trace.setpoint_rpm[rows, 0], atol=0.5)
         assert embedded["period_s"] == EVERY * trace.period
     assert len(str(animation(recorded))) < 25_000
@@ -117,7 +120,9 @@ def test_the_animation_runs_unless_motion_is_unwanted(page: str, tmp_path: Path,
     options = ["--force-prefers-reduced-motion"] if still else []
     seen = shown(tmp_path / "index.html", tmp_path / "profile", *options)
     assert re.search(rf'id="play"[^>]*>{"Play" if still else "Pause"}<', seen)
-    assert re.findall(r'aria-label="both shafts and their speeds with (\w+)', seen)[0] == "pid_paper"
+    assert (
+        re.findall(r'aria-label="both shafts, their speeds and commands with (\w+)', seen)[0] == "pid_paper"
+    )
     differences = [int(number) for number in re.findall(r'class="number">(-?\d+) rpm<', seen)]
     assert len(differences) == 2
     data = json.JSONDecoder().raw_decode(page.partition("const D = ")[2])[0]
