@@ -12,7 +12,7 @@ from .kernels import Kernels
 from .schedule import Call, Fill, Let, Loop, Matrix, Schedule, Slice, Step
 from .symbols import Expr, MaskedRows
 from .tracing import Program
-from .translate import HELPERS, KINDS, Translator, literal
+from .translate import HELPERS, KINDS, Translator, bare, literal
 
 __all__ = ["CCode", "c_code"]
 
@@ -118,7 +118,7 @@ class _Writer:
         match step:
             case Let(name, expression):
                 return [
-                    f"{'const '}{KINDS[expression.kind]} {name} = {_bare(self.text(expression, own=True))};"
+                    f"{'const '}{KINDS[expression.kind]} {name} = {bare(self.text(expression, own=True))};"
                 ]
             case Fill(name, kind, elements) if all(x.op == "const" for x in elements):
                 table = self.translator.table(_exact([x.value for x in elements], kind))
@@ -129,7 +129,7 @@ class _Writer:
                 texts = [
                     self._at(each, "i") if isinstance(each, Slice) else self.text(each) for each in operands
                 ]
-                value = _bare(operation(op, kind, texts, _kind_below(operands, kind)))
+                value = bare(operation(op, kind, texts, _kind_below(operands, kind)))
                 return [
                     f"{KINDS[kind]} {name}[{size}];",
                     f"for (i = 0; i < {size}; i++) {name}[i] = {value};",
@@ -155,7 +155,7 @@ class _Writer:
                     f"for (i = 0; i < {count}; i++) {name}[{_sum(n, 'i')}] = {self._at(found, 'i')};"
                 )
             else:
-                lines += [f"{name}[{n + k}] = {_bare(self.text(elements[n + k]))};" for k in range(count)]
+                lines += [f"{name}[{n + k}] = {bare(self.text(elements[n + k]))};" for k in range(count)]
             n += count
         return lines
 
@@ -194,7 +194,7 @@ class _Writer:
             if isinstance(each, int):
                 handed.append(pointers[each])
             elif isinstance(each, Expr):
-                handed.append(_bare(self.text(each)))
+                handed.append(bare(self.text(each)))
             elif isinstance(each, MaskedRows):
                 handed += ["(int[]){0}"]
                 mask = self.text(each.mask)
@@ -246,13 +246,13 @@ def operation(op: str, kind: str, texts: list[str], below: str) -> str:
             return f"({texts[0]} ? {texts[1]} : {texts[2]})"
         case "max" | "min":
             if kind == "int":
-                return f"py_{op}_int({', '.join(map(_bare, texts))})"
-            return f"py_{op}({', '.join(map(_bare, texts))})"
+                return f"py_{op}_int({', '.join(map(bare, texts))})"
+            return f"py_{op}({', '.join(map(bare, texts))})"
         case "sign":
             return f"(({KINDS[kind]})(({texts[0]} > 0) - ({texts[0]} < 0)))"
         case "abs" if kind == "int":
             return f"({texts[0]} < 0 ? -{texts[0]} : {texts[0]})"
-    return f"{_CALLED[op]}{single}({', '.join(map(_bare, texts))})"
+    return f"{_CALLED[op]}{single}({', '.join(map(bare, texts))})"
 
 
 def _exact(numbers: Any, kind: str) -> Any:
@@ -269,15 +269,3 @@ def _kind_below(operands: list[Slice | Expr], kind: str) -> str:
 
 def _sum(start: int, index: str) -> str:
     return index if start == 0 else f"{start} + {index}"
-
-
-def _bare(code: str) -> str:
-    """A C expression without the parentheses around the whole of it."""
-    if not (code.startswith("(") and code.endswith(")")):
-        return code
-    depth = 0
-    for n, c in enumerate(code):
-        depth += (c == "(") - (c == ")")
-        if depth == 0 and n < len(code) - 1:
-            return code
-    return code[1:-1]

@@ -17,6 +17,7 @@ from .kernels import Kernels
 from .schedule import Fill, Let, Loop, Matrix, Schedule, Slice, Step
 from .symbols import Expr, TraceError
 from .tracing import MEASURED, Program
+from .translate import bare
 
 __all__ = ["structured_text"]
 
@@ -140,7 +141,7 @@ class _Writer:
         match step:
             case Let(name, expression):
                 return [
-                    f"{self._declared(name, expression.kind)} := {_bare(self.text(expression, own=True))};"
+                    f"{self._declared(name, expression.kind)} := {bare(self.text(expression, own=True))};"
                 ]
             case Fill(name, kind, elements) if all(x.op == "const" for x in elements):
                 self._constants(self._own(name), kind, [x.value for x in elements])
@@ -152,7 +153,7 @@ class _Writer:
                     self._at(each, "i") if isinstance(each, Slice) else self.text(each) for each in operands
                 ]
                 below = next((each.kind for each in operands if isinstance(each, Expr)), kind)
-                value = _bare(
+                value = bare(
                     _operation(op, kind, texts, self._kind_of(operands[0]) if op == "cast" else below)
                 )
                 return self._for("i", size, [f"{self._declared(name, kind, size)}[i] := {value};"])
@@ -181,7 +182,7 @@ class _Writer:
             if found is not None:
                 lines += self._for("i", count, [f"{name}[{_sum(n, 'i')}] := {self._at(found, 'i')};"])
             else:
-                lines += [f"{name}[{n + k}] := {_bare(self.text(elements[n + k]))};" for k in range(count)]
+                lines += [f"{name}[{n + k}] := {bare(self.text(elements[n + k]))};" for k in range(count)]
             n += count
         return lines
 
@@ -248,21 +249,21 @@ def _operation(op: str, kind: str, texts: list[str], below: str) -> str:
         case "not":
             return f"(NOT {texts[0]})"
         case "cast":
-            return f"{_TYPES[below]}_TO_{_TYPES[kind]}({_bare(texts[0])})"
+            return f"{_TYPES[below]}_TO_{_TYPES[kind]}({bare(texts[0])})"
         case "where":
-            return f"SEL({_bare(texts[0])}, {_bare(texts[2])}, {_bare(texts[1])})"
+            return f"SEL({bare(texts[0])}, {bare(texts[2])}, {bare(texts[1])})"
         case "tanh":
             # 1 - 2 / (exp(2 x) + 1), which saturates without a division of infinities
             two = one.replace("1.0", "2.0")
             limited = (
-                f"MIN(MAX({_bare(texts[0])}, {one.replace('1.0', '-20.0')}), {one.replace('1.0', '20.0')})"
+                f"MIN(MAX({bare(texts[0])}, {one.replace('1.0', '-20.0')}), {one.replace('1.0', '20.0')})"
             )
             return f"({one} - {two} / (EXP({two} * {limited}) + {one}))"
         case "expm1":
-            return f"(EXP({_bare(texts[0])}) - {one})"
+            return f"(EXP({bare(texts[0])}) - {one})"
     if op not in _CALLED:
         raise TraceError(f"{op} has no Structured Text; export this controller as C")
-    return f"{_CALLED[op]}({', '.join(map(_bare, texts))})"
+    return f"{_CALLED[op]}({', '.join(map(bare, texts))})"
 
 
 def _literal(value: float | int | bool, kind: str) -> str:
@@ -279,15 +280,3 @@ def _literal(value: float | int | bool, kind: str) -> str:
 
 def _sum(start: int, index: str) -> str:
     return index if start == 0 else f"{start} + {index}"
-
-
-def _bare(code: str) -> str:
-    """An expression without the parentheses around the whole of it."""
-    if not (code.startswith("(") and code.endswith(")")):
-        return code
-    depth = 0
-    for n, c in enumerate(code):
-        depth += (c == "(") - (c == ")")
-        if depth == 0 and n < len(code) - 1:
-            return code
-    return code[1:-1]

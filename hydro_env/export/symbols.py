@@ -36,7 +36,7 @@ class Expr:
     """A number of kind bool, int, float or double: an operation on others, equal ones being the same object.
 
     `op` is "const" (`value`), "leaf" (`value`: the name of an array and an index into it), "item" (`args[0]` a `Block` or
-    `Kernel` result, `value` the index) or an operation. It is never below `low` nor above `high`.
+    `Items`, `value` the index) or an operation. It is never below `low` nor above `high`.
     """
 
     __slots__ = ("args", "high", "kind", "low", "op", "value")
@@ -77,21 +77,16 @@ class Block:
     def __init__(
         self, op: str, kind: str, operands: Sequence[Sequence[Expr]], size: int, matrix: Any = None
     ) -> None:
-        self.op, self.kind, self.operands, self.size, self.matrix = (
-            op,
-            kind,
-            [list(o) for o in operands],
-            size,
-            matrix,
-        )
+        self.op, self.kind, self.size, self.matrix = op, kind, size, matrix
+        self.operands = [list(row) for row in operands]
 
     def __deepcopy__(self, memo: Any) -> Block:
         return self
 
 
 class Kernel:
-    """A call of a compiled function. `arguments`: a tree of numbers, arrays of expressions, named tuples; `results` its arrays as
-    they are afterwards, by their place in `arrays`."""
+    """A call of a compiled function. `arguments`: numbers, constant arrays, tables of named tuples, and a `Place` for each of the
+    `arrays`, which held the expressions `before`."""
 
     def __init__(self, function: Any, arguments: Sequence[Any]) -> None:
         self.function, self.arguments = function, list(arguments)
@@ -132,6 +127,7 @@ def expressions_in(tree: Any) -> list[Expr]:
     return []
 
 
+#: Expressions of the trace at hand by what they are: equal ones are one.
 _interned: dict[Any, Expr] = {}
 
 

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,8 @@ __all__ = ["MEASURED", "Program", "StateArray", "trace"]
 
 #: What a controller is given, in this order, SI: rad/s, A, Pa; commands as fractions of the rated one.
 MEASURED = OBSERVATION
+#: One controller is traced at a time.
+_TRACING = Lock()
 #: Samples after which what is kept has taken its form, or never will.
 MOST_SAMPLES = 50
 #: Rooms of the package whose modules controllers are made of.
@@ -255,10 +258,13 @@ def _commands(sent: Any, given: dict[tuple[str, int], Expr]) -> None:
 
 
 def trace(controller: Any, period: float, name: str) -> Program:
-    """The program of a controller at a control period in s. TraceError, in one line, for what cannot be followed."""
-    forget()
+    """The program of a controller at a control period in s. TraceError, in one line, for what cannot be followed.
+
+    Meanwhile no other thread may use a controller: their modules hold the stand-ins.
+    """
     program = Program(name, period)
-    with _symbolic():
+    with _TRACING, _symbolic():
+        forget()
         controller.reset(1, period)
         _commands(controller.act(_observation()), program.first)
         kept = _kept_by(controller)

@@ -22,18 +22,9 @@ from typing import Any
 import numpy as np
 
 __all__ = [
-    "HELPERS",
-    "KINDS",
-    "Arr",
-    "Num",
-    "Rec",
-    "TranslationError",
-    "Translator",
-    "Value",
-    "constant_of",
-    "literal",
+    "HELPERS", "KINDS", "Arr", "Num", "Rec", "TranslationError", "Translator", "Value", "bare", "constant_of", "literal",
     "plain_functions",
-]
+]  # fmt: skip
 
 #: C types of kinds of numbers, from the narrowest to the widest.
 KINDS = {"bool": "int", "int": "int", "float": "float", "double": "double"}
@@ -220,7 +211,6 @@ def _pairs(inner: Iterable[Value], outer: Iterable[Value]) -> Iterator[tuple[Arr
 class Translator:
     """Collects C functions and tables; `text` is all of them, callees first."""
 
-    prefix: str = ""
     functions: dict[Any, tuple[str, Value | None, set[str]]] = field(default_factory=dict)
     bodies: list[str] = field(default_factory=list)
     tables: dict[Any, str] = field(default_factory=dict)
@@ -237,7 +227,7 @@ class Translator:
     def unused(self, name: str) -> str:
         """A name that no other function or table of the file has."""
         number = self._names[name] = self._names.get(name, 0) + 1
-        return f"{self.prefix}{name}" if number == 1 else f"{self.prefix}{name}_{number}"
+        return name if number == 1 else f"{name}_{number}"
 
     def table(self, array: Any, name: str = "table") -> Arr:
         """A constant array as one of the file."""
@@ -297,7 +287,7 @@ _RESERVED = {"double", "float", "int", "long", "short", "char", "const", "static
 
 
 def _safe(name: str) -> str:
-    """A Python name as C may use it: underscores that double, and words of C, are avoided."""
+    """A Python name as C may use it: not a word of C, nor a function of its library."""
     return f"{name}_" if name in _RESERVED else name
 
 
@@ -378,7 +368,7 @@ class _Body:
                 raise self.fail(node)
 
     def _statement_call(self, called: ast.Call, lines: list[str]) -> None:
-        result = self.value(called, lines, wanted=False)
+        result = self.value(called, lines)
         if isinstance(result, Num):
             lines.append(f"{result.code};")
 
@@ -387,7 +377,7 @@ class _Body:
         if chosen.value is not None:
             self.block(body if chosen.value else orelse, lines)
             return
-        lines.append(f"if ({_bare(chosen.code)}) {{")
+        lines.append(f"if ({bare(chosen.code)}) {{")
         self._inner(body, lines)
         if orelse:
             lines.append("} else {")
@@ -453,24 +443,20 @@ class _Body:
         value = self.number(node, lines)
         kind = _wider(self.result.kind, value.kind) if isinstance(self.result, Num) else value.kind
         self.result = Num(kind, "")
-        lines.append(f"return {_bare(value.code)};")
+        lines.append(f"return {bare(value.code)};")
 
     def _assignment(self, targets: list[ast.expr], node: ast.expr, lines: list[str]) -> None:
         first = targets[0]
         if isinstance(first, ast.Tuple) and isinstance(node, ast.Tuple) and len(targets) == 1:
-            if not all(isinstance(each, ast.Name) for each in first.elts):
+            read = {n.id for each in node.elts[1:] for n in ast.walk(each) if isinstance(n, ast.Name)}
+            stored = {each.id if isinstance(each, ast.Name) else "" for each in first.elts}
+            if stored & {*read, ""}:  # what is stored first may be read by what comes after
                 values = [self._held(self.value(each, lines), lines) for each in node.elts]
                 for target, value in zip(first.elts, values, strict=True):
                     self._store(target, value, lines)
-                return
-            used = {n.id for each in node.elts[1:] for n in ast.walk(each) if isinstance(n, ast.Name)}
-            stored = {each.id for each in first.elts if isinstance(each, ast.Name)}
-            for target, each in zip(first.elts, node.elts, strict=True) if not used & stored else ():
-                self._store(target, self.value(each, lines), lines)
-            if used & stored:
-                values = [self._held(self.value(each, lines), lines) for each in node.elts]
-                for target, value in zip(first.elts, values, strict=True):
-                    self._store(target, value, lines)
+            else:
+                for target, each in zip(first.elts, node.elts, strict=True):
+                    self._store(target, self.value(each, lines), lines)
             return
         value = self.value(node, lines)
         if len(targets) > 1:
@@ -484,7 +470,7 @@ class _Body:
             return value
         name = self.fresh("held")
         self.declared[name] = KINDS[value.kind] + " "
-        lines.append(f"{name} = {_bare(value.code)};")
+        lines.append(f"{name} = {bare(value.code)};")
         return Num(value.kind, name)
 
     def _store(self, target: ast.expr, value: Value, lines: list[str]) -> None:
@@ -501,7 +487,7 @@ class _Body:
                 if isinstance(place, Arr):
                     self._copy(place, value, target, lines)
                 elif isinstance(place, Num) and isinstance(value, Num):
-                    lines.append(f"{place.code} = {_bare(value.code)};")
+                    lines.append(f"{place.code} = {bare(value.code)};")
                 else:
                     raise self.fail(target)
             case ast.Tuple(parts) if isinstance(value, Tup):
@@ -527,7 +513,7 @@ class _Body:
                 self.names[name] = value
             case Num(kind, code, _):
                 own = self._variable(name, kind)
-                lines.append(f"{own} = {_bare(code)};")
+                lines.append(f"{own} = {bare(code)};")
             case Arr(kind, code, _, _, fixed):
                 if fixed or code.isidentifier():
                     self.names[name] = value
@@ -553,7 +539,7 @@ class _Body:
             value = self._element(value, own)
         if not isinstance(value, Num) or not isinstance(to, Num):
             raise self.fail(node)
-        lines.append("    " * len(indices) + f"{to.code} = {_bare(value.code)};")
+        lines.append("    " * len(indices) + f"{to.code} = {bare(value.code)};")
 
     # --- expressions ------------------------------------------------------------------------------------------------
     def number(self, node: ast.expr, lines: list[str]) -> Num:
@@ -562,7 +548,7 @@ class _Body:
             raise self.fail(node, "is no number")
         return value
 
-    def value(self, node: ast.expr, lines: list[str], wanted: bool = True) -> Value:
+    def value(self, node: ast.expr, lines: list[str]) -> Value:
         """The value of an expression; what has to be computed before goes to `lines`."""
         match node:
             case ast.Constant(value):
@@ -593,7 +579,7 @@ class _Body:
             case ast.IfExp():
                 return self._choice(node, lines)
             case ast.Call():
-                return self._call(node, lines, wanted)
+                return self._call(node, lines)
             case ast.Tuple(items):
                 return Tup(tuple(self.value(each, lines) for each in items))
         raise self.fail(node)
@@ -659,7 +645,7 @@ class _Body:
                     if at < 0:
                         at = f"({size} - {-at})" if isinstance(size, str) else size + at
                 elif not each.code.isidentifier():
-                    at = f"({_bare(each.code)})"
+                    at = f"({bare(each.code)})"
                 offset = _plus(offset, str(_times(at, stride)))
             else:
                 first = 0 if each.start is None else int(each.start.value)
@@ -716,10 +702,6 @@ class _Body:
         return Num("bool", f"({(' && ' if both else ' || ').join(left)})")
 
     def _power(self, node: ast.AST, base: Num, power: Num, lines: list[str]) -> Num:
-        if power.value == 1.5:
-            held = self._held(base, lines)
-            assert isinstance(held, Num)
-            return Num("double", f"({held.code} * sqrt({held.code}))")
         if power.value is None or power.value != int(power.value) or not 1 <= power.value <= 8:
             raise self.fail(node, "has a power that is no whole number")
         held = self._held(base, lines)
@@ -763,7 +745,7 @@ class _Body:
         return Num(_wider(first.kind, second.kind), f"({chosen.code} ? {first.code} : {second.code})")
 
     # --- calls ------------------------------------------------------------------------------------------------------
-    def _call(self, node: ast.Call, lines: list[str], wanted: bool) -> Value:
+    def _call(self, node: ast.Call, lines: list[str]) -> Value:
         name = ast.unparse(node.func)
         own = self.world.get(name)
         short = name.removeprefix("np.").removeprefix("math.")
@@ -798,7 +780,7 @@ class _Body:
             case "abs":
                 return Num(
                     kind,
-                    f"fabs({_bare(codes[0])})"
+                    f"fabs({bare(codes[0])})"
                     if kind == "double"
                     else f"({codes[0]} < 0 ? -{codes[0]} : {codes[0]})",
                 )
@@ -806,12 +788,12 @@ class _Body:
                 function = f"py_{short}" + ("_int" if kind in ("int", "bool") else "")
                 code = codes[0]
                 for other in codes[1:]:
-                    code = f"{function}({_bare(code)}, {_bare(other)})"
+                    code = f"{function}({bare(code)}, {bare(other)})"
                 return Num(kind, code)
             case "sign":
-                return Num("double", f"py_sign({_bare(codes[0])})")
+                return Num("double", f"py_sign({bare(codes[0])})")
             case _ if short in _MATH:
-                return Num("double", f"{_MATH[short]}({', '.join(map(_bare, codes))})")
+                return Num("double", f"{_MATH[short]}({', '.join(map(bare, codes))})")
         raise self.fail(node)
 
     def _function(self, function: Any, node: ast.Call, lines: list[str]) -> Value:
@@ -820,7 +802,7 @@ class _Body:
         self.written |= called.roots - {""}
         name, result, handed = called.name, called.result, called.handed
         if isinstance(result, Num):
-            return Num(result.kind, f"{name}({', '.join(map(_bare, handed))})")
+            return Num(result.kind, f"{name}({', '.join(map(bare, handed))})")
         if isinstance(result, Tup):
             made = []
             for each in result.items:
@@ -829,9 +811,9 @@ class _Body:
                 self.declared[own] = KINDS[each.kind] + " "
                 made.append(Num(each.kind, own))
             handed = handed + [f"&{each.code}" for each in made]
-            lines.append(f"{name}({', '.join(map(_bare, handed))});")
+            lines.append(f"{name}({', '.join(map(bare, handed))});")
             return Tup(tuple(made))
-        lines.append(f"{name}({', '.join(map(_bare, handed))});")
+        lines.append(f"{name}({', '.join(map(bare, handed))});")
         return Tup(())
 
     def _local(self, node: ast.Call, lines: list[str], zero: bool) -> Arr:
@@ -885,7 +867,7 @@ def _wider(a: str, b: str) -> str:
     return a if _WIDTH[a] >= _WIDTH[b] else b
 
 
-def _bare(code: str) -> str:
+def bare(code: str) -> str:
     """A C expression without the parentheses around the whole of it."""
     if not (code.startswith("(") and code.endswith(")")):
         return code
