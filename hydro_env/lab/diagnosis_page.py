@@ -167,4 +167,4 @@ class DiagnosisPage:
 def _text(text: str) -> None:
     """Text as a terminal shows it."""
     with ui.element("pre").props("tabindex=0"):
-        ui.label(text).style("white-space: pre")
+        ui.label(text)
