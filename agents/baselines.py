@@ -194,7 +194,7 @@ def draw(
         axis.set_xlabel("control periods")
         axis.set_ylabel(TITLES[metric] if metric != RETURN else "minus the mean return")
         axis.grid(True, which="major", color="0.9")
-    axes[0].legend(fontsize=8, loc="lower left")
+    axes[1].legend(fontsize=8, loc="upper right")
     figure.suptitle(
         f"Stable-Baselines3 in {SCENARIOS[0]}, pairs of val; lower is better in every panel", fontsize=10
     )

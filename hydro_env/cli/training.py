@@ -20,7 +20,9 @@ def train(
     out: Out,
     algo: Annotated[
         str | None,
-        typer.Option(help="Recipe: ppo or sac; ppo_quick and sac_quick take seconds. Default: ppo."),
+        typer.Option(
+            help="Recipe: ppo, ppo_short or sac; ppo_quick and sac_quick take seconds. Default: ppo."
+        ),
     ] = None,
     config: Annotated[
         Path | None, typer.Option(metavar="FILE.yml", help="A training file of your own instead.")

@@ -42,7 +42,7 @@ def curve(progress):
     return [{key: value for key, value in row.items() if key not in TIMES} for row in progress["curve"]]
 
 
-@pytest.mark.parametrize("name", ["ppo", "sac", "ppo_quick", "sac_quick"])
+@pytest.mark.parametrize("name", ["ppo", "ppo_short", "sac", "ppo_quick", "sac_quick"])
 def test_the_training_files_are_valid(name):
     config = read_config(ROOT / "configs" / f"{name}.yml")
     assert config.training.algorithm == name.partition("_")[0]
