@@ -98,6 +98,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m agents.curves", description=__doc__)
     parser.add_argument("runs", nargs="+", type=Path, help="folders of runs")
     parser.add_argument("--out", type=Path, required=True, help="the picture (.png)")
+    parser.add_argument("--law", default="probing_flow", help="controller whose score is the line")
+    parser.add_argument("--plant", default="paper_dead_zone", help="preset that it drives")
     chosen = parser.parse_args()
 
     def run() -> None:
@@ -107,7 +109,8 @@ def main() -> None:
         from hydro_env.training.evaluate import METRICS
 
         curves = read_curves(chosen.runs)
-        scores = roll_out(make_controller("probing_flow"), range(128), mismatch="val").metrics(METRICS)
+        law = make_controller(chosen.law)
+        scores = roll_out(law, range(128), plant=chosen.plant, mismatch="val").metrics(METRICS)
         draw(curves, {"the law alone": float(iqm(scores[METRICS[0]]))}, chosen.out)
 
     run_command(run)

@@ -91,6 +91,7 @@ CONTROLLERS: dict[str, Entry] = {
         _tuned("oracle", "model-predictive control with the true plant: the bound"),
         _policy("ppo", "network from the observation alone, trained with PPO"),
         _policy("gru", "recurrent network from the observation alone"),
+        _policy("gru_rig", "recurrent network for the preset `rig`", apart=True),
         _law(RigFlow, "probing_flow_rig", "`probing_flow` with settings for the preset `rig`", apart=True),
     )
 }

@@ -32,7 +32,7 @@ CLASSICAL = (
 )  # fmt: skip
 IN_TEXT = tuple(name for name in CLASSICAL if name != "disturbance_observer")
 LAWS = ("adaptive_flow", "probing_flow", "bench_flow", "probing_flow_rig")
-NETWORKS = ("ppo", "gru")
+NETWORKS = ("ppo", "gru", "gru_rig")
 Act = Callable[[np.ndarray], np.ndarray]
 
 
@@ -116,7 +116,7 @@ def in_text(folder: Path, name: str) -> Act:
 
 
 def rig_of(name: str) -> tuple[str, str | None]:
-    own = {"servo_pid": ("servo", None), "probing_flow_rig": ("rig", None)}
+    own = {"servo_pid": ("servo", None), "probing_flow_rig": ("rig", None), "gru_rig": ("rig", None)}
     return own.get(name, ("paper_dead_zone", "test_interp"))
 
 
