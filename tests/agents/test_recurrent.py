@@ -23,6 +23,7 @@ from agents.recurrent.network import RecurrentPolicy
 from agents.recurrent.rigs import KNOWN, Rigs
 from agents.recurrent.settings import Gradient, Settings, read_settings
 from agents.recurrent.simulator_gradient import GradientStage, lasting
+from agents.speed import measure, summary
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.mpc.flow_control import ProbingFlow
 from hydro_env.errors import InputError
@@ -218,3 +219,11 @@ def test_killed_and_resumed(tmp_path):
     after = train(settings_of(tmp_path, SHORT), run, resume=True, bar=False)
     assert after.progress["stage"] == "gradient"
     assert after.progress["curve"][: len(before)] == before
+
+
+def test_the_rate_of_a_recipe_weighs_its_stages_by_their_periods(tmp_path):
+    settings = settings_of(tmp_path)
+    assert set(measure(settings, 0.0, seed=0)) == {"imitation", "gradient"}
+    found = [{"imitation": (100.0, 200.0), "gradient": (300.0, 600.0)}] * 2
+    last = summary(settings, found).splitlines()[-1].split()
+    assert last == ["whole", "recipe", "300", "600"]  # as many periods in each: the harmonic mean
