@@ -53,6 +53,7 @@ def rates(
     drive = 1.0
     # effects on drive
     flow = Kq * opening * sqrt(drive if drive > 0.0 else 0.0)
+    # effects on flow
 
     # Line and motor, (1) and (3).
     bulk_modulus = beta

@@ -25,8 +25,8 @@ __all__ = ["FINE_PARTS", "LAWS", "LEAST_FRICTION", "SPOOL", "greatest_force", "p
 
 #: Numbers of parts in which a stiff channel takes every substep.
 FINE_PARTS = (4, 16, 64)
-#: Dry friction of the spool, N, below which only none is simulated: 0.3 um of travel, where stiction begins to be seen.
-LEAST_FRICTION = 0.005
+#: Dry friction of the spool, N, below which only none is simulated: 0.06 um of travel.
+LEAST_FRICTION = 0.001
 #: Base parameters that decide.
 SPOOL = ("m", "R", "alpha", "k", "Fc", "Fs", "s0", "s1", "x_max", "k_stop", "v_stop", "u_rated")
 
@@ -81,7 +81,7 @@ def fine_parts(bristles, stops, coil):
 
 def friction_left(friction, other):
     """What is left of Fc or Fs (N) when effects have added to it or taken from it; 1 N that acts on nothing if none is."""
-    least = friction if friction > 0.005 else 0.005
+    least = friction if friction > 0.001 else 0.001
     return least if friction > 0.0 or other > 0.0 else 1.0
 
 

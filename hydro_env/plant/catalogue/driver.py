@@ -6,7 +6,7 @@ from math import inf
 
 from ..parameters import Parameter
 from ..vector_math import clip
-from .effect import Effect
+from .effect import Effect, State
 
 __all__ = ["EFFECTS"]
 
@@ -42,6 +42,50 @@ COMMAND_DELAY = Effect(
 )
 
 
+# The element with play follows within 0.1 ms, so much faster than a command changes that nobody sees it.
+def _played(voltage, follower, width):
+    return voltage - clip(voltage - follower, -0.5 * width, 0.5 * width)
+
+
+def _follower_rate(follower, command, width):
+    gap = command - follower
+    return (gap - clip(gap, -0.5 * width, 0.5 * width)) / 1e-4
+
+
+def _follower_decay(follower, command, width):
+    gap = command - follower
+    return (1.0 if gap > 0.5 * width or gap < -0.5 * width else 0.0) / 1e-4
+
+
+INPUT_HYSTERESIS = Effect(
+    name="input_hysteresis",
+    port="driver",
+    title="hysteresis at the valve's input",
+    summary="play between command and valve: after a reversal the command first has to cross its width",
+    signature="loop in flow over command whose width depends neither on rate nor on amplitude",
+    source="play operator (Prandtl); ISO 10770-1, hysteresis, whatever its mechanism",
+    parameters=(
+        Parameter(
+            "width",
+            "V",
+            0.0,
+            low=0.0,
+            high=15.0,
+            typical=3.0,
+            note="width of the loop; the whole one, as ISO 10770-1 gives it",
+            source="3 to 6 % of the rated command are usual for valves without spool feedback",
+        ),
+    ),
+    laws={"voltage": _played},
+    states=(State("follower", _follower_rate, _follower_decay),),
+    indistinguishable_from=("magnetic_hysteresis", "spool_stiction"),
+    separated_by={
+        "magnetic_hysteresis": "record the current: with play before the coil it does not move either",
+        "spool_stiction": "record the current: with play before the coil it does not move either",
+    },
+)
+
+
 def _driver_saturation(voltage, voltage_limit):
     return clip(voltage, -voltage_limit, voltage_limit)
 
@@ -72,5 +116,6 @@ DRIVER_SATURATION = Effect(
 #: In the order in which they act.
 EFFECTS = (
     COMMAND_DELAY,
+    INPUT_HYSTERESIS,
     DRIVER_SATURATION,
 )

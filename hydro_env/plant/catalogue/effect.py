@@ -35,7 +35,7 @@ PORTS = ("driver", "coil", "force", "opening", "flow", "supply", "line", "motor"
 
 #: Quantities of `rates` (and of the sensor) that a law may change, and base parameters that an effect may add to.
 QUANTITIES = (
-    "voltage", "resistance", "force", "opening", "drive", "bulk_modulus", "displacement", "leakage_coefficient",
+    "voltage", "resistance", "force", "opening", "drive", "flow", "bulk_modulus", "displacement", "leakage_coefficient",
     "leakage", "viscous_friction", "motor_pressure", "torque", "measured_speed",
 )  # fmt: skip
 

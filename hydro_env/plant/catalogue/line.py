@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import inf
 
 from ..parameters import MOTOR_SIZE, Parameter
-from ..vector_math import sign
-from .effect import Effect
+from ..vector_math import clip, sign, sqrt
+from .effect import Effect, State
 
 __all__ = ["EFFECTS"]
 
@@ -127,9 +127,147 @@ CROSSPORT_RELIEF = Effect(
 )
 
 
+# Pressures of both lines from their difference and from their mean, whose deviation from half the supply is a state.
+def _external_leakage(leakage, pressure, mean_pressure, conductance_a, conductance_b, supply_pressure):
+    middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
+    a = middle + 0.5 * pressure
+    b = middle - 0.5 * pressure
+    lost = conductance_a * (a if a > 0.0 else 0.0) - conductance_b * (b if b > 0.0 else 0.0)
+    return leakage + 0.5 * lost
+
+
+def _drive_of_both_edges(drive, mean_pressure):
+    # The mean of both edges' roots, squared; exactly the one drive while the mean pressure is half the supply. One edge alone
+    # has a pressure drop where the mean is further off than that.
+    off = abs(mean_pressure)
+    product = drive * drive - off * off
+    both = 0.5 * (drive + sqrt(product if product > 0.0 else 0.0))
+    one = 0.25 * (drive + off)
+    driven = both if drive > off else one
+    return driven if drive + off > 0.0 else drive
+
+
+def _mean_pressure_rate(
+    mean_pressure, pressure, opening, drive, bulk_modulus, V, Kq, conductance_a, conductance_b, supply_pressure
+):  # fmt: skip
+    middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
+    a = middle + 0.5 * pressure
+    b = middle - 0.5 * pressure
+    lost = conductance_a * (a if a > 0.0 else 0.0) + conductance_b * (b if b > 0.0 else 0.0)
+    # By which the root of the filling edge exceeds that of the emptying one; `drive` is the square of their mean.
+    root = sqrt(drive if drive > 1e-6 else 1e-6)
+    gained = -clip(mean_pressure / root, -2.0 * root, 2.0 * root)
+    return bulk_modulus / (2.0 * V * supply_pressure) * (Kq * abs(opening) * gained - lost)
+
+
+def _mean_pressure_decay(
+    opening, drive, bulk_modulus, V, Kq, conductance_a, conductance_b, supply_pressure
+):  # fmt: skip
+    slopes = 1.0 / sqrt(drive if drive > 0.01 else 0.01)
+    lost = 0.5 * supply_pressure * (conductance_a + conductance_b)
+    return bulk_modulus / (2.0 * V * supply_pressure) * (Kq * abs(opening) * slopes + lost)
+
+
+EXTERNAL_LEAKAGE = Effect(
+    name="external_leakage",
+    port="line",
+    title="a leak from a line to the tank",
+    summary="one line loses oil to the tank, in proportion to its own pressure",
+    signature="speed lost in both directions alike, most where the leaking line drives; the lines drain at rest",
+    source="laminar leak; mean pressure of the lines from the flows of both edges, Merritt 1967, ch. 5 and 6",
+    parameters=(
+        Parameter(
+            "conductance_a",
+            "m3/(s Pa)",
+            0.0,
+            low=0.0,
+            high=1e-10,
+            typical=4e-12,
+            scaling=MOTOR_SIZE,
+            note="leak of the line that drives in the positive direction",
+            source="assumed: 4 % of the rated flow at half of 100 bar",
+        ),
+        Parameter(
+            "conductance_b",
+            "m3/(s Pa)",
+            0.0,
+            low=0.0,
+            high=1e-10,
+            typical=4e-12,
+            scaling=MOTOR_SIZE,
+            note="leak of the other line",
+            source="the same",
+        ),
+        Parameter(
+            "supply_pressure",
+            "Pa",
+            100e5,
+            low=50e5,
+            high=350e5,
+            log=True,
+            note="supply pressure",
+            source="assumed",
+        ),
+    ),
+    laws={"leakage": _external_leakage, "drive": _drive_of_both_edges},
+    states=(State("mean_pressure", _mean_pressure_rate, _mean_pressure_decay),),
+    separated_by={"null_offset": "record the pressure of each line: a leak lowers that of its own"},
+)
+
+
+def _volume_behind_a_throttle(leakage, pressure, side_pressure, conductance):
+    return leakage + conductance * (pressure - side_pressure)
+
+
+def _side_pressure_rate(side_pressure, pressure, bulk_modulus, conductance, volume):
+    return bulk_modulus / volume * conductance * (pressure - side_pressure)
+
+
+def _side_pressure_decay(bulk_modulus, conductance, volume):
+    return bulk_modulus / volume * conductance
+
+
+LINE_VOLUME = Effect(
+    name="line_volume",
+    port="line",
+    title="a volume behind a throttle",
+    summary="a long line, hose or vessel takes oil through a throttle and gives it back",
+    signature="flow that is missing while the pressure rises and comes back as it falls, with memory",
+    source="lumped line: capacity V / beta behind a laminar resistance, Merritt 1967, ch. 3",
+    parameters=(
+        Parameter(
+            "conductance",
+            "m3/(s Pa)",
+            0.0,
+            low=0.0,
+            high=1e-9,
+            typical=1e-10,
+            scaling=MOTOR_SIZE,
+            note="conductance of the throttle",
+            source="assumed",
+        ),
+        Parameter(
+            "volume",
+            "m3",
+            1e-3,
+            low=5e-4,
+            high=3e-2,
+            log=True,
+            scaling=MOTOR_SIZE,
+            note="volume behind it, of oil as stiff as the line's",
+            source="assumed: 1 l; a hose or a gas-loaded vessel counts as many times its size",
+        ),
+    ),
+    laws={"leakage": _volume_behind_a_throttle},
+    states=(State("side_pressure", _side_pressure_rate, _side_pressure_decay),),
+)
+
+
 #: In the order in which they act.
 EFFECTS = (
     ENTRAINED_AIR,
     LINE_LOSS,
     CROSSPORT_RELIEF,
+    EXTERNAL_LEAKAGE,
+    LINE_VOLUME,
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 
 from ..parameters import SPOOL_TRAVEL, Parameter
-from ..vector_math import clip
+from ..vector_math import clip, sign, sqrt
 from .effect import Effect
 
 __all__ = ["EFFECTS"]
@@ -84,6 +84,67 @@ DEAD_ZONE = Effect(
         "flow_gain_nonlinearity": "slow triangles of 20, 40 and 80 % of the rated command: overlap is the same width in all",
         "null_offset": "slow triangle through zero with at least 10 s per cycle",
     },
+)
+
+
+def _underlap(opening, underlap_positive, underlap_negative):
+    # The edges of one direction open by x + up, those of the other by un - x: the first less the second.
+    return opening + clip(
+        opening + underlap_positive - underlap_negative, -underlap_negative, underlap_positive
+    )
+
+
+def _underlap_flow(flow, opening, drive, pressure, Kq, underlap_positive, underlap_negative, supply_pressure):
+    # While both are open, the edges of the other direction pass the other way, at the other pressure drop.
+    other = 0.5 * (underlap_positive + underlap_negative - abs(opening))
+    against = 2.0 * sign(opening) * pressure / supply_pressure
+    here = drive if drive > 0.0 else 0.0
+    there = drive + against if drive + against > 0.0 else 0.0
+    return flow - sign(opening) * Kq * (other if other > 0.0 else 0.0) * (sqrt(there) - sqrt(here))
+
+
+UNDERLAP = Effect(
+    name="underlap",
+    port="opening",
+    title="spool underlap (open centre)",
+    summary="negative overlap: around the centre all edges are open, each direction with its own underlap",
+    signature="twice the flow gain around zero; there the pressure yields to a load",
+    source="Merritt 1967, ch. 5: open-centre valve; ISO 10770-1, pressure gain",
+    parameters=(
+        Parameter(
+            "underlap_positive",
+            "m",
+            0.0,
+            low=0.0,
+            high=1.5e-4,
+            typical=3e-5,
+            scaling=SPOOL_TRAVEL,
+            note="underlap of the edges of the positive direction",
+            source="1 to 5 % of the travel for valves with a soft centre",
+        ),
+        Parameter(
+            "underlap_negative",
+            "m",
+            0.0,
+            low=0.0,
+            high=1.5e-4,
+            typical=3e-5,
+            scaling=SPOOL_TRAVEL,
+            note="underlap of the edges of the negative direction",
+            source="the same",
+        ),
+        Parameter(
+            "supply_pressure",
+            "Pa",
+            100e5,
+            low=50e5,
+            high=350e5,
+            log=True,
+            note="supply pressure",
+            source="assumed",
+        ),
+    ),
+    laws={"opening": _underlap, "flow": _underlap_flow},
 )
 
 
@@ -177,6 +238,7 @@ FLOW_GAIN_NONLINEARITY = Effect(
 EFFECTS = (
     NULL_OFFSET,
     DEAD_ZONE,
+    UNDERLAP,
     FLOW_SATURATION,
     DIRECTIONAL_GAIN,
     FLOW_GAIN_NONLINEARITY,

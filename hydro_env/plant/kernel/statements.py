@@ -147,11 +147,13 @@ def _leakage_slope(effects: tuple[Effect, ...]) -> list[str]:
             # Only what the effects add, so that a neutral one changes no bit.
             "leakage_slope = leakage_slope + positive(((leakage__d - laminar__d) - (leakage - laminar)) * 1e-3)",
         ]
-    if _depends("drive", effects, "pressure"):
+    if _depends("drive", effects, "pressure") or _depends("flow", effects, "pressure"):
+        changed = {"drive": "drive__d", "flow": "flow__d", "pressure": "pressure__d"}
         lines += [
             "drive__d = 1.0",
-            *chain("drive", effects, {"drive": "drive__d", "pressure": "pressure__d"}),
+            *chain("drive", effects, changed),
             "flow__d = Kq * opening * sqrt(drive__d if drive__d > 0.0 else 0.0)",
+            *chain("flow", effects, changed),
             "leakage_slope = leakage_slope + positive((flow - flow__d) * 1e-3)",
         ]
     return lines

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from ...jit import compiled
-from .forms import STOPS
+from .forms import PLAYS, STOPS
 
 __all__ = ["outputs", "rates"]
 
@@ -27,6 +27,25 @@ def _limited(value, limit, knee):
     if knee > 0.0:
         return value / (1.0 + (abs(value) / limit) ** knee) ** (1.0 / knee)
     return min(max(value, -limit), limit)
+
+
+@compiled
+def _edges(p, x):
+    """Openings of the edges of both directions of a valve with underlap, m."""
+    first, second = x + p.underlap__underlap_positive, p.underlap__underlap_negative - x
+    if p.different:
+        clearance = p.form_clearance
+        return 0.5 * (first + math.hypot(first, clearance)), 0.5 * (second + math.hypot(second, clearance))
+    return max(first, 0.0), max(second, 0.0)
+
+
+@compiled
+def _root(p, drive):
+    """Flow of an edge over that at the supply's whole pressure: the root, laminar about zero in the different form."""
+    if p.different:
+        transition = p.form_orifice_transition**2
+        return drive * ((1.0 + transition) / (drive * drive + transition)) ** 0.25
+    return math.sqrt(max(drive, 0.0))
 
 
 @compiled
@@ -46,6 +65,9 @@ def _opening(p, spool):
             x += low
         else:
             x = 0.0
+    if p.underlap__underlap_positive != 0.0 or p.underlap__underlap_negative != 0.0:
+        first, second = _edges(p, x)
+        x = first - second
     x = _limited(x, p.flow_saturation__opening_limit, p.form_saturation_knee if p.different else 0.0)
     ratio = p.directional_gain__ratio
     if ratio != 1.0:
@@ -64,17 +86,74 @@ def _opening(p, spool):
 
 
 @compiled
-def _valve_flow(p, spool, pressure, droop):
-    """Flow through the valve, m3/s, (8) with the orifice law of (7) where an effect asks for it."""
+def _valve_flow(p, spool, pressure, droop, mean):
+    """Flow through the valve, m3/s, (8) with the orifice law of (7) where an effect asks for it.
+
+    `mean` is by how much the mean pressure of the lines exceeds half the supply's, as a share of that.
+    """
     x = _opening(p, spool)
     against = pressure if x > 0.0 else (-pressure if x < 0.0 else 0.0)
     drive = 1.0 - against / p.pressure_dependent_flow__supply_pressure - droop
-    if p.pressure_dependent_flow__supply_pressure == np.inf and p.supply_droop__relative_drop == 0.0:
-        return p.Kq * x
+    plain = p.pressure_dependent_flow__supply_pressure == np.inf and p.supply_droop__relative_drop == 0.0
+    if p.at_mean >= 0:
+        flow = p.Kq * x * 0.5 * (_root(p, drive - mean) + _root(p, drive + mean))
+    elif plain:
+        flow = p.Kq * x
+    else:
+        flow = p.Kq * x * _root(p, drive)
+    width = p.underlap__underlap_positive + p.underlap__underlap_negative
+    if width > abs(x):
+        # The smaller edge passes as much as the opening lacks, at the drop of the other direction.
+        smaller = 0.5 * (width - abs(x))
+        back = drive + 2.0 * against / p.underlap__supply_pressure
+        cross = p.Kq * smaller * (_root(p, back) - _root(p, drive))
+        flow -= cross if x > 0.0 else (-cross if x < 0.0 else 0.0)
+    return flow
+
+
+@compiled
+def _line_pressures(p, pressure, mean):
+    """Pressures of both lines above the tank's, Pa."""
+    middle = 0.5 * p.external_leakage__supply_pressure * (1.0 + mean)
+    return max(middle + 0.5 * pressure, 0.0), max(middle - 0.5 * pressure, 0.0)
+
+
+@compiled
+def _leaks(p, pressure, mean):
+    """Flows from the lines to the tank, m3/s; their conductance is that at half the supply pressure."""
+    a, b = _line_pressures(p, pressure, mean)
     if p.different:
-        transition = p.form_orifice_transition**2
-        return p.Kq * x * drive * ((1.0 + transition) / (drive * drive + transition)) ** 0.25
-    return p.Kq * x * math.sqrt(max(drive, 0.0))
+        half = 0.5 * p.external_leakage__supply_pressure
+        a, b = half * (a / half) ** p.form_leak_power, half * (b / half) ** p.form_leak_power
+    return p.external_leakage__conductance_a * a, p.external_leakage__conductance_b * b
+
+
+@compiled
+def _mean_rate(p, spool, pressure, droop, mean, softness):
+    """How the mean pressure of the lines changes, as a share of half the supply's a second."""
+    x = _opening(p, spool)
+    against = pressure if x > 0.0 else (-pressure if x < 0.0 else 0.0)
+    drive = 1.0 - against / p.pressure_dependent_flow__supply_pressure - droop
+    gained = p.Kq * abs(x) * (_root(p, drive - mean) - _root(p, drive + mean))
+    a, b = _leaks(p, pressure, mean)
+    # Each line holds twice the volume that both have in series.
+    return (gained - a - b) / (2.0 * p.V * softness * p.external_leakage__supply_pressure)
+
+
+@compiled
+def _played(p, y, dy):
+    """The command behind the play at the valve's input, V."""
+    if p.at_play < 0:
+        return p.command
+    out, count = 0.0, PLAYS if p.different else 1
+    for j in range(count):
+        spread = (j - 1) * p.form_play_spread if p.different else 0.0
+        half = 0.5 * p.input_hysteresis__width * (1.0 + spread)
+        gap = p.command - y[p.at_play + j]
+        held = min(max(gap, -half), half)
+        dy[p.at_play + j] = (gap - held) / 5e-5
+        out += (p.command - held) / count
+    return out
 
 
 @compiled
@@ -137,7 +216,7 @@ def _spool_rates(p, y, dy, pressure):
     at = p.at_states
     i, x, v = y[at], y[at + 1], y[at + 2]
     voltage = _limited(
-        p.command, p.driver_saturation__voltage_limit, p.form_driver_knee if p.different else 0.0
+        _played(p, y, dy), p.driver_saturation__voltage_limit, p.form_driver_knee if p.different else 0.0
     )
     resistance = p.R
     if p.at_heat >= 0:
@@ -280,7 +359,7 @@ def _loss_torque(p, difference, speed):
 
 
 @compiled
-def _motor_rates(p, y, dy, flow, load, time):
+def _motor_rates(p, y, dy, flow, load, time, droop):
     """Line (1), (3) and shaft (2)."""
     at = p.at_states
     pressure, speed, angle = y[at + 4], y[at + 5], y[at + 6]
@@ -316,10 +395,22 @@ def _motor_rates(p, y, dy, flow, load, time):
             excess *= math.tanh(abs(pressure) / p.form_relief_rounding)
             excess *= (abs(pressure) / setting) ** p.form_relief_growth
         leakage += math.copysign(max(excess, 0.0) * p.crossport_relief__conductance, pressure)
+    if p.at_mean >= 0:
+        a, b = _leaks(p, pressure, y[p.at_mean])
+        leakage += 0.5 * (a - b)
+    if p.at_side >= 0:
+        drop = pressure - y[p.at_side]
+        if p.different:
+            drop = math.copysign(1e5 * (abs(drop) / 1e5) ** p.form_throttle_power, drop)
+        passed = p.line_volume__conductance * drop
+        dy[p.at_side] = p.beta * passed / p.line_volume__volume
+        leakage += passed
     if p.lossy:
         leakage += _loss_flow(p, pressure, speed)
     motor_flow = displacement * speed
     dy[at + 4] = (flow - motor_flow - leakage) / (p.V * softness)
+    if p.at_mean >= 0:
+        dy[p.at_mean] = _mean_rate(p, y[at + 1], pressure, droop, y[p.at_mean], softness)
 
     lost = p.line_loss__coefficient * motor_flow
     lost *= math.hypot(motor_flow, p.form_line_transition) if p.different else abs(motor_flow)
@@ -350,10 +441,10 @@ def rates(time, y, channels):
         if p.at_droop >= 0:
             droop = y[p.at_droop + 1] if p.different else y[p.at_droop]
         pressure = y[at + 4]
-        flow = _valve_flow(p, y[at + 1], pressure, droop)
+        flow = _valve_flow(p, y[at + 1], pressure, droop, y[p.at_mean] if p.at_mean >= 0 else 0.0)
         total += abs(flow)
         _spool_rates(p, y, dy, pressure)
-        _motor_rates(p, y, dy, flow, p.load, time)
+        _motor_rates(p, y, dy, flow, p.load, time, droop)
         if p.at_lag >= 0:
             whole = p.sensor_lag__time_constant
             if p.different:
@@ -383,5 +474,6 @@ def outputs(y, channels, flow, shown):
             droop = 0.0
             if p.at_droop >= 0:
                 droop = y[t, p.at_droop + 1] if p.different else y[t, p.at_droop]
-            flow[t, c] = _valve_flow(p, y[t, p.at_states + 1], y[t, p.at_states + 4], droop)
+            mean = y[t, p.at_mean] if p.at_mean >= 0 else 0.0
+            flow[t, c] = _valve_flow(p, y[t, p.at_states + 1], y[t, p.at_states + 4], droop, mean)
             shown[t, c] = _measured(p, y[t])

@@ -16,13 +16,13 @@ import numpy as np
 
 from ...errors import InputError
 
-__all__ = ["CONSTANTS", "MIDDLE", "STOPS", "Constants", "FormConstant", "checked", "draw", "units"]
+__all__ = ["CONSTANTS", "MIDDLE", "PLAYS", "STOPS", "Constants", "FormConstant", "checked", "draw", "units"]
 
 #: Constants of a rig: numbers by name, and of the loop's stops `stop_travels` and `stop_shares`, (STOPS,) each.
 Constants = Mapping[str, float | tuple[float, ...]]
 
-#: Stop operators of the magnetic loop.
-STOPS = 6
+#: Stop operators of the magnetic loop, and play operators of the valve's input.
+STOPS, PLAYS = 6, 3
 #: Greatest slope of the loop at a turn, over amplitude / width: from 2 on, a loop as narrow as `width` allows would have
 #: more current mean less force, which no magnet does.
 _STEEPEST = 1.8
@@ -50,6 +50,7 @@ class FormConstant:
 _ROWS = (
     # --- driver ---
     ("driver_knee", "1", 6.0, 60.0, True, "exponent of the p-norm: an output stage lacks 11 to 1 % at its limit"),
+    ("play_spread", "1", 0.1, 0.8, False, "widest and narrowest of three plays beside their mean: joints, brushes, feedback"),
     # --- opening ---
     ("clearance", "m", 1.5e-6, 1.5e-5, True, "radial clearance of spool and sleeve: 2 to 5 um new, more where edges wear"),
     ("saturation_knee", "1", 4.0, 40.0, True, "exponent of the p-norm: round ports lack 16 to 1.7 % at the limit"),
@@ -73,6 +74,8 @@ _ROWS = (
     ("bristle_stribeck", "1", 0.3, 3.0, True, "Stribeck speed of the second bristle over the first's, set by the film"),
     ("preload_travel", "m", 3e-6, 3e-5, True, "travel over which a preloaded spring takes hold: play of its washers"),
     # --- line ---
+    ("leak_power", "1", 0.5, 1.0, False, "power of the pressure in a leak: 0.5 for an orifice, 1 for a gap"),
+    ("throttle_power", "1", 0.6, 1.0, False, "the same of the throttle before a volume"),
     ("air_exponent", "1", 1.0, 1.4, False, "polytropic exponent of the air: isothermal to adiabatic"),
     ("line_transition", "m3/s", 2e-6, 4e-5, True, "flow below which a fitting is laminar: Re of 10 to 100 in 4 to 10 mm"),
     ("relief_rounding", "Pa", 1e4, 1.5e5, True, "pressure over which a poppet cracks: seat leakage and friction"),

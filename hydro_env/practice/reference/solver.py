@@ -13,7 +13,7 @@ from ...plant.catalogue.losses import FAMILY
 from ...plant.model import PlantModel
 from ...plant.parameters import PARAMETERS
 from .equations import rates
-from .forms import CONSTANTS, STOPS, Constants
+from .forms import CONSTANTS, PLAYS, STOPS, Constants
 
 __all__ = ["STATES", "Group"]
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 #: What every channel has, in this order from `at_states` on.
 STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
 _SCALES = (0.1, 1e-4, 1e-2, 1e-6, 1e5, 1.0, 1.0)  # of these states, for absolute tolerances
-_SHIFTS = ("heat", "loop", "second_bristle", "shaft_bristle", "twist", "lag", "droop")
+_SHIFTS = ("heat", "loop", "second_bristle", "shaft_bristle", "twist", "lag", "droop", "play", "mean", "side")
 
 
 def _fields() -> list[tuple[Any, ...]]:
@@ -73,6 +73,12 @@ class Group:
                 p["at_heat"] = place(0.1)
             if p["magnetic_hysteresis__amplitude"] != 0.0:
                 p["at_loop"] = place(*([1.0] * (STOPS if different else 1)))
+            if p["input_hysteresis__width"] != 0.0:
+                p["at_play"] = place(*([1.0] * (PLAYS if different else 1)))
+            if max(p["external_leakage__conductance_a"], p["external_leakage__conductance_b"]) > 0.0:
+                p["at_mean"] = place(0.1)
+            if p["line_volume__conductance"] > 0.0:
+                p["at_side"] = place(1e5)
             if different and max(p["spool_stiction__coulomb"], p["spool_stiction__static"]) > 0.0:
                 p["at_second_bristle"] = place(1e-6)
             if (
