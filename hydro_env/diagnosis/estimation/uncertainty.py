@@ -10,9 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from ..input.duration import STRETCH_S
-from .estimate import Estimate
+from .estimate import Estimate, Vector
 from .fit import Fit
 
 __all__ = [
@@ -56,7 +57,25 @@ def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
         gone = slice(first, first + width)
         matrix, side = whole - matrices[gone].sum(axis=0), right - sides[gone].sum(axis=0)
         without = np.maximum(without, np.abs(np.linalg.lstsq(matrix, side, rcond=None)[0] - start))
-    return Intervals(low, high, without, np.clip(estimate.q + moves[:DRAWS], *bounds))
+    draws = np.array([_nearest_inside(whole, move, estimate.q, bounds) for move in moves[:DRAWS]])
+    return Intervals(low, high, without, draws.reshape(DRAWS, size))
+
+
+def _nearest_inside(
+    matrix: np.ndarray, move: np.ndarray, q: np.ndarray, bounds: tuple[Vector, Vector]
+) -> np.ndarray:
+    """The q inside the bounds that the logs distinguish least from `q + move`.
+
+    Clipping every parameter for itself would break combinations of parameters that make up for each other.
+    """
+    low, high = bounds
+    if np.all((q + move >= low) & (q + move <= high)):
+        return q + move
+    room = np.maximum(high - low, 1e-9)
+    root = np.linalg.cholesky(matrix + 1e-12 * np.trace(matrix) * np.eye(len(q))).T
+    inside = np.clip(q, low, high)
+    found = lsq_linear(root, root @ move, (low - inside, low - inside + room), method="bvls")
+    return np.clip(inside + found.x, low, high)
 
 
 def bootstrap(

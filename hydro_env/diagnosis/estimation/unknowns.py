@@ -103,9 +103,24 @@ def limited_by_effects() -> set[str]:
     return {name for effect in CATALOGUE.values() for name in effect.adds_to}
 
 
+def _plausible(parameter: Parameter, value: float) -> tuple[float, float]:
+    """The plausible range of a base parameter; where the given value lies outside, widened about it by as much either way."""
+    low, high = parameter.low, parameter.high
+    if low <= value <= high or value <= 0.0:
+        return min(low, value), max(high, value)
+    if parameter.log:
+        factor = math.sqrt(high / low)
+        wide = min(low, value / factor), max(high, value * factor)
+    else:
+        half = 0.5 * (high - low)
+        wide = min(low, value - half), max(high, value + half)
+    least, most = parameter.possible
+    return max(wide[0], min(least, value)), min(wide[1], max(most, value))
+
+
 def base_unknown(parameter: Parameter, value: float, limited: bool = False) -> Unknown:
     """A base parameter about the value `value` of the model as given."""
-    low, high = min(parameter.low, value), max(parameter.high, value)
+    low, high = _plausible(parameter, value)
     log = parameter.log and value > 0.0
     if log:
         low = max(low, value / 20.0)

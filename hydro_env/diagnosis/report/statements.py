@@ -244,7 +244,7 @@ def effect_values(found: Diagnosis, n: NamedEffect) -> list[tuple[str, str, str]
         (
             words.parameter(n.name, own),
             words.interval(p),
-            words.of_command(n.name, own, p.value, rig.model, c),
+            words.of_command(n.name, own, p.value, found.model, c),
         )
         for own, p in n.parameters.items()
     ]

@@ -129,7 +129,9 @@ def known(symbol: str, c: int, value: float, model: PlantModel) -> str:
 
 
 def of_command(effect: str, name: str, value: float, model: PlantModel, channel: int) -> str:
-    """A spool position or a force on the spool, a parameter of an effect, as a share of full command, or nothing."""
+    """A spool position or a force on the spool, a parameter of an effect, in volts and as a share of full command, or nothing.
+
+    `model` is the calibrated one: logs without spool and current fix such shares, not the travel in metres."""
     described = CATALOGUE[effect].parameter(name)
     rated = model.value("u_rated", channel)
     force = model.value("alpha", channel) * rated / model.value("R", channel)
@@ -137,6 +139,8 @@ def of_command(effect: str, name: str, value: float, model: PlantModel, channel:
         share = value * model.value("k", channel) / force
     elif described.unit == "N" and described.scaling == SPOOL_FORCE:
         share = value / force
+    elif described.unit == "V":
+        return f"{number(100.0 * value / rated)} % of full command"
     else:
         return ""
-    return f"{100.0 * share:.2g} % of full command"
+    return f"{number(share * rated)} V, {number(100.0 * share)} % of full command"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from ...plant import CATALOGUE
 from ..estimation import (
     CANNOT_BE_PREDICTED,
     Estimate,
@@ -17,6 +18,7 @@ from ..settings import rule
 from ..state import Estimates, State
 from .candidates import Selection
 from .localisation import locate
+from .naming import effect_values
 from .validation import NAMED, Proof, proved
 
 __all__ = ["confirm", "decide", "doubts"]
@@ -25,6 +27,7 @@ DOUBT_WORSE = rule("doubt_worse", "reject names that make a signal worse of the 
 DOUBT_LEFT = rule(
     "doubt_left", "reject names that leave much of a signal of the fit logs, whatever their form"
 )
+DOUBT_NEUTRAL = rule("doubt_neutral", "reject names whose interval holds the neutral value")
 DOUBT_UNCONFIRMED = rule(
     "doubt_unconfirmed", "reject names that explain next to nothing of the held-out logs"
 )
@@ -99,7 +102,22 @@ def doubts(
     found: list[str] = []
     for c in dict.fromkeys(k.channel for k in selection.accepted if k.channel is not None):
         found += _doubts_of_channel(fit, held_out, final, c, on_fit, on_held_out)
+    if fit.settings.uses(DOUBT_NEUTRAL):
+        for one in selection.accepted:
+            c = fit.rig.channels[0] if one.channel is None else one.channel
+            if _may_be_absent(final[c], one.effect, c):
+                place = "the rig" if one.channel is None else f"channel {c + 1}"
+                found.append(
+                    f"{CATALOGUE[one.effect].title} of {place}: its interval holds the neutral value"
+                )
     return list(dict.fromkeys(found))
+
+
+def _may_be_absent(estimate: Estimate, effect: str, channel: int) -> bool:
+    """Whether the intervals of all that gives an effect its size hold the neutral values."""
+    sizes = {p.name: p.neutral for p in CATALOGUE[effect].parameters if p.role == "size"}
+    found = {name: v for name, v in effect_values(estimate, effect, channel).items() if name in sizes}
+    return bool(found) and all(v.low <= sizes[name] <= v.high for name, v in found.items())
 
 
 def _doubts_of_channel(
