@@ -17,6 +17,8 @@ __all__ = ["check_spool", "out_of_range", "with_unit"]
 
 #: A stiff channel takes a substep in at most 64 parts, of which the last third is a reserve.
 _MOST_PARTS = 40.0
+#: Substep over the time constant of the coil, at most, where an effect follows the rate of the current; in 64 parts.
+_MOST_COIL = 12.5
 _FRICTION = ("Fc", "Fs")
 #: Room for the rounding of a value that stands at an end.
 _AT_END = 1e-9
@@ -40,6 +42,7 @@ def check_spool(model: PlantModel, channel: int, where: str) -> None:
     for effect in map(CATALOGUE.__getitem__, model.declared):
         for base, own in effect.adds_to.items():
             values[base] += model.value(f"{effect.name}.{own}", channel)
+    _check_coil(model, channel, where)
     force = greatest_force(*(values[name] for name in ("alpha", "R", "k", "x_max", "u_rated")))
     least = force / values["x_max"] - 2.0 * values["k"]  # the stop yields by the stroke
     if values["k_stop"] < least:
@@ -73,6 +76,18 @@ def check_spool(model: PlantModel, channel: int, where: str) -> None:
         raise InputError(
             f"{where}: channel {channel + 1}: m is {values['m']:g}; with these Fc, Fs, s0, s1 and k_stop {high:.3g} kg or more"
             " can be simulated"
+        )
+
+
+def _check_coil(model: PlantModel, channel: int, where: str) -> None:
+    """InputError for a coil that is too quick for an effect that follows the rate of the current."""
+    if not any(CATALOGUE[name].reads("current_rate") for name in model.declared):
+        return
+    least = model.substep * model.value("R", channel) / _MOST_COIL
+    if model.value("L", channel) < (1.0 - _AT_END) * least:
+        raise InputError(
+            f"{where}: channel {channel + 1}: L is {model.value('L', channel):g}; with a hysteresis that follows the current"
+            f" {least:.3g} H or more can be simulated"
         )
 
 

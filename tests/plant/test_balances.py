@@ -25,6 +25,9 @@ MEMORIES = (
     "magnetic_hysteresis__loop",
     "shaft_backlash__twist",
     "shaft_backlash__load_speed",
+    "input_hysteresis__follower",
+    "external_leakage__mean_pressure",
+    "line_volume__side_pressure",
 )
 SECONDS = 0.3
 ATMOSPHERE = 101325.0
@@ -76,7 +79,6 @@ class Books:
         self.out = plant.run(command, load, substep, (*STATES, "flow", *MEMORIES))
         assert not plant.diverged.any()
         self.load, self.command = np.broadcast_to(load, command.shape), command
-        self.voltage = self.driver()
         self.time = (np.arange(len(command)) * substep)[:, None, None]
 
     def __getitem__(self, name: str) -> Array:
@@ -87,16 +89,21 @@ class Books:
         one, rig = copy.copy(self), slice(row, row + 1)
         one.p = {name: value[rig] for name, value in self.p.items()}
         one.out = {name: value[:, rig] for name, value in self.out.items()}
-        one.command, one.load, one.voltage = self.command[:, rig], self.load[:, rig], self.voltage[:, rig]
+        one.command, one.load = self.command[:, rig], self.load[:, rig]
         return one
 
-    def driver(self) -> Array:
-        """Delay and limit of the driver; the delays here are whole substeps."""
+    def driver(self) -> tuple[Array, Array]:
+        """Delay, play and limit of the driver at both ends of each substep; the delays here are whole substeps."""
         late = np.rint(self.p["command_delay.delay"] / self.h).astype(int)
         index = np.arange(len(self.command))[:, None, None] - late
         shifted = np.take_along_axis(self.command, np.maximum(index, 0), axis=0) * (index >= 0)
-        limit = self.p["driver_saturation.voltage_limit"]
-        return np.clip(shifted, -limit, limit)
+        limit, half = self.p["driver_saturation.voltage_limit"], 0.5 * self.p["input_hysteresis.width"]
+        follower = self["input_hysteresis__follower"]
+        later = np.concatenate([follower[1:], follower[-1:]])
+        first, last = (
+            np.clip(shifted - np.clip(shifted - f, -half, half), -limit, limit) for f in (follower, later)
+        )
+        return first, last
 
     def total(self, rate: Array) -> Array:
         """Integral of a rate that is continuous, from the start to each row."""
@@ -126,6 +133,13 @@ class Books:
         flow = self["Km"] * np.exp(-drift) * pressure + self["speed_dependent_leakage.coefficient"] * speed
         over = np.maximum(size - self["crossport_relief.relief_pressure"], 0.0)
         flow = flow + np.sign(pressure) * self["crossport_relief.conductance"] * over
+        middle = (
+            0.5 * self["external_leakage.supply_pressure"] * (1.0 + self["external_leakage__mean_pressure"])
+        )
+        for line, way in (("a", 0.5), ("b", -0.5)):
+            of_line = np.maximum(middle + way * pressure, 0.0)
+            flow = flow + way * self[f"external_leakage.conductance_{line}"] * of_line
+        flow = flow + self["line_volume.conductance"] * (pressure - self["line_volume__side_pressure"])
         for name in ("wilson_losses", "schloesser_losses", "dorey_losses", "jeong_losses"):
             laminar = self[f"{name}.slip"] * self["D"] / self[f"{name}.viscosity"] * pressure
             if name == "dorey_losses":
@@ -226,6 +240,12 @@ class Books:
         )  # fmt: skip
 
     # --- electrical energy --------------------------------------------------------------------------------------------
+    def worked(self, current: Array) -> Array:
+        """Integral of voltage times current."""
+        first, last = self.driver()
+        steps = 0.5 * self.h * (first[:-1] * current[:-1] + last[:-1] * current[1:])
+        return np.concatenate([np.zeros_like(current[:1]), np.cumsum(steps, axis=0)])
+
     def electrical(self) -> Array:
         current, x, v, z = (self[name] for name in ("current", "spool", "spool_speed", "bristle"))
         resistance = self["R"] * (1.0 + self["coil_heating.rise"] * self["coil_heating__heat"])
@@ -240,7 +260,7 @@ class Books:
         preload = self["spring_preload.preload"] / 5e4 * np.log(np.cosh(np.clip(5e4 * x, -300.0, 300.0)))
         drop = np.maximum(self["flow_force.supply_pressure"] - np.sign(x) * self["pressure"], 0.0)
         return self.residual(
-            self.held(self.voltage, current),
+            self.worked(current),
             0.5 * self["L"] * current**2, 0.5 * self["m"] * v**2, 0.5 * self["k"] * x**2, 0.5 * self["s0"] * z**2, preload,
             self.total(resistance * current**2), self.total(self["C"] * v**2), self.total(friction), self.total(stop),
             self.total(self["magnetic_hysteresis.amplitude"] * self["magnetic_hysteresis__loop"] * v),
@@ -257,8 +277,8 @@ LIMITS = {
 BALANCES = ("oil", "hydraulic", "electrical")
 #: Effects without a term of their own in any balance: they shape the flow, which is recorded, or only the measurement.
 NO_TERM = (
-    "null_offset", "dead_zone", "flow_saturation", "directional_gain", "flow_gain_nonlinearity", "pressure_dependent_flow",
-    "supply_droop", "sensor_lag", "sensor_gain", "sensor_offset",
+    "null_offset", "dead_zone", "underlap", "flow_saturation", "directional_gain", "flow_gain_nonlinearity",
+    "pressure_dependent_flow", "supply_droop", "sensor_lag", "sensor_gain", "sensor_offset",
 )  # fmt: skip
 
 
@@ -289,6 +309,5 @@ def test_the_books_notice_every_term(name: str, kept: dict[str, list[Books]]) ->
     alone = books.of(rows().index(name))
     for q in CATALOGUE[name].parameters:
         alone.p[f"{name}.{q.name}"] = np.full((1, 2), q.nominal)
-    alone.voltage = alone.driver()
     left_out = max(getattr(alone, b)().max() / (finer * LIMITS[kind][b]) for b in BALANCES)
     assert left_out > 20.0

@@ -283,6 +283,41 @@ def test_air_yields_as_boyle_says(rigs: Callable[..., Plant]) -> None:
     )  # and hard in the end
 
 
+@defines("underlap")
+def test_underlap_doubles_the_gain_and_softens_the_pressure(rigs: Callable[..., Plant]) -> None:
+    up, down = 4e-5, 2e-5
+    values = {"underlap__underlap_positive": [0.0, up], "underlap__underlap_negative": [0.0, down]}
+    still = {"Fc": 0.0, "Fs": 0.0, "s2": 2.0}
+    for command, more in ((60.0, up), (-60.0, -down)):
+        plant = hold(rigs(**values, **still), command)
+        gained = (plant.flow / plant.get("Kq"))[:2, 0]
+        assert gained[1] - gained[0] == pytest.approx(more, rel=1e-6)  # beyond it, the underlap is added
+    gain = []
+    for command in (0.5, -0.5):
+        plant = hold(rigs(**values, **still), command)
+        gain.append((plant.flow / plant.get("Kq"))[:2, 0])
+    assert gain[0][1] - gain[1][1] == pytest.approx(2.0 * (gain[0][0] - gain[1][0]), rel=1e-3)
+    # A load presses oil back through the open centre: 2 u Kq sqrt(...) at a pressure of half the supply.
+    equal = {"underlap__underlap_positive": [0.0, up], "underlap__underlap_negative": [0.0, up]}
+    plant = hold(rigs(**equal, **still, underlap__supply_pressure=100e5, Km=1e-9), 0.0, 2.0)
+    pressure = plant.pressure[1, 0]
+    root = np.sqrt(1.0 + pressure / 100e5) - np.sqrt(1.0 - pressure / 100e5)
+    assert plant.flow[0, 0] == 0.0
+    assert plant.flow[1, 0] == pytest.approx(-up * plant.get("Kq")[1, 0] * root, rel=0.1)
+
+
+@defines("input_hysteresis")
+def test_play_at_the_input_holds_the_current_after_a_reversal(rigs: Callable[..., Plant]) -> None:
+    plant = rigs(input_hysteresis__width=[4.0, 0.0])
+    seen = []
+    for command in (30.0, 27.0, 26.0, 20.0, 23.0, 30.0):
+        hold(plant, command, seconds=0.5)
+        seen.append(R * plant.get("current")[:2, 0])
+    with_play, without = np.array(seen).T
+    assert with_play == pytest.approx([28.0, 28.0, 28.0, 22.0, 22.0, 28.0], abs=1e-3)
+    assert without == pytest.approx([30.0, 27.0, 26.0, 20.0, 23.0, 30.0], abs=1e-3)
+
+
 @defines("line_loss")
 def test_a_line_takes_pressure_with_the_square_of_the_flow(rigs: Callable[..., Plant]) -> None:
     plant = hold(rigs(line_loss__coefficient=4e13), column(25.0, 50.0, -50.0), seconds=4.0)
@@ -306,6 +341,43 @@ def test_relief_valves_clip_the_pressure_both_ways(rigs: Callable[..., Plant]) -
         below.pressure[0, 0] == pytest.approx(below.pressure[1, 0], rel=1e-4)
         and 0.0 < below.pressure[0, 0] < setting
     )
+
+
+@defines("external_leakage")
+def test_a_leak_takes_flow_from_its_own_line(rigs: Callable[..., Plant]) -> None:
+    leak, supply = 4e-12, 100e5
+    values = {
+        "external_leakage__conductance_a": [leak, 0.0, 0.0],
+        "external_leakage__supply_pressure": supply,
+    }
+    plant = rigs(**values, external_leakage__conductance_b=[0.0, leak, 0.0])
+    for sign in (1.0, -1.0):
+        plant.reset()
+        hold(plant, sign * 60.0, 0.5 * sign)
+        missing = (plant.flow - plant.get("D") * plant.speed - plant.get("Km") * plant.pressure)[:3, 0]
+        mean = plant.get("external_leakage__mean_pressure")[:2, 0]
+        a, b = (0.5 * (supply * (1.0 + mean) + way * plant.pressure[:2, 0]) for way in (1.0, -1.0))
+        assert missing[0] == pytest.approx(0.5 * leak * a[0], rel=1e-4)  # half of what leaves either line
+        assert missing[1] == pytest.approx(-0.5 * leak * b[1], rel=1e-4)
+        assert ((mean > -0.2) & (mean < 0.0)).all()  # both lines are a little lower for it
+        assert missing[2] == pytest.approx(0.0, abs=1e-12)
+    # At closed valves both lines drain, and nothing leaks any more.
+    plant = hold(rigs(**values), 0.0, 0.0, 5.0)
+    assert plant.get("external_leakage__mean_pressure")[0, 0] == pytest.approx(-1.0, abs=1e-3)
+    assert abs(plant.speed[0, 0]) < 0.1
+
+
+@defines("line_volume")
+def test_a_volume_behind_a_throttle_fills_with_the_pressure(rigs: Callable[..., Plant]) -> None:
+    conductance, volume = 1e-10, 1e-3
+    plant = rigs(line_volume__conductance=[conductance, 0.0], line_volume__volume=volume, J=1e6, Km=1e-9)
+    hold(plant, 30.0, seconds=0.02)
+    time_constant = volume / (plant.get("beta")[0, 0] * conductance)
+    before, side = plant.pressure[0, 0], plant.get("line_volume__side_pressure")[0, 0]
+    assert 0.0 < side < 0.9 * before and plant.pressure[1, 0] > before  # it takes oil while it fills
+    hold(plant, 30.0, seconds=max(1.0, 10.0 * time_constant))
+    assert plant.get("line_volume__side_pressure")[0, 0] == pytest.approx(plant.pressure[0, 0], rel=1e-3)
+    assert plant.pressure[1, 0] == pytest.approx(plant.pressure[0, 0], rel=1e-3)  # and none when it is full
 
 
 # --- motor ------------------------------------------------------------------------------------------------------------

@@ -112,12 +112,12 @@ def test_each_effect_at_its_strongest(name, strongest):
 #: What a whole substep of 125 us does not resolve, and a spool without dry friction.
 STIFF = {
     "no friction": {"Fc": 0.0, "Fs": 0.0},
-    "little friction": {"Fc": 0.005, "Fs": 0.005},
+    "little friction": {"Fc": 0.001, "Fs": 0.001},
     "stiff bristles": {"s0": 3e6},
     "light spool": {"m": 0.04},
     "hard stop": {"k_stop": 1e7, "v_stop": 1e-3},
     "high breakaway": {"Fs": 2.0},
-    "quick coil": {"L": 0.005, "magnetic_hysteresis.amplitude": 2.0, "magnetic_hysteresis.width": 0.01},
+    "quick coil": {"L": 0.001, "magnetic_hysteresis.amplitude": 2.0, "magnetic_hysteresis.width": 0.01},
 }
 
 

@@ -57,7 +57,7 @@ MAGNETIC_HYSTERESIS = Effect(
     ),
     laws={"force": _hysteresis_force},
     states=(State("loop", _loop_rate, _loop_decay),),
-    indistinguishable_from=("spool_stiction",),
+    indistinguishable_from=("spool_stiction", "input_hysteresis"),
     separated_by={
         "spool_stiction": (
             "triangles of +-60 % of the rated command with 0.5 s and 20 s per cycle, then again with a "
@@ -101,7 +101,7 @@ SPOOL_STICTION = Effect(
         ),
     ),
     adds_to={"Fc": "coulomb", "Fs": "static"},
-    indistinguishable_from=("magnetic_hysteresis",),
+    indistinguishable_from=("magnetic_hysteresis", "input_hysteresis"),
 )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 
 from ..parameters import SPOOL_TRAVEL, Parameter
-from ..vector_math import clip, sign, sqrt
+from ..vector_math import clip, sqrt
 from .effect import Effect
 
 __all__ = ["EFFECTS"]
@@ -95,12 +95,15 @@ def _underlap(opening, underlap_positive, underlap_negative):
 
 
 def _underlap_flow(flow, opening, drive, pressure, Kq, underlap_positive, underlap_negative, supply_pressure):
-    # While both are open, the edges of the other direction pass the other way, at the other pressure drop.
+    # While both are open, the edges of the other direction pass the other way, at the other pressure drop. At no opening at
+    # all, `drive` knows nothing of the pressure.
     other = 0.5 * (underlap_positive + underlap_negative - abs(opening))
-    against = 2.0 * sign(opening) * pressure / supply_pressure
-    here = drive if drive > 0.0 else 0.0
-    there = drive + against if drive + against > 0.0 else 0.0
-    return flow - sign(opening) * Kq * (other if other > 0.0 else 0.0) * (sqrt(there) - sqrt(here))
+    way = -1.0 if opening < 0.0 else 1.0
+    share = way * pressure / supply_pressure
+    here = drive if opening != 0.0 else drive - share
+    there = here + 2.0 * share
+    back = sqrt(there if there > 0.0 else 0.0) - sqrt(here if here > 0.0 else 0.0)
+    return flow - way * Kq * (other if other > 0.0 else 0.0) * back
 
 
 UNDERLAP = Effect(

@@ -7,12 +7,14 @@ every practice rig draws for itself:
 
     effect                     same form (the catalogue's)       different form
     driver_saturation          hard clip                         soft knee (p-norm)
+    input_hysteresis           one play                          three plays of different width
     coil_heating               heated by i^2 of the cold coil    heated by i^2 R(t)
     magnetic_hysteresis        Bouc-Wen                          sum of stop operators (Prandtl-Ishlinskii)
     spool_stiction             larger Fc, Fs of the one bristle  second, elasto-plastic bristle (Dupont 2002)
     spring_preload             tanh                              algebraic
     flow_force                 on the spool's travel             on the flow opening, with radial clearance
     dead_zone                  sharp corners                     corners rounded by the radial clearance
+    underlap                   sharp corners                     corners rounded by the radial clearance
     flow_saturation            hard clip                         p-norm
     directional_gain           kink                              blended around zero
     flow_gain_nonlinearity     gain linear in the opening        gain with a power of the opening
@@ -21,6 +23,8 @@ every practice rig draws for itself:
     entrained_air              isothermal                        polytropic
     line_loss, quadratic_drag  q abs(q)                          q sqrt(q^2 + small^2), laminar at low flow
     crossport_relief           kink                              rounded cracking, conductance grows with pressure
+    external_leakage           laminar                           with a power of the pressure
+    line_volume                laminar throttle                  with a power of the pressure drop
     motor_coulomb_friction     tanh with Stribeck peak           LuGre bristle on the shaft
     displacement_ripple        one cosine                        with a second harmonic
     loss models of the motor   sign(w) as tanh(10 w), root       sign(w) as w/sqrt(w^2 + small^2), laminar gap

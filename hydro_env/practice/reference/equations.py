@@ -105,9 +105,10 @@ def _valve_flow(p, spool, pressure, droop, mean):
     if width > abs(x):
         # The smaller edge passes as much as the opening lacks, at the drop of the other direction.
         smaller = 0.5 * (width - abs(x))
-        back = drive + 2.0 * against / p.underlap__supply_pressure
-        cross = p.Kq * smaller * (_root(p, back) - _root(p, drive))
-        flow -= cross if x > 0.0 else (-cross if x < 0.0 else 0.0)
+        way = -1.0 if x < 0.0 else 1.0
+        share = way * pressure / p.underlap__supply_pressure
+        here = drive if x != 0.0 else drive - share
+        flow -= way * p.Kq * smaller * (_root(p, here + 2.0 * share) - _root(p, here))
     return flow
 
 

@@ -50,7 +50,6 @@ class FormConstant:
 _ROWS = (
     # --- driver ---
     ("driver_knee", "1", 6.0, 60.0, True, "exponent of the p-norm: an output stage lacks 11 to 1 % at its limit"),
-    ("play_spread", "1", 0.1, 0.8, False, "widest and narrowest of three plays beside their mean: joints, brushes, feedback"),
     # --- opening ---
     ("clearance", "m", 1.5e-6, 1.5e-5, True, "radial clearance of spool and sleeve: 2 to 5 um new, more where edges wear"),
     ("saturation_knee", "1", 4.0, 40.0, True, "exponent of the p-norm: round ports lack 16 to 1.7 % at the limit"),
@@ -74,8 +73,6 @@ _ROWS = (
     ("bristle_stribeck", "1", 0.3, 3.0, True, "Stribeck speed of the second bristle over the first's, set by the film"),
     ("preload_travel", "m", 3e-6, 3e-5, True, "travel over which a preloaded spring takes hold: play of its washers"),
     # --- line ---
-    ("leak_power", "1", 0.5, 1.0, False, "power of the pressure in a leak: 0.5 for an orifice, 1 for a gap"),
-    ("throttle_power", "1", 0.6, 1.0, False, "the same of the throttle before a volume"),
     ("air_exponent", "1", 1.0, 1.4, False, "polytropic exponent of the air: isothermal to adiabatic"),
     ("line_transition", "m3/s", 2e-6, 4e-5, True, "flow below which a fitting is laminar: Re of 10 to 100 in 4 to 10 mm"),
     ("relief_rounding", "Pa", 1e4, 1.5e5, True, "pressure over which a poppet cracks: seat leakage and friction"),
@@ -98,8 +95,21 @@ _ROWS = (
     ("drift_bend", "1", -0.5, 0.8, False, "how much faster (or slower) than a single exponential a tank warms at first"),
     ("lag_share", "1", 0.5, 0.95, False, "share of the lag in the first of two filters, gate and display; 1 would be one"),
 )  # fmt: skip
+#: Of effects that came later: drawn after the stops, so that a seed goes on meaning the same rig.
+_LATER = (
+    (
+        "play_spread",
+        "1",
+        0.1,
+        0.8,
+        False,
+        "widest and narrowest of three plays beside their mean: joints, brushes, feedback",
+    ),
+    ("leak_power", "1", 0.5, 1.0, False, "power of the pressure in a leak: 0.5 for an orifice, 1 for a gap"),
+    ("throttle_power", "1", 0.6, 1.0, False, "the same of the throttle before a volume"),
+)
 #: Every constant but the stops.
-CONSTANTS = tuple(FormConstant(*row) for row in _ROWS)
+CONSTANTS = tuple(FormConstant(*row) for row in (*_ROWS, *_LATER))
 
 _REACH = 8.0  # widest over narrowest stop, at most
 
@@ -119,10 +129,12 @@ def _stops(reach: float, places: np.ndarray, weights: np.ndarray) -> dict[str, t
 
 def draw(rng: np.random.Generator) -> dict[str, float | tuple[float, ...]]:
     """The constants of one rig."""
-    found: dict[str, float | tuple[float, ...]] = {c.name: c.at(rng.random()) for c in CONSTANTS}
+    count = len(_ROWS)
+    found: dict[str, float | tuple[float, ...]] = {c.name: c.at(rng.random()) for c in CONSTANTS[:count]}
     reach = found["stop_reach"]
     assert isinstance(reach, float)
-    return {**found, **_stops(reach, rng.random(STOPS), rng.gamma(2.0, size=STOPS))}
+    found |= _stops(reach, rng.random(STOPS), rng.gamma(2.0, size=STOPS))
+    return found | {c.name: c.at(rng.random()) for c in CONSTANTS[count:]}
 
 
 _MEDIANS = {c.name: c.at(0.5) for c in CONSTANTS}
