@@ -45,10 +45,11 @@ def test_spool_positions_and_forces_are_shares_of_the_command() -> None:
     model = load_model("paper")
     full = model.value("alpha", 0) * model.value("u_rated", 0) / model.value("R", 0)
     overlap = 0.1 * full / model.value("k", 0)
-    assert words.of_command("dead_zone", "overlap_positive", overlap, model, 0) == "10 % of full command"
-    assert (
-        words.of_command("magnetic_hysteresis", "amplitude", 0.05 * full, model, 0) == "5 % of full command"
-    )
+    said = words.of_command("dead_zone", "overlap_positive", overlap, model, 0)
+    assert said == "7.30 V, 10 % of full command"
+    said = words.of_command("magnetic_hysteresis", "amplitude", 0.05 * full, model, 0)
+    assert said == "3.65 V, 5 % of full command"
+    assert words.of_command("input_hysteresis", "width", 3.65, model, 0) == "5 % of full command"
     assert words.of_command("sensor_gain", "gain", 1.1, model, 0) == ""
 
 

@@ -140,7 +140,7 @@ def of_command(effect: str, name: str, value: float, model: PlantModel, channel:
     elif described.unit == "N" and described.scaling == SPOOL_FORCE:
         share = value / force
     elif described.unit == "V":
-        return f"{number(100.0 * value / rated)} % of full command"
+        return f"{100.0 * value / rated:.3g} % of full command"
     else:
         return ""
-    return f"{number(share * rated)} V, {number(100.0 * share)} % of full command"
+    return f"{number(share * rated)} V, {100.0 * share:.3g} % of full command"
