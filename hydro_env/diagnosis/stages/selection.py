@@ -22,7 +22,7 @@ from .screening import Screening, screen
 __all__ = ["run", "select"]
 
 #: Short refits and full refits in the first round, and in later ones, where the screening is beside a better model.
-FIRST_REFITS, LATER_REFITS = (9, 3), (5, 2)
+FIRST_REFITS, LATER_REFITS = (12, 3), (6, 2)
 #: Iterations of a full refit, and of one where simulating costs next to nothing.
 FULL_ITERATIONS, CHEAP_ITERATIONS = 3, 10
 #: Candidates whose short refit reached less than this share of the best one's are not refitted in full.
