@@ -136,9 +136,9 @@ class Books:
         middle = (
             0.5 * self["external_leakage.supply_pressure"] * (1.0 + self["external_leakage__mean_pressure"])
         )
-        for line, way in (("a", 0.5), ("b", -0.5)):
-            of_line = np.maximum(middle + way * pressure, 0.0)
-            flow = flow + way * self[f"external_leakage.conductance_{line}"] * of_line
+        leak = self["external_leakage.conductance"]
+        of_line = np.maximum(middle + 0.5 * np.sign(leak) * pressure, 0.0)
+        flow = flow + 0.5 * leak * of_line
         flow = flow + self["line_volume.conductance"] * (pressure - self["line_volume__side_pressure"])
         for name in ("wilson_losses", "schloesser_losses", "dorey_losses", "jeong_losses"):
             laminar = self[f"{name}.slip"] * self["D"] / self[f"{name}.viscosity"] * pressure

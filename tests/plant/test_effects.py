@@ -347,10 +347,10 @@ def test_relief_valves_clip_the_pressure_both_ways(rigs: Callable[..., Plant]) -
 def test_a_leak_takes_flow_from_its_own_line(rigs: Callable[..., Plant]) -> None:
     leak, supply = 4e-12, 100e5
     values = {
-        "external_leakage__conductance_a": [leak, 0.0, 0.0],
+        "external_leakage__conductance": [leak, -leak, 0.0],
         "external_leakage__supply_pressure": supply,
     }
-    plant = rigs(**values, external_leakage__conductance_b=[0.0, leak, 0.0])
+    plant = rigs(**values)
     for sign in (1.0, -1.0):
         plant.reset()
         hold(plant, sign * 60.0, 0.5 * sign)

@@ -128,12 +128,12 @@ CROSSPORT_RELIEF = Effect(
 
 
 # Pressures of both lines from their difference and from their mean, whose deviation from half the supply is a state.
-def _external_leakage(leakage, pressure, mean_pressure, conductance_a, conductance_b, supply_pressure):
+def _external_leakage(leakage, pressure, mean_pressure, conductance, supply_pressure):
     middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
     a = middle + 0.5 * pressure
     b = middle - 0.5 * pressure
-    lost = conductance_a * (a if a > 0.0 else 0.0) - conductance_b * (b if b > 0.0 else 0.0)
-    return leakage + 0.5 * lost
+    line = a if conductance > 0.0 else b
+    return leakage + 0.5 * conductance * (line if line > 0.0 else 0.0)
 
 
 def _drive_of_both_edges(drive, mean_pressure):
@@ -148,12 +148,13 @@ def _drive_of_both_edges(drive, mean_pressure):
 
 
 def _mean_pressure_rate(
-    mean_pressure, pressure, opening, drive, bulk_modulus, V, Kq, conductance_a, conductance_b, supply_pressure
+    mean_pressure, pressure, opening, drive, bulk_modulus, V, Kq, conductance, supply_pressure
 ):  # fmt: skip
     middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
     a = middle + 0.5 * pressure
     b = middle - 0.5 * pressure
-    lost = conductance_a * (a if a > 0.0 else 0.0) + conductance_b * (b if b > 0.0 else 0.0)
+    line = a if conductance > 0.0 else b
+    lost = abs(conductance) * (line if line > 0.0 else 0.0)
     # By which the root of the filling edge exceeds that of the emptying one; `drive` is the square of their mean.
     root = sqrt(drive if drive > 1e-6 else 1e-6)
     gained = -clip(mean_pressure / root, -2.0 * root, 2.0 * root)
@@ -161,10 +162,10 @@ def _mean_pressure_rate(
 
 
 def _mean_pressure_decay(
-    opening, drive, bulk_modulus, V, Kq, conductance_a, conductance_b, supply_pressure
+    opening, drive, bulk_modulus, V, Kq, conductance, supply_pressure
 ):  # fmt: skip
     slopes = 1.0 / sqrt(drive if drive > 0.01 else 0.01)
-    lost = 0.5 * supply_pressure * (conductance_a + conductance_b)
+    lost = 0.5 * supply_pressure * abs(conductance)
     return bulk_modulus / (2.0 * V * supply_pressure) * (Kq * abs(opening) * slopes + lost)
 
 
@@ -177,26 +178,15 @@ EXTERNAL_LEAKAGE = Effect(
     source="laminar leak; mean pressure of the lines from the flows of both edges, Merritt 1967, ch. 5 and 6",
     parameters=(
         Parameter(
-            "conductance_a",
+            "conductance",
             "m3/(s Pa)",
             0.0,
-            low=0.0,
+            low=-1e-10,
             high=1e-10,
             typical=4e-12,
             scaling=MOTOR_SIZE,
-            note="leak of the line that drives in the positive direction",
+            note="conductance of the leak; positive: of the line that drives in the positive direction, negative: of the other",
             source="assumed: 4 % of the rated flow at half of 100 bar",
-        ),
-        Parameter(
-            "conductance_b",
-            "m3/(s Pa)",
-            0.0,
-            low=0.0,
-            high=1e-10,
-            typical=4e-12,
-            scaling=MOTOR_SIZE,
-            note="leak of the other line",
-            source="the same",
         ),
         Parameter(
             "supply_pressure",

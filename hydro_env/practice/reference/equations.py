@@ -126,7 +126,8 @@ def _leaks(p, pressure, mean):
     if p.different:
         half = 0.5 * p.external_leakage__supply_pressure
         a, b = half * (a / half) ** p.form_leak_power, half * (b / half) ** p.form_leak_power
-    return p.external_leakage__conductance_a * a, p.external_leakage__conductance_b * b
+    leak = p.external_leakage__conductance
+    return max(leak, 0.0) * a, max(-leak, 0.0) * b
 
 
 @compiled

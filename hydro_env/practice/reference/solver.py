@@ -75,7 +75,7 @@ class Group:
                 p["at_loop"] = place(*([1.0] * (STOPS if different else 1)))
             if p["input_hysteresis__width"] != 0.0:
                 p["at_play"] = place(*([1.0] * (PLAYS if different else 1)))
-            if max(p["external_leakage__conductance_a"], p["external_leakage__conductance_b"]) > 0.0:
+            if p["external_leakage__conductance"] != 0.0:
                 p["at_mean"] = place(0.1)
             if p["line_volume__conductance"] > 0.0:
                 p["at_side"] = place(1e5)
