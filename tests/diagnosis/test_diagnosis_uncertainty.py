@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis.estimation import Estimate, Fit, less_taken, noise_floor, noise_of, restart_friction
-from hydro_env.diagnosis.estimation.uncertainty import bootstrap
+from hydro_env.diagnosis.estimation.uncertainty import bootstrap, nearest_inside
+from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import as_given, base_unknowns, calibrate
 from hydro_env.diagnosis.stages.localisation import shape
 from hydro_env.diagnosis.stages.screening import Screening, absorb, hidden_by_calibration, screen
-from hydro_env.plant import load_model
+from hydro_env.plant import PARAMETERS, load_model
 from hydro_env.practice.generate import make_practice
 
 
@@ -30,6 +31,22 @@ def test_bootstrap_has_the_spread_of_the_mean() -> None:
     matrices, sides = np.ones((count, 1, 1)), (truth + noise)[:, None]
     moves = bootstrap(matrices, sides, np.zeros((1, 1)), np.zeros(1), rng)
     assert np.std(moves) == pytest.approx(1.0 / np.sqrt(count), rel=0.2)
+
+
+def test_a_replica_beyond_its_bounds_keeps_combinations_that_make_up_for_each_other() -> None:
+    """The logs know the sum of two unknowns well and their difference hardly: clipping one of them would change the sum."""
+    matrix = np.array([[1e4 + 1.0, 1e4 - 1.0], [1e4 - 1.0, 1e4 + 1.0]])
+    bounds = np.array([-0.5, -3.0]), np.array([0.5, 3.0])
+    found = nearest_inside(matrix, np.array([2.0, -2.0]), np.zeros(2), bounds)
+    assert found == pytest.approx([0.5, -0.5], abs=1e-3)
+    inside = nearest_inside(matrix, np.array([0.4, -0.4]), np.zeros(2), bounds)
+    assert inside == pytest.approx([0.4, -0.4])
+
+
+def test_a_value_beyond_its_usual_range_may_move_both_ways() -> None:
+    usual, low = base_unknown(PARAMETERS["J"], 0.0028), base_unknown(PARAMETERS["Fc"], 0.002)
+    assert (usual.low, usual.high) == (0.0014, 0.0056)
+    assert low.low < 0.002 < low.high and low.low >= PARAMETERS["Fc"].possible[0]
 
 
 def test_noise_floor_of_a_signal_that_stands_still_most_of_the_time() -> None:

@@ -20,10 +20,12 @@ def _doubts(
     has_hidden_states: bool = True,
     share: float = 1.0,
     apart: float = 0.0,
+    low: float = 0.09,
 ) -> list[str]:
     """The doubts about a name with these errors of the speed, of which those of the fit logs are in a `share` of the time.
 
-    `apart` is by how many times the noise the courses of a replica differ that the fit logs cannot part from the estimate.
+    `apart` is by how many times the noise the courses of a replica differ that the fit logs cannot part from the estimate;
+    `low` is the lower end of the interval of the effect's size, whose neutral value is 0.
     """
     rig = LinearRig({"load_bias.bias": np.ones(ROWS)}, TIME, has_hidden_states=has_hidden_states, signals=2)
     every = np.arange(ROWS)
@@ -36,7 +38,8 @@ def _doubts(
     ]  # fmt: skip
     found = Estimate(0, [], np.zeros(0)).with_effect("load_bias", {"bias": 0.1})
     moved = found.q + apart / found.unknowns[-1].scale
-    found.intervals = Intervals(moved, moved, moved, moved[None])
+    ends = [np.array([found.unknowns[-1].q(value)]) for value in (low, 0.11)]
+    found.intervals = Intervals(*ends, moved, moved[None])
     selection = Selection({0: found}, [Accepted("load_bias", 0, 500.0, 18.0)], [], {})
     entries = [{"noise": 1.0, "placebo": 30.0, "before": 50.0, **e} for e in (fit, sealed)]
     pressure = {"noise": 1.0, "calibrated": 20.0, "after": 1.0, "placebo": 9.0, "before": 50.0}
@@ -44,6 +47,13 @@ def _doubts(
     proofs = [Proof(rig, {(0, "speed"): e, (0, "pressure"): pressure}, traces) for e in entries]  # type: ignore[arg-type]
     fit = Fit(rig, {(0, name): 1.0 for name in errors})  # type: ignore[arg-type]
     return doubts(fit, fit, selection, {0: found}, *proofs)
+
+
+def test_an_effect_whose_interval_holds_the_neutral_value_is_not_confirmed() -> None:
+    right = {"calibrated": 40.0, "after": 1.02}, {"calibrated": 38.0, "after": 1.05}
+    assert not _doubts(*right, low=0.01)
+    (doubt,) = _doubts(*right, low=-0.01)
+    assert "holds the neutral value" in doubt
 
 
 def test_right_names_are_not_doubted() -> None:

@@ -17,7 +17,8 @@ from .estimate import Estimate, Vector
 from .fit import Fit
 
 __all__ = [
-    "CANNOT_BE_PREDICTED", "Intervals", "bootstrap", "courses_apart", "intervals_of", "probability_of_gain", "unpredictable",
+    "CANNOT_BE_PREDICTED", "Intervals", "bootstrap", "courses_apart", "intervals_of", "nearest_inside", "probability_of_gain",
+    "unpredictable",
 ]  # fmt: skip
 
 #: Length of a manoeuvre that is left out as a whole, s.
@@ -57,11 +58,11 @@ def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
         gone = slice(first, first + width)
         matrix, side = whole - matrices[gone].sum(axis=0), right - sides[gone].sum(axis=0)
         without = np.maximum(without, np.abs(np.linalg.lstsq(matrix, side, rcond=None)[0] - start))
-    draws = np.array([_nearest_inside(whole, move, estimate.q, bounds) for move in moves[:DRAWS]])
+    draws = np.array([nearest_inside(whole, move, estimate.q, bounds) for move in moves[:DRAWS]])
     return Intervals(low, high, without, draws.reshape(DRAWS, size))
 
 
-def _nearest_inside(
+def nearest_inside(
     matrix: np.ndarray, move: np.ndarray, q: np.ndarray, bounds: tuple[Vector, Vector]
 ) -> np.ndarray:
     """The q inside the bounds that the logs distinguish least from `q + move`.
