@@ -82,7 +82,7 @@ def _statements(body: list[ast.stmt], known: set[str]) -> list[str]:
                 lines.append(f"{_expression(target)} = {_expression(value)};")
             case ast.AugAssign(ast.Name(name), _, value):
                 lines.append(f"{name} = {name} || {_expression(value)};")
-            case ast.Return(ast.Name("near")):
+            case ast.Return(ast.Name("more")):
                 continue
             case ast.Return(ast.expr() as value):
                 lines.append(f"return {_expression(value)};")
@@ -98,9 +98,11 @@ def _statements(body: list[ast.stmt], known: set[str]) -> list[str]:
 
 
 def to_cpp(source: str) -> str:
-    """The substep of a generated kernel as C++: `run(cells, steps, h)`. NotImplementedError for what it cannot say."""
+    """The whole substep of a generated kernel as C++: `run(cells, steps, h)`, `h` as in the step before. NotImplementedError
+    for what it cannot say.
+    """
     functions = {node.name: node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef)}
-    half = int(source.split("\nHALF = ")[1].split("\n")[0])
+    half, todo = (int(source.split(f"\n{name} = ")[1].split("\n")[0]) for name in ("HALF", "TODO"))
     wanted: list[str] = []
 
     def need(name: str) -> None:
@@ -123,8 +125,9 @@ def to_cpp(source: str) -> str:
         )  # fmt: skip
         text += [head + " {", *_statements(node.body, set(arguments)), "}"]
     text.append(
-        'extern "C" void run(double *cells, long steps, double h)'
-        " { for (long n = 0; n < steps; n++) { begin(cells, h); finish(cells, h); } }"
+        'extern "C" void run(double *cells, long steps, double h) {'
+        f" for (int l = 0; l < LANES; l++) cells[{todo} * LANES + l] = steps;"
+        " for (long n = 0; n < steps; n++) { begin(cells, h); finish(cells, h); } }"
     )
     return "\n".join(text) + "\n"
 

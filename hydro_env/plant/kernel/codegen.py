@@ -1,10 +1,12 @@
 """Writes the module of a kernel: the sweeps over the lanes of a block, and the loop over substeps around them.
 
-A sweep is one loop over all lanes. `settle` computes once what the parameters and the length of the step settle; `begin`
-makes the first stage of a step and the factors of its matrix, `finish` the other three; `ask` says which lanes take the step
-in parts; `refine` finds stiff channels; `look` gives the outputs and `guard` puts lanes that have diverged to rest.
+A sweep is one loop over all lanes. `begin` makes the first stage of a step and the factors of its matrix, `finish` the other
+three, and `ask` says in how many parts a lane wants its next substep. Lanes are independent of each other, so each goes at its
+own pace: a step has another length on every lane, and `pace` begins the next substep where one is done. It computes once what
+the parameters and the length of a step settle. `refine` finds stiff channels; `look` gives the outputs, and `guard` puts
+lanes that have diverged to rest.
 
-What makes it fast: nothing is computed in every stage that `settle` can compute once; sums over earlier stages come before
+What makes it fast: nothing is computed in every stage that `pace` can compute once; sums over earlier stages come before
 the rates they are added to, so that little waits for the friction's long chain of operations; the matrix W leaves out the
 falling slope of the Stribeck curve, which would cost work and, when steep, stability. Its arrow structure solves in some
 thirty operations.
@@ -12,6 +14,7 @@ thirty operations.
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import inspect
 import textwrap
@@ -25,7 +28,7 @@ from . import vector_ir
 from .integrator import METHOD, integral_coefficients
 from .layout import DIVISORS, FACTORS, INTEGRAL, STATES, Layout, in_text, layout_of, uses
 from .statements import Substep, call, chain, functions, fused, needed, substep_of
-from .template import DELAY, EXCHANGE, MODULE
+from .template import DELAY, EXCHANGE, MODULE, TOGETHER
 
 __all__ = ["Module", "module_text"]
 
@@ -86,27 +89,38 @@ class _Sweeps:
         return bool(self._flows)
 
     @property
+    def coupling(self) -> dict[str, float]:
+        """Parameters whose values, unless neutral, let the channels of a rig act on each other."""
+        return {
+            in_text(e, p.name): p.nominal
+            for e in self.at.effects
+            if e.couples_channels
+            for p in e.parameters
+            if p.carries_size
+        }
+
+    @property
     def _inputs(self) -> list[str]:
         # `rates` takes the command as the delay line hands it over.
         inputs = [f"command = {self.at.cell('applied')}"]
         return [*inputs, *self.at.load(["load", "time"], self.substep.rates_text), *self._flows]
 
-    @property
-    def _any_bend(self) -> list[str]:
-        return [f"near |= ({') | ('.join(bend.test for bend in self.bends)})"]
-
     def _store(self, names: Iterable[str]) -> list[str]:
         return [f"{self.at.cell(name)} = {name}" for name in names]
 
-    def settle(self) -> list[str]:
-        """Reciprocals, and what the parameters and the length of the step settle."""
+    def pace(self) -> list[str]:
+        """Lanes whose substep is done begin the next one; where it is taken in other parts, the length of a step is new."""
         at, own = self.at, needed(set(self.at.settled), self.substep.settling)
-        divided = [f"per_{name} = 1.0 / {name}" for name in DIVISORS]
-        loaded = at.load(at.parameters, "\n".join([*divided, *own]))
-        return loaded + divided + own + self._store(at.reciprocals) + self._store(at.settled)
+        lines = at.load(["left", "parts", "wanted"], "left parts wanted")
+        lines += ["parts = parts if left > 0.0 else wanted", "left = left if left > 0.0 else wanted"]
+        lines += [*self._store(["left"]), f"if parts != {at.cell('parts')}:"]
+        settled = at.load([*at.parameters, *at.reciprocals], "\n".join(own))
+        settled += ["step = h / parts", "ih = 1.0 / step", f"gh = {METHOD.gamma!r} * step", "ig = 1.0 / gh"]
+        settled += own + self._store(["parts", "step", "ih", "ig", *at.settled])
+        return lines + ["    " + line for line in settled]
 
     def refine(self) -> list[str]:
-        """What is left of the dry friction, and in how many parts stiff channels take every step."""
+        """Reciprocals; what is left of the dry friction, and in how many parts stiff channels take every substep."""
         at = self.at
         sizes = [
             in_text(e, p.name)
@@ -127,22 +141,28 @@ class _Sweeps:
             f"coil = coil_parts(h, R, L) if {coil} else 0.0",
             "fine = fine_parts(bristles, stops, coil)",
         ]
-        return lines + self._store(("Fc", "Fs", "s0", "s1", "fine"))
+        lines += self._store(("Fc", "Fs", "s0", "s1", "fine"))
+        if self.coupling:
+            lines += at.load(self.coupling, " ".join(self.coupling))
+            tests = [
+                f"({name} != {ast.unparse(ast.Constant(nominal))})" for name, nominal in self.coupling.items()
+            ]
+            coupled = " | ".join(tests)
+            lines += [f"{at.cell('together')} = 1.0 if {coupled} else 0.0"]
+        lines += at.load(DIVISORS, " ".join(DIVISORS)) + [f"per_{name} = 1.0 / {name}" for name in DIVISORS]
+        return lines + self._store(at.reciprocals) + [f"{at.cell('parts')} = 0.0"]
 
     def ask(self) -> list[str]:
-        """In how many parts each lane takes the step: of several bends the one with most parts decides.
+        """In how many parts each lane takes the next substep."""
+        asked = self._asked()
+        return self.at.load([*self.at.states, *self.at.parameters], "\n".join(asked)) + asked
 
-        A stiff channel takes each of them in its own number of parts.
-        """
-        at = self.at
-        lines = [*at.load([*at.states, *at.parameters], "\n".join(b.test for b in self.bends)), "parts = 1.0"]
+    def _asked(self) -> list[str]:
+        """Of several bends the one with most parts decides; a stiff channel takes each part in its own number of parts."""
+        lines = ["wanted = 1.0"]
         for bend in sorted(self.bends, key=lambda bend: bend.parts):
-            lines.append(f"parts = {float(bend.parts)} if {bend.test} else parts")
-        return [
-            *lines,
-            f"parts = parts * {at.cell('fine')}",
-            f"{at.cell('asked')} = parts if parts > 1.0 else 0.0",
-        ]
+            lines.append(f"wanted = {float(bend.parts)} if {bend.test} else wanted")
+        return [*lines, f"{self.at.cell('wanted')} = wanted * {self.at.cell('fine')}"]
 
     def _solve(self, summed: bool) -> list[str]:
         """(ig - W) u = r, where r is the rate plus, if `summed`, a combination of earlier stages."""
@@ -150,10 +170,11 @@ class _Sweeps:
         return lines + _SOLUTION + [f"u__{n} = r__{n} * f__{n}" for n in self.at.own_states]
 
     def first_stage(self) -> list[str]:
-        """Rates, matrix, its factors, and the solution u0, all in one sweep; whether any lane is near a bend."""
+        """Rates, matrix, its factors, and the solution u0, all in one sweep."""
         at, step = self.at, self.substep
         lines = at.load(at.states, step.rates_text + " ".join(at.states)) + self._inputs
-        used = [step.rates_text, *step.slopes, *step.factors, *self._any_bend]
+        lines += [*at.load(["step", "ig"], "step ig"), f"gh = {METHOD.gamma!r} * step"]
+        used = [step.rates_text, *step.slopes, *step.factors]
         lines += (
             at.load(at.constants, "\n".join(used)) + step.rates + step.own_rates + step.slopes + step.factors
         )
@@ -169,13 +190,17 @@ class _Sweeps:
                 lines.append(f"f__{name} = 1.0 / (ig + {decay})" if decay else f"f__{name} = 1.0 / ig")
                 lines.append(f"{at.cell('f__' + name)} = f__{name}")
         lines += [f"{at.cell('next_flow')} = flow"] if self.exchanges_flows else []
-        lines += self._any_bend + self._solve(summed=False)
+        lines += self._solve(summed=False)
         return lines + [f"{at.cell('u0__' + name)} = u__{name}" for name in at.staged]
 
     def later_stage(self, number: int) -> list[str]:
         """Stage 1, 2 or 3: rates at the stage, and its solution; the last one moves the states."""
         at, step = self.at, self.substep
-        lines = []
+        lines = [
+            *at.load(["step", "ih", "ig"], "step ih ig"),
+            f"gh = {METHOD.gamma!r} * step",
+            *_coefficients(number),
+        ]
         for name in at.staged:
             for j in range(number):
                 lines.append(f"u{j}__{name} = {at.cell(f'u{j}__{name}')}")
@@ -202,10 +227,16 @@ class _Sweeps:
         for name, rate in INTEGRAL.items():
             terms = "".join(f" + q4{j} * u{j}__{rate}" for j in range(3))
             lines += [f"{name} = begin__{name} + p4 * begin__{rate}{terms} + q43 * u__{rate}"]
-        # Stored only after everything is loaded: the compiler gives up on vectors otherwise.
-        lines += [f"{at.cell('time')} = {at.cell('time')} + h"]
-        lines += [f"{at.cell('flow')} = {at.cell('next_flow')}"] if self.exchanges_flows else []
-        return lines + self._store(at.states)
+        # A lane that has done all its substeps waits for the others.
+        lines += at.load(["todo", "left", "time"], "todo left time")
+        lines += ["going = todo > 0.0", "left = left - 1.0", "todo = todo - 1.0 if left <= 0.0 else todo"]
+        lines += [f"{name} = {name} if going else {at.cell(name)}" for name in at.states]
+        lines += ["time = time + step if going else time", "more |= todo > 0.0"]
+        if self.exchanges_flows:
+            lines += [f"{at.cell('flow')} = {at.cell('next_flow')} if going else {at.cell('flow')}"]
+        lines += self._store(["todo", "left", "time", *at.states])
+        tests = "\n".join(asked := self._asked())
+        return lines + at.load(at.parameters, tests) + asked
 
     def look(self) -> list[str]:
         """Flow and measured speed from the states as they are."""
@@ -235,23 +266,16 @@ def _bends(effects: Iterable[Effect]) -> list[_Bend]:
     return bends
 
 
-def _part_numbers(bends: Iterable[_Bend]) -> tuple[int, ...]:
-    """Numbers of parts that a lane may ask for: first those of the bends, then those that only stiff channels need."""
-    own = {1, *(bend.parts for bend in bends)}
-    return (*sorted(own), *sorted({fine * parts for fine in FINE_PARTS for parts in own} - own))
-
-
-def _coefficients() -> list[str]:
-    """The tableau for a step of h, ih = 1 / h."""
+def _coefficients(stage: int) -> list[str]:
+    """The tableau of a stage (1, 2 or 3), and of the end after the last one, for a step of `step` s, ih = 1 / step."""
     p, q = integral_coefficients(METHOD)
     lines = []
-    for i in range(1, 4):
-        for j in range(i):
-            lines.append(f"a{i}{j} = {float(METHOD.a[i, j])!r}")
-            lines.append(f"c{i}{j} = {float(METHOD.c[i, j])!r} * ih")
-    for i in range(1, 5):
-        lines += [f"p{i} = {float(p[i])!r} * h"]
-        lines += [f"q{i}{j} = {float(q[i, j])!r} * h" for j in range(min(i, 4))]
+    for j in range(stage):
+        lines.append(f"a{stage}{j} = {float(METHOD.a[stage, j])!r}")
+        lines.append(f"c{stage}{j} = {float(METHOD.c[stage, j])!r} * ih")
+    for i in (3, 4) if stage == 3 else (stage,):
+        lines += [f"p{i} = {float(p[i])!r} * step"]
+        lines += [f"q{i}{j} = {float(q[i, j])!r} * step" for j in range(min(i, 4))]
     return lines
 
 
@@ -300,16 +324,15 @@ def module_text(effects: tuple[Effect, ...], half: int, single: bool) -> Module:
     bends = _bends(effects)
     sweeps, at = _Sweeps(layout, substep, bends), layout.rows
     exchange = EXCHANGE.format(flow=at["flow"], other=at["other_flow"]) if sweeps.exchanges_flows else ""
+    together = TOGETHER.format(wanted=at["wanted"], together=at["together"]) if sweeps.coupling else ""
     text = MODULE.format(
         lanes=hashlib.sha256(inspect.getsource(vector_ir).encode()).hexdigest()[:16],
         functions="\n\n".join(functions(effects)), real="np.float32" if single else "np.float64",
-        half=half, moving=layout.moving, kept=layout.kept, total=len(at), saved=layout.saved,
-        command=at["command"], load=at["load"], applied=at["applied"], time=at["time"], rated=at["u_rated"],
-        asked=at["asked"], before=at["before0"], after=at["after0"],
-        part_numbers=_part_numbers(bends), whole=1 + len({bend.parts for bend in bends}), fine=at["fine"],
-        refine=_sweep(sweeps.refine()),
-        gamma=repr(METHOD.gamma), coefficients=_indent(fused("\n".join(_coefficients())).splitlines()),
-        prepare=_sweep(sweeps.settle()), ask=_sweep(sweeps.ask()), first=_sweep(sweeps.first_stage()),
+        half=half, moving=layout.moving, kept=layout.kept, total=len(at),
+        command=at["command"], load=at["load"], applied=at["applied"], rated=at["u_rated"], todo=at["todo"], left=at["left"],
+        most=max([1, *(bend.parts for bend in bends)]) * max(FINE_PARTS), refine=_sweep(sweeps.refine()),
+        together=_indent(together.splitlines()),
+        pace=_sweep(sweeps.pace()), ask=_sweep(sweeps.ask()), first=_sweep(sweeps.first_stage()),
         second=_sweep(sweeps.later_stage(1)), third=_sweep(sweeps.later_stage(2)), fourth=_sweep(sweeps.later_stage(3)),
         watch=_sweep(sweeps.look()), guard=_sweep(sweeps.guard()), exchange=_indent(exchange.splitlines()),
         additions=_additions(layout), **_delay_line(layout),

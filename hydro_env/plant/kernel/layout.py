@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from ..catalogue import Effect
 from ..parameters import PARAMETERS
 
-__all__ = ["DIVISORS", "FACTORS", "INTEGRAL", "STATES", "Layout", "in_text", "layout_of", "uses"]
+__all__ = ["DIVISORS", "FACTORS", "INTEGRAL", "PACE", "STATES", "Layout", "in_text", "layout_of", "uses"]
 
 #: States of a channel, in the order of `rates`.
 STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
@@ -26,6 +26,9 @@ FACTORS = (
     "e_current", "e_bristle", "e_spool_speed", "w_spool", "w_bristle", "w_current", "w_back", "w_slope", "e_speed",
     "e_pressure", "w_flow", "w_pump", "w_lift",
 )  # fmt: skip
+#: How a lane goes: substeps of the row to do; parts of this substep that are left; in how many parts it is taken, and the next
+#: one should be; the length of a part, s, its reciprocal, and that of gamma times it.
+PACE = ("todo", "left", "parts", "wanted", "step", "ih", "ig")
 _OUTPUTS = ("time", "flow", "measured_speed", "diverged", "command", "load")
 
 
@@ -42,7 +45,7 @@ def uses(name: str, text: str) -> bool:
 @dataclass(frozen=True)
 class Layout:
     """Names and rows of a block. `states` are those of `rates` and of the effects, `settled` what is computed once for all
-    substeps of a length. The first `moving` rows change with time, the first `kept` ones stay between calls.
+    steps of a length. The first `moving` rows change with time, the first `kept` ones stay between calls.
     """
 
     effects: tuple[Effect, ...]
@@ -63,11 +66,6 @@ class Layout:
     def own_states(self) -> tuple[str, ...]:
         """States of the effects."""
         return self.states[len(STATES) :]
-
-    @property
-    def saved(self) -> int:
-        """States, time and flow: all that a step changes. They come first."""
-        return len(self.states) + 2
 
     @property
     def reciprocals(self) -> list[str]:
@@ -106,7 +104,6 @@ def layout_of(effects: tuple[Effect, ...], half: int) -> Layout:
         *(f"u{stage}__{name}" for stage in range(3) for name in bare.staged),
         "applied", "next_flow", "other_flow",
         *bare.reciprocals,
-        "asked", "fine",
-        *(f"{copy}{row}" for copy in ("before", "after") for row in range(bare.saved)),
+        "fine", "together", *PACE,
     ]  # fmt: skip
     return replace(bare, rows={name: row for row, name in enumerate(names)})

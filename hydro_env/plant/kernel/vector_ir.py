@@ -10,10 +10,11 @@ It is translated here straight to vector instructions, as many lanes to a vector
 itself the compiler would have to find out types, variables and that the loop can be vectorised at all, and spend most of
 its time on that. What a statement computes is fixed by its text: nothing is fused or reordered.
 
-Statements: assignments to variables and cells, `found |= test` in a loop to learn whether any lane passes a test (before
-the loop `found = False`, and `return found` at the end), and in the functions called also `if` and `return`. Expressions:
-+ - * /, whole powers, comparisons, and/or/&/|/not, conditional expressions, abs, sqrt, floor, fma, and other functions of
-the same module. TypeError, naming the function, for anything else.
+Statements: assignments to variables and cells; `found |= test` in a loop to learn whether any lane passes a test (before the
+loop `found = False`, and `return found` at the end); in a loop also `if` before statements that end by storing to a cell: they
+run on all lanes of a vector if any lane passes, so what they store has to be right for each; and in the functions called also
+`if` and `return`. Expressions: + - * /, whole powers, comparisons, and/or/&/|/not, conditional expressions, abs, sqrt, floor,
+fma, and other functions of the same module. TypeError, naming the function, for anything else.
 """
 
 from __future__ import annotations
@@ -176,6 +177,8 @@ class _Emitter:
                     names[name] = self.builder.or_(names[name], self.value(value, names))
                 case ast.Return(ast.expr() as value):
                     return self.value(value, names)
+                case ast.If(test, [*_, ast.Assign([ast.Subscript()])] as body, []) if self.lane is not None:
+                    self._where_any(self.value(test, names), body, dict(names))
                 case ast.If(test, body, orelse):
                     # Both ways are computed on every lane; what follows belongs to each of them.
                     rest = statements[number + 1 :]
@@ -192,6 +195,13 @@ class _Emitter:
                 case _:
                     raise self._fail(node)
         return None
+
+    def _where_any(self, test: ir.Value, body: list[ast.stmt], names: dict[str, ir.Value]) -> None:
+        """Statements that are left out where no lane of the vector passes a test; else they are run on all of them."""
+        emit = self.builder
+        bits = emit.bitcast(test, ir.IntType(self.width))
+        with emit.if_then(emit.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0)), likely=False):
+            self._block(body, names)
 
     def _lanes(self, bound: ast.expr, body: list[ast.stmt], names: dict[str, ir.Value]) -> None:
         """A loop over lanes, a vector at a time."""
