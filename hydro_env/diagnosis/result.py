@@ -18,6 +18,8 @@ from .state import State
 __all__ = ["SCHEMA", "Diagnosis"]
 
 SCHEMA = "hydro_env/diagnosis/1"
+#: Named effects that leave a speed of the held-out logs above so many times its noise are not proven.
+PROVEN = 1.5
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,15 @@ class Diagnosis:
         """`none`: the model as given explains the logs; `calibration`: adjusting known parameters does; `effects`: the named
         effects do; `unknown`: something is missing that the catalogue does not explain."""
         return self.state.verdict
+
+    @property
+    def best_guess(self) -> bool:
+        """Whether the named effects are only the best guess: they leave more of a speed of the held-out logs than its noise
+        (`PROVEN`). A reduced model is not held against the noise, which is not all that it leaves out."""
+        if self.verdict != "effects" or not self.state.rig.has_hidden_states:
+            return False
+        errors = self.state.on_held_out.errors
+        return any(e["after"] > PROVEN * e["noise"] for (_, signal), e in errors.items() if signal == "speed")
 
     @property
     def effects(self) -> list[NamedEffect]:
@@ -63,14 +74,15 @@ class Diagnosis:
     def as_dict(self) -> dict[str, Any]:
         """The content of diagnosis.json, of schema `SCHEMA`.
 
-        `trials`, `warnings`, `hidden_by_calibration` and `shape_corrections` go beyond the contract. Where there are shape
-        corrections, "after" is the model with them, "named" in `gap` the one with the effects alone.
+        `best_guess`, `trials`, `warnings`, `hidden_by_calibration` and `shape_corrections` go beyond the contract. Where there
+        are shape corrections, "after" is the model with them, "named" in `gap` the one with the effects alone.
         """
         state = self.state
         logs = (*state.rig.parts, *state.held_out_parts)
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
+            "best_guess": self.best_guess,
             "effects": [n.as_dict() for n in self.effects],
             "where": [p.as_dict() for p in state.locations],
             "calibrated": {

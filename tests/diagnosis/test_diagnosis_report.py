@@ -105,6 +105,30 @@ def test_the_terminal_says_it_all_in_about_twenty_lines(found: Diagnosis) -> Non
         assert word in text, word
 
 
+def test_what_is_left_above_the_noise_makes_a_name_a_guess(
+    found: Diagnosis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    proof = found.state.on_held_out
+
+    def leaving(times: float) -> Diagnosis:
+        noise = proof.errors[0, "speed"]["noise"]
+        errors = {
+            (0, "speed"): {**proof.errors[0, "speed"], "after": times * noise, "calibrated": 10.0 * noise}
+        }
+        return _with(found, on_held_out=dataclasses.replace(proof, errors=errors))
+
+    assert not leaving(4.0).best_guess  # a reduced model leaves out more than noise
+    monkeypatch.setattr(found.state.rig, "has_hidden_states", True)
+    assert not leaving(1.4).best_guess and leaving(1.4).summary().startswith("verdict: effects\n")
+    guess = leaving(4.0)
+    lines = guess.summary().splitlines()
+    assert lines[0] == "verdict: effects (best guess, not proven)" and "The model lacks" not in lines[1]
+    assert "explains 85 % of the power" in lines[1] and "leaves 4 times the noise" in lines[1]
+    page = report_page(guess)
+    assert "best guess, not proven" in page and "not as an answer" in page
+    assert guess.as_dict()["best_guess"] is True
+
+
 def test_a_crowded_summary_stays_within_twenty_lines(found: Diagnosis) -> None:
     proof = found.state.on_held_out
     signals = ((0, "speed"), (0, "current"), (0, "pressure"), (1, "speed"), (1, "current"), (1, "flow"))

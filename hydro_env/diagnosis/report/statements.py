@@ -103,7 +103,23 @@ def sentence(found: Diagnosis) -> str:
         )
     before = f"{entry['before']:.3g} as given, {entry['calibrated']:.3g} after calibration alone; {noise}"
     lacks = _lacks(found) if found.verdict == "effects" else _unknown(found)
+    if found.best_guess:
+        lacks = f"Something is missing; what it is, is not proven. {_guess(found)}"
     return f"{lacks} {error}: {before}.{other}"
+
+
+def _guess(found: Diagnosis) -> str:
+    """The best guess, and what is proven: the share of a speed's error that it explains, and what it leaves."""
+    worst = max(_speeds(found), key=lambda e: e.above_noise)
+    e = worst.errors
+    power = e["calibrated"] ** 2 - e["noise"] ** 2
+    share = (e["calibrated"] ** 2 - e["after"] ** 2) / power if power > 0.0 else 0.0
+    named = words.listed([_said(n) for n in found.effects])
+    return (
+        f"The best guess is {named}: on the held-out logs it explains {100.0 * max(share, 0.0):.0f} % of the power that "
+        f"calibration leaves of the {worst.name} of channel {worst.channel + 1}, and leaves {worst.above_noise:.2g} times the noise. So the "
+        "effect has another form than the catalogue's, or another one is missing as well."
+    )
 
 
 def _lacks(found: Diagnosis) -> str:
@@ -141,6 +157,8 @@ _NEXT = {
     "none": "The model explains these logs. Keep it, and check below which effects the logs could have shown.",
     "calibration": "Use the calibrated values. First check the known parameters that have a comment.",
     "effects": "Check the named effects on the rig, for example with a valve test. Then use the improved model.",
+    "best guess": "Take the named effects as the first thing to look at, not as an answer: check them on the rig or record the "
+    "next experiment. The improved model is closer than the one given, but not right.",
     "unknown": "Record the next experiment, and look at the equation and the regime that hold most of the residual. Do not "
     "rely on the improved model there: it has only what was explained.",
 }
@@ -148,7 +166,7 @@ _NEXT = {
 
 def next_step(found: Diagnosis) -> str:
     """What the verdict asks for."""
-    return _NEXT[found.verdict]
+    return _NEXT["best guess" if found.best_guess else found.verdict]
 
 
 def log_names(found: Diagnosis) -> str:

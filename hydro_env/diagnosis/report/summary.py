@@ -33,7 +33,10 @@ LINES = 20
 def summary(found: Diagnosis) -> str:
     """What the page says, shorter."""
     places, tried, known = _places(found), _tried(found), _known(found)
-    lines = [f"verdict: {found.verdict}", sentence(found)]
+    lines = [
+        f"verdict: {found.verdict}{' (best guess, not proven)' if found.best_guess else ''}",
+        sentence(found),
+    ]
     lines += [text[0].upper() + text[1:] for text in (left_over(found), weak_proof(found)) if text]
     lines += [*_effects(found), *places, *_shape(found)]
     lines += [f"  shape correction, not physics: {text}" for text in correction_texts(found)]

@@ -164,7 +164,8 @@ def publish(rows: Sequence[Row], folder: Path) -> None:
     own = [{key: row[key] for key in _PUBLISHED if key in row} for row in rows]
     for row in own:
         row["effects"] = [
-            {k: e[k] for k in ("name", "channel", "indistinguishable_from")} for e in row["effects"]
+            {k: e[k] for k in ("name", "channel", "probability", "indistinguishable_from")}
+            for e in row["effects"]
         ]
     lines = ",\n".join(f"  {json.dumps(row)}" for row in own)
     counts = ",\n".join(f"  {json.dumps(each)}" for each in summary(rows))
