@@ -117,8 +117,8 @@ def _guess(found: Diagnosis) -> str:
     named = words.listed([_said(n) for n in found.effects])
     return (
         f"The best guess is {named}: on the held-out logs it explains {100.0 * max(share, 0.0):.0f} % of the power that "
-        f"calibration leaves of the {worst.name} of channel {worst.channel + 1}, and leaves {worst.above_noise:.2g} times the noise. So the "
-        "effect has another form than the catalogue's, or another one is missing as well."
+        f"calibration leaves of the {worst.name} of channel {worst.channel + 1}, and leaves {worst.above_noise:.2g} times the "
+        "noise. So the effect has another form than the catalogue's, or another one is missing as well."
     )
 
 
