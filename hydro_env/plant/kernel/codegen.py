@@ -34,8 +34,11 @@ __all__ = ["Module", "module_text"]
 
 #: Beyond these magnitudes (SI) a state counts as diverged; a state of an effect beyond the last.
 STATE_CAPS = (1e3, 1e-2, 1e3, 1e-2, 1e12, 1e7, 1e12)
-#: A lane at an end stop takes a substep in so many parts; at a sharp bend of an effect, as many as the effect asks for.
-STOP_PARTS = 5
+#: A lane that meets an end stop takes that substep in so many parts, and so does one in hard contact; one in soft contact takes
+#: fewer. At a sharp bend of an effect it takes as many as the effect asks for.
+HARD_PARTS, SOFT_PARTS = 5, 3
+#: A contact is hard where its natural frequency, or the rate of its damping, times the substep, is more than this.
+HARD_FREQUENCY, HARD_DAMPING = 0.3, 0.5
 
 #: The solution of (ig - W) u = r for the states of `rates`, with the factors of `statements.FACTORISATION`.
 _SOLUTION = [
@@ -60,10 +63,11 @@ class Module(NamedTuple):
 
 @dataclass(frozen=True)
 class _Bend:
-    """A test whether a lane should take its substep in `parts` parts."""
+    """A test whether a lane should take its substep in `parts` parts; a cheap one may say before where that can be."""
 
     test: str
     parts: int
+    near: str = ""
 
 
 @dataclass(frozen=True)
@@ -154,15 +158,21 @@ class _Sweeps:
 
     def ask(self) -> list[str]:
         """In how many parts each lane takes the next substep."""
-        asked = self._asked()
-        return self.at.load([*self.at.states, *self.at.parameters], "\n".join(asked)) + asked
+        return self.at.load(self.at.states, "\n".join(asked := self._asked())) + asked
 
     def _asked(self) -> list[str]:
         """Of several bends the one with most parts decides; a stiff channel takes each part in its own number of parts."""
-        lines = ["wanted = 1.0"]
+        at, known = self.at, [*self.at.parameters, *self.at.reciprocals]
+        near = " | ".join(dict.fromkeys(f"({bend.near or bend.test})" for bend in self.bends))
+        first = needed({"past"}, self.substep.whole_rates)
+        then = needed({"outward", "grip"}, self.substep.whole_rates)
         for bend in sorted(self.bends, key=lambda bend: bend.parts):
-            lines.append(f"wanted = {float(bend.parts)} if {bend.test} else wanted")
-        return [*lines, f"{self.at.cell('wanted')} = wanted * {self.at.cell('fine')}"]
+            then.append(f"wanted = {float(bend.parts)} if {bend.test} else wanted")
+        then = [*at.load(known, "\n".join(then)), "wanted = 1.0", *then]
+        then += [f"{at.cell('wanted')} = wanted * {at.cell('fine')}"]
+        lines = [*at.load(known, "\n".join([*first, near])), *first]
+        lines += [f"{at.cell('wanted')} = {at.cell('fine')}", f"if {near}:"]
+        return lines + ["    " + line for line in then]
 
     def _solve(self, summed: bool) -> list[str]:
         """(ig - W) u = r, where r is the rate plus, if `summed`, a combination of earlier stages."""
@@ -235,8 +245,7 @@ class _Sweeps:
         if self.exchanges_flows:
             lines += [f"{at.cell('flow')} = {at.cell('next_flow')} if going else {at.cell('flow')}"]
         lines += self._store(["todo", "left", "time", *at.states])
-        tests = "\n".join(asked := self._asked())
-        return lines + at.load(at.parameters, tests) + asked
+        return lines + self._asked()
 
     def look(self) -> list[str]:
         """Flow and measured speed from the states as they are."""
@@ -258,8 +267,14 @@ class _Sweeps:
 
 
 def _bends(effects: Iterable[Effect]) -> list[_Bend]:
-    """Tests for lanes about to meet an end stop, or a sharp bend of an effect."""
-    bends = [_Bend("abs(spool) + h * abs(spool_speed) > x_max", STOP_PARTS)]
+    """Tests for lanes that meet an end stop within a substep or are pressed on it, and for sharp bends of effects."""
+    near, contact = "past + h * abs(spool_speed) > 0.0", "(past > 0.0) & (grip > 0.0)"
+    bends = [
+        _Bend("(past <= 0.0) & (past + h * outward > 0.0)", HARD_PARTS, near),
+        _Bend(contact, SOFT_PARTS, near),
+        _Bend(f"{contact} & (h * h * k_stop * grip > {HARD_FREQUENCY**2!r} * m)", HARD_PARTS, near),
+        _Bend(f"{contact} & (h * k_stop * past > {HARD_DAMPING!r} * v_stop * m)", HARD_PARTS, near),
+    ]
     for effect in effects:
         if effect.corner is not None:
             bends.append(_Bend(call(effect, "corner", effect.corner, {"substep": "h"}), effect.corner_parts))
