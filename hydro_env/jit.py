@@ -37,7 +37,7 @@ from numba.core.serialize import dumps
 from hydro_env.files import write_bytes
 from hydro_env.pickles import Damaged, distrust, seal, unseal
 
-__all__ = ["compiled"]
+__all__ = ["compiled", "keep", "kept"]
 
 MOST_BYTES = 1 << 30
 """Machine code to keep. All tests together compile a fifth of it; what was not used for longest is removed beyond."""
@@ -90,40 +90,15 @@ class _Cache(NullCache):  # type: ignore[misc]
     def load_overload(self, signature: Any, target: Any) -> Any:
         """The compiled function, None if it is not there or damaged."""
         target.refresh()
-        folder = _folder()
-        if folder is None:
-            return None
-        path = folder / self._name(signature, target.codegen())
-        try:
-            if not stat.S_ISREG(path.lstat().st_mode):  # reading a pipe or a device might never end
-                raise Damaged("it is no file")
-            found = CompileResult._rebuild(target, *pickle.loads(unseal(path.read_bytes())))
-            os.utime(path)  # used last now, see `_make_room`
-            return found
-        except FileNotFoundError:
-            return None
-        except (
-            Exception
-        ):  # damaged, or a class in it has gone: what was compiled can always be compiled again
-            _say(f"{folder}: damaged machine code was removed and is compiled again")
-            with suppress(OSError):
-                path.unlink()
-            return None
+        return _read(
+            self._name(signature, target.codegen()),
+            lambda content: CompileResult._rebuild(target, *pickle.loads(content)),
+        )
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keeps a compiled function, unless it holds addresses of this process."""
-        folder = _folder()
-        if (
-            folder is None
-            or result.library.has_dynamic_globals
-            or any(not x.can_cache for x in result.lifted)
-        ):
-            return
-        try:
-            write_bytes(folder / self._name(signature, result.codegen), seal(dumps(result._reduce())))
-            _make_room(folder, MOST_BYTES)
-        except OSError as problem:
-            _say(f"{folder}: machine code cannot be kept there ({problem.strerror}); every process compiles")
+        if not result.library.has_dynamic_globals and all(x.can_cache for x in result.lifted):
+            keep(self._name(signature, result.codegen), dumps(result._reduce()))
 
     def _name(self, signature: Any, codegen: Any) -> str:
         """The file for a signature. Numba names a tuple type by its class alone, so its fields are added."""
@@ -135,6 +110,46 @@ class _Cache(NullCache):  # type: ignore[misc]
             numba.__version__, sys.implementation.cache_tag, dumps(closed) if closed else b"",
         )  # fmt: skip
         return f"{hashlib.sha256(repr(depends).encode()).hexdigest()[:32]}.nbc"
+
+
+# --- files ---------------------------------------------------------------------------------------------------------
+
+
+def kept(name: str) -> bytes | None:
+    """The content of a file of this name, None if it is not there or damaged."""
+    return _read(name, lambda content: content)
+
+
+def _read(name: str, made_of: Callable[[bytes], Any]) -> Any:
+    folder = _folder()
+    if folder is None:
+        return None
+    path = folder / name
+    try:
+        if not stat.S_ISREG(path.lstat().st_mode):  # reading a pipe or a device might never end
+            raise Damaged("it is no file")
+        found = made_of(unseal(path.read_bytes()))
+        os.utime(path)  # used last now, see `_make_room`
+        return found
+    except FileNotFoundError:
+        return None
+    except Exception:  # damaged, or a class in it has gone: what was compiled can always be compiled again
+        _say(f"{folder}: damaged machine code was removed and is compiled again")
+        with suppress(OSError):
+            path.unlink()
+        return None
+
+
+def keep(name: str, content: bytes) -> None:
+    """Keeps machine code under this name, a hash of all that it depends on."""
+    folder = _folder()
+    if folder is None:
+        return
+    try:
+        write_bytes(folder / name, seal(content))
+        _make_room(folder, MOST_BYTES)
+    except OSError as problem:
+        _say(f"{folder}: machine code cannot be kept there ({problem.strerror}); every process compiles")
 
 
 # --- the folder ----------------------------------------------------------------------------------------------------

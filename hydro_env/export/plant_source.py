@@ -1,4 +1,4 @@
-"""The rig in C99: the generated module of the kernel, translated statement by statement (`translate`).
+"""The rig in C99: the sweeps of the kernel and the loops around them, translated statement by statement (`translate`).
 
 `plant.c` holds what the kernel for one rig computes, to the last bit, and around it a structure of fixed size and five functions
 (`plant.h`). Nothing is allocated, and nothing but math.h is needed, so the same text serves an FMU, a controller's own model, or
@@ -13,8 +13,10 @@ from dataclasses import dataclass
 
 from hydro_env.plant import PARAMETERS, Plant, PlantModel
 from hydro_env.plant.catalogue import CATALOGUE
+from hydro_env.plant.kernel import driver
+from hydro_env.plant.kernel.driver import SWEEPS
 
-from .translate import HELPERS, Arr, Num, Translator, Value, literal, plain_functions
+from .translate import HELPERS, Arr, Fun, Num, Translator, Tup, Value, literal, plain_functions
 
 __all__ = ["PlantSource", "plant_source"]
 
@@ -131,20 +133,26 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
     plant = Plant(model)
     kernel, slots = plant.kernel, plant.delay_slots
     space = plain_functions(kernel.source)
-    lanes, kept, total = space["LANES"], space["KEPT"], space["TOTAL"]
+    lanes, kept, total = 2 * kernel.half, kernel.num_rows, kernel.num_cells // (2 * kernel.half)
     translator = Translator()
     translator.reserve("exp", "tanh", "cos", "sin")
+    at = Tup(
+        tuple(
+            Fun(space[name]) if name in SWEEPS else Num("int", str(n), n)
+            for name, n in kernel.numbers.items()
+        )
+    )
 
     def advance(rows: int) -> str:
         """The C function that runs through so many rows of commands."""
         values: list[Value] = [
-            Arr.of("double", "memory", (kept * lanes,)), Arr.of("double", "cells", (total * lanes,)),
+            at, Arr.of("double", "memory", (kept * lanes,)), Arr.of("double", "cells", (total * lanes,)),
             Arr.of("double", "ring", (1, slots, lanes)), Num("int", "head"),
             Arr.of("double", "commands", (rows, 1, 2)), Arr.of("double", "loads", (1, 1, 2)), Num("int", "substeps"),
             Num("double", "h"), Num("double", "looked_at"), Arr.of("int", "record", (0,)), Num("int", "1", 1),
             Arr.of("double", "out", (0, 1, 1, 2)),
         ]  # fmt: skip
-        return translator.call(space["advance"], values).name
+        return translator.call(driver.advance, values).name
 
     step, look = advance(1), advance(0)
     own = [f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters]

@@ -123,7 +123,14 @@ class Tup:
     items: tuple[Value, ...]
 
 
-Value = Num | Arr | Rec | Tup
+@dataclass(frozen=True)
+class Fun:
+    """A function that is handed over, to be called by another one."""
+
+    function: Any
+
+
+Value = Num | Arr | Rec | Tup | Fun
 
 
 def _times(a: int | str, b: int | str) -> int | str:
@@ -158,6 +165,8 @@ def _signature(value: Value) -> Any:
             return tuple((name, _signature(each)) for name, each in fields.items())
         case Tup(items):
             return tuple(map(_signature, items))
+        case Fun(function):
+            return function
 
 
 def _passed(value: Value, name: str, given: list[tuple[str, str]], handed: list[str]) -> Value:
@@ -181,8 +190,10 @@ def _passed(value: Value, name: str, given: list[tuple[str, str]], handed: list[
             return replace(value, code=name, shape=tuple(sizes), root=name)
         case Rec(fields):
             return Rec({key: _passed(each, f"{name}_{key}", given, handed) for key, each in fields.items()})
-        case Tup():
-            raise TranslationError(f"{name}: a tuple cannot be passed on")
+        case Tup(items) if not all(
+            isinstance(x, Fun) or (isinstance(x, Num) and x.value is not None) for x in items
+        ):
+            raise TranslationError(f"{name}: a tuple of what is not known beforehand cannot be passed on")
     return value
 
 
@@ -755,9 +766,13 @@ class _Body:
             and hasattr(own, "__code__")
             and name not in ("floor", "sqrt")
         ):
-            return self._function(own, node, lines)
+            return self._function(own, node.args, lines)
         if hasattr(own, "py_func"):
-            return self._function(own, node, lines)
+            return self._function(own, node.args, lines)
+        if name == "sweep":  # of the plant's driver: calls the function that stands first
+            called = self.value(node.args[0], lines)
+            if isinstance(called, Fun):
+                return self._function(called.function, node.args[1:], lines)
         if short in ("empty", "zeros"):
             return self._local(node, lines, zero=short == "zeros")
         if short == "argmin":
@@ -771,7 +786,7 @@ class _Body:
             kind = _wider(kind, each.kind)
         codes = [each.code for each in values]
         match short:
-            case "real" | "float" | "float64":
+            case "cells.dtype.type" | "float" | "float64":
                 return Num("double", codes[0] if kind == "double" else f"(double){codes[0]}", values[0].value)
             case "int":
                 return Num("int", f"(int){codes[0]}")
@@ -796,8 +811,8 @@ class _Body:
                 return Num("double", f"{_MATH[short]}({', '.join(map(bare, codes))})")
         raise self.fail(node)
 
-    def _function(self, function: Any, node: ast.Call, lines: list[str]) -> Value:
-        values = [self.value(each, lines) for each in node.args]
+    def _function(self, function: Any, arguments: Sequence[ast.expr], lines: list[str]) -> Value:
+        values = [self.value(each, lines) for each in arguments]
         called = self.whole.call(function, values)
         self.written |= called.roots - {""}
         name, result, handed = called.name, called.result, called.handed

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import ast
-import importlib.util
+import ctypes
 import inspect
-import sys
 import textwrap
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numba import njit
 
 from hydro_env.plant import vector_math
+from hydro_env.plant.kernel.machine_code import machine_code
 from hydro_env.plant.kernel.vector_ir import check
 
 LANES = 12  # three vectors of four, or six of two: not a power of two
 
 TEXT = '''
 from math import floor, sqrt
-from hydro_env.plant.kernel.vector_ir import vectors
 
 LANES = 12
 
@@ -46,7 +44,6 @@ def plain(a, b, h):
     return branchy(a, b) + h * rooted(a)
 
 
-@vectors
 def work(cells, h) -> bool:
     found = False
     twice = 2.0 * h
@@ -61,27 +58,26 @@ def work(cells, h) -> bool:
 '''
 
 
+class _Module:
+    """The text as machine code (`run`) and as plain Python."""
+
+    def __init__(self) -> None:
+        # Python's `c ** 2` is the library's pow, which now and then rounds otherwise than the product that lanes take.
+        by_products: dict = {}
+        exec(TEXT.replace("c ** 2", "c * c"), by_products)
+        self.plain = by_products["plain"]
+        self._code = {single: machine_code(TEXT, single, ("work",)) for single in (False, True)}
+
+    def run(self, cells: np.ndarray, h: float) -> bool:
+        single = cells.dtype == np.float32
+        real = ctypes.c_float if single else ctypes.c_double
+        work = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.POINTER(real), real)(self._code[single].addresses[0])
+        return bool(work(cells.ctypes.data_as(ctypes.POINTER(real)), h))
+
+
 @pytest.fixture(scope="module")
-def module(tmp_path_factory):
-    path = tmp_path_factory.mktemp("lanes") / "statements_on_lanes.py"
-    path.write_text(TEXT)
-    specification = importlib.util.spec_from_file_location("statements_on_lanes", path)
-    module = importlib.util.module_from_spec(specification)
-    sys.modules[module.__name__] = module
-    specification.loader.exec_module(module)
-    work = module.work
-
-    @njit(error_model="numpy")
-    def run(cells, h):
-        return work(cells, h)
-
-    module.run = run
-    # Python's `c ** 2` is the library's pow, which now and then rounds otherwise than the product that lanes take.
-    by_products: dict = {"__name__": __name__}
-    exec(TEXT.replace("c ** 2", "c * c").replace("@vectors", ""), by_products)
-    module.products = by_products["plain"]
-    yield module
-    del sys.modules[module.__name__]
+def module():
+    return _Module()
 
 
 _NUMBER = st.one_of(st.sampled_from([0.0, -0.0, 1.0, -1.0, 0.5]), st.floats(-1e3, 1e3))
@@ -94,7 +90,7 @@ def test_same_bits_as_python(module, a, b, h):
     cells = np.zeros(4 * LANES)
     cells[:LANES], cells[LANES : 2 * LANES] = a, b
     found = module.run(cells, h)
-    expected = np.array([module.products(x, y, h) for x, y in zip(a, b, strict=True)])
+    expected = np.array([module.plain(x, y, h) for x, y in zip(a, b, strict=True)])
     np.testing.assert_array_equal(cells[2 * LANES : 3 * LANES], expected)
     np.testing.assert_array_equal(cells[3 * LANES :], expected * (2.0 * h))
     assert found == any(x > 3.0 for x in a)

@@ -58,6 +58,7 @@ LONGER = {
 MOST_PARAMETERS = 10
 #: Functions with more parameters, and why.
 CROWDED = {
+    "hydro_env.plant.kernel.driver.advance": "the arrays of a block: a tuple of them would be taken apart at every step",
     "hydro_env.plant.rhs.rates": "states, inputs and parameters of one channel by their own names",
     "hydro_env.envs.batch.HydraulicSyncVectorEnv.__init__": "the keyword arguments of gymnasium.make_vec",
     "hydro_env.envs.hydraulic_sync.HydraulicSyncEnv.__init__": "the keyword arguments of gymnasium.make",

@@ -4,8 +4,10 @@ integrator  the tableau of the method, with its reference
 layout      where states, parameters and stages lie in the memory of a block
 statements  from the right-hand side and the laws of the effects to statements
 template    the text of a generated module
-codegen     writes the module: sweeps over lanes, and the loop over substeps around them
-vector_ir   writes statements as vector instructions
+codegen     writes the module: sweeps over lanes
+vector_ir   writes its statements as vector instructions
+machine_code  compiles them and keeps what was compiled
+driver      the loop over substeps around the sweeps, one for all kernels
 
 Method: ROS34PW2 (see `integrator`), with a matrix W that holds the stiff loops of a channel (coil, spool, bristle; pressure,
 speed), as far as they damp, and every effect's own decay.
@@ -15,26 +17,24 @@ text names each `fma` itself, so every lane gets the same bits whatever its neig
 and the neutral effects that are compiled in.
 
 Source text: `rates` (rhs.py), the laws of the effects and the functions of vector_math are pasted into one generated
-module, named by a hash of its own text. Its machine code is kept (`hydro_env.jit`): compiled once for a set of effects.
+module, compiled once for a set of effects and a width of blocks. The loops around the sweeps are compiled once for all.
 """
 
 from __future__ import annotations
 
-import hashlib
-import linecache
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from threading import Lock
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from ..catalogue import CATALOGUE, Effect
 from .codegen import module_text
+from .driver import SWEEPS, advance
 from .layout import STATES
+from .machine_code import MachineCode, machine_code
 
 __all__ = ["STATES", "Kernel", "compile_kernel"]
 
@@ -44,8 +44,8 @@ class Kernel:
     """A compiled step for a set of effects.
 
     `advance(memory, cells, ring, head, commands, loads, substeps, h, looked_at, record, every, out)` runs every block through
-    all rows of `commands`; see the generated text. `rows` maps names of states, parameters and outputs to rows of the memory.
-    `has_delay`: commands go through a delay line.
+    all rows of `commands`, see `driver.advance`. `rows` maps names of states, parameters and outputs to rows of the memory.
+    `has_delay`: commands go through a delay line. `numbers` are the driver's, addresses aside.
     """
 
     effects: tuple[str, ...]
@@ -57,6 +57,8 @@ class Kernel:
     has_delay: bool
     advance: Callable[..., None]
     source: str
+    numbers: dict[str, int]
+    machine_code: MachineCode
 
 
 #: The compiler of syntax trees is not safe in several threads at once (seen with Python 3.11).
@@ -70,35 +72,26 @@ def _compiled(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
 
 
 def _compiled_alone(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
-    generated = module_text(effects, half, single)
-    module = _module(generated.text)
+    module = module_text(effects, half)
+    code = machine_code(module.text, single)
+    numbers = module.numbers | dict(zip(SWEEPS, code.addresses, strict=True))
     return Kernel(
         effects=tuple(e.name for e in effects),
         half=half,
-        rows=generated.rows,
-        num_rows=generated.num_rows,
+        rows=module.rows,
+        num_rows=module.numbers["kept"],
         dtype=np.dtype(np.float32 if single else np.float64),
-        num_cells=module.TOTAL * module.LANES,
+        num_cells=module.num_rows * 2 * half,
         has_delay=any(e.delays_command for e in effects),
-        advance=module.advance,
-        source=generated.text,
+        advance=partial(advance, np.array(list(numbers.values()), np.int64)),
+        source=module.text,
+        numbers=module.numbers,
+        machine_code=code,
     )
 
 
-def _module(text: str) -> ModuleType:
-    """The module with this text. It has no file: what wants to read the text, also for a traceback, asks `linecache`."""
-    name = "kernel_" + hashlib.sha256(text.encode()).hexdigest()[:16]
-    file = f"<{name}>"
-    linecache.cache[file] = (len(text), None, text.splitlines(keepends=True), file)
-    module = ModuleType(name)
-    module.__file__ = file
-    sys.modules[name] = module  # machine code that was kept names its functions by their module
-    exec(compile(text, file, "exec"), module.__dict__)
-    return module
-
-
 def compile_kernel(effects: Iterable[str] = (), half: int = 8, dtype: Any = np.float64) -> Kernel:
-    """The kernel for these effects, compiled on its first call. KeyError for an effect the catalogue lacks.
+    """The kernel for these effects. KeyError for an effect the catalogue lacks.
 
     `dtype` is float64, or float32 for twice the lanes to a vector.
 

@@ -1,4 +1,4 @@
-"""Writes the module of a kernel: the sweeps over the lanes of a block, and the loop over substeps around them.
+"""Writes the module of a kernel: the sweeps over the lanes of a block, which `driver` calls.
 
 A sweep is one loop over all lanes. `begin` makes the first stage of a step and the factors of its matrix, `finish` the other
 three, and `ask` says in how many parts a lane wants its next substep. Lanes are independent of each other, so each goes at its
@@ -15,8 +15,6 @@ thirty operations.
 from __future__ import annotations
 
 import ast
-import hashlib
-import inspect
 import textwrap
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -24,11 +22,11 @@ from typing import NamedTuple
 
 from ..catalogue import Effect
 from ..stiffness import FINE_PARTS, SPOOL
-from . import vector_ir
+from .driver import NUMBERS
 from .integrator import METHOD, integral_coefficients
 from .layout import DIVISORS, FACTORS, INTEGRAL, STATES, Layout, in_text, layout_of, uses
 from .statements import Substep, call, chain, functions, fused, needed, substep_of
-from .template import DELAY, EXCHANGE, MODULE, TOGETHER
+from .template import EXCHANGE, MODULE, TOGETHER
 
 __all__ = ["Module", "module_text"]
 
@@ -54,11 +52,13 @@ _SOLUTION = [
 
 
 class Module(NamedTuple):
-    """The text of a module, the rows that are kept between calls by the names of the plant, and their number."""
+    """The text of a module, the rows that are kept between calls by the names of the plant, how many rows a block has, and
+    the driver's `NUMBERS`, addresses aside."""
 
     text: str
     rows: dict[str, int]
     num_rows: int
+    numbers: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -304,35 +304,26 @@ def _sweep(lines: Iterable[str]) -> str:
     return _indent(["for l in range(LANES):", *("    " + line for line in body)])
 
 
-def _delay_line(layout: Layout) -> dict[str, str]:
-    """How the command reaches the lanes: as it is, or late by the sum of what effects delay it."""
-    delays = [
-        f"cells[{layout.rows[in_text(e, e.delays_command)]} * LANES + l]"
-        for e in layout.effects
-        if e.delays_command
-    ]
-    if not delays:
-        return {"apply": "cells[APPLIED * LANES + l] = cells[COMMAND * LANES + l]", "ring": ""}
-    late = delays[0] if len(delays) == 1 else f"({' + '.join(delays)})"
-    return {"apply": "pass", "ring": DELAY.format(late=late)}
-
-
 def _additions(layout: Layout) -> str:
-    """Loops that add parameters of effects to base parameters."""
+    """Adds parameters of effects to base parameters."""
     pairs = [
-        (layout.rows[base], layout.rows[in_text(e, own)])
+        (layout.cell(base), layout.cell(in_text(e, own)))
         for e in layout.effects
         for base, own in e.adds_to.items()
     ]
-    return "\n".join(
-        f"        for l in range(LANES):\n"
-        f"            cells[{b} * LANES + l] = cells[{b} * LANES + l] + cells[{p} * LANES + l]"
-        for b, p in pairs
-    )
+    return _sweep(f"{base} = {base} + {own}" for base, own in pairs) if pairs else ""
 
 
-def module_text(effects: tuple[Effect, ...], half: int, single: bool) -> Module:
-    """The module of a kernel for these effects: blocks of `half` rigs, float32 if `single`, else float64."""
+def _delay_line(layout: Layout) -> dict[str, str]:
+    """How the command reaches the lanes: as it is, or late by the sum of what effects delay it."""
+    delays = [layout.cell(in_text(e, e.delays_command)) for e in layout.effects if e.delays_command]
+    if not delays:
+        return {"apply": "cells[APPLIED * LANES + l] = cells[COMMAND * LANES + l]", "late": ""}
+    return {"apply": "pass", "late": _sweep([f"{layout.cell('late')} = {' + '.join(delays)}"])}
+
+
+def module_text(effects: tuple[Effect, ...], half: int) -> Module:
+    """The module of a kernel for these effects, for blocks of `half` rigs."""
     layout = layout_of(effects, half)
     substep = substep_of(layout)
     layout = layout.with_settled(substep.settled)
@@ -341,11 +332,8 @@ def module_text(effects: tuple[Effect, ...], half: int, single: bool) -> Module:
     exchange = EXCHANGE.format(flow=at["flow"], other=at["other_flow"]) if sweeps.exchanges_flows else ""
     together = TOGETHER.format(wanted=at["wanted"], together=at["together"]) if sweeps.coupling else ""
     text = MODULE.format(
-        lanes=hashlib.sha256(inspect.getsource(vector_ir).encode()).hexdigest()[:16],
-        functions="\n\n".join(functions(effects)), real="np.float32" if single else "np.float64",
-        half=half, moving=layout.moving, kept=layout.kept, total=len(at),
-        command=at["command"], load=at["load"], applied=at["applied"], rated=at["u_rated"], todo=at["todo"], left=at["left"],
-        most=max([1, *(bend.parts for bend in bends)]) * max(FINE_PARTS), refine=_sweep(sweeps.refine()),
+        functions="\n\n".join(functions(effects)), half=half, command=at["command"], applied=at["applied"],
+        rated=at["u_rated"], todo=at["todo"], left=at["left"], refine=_sweep(sweeps.refine()),
         together=_indent(together.splitlines()),
         pace=_sweep(sweeps.pace()), ask=_sweep(sweeps.ask()), first=_sweep(sweeps.first_stage()),
         second=_sweep(sweeps.later_stage(1)), third=_sweep(sweeps.later_stage(2)), fourth=_sweep(sweeps.later_stage(3)),
@@ -356,4 +344,7 @@ def module_text(effects: tuple[Effect, ...], half: int, single: bool) -> Module:
     rows = {
         name.replace("__", ".", 1) if name in own else name: n for name, n in at.items() if n < layout.kept
     }
-    return Module(text, rows, layout.kept)
+    numbers = {"half": half, "moving": layout.moving, "kept": layout.kept}
+    numbers["most_parts"] = max([1, *(bend.parts for bend in bends)]) * max(FINE_PARTS)
+    numbers |= {} if any(e.delays_command for e in effects) else {"late": -1}
+    return Module(text, rows, len(at), {name: numbers.get(name, at.get(name, 0)) for name in NUMBERS})

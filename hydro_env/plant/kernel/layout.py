@@ -104,6 +104,6 @@ def layout_of(effects: tuple[Effect, ...], half: int) -> Layout:
         *(f"u{stage}__{name}" for stage in range(3) for name in bare.staged),
         "applied", "next_flow", "other_flow",
         *bare.reciprocals,
-        "fine", "together", *PACE,
+        "fine", "together", "late", *PACE,
     ]  # fmt: skip
     return replace(bare, rows={name: row for row, name in enumerate(names)})

@@ -1,14 +1,14 @@
 """Vector instructions for plain Python statements that work lane by lane.
 
-A function of a generated kernel that is marked `@vectors` consists of statements on scalars and of loops
+A sweep of a generated kernel is a function `name(cells, h)` of statements on scalars and of loops
 
     for l in range(LANES):
         a = cells[3 * LANES + l]
         cells[5 * LANES + l] = a if a > 0.0 else other(a)
 
-It is translated here straight to vector instructions, as many lanes to a vector as the widest registers hold. Left to
-itself the compiler would have to find out types, variables and that the loop can be vectorised at all, and spend most of
-its time on that. What a statement computes is fixed by its text: nothing is fused or reordered.
+It is translated here straight to LLVM's vector instructions, as many lanes to a vector as the widest registers hold. Left to
+Numba the compiler would have to find out types, variables and that the loop can be vectorised at all, and spend most of its
+time on that. What a statement computes is fixed by its text: nothing is fused or reordered.
 
 Statements: assignments to variables and cells; `found |= test` in a loop to learn whether any lane passes a test (before the
 loop `found = False`, and `return found` at the end); in a loop also `if` before statements that end by storing to a cell: they
@@ -20,17 +20,15 @@ fma, and other functions of the same module. TypeError, naming the function, for
 from __future__ import annotations
 
 import ast
-import linecache
-import sys
-from collections.abc import Callable, Collection, Mapping
-from functools import lru_cache
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from llvmlite import ir
-from numba.core import types
-from numba.extending import intrinsic
 
-__all__ = ["check", "vectors"]
+__all__ = ["FOUND", "check", "llvm_text"]
+
+#: Type of what a sweep returns: 1 if any lane passes its test, else 0.
+FOUND = ir.IntType(32)
 
 #: Bytes of the widest vector register that is made use of; narrower machines take several.
 _WIDEST = 64
@@ -48,13 +46,13 @@ class _Emitter:
     def __init__(
         self,
         builder: ir.IRBuilder,
-        module: Any,
+        constants: Mapping[str, Any],
         functions: Functions,
         cells: ir.Value,
         kind: ir.Type,
         name: str,
     ) -> None:
-        self.builder, self.module, self.functions, self.name = builder, module, functions, name
+        self.builder, self.constants, self.functions, self.name = builder, dict(constants), functions, name
         self.cells, self.kind = cells, kind
         self.lane: ir.Value | None = None  # index of the first lane of the vector at hand
         self.width = 1
@@ -85,7 +83,7 @@ class _Emitter:
         """Address of cells[... + l]: all but the lane is known now."""
         if not (isinstance(node.value, ast.Name) and node.value.id == "cells" and self.lane is not None):
             raise self._fail(node)
-        offset = eval(compile(ast.Expression(node.slice), "<index>", "eval"), vars(self.module), {"l": 0})
+        offset = eval(compile(ast.Expression(node.slice), "<index>", "eval"), self.constants, {"l": 0})
         index = self.builder.add(self.lane, ir.Constant(ir.IntType(64), int(offset)))
         pointer = self.builder.gep(self.cells, [index])
         return self.builder.bitcast(pointer, ir.PointerType(self._vector))
@@ -138,8 +136,6 @@ class _Emitter:
                 return emit.select(
                     self.value(test, names), self.value(body, names), self.value(orelse, names)
                 )
-            case ast.Call(ast.Name("real"), [operand], []):
-                return self.value(operand, names)
             case ast.Call(ast.Name(called), arguments, []) if called in _INSTRUCTIONS:
                 return self._instruction(_INSTRUCTIONS[called], [self.value(a, names) for a in arguments])
             case ast.Call(ast.Name(called), arguments, []) if called in self.functions:
@@ -205,7 +201,7 @@ class _Emitter:
 
     def _lanes(self, bound: ast.expr, body: list[ast.stmt], names: dict[str, ir.Value]) -> None:
         """A loop over lanes, a vector at a time."""
-        lanes = eval(compile(ast.Expression(bound), "<lanes>", "eval"), vars(self.module))
+        lanes = eval(compile(ast.Expression(bound), "<lanes>", "eval"), self.constants)
         widest = _WIDEST // (4 if isinstance(self.kind, ir.FloatType) else 8)
         width = next(w for w in (16, 8, 4, 2, 1) if w <= widest and lanes % w == 0)
         index = ir.IntType(64)
@@ -281,33 +277,27 @@ def check(function: ast.FunctionDef, known: Collection[str]) -> None:
             raise LawError(f"{function.name}: {node.id!r} is not an argument of the law", node)
 
 
-@lru_cache(maxsize=1)  # a module's functions are compiled one after the other
-def _functions(module: Any) -> dict[str, ast.FunctionDef]:
-    tree = ast.parse("".join(linecache.getlines(module.__file__)))
-    return {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+def llvm_text(text: str, single: bool) -> str:
+    """A module of LLVM with the sweeps of a Python text, each as `int32 name(real *cells, real h)`.
 
-
-def vectors(function: Callable[..., Any]) -> Any:
-    """Makes of `function(cells, h)` or `function(cells)` an intrinsic of the compiler; see the head of this file.
-
-    `cells` is a one-dimensional array of float32 or float64, `h` a scalar. The text is read only when a caller is
-    compiled, so that a kernel from the cache costs nothing.
+    A sweep is a function `name(cells, h)`; other functions are those it calls, assignments name whole numbers. `single`: cells
+    of float32, else of float64.
     """
-
-    def emit(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> ir.Value:
-        module = sys.modules[function.__module__]
-        functions = _functions(module)
-        array = context.make_array(signature.args[0])(context, builder, arguments[0])
-        kind = context.get_value_type(signature.args[0].dtype)
-        node = functions[function.__name__]
-        names = {}
-        for argument, value, given in zip(node.args.args[1:], arguments[1:], signature.args[1:], strict=True):
-            names[argument.arg] = context.cast(builder, value, given, signature.args[0].dtype)
-        emitter = _Emitter(builder, module, functions, array.data, kind, function.__name__)
-        found = emitter.scalars(node.body, names)
-        return context.get_dummy_value() if found is None else found
-
-    returned = types.boolean if function.__annotations__.get("return") in (bool, "bool") else types.void
-    if function.__code__.co_argcount == 1:
-        return intrinsic(lambda typing, cells: (returned(cells), emit))
-    return intrinsic(lambda typing, cells, h: (returned(cells, h), emit))
+    tree = ast.parse(text)
+    functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
+    constants: dict[str, Any] = {}
+    for node in tree.body:
+        if isinstance(node, ast.Assign):
+            exec(compile(ast.Module([node], []), "<constants>", "exec"), constants)
+    kind = ir.FloatType() if single else ir.DoubleType()
+    module = ir.Module("sweeps")
+    for node in functions.values():
+        if [a.arg for a in node.args.args] == ["cells", "h"]:
+            sweep = ir.Function(module, ir.FunctionType(FOUND, [kind.as_pointer(), kind]), node.name)
+            cells, h = sweep.args
+            emitter = _Emitter(
+                ir.IRBuilder(sweep.append_basic_block("entry")), constants, functions, cells, kind, node.name
+            )
+            found = emitter.scalars(node.body, {"h": h})
+            emitter.builder.ret(FOUND(0) if found is None else emitter.builder.zext(found, FOUND))
+    return str(module)
