@@ -15,6 +15,8 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
+
 from ..errors import InputError
 from ..measured import Mapping, RigLog
 from ..plant import PlantModel, load_model
@@ -104,9 +106,11 @@ def diagnose(
     others = rig.with_parts(held_out, True)
     state = State(given, Fit(rig, {}, settings), fine, others, held_out, frozenset(accept), say)
     try:
-        for text, stage in STAGES:
-            say(text)
-            state = stage(state)
+        # Threads of the linear algebra would wait for each other and for those that simulate: its matrices are narrow.
+        with threadpool_limits(1, "blas"):
+            for text, stage in STAGES:
+                say(text)
+                state = stage(state)
     finally:
         for one in (rig, fine, others):
             one.close()

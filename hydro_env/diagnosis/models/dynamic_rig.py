@@ -21,9 +21,9 @@ __all__ = ["DynamicRig"]
 SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
 #: The fit's substep where an effect has every substep taken in parts (of 20 to 50 us then), s.
 PARTED_SUBSTEP = 500e-6
-#: Rigs that go through the kernel together: many where there are many, few where lanes would be idle, which cost as much as
-#: others.
-BLOCKS = (4, 8, 16)
+#: Rigs that go through the kernel together: as many as fill a vector register in single precision, or half of it where lanes
+#: would be idle.
+BLOCKS = (4, 8)
 #: Numbers of the fit and of the proof. Single precision moves a speed by a tenth of what the fit's substep does.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: Base parameters that calibration may adjust. V is left out (never separated from beta), u_rated and x_max are settings.
