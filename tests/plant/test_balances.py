@@ -28,6 +28,7 @@ MEMORIES = (
     "input_hysteresis__follower",
     "external_leakage__mean_pressure",
     "line_volume__side_pressure",
+    "crossport_relief__lift",
 )
 SECONDS = 0.3
 ATMOSPHERE = 101325.0
@@ -131,8 +132,15 @@ class Books:
             1.0 - np.exp(-self.time / self["viscosity_drift.time_constant"])
         )
         flow = self["Km"] * np.exp(-drift) * pressure + self["speed_dependent_leakage.coefficient"] * speed
-        over = np.maximum(size - self["crossport_relief.relief_pressure"], 0.0)
-        flow = flow + np.sign(pressure) * self["crossport_relief.conductance"] * over
+        setting, half = self["crossport_relief.relief_pressure"], 0.5 * self["crossport_relief.hysteresis"]
+        lift = self["crossport_relief__lift"]
+        opens, closes = setting * (1.0 + half), setting * (1.0 - half)
+        held = np.clip(
+            lift, pressure - np.clip(pressure, -closes, opens), pressure - np.clip(pressure, -opens, closes)
+        )
+        lift = np.where(self["crossport_relief.time_constant"] > 0.0, lift, held)
+        root = np.sqrt(np.minimum(size / setting, 1.0))
+        flow = flow + np.sign(pressure) * self["crossport_relief.conductance"] * np.abs(lift) * root
         middle = (
             0.5 * self["external_leakage.supply_pressure"] * (1.0 + self["external_leakage__mean_pressure"])
         )

@@ -343,6 +343,40 @@ def test_relief_valves_clip_the_pressure_both_ways(rigs: Callable[..., Plant]) -
     )
 
 
+def test_relief_valves_open_higher_than_they_reseat_and_in_their_own_time(rigs: Callable[..., Plant]) -> None:
+    setting, slope, lag = 10e5, 1e-9, 0.02
+    values = {
+        "crossport_relief__relief_pressure": setting,
+        "crossport_relief__conductance": slope,
+        "crossport_relief__hysteresis": [0.2, 0.0, 0.0],
+        "crossport_relief__time_constant": [0.0, 0.0, lag],
+    }
+
+    def ramp(start: float, end: float) -> tuple[Array, Array]:
+        """Pressure, and flow through the relief valves, at the end of a slow ramp of the command."""
+        for command in np.linspace(start, end, 100):
+            hold(plant, sign * command, seconds=0.02)
+        hold(plant, sign * end, seconds=0.5)
+        pressure = sign * plant.pressure[:3, 0]
+        return pressure, sign * plant.flow[:3, 0] - 1e-10 * pressure
+
+    for sign in (1.0, -1.0):
+        plant = rigs(**values, J=1e6, Km=1e-10)
+        pressure, flow = ramp(0.0, 30.0)  # opens above 11 bar, without friction above 10 bar
+        assert pressure[0] > 11e5 > pressure[1] > setting
+        assert flow == pytest.approx(slope * (pressure - [1.1 * setting, setting, setting]), rel=0.03)
+        before, held = pressure, flow
+        pressure, flow = ramp(30.0, 27.0)  # stays as far open, till the pressure is 2 bar lower
+        assert pressure[0] < before[0] - 0.5e5 and flow[0] == pytest.approx(held[0], rel=0.06)
+        assert flow[1] == pytest.approx(slope * (pressure[1] - setting), rel=0.03)
+        pressure, flow = ramp(27.0, 10.0)
+        assert (pressure < 0.9 * setting).all() and flow == pytest.approx(0.0, abs=1e-9)
+        # In its first milliseconds a slow valve has not opened yet.
+        plant.reset()
+        hold(plant, sign * 30.0, seconds=0.01)
+        assert sign * plant.pressure[2, 0] > sign * plant.pressure[1, 0] + 1e5
+
+
 @defines("external_leakage")
 def test_a_leak_takes_flow_from_its_own_line(rigs: Callable[..., Plant]) -> None:
     leak, supply = 4e-12, 100e5

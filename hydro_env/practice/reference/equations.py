@@ -361,6 +361,44 @@ def _loss_torque(p, difference, speed):
 
 
 @compiled
+def _above(p, pressure, setting):
+    """Pressure above a setting, Pa; rounded where a poppet cracks in the different form."""
+    excess = pressure - setting
+    if p.different:
+        return (
+            0.5
+            * (excess + math.hypot(excess, p.form_relief_rounding))
+            * math.tanh(max(pressure, 0.0) / p.form_relief_rounding)
+        )
+    return max(excess, 0.0)
+
+
+@compiled
+def _relief_flow(p, y, dy, pressure):
+    """Flow through the relief valves between the ports, m3/s; sets the rates at which their poppets lift, each in Pa above
+    the setting."""
+    setting, half = p.crossport_relief__relief_pressure, 0.5 * p.crossport_relief__hysteresis
+    lag = p.crossport_relief__time_constant
+    total = 0.0
+    for j in range(2):
+        way = 1.0 - 2.0 * j
+        lift = y[p.at_lift + j]
+        least, most = (
+            _above(p, way * pressure, setting * (1.0 + half)), _above(p, way * pressure, setting * (1.0 - half))
+        )  # fmt: skip
+        wanted = min(max(lift, least), most)
+        slower = p.form_relief_closing if p.different and wanted < lift else 1.0
+        dy[p.at_lift + j] = (wanted - lift) / max(lag * slower, 5e-5)
+        share = abs(pressure) / setting
+        if p.different:
+            through = share ** (p.form_relief_growth if share > 1.0 else 0.5)
+        else:
+            through = math.sqrt(min(share, 1.0))
+        total += math.copysign((lift if lag > 0.0 else wanted) * through, pressure)
+    return p.crossport_relief__conductance * total
+
+
+@compiled
 def _motor_rates(p, y, dy, flow, load, time, droop):
     """Line (1), (3) and shaft (2)."""
     at = p.at_states
@@ -389,14 +427,8 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
             wave += p.form_ripple_second * math.cos(2.0 * turn + p.form_ripple_phase)
         displacement *= 1.0 + ripple * wave
     leakage = p.Km * math.exp(-change) * pressure + p.speed_dependent_leakage__coefficient * speed
-    setting = p.crossport_relief__relief_pressure
-    if setting != np.inf:
-        excess = abs(pressure) - setting
-        if p.different:
-            excess = 0.5 * (excess + math.hypot(excess, p.form_relief_rounding))
-            excess *= math.tanh(abs(pressure) / p.form_relief_rounding)
-            excess *= (abs(pressure) / setting) ** p.form_relief_growth
-        leakage += math.copysign(max(excess, 0.0) * p.crossport_relief__conductance, pressure)
+    if p.at_lift >= 0:
+        leakage += _relief_flow(p, y, dy, pressure)
     if p.at_mean >= 0:
         a, b = _leaks(p, pressure, y[p.at_mean])
         leakage += 0.5 * (a - b)

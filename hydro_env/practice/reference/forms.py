@@ -107,6 +107,14 @@ _LATER = (
     ),
     ("leak_power", "1", 0.5, 1.0, False, "power of the pressure in a leak: 0.5 for an orifice, 1 for a gap"),
     ("throttle_power", "1", 0.6, 1.0, False, "the same of the throttle before a volume"),
+    (
+        "relief_closing",
+        "1",
+        1.0,
+        3.0,
+        True,
+        "lag of a closing relief valve over that of an opening one: orifice before its spring",
+    ),
 )
 #: Every constant but the stops.
 CONSTANTS = tuple(FormConstant(*row) for row in (*_ROWS, *_LATER))

@@ -22,7 +22,19 @@ Array = NDArray[np.float64]
 #: What every channel has, in this order from `at_states` on.
 STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
 _SCALES = (0.1, 1e-4, 1e-2, 1e-6, 1e5, 1.0, 1.0)  # of these states, for absolute tolerances
-_SHIFTS = ("heat", "loop", "second_bristle", "shaft_bristle", "twist", "lag", "droop", "play", "mean", "side")
+_SHIFTS = (
+    "heat",
+    "loop",
+    "second_bristle",
+    "shaft_bristle",
+    "twist",
+    "lag",
+    "droop",
+    "play",
+    "mean",
+    "side",
+    "lift",
+)
 
 
 def _fields() -> list[tuple[Any, ...]]:
@@ -79,6 +91,8 @@ class Group:
                 p["at_mean"] = place(0.1)
             if p["line_volume__conductance"] > 0.0:
                 p["at_side"] = place(1e5)
+            if p["crossport_relief__relief_pressure"] < np.inf:
+                p["at_lift"] = place(1e5, 1e5)
             if different and max(p["spool_stiction__coulomb"], p["spool_stiction__static"]) > 0.0:
                 p["at_second_bristle"] = place(1e-6)
             if (
