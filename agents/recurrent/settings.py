@@ -64,7 +64,8 @@ class Gradient:
     corner: float = setting(
         40.0, "rpm", "from which on it counts in proportion: what a sudden load does", HAND
     )
-    tracking: float = setting(0.0025, "1/rpm", "weight of the tracking error", HAND)
+    bound: float = setting(20.0, "rpm", "of the mean tracking error, which the difference may cost", HAND)
+    tracking: float = setting(0.005, "1/rpm", "weight of the tracking error at the start", HAND)
     travel: float = setting(0.1, "1", "weight of the move of a command", HAND)
     notes: float = setting(
         0.3, "1", "weight of what is known of the valves, which the state is to hold", HAND
