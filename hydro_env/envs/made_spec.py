@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from gymnasium.envs.registration import EnvSpec
+from gymnasium.envs.registration import EnvSpec, registry
 
 __all__ = ["made_spec"]
 
-#: Arguments under which a return means the same as with the defaults, for which the threshold was measured.
+#: Arguments under which a return means the same as with those registered, for which the threshold was measured.
 SAME_TASK = {
     "render_mode",
     "render_width",
@@ -32,5 +32,7 @@ def made_spec(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
     reward threshold where the arguments make it another task."""
     if spec is None:
         return None
-    threshold = None if set(spec.kwargs) - SAME_TASK else spec.reward_threshold
+    registered = registry[spec.id].kwargs if spec.id in registry else {}
+    changed = {name for name, value in spec.kwargs.items() if name not in registered or registered[name] != value}
+    threshold = None if changed - SAME_TASK else spec.reward_threshold
     return replace(spec, max_episode_steps=steps, reward_threshold=threshold)

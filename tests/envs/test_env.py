@@ -421,20 +421,24 @@ def test_videos_are_recorded(tmp_path):
     [
         ({}, 600, -150.0),
         ({"history": 3}, 600, -150.0),
+        ({"id": "HydraulicSyncIncrement-v1"}, 600, -22.0),
+        ({"id": "HydraulicSyncIncrement-v1", "reward": {"tracking": 0.5}}, 600, None),
         ({"scenario": "staircase"}, 800, None),
         ({"control_period": 0.005, "mismatch": "own"}, 1200, None),
     ],
 )
 def test_the_specification_of_what_was_made_has_its_length(arguments, steps, threshold):
     """No limit of Gymnasium's cuts an episode off, neither of this environment nor of one made again from its specification."""
-    made = gymnasium.make("hydro_env:HydraulicSync-v0", **arguments)
+    arguments = {"id": "HydraulicSync-v0", **arguments}
+    arguments["id"] = f"hydro_env:{arguments['id']}"
+    made = gymnasium.make(**arguments)
     assert (made.spec.max_episode_steps, made.spec.reward_threshold) == (steps, threshold)
     for env in (made, gymnasium.make(made.spec)):
         env.reset(seed=0)
         ends = [env.step(np.zeros(2, np.float32))[3] for _ in range(steps)]
         assert not any(ends[:-1]) and ends[-1]
         assert env.spec == made.spec
-    batch = gymnasium.make_vec("hydro_env:HydraulicSync-v0", num_envs=2, **arguments)
+    batch = gymnasium.make_vec(num_envs=2, **arguments)
     assert (batch.spec.max_episode_steps, batch.spec.reward_threshold) == (steps, threshold)
 
 
