@@ -54,18 +54,24 @@ class Imitation:
 class Gradient:
     """The second stage, see `agents.recurrent.simulator_gradient`."""
 
-    periods: float = setting(45.0, "million", "control periods of single rigs", HAND)
-    rigs: int = setting(256, "1", "driven side by side", "as many as fill the plant's blocks well")
+    periods: float = setting(16.0, "million", "control periods of single rigs", HAND)
+    rigs: int = setting(128, "1", "driven side by side", "with their copies they fill the plant's blocks")
     window: int = setting(
-        60, "periods", "through which is propagated back; the length of an episode is a multiple", HAND
+        30, "periods", "through which is propagated back; the length of an episode is a multiple", HAND
     )
-    rate: float = setting(4e-4, "1", "step size of Adam, which falls to a twentieth along a cosine", HAND)
+    rate: float = setting(5e-3, "1", "step size of Adam, which falls to a twentieth along a cosine", HAND)
     difference: float = setting(1.0, "1", "weight of the squared speed difference over 10 rpm", HAND)
     corner: float = setting(
         40.0, "rpm", "from which on it counts in proportion: what a sudden load does", HAND
     )
-    bound: float = setting(20.0, "rpm", "of the mean tracking error, which the difference may cost", HAND)
-    tracking: float = setting(0.005, "1/rpm", "weight of the tracking error at the start", HAND)
+    bound: float = setting(24.0, "rpm", "of the mean tracking error, which the difference may cost", HAND)
+    tracking: float = setting(0.004, "1/rpm", "weight of the tracking error at the start", HAND)
+    bound_rate: float = setting(
+        0.003,
+        "1",
+        "by which the logarithm of that weight moves in an update, for an error of twice the bound",
+        HAND,
+    )
     travel: float = setting(0.1, "1", "weight of the move of a command", HAND)
     notes: float = setting(
         0.3, "1", "weight of what is known of the valves, which the state is to hold", HAND

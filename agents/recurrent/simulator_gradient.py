@@ -53,8 +53,6 @@ SHIFT = 0.03
 READINGS = {"measured_speed": SPEED, "current": CURRENT, "pressure": PRESSURE}
 """What the sensors show, and what 1 stands for: the middle of an observation, two columns each."""
 TO_RPM = SPEED / RPM
-DUAL_RATE = 0.01
-"""By which the logarithm of the tracking error's weight moves in an update, for an error of twice the bound."""
 
 
 def lasting(plant: Plant, period: float) -> dict[str, tuple[float, float]]:
@@ -163,7 +161,9 @@ class GradientStage:
         stream = np.random.default_rng([settings.training.seed, 1, done])
         self.rigs = Rigs(settings, s.rigs, s.window, seed=int(stream.integers(2**40)))
         self.optimiser = torch.optim.Adam(policy.parameters(), lr=s.rate, betas=(0.9, 0.98))
-        self.optimiser.param_groups[0]["tracking"] = s.tracking  # beside the optimiser's own state: it is in the checkpoint
+        self.optimiser.param_groups[0]["tracking"] = (
+            s.tracking
+        )  # beside the optimiser's own state: it is in the checkpoint
         self._slopes = Slopes(self.rigs.env.plant, self.rigs.env.control_period, stream)
         self._slopes.match(self.rigs.env.pairs)
         self._state = torch.zeros(s.rigs, policy.units)
@@ -195,7 +195,7 @@ class GradientStage:
         means = (torch.cat([parts, notes[None]]).detach() / s.window).tolist()
         said = dict(zip(("difference", "tracking", "travel", "valves"), means, strict=True))
         # dual ascent: the weight grows while the bound is exceeded, and falls below it
-        kept["tracking"] *= exp(DUAL_RATE * (said["tracking"] / s.bound - 1.0))
+        kept["tracking"] *= exp(s.bound_rate * (said["tracking"] / s.bound - 1.0))
         return {**said, "weight": kept["tracking"]}
 
     def _drive(self) -> tuple[Tensor, Tensor]:

@@ -33,6 +33,8 @@ def made_spec(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
     if spec is None:
         return None
     registered = registry[spec.id].kwargs if spec.id in registry else {}
-    changed = {name for name, value in spec.kwargs.items() if name not in registered or registered[name] != value}
+    changed = {
+        name for name, value in spec.kwargs.items() if name not in registered or registered[name] != value
+    }
     threshold = None if changed - SAME_TASK else spec.reward_threshold
     return replace(spec, max_episode_steps=steps, reward_threshold=threshold)
