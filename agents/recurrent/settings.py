@@ -30,7 +30,7 @@ class Imitation:
     """The first stage, see `agents.recurrent.imitation`."""
 
     law: bool = setting(True, "", "imitates the law, otherwise PI controllers without memory", HAND)
-    periods: float = setting(11.5, "million", "control periods of single rigs", HAND)
+    periods: float = setting(8.0, "million", "control periods of single rigs", HAND)
     rigs: int = setting(
         640, "1", "driven side by side", "the law and the network are fastest at some hundreds"
     )
@@ -46,7 +46,7 @@ class Imitation:
     notes: float = setting(
         1.0, "1", "weight of what is known of valves and rig, which the state is to hold", HAND
     )
-    handover: float = setting(8.0, "million", "periods after which the student drives all that it may", HAND)
+    handover: float = setting(6.0, "million", "periods after which the student drives all that it may", HAND)
     share: float = setting(0.9, "1", "most of the rigs that the student drives", HAND)
 
 
@@ -54,7 +54,7 @@ class Imitation:
 class Gradient:
     """The second stage, see `agents.recurrent.simulator_gradient`."""
 
-    periods: float = setting(16.0, "million", "control periods of single rigs", HAND)
+    periods: float = setting(10.0, "million", "control periods of single rigs", HAND)
     rigs: int = setting(128, "1", "driven side by side", "with their copies they fill the plant's blocks")
     window: int = setting(
         30, "periods", "through which is propagated back; the length of an episode is a multiple", HAND
@@ -64,14 +64,7 @@ class Gradient:
     corner: float = setting(
         40.0, "rpm", "from which on it counts in proportion: what a sudden load does", HAND
     )
-    bound: float = setting(24.0, "rpm", "of the mean tracking error, which the difference may cost", HAND)
-    tracking: float = setting(0.004, "1/rpm", "weight of the tracking error at the start", HAND)
-    bound_rate: float = setting(
-        0.003,
-        "1",
-        "by which the logarithm of that weight moves in an update, for an error of twice the bound",
-        HAND,
-    )
+    tracking: float = setting(0.003, "1/rpm", "weight of the tracking error", HAND)
     travel: float = setting(0.1, "1", "weight of the move of a command", HAND)
     notes: float = setting(
         0.3, "1", "weight of what is known of the valves, which the state is to hold", HAND

@@ -13,7 +13,7 @@ A closed loop over many dead zones and stick-slips multiplies small changes with
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import cos, exp, pi
+from math import cos, pi
 from typing import Any
 
 import numpy as np
@@ -161,20 +161,15 @@ class GradientStage:
         stream = np.random.default_rng([settings.training.seed, 1, done])
         self.rigs = Rigs(settings, s.rigs, s.window, seed=int(stream.integers(2**40)))
         self.optimiser = torch.optim.Adam(policy.parameters(), lr=s.rate, betas=(0.9, 0.98))
-        self.optimiser.param_groups[0]["tracking"] = (
-            s.tracking
-        )  # beside the optimiser's own state: it is in the checkpoint
         self._slopes = Slopes(self.rigs.env.plant, self.rigs.env.control_period, stream)
         self._slopes.match(self.rigs.env.pairs)
         self._state = torch.zeros(s.rigs, policy.units)
         self._updates = 0
 
     def window(self) -> dict[str, float]:
-        """Returns the mean costs of a period: speed difference, tracking error in rpm, travel; the notes' loss on the valves; and
-        the weight of tracking."""
-        s, kept = self.settings, self.optimiser.param_groups[0]
-        parts, notes = self._drive()
-        costs = parts * torch.tensor([1.0, kept["tracking"], 1.0])
+        """Returns the mean costs of a period: speed difference, tracking, travel; and the notes' loss on the valves."""
+        s = self.settings
+        costs, notes = self._drive()
         begun = self.rigs.next_window()
         self._state[begun] = 0.0
         self._slopes.match(self.rigs.env.pairs)
@@ -187,19 +182,17 @@ class GradientStage:
         size = nn.utils.clip_grad_norm_(self.policy.parameters(), 1.0)
         warm = min(1.0, (self._updates + 1) / 30.0)  # Adam knows nothing of the gradients' size yet
         fraction = min(1.0, self.done / self.total)
-        kept["lr"] = s.rate * warm * max(0.05, 0.5 * (1.0 + cos(pi * fraction)))
+        for group in self.optimiser.param_groups:
+            group["lr"] = s.rate * warm * max(0.05, 0.5 * (1.0 + cos(pi * fraction)))
         if torch.isfinite(size):
             self.optimiser.step()
         self._updates += 1
         self.done += s.window * s.rigs
-        means = (torch.cat([parts, notes[None]]).detach() / s.window).tolist()
-        said = dict(zip(("difference", "tracking", "travel", "valves"), means, strict=True))
-        # dual ascent: the weight grows while the bound is exceeded, and falls below it
-        kept["tracking"] *= exp(s.bound_rate * (said["tracking"] / s.bound - 1.0))
-        return {**said, "weight": kept["tracking"]}
+        means = (torch.cat([costs, notes[None]]).detach() / s.window).tolist()
+        return dict(zip(("difference", "tracking", "travel", "valves"), means, strict=True))
 
     def _drive(self) -> tuple[Tensor, Tensor]:
-        """The costs (3,) of a window, see `_costs`, and the notes' loss, which can be differentiated by the network's weights."""
+        """The costs (3,) of a window and the notes' loss, which can be differentiated by the network's weights."""
         s, rigs, policy = self.settings, self.rigs, self.policy
         state, plant = self._state, self._slopes.columns()
         sent = torch.from_numpy(rigs.observation[:, -2:])
@@ -234,10 +227,9 @@ class GradientStage:
 
 
 def _costs(s: Gradient, speed: Tensor, setpoint: Tensor, move: Tensor) -> Tensor:
-    """The costs (3,) of a period, tracking without its weight: speeds (N, 2) and set-point (N, 1) in rpm, moves (N, 2) of the
-    commands."""
+    """The costs (3,) of a period: speeds (N, 2) and set-point (N, 1) in rpm, moves (N, 2) of the commands."""
     apart = (speed[:, 0] - speed[:, 1]).abs()
     beyond = s.corner * (2.0 * apart - s.corner)
     difference = torch.where(apart < s.corner, apart**2, beyond).mean() / 100.0
     tracking = (speed - setpoint).abs().mean()
-    return torch.stack([s.difference * difference, tracking, s.travel * move.abs().mean()])
+    return torch.stack([s.difference * difference, s.tracking * tracking, s.travel * move.abs().mean()])
