@@ -194,6 +194,7 @@ class GradientStage:
     def _drive(self) -> tuple[Tensor, Tensor]:
         """The costs (3,) of a window and the notes' loss, which can be differentiated by the network's weights."""
         s, rigs, policy = self.settings, self.rigs, self.policy
+        follow = s.tracking * (s.tracking_first / s.tracking) ** max(0.0, 1.0 - self.done / self.total)
         state, plant = self._state, self._slopes.columns()
         sent = torch.from_numpy(rigs.observation[:, -2:])
         before = torch.from_numpy(rigs.before)
@@ -213,7 +214,7 @@ class GradientStage:
             rigs.step(commands.detach().numpy())
             plant = Period.apply(plant, commands, *self._slopes.after())
             speed = TO_RPM * plant[..., self._slopes.speed]
-            total = total + _costs(s, speed, torch.from_numpy(setpoint), commands - sent)
+            total = total + _costs(s, follow, speed, torch.from_numpy(setpoint), commands - sent)
             sent, before = commands, seen
         self._state = state.detach().clone()
         return total, notes
@@ -226,10 +227,10 @@ class GradientStage:
         return shown + nn.functional.pad(moving - moving.detach(), (1, 0))
 
 
-def _costs(s: Gradient, speed: Tensor, setpoint: Tensor, move: Tensor) -> Tensor:
-    """The costs (3,) of a period: speeds (N, 2) and set-point (N, 1) in rpm, moves (N, 2) of the commands."""
+def _costs(s: Gradient, follow: float, speed: Tensor, setpoint: Tensor, move: Tensor) -> Tensor:
+    """The costs (3,) of a period, `follow` is the weight of tracking: speeds (N, 2) and set-point (N, 1) in rpm, moves (N, 2) of the commands."""
     apart = (speed[:, 0] - speed[:, 1]).abs()
     beyond = s.corner * (2.0 * apart - s.corner)
     difference = torch.where(apart < s.corner, apart**2, beyond).mean() / 100.0
     tracking = (speed - setpoint).abs().mean()
-    return torch.stack([s.difference * difference, s.tracking * tracking, s.travel * move.abs().mean()])
+    return torch.stack([s.difference * difference, follow * tracking, s.travel * move.abs().mean()])
