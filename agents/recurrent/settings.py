@@ -66,7 +66,10 @@ class Gradient:
     )
     tracking_first: float = setting(0.008, "1/rpm", "weight of the tracking error at the start", HAND)
     tracking: float = setting(
-        0.003, "1/rpm", "at the end; a policy that hardly follows has little difference, and hardly leaves that again", HAND
+        0.003,
+        "1/rpm",
+        "at the end; a policy that hardly follows has little difference, and hardly leaves that again",
+        HAND,
     )
     travel: float = setting(0.1, "1", "weight of the move of a command", HAND)
     notes: float = setting(

@@ -228,7 +228,8 @@ class GradientStage:
 
 
 def _costs(s: Gradient, follow: float, speed: Tensor, setpoint: Tensor, move: Tensor) -> Tensor:
-    """The costs (3,) of a period, `follow` is the weight of tracking: speeds (N, 2) and set-point (N, 1) in rpm, moves (N, 2) of the commands."""
+    """The costs (3,) of a period: speeds (N, 2) and set-point (N, 1) in rpm, moves (N, 2) of the commands; `follow` is the weight
+    of tracking."""
     apart = (speed[:, 0] - speed[:, 1]).abs()
     beyond = s.corner * (2.0 * apart - s.corner)
     difference = torch.where(apart < s.corner, apart**2, beyond).mean() / 100.0
