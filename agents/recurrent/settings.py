@@ -54,7 +54,7 @@ class Imitation:
 class Gradient:
     """The second stage, see `agents.recurrent.simulator_gradient`."""
 
-    periods: float = setting(10.0, "million", "control periods of single rigs", HAND)
+    periods: float = setting(15.0, "million", "control periods of single rigs", HAND)
     rigs: int = setting(128, "1", "driven side by side", "with their copies they fill the plant's blocks")
     window: int = setting(
         30, "periods", "through which is propagated back; the length of an episode is a multiple", HAND
@@ -64,11 +64,11 @@ class Gradient:
     corner: float = setting(
         40.0, "rpm", "from which on it counts in proportion: what a sudden load does", HAND
     )
-    tracking_first: float = setting(0.008, "1/rpm", "weight of the tracking error at the start", HAND)
+    tracking_first: float = setting(0.008, "1/rpm", "weight of the tracking error at first", HAND)
     tracking: float = setting(
-        0.003,
+        0.002,
         "1/rpm",
-        "at the end; a policy that hardly follows has little difference, and hardly leaves that again",
+        "from a third of the periods on; a policy that hardly follows has little difference and hardly leaves that again",
         HAND,
     )
     travel: float = setting(0.1, "1", "weight of the move of a command", HAND)

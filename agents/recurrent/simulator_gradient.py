@@ -194,7 +194,7 @@ class GradientStage:
     def _drive(self) -> tuple[Tensor, Tensor]:
         """The costs (3,) of a window and the notes' loss, which can be differentiated by the network's weights."""
         s, rigs, policy = self.settings, self.rigs, self.policy
-        follow = s.tracking * (s.tracking_first / s.tracking) ** max(0.0, 1.0 - self.done / self.total)
+        follow = s.tracking * (s.tracking_first / s.tracking) ** max(0.0, 1.0 - 3.0 * self.done / self.total)
         state, plant = self._state, self._slopes.columns()
         sent = torch.from_numpy(rigs.observation[:, -2:])
         before = torch.from_numpy(rigs.before)
