@@ -66,7 +66,7 @@ class Gradient:
     )
     tracking_first: float = setting(0.008, "1/rpm", "weight of the tracking error at first", HAND)
     tracking: float = setting(
-        0.002,
+        0.0024,
         "1/rpm",
         "from a third of the periods on; a policy that hardly follows has little difference and hardly leaves that again",
         HAND,
