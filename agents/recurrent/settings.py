@@ -64,13 +64,10 @@ class Gradient:
     corner: float = setting(
         40.0, "rpm", "from which on it counts in proportion: what a sudden load does", HAND
     )
-    tracking_first: float = setting(0.008, "1/rpm", "weight of the tracking error at first", HAND)
-    tracking: float = setting(
-        0.0024,
-        "1/rpm",
-        "from a third of the periods on; a policy that hardly follows has little difference and hardly leaves that again",
-        HAND,
+    bound: float = setting(
+        30.0, "rpm", "of the mean tracking error, up to which it may pay for the difference", HAND
     )
+    tracking: float = setting(0.004, "1/rpm", "weight of the tracking error at the start", HAND)
     travel: float = setting(0.1, "1", "weight of the move of a command", HAND)
     notes: float = setting(
         0.3, "1", "weight of what is known of the valves, which the state is to hold", HAND

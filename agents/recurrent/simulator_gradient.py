@@ -13,7 +13,7 @@ A closed loop over many dead zones and stick-slips multiplies small changes with
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import cos, pi
+from math import cos, exp, log, pi
 from typing import Any
 
 import numpy as np
@@ -53,6 +53,9 @@ SHIFT = 0.03
 READINGS = {"measured_speed": SPEED, "current": CURRENT, "pressure": PRESSURE}
 """What the sensors show, and what 1 stands for: the middle of an observation, two columns each."""
 TO_RPM = SPEED / RPM
+INTEGRAL, PROPORTIONAL, SMOOTHED = 0.01, 1.0, 0.05
+"""Of the logarithm of the tracking error's weight: what a relative excess over the bound adds in an update, what the smoothed
+excess adds while it lasts, and how much of the newest excess is taken into that."""
 
 
 def lasting(plant: Plant, period: float) -> dict[str, tuple[float, float]]:
@@ -165,11 +168,22 @@ class GradientStage:
         self._slopes.match(self.rigs.env.pairs)
         self._state = torch.zeros(s.rigs, policy.units)
         self._updates = 0
+        # beside the optimiser's own state, so that it is in the checkpoint
+        self.optimiser.param_groups[0].update(integral=log(s.tracking), excess=0.0)
+
+    @property
+    def weight(self) -> float:
+        """Of the tracking error, 1/rpm: a Lagrange multiplier with a proportional part, which damps it (Stooke, Achiam and
+        Abbeel, Responsive safety in reinforcement learning by PID Lagrangian methods, 2020)."""
+        kept = self.optimiser.param_groups[0]
+        return exp(kept["integral"] + PROPORTIONAL * kept["excess"])
 
     def window(self) -> dict[str, float]:
-        """Returns the mean costs of a period: speed difference, tracking, travel; and the notes' loss on the valves."""
-        s = self.settings
-        costs, notes = self._drive()
+        """Returns the mean costs of a period: speed difference, tracking error in rpm, travel; the notes' loss on the valves; and
+        the weight of tracking."""
+        s, weight = self.settings, self.weight
+        parts, notes = self._drive()
+        costs = parts * torch.tensor([1.0, weight, 1.0])
         begun = self.rigs.next_window()
         self._state[begun] = 0.0
         self._slopes.match(self.rigs.env.pairs)
@@ -188,13 +202,16 @@ class GradientStage:
             self.optimiser.step()
         self._updates += 1
         self.done += s.window * s.rigs
-        means = (torch.cat([costs, notes[None]]).detach() / s.window).tolist()
-        return dict(zip(("difference", "tracking", "travel", "valves"), means, strict=True))
+        means = (torch.cat([parts, notes[None]]).detach() / s.window).tolist()
+        said = dict(zip(("difference", "tracking", "travel", "valves"), means, strict=True))
+        kept, excess = self.optimiser.param_groups[0], min(said["tracking"] / s.bound - 1.0, 1.0)
+        kept["excess"] += SMOOTHED * (excess - kept["excess"])
+        kept["integral"] += INTEGRAL * excess
+        return {**said, "weight": weight}
 
     def _drive(self) -> tuple[Tensor, Tensor]:
-        """The costs (3,) of a window and the notes' loss, which can be differentiated by the network's weights."""
+        """The costs (3,) of a window, see `_costs`, and the notes' loss, which can be differentiated by the network's weights."""
         s, rigs, policy = self.settings, self.rigs, self.policy
-        follow = s.tracking * (s.tracking_first / s.tracking) ** max(0.0, 1.0 - 3.0 * self.done / self.total)
         state, plant = self._state, self._slopes.columns()
         sent = torch.from_numpy(rigs.observation[:, -2:])
         before = torch.from_numpy(rigs.before)
@@ -214,7 +231,7 @@ class GradientStage:
             rigs.step(commands.detach().numpy())
             plant = Period.apply(plant, commands, *self._slopes.after())
             speed = TO_RPM * plant[..., self._slopes.speed]
-            total = total + _costs(s, follow, speed, torch.from_numpy(setpoint), commands - sent)
+            total = total + _costs(s, speed, torch.from_numpy(setpoint), commands - sent)
             sent, before = commands, seen
         self._state = state.detach().clone()
         return total, notes
@@ -227,11 +244,11 @@ class GradientStage:
         return shown + nn.functional.pad(moving - moving.detach(), (1, 0))
 
 
-def _costs(s: Gradient, follow: float, speed: Tensor, setpoint: Tensor, move: Tensor) -> Tensor:
-    """The costs (3,) of a period: speeds (N, 2) and set-point (N, 1) in rpm, moves (N, 2) of the commands; `follow` is the weight
-    of tracking."""
+def _costs(s: Gradient, speed: Tensor, setpoint: Tensor, move: Tensor) -> Tensor:
+    """The costs (3,) of a period, tracking without its weight: speeds (N, 2) and set-point (N, 1) in rpm, moves (N, 2) of the
+    commands."""
     apart = (speed[:, 0] - speed[:, 1]).abs()
     beyond = s.corner * (2.0 * apart - s.corner)
     difference = torch.where(apart < s.corner, apart**2, beyond).mean() / 100.0
     tracking = (speed - setpoint).abs().mean()
-    return torch.stack([s.difference * difference, follow * tracking, s.travel * move.abs().mean()])
+    return torch.stack([s.difference * difference, tracking, s.travel * move.abs().mean()])

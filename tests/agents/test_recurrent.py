@@ -143,7 +143,7 @@ def test_the_gradient_is_that_of_the_simulated_cost(name, dry, window, by):
         stage.rigs.env, stage._state = copy.deepcopy(begun), state
         stage._slopes._plant = stage.rigs.env.plant
         stage.rigs.observation = stage.rigs.before = begun._frames.copy()
-        return stage._drive()[0].sum()
+        return (stage._drive()[0] * torch.tensor([1.0, whole.tracking, 1.0])).sum()
 
     with torch.no_grad():
         policy.act.bias.fill_(0.4)
@@ -159,6 +159,15 @@ def test_the_gradient_is_that_of_the_simulated_cost(name, dry, window, by):
         assert policy.act.bias.grad[channel].item() == pytest.approx(
             (found[0] - found[1]) / (2.0 * by), rel=0.15
         )
+
+
+@pytest.mark.parametrize(("bound", "grows"), [(1.0, True), (1000.0, False)])
+def test_the_weight_of_tracking_follows_its_bound(tmp_path, bound, grows):
+    settings = settings_of(tmp_path, SHORT.replace("window: 20}", f"window: 20, bound: {bound}}}"))
+    stage = GradientStage(settings, policy_of(), 0)
+    weights = [stage.window()["weight"] for _ in range(4)]
+    assert weights[0] == settings.gradient.tracking
+    assert weights == sorted(weights, reverse=not grows) and weights[0] != weights[-1]
 
 
 @pytest.mark.parametrize("law", [True, False])
@@ -181,8 +190,11 @@ def test_a_run_scores_saves_and_goes_on(tmp_path):
     with pytest.raises(InputError, match="--resume"):
         train(settings, out, bar=False)
     assert train(settings, out, resume=True, bar=False).periods == 12_800
+    kept = whole.optimiser["param_groups"][0]["integral"]
+    assert kept > np.log(Gradient().tracking)
     longer = settings_of(tmp_path, SHORT.replace("gradient: {periods: 0.0064", "gradient: {periods: 0.0096"))
     after = train(longer, out, resume=True, bar=False)
+    assert after.optimiser["param_groups"][0]["integral"] > kept  # goes on: half the periods alone bring less
     assert after.periods == 16_000 and len(after.progress["curve"]) == 5
     assert json.loads((out / "curve.json").read_text()) == after.progress["curve"]
     (out / "checkpoint.pt").write_bytes((out / "checkpoint.pt").read_bytes()[:1000])
