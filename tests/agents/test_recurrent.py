@@ -166,7 +166,7 @@ def test_the_weight_of_tracking_follows_its_bound(tmp_path, bound, grows):
     settings = settings_of(tmp_path, SHORT.replace("window: 20}", f"window: 20, bound: {bound}}}"))
     stage = GradientStage(settings, policy_of(), 0)
     weights = [stage.window()["weight"] for _ in range(4)]
-    assert weights[0] == settings.gradient.tracking
+    assert weights[0] == pytest.approx(settings.gradient.tracking)
     assert weights == sorted(weights, reverse=not grows) and weights[0] != weights[-1]
 
 
