@@ -67,7 +67,7 @@ class Gradient:
     bound: float = setting(
         30.0, "rpm", "of the mean tracking error, up to which it may pay for the difference", HAND
     )
-    tracking: float = setting(0.004, "1/rpm", "weight of the tracking error at the start", HAND)
+    tracking: float = setting(0.0015, "1/rpm", "weight of the tracking error at the start", HAND)
     travel: float = setting(0.1, "1", "weight of the move of a command", HAND)
     notes: float = setting(
         0.3, "1", "weight of what is known of the valves, which the state is to hold", HAND
