@@ -86,6 +86,8 @@ def _statements(body: list[ast.stmt], known: set[str]) -> list[str]:
                 continue
             case ast.Return(ast.expr() as value):
                 lines.append(f"return {_expression(value)};")
+            case ast.If(test, inner, []):  # what a vector may leave out where no lane passes
+                lines += [f"if ({_expression(test)}) {{", *_statements(inner, set(known)), "}"]
             case ast.For(ast.Name(name), ast.Call(_, [bound]), inner):
                 marked = [n.target for n in inner if isinstance(n, ast.AugAssign)]
                 reduced = "".join(f" reduction(||:{ast.unparse(target)})" for target in marked)
