@@ -81,9 +81,6 @@ LINE_LOSS = Effect(
 )
 
 
-# The lift of the open relief valve as the excess of pressure that holds it there, with the sign of the pressure. Dry friction
-# holds it between the line on which it opens and the one on which it closes; without friction both are the dead zone of the
-# setting. On its seat it stays at nothing.
 # The lift of an open relief valve is given as the pressure above the setting that would hold it there, with the sign of the
 # pressure. Dry friction lets it rest between the line on which it opens and the one on which it closes; without friction both
 # are the dead zone of the setting.
