@@ -33,7 +33,7 @@ import socket
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
@@ -53,6 +53,9 @@ ENGINES = ("serial", "local", "ray")
 
 ATTEMPTS = 3
 """So often a task is begun whose process dies under it."""
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+"""Environment of a process beside others: threads of BLAS would wait for each other in loops, and take the others' time."""
 
 
 @dataclass(frozen=True)
@@ -293,9 +296,22 @@ def _start(function: Callable[[Any], Any]) -> Worker:
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_work, args=(theirs, function), daemon=True)
-    process.start()
+    with _environment(ONE_THREAD):
+        process.start()
     theirs.close()  # so that the pipe breaks when the process dies
     return Worker(process, ours)
+
+
+@contextlib.contextmanager
+def _environment(values: Mapping[str, str]) -> Generator[None, None, None]:
+    """Environment variables, where they are not set, for the processes that begin meanwhile."""
+    added = [name for name in values if name not in os.environ]
+    os.environ.update({name: values[name] for name in added})
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
 
 
 def _end(worker: Worker) -> str:

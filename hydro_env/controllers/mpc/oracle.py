@@ -19,16 +19,12 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
-from hydro_env.controllers.mpc.shooting import DAMPING, Best, Course, improve, keep
+from hydro_env.controllers.mpc.shooting import DAMPING, HORIZON, SAMPLES, Best, Course, improve, keep
 from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
 from hydro_env.units import RPM
 
 __all__ = ["Oracle"]
 
-HORIZON = 5
-"""Control periods that are planned."""
-SAMPLES = 10
-"""Samples of a period at which the planned motion is looked at."""
 TURNS, AFTER_A_STEP = 3, 30
 """How often a plan is driven, and then improved, in every period, and when the set-point has just stepped."""
 FREE = 0.6
@@ -150,10 +146,10 @@ class Oracle(Controller):
             volts[-1] = volts[-2]
             copies.run_into(seen, volts, load, self._step, signals)
             # Out of standstill the way leads over a ridge: at first a plan need not be better than the one before.
-            keep(plan, turn < FREE * turns, SAMPLES, seen, course, best)
+            keep(plan, turn < FREE * turns, seen, course, best)
             plan = best.plan.copy()
             if turn < turns - 1:
-                improve(plan, SAMPLES, course, best)
+                improve(plan, course, best)
         return best.plan, best.cost, best.motion[0][SAMPLES::SAMPLES]
 
 

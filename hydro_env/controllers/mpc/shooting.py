@@ -24,8 +24,12 @@ from hydro_env.controllers.base import Floats
 from hydro_env.controllers.mpc.planner import CLOSED
 from hydro_env.jit import compiled
 
-__all__ = ["DAMPING", "Best", "Course", "improve", "keep", "minimise_in_box"]
+__all__ = ["DAMPING", "HORIZON", "SAMPLES", "Best", "Course", "improve", "keep", "minimise_in_box"]
 
+HORIZON, SAMPLES = 5, 10
+"""Control periods that are planned, and samples of a period at which the planned motion is looked at."""
+COMMANDS, END = 2 * HORIZON, HORIZON * SAMPLES
+"""Commands of a plan, channel by channel, and its last sample. (Known to the compiler, which unrolls loops over them.)"""
 CORNER = 2.0
 """Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm."""
 BETWEEN = 100.0
@@ -38,10 +42,10 @@ their limits instead, as the planner does, leaves the oracle 5.4 rpm of peak dif
 
 
 class Course(NamedTuple):
-    """What plans of N rigs are to do, over H periods of `fine` samples.
+    """What plans of N rigs are to do, over H = HORIZON periods of SAMPLES samples.
 
     sent (N, 2): the command in force; setpoint (N, H + 1) in rad/s at the control instants; most (N, 2): largest command;
-    margin (N, 2): travel of the spools in m from which on it costs; travel (N, 2, H fine + 1): a spool's travel in m after a
+    margin (N, 2): travel of the spools in m from which on it costs; travel (N, 2, END + 1): a spool's travel in m after a
     command of 1 over the first period; motor (N, 2, 2, 3): pressure and speed after a sample from those before it and the
     mean travel. difference, smooth, stops (N,): weights of speed differences, moves, and travel in mm beyond the margin.
     """
@@ -62,7 +66,7 @@ class Course(NamedTuple):
 
 
 class Best(NamedTuple):
-    """The best plans (N, H, 2) so far, their costs (N,), the motion (3, H fine + 1, N, 2) they lead to (speed, flow, spool),
+    """The best plans (N, H, 2) so far, their costs (N,), the motion (3, END + 1, N, 2) they lead to (speed, flow, spool),
     and the damping (N,): weight of the squared change of the plan."""
 
     plan: Floats
@@ -155,12 +159,12 @@ def _newton_step(square, rate, side, free, factor, move):
 
 
 @compiled
-def _cost(plan, fine, motion, course):
+def _cost(plan, motion, course):
     """The cost (N,) of plans (N, H, 2), from the motion they lead to."""
     speed, spool = motion[0], motion[2]
     total = np.zeros(plan.shape[0])
-    for s in range(1, plan.shape[1] * fine + 1):
-        instant = s % fine == 0
+    for s in range(1, END + 1):
+        instant = s % SAMPLES == 0
         for i in range(plan.shape[0]):
             apart = speed[s, i, 0] - speed[s, i, 1]
             total[i] += 0.5 * (course.difference[i] if instant else BETWEEN) * apart * apart
@@ -168,21 +172,21 @@ def _cost(plan, fine, motion, course):
                 past = max(0.0, abs(spool[s, i, c]) - course.margin[i, c])
                 total[i] += 0.5e6 * course.stops[i] * past * past
                 if instant:
-                    error = (speed[s, i, c] - course.setpoint[i, s // fine]) / CORNER
+                    error = (speed[s, i, c] - course.setpoint[i, s // SAMPLES]) / CORNER
                     total[i] += CORNER * CORNER * (np.sqrt(1.0 + error * error) - 1.0)
     for i in range(plan.shape[0]):
         for c in range(2):
-            for j in range(plan.shape[1]):
+            for j in range(HORIZON):
                 move = plan[i, j, c] - (course.sent[i, c] if j == 0 else plan[i, j - 1, c])
                 total[i] += 0.5 * course.smooth[i] * move * move
     return total
 
 
 @compiled
-def keep(plan, free, fine, motion, course, best):
+def keep(plan, free, motion, course, best):
     """Keeps the plans (N, H, 2) that cost less than the best yet, or all where `free`, with the motion they lead to. The damping
     gets less where a plan was kept and more where not."""
-    reached = _cost(plan, fine, motion, course)
+    reached = _cost(plan, motion, course)
     better = (reached < best.cost) | free
     for i in range(plan.shape[0]):
         if better[i]:
@@ -200,89 +204,90 @@ def keep(plan, free, fine, motion, course, best):
 
 
 @compiled
-def improve(plan, fine, course, best):
-    """Improves the best plans, in `plan` (N, H, 2), fractions of the rated command."""
-    horizon = plan.shape[1]
-    samples, n = horizon * fine, 2 * horizon
-    change, apart_by = np.empty((2, horizon, samples + 1)), np.zeros((samples + 1, n))
-    square, slope = np.empty((n, n)), np.empty(n)
-    x, low, high = np.empty(n), np.empty(n), np.empty(n)
+def improve(plan, course, best):
+    """Improves the best plans, in `plan` (N, HORIZON, 2), fractions of the rated command."""
+    turned = np.zeros((END + 1, COMMANDS))
+    square, slope = np.empty((COMMANDS, COMMANDS)), np.empty(COMMANDS)
+    x, low, high = np.empty(COMMANDS), np.empty(COMMANDS), np.empty(COMMANDS)
     for i in range(plan.shape[0]):
-        _sensitivity(i, fine, best.motion[1], course, change, apart_by)
+        _sensitivity(i, best.motion[1], course, turned)
         square[:] = 0.0
         slope[:] = 0.0
-        for s in range(1, samples + 1):
-            _add_sample(i, s, fine, best.motion, course, change, apart_by, square, slope)
+        _add_motion(i, best.motion, course, turned, square, slope)
         for c in range(2):
-            for j in range(horizon):
-                b = c * horizon + j
+            for j in range(HORIZON):
+                b = c * HORIZON + j
                 _add_move(plan, i, j, c, best.damping[i], course, square, slope)
                 x[b] = 0.0
                 low[b] = min(0.0, -course.most[i, c] - plan[i, j, c])
                 high[b] = max(0.0, course.most[i, c] - plan[i, j, c])
         minimise_in_box(square, slope, low, high, x)
-        for b in range(n):
-            plan[i, b % horizon, b // horizon] += x[b]
+        for b in range(COMMANDS):
+            plan[i, b % HORIZON, b // HORIZON] += x[b]
 
 
 @compiled
-def _sensitivity(i, fine, flow, course, change, apart_by):
-    """How speeds change with each command of the plan: the spool's travel, where the valve is open, is integrated."""
-    horizon, samples = change.shape[1], change.shape[2] - 1
-    travel, motor = course.travel[i], course.motor[i]
-    for c in range(2):
-        for j in range(horizon):
-            pressed, turned, before = 0.0, 0.0, 0.0
-            for s in range(j * fine + 1, samples + 1):
-                now = travel[c, s - j * fine]
-                if flow[s, i, c] == 0.0:
+def _sensitivity(i, flow, course, turned):
+    """How speeds at every sample change with each command, `turned` (END + 1, COMMANDS): the spool's travel, where the valve is
+    open, is integrated. Sample by sample, so that no command waits for another one's chain of sums."""
+    pressed, before = np.zeros(COMMANDS), np.zeros(COMMANDS)
+    for s in range(1, END + 1):
+        begun = (s - 1) // SAMPLES + 1  # commands that have begun to act
+        for c in range(2):
+            travel, motor, closed = course.travel[i, c], course.motor[i, c], flow[s, i, c] == 0.0
+            for j in range(begun):
+                b = c * HORIZON + j
+                now = travel[s - j * SAMPLES]
+                if closed:
                     now *= CLOSED
-                mean, before = 0.5 * (before + now), now
-                was = pressed
-                pressed = motor[c, 0, 0] * was + motor[c, 0, 1] * turned + motor[c, 0, 2] * mean
-                turned = motor[c, 1, 0] * was + motor[c, 1, 1] * turned + motor[c, 1, 2] * mean
-                change[c, j, s] = turned
-                apart_by[s, c * horizon + j] = turned if c == 0 else -turned
+                mean, before[b] = 0.5 * (before[b] + now), now
+                was, speed = pressed[b], turned[s - 1, b]
+                pressed[b] = motor[0, 0] * was + motor[0, 1] * speed + motor[0, 2] * mean
+                turned[s, b] = motor[1, 0] * was + motor[1, 1] * speed + motor[1, 2] * mean
 
 
 @compiled
-def _add_sample(i, s, fine, motion, course, change, apart_by, square, slope):
-    """Adds travel beyond the margin, tracking errors and the speed difference of a sample to the normal equations."""
-    horizon, speed, spool = change.shape[1], motion[0], motion[2]
-    top = (s - 1) // fine + 1  # commands that have begun to act
-    instant = s % fine == 0
-    for c in range(2):
-        base = c * horizon
-        past = abs(spool[s, i, c]) - course.margin[i, c]
-        if past > 0.0:
-            sign = 1.0 if spool[s, i, c] > 0.0 else -1.0
-            for j in range(top):
-                a = 1e6 * course.stops[i] * course.travel[i, c, s - j * fine]
-                slope[base + j] += a * sign * past
-                for k in range(top):
-                    square[base + j, base + k] += a * course.travel[i, c, s - k * fine]
-        if instant:
-            error = speed[s, i, c] - course.setpoint[i, s // fine]
-            weight = 1.0 / np.sqrt(1.0 + (error / CORNER) ** 2)
-            for j in range(top):
-                a = weight * change[c, j, s]
-                slope[base + j] += a * error
-                for k in range(top):
-                    square[base + j, base + k] += a * change[c, k, s]
-    apart = speed[s, i, 0] - speed[s, i, 1]
-    weight = course.difference[i] if instant else BETWEEN
-    for c in range(2):
-        for b in range(c * horizon, c * horizon + top):
-            a = weight * apart_by[s, b]
+def _add_motion(i, motion, course, turned, square, slope):
+    """Adds travel beyond the margin, tracking errors and speed differences at all samples to the normal equations; `turned`
+    (END + 1, COMMANDS): how speeds change with each command."""
+    speed, spool, apart_by = motion[0], motion[2], np.empty(COMMANDS)
+    setpoint, difference, stops = course.setpoint[i], course.difference[i], 1e6 * course.stops[i]
+    for s in range(1, END + 1):
+        begun = (s - 1) // SAMPLES + 1  # commands that have begun to act
+        instant = s % SAMPLES == 0
+        for c in range(2):
+            base = c * HORIZON
+            past = abs(spool[s, i, c]) - course.margin[i, c]
+            if past > 0.0:
+                sign = 1.0 if spool[s, i, c] > 0.0 else -1.0
+                for j in range(begun):
+                    a = stops * course.travel[i, c, s - j * SAMPLES]
+                    slope[base + j] += a * sign * past
+                    for k in range(begun):
+                        square[base + j, base + k] += a * course.travel[i, c, s - k * SAMPLES]
+            if instant:
+                error = speed[s, i, c] - setpoint[s // SAMPLES]
+                weight = 1.0 / np.sqrt(1.0 + (error / CORNER) ** 2)
+                for j in range(begun):
+                    a = weight * turned[s, base + j]
+                    slope[base + j] += a * error
+                    for k in range(begun):
+                        square[base + j, base + k] += a * turned[s, base + k]
+        apart = speed[s, i, 0] - speed[s, i, 1]
+        weight = difference if instant else BETWEEN
+        for j in range(HORIZON):
+            apart_by[j], apart_by[HORIZON + j] = turned[s, j], -turned[s, HORIZON + j]
+        for b in range(COMMANDS):
+            a = weight * apart_by[b]
             slope[b] += a * apart
-            for k in range(slope.size):
-                square[b, k] += a * apart_by[s, k]
+            for k in range(COMMANDS):
+                square[b, k] += a * apart_by[k]
 
 
 @compiled
 def _add_move(plan, i, j, c, damping, course, square, slope):
     """Adds the move of a command, and its change, to the normal equations."""
-    b, smooth = c * plan.shape[1] + j, course.smooth[i]
+    b, smooth = c * HORIZON + j, course.smooth[i]
     square[b, b] += damping + smooth
     move = plan[i, j, c] - (course.sent[i, c] if j == 0 else plan[i, j - 1, c])
     slope[b] += smooth * move
