@@ -11,7 +11,7 @@ __all__ = ["RECIPES", "recipe"]
 #: Their names, and what they train.
 RECIPES = {
     "ppo": "the shipped agent `ppo`, from the plain observation, in a quarter of an hour",
-    "ppo_short": "the same with a smaller reward, in a third of the time",
+    "ppo_short": "the same with a smaller reward, in three minutes",
     "sac": "the same by SAC; no agent of it ships",
     "ppo_quick": "a few seconds of PPO, to see that it works",
     "sac_quick": "a few seconds of SAC, to see that it works",
