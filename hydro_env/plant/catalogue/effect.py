@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
-from ..parameters import Parameter
+from ..parameters import PARAMETERS, Parameter
 
 __all__ = [
     "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "arguments", "register", "separating_experiment", "unregister",
@@ -139,7 +139,9 @@ class Effect:
     def is_cheap(self) -> bool:
         """Whether the effect costs next to nothing where it is compiled in but neutral."""
         called = {name for law in self.laws.values() for name in law.__code__.co_names}
-        costly = self.corner or self.delays_command or len(self.states) > 1 or called & TRANSCENDENTAL
+        asked = set() if self.corner is None else {*arguments(self.corner)}
+        bends = not asked <= {"substep", *PARAMETERS, *(p.name for p in self.parameters)}
+        costly = bends or self.delays_command or len(self.states) > 1 or called & TRANSCENDENTAL
         return self.scope == "channel" and not costly
 
     def parts_every_step(self, values: Mapping[str, float]) -> bool:

@@ -267,6 +267,13 @@ def _side_pressure_decay(bulk_modulus, conductance, volume):
     return bulk_modulus / volume * conductance
 
 
+def _quick_exchange(conductance, volume, beta, V, substep):
+    # The matrix of the integrator knows how fast each of the two volumes drains, not that one fills the other. Off by 0.1 rpm
+    # and more where the square of this ratio passes 0.16 (24 random ones against the reference).
+    drained = substep * beta * conductance
+    return drained * drained > 0.1 * V * volume
+
+
 LINE_VOLUME = Effect(
     name="line_volume",
     port="line",
@@ -300,6 +307,7 @@ LINE_VOLUME = Effect(
     ),
     laws={"leakage": _volume_behind_a_throttle},
     states=(State("side_pressure", _side_pressure_rate, _side_pressure_decay),),
+    corner=_quick_exchange,
 )
 
 
