@@ -24,8 +24,8 @@ from ..catalogue import Effect
 from ..stiffness import FINE_PARTS, SPOOL
 from .driver import NUMBERS
 from .integrator import METHOD, integral_coefficients
-from .layout import DIVISORS, FACTORS, INTEGRAL, STATES, Layout, in_text, layout_of, uses
-from .statements import Substep, call, chain, functions, fused, needed, substep_of
+from .layout import DIVISORS, FACTORS, INTEGRAL, RECIPROCALS, STATES, Layout, in_text, layout_of, uses
+from .statements import Substep, call, chain, functions, fused_lines, needed, substep_of
 from .template import EXCHANGE, MODULE, TOGETHER
 
 __all__ = ["Module", "module_text"]
@@ -118,7 +118,7 @@ class _Sweeps:
         lines = at.load(["left", "parts", "wanted"], "left parts wanted")
         lines += ["parts = parts if left > 0.0 else wanted", "left = left if left > 0.0 else wanted"]
         lines += [*self._store(["left"]), f"if parts != {at.cell('parts')}:"]
-        settled = at.load([*at.parameters, *at.reciprocals], "\n".join(own))
+        settled = at.load([*at.parameters, *RECIPROCALS], "\n".join(own))
         settled += ["step = h / parts", "ih = 1.0 / step", f"gh = {METHOD.gamma!r} * step", "ig = 1.0 / gh"]
         settled += own + self._store(["parts", "step", "ih", "ig", *at.settled])
         return lines + ["    " + line for line in settled]
@@ -154,7 +154,7 @@ class _Sweeps:
             coupled = " | ".join(tests)
             lines += [f"{at.cell('together')} = 1.0 if {coupled} else 0.0"]
         lines += at.load(DIVISORS, " ".join(DIVISORS)) + [f"per_{name} = 1.0 / {name}" for name in DIVISORS]
-        return lines + self._store(at.reciprocals) + [f"{at.cell('parts')} = 0.0"]
+        return lines + self._store(RECIPROCALS) + [f"{at.cell('parts')} = 0.0"]
 
     def ask(self) -> list[str]:
         """In how many parts each lane takes the next substep."""
@@ -162,7 +162,7 @@ class _Sweeps:
 
     def _asked(self) -> list[str]:
         """Of several bends the one with most parts decides; a stiff channel takes each part in its own number of parts."""
-        at, known = self.at, [*self.at.parameters, *self.at.reciprocals]
+        at, known = self.at, [*self.at.parameters, *RECIPROCALS]
         near = " | ".join(dict.fromkeys(f"({bend.near or bend.test})" for bend in self.bends))
         first = needed({"past"}, self.substep.whole_rates)
         then = needed({"outward", "grip"}, self.substep.whole_rates)
@@ -252,7 +252,7 @@ class _Sweeps:
         at, outputs = self.at, ["flow", "measured_speed"]
         measured = ["measured_speed = speed", *chain("measured_speed", at.effects)]
         lines = needed(set(outputs), [*self.substep.whole_rates, *measured])
-        loaded = at.load([*at.parameters, *at.reciprocals], "\n".join(lines))
+        loaded = at.load([*at.parameters, *RECIPROCALS], "\n".join(lines))
         return at.load(at.states, " ".join(at.states)) + self._inputs + loaded + lines + self._store(outputs)
 
     def guard(self) -> list[str]:
@@ -300,8 +300,7 @@ def _indent(lines: Iterable[str], depth: int = 1) -> str:
 
 def _sweep(lines: Iterable[str]) -> str:
     """A loop over all lanes of a block that runs these statements."""
-    body = fused("\n".join(lines)).splitlines()
-    return _indent(["for l in range(LANES):", *("    " + line for line in body)])
+    return _indent(["for l in range(LANES):", *("    " + line for line in fused_lines(lines))])
 
 
 def _additions(layout: Layout) -> str:
@@ -325,7 +324,7 @@ def _delay_line(layout: Layout) -> dict[str, str]:
 def module_text(effects: tuple[Effect, ...], half: int) -> Module:
     """The module of a kernel for these effects, for blocks of `half` rigs."""
     layout = layout_of(effects, half)
-    substep = substep_of(layout)
+    substep = substep_of(effects)
     layout = layout.with_settled(substep.settled)
     bends = _bends(effects)
     sweeps, at = _Sweeps(layout, substep, bends), layout.rows

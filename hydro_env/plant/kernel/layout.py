@@ -13,7 +13,10 @@ from dataclasses import dataclass, replace
 from ..catalogue import Effect
 from ..parameters import PARAMETERS
 
-__all__ = ["DIVISORS", "FACTORS", "INTEGRAL", "PACE", "STATES", "Layout", "in_text", "layout_of", "uses"]
+__all__ = [
+    "DIVISORS", "FACTORS", "INTEGRAL", "PACE", "RECIPROCALS", "STATES", "Layout", "in_text", "layout_of", "parameters_of",
+    "uses",
+]  # fmt: skip
 
 #: States of a channel, in the order of `rates`.
 STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
@@ -21,6 +24,7 @@ STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "an
 INTEGRAL = {"angle": "speed"}
 #: Base parameters that are divided by: their reciprocals are rows of their own, since a division costs ten products.
 DIVISORS = ("L", "m", "V", "J", "vs", "v_stop")
+RECIPROCALS = tuple(f"per_{name}" for name in DIVISORS)
 #: Factors of the matrix that the stages share, see `statements.FACTORISATION`.
 FACTORS = (
     "e_current", "e_bristle", "e_spool_speed", "w_spool", "w_bristle", "w_current", "w_back", "w_slope", "e_speed",
@@ -68,13 +72,9 @@ class Layout:
         return self.states[len(STATES) :]
 
     @property
-    def reciprocals(self) -> list[str]:
-        return [f"per_{name}" for name in DIVISORS]
-
-    @property
     def constants(self) -> list[str]:
         """What the parameters and the length of the step settle."""
-        return [*self.parameters, *self.reciprocals, *self.settled]
+        return [*self.parameters, *RECIPROCALS, *self.settled]
 
     def with_settled(self, names: Iterable[str]) -> Layout:
         """The layout with rows for what is computed once."""
@@ -90,9 +90,14 @@ class Layout:
         return [f"{name} = {self.cell(name)}" for name in names if uses(name, text)]
 
 
+def parameters_of(effects: Iterable[Effect]) -> tuple[str, ...]:
+    """The parameters of a channel with these effects."""
+    return (*PARAMETERS, *(in_text(e, p.name) for e in effects for p in e.parameters))
+
+
 def layout_of(effects: tuple[Effect, ...], half: int) -> Layout:
     """The layout of a block of `half` rigs with these effects."""
-    parameters = (*PARAMETERS, *(in_text(e, p.name) for e in effects for p in e.parameters))
+    parameters = parameters_of(effects)
     own_states = tuple(in_text(e, s.name) for e in effects for s in e.states)
     states = STATES + own_states
     moving = [*states, *_OUTPUTS]
@@ -103,7 +108,7 @@ def layout_of(effects: tuple[Effect, ...], half: int) -> Layout:
         *(f"f__{name}" for name in (*FACTORS, *own_states)),
         *(f"u{stage}__{name}" for stage in range(3) for name in bare.staged),
         "applied", "next_flow", "other_flow",
-        *bare.reciprocals,
+        *RECIPROCALS,
         "fine", "together", "late", *PACE,
     ]  # fmt: skip
     return replace(bare, rows={name: row for row, name in enumerate(names)})

@@ -10,7 +10,7 @@ import ast
 import inspect
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -21,9 +21,9 @@ from ..catalogue.effect import arguments
 from ..rhs import rates
 from ..stiffness import LAWS
 from . import vector_ir
-from .layout import DIVISORS, Layout, in_text, uses
+from .layout import DIVISORS, RECIPROCALS, in_text, parameters_of, uses
 
-__all__ = ["HELPERS", "Substep", "call", "chain", "functions", "fused", "needed", "substep_of"]
+__all__ = ["HELPERS", "Substep", "call", "chain", "functions", "fused_lines", "needed", "substep_of"]
 
 #: Functions of vector_math that laws may call.
 HELPERS = ("clip", "sign", "exp", "bell", "tanh", "cos", "sin")
@@ -217,16 +217,16 @@ class Substep:
         return "\n".join(self.rates + self.own_rates)
 
 
-def substep_of(layout: Layout) -> Substep:
-    """The statements of a substep with the effects of a layout."""
-    effects = layout.effects
+@lru_cache(maxsize=256)
+def substep_of(effects: tuple[Effect, ...]) -> Substep:
+    """The statements of a substep with these effects."""
     whole = _by_reciprocals(_rates_body(effects))
     own = [
         f"{in_text(e, s.name)}_rate = {call(e, s.name + '_rate', s.rate, s.given)}"
         for e in effects
         for s in e.states
     ]
-    hoist = _Hoist({*layout.parameters, *layout.reciprocals, "ig", "gh"})
+    hoist = _Hoist({*parameters_of(effects), *RECIPROCALS, "ig", "gh"})
     taken = hoist.take(whole)
     slopes = hoist.take(_by_reciprocals(_slopes(effects)))
     factors = hoist.take(FACTORISATION)
@@ -254,6 +254,14 @@ def needed(wanted: set[str], lines: Iterable[str]) -> list[str]:
     return kept[::-1]
 
 
+def _variables(node: ast.AST) -> Iterator[str]:
+    """The names in an expression, those of the functions it calls aside."""
+    if isinstance(node, ast.Name):
+        yield node.id
+    for child in node.args if isinstance(node, ast.Call) else ast.iter_child_nodes(node):
+        yield from _variables(child)
+
+
 class _Hoist(ast.NodeTransformer):
     """Takes what depends on the parameters and the length of the step alone out of the statements of a sweep.
 
@@ -267,9 +275,8 @@ class _Hoist(ast.NodeTransformer):
         self.names: dict[str, str] = {}
 
     def _is_constant(self, node: ast.AST) -> bool:
-        called = {n.func for n in ast.walk(node) if isinstance(n, ast.Call)}
-        names = {n for n in ast.walk(node) if isinstance(n, ast.Name)} - called
-        return bool(names) and all(n.id in self.constant for n in names)
+        names = list(_variables(node))
+        return bool(names) and self.constant.issuperset(names)
 
     def _name(self, node: ast.AST) -> str:
         text = ast.unparse(node)
@@ -331,7 +338,16 @@ def _fma(*operands: ast.expr) -> ast.Call:
     return ast.Call(ast.Name("fma", ast.Load()), list(operands), [])
 
 
-@lru_cache(maxsize=1024)  # kernels of different effects share most of their text
+@lru_cache(maxsize=1 << 14)  # kernels of different effects share most of their statements
 def fused(text: str) -> str:
-    """The text with its products and sums fused."""
+    """The text with its products and sums fused: statements, or the first line of an `if`."""
+    if text.endswith(":"):
+        return fused(f"{text} pass").splitlines()[0]
     return ast.unparse(_Fuse().visit(ast.parse(textwrap.dedent(text))))
+
+
+def fused_lines(lines: Iterable[str]) -> Iterator[str]:
+    """Each line with its products and sums fused; what has no product stays as it is."""
+    for line in lines:
+        text = line.lstrip()
+        yield line[: len(line) - len(text)] + fused(text) if "*" in text else line
