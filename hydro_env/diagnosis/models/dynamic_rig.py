@@ -39,11 +39,13 @@ _RECORDED = {
 
 @dataclass(frozen=True)
 class _Batch:
-    """Rigs, each a list of request numbers, that go through a kernel together: its effects, the substep, s, and the block."""
+    """Lanes that go through a kernel together: its effects, the substep and the period of the logs, s, and the block. A lane is
+    a rig that runs through a log: the number of the log, and one request number for each side of the rig, or one for both."""
 
     effects: tuple[str, ...]
     step: float
-    rigs: list[list[int]]
+    period: float
+    lanes: list[tuple[int, list[int]]]
     block: int
 
 
@@ -65,6 +67,10 @@ class DynamicRig:
             s for s in _RECORDED if any(seg.signal == s for segs in self.segments.values() for seg in segs)
         )
         self.period = min(part.log.period for part in parts)
+        #: Numbers of the logs by their period, s, the longest first: logs of about the same length run side by side.
+        self._logs: dict[float, list[int]] = {}
+        for number in sorted(range(len(parts)), key=lambda n: -len(parts[n].log)):
+            self._logs.setdefault(parts[number].log.period, []).append(number)
         self.every_row = every_row
         # The plant's kernel lets other threads of this process run beside it.
         self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
@@ -147,7 +153,7 @@ class DynamicRig:
         return [Request(c, {name: pair[c] for name, pair in pairs.items()}) for c in self.channels]
 
     def _predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
-        results: list[dict[int, np.ndarray]] = [{} for _ in requests]
+        results = [{c: np.empty(self.segments[c][-1].place.stop) for c in self._seen(r)} for r in requests]
         by_kernel: dict[tuple[tuple[str, ...], int, float], list[int]] = {}
         for number, request in enumerate(requests):
             # Rigs are simulated in step: one that takes its substeps in parts holds up those beside it.
@@ -157,8 +163,10 @@ class DynamicRig:
         batches: list[_Batch] = []
         for (effects, _, step), numbers in by_kernel.items():
             rigs = self._pack([(n, requests[n]) for n in numbers])
-            for start, stop, block in _pieces(len(rigs), self.jobs):
-                batches.append(_Batch(effects, step, rigs[start:stop], block))
+            for period, logs in self._logs.items():
+                lanes = [(log, rig) for log in logs for rig in rigs]
+                for start, stop, block in _pieces(len(lanes), self.jobs):
+                    batches.append(_Batch(effects, step, period, lanes[start:stop], block))
 
         def work(batch: _Batch) -> None:
             self._run(batch, requests, results)
@@ -205,67 +213,63 @@ class DynamicRig:
 
         Both sides of a rig are alike, so a side may play either channel.
         """
-        whole = [[n] for n, r in wanted if r.channel is None or self.coupled]
-        single = [n for n, r in wanted if r.channel is not None and not self.coupled]
+        whole = [[n] for n, r in wanted if self._whole(r)]
+        single = [n for n, r in wanted if not self._whole(r)]
         return whole + [single[k : k + 2] for k in range(0, len(single), 2)]
 
+    def _whole(self, request: Request) -> bool:
+        """Whether a request takes both sides of a rig."""
+        return request.channel is None or self.coupled
+
     def _run(self, batch: _Batch, requests: Sequence[Request], results: list[dict[int, np.ndarray]]) -> None:
-        """Simulates the rigs of a batch and puts what they show into `results`, by request."""
-        # Which channel each side of each rig plays, and which side answers a request.
-        plays = np.tile([0, 1], (len(batch.rigs), 1))
-        sides: dict[int, tuple[int, dict[int, int]]] = {}
-        for lane, rig in enumerate(batch.rigs):
+        """Simulates the lanes of a batch and puts what they show into `results`, by request."""
+        names = {name for _, rig in batch.lanes for n in rig for name in requests[n].values}
+        # Which channel each side of each lane plays.
+        plays = np.tile([0, 1], (len(batch.lanes), 1))
+        for lane, (_, rig) in enumerate(batch.lanes):
             for side, n in enumerate(rig):
-                channel = requests[n].channel
-                if channel is None or self.coupled:
-                    sides[n] = (lane, {c: c for c in self._seen(requests[n])})
-                else:
-                    plays[lane, side] = channel
-                    sides[n] = (lane, {channel: side})
-        swapped = bool((plays != [0, 1]).any())
-        names = {name for rig in batch.rigs for n in rig for name in requests[n].values}
-        if swapped:
+                if not self._whole(requests[n]):
+                    plays[lane, side] = requests[n].channel
+        if (plays != [0, 1]).any():
             names |= self._unequal
         values = {name: np.array(self.model.pair(name))[plays] for name in names}
-        for n, (lane, answers) in sides.items():
-            request = requests[n]
-            for name, value in request.values.items():
-                if request.channel is None:
-                    values[name][lane] = value
-                else:
-                    values[name][lane, answers[request.channel] if not self.coupled else request.channel] = (
-                        value
-                    )
-            for channel in answers:
-                results[n][channel] = np.empty(self.segments[channel][-1].place.stop)
-        for number, part in enumerate(self.parts):
-            out = self._simulate(part, batch, values, plays if swapped else None)
-            for channel in self.channels:
-                for segment in self.segments[channel]:
-                    if segment.log != number:
-                        continue
+        # Which side of which lane shows a channel of a request.
+        shown: list[tuple[int, int, int, int]] = []
+        for lane, (_, rig) in enumerate(batch.lanes):
+            for side, n in enumerate(rig):
+                request = requests[n]
+                own = slice(None) if request.channel is None else request.channel if self.coupled else side
+                for name, value in request.values.items():
+                    values[name][lane, own] = value
+                shown += [(lane, c if self._whole(request) else side, n, c) for c in self._seen(request)]
+        out = self._simulate(batch, values, plays)
+        for lane, side, n, channel in shown:
+            for segment in self.segments[channel]:
+                if segment.log == batch.lanes[lane][0]:
                     signal = out[_RECORDED[segment.signal]]
-                    for n, (lane, answers) in sides.items():
-                        if channel in answers:
-                            results[n][channel][segment.place] = signal[segment.rows, lane, answers[channel]]
+                    results[n][channel][segment.place] = signal[segment.rows, lane, side]
         if self.progress is not None:
-            self.progress(len(sides))
+            self.progress(len({n for lane, _, n, _ in shown if batch.lanes[lane][0] == 0}))
 
     def _seen(self, request: Request) -> tuple[int, ...]:
         return self.channels if request.channel is None else (request.channel,)
 
     def _simulate(
-        self, part: Part, batch: _Batch, values: dict[str, np.ndarray], plays: np.ndarray | None
+        self, batch: _Batch, values: dict[str, np.ndarray], plays: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """`plays` (lanes, 2): the channel whose command and load each side has; None: its own."""
-        command = np.nan_to_num(part.log.command_V)
-        load = None if part.log.load is None else np.nan_to_num(part.log.load)
-        if plays is not None:
-            command = command[:, plays]
-            load = None if load is None else load[:, plays]
+        """`plays` (lanes, 2): the channel whose command and load each side has."""
+        lanes = [(log, *sides) for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True)]
+        alike = lanes[:1] if len(set(lanes)) == 1 else lanes
+        longest = max(len(self.parts[log].log) for log, *_ in lanes)
+        command, load = np.zeros((2, longest, len(alike), 2))  # a lane whose log has ended is at rest
+        for lane, (log, *sides) in enumerate(alike):
+            given = self.parts[log].log
+            command[: len(given), lane] = np.nan_to_num(given.command_V)[:, sides]
+            if given.load is not None:
+                load[: len(given), lane] = np.nan_to_num(given.load)[:, sides]
         with np.errstate(all="ignore"):
             return simulate(
-                self.model, command, load, part.log.period, values=values, num_rigs=len(batch.rigs),
+                self.model, command, load, batch.period, values=values, num_rigs=len(lanes),
                 effects=batch.effects, record=[_RECORDED[s] for s in self.signals], substep=batch.step, dtype=self.dtype,
                 block=batch.block,
             )  # fmt: skip
