@@ -65,7 +65,7 @@ def hide(
         number(within=Limits(0.0, 50.0, unit="%"), help="Largest error of the model's base parameters."),
     ] = 0.0,
     record: Annotated[
-        str, typer.Option(help="Columns besides time, command and speed: also spool, flow.")
+        str, typer.Option(help="Columns besides time, command and speed: also spool, flow, line_pressures.")
     ] = "setpoint,current,pressure,load",
     rate: Annotated[float, number(within=Limits(10.0, 20_000.0), help="Rows per second.")] = 1000.0,
     duration: Annotated[

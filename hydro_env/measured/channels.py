@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydro_env.measured.finding import Finding
-from hydro_env.measured.mapping import ChannelMapping, Mapping, Source
+from hydro_env.measured.mapping import LINES, ChannelMapping, Mapping, Source
 from hydro_env.measured.samples import MEASURED
 from hydro_env.units import BAR, RPM
 
 if TYPE_CHECKING:
     from hydro_env.measured.log import RigLog
 
-__all__ = ["check_channels", "check_sizes"]
+__all__ = ["check_channels", "check_lines", "check_sizes"]
 
 _RATED = (
     420 * BAR
 )  # valves to ISO 4401 are rated for 350 bar, the strongest pumps and motors in common use for 420 bar at most
+_VACUUM = 1.5 * BAR  # no pressure is further below the atmosphere's, with half a bar for the sensor's zero
+_LIKE = 0.3  # a load pressure is the difference of the lines if it differs by less than this share of its own swing
 _CORRELATE = 20_000  # rows that suffice for a correlation
 _IN_MAPPING = "give the right unit in a mapping"
 
@@ -28,7 +30,7 @@ def check_sizes(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
     """Magnitudes that point to a wrong unit."""
     for channel in (0, 1):
         named = mapping.channels[channel]
-        for signal in ("command", "current", "pressure", "speed"):
+        for signal in ("command", "current", "pressure", "speed", *LINES):
             source = getattr(named, signal) if named else None
             values = log.get(signal)
             if source is not None and values is not None and log.has(signal, channel):
@@ -64,7 +66,7 @@ def _size(
     if peak == 0.0:
         return
     # What the file's numbers would be in another unit: the reading so far undone.
-    if signal in ("pressure", "supply"):
+    if signal in ("pressure", "supply", *LINES):
         raw = peak / BAR if source.unit == "bar" else None
         if peak > _RATED:
             unit = "" if raw is None else "kPa" if raw < 60_000.0 else "Pa"
@@ -152,6 +154,54 @@ def _supply(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
             message = f"{source.pressure.column!r} is {ratio:.3g} times the supply pressure: another unit?"
             place = ("pressure", channel + 1, source.pressure.column)
             yield Finding("unit", message, _IN_MAPPING, *place)
+
+
+def check_lines(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
+    """Line pressures beside each other and beside a load pressure: one that is missing, below vacuum, or of something else."""
+    for channel in log.channels:
+        source = mapping.channels[channel]
+        named = [getattr(source, line) for line in LINES]
+        if not any(named):
+            continue
+        present = [line for line in LINES if log.has(line, channel)]
+        if len(present) < 2:
+            here = next(part.column for part in named if part is not None)
+            message = f"channel {channel + 1} has {here!r} and no pressure of its other line"
+            hint = "record both lines; one alone is not used"
+            yield Finding("one_line", message, hint, "pressure", channel + 1, here)
+            continue
+        a, b = (log.get(line)[:, channel] for line in LINES)  # type: ignore[index]
+        for line, values, part in zip(LINES, (a, b), named, strict=True):
+            least = float(np.nanquantile(values, 0.01))
+            if least < -_VACUUM:
+                message = f"{part.column!r} falls to {least / BAR:.4g} bar, no oil is below -1 bar"
+                hint = "is it a load pressure, upside down, or in another unit? Line pressures are above the tank's"
+                yield Finding("line_pressure", message, hint, line, channel + 1, part.column, sure=True)
+        yield from _load_beside_lines(log, channel, source, a - b)
+
+
+def _load_beside_lines(
+    log: RigLog, channel: int, source: ChannelMapping | None, lines: np.ndarray
+) -> Iterator[Finding]:
+    """A load pressure that is not the difference of both lines."""
+    if log.kinds[channel] != "motor" or not log.has("pressure", channel):
+        return
+    assert log.pressure is not None and source is not None and source.pressure is not None
+    load, difference = _clean(log.pressure[:, channel], lines)
+    swing = float(np.std(load))
+    if len(load) < 20 or swing == 0.0:
+        return
+    if float(np.std(load - difference)) < _LIKE * swing:
+        return
+    column = source.pressure.column
+    scale = float(difference @ load) / max(float(difference @ difference), 1e-30)
+    if float(np.std(load + difference)) < _LIKE * swing:
+        hint = "exchange the columns of the two lines, or give `sign: -1` for the load pressure"
+        message = f"{column!r} is pressure b less a"
+    else:
+        message = f"{column!r} is not pressure a less b: about {scale:.3g} times that"
+        hint = "give the right columns and units in a mapping, or leave the load pressure out"
+    yield Finding("line_pressure", message, hint, "pressure", channel + 1, column, sure=True)
 
 
 def check_channels(log: RigLog, mapping: Mapping) -> Iterator[Finding]:

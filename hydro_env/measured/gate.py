@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydro_env.errors import InputError
-from hydro_env.measured.channels import check_channels, check_sizes
+from hydro_env.measured.channels import check_channels, check_lines, check_sizes
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.mapping import CHANNEL_SIGNALS, Mapping
 from hydro_env.measured.samples import check_samples
@@ -181,6 +181,7 @@ def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> tuple[list[Fin
                 spoilt[signal, channel] = bad
     findings += check_sizes(log, mapping)
     findings += check_channels(log, mapping)
+    findings += check_lines(log, mapping)
     return findings, spoilt
 
 

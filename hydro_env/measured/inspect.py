@@ -46,6 +46,7 @@ _QUANTITIES = {
     "time": ("time",), "supply": ("pressure",), "temperature": ("temperature",), "setpoint": ("angular speed", "linear speed"),
     "command": ("voltage", "fraction"), "current": ("current",), "spool": ("length",), "load": ("torque", "force"),
     "flow": ("flow",), "pressure": ("pressure",), "speed": ("angular speed", "linear speed"),
+    "pressure_a": ("pressure",), "pressure_b": ("pressure",),
 }  # fmt: skip
 _RIG = ("time", "supply", "temperature", "setpoint")
 _SIDES = {"1": 1, "2": 2, "left": 1, "right": 2, "links": 1, "rechts": 2, "l": 1, "r": 2, "main": 1, "jib": 2}
@@ -225,6 +226,11 @@ def _guessed(
             notes.append(
                 f"channel {number}: a linear speed, so taken for a cylinder; add its displacement (piston area)"
             )
+        pressure = channel.get("pressure", {})
+        if "actuator" not in channel and "minus" in pressure:
+            # The sides of a motor are alike, so the load pressure follows from both lines.
+            channel["pressure_b"] = pressure.pop("minus")
+            channel["pressure_a"] = channel.pop("pressure")
         if "command" in channel and "speed" in channel:
             content[f"channel_{number}"] = channel
         elif channel:

@@ -41,6 +41,8 @@ class RigLog:
     load: np.ndarray | None = None
     spool: np.ndarray | None = None
     flow: np.ndarray | None = None
+    pressure_a: np.ndarray | None = None
+    pressure_b: np.ndarray | None = None
     setpoint: np.ndarray | None = None
     supply: np.ndarray | None = None
     temperature: np.ndarray | None = None
@@ -61,6 +63,13 @@ class RigLog:
     def get(self, signal: str) -> np.ndarray | None:
         """The array of `signal` ("command", "speed", ..., "setpoint"), or None."""
         return getattr(self, field_of(signal))
+
+    @property
+    def mean_line_pressure(self) -> np.ndarray | None:
+        """Mean of both line pressures (T, 2), Pa; None unless both are there."""
+        if self.pressure_a is None or self.pressure_b is None:
+            return None
+        return 0.5 * (self.pressure_a + self.pressure_b)
 
     def has(self, signal: str, channel: int | None = None) -> bool:
         """Whether `signal` was recorded (of channel 0 or 1, where given)."""

@@ -108,7 +108,7 @@ def _from_table(table: Table, mapping: Mapping) -> RigLog:
         raise InputError(f"{table.path}: no two rows hold a command; a log needs at least two samples")
     findings += check_units(table, mapping)
     found, spoilt = check_log(log, mapping, rows[start:])
-    return replace(_without(log, spoilt), findings=(*findings, *found))
+    return _with_load_pressure(replace(_without(log, spoilt), findings=(*findings, *found)))
 
 
 def _signals(
@@ -206,6 +206,20 @@ def _without(log: RigLog, spoilt: Spoilt) -> RigLog:
                 values[spoilt[signal, channel], channel] = np.nan
         changed[field_of(signal)] = None if signal != "speed" and np.isnan(values).all() else values
     return replace(log, **changed) if changed else log  # type: ignore[arg-type]
+
+
+def _with_load_pressure(log: RigLog) -> RigLog:
+    """The log with the difference of both line pressures in the place of a load pressure that is not there.
+
+    The areas of a cylinder differ, so its mapping has to say what its load pressure is.
+    """
+    if log.pressure_a is None or log.pressure_b is None:
+        return log
+    pressure = np.full(log.speed.shape, np.nan) if log.pressure is None else log.pressure.copy()
+    for channel in log.channels:
+        if log.kinds[channel] == "motor" and np.isnan(pressure[:, channel]).all():
+            pressure[:, channel] = log.pressure_a[:, channel] - log.pressure_b[:, channel]
+    return log if np.isnan(pressure).all() else replace(log, pressure=pressure)
 
 
 def write_log(path: str | Path, log: RigLog) -> None:

@@ -14,6 +14,8 @@ A mapping says for each signal which column holds it, in which unit, and with wh
       displacement: {value: 12.06, unit: cm2} # optional: piston area; of a motor, volume per angle (cm3/rev)
       command: {column: U, unit: fraction, full_scale: 10}   # 10 V at full scale: the log then holds volts
       pressure: {column: pA, unit: bar, minus: {column: pB, unit: bar, scale: 0.61}}      # load pressure
+      pressure_a: {column: pA, unit: bar}     # optional: both lines, above the tank's; a drives in the positive direction
+      pressure_b: {column: pB, unit: bar}     # with both and no load pressure, that of a motor is a - b
       speed: {column: v, unit: mm/s, sign: -1}
 
 A cylinder is treated as a motor whose displacement is its piston area: its speed is in m/s, its load a force in N,
@@ -34,6 +36,7 @@ from hydro_env.units import to_si, unit
 
 __all__ = [
     "CHANNEL_SIGNALS",
+    "LINES",
     "RIG_SIGNALS",
     "ChannelMapping",
     "Mapping",
@@ -43,7 +46,9 @@ __all__ = [
 ]
 
 SCHEMA = "hydro_env/mapping/1"
-CHANNEL_SIGNALS = ("command", "current", "pressure", "speed", "load", "spool", "flow")
+#: Pressures of the two lines of a channel: the one that drives in the positive direction, and the other.
+LINES = ("pressure_a", "pressure_b")
+CHANNEL_SIGNALS = ("command", "current", "pressure", "speed", "load", "spool", "flow", *LINES)
 RIG_SIGNALS = ("setpoint", "supply", "temperature")
 
 _QUANTITY = {
@@ -62,7 +67,7 @@ _QUANTITY = {
 }
 _COMMON = {
     "command": "voltage", "current": "current", "pressure": "pressure", "spool": "length", "flow": "flow",
-    "supply": "pressure", "temperature": "temperature",
+    "supply": "pressure", "temperature": "temperature", "pressure_a": "pressure", "pressure_b": "pressure",
 }  # fmt: skip
 _EXAMPLE = {
     "voltage": "V", "current": "A", "pressure": "bar", "length": "mm", "flow": "l/min",
@@ -74,7 +79,8 @@ _EXAMPLE = {
 # The columns of the rig log itself: signal -> (ending of the column name, unit).
 CONTRACT = {
     "command": ("V", "V"), "current": ("A", "A"), "pressure": ("bar", "bar"), "speed": ("rpm", "rpm"),
-    "load": ("Nm", "N m"), "spool": ("mm", "mm"), "flow": ("lpm", "l/min"),
+    "load": ("Nm", "N m"), "spool": ("mm", "mm"), "flow": ("lpm", "l/min"), "pressure_a": ("bar", "bar"),
+    "pressure_b": ("bar", "bar"),
 }  # fmt: skip
 CONTRACT_RIG = {
     "setpoint": ("setpoint_rpm", "rpm"),
@@ -182,6 +188,8 @@ class ChannelMapping(_Strict):
     load: Source | None = None
     spool: Source | None = None
     flow: Source | None = None
+    pressure_a: Source | None = None
+    pressure_b: Source | None = None
 
     @model_validator(mode="after")
     def _units_fit(self) -> ChannelMapping:
@@ -303,17 +311,15 @@ def _keys(place: tuple[Any, ...]) -> list[str]:
     return [field.alias or name for name, field in model.model_fields.items()]
 
 
-_CHANNEL_COLUMN = re.compile(r"(command|current|pressure|speed|load|spool|flow)_([12])_(\w+)")
+_CHANNEL_COLUMN = re.compile(rf"({'|'.join(CHANNEL_SIGNALS)})_([12])_(\w+)")
 
 
 def contract_columns() -> tuple[str, ...]:
     """Every column that a rig log may have, in the order they are written."""
     main = ("command", "current", "pressure", "speed", "load")
     columns = ["time_s", "setpoint_rpm"]
-    columns += [f"{signal}_{channel}_{CONTRACT[signal][0]}" for channel in (1, 2) for signal in main]
-    columns += [
-        f"{signal}_{channel}_{CONTRACT[signal][0]}" for channel in (1, 2) for signal in ("spool", "flow")
-    ]
+    for group in (main, ("spool", "flow"), LINES):
+        columns += [f"{signal}_{channel}_{CONTRACT[signal][0]}" for channel in (1, 2) for signal in group]
     return (*columns, "supply_bar", "temperature_C")
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MEASURED", "check_samples"]
 
-MEASURED = ("current", "pressure", "speed", "spool", "flow")
+MEASURED = ("current", "pressure", "speed", "spool", "flow", "pressure_a", "pressure_b")
 _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
 _MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse
 _SPIKE = 0.1  # a spike stands out of the rows around it by this share of the signal's swing
@@ -240,7 +240,7 @@ def _is_noisy(values: np.ndarray) -> bool:
 def _cell(value: float, place: dict[str, Any]) -> str:
     sizes = {
         "speed": (RPM, "rpm"), "pressure": (BAR, "bar"), "current": (1.0, "A"), "command": (1.0, "V"),
-        "spool": (MILLIMETRE, "mm"), "flow": (LPM, "l/min"),
+        "pressure_a": (BAR, "bar"), "pressure_b": (BAR, "bar"), "spool": (MILLIMETRE, "mm"), "flow": (LPM, "l/min"),
     }  # fmt: skip
     size, unit = sizes.get(place["signal"], (1.0, "in SI"))
     return f"{value / size:.4g} {unit}"

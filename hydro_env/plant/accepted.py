@@ -42,6 +42,8 @@ def check_spool(model: PlantModel, channel: int, where: str) -> None:
     for effect in map(CATALOGUE.__getitem__, model.declared):
         for base, own in effect.adds_to.items():
             values[base] += model.value(f"{effect.name}.{own}", channel)
+        for base, own in effect.limits.items():
+            values[base] = min(values[base], model.value(f"{effect.name}.{own}", channel))
     _check_coil(model, channel, where)
     force = greatest_force(*(values[name] for name in ("alpha", "R", "k", "x_max", "u_rated")))
     least = force / values["x_max"] - 2.0 * values["k"]  # the stop yields by the stroke

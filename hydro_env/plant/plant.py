@@ -25,7 +25,9 @@ from .parameters import PARAMETERS
 __all__ = ["SIGNALS", "Plant", "machine_memory", "make_plant", "simulate"]
 
 #: Signals that can be read and recorded.
-SIGNALS = (*STATES, "flow", "measured_speed")
+#: `mean_line_pressure` (Pa) is half the sum of both line pressures: half the supply's and what effects add, where the model has a
+#: supply pressure, else only what they add.
+SIGNALS = (*STATES, "flow", "measured_speed", "mean_line_pressure")
 
 #: Rigs that the kernel can be compiled to take together.
 BLOCKS = (1, 2, 4, 8, 16)

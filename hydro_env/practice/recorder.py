@@ -7,6 +7,7 @@ values are rounded to the resolution of each sensor.
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -29,7 +30,9 @@ CONTROL_PERIOD = 0.01  # s
 #: Forms of a rig that the compiled plant plays, with the laws of the catalogue.
 CATALOGUE_FORMS = "catalogue"
 #: What may be recorded besides time, command and speed.
-RECORDABLE = ("setpoint", "current", "pressure", "load", "spool", "flow")
+RECORDABLE = ("setpoint", "current", "pressure", "load", "spool", "flow", "line_pressures")
+#: Columns of a recordable name that has another one.
+_COLUMNS = {"line_pressures": ("pressure_a", "pressure_b")}
 
 
 @dataclass(frozen=True)
@@ -50,10 +53,23 @@ SENSORS = {
     "speed": Sensor("measured_speed", "rpm", RPM, NOISE["speed_rpm"], 0.1),
     "spool": Sensor("spool", "mm", MILLIMETRE, NOISE["spool_mm"], 0.0005),
     "flow": Sensor("flow", "lpm", LPM, NOISE["flow_lpm"], 0.01),
+    "pressure_a": Sensor("pressure_a", "bar", BAR, NOISE["pressure_bar"], 0.01),
+    "pressure_b": Sensor("pressure_b", "bar", BAR, NOISE["pressure_bar"], 0.01),
 }
-_COLUMN_ORDER = ("command", "current", "pressure", "speed", "load", "spool", "flow")
+_COLUMN_ORDER = (
+    "command",
+    "current",
+    "pressure",
+    "speed",
+    "load",
+    "spool",
+    "flow",
+    "pressure_a",
+    "pressure_b",
+)
 _DECIMALS = {
     "time": 6, "setpoint": 1, "command": 3, "current": 4, "pressure": 2, "speed": 1, "load": 3, "spool": 4, "flow": 2,
+    "pressure_a": 2, "pressure_b": 2,
 }  # fmt: skip
 
 
@@ -62,7 +78,8 @@ class _CatalogueRig:
 
     def __init__(self, model: PlantModel) -> None:
         self.plant = Plant(model)
-        self.names = [sensor.signal for sensor in SENSORS.values()]
+        lines = ("pressure_a", "pressure_b")
+        self.names = [*(s.signal for s in SENSORS.values() if s.signal not in lines), "mean_line_pressure"]
 
     def signals(self) -> dict[str, Array]:
         return {name: self.plant.get(name)[0] for name in self.names}
@@ -74,6 +91,13 @@ class _CatalogueRig:
             raise InputError("the rig diverges with these effects; smaller values are right")
         end = self.signals()
         return {name: np.vstack([rows[name][1:, 0], end[name]]) for name in self.names}
+
+
+def _with_lines(signals: dict[str, Array], level: Array) -> dict[str, Array]:
+    """The signals with the pressures of both lines above the tank's, Pa; none is below it."""
+    mean, half = level + signals["mean_line_pressure"], 0.5 * signals["pressure"]
+    lines = {"pressure_a": np.maximum(mean + half, 0.0), "pressure_b": np.maximum(mean - half, 0.0)}
+    return signals | lines
 
 
 class _SpeedLoop:
@@ -145,8 +169,14 @@ class Recorder:
             setpoint = np.where(closed, value, 0.0)[:, 0]
             columns["setpoint_rpm"] = np.round(np.repeat(setpoint, samples), 1)
         units = {"command": "V", "load": "Nm", **{n: s.unit for n, s in SENSORS.items()}}
-        kept = [n for n in _COLUMN_ORDER if n in ("command", "speed") or n in self.record]
+        asked = {"command", "speed", *(n for name in self.record for n in _COLUMNS.get(name, (name,)))}
+        kept = [n for n in _COLUMN_ORDER if n in asked]
         return columns | {f"{n}_{c + 1}_{units[n]}": rows[n][:, c] for c in (0, 1) for n in kept}
+
+    def _level(self) -> Array:
+        """What the simulator's mean line pressure is above, (2,) in Pa: half the supply's where the model has none."""
+        without = np.isinf(self.true.pair("pressure_dependent_flow.supply_pressure"))
+        return np.where(without, 0.5 * np.array(self.true.pair("external_leakage.supply_pressure")), 0.0)
 
     def _drive(
         self, value: Array, closed: NDArray[np.bool_], load: Array, speed_error: Array, period: float, samples: int
@@ -159,7 +189,8 @@ class Recorder:
             rig = _CatalogueRig(self.true)
         else:
             rig = ReferenceRig(self.true, forms=self.forms, constants=self.constants, tolerance=1e-6)
-        now = rig.signals()
+        level = self._level()
+        now = _with_lines(rig.signals(), level)
         command = np.empty((steps, 2))
         shown = {n: np.empty((steps * samples, 2)) for n in SENSORS}
         for n in range(steps):
@@ -168,7 +199,7 @@ class Recorder:
             loop.sum = np.where(closed[n], loop.sum, 0.0)
             volts = np.round(np.where(closed[n], by_loop, value[n] * rated), 3)
             command[n] = np.clip(volts, -rated, rated)
-            part = rig.advance(command[n], load[n], period, samples)
+            part = _with_lines(rig.advance(command[n], load[n], period, samples), level)
             for name, sensor in SENSORS.items():
                 shown[name][n * samples] = now[sensor.signal]
                 shown[name][n * samples + 1 : (n + 1) * samples] = part[sensor.signal][:-1]
@@ -181,9 +212,14 @@ class Recorder:
         return np.round(raw / sensor.resolution) * sensor.resolution if self.noise > 0.0 else raw
 
 
+def _signal_of(column: str) -> str:
+    """The signal of a column: "pressure_a" of "pressure_a_1_bar"."""
+    return re.split(r"_(?:[12]_)?[A-Za-z]+$", column)[0]
+
+
 def log_text(columns: Mapping[str, Array]) -> str:
     """A rig log as CSV text."""
-    decimals = [_DECIMALS[name.split("_")[0]] for name in columns]
+    decimals = [_DECIMALS[_signal_of(name)] for name in columns]
     buffer = io.StringIO()
     np.savetxt(
         buffer, np.column_stack(list(columns.values())), fmt=[f"%.{d}f" for d in decimals], delimiter=",",

@@ -237,3 +237,41 @@ def test_equal_speeds_in_closed_loop_are_not_called_swapped(tmp_path: Path) -> N
 
 def test_findings_do_not_change_equality() -> None:
     assert RigLog.__dataclass_fields__["findings"].compare is False
+
+
+def with_lines(columns: Columns) -> Columns:
+    """The recording with both line pressures beside the load pressure of channel 1."""
+    half = 0.5 * columns["pressure_1_bar"]
+    return columns | {"pressure_a_1_bar": 75.0 + half, "pressure_b_1_bar": 75.0 - half}
+
+
+def test_both_line_pressures_give_the_load_pressure(tmp_path: Path) -> None:
+    columns = with_lines(clean())
+    both = read_log(save(tmp_path, columns))
+    assert both.findings == ()
+    load = columns.pop("pressure_1_bar")
+    alone = read_log(save(tmp_path, columns))
+    assert alone.findings == () and alone.pressure is not None and alone.mean_line_pressure is not None
+    np.testing.assert_allclose(alone.pressure[:, 0], load * 1e5, rtol=1e-9, atol=1e-3)
+    np.testing.assert_allclose(alone.mean_line_pressure[:, 0], 75e5, rtol=1e-9)
+    assert not alone.has("mean_line_pressure", 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: c.pop("pressure_b_1_bar"), ("pressure_a_1_bar", "no pressure of its other line")),
+        (lambda c: c.update(pressure_a_1_bar=c["pressure_a_1_bar"] - 75.0), ("pressure_a_1_bar", "below -1 bar")),
+        (lambda c: c.update(pressure_1_bar=-c["pressure_1_bar"]), ("pressure_1_bar", "pressure b less a", "exchange")),
+        (lambda c: c.update(pressure_1_bar=0.1 * c["pressure_1_bar"]), ("pressure_1_bar", "0.1 times that")),
+    ],
+)  # fmt: skip
+def test_line_pressures_that_cannot_be_are_named(
+    tmp_path: Path, change: Callable[[Columns], object], words: tuple[str, ...]
+) -> None:
+    columns = with_lines(clean())
+    change(columns)
+    found = [f for f in read_log(save(tmp_path, columns)).findings if f.code in ("line_pressure", "one_line")]
+    assert len(found) == 1 and "\n" not in found[0].text
+    assert all(word in found[0].text for word in words), found[0].text
+    assert found[0].sure == (found[0].code == "line_pressure")

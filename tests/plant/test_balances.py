@@ -263,7 +263,7 @@ class Books:
         yielding = self["s0"] * np.abs(v) / breakaway * z  # of the bristles, m/s
         friction = self["s0"] * z * yielding + self["s1"] * (v - yielding) * v + self["s2"] * v**2
         side = np.where(x > 0.0, 1.0, -1.0)
-        past = np.maximum(side * x - self["x_max"], 0.0)
+        past = np.maximum(side * x - np.minimum(self["x_max"], self["spool_stop.travel"]), 0.0)
         stop = self["k_stop"] * past * np.maximum(1.0 + side * v / self["v_stop"], 0.0) * side * v
         preload = self["spring_preload.preload"] / 5e4 * np.log(np.cosh(np.clip(5e4 * x, -300.0, 300.0)))
         drop = np.maximum(self["flow_force.supply_pressure"] - np.sign(x) * self["pressure"], 0.0)

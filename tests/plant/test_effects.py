@@ -153,6 +153,17 @@ def test_a_sticky_spool_ignores_small_forces_and_then_jumps(rigs: Callable[..., 
     assert np.median(travel[:, 0]) < 0.02e-6
 
 
+@defines("spool_stop")
+def test_a_stop_holds_the_spool_and_not_the_current(rigs: Callable[..., Plant]) -> None:
+    travel = 4e-4
+    plant = hold(rigs(spool_stop__travel=[travel, travel, np.inf]), column(20.0, 60.0, 60.0), seconds=1.0)
+    spool, current = plant.spool[:3, 0], plant.get("current")[:3, 0]
+    assert current == pytest.approx(np.array([20.0, 60.0, 60.0]) / R, rel=1e-3)
+    free = current * ALPHA / K
+    assert spool[[0, 2]] == pytest.approx(free[[0, 2]], rel=0.06) and spool[0] < travel < free[1]
+    assert travel < spool[1] < travel + (free[1] - travel) * K / 5e5  # pressed a little into it
+
+
 @defines("spring_preload")
 def test_a_preload_is_a_threshold_of_current_and_none_of_opening(rigs: Callable[..., Plant]) -> None:
     preload = 2.0

@@ -116,6 +116,18 @@ def test_recorded_signals_change_no_other():
         np.testing.assert_array_equal(column, more.logs["fit_1"][name])
 
 
+def test_pressures_of_both_lines():
+    """Their difference is the load pressure, their mean half the supply; a leak drains them."""
+    record = ("pressure", "line_pressures")
+    log = _quick(["external_leakage:2"], seed=6, record=record, noise=0.0).logs["fit_1"]
+    for channel in (1, 2):
+        a, b = log[f"pressure_a_{channel}_bar"], log[f"pressure_b_{channel}_bar"]
+        inside = (a > 0.0) & (b > 0.0)
+        np.testing.assert_allclose((a - b)[inside], log[f"pressure_{channel}_bar"][inside], atol=1e-6)
+        mean = 0.5 * (a + b)[inside]
+        assert min(a.min(), b.min()) >= 0.0 and (np.ptp(mean) > 5.0 if channel == 2 else np.ptp(mean) < 1e-6)
+
+
 def test_load_that_nobody_logs_is_not_applied():
     practice = _quick(seed=7, record=("current",), noise=0.0, duration=9.0)
     again = simulate(

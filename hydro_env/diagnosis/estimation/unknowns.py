@@ -34,6 +34,11 @@ PRIOR_SPREAD = 0.3
 #: Base parameters that an effect of the catalogue adds to may be calibrated by this factor only: more has a name there.
 BASE_OF_EFFECT_FACTOR = 1.35
 
+#: First looks at an effect: sizes over the typical one. What limits is first looked at with limits of the typical one over these:
+#: it acts nowhere but beyond its limit, so that from too far away no derivative leads there.
+SIZE_FACTORS = (0.35, 1.0, 2.2, -0.35, -1.0, -2.2)
+LIMIT_FACTORS = (0.5, 1.0, 0.7, 1.4, 2.0)
+
 #: Directions in which logs fix ratios only, by the base parameter that names each, and the base parameters that are scaled
 #: together in it, with their powers (`Parameter.scaling`).
 SCALED_TOGETHER: dict[str, dict[str, float]] = {
@@ -140,11 +145,9 @@ def effect_starts(effect: Effect, seconds: float, whole: bool = False) -> list[d
     """
     sizes = [p for p in effect.parameters if p.carries_size]
     shapes = [p for p in effect.parameters if not p.carries_size]
-    rows = []
-    for factor in (0.35, 1.0, 2.2, -0.35, -1.0, -2.2):
-        row = {p.name: _sized(p, factor) for p in sizes}
-        if all(v is not None for v in row.values()):
-            rows.append(row)
+    factors = LIMIT_FACTORS if all(p.role == "limit" for p in sizes) else SIZE_FACTORS
+    rows = [{p.name: _sized(p, factor) for p in sizes} for factor in factors]
+    rows = [row for row in rows if all(v is not None for v in row.values())]
     if len({p.unit for p in sizes}) == 1 and len(sizes) == 2 and all(p.role == "size" for p in sizes):
         # Two sizes of a kind, such as the overlaps of the two directions, may be unequal.
         rows += [{p.name: _sized(p, 1.0 if p is alone else 0.0) for p in sizes} for alone in sizes]
@@ -159,7 +162,7 @@ def effect_starts(effect: Effect, seconds: float, whole: bool = False) -> list[d
 
 def _sized(p: Parameter, factor: float) -> float | None:
     if p.role == "limit":
-        return {0.35: min(2.0 * p.typical, 0.95 * p.high), 1.0: p.typical, 2.2: 0.55 * p.typical}.get(factor)
+        return min(p.typical / factor, 0.95 * p.high) if factor > 0.0 else None
     if p.log and p.nominal > 0.0:
         value = p.nominal * math.exp(math.log(p.typical / p.nominal) * factor)
     else:

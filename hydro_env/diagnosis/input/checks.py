@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...measured import Mapping, RigLog
+from ...measured.mapping import LINES
 from .duration import check_duration
 from .parts import Part, overlap, read_parts
 
@@ -65,7 +66,7 @@ def _without_idle(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], li
 
 def _with_common_signals(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], list[Part]]:
     """The logs without the signals that only some of the fit logs have."""
-    for signal in ("current", "pressure", "spool", "flow"):
+    for signal in ("current", "pressure", "spool", "flow", *LINES):
         for c in parts[0].log.channels:
             having = [part.log.has(signal, c) for part in parts]
             if any(having) and not all(having):

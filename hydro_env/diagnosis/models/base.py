@@ -18,7 +18,7 @@ from ...plant import CATALOGUE, Parameter, PlantModel
 from ...units import BAR, LPM, MILLIMETRE, RPM
 from ..input.parts import Part
 
-__all__ = ["BLOCK_S", "Request", "RigModel", "UNITS", "Segment", "measured_segments", "view"]
+__all__ = ["BLOCK_S", "LEVEL_FREE", "Request", "RigModel", "UNITS", "Segment", "measured_segments", "view"]
 
 #: Rows of one log and signal that a fit looks at, at most; the proof looks at all of them.
 MAX_ROWS = 6000
@@ -31,7 +31,10 @@ UNITS = {
     "pressure": ("bar", BAR),
     "spool": ("mm", MILLIMETRE),
     "flow": ("lpm", LPM),
+    "mean_line_pressure": ("bar", BAR),
 }
+#: Signals of which only changes are compared: the level of the mean line pressure is that of the supply and of two sensors.
+LEVEL_FREE = ("mean_line_pressure",)
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,12 @@ class Segment:
     def filled(self) -> np.ndarray:
         """The measured samples (n,), 0 where there is none."""
         return np.nan_to_num(self.measured)
+
+    def levelled(self, simulated: np.ndarray) -> np.ndarray:
+        """The simulation (n,), moved to the level of the measurement if the level of this signal means nothing."""
+        if self.signal not in LEVEL_FREE or not self.used.any():
+            return simulated
+        return simulated + np.mean(self.measured[self.used] - simulated[self.used])
 
     @cached_property
     def blocks(self) -> tuple[np.ndarray, np.ndarray]:

@@ -34,6 +34,7 @@ _RECORDED = {
     "pressure": "pressure",
     "spool": "spool",
     "flow": "flow",
+    "mean_line_pressure": "mean_line_pressure",
 }
 
 
@@ -247,7 +248,8 @@ class DynamicRig:
             for segment in self.segments[channel]:
                 if segment.log == batch.lanes[lane][0]:
                     signal = out[_RECORDED[segment.signal]]
-                    results[n][channel][segment.place] = signal[segment.rows, lane, side]
+                    simulated = signal[segment.rows, lane, side]
+                    results[n][channel][segment.place] = segment.levelled(simulated)
         if self.progress is not None:
             self.progress(len({n for lane, _, n, _ in shown if batch.lanes[lane][0] == 0}))
 

@@ -34,10 +34,12 @@ __all__ = [
 
 _EQUATIONS = {
     "coil": "the coil (current from the command)", "valve_flow": "the valve (flow from command and pressure)",
-    "shaft": "the shaft (speed from pressure and load)", "valve and motor": "valve and motor together (no pressure logged)",
+    "shaft": "the shaft (speed from pressure and load)", "lines": "the lines (mean of both line pressures)",
+    "valve and motor": "valve and motor together (no pressure logged)",
 }  # fmt: skip
 _SIGNALS = {
     "speed": "speed", "current": "coil current", "pressure": "pressure difference", "spool": "spool position", "flow": "flow",
+    "mean_line_pressure": "mean line pressure",
 }  # fmt: skip
 _KEY_UNITS = {"mm_per_s": "mm/s", "lpm": "l/min"}
 #: Known parameters that only a reduced model has.

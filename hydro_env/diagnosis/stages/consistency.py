@@ -16,10 +16,10 @@ import numpy as np
 
 from ...errors import InputError
 from ...measured import Finding
-from ...units import UNITS
+from ...units import BAR, UNITS
 from ..estimation import Fit, noise_of
 from ..input.parts import filled
-from ..models.base import RigModel
+from ..models.base import LEVEL_FREE, RigModel
 from ..models.shaft import shaft_speed
 from ..state import Estimates, State
 from .calibration import as_given
@@ -37,6 +37,8 @@ _SURE, _NEAR = 1.3, 1.7
 _FITS = 0.6
 #: A missing effect changes a signal by less than this factor.
 _EFFECTS = 3.0
+#: A supply pressure that is further off than this factor is worth a warning.
+_SUPPLY = 1.2
 _HINT = "give the right unit in a mapping, or a model of this machine"
 #: A signal belongs to the channel whose model leaves this much less of it, ...
 _LESS = 4.0
@@ -59,7 +61,7 @@ def implausible(rig: RigModel, given: Estimates) -> list[Finding]:
     found: list[Finding] = []
     likes: dict[tuple[str, int], tuple[float, float]] = {}
     for channel in rig.channels:
-        for signal in dict.fromkeys(s.signal for s in rig.segments[channel]):
+        for signal in _compared(rig, channel):
             measured, simulated = _pair(rig, given, channel, channel, signal)
             if measured.size < 100 or not (np.std(measured) > 0.0 and np.std(simulated) > 0.0):
                 continue
@@ -72,10 +74,33 @@ def implausible(rig: RigModel, given: Estimates) -> list[Finding]:
                 found.append(Finding("sign", message, hint, signal, channel + 1, sure=like < -0.8))
     found += _units(rig, likes)
     found += _load(rig)
+    found += _supply(rig)
     found += _command(rig, given)
     if rig.channels == (0, 1):
         found += _exchanged(rig, given)
     return found
+
+
+def _compared(rig: RigModel, channel: int) -> list[str]:
+    """The signals of a channel that are compared in size and sign."""
+    return [s for s in dict.fromkeys(s.signal for s in rig.segments[channel]) if s not in LEVEL_FREE]
+
+
+def _supply(rig: RigModel) -> Iterator[Finding]:
+    """A supply pressure of the model that the two lines do not have: they stand about half of it, and drain but never fill."""
+    for channel in rig.channels:
+        given = rig.given("pressure_dependent_flow.supply_pressure", channel)
+        sums = [2.0 * s.measured[s.used] for s in rig.segments[channel] if s.signal == "mean_line_pressure"]
+        if not sums or not np.isfinite(given):
+            continue
+        seen = float(np.quantile(np.concatenate(sums), 0.9))
+        if not 1.0 / _SUPPLY < seen / given < _SUPPLY:
+            message = (
+                f"the pressures of both lines of channel {channel + 1} make {seen / BAR:.0f} bar together, the supply; "
+                f"the model has {given / BAR:.0f} bar"
+            )
+            hint = "give `pressure_dependent_flow.supply_pressure` of this rig in the model"
+            yield Finding("supply", message, hint, "pressure", channel + 1)
 
 
 def _load(rig: RigModel) -> Iterator[Finding]:
@@ -206,11 +231,7 @@ def _command(rig: RigModel, given: Estimates) -> Iterator[Finding]:
 
 def _exchanged(rig: RigModel, given: Estimates) -> Iterator[Finding]:
     """Signals that belong to the other channel."""
-    signals = [
-        s
-        for s in dict.fromkeys(s.signal for s in rig.segments[0])
-        if any(other.signal == s for other in rig.segments[1])
-    ]
+    signals = [s for s in _compared(rig, 0) if s in _compared(rig, 1)]
     if {"speed", "pressure"} <= {*signals}:
         wrong = _shafts_exchanged(rig)
         if wrong:

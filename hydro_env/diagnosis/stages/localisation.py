@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import lfilter, savgol_filter
 
-from ...units import RPM
+from ...units import BAR, RPM
 from ..estimation import Estimate, effective_samples, noise_floor
 from ..input.parts import Part, filled
 from ..models.base import RigModel, Segment
@@ -128,6 +128,10 @@ def _replays_of_log(rig: RigModel, estimate: Estimate, channel: int, number: int
         regimes = {"large current": np.abs(command) > 0.6 * rated, "late in the log": late}
         units = ("command, V", "current, A", 1.0)
         found.append(_replay("coil", error, period, time, regimes, used, command, units))
+    if "mean_line_pressure" in mine:
+        error = mine["mean_line_pressure"].measured - simulated["mean_line_pressure"]
+        units = ("command, V", "mean line pressure, bar", BAR)
+        found.append(_replay("lines", error, period, time, {**openings, **speeds}, used, command, units))
     if "pressure" in mine and rig.has_hidden_states:
         value = estimate.values(channel)
         numbers = {n: value.get(n, rig.model.value(n, channel)) for n in ("J", "B", "D", "Km", "V", "beta")}

@@ -79,13 +79,20 @@ def simulated(rig: DynamicRig, channel: int, first: Estimate, second: Estimate) 
         command[:, channel] = share * rated
         load = np.zeros_like(command)
         load[:, channel] = torque * np.sign(share)
-        recorded = {"speed": "measured_speed", "current": "current", "pressure": "pressure", "spool": "spool"}
+        recorded = {
+            "speed": "measured_speed",
+            "current": "current",
+            "pressure": "pressure",
+            "spool": "spool",
+            "mean_line_pressure": "mean_line_pressure",
+        }
         out = simulate(
             rig.model, command, load, PERIOD, values=values, num_rigs=2, effects=effects,
             record=list(recorded.values()), substep=rig.substep,
         )  # fmt: skip
         for signal, name in recorded.items():
-            noise = NOISE[f"{signal}_{UNITS[signal][0]}"] * UNITS[signal][1]
+            unit, size = UNITS[signal]
+            noise = (NOISE["pressure_bar"] if unit == "bar" else NOISE[f"{signal}_{unit}"]) * size
             apart = out[name][:, 0, channel] - out[name][:, 1, channel]
             found.append(Separation(manoeuvre, signal, float(np.sqrt(np.mean(apart**2))) / noise))
     return sorted(found, key=lambda s: -s.distance)

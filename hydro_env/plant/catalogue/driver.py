@@ -110,6 +110,10 @@ DRIVER_SATURATION = Effect(
         ),
     ),
     laws={"voltage": _driver_saturation},
+    indistinguishable_from=("spool_stop", "flow_saturation"),
+    separated_by={
+        "flow_saturation": "record the current: a driver at its limit clips it, a saturated edge does not"
+    },
 )
 
 

@@ -33,10 +33,10 @@ __all__ = [
 #: Ports in the order in which the signal passes them.
 PORTS = ("driver", "coil", "force", "opening", "flow", "supply", "line", "motor", "load", "fluid", "sensor")
 
-#: Quantities of `rates` (and of the sensor) that a law may change, and base parameters that an effect may add to.
+#: Quantities of `rates` (and of sensors) that a law may change, and base parameters that an effect may add to.
 QUANTITIES = (
     "voltage", "resistance", "force", "opening", "drive", "flow", "bulk_modulus", "displacement", "leakage_coefficient",
-    "leakage", "viscous_friction", "motor_pressure", "torque", "measured_speed",
+    "leakage", "viscous_friction", "motor_pressure", "torque", "measured_speed", "mean_line_pressure",
 )  # fmt: skip
 
 
@@ -75,8 +75,8 @@ class Effect:
     if the model as given lists it among its effects.
 
     What it does, beside laws and states: `adds_to` names base parameters of the channel that one of the effect's parameters
-    is simply added to. `delays_command` names a parameter (s) by which the command is late; the delay line itself lives in
-    the kernel, which hands `rates` the delayed command.
+    is simply added to, `limits` those that one of them is an upper limit of. `delays_command` names a parameter (s) by which
+    the command is late; the delay line itself lives in the kernel, which hands `rates` the delayed command.
     `corner` says, by a law that may also ask for `substep` (s), whether a channel is about to pass a bend of the effect that
     is too sharp for a whole substep, or wants short ones everywhere; it then takes the substep in
     `corner_parts` parts. It must be false when the effect is neutral.
@@ -96,6 +96,7 @@ class Effect:
     laws: Mapping[str, Callable[..., float]] = field(default_factory=dict)
     states: tuple[State, ...] = ()
     adds_to: Mapping[str, str] = field(default_factory=dict)
+    limits: Mapping[str, str] = field(default_factory=dict)
     corner: Callable[..., bool] | None = None
     corner_parts: int = 5
     scope: str = "channel"
@@ -177,7 +178,12 @@ def register(effect: Effect) -> Effect:
                 f"effect {effect.name!r}: a law changes {quantity!r}, none of {', '.join(QUANTITIES)}"
             )
     own = {p.name for p in effect.parameters}
-    named = (*effect.adds_to.values(), effect.delays_command, *(p.not_below for p in effect.parameters))
+    named = (
+        *effect.adds_to.values(),
+        *effect.limits.values(),
+        effect.delays_command,
+        *(p.not_below for p in effect.parameters),
+    )
     for name in filter(None, named):
         if name not in own:
             raise ValueError(

@@ -15,6 +15,11 @@ def _pressure_dependent_flow(drive, opening, pressure, supply_pressure):
     return drive - sign(opening) * pressure / supply_pressure
 
 
+# Both edges take the same pressure drop, so the lines stand at the same distance from supply and tank.
+def _half_the_supply(mean_line_pressure, supply_pressure):
+    return 0.5 * supply_pressure if supply_pressure < 1e12 else mean_line_pressure
+
+
 PRESSURE_DEPENDENT_FLOW = Effect(
     name="pressure_dependent_flow",
     port="flow",
@@ -35,7 +40,7 @@ PRESSURE_DEPENDENT_FLOW = Effect(
             source="assumed",
         ),
     ),
-    laws={"drive": _pressure_dependent_flow},
+    laws={"drive": _pressure_dependent_flow, "mean_line_pressure": _half_the_supply},
 )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from ..parameters import SPOOL_FORCE, Parameter
+from math import inf
+
+from ..parameters import SPOOL_FORCE, SPOOL_TRAVEL, Parameter
 from ..vector_math import sign, tanh
 from .effect import Effect, State
 
@@ -181,10 +183,41 @@ FLOW_FORCE = Effect(
 )
 
 
+SPOOL_STOP = Effect(
+    name="spool_stop",
+    port="force",
+    title="an end stop within the spool's travel",
+    summary="the spool meets a stop (a stroke limiter, a stuck spring, dirt) before the end of its travel",
+    signature="flat top at large commands; spool clipped, current not",
+    source="stroke limiters of directional valves; stop as the end stops' (Hunt and Crossley 1975)",
+    parameters=(
+        Parameter(
+            "travel",
+            "m",
+            inf,
+            low=1e-4,
+            high=8.6e-4,
+            typical=4e-4,
+            log=True,
+            scaling=SPOOL_TRAVEL,
+            note="half stroke that is left",
+            source="assumed: the rated spool position is 0.86 mm",
+        ),
+    ),
+    limits={"x_max": "travel"},
+    indistinguishable_from=("driver_saturation", "flow_saturation"),
+    separated_by={
+        "driver_saturation": "record the current: a driver at its limit clips it, a stop does not",
+        "flow_saturation": "record the spool position: a stop clips it, a saturated edge does not",
+    },
+)
+
+
 #: In the order in which they act.
 EFFECTS = (
     MAGNETIC_HYSTERESIS,
     SPOOL_STICTION,
+    SPOOL_STOP,
     SPRING_PRELOAD,
     FLOW_FORCE,
 )

@@ -219,6 +219,10 @@ def _mean_pressure_decay(
     return bulk_modulus / (2.0 * V * supply_pressure) * (Kq * abs(opening) * slopes + lost)
 
 
+def _drained_lines(mean_line_pressure, mean_pressure, supply_pressure):
+    return mean_line_pressure + 0.5 * supply_pressure * mean_pressure
+
+
 EXTERNAL_LEAKAGE = Effect(
     name="external_leakage",
     port="line",
@@ -249,7 +253,7 @@ EXTERNAL_LEAKAGE = Effect(
             source="assumed",
         ),
     ),
-    laws={"leakage": _external_leakage, "drive": _drive_of_both_edges},
+    laws={"leakage": _external_leakage, "drive": _drive_of_both_edges, "mean_line_pressure": _drained_lines},
     states=(State("mean_pressure", _mean_pressure_rate, _mean_pressure_decay),),
     separated_by={"null_offset": "record the pressure of each line: a leak lowers that of its own"},
 )

@@ -177,6 +177,7 @@ FLOW_SATURATION = Effect(
         ),
     ),
     laws={"opening": _flow_saturation},
+    indistinguishable_from=("spool_stop", "driver_saturation"),
 )
 
 

@@ -12,6 +12,10 @@ def _supply_droop(drive, droop):
     return drive - droop
 
 
+def _lower_lines(mean_line_pressure, droop):
+    return mean_line_pressure * (1.0 - droop)
+
+
 def _droop_rate(droop, own_flow, other_flow, relative_drop, time_constant):
     # 8.1778e-4 m3/s (49 l/min): two nominal valves at the rated command. It is the supply's own, the same for both channels.
     return (relative_drop * (abs(own_flow) + abs(other_flow)) / 8.1778e-4 - droop) / time_constant
@@ -53,7 +57,7 @@ SUPPLY_DROOP = Effect(
             source="assumed",
         ),
     ),
-    laws={"drive": _supply_droop},
+    laws={"drive": _supply_droop, "mean_line_pressure": _lower_lines},
     states=(State("droop", _droop_rate),),
     corner=_droop_corner,
     separated_by={

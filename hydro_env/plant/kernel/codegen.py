@@ -248,9 +248,10 @@ class _Sweeps:
         return lines + self._asked()
 
     def look(self) -> list[str]:
-        """Flow and measured speed from the states as they are."""
-        at, outputs = self.at, ["flow", "measured_speed"]
+        """Flow, and what only sensors see, from the states as they are."""
+        at, outputs = self.at, ["flow", "measured_speed", "mean_line_pressure"]
         measured = ["measured_speed = speed", *chain("measured_speed", at.effects)]
+        measured += ["mean_line_pressure = 0.0", *chain("mean_line_pressure", at.effects)]
         lines = needed(set(outputs), [*self.substep.whole_rates, *measured])
         loaded = at.load([*at.parameters, *RECIPROCALS], "\n".join(lines))
         return at.load(at.states, " ".join(at.states)) + self._inputs + loaded + lines + self._store(outputs)
@@ -304,13 +305,14 @@ def _sweep(lines: Iterable[str]) -> str:
 
 
 def _additions(layout: Layout) -> str:
-    """Adds parameters of effects to base parameters."""
-    pairs = [
-        (layout.cell(base), layout.cell(in_text(e, own)))
-        for e in layout.effects
-        for base, own in e.adds_to.items()
-    ]
-    return _sweep(f"{base} = {base} + {own}" for base, own in pairs) if pairs else ""
+    """Adds parameters of effects to base parameters, or limits these by them."""
+    cell, lines = layout.cell, []
+    for e in layout.effects:
+        for base, own in ((cell(b), cell(in_text(e, o))) for b, o in e.adds_to.items()):
+            lines.append(f"{base} = {base} + {own}")
+        for base, own in ((cell(b), cell(in_text(e, o))) for b, o in e.limits.items()):
+            lines.append(f"{base} = {base} if {base} < {own} else {own}")
+    return _sweep(lines) if lines else ""
 
 
 def _delay_line(layout: Layout) -> dict[str, str]:

@@ -33,7 +33,7 @@ FACTORS = (
 #: How a lane goes: substeps of the row to do; parts of this substep that are left; in how many parts it is taken, and the next
 #: one should be; the length of a part, s, its reciprocal, and that of gamma times it.
 PACE = ("todo", "left", "parts", "wanted", "step", "ih", "ig")
-_OUTPUTS = ("time", "flow", "measured_speed", "diverged", "command", "load")
+_OUTPUTS = ("time", "flow", "measured_speed", "mean_line_pressure", "diverged", "command", "load")
 
 
 def in_text(effect: Effect, own: str) -> str:

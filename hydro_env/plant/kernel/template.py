@@ -40,7 +40,7 @@ def positive(value):
 
 
 def look(cells, h):
-    """Outputs (flow, measured speed) of a block from its states."""
+    """Outputs (flow, measured speed, mean line pressure) of a block from its states."""
     for l in range(LANES):
         cells[APPLIED * LANES + l] = cells[COMMAND * LANES + l]
 {exchange}

@@ -11,6 +11,7 @@ every practice rig draws for itself:
     coil_heating               heated by i^2 of the cold coil    heated by i^2 R(t)
     magnetic_hysteresis        Bouc-Wen                          sum of stop operators (Prandtl-Ishlinskii)
     spool_stiction             larger Fc, Fs of the one bristle  second, elasto-plastic bristle (Dupont 2002)
+    spool_stop                 a spring that damps               progressive, as a round end
     spring_preload             tanh                              algebraic
     flow_force                 on the spool's travel             on the flow opening, with radial clearance
     dead_zone                  sharp corners                     corners rounded by the radial clearance

@@ -248,12 +248,14 @@ def _spool_rates(p, y, dy, pressure):
         force -= p.flow_force__coefficient * travel * max(p.flow_force__supply_pressure - against, 0.0)
 
     stop = 0.0
-    beyond = abs(x) - p.x_max
+    beyond = abs(x) - min(p.x_max, p.spool_stop__travel)
     if beyond > 0.0:
         side = 1.0 if x > 0.0 else -1.0
-        stop = -side * max(
-            p.k_stop * beyond * (1.0 + v * side / p.v_stop), 0.0
-        )  # Hunt and Crossley: pushes, never pulls
+        yields = 1.0
+        if p.different and p.spool_stop__travel < p.x_max:
+            yields = (beyond / p.form_stop_depth) ** (p.form_stop_power - 1.0)
+        # Hunt and Crossley: pushes, never pulls
+        stop = -side * max(p.k_stop * beyond * yields * (1.0 + v * side / p.v_stop), 0.0)
     friction = _spool_friction(p, y, dy)
     dy[at + 2] = (force + stop - p.k * x - p.C * v - friction) / p.m
 
@@ -500,8 +502,16 @@ def rates(time, y, channels):
 
 
 @compiled
-def outputs(y, channels, flow, shown):
-    """Flow and measured speed of every row of states: y (T, states) -> flow, shown (T, channels)."""
+def _mean_line_pressure(p, droop, mean):
+    """Half the sum of both line pressures above the tank's, Pa; of a model without a supply pressure what differs from it."""
+    supply = p.pressure_dependent_flow__supply_pressure
+    level = 0.0 if supply == np.inf else 0.5 * supply * (1.0 - droop)
+    return level + 0.5 * p.external_leakage__supply_pressure * mean
+
+
+@compiled
+def outputs(y, channels, flow, shown, lines):
+    """Flow, measured speed and mean line pressure of every row of states: y (T, states) -> (T, channels) each."""
     for t in range(y.shape[0]):
         for c in range(channels.shape[0]):
             p = channels[c]
@@ -511,3 +521,4 @@ def outputs(y, channels, flow, shown):
             mean = y[t, p.at_mean] if p.at_mean >= 0 else 0.0
             flow[t, c] = _valve_flow(p, y[t, p.at_states + 1], y[t, p.at_states + 4], droop, mean)
             shown[t, c] = _measured(p, y[t])
+            lines[t, c] = _mean_line_pressure(p, droop, mean)

@@ -115,6 +115,22 @@ _LATER = (
         True,
         "lag of a closing relief valve over that of an opening one: orifice before its spring",
     ),
+    (
+        "stop_power",
+        "1",
+        1.0,
+        1.5,
+        False,
+        "power of a spool stop's force: 1 for a spring, 1.5 for a round end (Hertz)",
+    ),
+    (
+        "stop_depth",
+        "m",
+        1e-5,
+        4e-5,
+        True,
+        "depth at which that force is a spring's: what full force presses into a stop",
+    ),
 )
 #: Every constant but the stops.
 CONSTANTS = tuple(FormConstant(*row) for row in (*_ROWS, *_LATER))

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 #: "same": the equations of the catalogue; "different": another shape with the same meaning of every parameter.
 FORMS = ("same", "different")
 #: What the simulator returns.
-REFERENCE_SIGNALS = (*STATES, "flow", "measured_speed")
+REFERENCE_SIGNALS = (*STATES, "flow", "measured_speed", "mean_line_pressure")
 _INSTANT = 1e-9  # s; what lies closer together happens at once
 
 
@@ -118,14 +118,15 @@ class ReferenceRig:
     def _store(group: Group, states: Array, out: dict[str, Array], rows: NDArray[np.intp]) -> None:
         states = np.ascontiguousarray(states)
         flow = np.empty((len(rows), len(group.members)))
-        shown = np.empty_like(flow)
-        outputs(states, group.channels, flow, shown)
+        shown, mean = np.empty_like(flow), np.empty_like(flow)
+        outputs(states, group.channels, flow, shown, mean)
         for j, c in enumerate(group.members):
             at = int(group.channels["at_states"][j])
             for n, name in enumerate(STATES):
                 out[name][rows, c] = states[:, at + n]
             out["flow"][rows, c] = flow[:, j]
             out["measured_speed"][rows, c] = shown[:, j]
+            out["mean_line_pressure"][rows, c] = mean[:, j]
 
 
 def simulate_reference(
