@@ -14,7 +14,16 @@ from math import inf, isinf, isnan, nan
 
 from ..units import BAR, REVOLUTION, RPM
 
-__all__ = ["MOTOR_SIZE", "PARAMETERS", "ROLES", "SCALINGS", "SPOOL_FORCE", "SPOOL_TRAVEL", "Parameter"]
+__all__ = [
+    "MOTOR_SIZE",
+    "PARAMETERS",
+    "ROLES",
+    "SCALINGS",
+    "SPOOL_FORCE",
+    "SPOOL_TRAVEL",
+    "SUPPLY_PRESSURE",
+    "Parameter",
+]
 
 #: Directions in which logs fix ratios of parameters only, or nearly so, named by a base parameter, with the reason. All
 #: parameters with a power in `Parameter.scaling` may be multiplied by a common factor to that power.
@@ -372,3 +381,15 @@ def _with_possible(row: Parameter) -> Parameter:
 
 #: The base parameters of a channel, by symbol.
 PARAMETERS: dict[str, Parameter] = {row.name: _with_possible(row) for row in _ROWS}
+
+#: A shape parameter of effects whose size depends on the pressure drop over single edges.
+SUPPLY_PRESSURE = Parameter(
+    "supply_pressure",
+    "Pa",
+    100e5,
+    low=50e5,
+    high=350e5,
+    log=True,
+    note="supply pressure",
+    source="assumed",
+)

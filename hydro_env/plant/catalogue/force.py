@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-from ..parameters import SPOOL_FORCE, SPOOL_TRAVEL, Parameter
+from ..parameters import SPOOL_FORCE, SPOOL_TRAVEL, SUPPLY_PRESSURE, Parameter
 from ..vector_math import sign, tanh
 from .effect import Effect, State
 
@@ -168,16 +168,7 @@ FLOW_FORCE = Effect(
             note="force per opening and pressure drop",
             source="0.43 times the area gradient w",
         ),
-        Parameter(
-            "supply_pressure",
-            "Pa",
-            100e5,
-            low=50e5,
-            high=350e5,
-            log=True,
-            note="supply pressure",
-            source="assumed",
-        ),
+        SUPPLY_PRESSURE,
     ),
     laws={"force": _flow_force},
 )

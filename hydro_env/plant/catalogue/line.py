@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-from ..parameters import MOTOR_SIZE, Parameter
+from ..parameters import MOTOR_SIZE, SUPPLY_PRESSURE, Parameter
 from ..vector_math import clip, sign, sqrt
 from .effect import Effect, State
 
@@ -242,16 +242,7 @@ EXTERNAL_LEAKAGE = Effect(
             note="conductance of the leak; positive: of the line that drives in the positive direction, negative: of the other",
             source="assumed: 4 % of the rated flow at half of 100 bar",
         ),
-        Parameter(
-            "supply_pressure",
-            "Pa",
-            100e5,
-            low=50e5,
-            high=350e5,
-            log=True,
-            note="supply pressure",
-            source="assumed",
-        ),
+        SUPPLY_PRESSURE,
     ),
     laws={"leakage": _external_leakage, "drive": _drive_of_both_edges, "mean_line_pressure": _drained_lines},
     states=(State("mean_pressure", _mean_pressure_rate, _mean_pressure_decay),),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 
-from ..parameters import SPOOL_TRAVEL, Parameter
+from ..parameters import SPOOL_TRAVEL, SUPPLY_PRESSURE, Parameter
 from ..vector_math import clip, sqrt
 from .effect import Effect
 
@@ -136,16 +136,7 @@ UNDERLAP = Effect(
             note="underlap of the edges of the negative direction",
             source="the same",
         ),
-        Parameter(
-            "supply_pressure",
-            "Pa",
-            100e5,
-            low=50e5,
-            high=350e5,
-            log=True,
-            note="supply pressure",
-            source="assumed",
-        ),
+        SUPPLY_PRESSURE,
     ),
     laws={"opening": _underlap, "flow": _underlap_flow},
 )
