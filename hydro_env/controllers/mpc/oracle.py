@@ -133,7 +133,7 @@ class Oracle(Controller):
         assert self._twin is not None
         every, n = len(rows) == len(start), len(rows)
         copies = self._copies if every else _copies(self._twin, rows)
-        plan, load, rated, course = start[rows], load[:, rows], self._rated[rows], course.of(rows)
+        plan, load, rated, course = start[rows], np.take(load, rows, 1), self._rated[rows], course.of(rows)
         signals = np.array([copies.row_of(name) for name in ("speed", "flow", "spool")])
         volts = np.empty((HORIZON * SAMPLES + 1, n, 2))
         seen = np.empty((len(signals), *volts.shape))

@@ -344,6 +344,14 @@ def _solve(square, slope, move):
 
 
 @compiled
+def _copy(source, plan):
+    """Copies a plan (2, H) into another: one by one, since for `plan[:] = source` Numba compiles texts of errors for seconds."""
+    for c in range(2):
+        for j in range(source.shape[1]):
+            plan[c, j] = source[c, j]
+
+
+@compiled
 def _improve(plan, i, cost, s, w, m, work):
     """One step of Gauss and Newton on the plan of rig i, shortened until it helps; the cost reached, or the old one."""
     horizon = plan.shape[1]
@@ -365,7 +373,7 @@ def _improve(plan, i, cost, s, w, m, work):
                 work.tried[c, j] = min(1.0, max(-1.0, moved))
         reached = cost_of(work.tried, i, s, w, m, work)
         if reached < cost:
-            plan[:] = work.tried
+            _copy(work.tried, plan)
             return reached
         size *= SMALLER
     return cost
@@ -381,7 +389,7 @@ def improve_plans(plans, plain, rows, s, w, m, work):
         other = cost_of(plain[i], i, s, w, m, work)
         cost = cost_of(plan, i, s, w, m, work)
         if other < cost:
-            plan[:] = plain[i]
+            _copy(plain[i], plan)
             cost = cost_of(plan, i, s, w, m, work)
         for attempt in range(2):
             if attempt == 1:
@@ -396,4 +404,4 @@ def improve_plans(plans, plain, rows, s, w, m, work):
             left = s.aim[i, horizon] - 0.5 * (work.speeds[0, horizon] + work.speeds[1, horizon])
             if attempt == 1 or abs(away) < AWAY or left * away < STUCK * away * away:
                 break
-            plan[:] = plain[i]
+            _copy(plain[i], plan)

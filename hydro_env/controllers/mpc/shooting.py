@@ -192,7 +192,8 @@ def keep(plan, free, motion, course, best):
         if better[i]:
             best.damping[i] = max(DAMPING, best.damping[i] / 4.0)
             best.cost[i] = reached[i]
-            best.plan[i] = plan[i]
+            for j in range(HORIZON):
+                best.plan[i, j, 0], best.plan[i, j, 1] = plan[i, j, 0], plan[i, j, 1]
         else:
             best.damping[i] *= 8.0
     for signal in range(motion.shape[0]):
