@@ -201,11 +201,11 @@ def measure_ratio(seconds: float = 1.0) -> dict[str, Any] | None:
     cells = room[-room.ctypes.data % 64 // 8 :][: kernel.num_cells]
     twin_room = room.copy()
     twin_cells = twin_room[-twin_room.ctypes.data % 64 // 8 :][: kernel.num_cells]
-    ring, nothing, out = np.zeros((1, 1, 32)), np.zeros(0, np.int64), np.zeros((0, 1, 16, 2))
+    nothing, out = np.zeros(0, np.int64), np.zeros((0, 1, 16, 2))
 
     def ours(steps: int) -> None:
         kernel.advance(
-            memory.reshape(-1), cells, ring, 0, command, load, steps, SUBSTEP, SUBSTEP, nothing, 1, out
+            memory.reshape(-1), cells, None, 0, command, load, steps, SUBSTEP, SUBSTEP, nothing, 1, out
         )
 
     with tempfile.TemporaryDirectory() as folder:

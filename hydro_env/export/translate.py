@@ -585,6 +585,8 @@ class _Body:
             case ast.UnaryOp(ast.Not(), operand):
                 one = self.number(operand, lines)
                 return Num("bool", f"(!{one.code})", None if one.value is None else not one.value)
+            case ast.Compare(_, [ast.IsNot()], [ast.Constant(None)]):  # whatever is handed over is there
+                return Num("bool", "1", True)
             case ast.Compare(left, operators, others):
                 return self._comparison(left, operators, others, lines)
             case ast.IfExp():

@@ -345,7 +345,7 @@ class Plant:
         self._kernel.advance(
             self._flat,
             self._cells,
-            self._ring,
+            self._ring if self._kernel.has_delay else None,
             self._head,
             command_V,
             load_Nm,

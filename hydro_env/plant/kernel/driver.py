@@ -86,8 +86,9 @@ def advance(  # type: ignore[no-untyped-def]
     `looked_at` is the step in s by which channels are called stiff, `h` or 0: then none is.
 
     at: the kernel's `NUMBERS`; memory (blocks * kept * lanes,); cells (rows * lanes,), aligned: room to work in; ring (blocks,
-    slots, lanes) and head: the delay line; commands, loads (T, rigs or 1, 2): one row for all rigs where the middle is 1; record:
-    rows of the memory that go to out (len(record), T // every, rigs, 2) at the instant of each row, before its command acts.
+    slots, lanes) and head: the delay line, None where there is none, so that nothing of it is compiled; commands, loads (T, rigs
+    or 1, 2): one row for all rigs where the middle is 1; record: rows of the memory that go to out (len(record), T // every,
+    rigs, 2) at the instant of each row, before its command acts.
     """
     half = at[HALF]
     lanes = 2 * half
@@ -121,7 +122,7 @@ def advance(  # type: ignore[no-untyped-def]
             # Each lane goes through its substeps at its own pace, whole or in parts; it waits for the others at the next row.
             sweep(at[ASK], cells, whole_step)
             for _ in range(at[MOST_PARTS] * substeps):
-                if at[LATE] >= 0:
+                if ring is not None and at[LATE] >= 0:
                     delay(at, cells, ring[b], head + (t + 1) * substeps, whole_step)
                 sweep(at[PACE], cells, whole_step)
                 sweep(at[BEGIN], cells, whole_step)
