@@ -15,6 +15,7 @@ from hydro_env.cli.export import export
 from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
 from hydro_env.cli.lab import lab
 from hydro_env.cli.listing import list_names
+from hydro_env.cli.naming_benchmark import naming_benchmark
 from hydro_env.cli.training import train
 from hydro_env.cli.valve_test import valve_test
 
@@ -63,4 +64,5 @@ for _command in (
 ):
     app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)
 app.add_typer(export, name="export")
+app.add_typer(naming_benchmark, name="naming-benchmark")
 app.command("list", cls=HelpfulCommand)(list_names)

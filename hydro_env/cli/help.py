@@ -72,6 +72,14 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     ),
     "st": ("hydro-env export st cross_coupled --out plc",),
     "onnx": ("hydro-env export onnx gru --out onnx",),
+    "naming-benchmark": (
+        "hydro-env naming-benchmark make --rigs 40 --out naming",
+        "hydro-env naming-benchmark run diagnose certify --set naming --out answers",
+        "hydro-env naming-benchmark score answers/diagnose answers/certify --set naming --out scores",
+    ),
+    "make": ("hydro-env naming-benchmark make --rigs 40 --seed 1 --out naming",),
+    "run": ("hydro-env naming-benchmark run all --set naming --out answers",),
+    "score": ("hydro-env naming-benchmark score answers/diagnose my_answers --set naming --out scores",),
     "list": (
         "hydro-env list",
         "hydro-env list effects",
@@ -85,7 +93,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "algo", "config", "steps",
         "more", "controller", "controllers", "suite", "split", "scenario", "cases", "mismatch", "weight", "episodes", "only",
         "linear", "max_sensitivity", "case", "seeds", "none", "severity", "value", "noise", "base_error", "rate", "duration",
-        "record", "num_envs", "seconds", "sealed", "accept", "signal", "fmi",
+        "record", "num_envs", "seconds", "rigs", "set_folder", "sealed", "accept", "signal", "fmi",
     ),
     "Rig and model": ("plant", "model", "control_period", "steady", "effect_files"),
     "Columns of logs and curves": (

@@ -36,6 +36,7 @@ EXTRAS = {
     "onnxruntime": "agents",
     "ray": "ray",
     "fmpy": "fmu",
+    "pysindy": "naming",
     "nicegui": "lab",
     "fastapi": "lab",
     "uvicorn": "lab",

@@ -1,0 +1,103 @@
+"""The command `naming-benchmark`: make, run, score."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
+from hydro_env.cli.options import Out, Seed, number, writing
+from hydro_env.errors import InputError, suggestion
+from hydro_env.files import write_json, write_text
+from hydro_env.limits import Limits
+
+__all__ = ["naming_benchmark"]
+
+naming_benchmark = typer.Typer(
+    cls=HelpfulGroup,
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    help="Compare methods that name missing physics from logs.",
+)
+
+Set = Annotated[Path, typer.Option("--set", metavar="DIR", help="Folder of the set.")]
+
+
+@naming_benchmark.command(cls=HelpfulCommand)
+def make(
+    out: Out,
+    rigs: Annotated[int, number(within=Limits(1, 10_000, whole=True), help="Rigs of the set.")] = 40,
+    seed: Seed = 0,
+) -> None:
+    """Make a set of rigs with hidden effects.
+
+    Writes logs and models of the rigs, and their truth in a folder of its own; a stopped run continues.
+    """
+    from tqdm import tqdm
+
+    from hydro_env.experiments import naming_benchmark as work
+
+    with tqdm(total=rigs, unit="rig", disable=None) as bar:
+
+        def say(name: str) -> None:
+            bar.set_description(name)
+            bar.update()
+
+        work.make_set(out, rigs, seed, say)
+    print(f"Written to {out}: rigs/ for the methods, truth/ for scoring alone")
+
+
+@naming_benchmark.command(cls=HelpfulCommand)
+def run(
+    method: Annotated[list[str], typer.Argument(metavar="METHOD...", help="Methods, or all.")],
+    set_folder: Set,
+    out: Out,
+) -> None:
+    """Run methods that ship on a set.
+
+    Writes a folder of answers for each method; a stopped run continues.
+    """
+    from tqdm import tqdm
+
+    from hydro_env.experiments import naming_benchmark as work
+
+    names = list(work.METHODS) if method == ["all"] else method
+    for name in names:
+        if name not in work.METHODS:
+            raise InputError(f"unknown method {name!r}: {suggestion(name, work.METHODS)}")
+    total = len(names) * len(work.read_set(set_folder)["rigs"])
+    with tqdm(total=total, unit="answer", disable=None) as bar:
+
+        def say(text: str) -> None:
+            bar.set_description(text)
+            bar.update()
+
+        work.run_method(names, set_folder, out, say)
+    print(f"Written to {out}: {', '.join(f'{name}/' for name in names)}")
+
+
+@naming_benchmark.command(cls=HelpfulCommand)
+def score(
+    answers: Annotated[
+        list[Path], typer.Argument(metavar="ANSWERS...", help="Folders of answers, one a method.")
+    ],
+    set_folder: Set,
+    out: Out,
+) -> None:
+    """Score answers against the truth.
+
+    Writes naming.json and naming.md; the first method is compared with the others.
+    """
+    from hydro_env.experiments import naming_benchmark as work
+
+    methods = {path.resolve().name: path for path in answers}
+    if len(methods) < len(answers):
+        raise InputError("two folders of answers have the same name; a folder's name is that of its method")
+    with writing(out) as folder:
+        scores = work.score(set_folder, methods)
+        write_json(folder / "naming.json", scores)
+        text = work.table(scores)
+        write_text(folder / "naming.md", text + "\n")
+        print(text)

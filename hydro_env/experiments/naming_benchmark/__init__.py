@@ -1,0 +1,16 @@
+"""A public benchmark for naming missing physics: rigs with hidden effects, methods that name them, scores.
+
+sets        makes a set of rigs: what a method gets, and the truth in a folder of its own
+answers     one JSON file for each rig: what any method hands in
+methods     the diagnosis and four simple methods, all through that interface
+residual    errors of the equations of coil, line and shaft beside a calibrated model, and the terms of every candidate
+correction  a black box added to the right-hand side of the line
+scoring     answers against the truth, with intervals
+"""
+
+from .answers import read_answers
+from .methods import METHODS, run_method
+from .scoring import score, table
+from .sets import make_set, read_set
+
+__all__ = ["METHODS", "make_set", "read_answers", "read_set", "run_method", "score", "table"]

@@ -1,0 +1,241 @@
+"""Answers against the truth: names, channels, false alarms, `unknown`, sealed error and time, with intervals.
+
+A name counts as right if it is the hidden one or one that the catalogue declares indistinguishable from it. Intervals of
+shares are Wilson's, those of medians come from a bootstrap over rigs; both at 95 %.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from ...plant import CATALOGUE, load_model, simulate
+from ...reading import read_json
+from ...units import RPM
+from ..blind_trials.judging import sides
+from .answers import read_answers
+from .sets import TRUTH_SCHEMA, read_set
+
+__all__ = ["SCHEMA", "columns_of", "judge", "score", "summary", "table", "wilson"]
+
+SCHEMA = "hydro_env/naming_scores/1"
+#: A sealed error within so many times the noise counts as explained.
+WITHIN = 1.3
+RESAMPLES = 2000
+
+
+def columns_of(path: Path, names: Sequence[str]) -> NDArray[np.float64]:
+    """The named columns (T, names) of a CSV file. InputError for a missing column or a cell that is no number."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            header = [word.strip() for word in file.readline().split(",")]
+            missing = [n for n in names if n not in header]
+            if missing:
+                raise InputError(f"{path}: no column {missing[0]}; expected {', '.join(names)}")
+            found = np.loadtxt(file, delimiter=",", usecols=[header.index(n) for n in names], ndmin=2)
+    except (OSError, ValueError) as problem:
+        if isinstance(problem, InputError):
+            raise
+        raise InputError(f"{path}: cannot be read as numbers under the columns {', '.join(names)}") from None
+    if not np.isfinite(found).all():
+        raise InputError(
+            f"{path}: row {int(np.flatnonzero(~np.isfinite(found).all(1))[0]) + 2}: not a finite number"
+        )
+    return found
+
+
+def judge(answer: Mapping[str, Any], truth: Mapping[str, Any], error: float | None) -> dict[str, Any]:
+    """One answer against the truth of its rig; `error` is the sealed error over the noise."""
+    hidden = {(h["name"], c) for h in truth["effects"] for c in sides(h["channel"])}
+    named = {(e["name"], c) for e in answer["effects"] for c in sides(e["channel"])}
+    names = {n for n, _ in named}
+    accepted = {n: {n, *CATALOGUE[n].indistinguishable_from} for n, _ in hidden}
+    matched = [n for n, alike in accepted.items() if names & alike]
+    listed = truth["kind"] in ("one", "two")
+    strange = [n for n in names if not any(n in alike for alike in accepted.values())]
+    return {
+        "rig": truth["rig"],
+        "kind": truth["kind"],
+        "hidden": sorted(f"{n}:{c}" for n, c in hidden),
+        "verdict": answer["verdict"],
+        "named": sorted(f"{n}:{c}" for n, c in named),
+        "name": listed and len(matched) == len(accepted) and len(names) <= len(accepted),
+        "channel": listed and bool(named) and {c for _, c in named} == {c for _, c in hidden},
+        "false_name": bool(strange) or (truth["kind"] == "unlisted" and bool(names)),
+        "alarm": not hidden and bool(named),
+        "unknown": truth["kind"] == "unlisted" and answer["verdict"] == "unknown",
+        "error": error,
+        "seconds": answer.get("seconds"),
+    }
+
+
+def _sealed_error(folder: Path, answers: Path, answer: Mapping[str, Any], noise: float) -> float | None:
+    """RMS of the speed's error on the scored part, over both channels and over the noise; None where nothing was predicted."""
+    name = answer["rig"]
+    speeds = ("speed_1_rpm", "speed_2_rpm")
+    measured = columns_of(folder / "truth" / f"{name}.csv", ("time_s", *speeds))
+    if answer.get("prediction"):
+        path = answers / answer["prediction"]
+        rows = len(columns_of(folder / "rigs" / name / "commands.csv", ("time_s",)))
+        found = columns_of(path, ("time_s", *speeds))
+        if len(found) != rows:
+            raise InputError(f"{path}: {len(found)} rows, expected {rows}, one for each of commands.csv")
+        found = found[-len(measured) :]
+        if np.max(np.abs(found[:, 0] - measured[:, 0])) > 1e-4:
+            raise InputError(f"{path}: time_s differs from that of commands.csv")
+        predicted = found[:, 1:]
+    elif answer.get("model"):
+        predicted = _simulated(answers / answer["model"], folder / "rigs" / name)[-len(measured) :]
+    else:
+        return None
+    return float(np.sqrt(np.mean((predicted - measured[:, 1:]) ** 2)) / noise)
+
+
+def _simulated(model: Path, rig: Path) -> NDArray[np.float64]:
+    """Speeds (T, 2), rpm, of a model under commands.csv."""
+    names = ("time_s", "command_1_V", "command_2_V", "load_1_Nm", "load_2_Nm")
+    log = columns_of(rig / "commands.csv", names)
+    period = float(log[1, 0] - log[0, 0])
+    out = simulate(load_model(model), log[:, 1:3], log[:, 3:5], period, record=["measured_speed"])
+    return out["measured_speed"][:, 0, :] / RPM
+
+
+def score(folder: Path, methods: Mapping[str, Path]) -> dict[str, Any]:
+    """Scores folders of answers, by method, to the set in `folder`; the content of naming.json.
+
+    InputError for whatever is missing or malformed.
+    """
+    rigs = list(read_set(folder)["rigs"])
+    every = {method: read_answers(path, rigs) for method, path in methods.items()}
+    truths = {name: _truth(folder / "truth" / f"{name}.json") for name in rigs}
+    rows = [
+        {
+            "method": method,
+            **judge(
+                found[name], truth, _sealed_error(folder, methods[method], found[name], truth["noise_rpm"])
+            ),
+        }
+        for method, found in every.items()
+        for name, truth in truths.items()
+    ]
+    return {
+        "schema": SCHEMA,
+        "seed": read_set(folder)["seed"],
+        "rigs": len(rigs),
+        "summary": summary(rows),
+        "rows": rows,
+    }
+
+
+def _truth(path: Path) -> dict[str, Any]:
+    truth = read_json(path, "the truth of a rig of the naming benchmark")
+    if not isinstance(truth, dict) or truth.get("schema") != TRUTH_SCHEMA:
+        raise InputError(f"{path}: schema: expected {TRUTH_SCHEMA!r}")
+    return truth
+
+
+# --- all rigs together --------------------------------------------------------------------------------------------------
+def wilson(count: int, of: int, z: float = 1.96) -> tuple[float, float]:
+    """Wilson's interval of a share (Wilson 1927)."""
+    if of == 0:
+        return 0.0, 1.0
+    p, n = count / of, float(of)
+    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+_SHARES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "name": ("name", ("one", "two")),
+    "channel": ("channel", ("one", "two")),
+    "alarm": ("alarm", ("nothing", "parameters")),
+    "unknown": ("unknown", ("unlisted",)),
+    "false_name": ("false_name", ("one", "two", "unlisted", "nothing", "parameters")),
+}
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Counts and intervals by method."""
+    found = []
+    for method in dict.fromkeys(r["method"] for r in rows):
+        own = [r for r in rows if r["method"] == method]
+        entry: dict[str, Any] = {"method": method}
+        for what, (key, kinds) in _SHARES.items():
+            asked = [bool(r[key]) for r in own if r["kind"] in kinds]
+            entry[what] = {"count": sum(asked), "of": len(asked), "ci95": wilson(sum(asked), len(asked))}
+        errors = np.array([r["error"] for r in own if r["error"] is not None])
+        entry["within"] = {"count": int((errors <= WITHIN).sum()), "of": len(errors)}
+        for what, values in (
+            ("error", errors),
+            ("seconds", np.array([r["seconds"] for r in own if r["seconds"] is not None])),
+        ):
+            entry[what] = _median(values)
+        found.append(entry)
+    return found
+
+
+def _median(values: NDArray[np.float64]) -> dict[str, Any] | None:
+    if not len(values):
+        return None
+    rng = np.random.default_rng(0)
+    drawn = np.median(values[rng.integers(0, len(values), (RESAMPLES, len(values)))], axis=1)
+    return {
+        "median": float(np.median(values)),
+        "ci95": [float(v) for v in np.quantile(drawn, (0.025, 0.975))],
+    }
+
+
+def table(scores: Mapping[str, Any]) -> str:
+    """The summary as a table in Markdown, and where the first method is not ahead of another on names."""
+    head = [
+        "method", "names right", "channel right", "false alarms", "`unknown` right", "rigs with a false name",
+        "sealed error, times the noise", f"within {WITHIN:g}", "time, s",
+    ]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for entry in scores["summary"]:
+        cells = [
+            f"`{entry['method']}`",
+            *(_share(entry[what]) for what in ("name", "channel", "alarm", "unknown", "false_name")),
+        ]
+        cells += [
+            _middle(entry["error"]),
+            f"{entry['within']['count']} of {entry['within']['of']}",
+            _middle(entry["seconds"]),
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join([*lines, "", *_ahead(scores["summary"])])
+
+
+def _share(entry: Mapping[str, Any]) -> str:
+    low, high = (round(100 * v) for v in entry["ci95"])
+    return f"{entry['count']} of {entry['of']} ({low} to {high} %)"
+
+
+def _middle(entry: Mapping[str, Any] | None) -> str:
+    if entry is None:
+        return "-"
+    low, high = entry["ci95"]
+    return f"{entry['median']:.3g} ({low:.3g} to {high:.3g})"
+
+
+def _ahead(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Where the first method is ahead of the others on names at no more false alarms, and where not."""
+    if len(entries) < 2:
+        return []
+    first, *others = entries
+    behind = [
+        o["method"]
+        for o in others
+        if first["name"]["count"] <= o["name"]["count"] or first["alarm"]["count"] > o["alarm"]["count"]
+    ]
+    ahead = [f"`{o['method']}`" for o in others if o["method"] not in behind]
+    text = [
+        f"`{first['method']}` names more, at no more false alarms, than {', '.join(ahead) or 'none of the others'}."
+    ]
+    return text + ([f"It does not against {', '.join(f'`{m}`' for m in behind)}."] if behind else [])

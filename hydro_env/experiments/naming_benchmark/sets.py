@@ -1,0 +1,162 @@
+"""Sets of rigs with hidden effects: `rigs/NAME` is what a method gets, `truth` what nobody may look at before scoring.
+
+    set.json                 seed, number and names of the rigs
+    rigs/NAME/fit_1.csv      valve bench, open loop
+    rigs/NAME/fit_2.csv      operation, closed loop
+    rigs/NAME/validation.csv other manoeuvres, all signals
+    rigs/NAME/commands.csv   a longer run that begins with the validation log: time, commands and loads alone
+    rigs/NAME/model.yaml     the model as an engineer has it
+    rigs/NAME/rig.json       candidates, and from when on `commands.csv` is scored
+    truth/NAME.json          what is hidden and how large it is
+    truth/NAME.csv           measured speeds of the scored part
+
+Rigs are practice rigs (`hydro_env.practice`). What is hidden, on which channel, its severity, the errors of the base
+parameters, the noise and the recorded signals are drawn for each rig from the seed of the set. Every rig leaves some
+effects out of its candidates, so that a list of candidates says nothing about what is hidden.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError
+from ...files import write_json, write_text
+from ...plant import BUILT_IN, CATALOGUE
+from ...plant.sensors import NOISE
+from ...practice.generate import Practice, make_practice
+from ...practice.recorder import log_text
+from ...reading import read_json
+
+__all__ = ["KINDS", "RIG_SCHEMA", "SET_SCHEMA", "TRUTH_SCHEMA", "draw_rig", "make_set", "read_set"]
+
+SET_SCHEMA = "hydro_env/naming_set/1"
+RIG_SCHEMA = "hydro_env/naming_rig/1"
+TRUTH_SCHEMA = "hydro_env/naming_truth/1"
+#: Kinds of rigs with their shares of a set.
+KINDS = {"one": 0.5, "unlisted": 0.15, "two": 0.1, "parameters": 0.15, "nothing": 0.1}
+#: Length of the logs to fit and of validation, of the run that begins with the validation log, s.
+DURATION, LONG_DURATION = 12.0, 24.0
+#: Ranges that a rig's settings are drawn from: base error, factor on the noise (by factors).
+BASE_ERROR, NOISE_FACTOR = (0.02, 0.15), (0.5, 3.0)
+#: What is recorded beside time, command and speed, each with its probability.
+RECORDS = ((("setpoint", "current", "pressure", "load"), 0.7), (("setpoint", "pressure", "load"), 0.3))
+#: Effects that each rig leaves out of its candidates, beside those that logs cannot part from them.
+LEFT_OUT = 3
+
+
+def _kinds(rigs: int, rng: np.random.Generator) -> list[str]:
+    """Kinds of the rigs of a set, as near to their shares as whole numbers go, in random order."""
+    edges = np.round(np.cumsum([0.0, *KINDS.values()]) * rigs).astype(int)
+    kinds = [kind for kind, n in zip(KINDS, np.diff(edges), strict=True) for _ in range(n)]
+    return [kinds[k] for k in rng.permutation(len(kinds))]
+
+
+def _effects() -> list[str]:
+    return [name for name in BUILT_IN if not CATALOGUE[name].family]
+
+
+def _with_twins(name: str) -> set[str]:
+    return {name, *CATALOGUE[name].indistinguishable_from} & {*_effects()}
+
+
+def draw_rig(kind: str, rng: np.random.Generator) -> dict[str, Any]:
+    """What is drawn for a rig of a kind: hidden effects, effects that are no candidates, and settings of the practice logs."""
+    names = _effects()
+    one, other = (names[k] for k in rng.choice(len(names), 2, replace=False))
+    while other in _with_twins(one):
+        other = names[int(rng.integers(len(names)))]
+    hidden = {"one": [one], "unlisted": [one], "two": [one, other]}.get(kind, [])
+    # The first is left out where it is to be unlisted; otherwise none that is hidden, nor one like it, may be.
+    kept = set().union(*map(_with_twins, hidden)) if kind != "unlisted" else set()
+    out = _with_twins(one) if kind == "unlisted" else set()
+    free = [n for n in rng.permutation(names) if n not in kept and not _with_twins(str(n)) & kept]
+    for name in free[: LEFT_OUT - (kind == "unlisted")]:
+        out |= _with_twins(str(name))
+    low, high = NOISE_FACTOR
+    return {
+        "effects": [
+            n if CATALOGUE[n].scope == "rig" else f"{n}:{c}"
+            for n, c in zip(hidden, rng.integers(1, 3, 2), strict=False)
+        ],
+        "left_out": sorted(out),
+        "severity": "large" if rng.random() < 1.0 / 3.0 else "medium",
+        "base_error": 0.0 if kind == "nothing" else float(rng.uniform(*BASE_ERROR)),
+        "noise": float(low * (high / low) ** rng.random()),
+        "record": list(RECORDS[int(rng.random() > RECORDS[0][1])][0]),
+        "seed": int(rng.integers(2**31)),
+    }
+
+
+def make_set(out: Path, rigs: int, seed: int, progress: Callable[[str], None] = lambda name: None) -> None:
+    """Makes a set of rigs in the folder `out`; rigs that it holds already are kept, so a stopped run goes on.
+
+    InputError if the folder holds a set of another size or seed.
+    """
+    about = {
+        "schema": SET_SCHEMA, "seed": seed, "rigs": [f"rig_{n + 1:03d}" for n in range(rigs)],
+    }  # fmt: skip
+    if (out / "set.json").exists() and read_set(out) != about:
+        raise InputError(
+            f"{out / 'set.json'}: another set than --rigs {rigs} --seed {seed}; name another --out"
+        )
+    (out / "truth").mkdir(parents=True, exist_ok=True)
+    write_json(out / "set.json", about)
+    shared, *own = np.random.SeedSequence(seed).spawn(1 + rigs)
+    kinds = _kinds(rigs, np.random.default_rng(shared))
+    for name, kind, stream in zip(about["rigs"], kinds, own, strict=True):
+        progress(str(name))
+        if not (out / "truth" / f"{name}.json").exists():
+            _make_rig(out, str(name), kind, draw_rig(kind, np.random.default_rng(stream)))
+
+
+def _make_rig(out: Path, name: str, kind: str, drawn: Mapping[str, Any]) -> None:
+    """Writes a rig and its truth, the truth last."""
+    settings = {key: drawn[key] for key in ("severity", "base_error", "noise", "record", "seed")}
+    short = make_practice(drawn["effects"], runs=("fit_1", "fit_2"), duration=DURATION, **settings)
+    values = {f"{h.name}.{n}": v for h in short.hidden for n, v in h.parameters.items()}
+    long = make_practice(
+        drawn["effects"], runs=("sealed",), duration=LONG_DURATION, **{**settings, "values": values}
+    )
+    folder = out / "rigs" / name
+    folder.mkdir(parents=True, exist_ok=True)
+    sealed = long.logs["sealed"]
+    early = sealed["time_s"] < DURATION
+    given = {n: c for n, c in sealed.items() if n.split("_")[0] in ("time", "command", "load")}
+    scored = {n: c[~early] for n, c in sealed.items() if n.split("_")[0] in ("time", "speed")}
+    logs = {**short.logs, "validation": {n: c[early] for n, c in sealed.items()}, "commands": given}
+    for log, columns in logs.items():
+        write_text(folder / f"{log}.csv", log_text(columns))
+    short.given.to_yaml(folder / "model.yaml")
+    candidates = [n for n in _effects() if n not in drawn["left_out"]]
+    write_json(
+        folder / "rig.json",
+        {"schema": RIG_SCHEMA, "rig": name, "candidates": candidates, "scored_from_s": DURATION},
+    )
+    write_text(out / "truth" / f"{name}.csv", log_text(scored))
+    write_json(out / "truth" / f"{name}.json", _truth(name, kind, drawn, short))
+
+
+def _truth(name: str, kind: str, drawn: Mapping[str, Any], practice: Practice) -> dict[str, Any]:
+    return {
+        "schema": TRUTH_SCHEMA,
+        "rig": name,
+        "kind": kind,
+        "verdict": "unknown" if kind == "unlisted" else practice.truth["verdict"],
+        "noise_rpm": NOISE["speed_rpm"] * drawn["noise"],
+        **{key: practice.truth[key] for key in ("effects", "base_parameters", "form_constants")},
+        **{key: drawn[key] for key in ("severity", "base_error", "noise", "record", "seed", "left_out")},
+    }
+
+
+def read_set(folder: Path) -> dict[str, Any]:
+    """The content of set.json. InputError where it is none."""
+    about = read_json(folder / "set.json", "a set of `hydro-env naming-benchmark make`")
+    if not isinstance(about, dict) or about.get("schema") != SET_SCHEMA or not about.get("rigs"):
+        raise InputError(
+            f"{folder / 'set.json'}: expected a set of `hydro-env naming-benchmark make`, schema {SET_SCHEMA!r}"
+        )
+    return about

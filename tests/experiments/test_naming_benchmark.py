@@ -1,0 +1,167 @@
+"""The naming benchmark: sets that give nothing away, answers, scores, refusals, and the simple methods."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hydro_env.cli.main import run
+from hydro_env.experiments.naming_benchmark import methods, scoring, sets
+from hydro_env.experiments.naming_benchmark.answers import answer, read_answers
+from hydro_env.experiments.naming_benchmark.correction import fit_network
+from hydro_env.experiments.naming_benchmark.residual import Equation
+from hydro_env.files import write_json
+from hydro_env.plant import CATALOGUE
+
+EFFECT = {"name": "dead_zone", "channel": "1", "probability": 0.9}
+
+
+def small_set(folder: Path, kind: str = "one") -> Path:
+    """A set of one rig of four rows, of which the last two are scored."""
+    rig = folder / "rigs" / "rig_001"
+    rig.mkdir(parents=True)
+    (folder / "truth").mkdir()
+    write_json(folder / "set.json", {"schema": sets.SET_SCHEMA, "seed": 0, "rigs": ["rig_001"]})
+    (rig / "commands.csv").write_text("time_s,command_1_V\n0,0\n0.1,0\n0.2,0\n0.3,0\n")
+    (folder / "truth" / "rig_001.csv").write_text("time_s,speed_1_rpm,speed_2_rpm\n0.2,10,20\n0.3,10,20\n")
+    hidden = [{"name": "dead_zone", "channel": "1"}] if kind in ("one", "unlisted") else []
+    truth = {"schema": sets.TRUTH_SCHEMA, "rig": "rig_001", "kind": kind, "effects": hidden, "noise_rpm": 2.0}
+    write_json(folder / "truth" / "rig_001.json", truth)
+    return folder
+
+
+def answers(folder: Path, **changes: Any) -> Path:
+    folder.mkdir()
+    write_json(folder / "rig_001.json", {**answer("rig_001", "effects", [EFFECT], 1.0), **changes})
+    return folder
+
+
+def test_an_answer_survives_writing_and_reading(tmp_path: Path) -> None:
+    found = read_answers(answers(tmp_path / "mine"), ["rig_001"])
+    assert found["rig_001"] == answer("rig_001", "effects", [EFFECT], 1.0)
+
+
+def test_the_sealed_error_counts_the_scored_rows_over_the_noise(tmp_path: Path) -> None:
+    folder = answers(tmp_path / "mine", prediction="p.csv")
+    (folder / "p.csv").write_text("time_s,speed_1_rpm,speed_2_rpm\n0,99,9\n0.1,99,9\n0.2,14,20\n0.3,10,24\n")
+    found = scoring.score(small_set(tmp_path / "set"), {"mine": folder})
+    assert found["rows"][0]["error"] == pytest.approx(np.sqrt(8.0) / 2.0)
+    assert found["rows"][0]["name"] and found["rows"][0]["channel"] and not found["rows"][0]["false_name"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "verdict", "named", "true"),
+    [
+        ("one", "effects", ("load_bias", "1"), {"false_name", "channel"}),
+        ("one", "effects", ("dead_zone", "2"), {"name"}),
+        ("unlisted", "unknown", None, {"unknown"}),
+        ("unlisted", "effects", ("load_bias", "1"), {"false_name"}),
+        ("nothing", "effects", ("dead_zone", "1"), {"alarm", "false_name"}),
+        ("parameters", "calibration", None, set()),
+    ],
+)
+def test_an_answer_is_judged(kind: str, verdict: str, named: tuple[str, str] | None, true: set[str]) -> None:
+    hidden = [{"name": "dead_zone", "channel": "1"}] if kind in ("one", "unlisted") else []
+    effects = [] if named is None else [dict(zip(("name", "channel"), named, strict=True))]
+    row = scoring.judge(
+        answer("r", verdict, effects, 0.0), {"rig": "r", "kind": kind, "effects": hidden}, None
+    )
+    assert {k for k in ("name", "channel", "false_name", "alarm", "unknown") if row[k]} == true
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"schema": "x"}, "schema"),
+        ({"rig": "rig_002"}, "expected 'rig_001'"),
+        ({"verdict": "maybe"}, "expected none, calibration"),
+        ({"verdict": "none"}, "names at least one"),
+        ({"effects": [{"name": "dead_zon", "channel": "1"}]}, "did you mean 'dead_zone'"),
+        ({"effects": [{"name": "dead_zone", "channel": "3"}]}, "channel is '3'"),
+        ({"prediction": "../truth.csv"}, "a file beside it"),
+        ({"model": "none.yaml"}, "no file none.yaml"),
+        ({"speed": 1}, "unknown key 'speed'"),
+    ],
+)
+def test_a_malformed_answer_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], changes: dict[str, Any], said: str
+) -> None:
+    folder = answers(tmp_path / "mine", **changes)
+    words = ["score", str(folder), "--set", str(small_set(tmp_path / "set")), "--out", str(tmp_path / "out")]
+    assert run(["naming-benchmark", *words]) == 2
+    text = capsys.readouterr().err
+    assert text.count("\n") == 1 and said in text and "rig_001.json" in text
+    assert not (tmp_path / "out").exists()
+
+
+def test_missing_and_foreign_answers_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = answers(tmp_path / "mine")
+    (folder / "rig_007.json").write_text("{}")
+    words = [
+        "naming-benchmark",
+        "score",
+        str(folder),
+        "--set",
+        str(small_set(tmp_path / "set")),
+        "--out",
+        str(tmp_path / "o"),
+    ]
+    assert run(words) == 2
+    (folder / "rig_007.json").unlink()
+    (folder / "rig_001.json").unlink()
+    assert run(words) == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert "rig_007" in first and "1 of 1 answers are missing" in second
+
+
+def test_scores_are_written(tmp_path: Path) -> None:
+    folder, out = answers(tmp_path / "mine"), tmp_path / "out"
+    words = ["score", str(folder), "--set", str(small_set(tmp_path / "set")), "--out", str(out)]
+    assert run(["naming-benchmark", *words]) == 0
+    entry = json.loads((out / "naming.json").read_text())["summary"][0]
+    assert entry["method"] == "mine" and entry["name"]["count"] == 1 and entry["error"] is None
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_candidates_hold_what_is_hidden_unless_it_is_unlisted(seed: int) -> None:
+    for kind in sets.KINDS:
+        drawn = sets.draw_rig(kind, np.random.default_rng(seed))
+        names = {word.partition(":")[0] for word in drawn["effects"]}
+        alike = names.union(*(CATALOGUE[n].indistinguishable_from for n in names))
+        assert drawn["left_out"]
+        if kind == "unlisted":
+            assert names <= {*drawn["left_out"]}
+        else:
+            assert not alike & {*drawn["left_out"]}
+
+
+def made_up(terms: int = 6) -> list[Equation]:
+    """Two logs whose error is three times the third term, in noise of size one."""
+    rng, found = np.random.default_rng(0), []
+    for log in (0, 1):
+        own = {(f"effect_{k}", "size"): rng.normal(size=2000) for k in range(terms)}
+        error = 3.0 * own["effect_2", "size"] + rng.normal(size=2000)
+        found.append(Equation("line", log, error, rng.uniform(-1.0, 1.0, 2000), own))
+    return found
+
+
+def test_certification_finds_the_term_and_nothing_in_noise() -> None:
+    p, _, name = max(methods.certified_terms(made_up()), key=lambda t: t[1])
+    assert name == "effect_2" and p < 1e-6
+    assert methods.false_discovery([0.6, 0.2, 0.04], 0.05) == -1.0
+    assert methods.false_discovery([0.6, 0.03, 0.01], 0.05) == 0.03
+
+
+def test_sparse_regression_finds_the_term() -> None:
+    pytest.importorskip("pysindy")
+    assert methods.chosen_by_regression(made_up()) == {"effect_2": pytest.approx(1.0)}
+
+
+def test_the_network_learns_a_curve() -> None:
+    x = np.linspace(-1.0, 1.0, 300)[:, None]
+    found = fit_network(x, np.abs(x[:, 0]))
+    assert np.sqrt(np.mean((found(x) - np.abs(x[:, 0])) ** 2)) < 0.05
