@@ -96,9 +96,8 @@ def make_set(out: Path, rigs: int, seed: int, progress: Callable[[str], None] = 
 
     InputError if the folder holds a set of another size or seed.
     """
-    about = {
-        "schema": SET_SCHEMA, "seed": seed, "rigs": [f"rig_{n + 1:03d}" for n in range(rigs)],
-    }  # fmt: skip
+    names = [f"rig_{n + 1:03d}" for n in range(rigs)]
+    about = {"schema": SET_SCHEMA, "seed": seed, "rigs": names}
     if (out / "set.json").exists() and read_set(out) != about:
         raise InputError(
             f"{out / 'set.json'}: another set than --rigs {rigs} --seed {seed}; name another --out"
@@ -107,10 +106,10 @@ def make_set(out: Path, rigs: int, seed: int, progress: Callable[[str], None] = 
     write_json(out / "set.json", about)
     shared, *own = np.random.SeedSequence(seed).spawn(1 + rigs)
     kinds = _kinds(rigs, np.random.default_rng(shared))
-    for name, kind, stream in zip(about["rigs"], kinds, own, strict=True):
-        progress(str(name))
+    for name, kind, stream in zip(names, kinds, own, strict=True):
+        progress(name)
         if not (out / "truth" / f"{name}.json").exists():
-            _make_rig(out, str(name), kind, draw_rig(kind, np.random.default_rng(stream)))
+            _make_rig(out, name, kind, draw_rig(kind, np.random.default_rng(stream)))
 
 
 def _make_rig(out: Path, name: str, kind: str, drawn: Mapping[str, Any]) -> None:
