@@ -28,7 +28,9 @@ Set = Annotated[Path, typer.Option("--set", metavar="DIR", help="Folder of the s
 @naming_benchmark.command(cls=HelpfulCommand)
 def make(
     out: Out,
-    rigs: Annotated[int, number(within=Limits(1, 10_000, whole=True), help="Rigs of the set.")] = 40,
+    rigs: Annotated[
+        int, number("--rigs", within=Limits(1, 10_000, whole=True), help="Rigs of the set.")
+    ] = 40,
     seed: Seed = 0,
 ) -> None:
     """Make a set of rigs with hidden effects.
@@ -85,6 +87,10 @@ def score(
     ],
     set_folder: Set,
     out: Out,
+    first: Annotated[
+        int | None,
+        number("--first", within=Limits(1, 10_000, whole=True), help="Only so many rigs, from the first."),
+    ] = None,
 ) -> None:
     """Score answers against the truth.
 
@@ -96,7 +102,7 @@ def score(
     if len(methods) < len(answers):
         raise InputError("two folders of answers have the same name; a folder's name is that of its method")
     with writing(out) as folder:
-        scores = work.score(set_folder, methods)
+        scores = work.score(set_folder, methods, first)
         write_json(folder / "naming.json", scores)
         text = work.table(scores)
         write_text(folder / "naming.md", text + "\n")

@@ -57,7 +57,7 @@ def test_the_sealed_error_counts_the_scored_rows_over_the_noise(tmp_path: Path) 
     ("kind", "verdict", "named", "true"),
     [
         ("one", "effects", ("load_bias", "1"), {"false_name", "channel"}),
-        ("one", "effects", ("dead_zone", "2"), {"name"}),
+        ("one", "effects", ("dead_zone", "2"), {"name", "first"}),
         ("unlisted", "unknown", None, {"unknown"}),
         ("unlisted", "effects", ("load_bias", "1"), {"false_name"}),
         ("nothing", "effects", ("dead_zone", "1"), {"alarm", "false_name"}),
@@ -70,7 +70,7 @@ def test_an_answer_is_judged(kind: str, verdict: str, named: tuple[str, str] | N
     row = scoring.judge(
         answer("r", verdict, effects, 0.0), {"rig": "r", "kind": kind, "effects": hidden}, None
     )
-    assert {k for k in ("name", "channel", "false_name", "alarm", "unknown") if row[k]} == true
+    assert {k for k in ("name", "first", "channel", "false_name", "alarm", "unknown") if row[k]} == true
 
 
 @pytest.mark.parametrize(
@@ -116,6 +116,18 @@ def test_missing_and_foreign_answers_are_refused(tmp_path: Path, capsys: pytest.
     assert run(words) == 2
     first, second = capsys.readouterr().err.splitlines()
     assert "rig_007" in first and "1 of 1 answers are missing" in second
+
+
+def test_the_first_rigs_are_scored_alone(tmp_path: Path) -> None:
+    folder = answers(tmp_path / "mine")
+    assert [*read_answers(folder, ["rig_001", "rig_002"], 1)] == ["rig_001"]
+
+
+def test_of_several_names_the_most_probable_counts_apart() -> None:
+    effects = [{"name": "load_bias", "channel": "1", "probability": 0.1}, EFFECT]
+    truth = {"rig": "r", "kind": "one", "effects": [EFFECT]}
+    row = scoring.judge(answer("r", "effects", effects, 0.0), truth, None)
+    assert row["first"] and not row["name"] and row["false_name"]
 
 
 def test_scores_are_written(tmp_path: Path) -> None:

@@ -90,7 +90,9 @@ def test_named_modules_exist(page: Path) -> None:
 
 def test_named_commands_and_options_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")
-    for command, rest in re.findall(r"hydro-env (export [a-z]+|[a-z][a-z-]+)([^\n`|#]*)", text):
+    for command, rest in re.findall(
+        r"hydro-env ((?:export|naming-benchmark) [a-z]+|[a-z][a-z-]+)([^\n`|#]*)", text
+    ):
         assert command in COMMANDS, command
         known = {opt for p in COMMANDS[command].params for opt in (*p.opts, *p.secondary_opts)} | {"--help"}
         assert set(re.findall(r"(?<=\s)--[a-z-]+", rest)) <= known, f"hydro-env {command}{rest}"

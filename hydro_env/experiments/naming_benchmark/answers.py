@@ -36,21 +36,23 @@ def answer(
     }  # fmt: skip
 
 
-def read_answers(folder: Path, rigs: list[str]) -> dict[str, dict[str, Any]]:
-    """The answers of a folder by rig. InputError for a missing, foreign or malformed one."""
+def read_answers(folder: Path, rigs: list[str], first: int | None = None) -> dict[str, dict[str, Any]]:
+    """The answers of a folder by rig, for all rigs of a set or its `first` ones. InputError for a missing, foreign or malformed
+    one."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no folder of answers; expected one with a NAME.json for each rig")
-    missing = [name for name in rigs if not (folder / f"{name}.json").exists()]
+    wanted = rigs[:first]
+    missing = [name for name in wanted if not (folder / f"{name}.json").exists()]
     if missing:
         raise InputError(
-            f"{folder}: {len(missing)} of {len(rigs)} answers are missing, the first is {missing[0]}.json"
+            f"{folder}: {len(missing)} of {len(wanted)} answers are missing, the first is {missing[0]}.json"
         )
     foreign = sorted(p.name for p in folder.glob("*.json") if p.stem not in rigs)
     if foreign:
         raise InputError(
             f"{folder / foreign[0]}: the set has no rig of that name; {suggestion(Path(foreign[0]).stem, rigs)}"
         )
-    return {name: read_answer(folder / f"{name}.json", name) for name in rigs}
+    return {name: read_answer(folder / f"{name}.json", name) for name in wanted}
 
 
 def read_answer(path: Path, rig: str) -> dict[str, Any]:

@@ -33,11 +33,13 @@ from .correction import fit_network, fit_polynomial, predicted
 from .residual import Equation, Start, begin, equations
 from .sets import read_set
 
-__all__ = ["METHODS", "chosen_by_regression", "certified_terms", "run_method"]
+__all__ = ["METHODS", "WHOLE", "chosen_by_regression", "certified_terms", "run_method"]
 
 Array = NDArray[np.float64]
 Named = list[dict[str, Any]]
 
+#: Folder beside the answers of `diagnose` with the whole diagnosis of each rig.
+WHOLE = "whole"
 #: False-discovery rate of `certify`.
 FALSE_DISCOVERIES = 0.05
 #: Thresholds that `sindy` chooses among by Schwarz' criterion: least RMS contribution of a term, in the noise of its equation.
@@ -171,8 +173,11 @@ def _diagnose(folder: Path, out: Path) -> dict[str, Any]:
         [folder / "fit_1.csv", folder / "fit_2.csv"], [folder / "validation.csv"], folder / "model.yaml",
         without=[n for n in BUILT_IN if n not in rig["candidates"]],
     )  # fmt: skip
-    effects = [{k: e[k] for k in ("name", "channel", "probability")} for e in found.as_dict()["effects"]]
+    data = found.as_dict()
+    effects = [{k: e[k] for k in ("name", "channel", "probability")} for e in data["effects"]]
     verdict = found.verdict
+    (out / WHOLE).mkdir(exist_ok=True)
+    write_json(out / WHOLE / f"{folder.name}.json", data)
     found.model.to_yaml(out / f"{folder.name}.yaml", source="diagnosis of logs")
     named = effects if verdict == "effects" else []
     return answer(folder.name, verdict, named, time.process_time() - start, model=f"{folder.name}.yaml")

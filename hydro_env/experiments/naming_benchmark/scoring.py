@@ -66,6 +66,7 @@ def judge(answer: Mapping[str, Any], truth: Mapping[str, Any], error: float | No
         "verdict": answer["verdict"],
         "named": sorted(f"{n}:{c}" for n, c in named),
         "name": listed and len(matched) == len(accepted) and len(names) <= len(accepted),
+        "first": listed and _most_probable(answer) in set().union(*accepted.values()),
         "channel": listed and bool(named) and {c for _, c in named} == {c for _, c in hidden},
         "false_name": bool(strange) or (truth["kind"] == "unlisted" and bool(names)),
         "alarm": not hidden and bool(named),
@@ -73,6 +74,12 @@ def judge(answer: Mapping[str, Any], truth: Mapping[str, Any], error: float | No
         "error": error,
         "seconds": answer.get("seconds"),
     }
+
+
+def _most_probable(answer: Mapping[str, Any]) -> str | None:
+    """The name with the largest probability, the first of those without any; None where nothing is named."""
+    named = max(answer["effects"], key=lambda e: e.get("probability", 0.0), default=None)
+    return None if named is None else str(named["name"])
 
 
 def _sealed_error(folder: Path, answers: Path, answer: Mapping[str, Any], noise: float) -> float | None:
@@ -106,13 +113,14 @@ def _simulated(model: Path, rig: Path) -> NDArray[np.float64]:
     return out["measured_speed"][:, 0, :] / RPM
 
 
-def score(folder: Path, methods: Mapping[str, Path]) -> dict[str, Any]:
-    """Scores folders of answers, by method, to the set in `folder`; the content of naming.json.
+def score(folder: Path, methods: Mapping[str, Path], first: int | None = None) -> dict[str, Any]:
+    """Scores folders of answers, by method, to the set in `folder` or to its `first` rigs; the content of naming.json.
 
     InputError for whatever is missing or malformed.
     """
-    rigs = list(read_set(folder)["rigs"])
-    every = {method: read_answers(path, rigs) for method, path in methods.items()}
+    whole = list(read_set(folder)["rigs"])
+    rigs = whole[:first]
+    every = {method: read_answers(path, whole, first) for method, path in methods.items()}
     truths = {name: _truth(folder / "truth" / f"{name}.json") for name in rigs}
     rows = [
         {
@@ -153,6 +161,7 @@ def wilson(count: int, of: int, z: float = 1.96) -> tuple[float, float]:
 
 _SHARES: dict[str, tuple[str, tuple[str, ...]]] = {
     "name": ("name", ("one", "two")),
+    "first": ("first", ("one", "two")),
     "channel": ("channel", ("one", "two")),
     "alarm": ("alarm", ("nothing", "parameters")),
     "unknown": ("unknown", ("unlisted",)),
@@ -194,14 +203,15 @@ def _median(values: NDArray[np.float64]) -> dict[str, Any] | None:
 def table(scores: Mapping[str, Any]) -> str:
     """The summary as a table in Markdown, and where the first method is not ahead of another on names."""
     head = [
-        "method", "names right", "channel right", "false alarms", "`unknown` right", "rigs with a false name",
+        "method", "names right", "most probable name right",
+        "channel right", "false alarms", "`unknown` right", "rigs with a false name",
         "sealed error, times the noise", f"within {WITHIN:g}", "time, s",
     ]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for entry in scores["summary"]:
         cells = [
             f"`{entry['method']}`",
-            *(_share(entry[what]) for what in ("name", "channel", "alarm", "unknown", "false_name")),
+            *(_share(entry[what]) for what in ("name", "first", "channel", "alarm", "unknown", "false_name")),
         ]
         cells += [
             _middle(entry["error"]),
