@@ -5,7 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation import Estimate, Fit, less_taken, noise_floor, noise_of, restart_friction
+from hydro_env.diagnosis.estimation import (
+    Estimate,
+    Fit,
+    differentiate,
+    less_taken,
+    noise_floor,
+    noise_of,
+    restart_friction,
+    settle,
+)
 from hydro_env.diagnosis.estimation.uncertainty import bootstrap, nearest_inside
 from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.input.parts import read_parts
@@ -16,6 +25,7 @@ from hydro_env.diagnosis.stages.localisation import shape
 from hydro_env.diagnosis.stages.screening import Screening, absorb, hidden_by_calibration, screen
 from hydro_env.plant import PARAMETERS, load_model
 from hydro_env.practice.generate import make_practice
+from tests.linear_rig import logged, time_of
 
 
 def _fit(rig: DynamicRig) -> Fit:
@@ -31,6 +41,30 @@ def test_bootstrap_has_the_spread_of_the_mean() -> None:
     matrices, sides = np.ones((count, 1, 1)), (truth + noise)[:, None]
     moves = bootstrap(matrices, sides, np.zeros((1, 1)), np.zeros(1), rng)
     assert np.std(moves) == pytest.approx(1.0 / np.sqrt(count), rel=0.2)
+
+
+def test_what_stops_beside_the_minimum_settles_there_with_its_own_spread() -> None:
+    """Two curves that are nearly equal: their sum is known, their difference hardly."""
+    time = time_of(4000)
+    first = np.sin(5.0 * time)
+    second = first + 0.01 * np.cos(9.0 * time)
+    names = ("load_bias.bias", "eccentric_load.amplitude")
+    fit, base = logged(dict(zip(names, (first, second), strict=True)), {names[0]: 0.3, names[1]: 0.2}, 4000)
+    found = base.with_effect("load_bias", {"bias": 0.1}).with_effect(
+        "eccentric_load", {"amplitude": 0.1, "phase": 0.0}
+    )
+    fit.evaluate([found])
+    differentiate(fit, [found])
+    settle(fit, [found])
+    assert found.spread is not None
+    for name, true in zip(names, (0.3, 0.2), strict=True):
+        j = [u.name for u in found.unknowns].index(name)
+        low, high = (found.unknowns[j].value(found.q[j] + s * found.spread[j]) for s in (-3.0, 3.0))
+        assert low < true < high
+    alone = found.at(found.q.copy())
+    alone.simulated = dict(found.simulated)
+    differentiate(fit, [alone])
+    assert found.spread == pytest.approx(fit.spread(alone), rel=0.05)
 
 
 def test_a_replica_beyond_its_bounds_keeps_combinations_that_make_up_for_each_other() -> None:

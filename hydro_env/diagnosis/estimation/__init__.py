@@ -5,6 +5,7 @@ estimate         unknowns with their values and what was simulated with these
 fit              likelihood, residuals and deviance of an estimate on the logs of a model
 noise            noise and independent samples of a residual
 gauss_newton     the solver
+settling         the last steps to the minimum, with derivatives as wide as the uncertainty
 multistart       restarts, where friction makes local minima
 growing_horizon  fits to the beginning of the logs first
 explained        criteria: how much of a residual is explained
@@ -25,6 +26,7 @@ from .gauss_newton import SETTLE_ITERATIONS, differentiate, solve
 from .growing_horizon import grow_horizon
 from .multistart import far_from_noise, restart_friction
 from .noise import effective_samples, noise_floor
+from .settling import settle
 from .uncertainty import (
     CANNOT_BE_PREDICTED,
     courses_apart,
@@ -49,6 +51,6 @@ __all__ = [
     "base_unknown", "bases_of", "could_pay", "courses_apart", "differentiate", "effect_starts", "effect_unknowns",
     "effective_samples", "explained_share", "far_from_noise", "grow_horizon", "intervals_of", "joined", "less_taken",
     "limited_by_effects", "mostly_explained", "nearly_explained", "noise_floor", "noise_of",
-    "probability_of_gain", "restart_friction", "scaled", "smallest_share", "solve",
+    "probability_of_gain", "restart_friction", "scaled", "settle", "smallest_share", "solve",
     "unexplained", "unpredictable",
 ]  # fmt: skip

@@ -15,7 +15,7 @@ from .estimate import Estimate, Vector
 from .fit import Fit
 from .unknowns import scaled
 
-__all__ = ["SETTLE_ITERATIONS", "differentiate", "solve"]
+__all__ = ["SETTLE_ITERATIONS", "differentiate", "solve", "step_all"]
 
 #: Most iterations of a refit that is to go as far as it goes.
 SETTLE_ITERATIONS = 12
@@ -52,7 +52,7 @@ def solve(
         before = {id(p): p.cost for p in live}
         old = [p for p in live if not p.columns or iteration > 0]
         points = differentiate(fit, old, size=sizes[iteration % len(sizes)])
-        _step(fit, live)
+        step_all(fit, live)
         for estimate, (cost, q, result) in zip(old, points, strict=True):
             # A point that was simulated for a derivative may be better than every step along it.
             if cost < estimate.cost:
@@ -69,7 +69,7 @@ def solve(
             estimate.spread = fit.spread(estimate)
 
 
-def _step(fit: Fit, live: Sequence[Estimate]) -> None:
+def step_all(fit: Fit, live: Sequence[Estimate]) -> None:
     """One Gauss-Newton step of every estimate, the best of its multiples."""
     trials = []
     for p in live:

@@ -1,0 +1,74 @@
+"""Settling: an estimate that is near its minimum goes all the way, with derivatives as wide as its own uncertainty.
+
+Friction makes a cost rough, and forces on the spool are known by their ratios far better than one by one. Differences of one
+unknown at a time then see the roughness or step over the minimum. So differences are taken along the principal axes of the
+normal matrix, as secants over so many standard deviations either way: wide ones step over local minima, narrow ones give the
+covariance on the scale on which it is used. This is Gauss-Newton in whitened coordinates with the secants of unscented
+transforms (Julier and Uhlmann 2004, doi:10.1109/JPROC.2003.823141).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .estimate import Estimate, Vector
+from .fit import Fit
+from .gauss_newton import step_all
+
+__all__ = ["settle"]
+
+#: Reach of the secants in standard deviations, in turn; the last one is that of the covariance.
+REACHES = (10.0, 3.0, 1.0)
+#: Most turns through them, and the fall of the cost in one below which an estimate has settled.
+TURNS, SETTLED = 5, 1.0
+#: Longest reach in any coordinate of q.
+LONGEST = 1.0
+
+
+def settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
+    """Improves estimates that have `columns`, in place, and sets their `columns` and `spread` on the scale of the latter."""
+    live = [p for p in estimates if p.unknowns and p.columns]
+    fit.evaluate(live)
+    live = every = [p for p in live if np.isfinite(p.cost)]
+    for _ in range(TURNS):
+        before = [p.cost for p in live]
+        for reach in REACHES:
+            _secants(fit, live, reach)
+            step_all(fit, live)
+        live = [p for p, cost in zip(live, before, strict=True) if cost - p.cost > SETTLED]
+        if not live:
+            break
+    _secants(fit, every, REACHES[-1])
+    for p in every:
+        p.spread = fit.spread(p)
+
+
+def _secants(fit: Fit, estimates: Sequence[Estimate], reach: float) -> None:
+    """Sets the derivatives of every estimate by secants along its principal axes, and moves it to the best point on them."""
+    points = [_points(p, fit.normal_equations(p)[0], reach) for p in estimates]
+    requests = [p.request(q) for p, own in zip(estimates, points, strict=True) for q in own]
+    results = iter(fit.rig.predict(requests))
+    for p, own in zip(estimates, points, strict=True):
+        found = [next(results) for _ in own]
+        costs = [fit.cost(p, r, q) for r, q in zip(found, own, strict=True)]
+        good = np.flatnonzero(np.isfinite(costs))
+        moves = own[good] - p.q
+        # Along an axis that the bounds close on both sides nothing is learnt, and the derivative stays zero.
+        inverse = np.linalg.pinv(moves, rcond=1e-9)
+        for c in fit.channels_of(p):
+            changes = np.array([found[n][c] - p.simulated[c] for n in good])
+            p.columns = {**p.columns, c: (inverse @ changes).T}
+        best = int(np.argmin(costs))
+        if costs[best] < p.cost:
+            p.cost, p.q, p.simulated = costs[best], own[best], found[best]
+
+
+def _points(estimate: Estimate, matrix: Vector, reach: float) -> Vector:
+    """Points (2 k, k) either way along the principal axes of the normal matrix (k, k), inside the bounds."""
+    scale, axes = np.linalg.eigh(matrix)
+    moves = axes * (reach / np.sqrt(np.maximum(scale, 1e-9 * scale[-1])))
+    moves = moves * np.minimum(1.0, LONGEST / np.maximum(np.abs(moves).max(axis=0), 1e-30))
+    low, high = estimate.bounds
+    return np.asarray(np.clip(estimate.q + np.concatenate([moves.T, -moves.T]), low, high))
