@@ -43,7 +43,7 @@ from hydro_env.diagnosis import RULES, STAGES, Settings
 from hydro_env.envs import HydraulicSyncEnv, Reward
 from hydro_env.envs.observation import LIMIT, NOISE, OBSERVATION, SCALES
 from hydro_env.envs.step_kernels import COLUMNS
-from hydro_env.experiments import blind_trials
+from hydro_env.experiments import blind_trials, naming_benchmark
 from hydro_env.measured import mapping
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, model_files, parameter_of, preset_names
 from hydro_env.plant.catalogue import separating_experiment
@@ -859,6 +859,12 @@ def trials() -> str:
     return blind_trials.table(_trial_rows()).strip()
 
 
+def naming() -> str:
+    """The naming benchmark: methods, and what the diagnosis says of its certainty."""
+    scores = json.loads((HERE / "naming.json").read_text(encoding="utf-8"))
+    return f"The first {scores['rigs']} rigs of seed {scores['seed']}.\n\n{naming_benchmark.table(scores)}"
+
+
 def diagnosis_short() -> str:
     """The README's sentence on the blind trials."""
     rows = _trial_rows()
@@ -883,7 +889,7 @@ PARTS: dict[str, Callable[[], str]] = {
         diagnosis_stages,
         diagnosis_rules,
         diagnosis_settings, commands, commands_short, log_columns, units, scores, scores_short,
-        classical, agents, variation, speed, speed_commands, speed_short, error, trials, diagnosis_short, licences,
+        classical, agents, variation, speed, speed_commands, speed_short, error, trials, naming, diagnosis_short, licences,
     )
 }  # fmt: skip
 PARTS["mapping_file"] = lambda: _docstring(mapping)

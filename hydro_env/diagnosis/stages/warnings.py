@@ -23,6 +23,10 @@ def run(state: State) -> State:
     found = [f"none of the named effects is confirmed: {'; '.join(state.doubts)}"] if state.doubts else []
     found += [f.text for f in state.findings]
     found += _about_logs_and_fit(state)
+    if state.verdict == "unknown":
+        found.append(
+            "something is missing from the model, so true values may lie outside the intervals of parameters"
+        )
     hidden = [name.replace("_", " ") for name in hidden_by_calibration(state.screening)]
     if hidden and state.verdict in ("none", "calibration"):
         found.append(f"calibration hides these effects, so they cannot be excluded: {', '.join(hidden)}")

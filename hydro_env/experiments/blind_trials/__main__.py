@@ -13,6 +13,7 @@ from ...limits import CORES, SEEDS, Limits
 from .ablation import ablation_table, folder_without, write_ablation
 from .cases import EMPTY, GROUPS, Case, cases
 from .judging import summary
+from .reliability import draw, of_trials
 from .running import Running, practice_logs, rows_of, run_trials
 from .tables import publish
 
@@ -54,6 +55,12 @@ def _arguments() -> argparse.Namespace:
         action="store_true",
         help="compares all trials without a rule with those with it; runs nothing",
     )
+    add(
+        "--reliability",
+        type=Path,
+        metavar="FILE.png",
+        help="draws probabilities against shares; runs nothing",
+    )
     add("--write", type=Path, help="folder that trials.json is published to; runs nothing")
     given = parser.parse_args()
     if given.make and given.logs is None:
@@ -73,6 +80,8 @@ def main() -> None:
     given = _arguments()
     if given.write is not None:
         publish(rows_of(given.out), given.write)
+    elif given.reliability is not None:
+        draw(of_trials(rows_of(given.out)), given.reliability)
     elif given.ablation:
         print(ablation_table(write_ablation(given.out)), end="")
     elif given.make:

@@ -10,6 +10,7 @@ from typing import Any
 from ...files import write_text
 from .cases import GROUPS, WITH_NAME, commands
 from .judging import SEALED_WITHIN, summary
+from .reliability import of_trials, reliability_lines
 from .running import SCHEMA
 
 __all__ = ["markdown", "publish", "share", "table"]
@@ -31,8 +32,9 @@ def table(rows: Sequence[Row]) -> str:
     """All of it in Markdown."""
     made = " and ".join(f"`{command}`" for command in commands(rows))
     parts = [
-        [f"Made by {made}; {len(rows)} trials."], _criteria(rows), _groups(rows), _coverage(rows), _methods(rows),
-        ["Trials that were not simply correct:"], _wrong(rows), _processor_time(rows), *_elapsed(rows), _rough(rows),
+        [f"Made by {made}; {len(rows)} trials."], _criteria(rows), _groups(rows), _coverage(rows),
+        reliability_lines(of_trials(rows)), _methods(rows), ["Trials that were not simply correct:"], _wrong(rows),
+        _processor_time(rows), *_elapsed(rows), _rough(rows),
     ]  # fmt: skip
     return "\n\n".join("\n".join(part) for part in parts if part) + "\n"
 

@@ -5,6 +5,7 @@ answers     one JSON file for each rig: what any method hands in
 methods     the diagnosis and four simple methods, all through that interface
 residual    errors of the equations of coil, line and shaft beside a calibrated model, and the terms of every candidate
 correction  a black box added to the right-hand side of the line
+certainty   intervals and probabilities of whole diagnoses against the truth
 scoring     answers against the truth, with intervals
 """
 

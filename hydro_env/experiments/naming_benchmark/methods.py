@@ -29,17 +29,16 @@ from ...plant import BUILT_IN, CATALOGUE
 from ...practice.recorder import log_text
 from ...reading import read_json
 from .answers import answer, read_answer
+from .certainty import WHOLE
 from .correction import fit_network, fit_polynomial, predicted
 from .residual import Equation, Start, begin, equations
 from .sets import read_set
 
-__all__ = ["METHODS", "WHOLE", "chosen_by_regression", "certified_terms", "run_method"]
+__all__ = ["METHODS", "chosen_by_regression", "certified_terms", "run_method"]
 
 Array = NDArray[np.float64]
 Named = list[dict[str, Any]]
 
-#: Folder beside the answers of `diagnose` with the whole diagnosis of each rig.
-WHOLE = "whole"
 #: False-discovery rate of `certify`.
 FALSE_DISCOVERIES = 0.05
 #: Thresholds that `sindy` chooses among by Schwarz' criterion: least RMS contribution of a term, in the noise of its equation.

@@ -6,7 +6,6 @@ shares are Wilson's, those of medians come from a bootstrap over rigs; both at 9
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,12 @@ from ...plant import CATALOGUE, load_model, simulate
 from ...reading import read_json
 from ...units import RPM
 from ..blind_trials.judging import sides
+from ..blind_trials.reliability import wilson
 from .answers import read_answers
+from .certainty import certainty, lines
 from .sets import TRUTH_SCHEMA, read_set
 
-__all__ = ["SCHEMA", "columns_of", "judge", "score", "summary", "table", "wilson"]
+__all__ = ["SCHEMA", "columns_of", "judge", "score", "summary", "table"]
 
 SCHEMA = "hydro_env/naming_scores/1"
 #: A sealed error within so many times the noise counts as explained.
@@ -137,6 +138,7 @@ def score(folder: Path, methods: Mapping[str, Path], first: int | None = None) -
         "seed": read_set(folder)["seed"],
         "rigs": len(rigs),
         "summary": summary(rows),
+        "certainty": {m: c for m, path in methods.items() if (c := certainty(path, truths)) is not None},
         "rows": rows,
     }
 
@@ -149,16 +151,6 @@ def _truth(path: Path) -> dict[str, Any]:
 
 
 # --- all rigs together --------------------------------------------------------------------------------------------------
-def wilson(count: int, of: int, z: float = 1.96) -> tuple[float, float]:
-    """Wilson's interval of a share (Wilson 1927)."""
-    if of == 0:
-        return 0.0, 1.0
-    p, n = count / of, float(of)
-    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
-    return max(0.0, middle - half), min(1.0, middle + half)
-
-
 _SHARES: dict[str, tuple[str, tuple[str, ...]]] = {
     "name": ("name", ("one", "two")),
     "first": ("first", ("one", "two")),
@@ -201,13 +193,13 @@ def _median(values: NDArray[np.float64]) -> dict[str, Any] | None:
 
 
 def table(scores: Mapping[str, Any]) -> str:
-    """The summary as a table in Markdown, and where the first method is not ahead of another on names."""
+    """The summary as a table in Markdown, whom the first method is ahead of on names, and what methods say of their certainty."""
     head = [
         "method", "names right", "most probable name right",
         "channel right", "false alarms", "`unknown` right", "rigs with a false name",
         "sealed error, times the noise", f"within {WITHIN:g}", "time, s",
     ]  # fmt: skip
-    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    text = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for entry in scores["summary"]:
         cells = [
             f"`{entry['method']}`",
@@ -218,8 +210,11 @@ def table(scores: Mapping[str, Any]) -> str:
             f"{entry['within']['count']} of {entry['within']['of']}",
             _middle(entry["seconds"]),
         ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join([*lines, "", *_ahead(scores["summary"])])
+        text.append("| " + " | ".join(cells) + " |")
+    text += ["", *_ahead(scores["summary"])]
+    for method, found in scores["certainty"].items():
+        text += ["", f"What `{method}` says of its own certainty:", "", *lines(found)]
+    return "\n".join(text)
 
 
 def _share(entry: Mapping[str, Any]) -> str:
