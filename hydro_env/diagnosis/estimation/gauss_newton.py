@@ -156,10 +156,15 @@ def _by_single_unknowns(estimate: Estimate, moves: Sequence[tuple[int, Vector]])
         return
     new = [j for j, _ in moves]
     along = np.array([move / move[j] for j, move in moves]).T
-    apart = np.linalg.inv(along[new])
+    whole = np.linalg.inv(along[new])
     along[new] = 0.0
+    # What one derivative takes from the others, of those in which several unknowns moved; the rest stays as it is.
+    combined = np.zeros(along.shape)
+    combined[new] = whole
+    combined -= along @ whole
+    changed = [n for n in range(len(new)) if np.count_nonzero(combined[:, n]) > 1]
     for columns in estimate.columns.values():
-        columns[:, new] = (columns[:, new] - columns @ along) @ apart
+        columns[:, [new[n] for n in changed]] = columns @ combined[:, changed]
 
 
 def _move(estimate: Estimate, j: int, size: float) -> Vector:
