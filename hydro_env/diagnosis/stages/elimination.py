@@ -41,7 +41,7 @@ def drop_not_missed(search: Search) -> None:
             without.append((one, c, less))
         if not without:
             return
-        solve(fit, [p for *_, p in without], WITHOUT_ITERATIONS)
+        solve(fit.on(fit.rig.for_long_refits()), [p for *_, p in without], WITHOUT_ITERATIONS)
         for one, c, less in without:
             one.gain, one.without = fit.gain(less, search.present[c]), less
         one, c, less = min(without, key=lambda entry: entry[0].gain - entry[0].needed)
@@ -65,7 +65,7 @@ def drop_unneeded(search: Search) -> None:
             continue
         if not far_from_noise(fit, one.without):
             starts.append((one, c, _without(search.present[c], one.without, one.effect)))
-    solve(fit, [p for *_, own in starts for p in own], SETTLE_ITERATIONS)
+    solve(fit.on(fit.rig.for_long_refits()), [p for *_, own in starts for p in own], SETTLE_ITERATIONS)
     for one, c, own in starts:
         less = min(own, key=lambda p: p.cost)
         gain = fit.gain(less, search.present[c])
@@ -96,7 +96,8 @@ def compare_competing(search: Search) -> None:
     those that the catalogue declares indistinguishable: one that a screening passed over must still be listed.
     Each starts from the base parameters found. One that does better than the effect it stands for takes its place.
     """
-    if not search.fit.settings.uses(COMPARE_COMPETING):
+    fit = search.fit
+    if not fit.settings.uses(COMPARE_COMPETING):
         return
     starts, same = {(k.effect, k.channel): k.start for k in search.screening}, alike(search.screening)
     swaps: list[tuple[Accepted, int, str, Estimate]] = []
@@ -112,7 +113,7 @@ def compare_competing(search: Search) -> None:
             if (other, c) in starts and other not in own:
                 rest = search.present[c].without(one.effect)
                 swaps.append((one, c, other, rest.extended(other, starts[other, c])))
-    solve(search.fit, [p for *_, p in swaps], COMPETING_ITERATIONS)
+    solve(fit.on(fit.rig.for_long_refits()), [p for *_, p in swaps], COMPETING_ITERATIONS)
     for one, c, other, estimate in sorted(swaps, key=lambda s: s[3].cost):
         if {*estimate.effects()} - {other} != {*search.present[c].effects()} - {one.effect}:
             continue  # another effect of this channel was replaced meanwhile

@@ -183,7 +183,9 @@ FACTORISATION = [
     "w_current = alpha * inertia * e_current",
     "w_back = alpha * per_L",
     "w_slope = bristle_slope",
-    "e_spool_speed = 1.0 / (ig + positive(friction_slope * inertia + w_spool * gh + w_bristle * w_slope + w_current * w_back))",
+    # A product of its own: whether it is settled beforehand or not, it is rounded before it is added.
+    "w_coil = w_current * w_back",
+    "e_spool_speed = 1.0 / (ig + positive(friction_slope * inertia + w_spool * gh + w_bristle * w_slope + w_coil))",
     "softness = bulk_modulus * per_V",
     "w_flow = softness * Kq",
     "w_pump = softness * displacement",
