@@ -36,6 +36,21 @@ def test_a_request_is_answered_the_same_beside_others(fit_log: Path) -> None:
     assert set(alone) == {0} and set(beside[3]) == {0, 1}
 
 
+def test_a_log_is_simulated_the_same_beside_a_longer_one_and_one_of_another_period(
+    fit_log: Path, tmp_path: Path
+) -> None:
+    make_practice([], duration=3.0, rate=400.0, runs=("fit_2",)).write(tmp_path)
+    files = [fit_log, f"{fit_log}@0:2.6", tmp_path / "fit_2.csv"]
+    wanted = [Request(c, {"Kq": 0.3 + 0.01 * n}) for n in range(3) for c in (0, 1)]
+    together = DynamicRig(load_model("paper"), read_parts(files, None))
+    for number, file in enumerate(files):
+        alone = DynamicRig(load_model("paper"), read_parts([file], None))
+        for one, other in zip(alone.predict(wanted), together.predict(wanted), strict=True):
+            for c in one:
+                own = [s.place for s in together.segments[c] if s.log == number]
+                np.testing.assert_array_equal(one[c], np.concatenate([other[c][place] for place in own]))
+
+
 def test_threads_change_no_bit(fit_log: Path) -> None:
     parts = read_parts([fit_log], None)
     wanted = [Request(c, {"Kq": 0.2 + 0.01 * n}) for n in range(20) for c in (0, 1)]
