@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from ...plant import CATALOGUE, Parameter, PlantModel
+from ...plant import Parameter, PlantModel
 from ...units import BAR, LPM, MILLIMETRE, RPM
 from ..input.parts import Part
 
@@ -47,11 +47,7 @@ class Request:
     @cached_property
     def effects(self) -> frozenset[str]:
         """The effects of which a parameter is given."""
-        return frozenset(
-            e.name
-            for e in CATALOGUE.values()
-            if any(f"{e.name}.{p.name}" in self.values for p in e.parameters)
-        )
+        return frozenset(name.split(".", 1)[0] for name in self.values if "." in name)
 
 
 @dataclass

@@ -83,6 +83,8 @@ class DynamicRig:
         self.own_kernels = False
         self.notes: list[str] = []
         self.own: dict[str, Parameter] = {}
+        library = {*self.candidates(), *without}
+        self._light = {n for n, e in CATALOGUE.items() if n in library and e.is_cheap}
 
     def with_parts(self, parts: list[Part], every_row: bool) -> DynamicRig:
         return DynamicRig(
@@ -188,8 +190,7 @@ class DynamicRig:
         if self._of_few(effects):
             forms = {name for effect in effects for name in CORRECTIONS.get(effect, {})}
             return tuple(n for n in CATALOGUE if n in effects or n in forms)
-        library = {*self.candidates(), *self.without, *effects}
-        return tuple(n for n in CATALOGUE if n in effects or (n in library and CATALOGUE[n].is_cheap))
+        return tuple(n for n in CATALOGUE if n in effects or n in self._light)
 
     def _of_few(self, effects: Collection[str]) -> bool:
         return self.own_kernels or any(CATALOGUE[n].family == FAMILY for n in effects)
