@@ -9,6 +9,7 @@ import typer
 from hydro_env.cli.options import EffectFiles, Model, Out, Seed, number, writing
 from hydro_env.files import write_text
 from hydro_env.limits import CORES, Limits
+from hydro_env.units import BAR
 
 FitLogs = Annotated[
     list[str] | None,
@@ -39,6 +40,12 @@ Threads = Annotated[
     int | None, number("--jobs", within=CORES, help="Threads to work with. Default: one for every core.")
 ]
 
+Severity = Annotated[str, typer.Option(help="Range of the drawn sizes: small, medium or large.")]
+Play = Annotated[
+    str | None,
+    typer.Option(metavar="CSV", help="Play these commands on the same rig; writes only played.csv."),
+]
+
 
 def hide(
     out: Out,
@@ -50,9 +57,7 @@ def hide(
     ] = None,
     none: Annotated[bool, typer.Option("--none", help="Hide nothing: logs that the model explains.")] = False,
     model: Model = "paper",
-    severity: Annotated[
-        str, typer.Option(help="Range of the drawn sizes: small, medium or large.")
-    ] = "medium",
+    severity: Severity = "medium",
     value: Annotated[
         list[str] | None,
         typer.Option(metavar="EFFECT.PARAMETER=NUMBER", help="An exact value (SI); may be repeated."),
@@ -71,6 +76,7 @@ def hide(
     duration: Annotated[
         float, number(within=Limits(3.0, 3600.0, unit="s"), help="Length of each log.")
     ] = 12.0,
+    play: Play = None,
     effect_files: EffectFiles = None,
     seed: Seed = 0,
 ) -> None:
@@ -95,6 +101,7 @@ def hide(
             record=[name.strip() for name in record.split(",") if name.strip()],
             rate=rate,
             duration=duration,
+            play=play,
             seed=seed,
         )
 
@@ -110,11 +117,25 @@ def diagnose(
     accept: Accept = None,
     effect_files: EffectFiles = None,
     jobs: Threads = None,
+    command_limit: Annotated[
+        float, number(within=Limits(1.0, 100.0, unit="%"), help="Largest command of the next experiment.")
+    ] = 100.0,
+    rate_limit: Annotated[
+        float, number(within=Limits(0.1, 1000.0), help="Its largest rate, rated commands per second.")
+    ] = 20.0,
+    pressure_limit: Annotated[
+        float | None,
+        number(
+            within=Limits(1.0, 1000.0, unit="bar"),
+            help="Its largest load pressure. Default: supply pressure.",
+        ),
+    ] = None,
     seed: Seed = 0,
 ) -> None:
     """Identify from logs what physics a model lacks.
 
-    Writes diagnosis.json, report.html and model.yaml; with --inspect only mapping.yaml, a proposal.
+    Writes diagnosis.json, report.html, model.yaml and, where names stay open, next_experiment.csv; with --inspect only
+    mapping.yaml, a proposal.
     """
     with writing(out) as folder:
         if inspect is not None:
@@ -125,7 +146,7 @@ def diagnose(
             if proposal:
                 write_text(folder / "mapping.yaml", proposal)
             return
-        from hydro_env.diagnosis import command
+        from hydro_env.diagnosis import Settings, command
         from hydro_env.plant import load_effects
 
         load_effects(effect_files or [])
@@ -136,7 +157,12 @@ def diagnose(
             model=model,
             mapping=mapping,
             jobs=jobs,
-            seed=seed,
+            settings=Settings(
+                seed=seed,
+                command_limit=command_limit / 100.0,
+                rate_limit=rate_limit,
+                pressure_limit=None if pressure_limit is None else pressure_limit * BAR,
+            ),
             steady=steady,
             accept=accept or [],
         )

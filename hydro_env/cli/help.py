@@ -50,6 +50,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "hydro-env hide dead_zone:1 --out practice",
         "hydro-env hide supply_droop magnetic_hysteresis:2 --severity large --seed 3 --out practice",
         "hydro-env hide dead_zone:1 --value dead_zone.overlap_positive=8e-5 --out practice",
+        "hydro-env hide dead_zone:1 --play found/next_experiment.csv --out second",
     ),
     "diagnose": (
         "hydro-env diagnose practice/fit_1.csv practice/fit_2.csv --sealed practice/sealed.csv --out found",
@@ -93,7 +94,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "algo", "config", "steps",
         "more", "controller", "controllers", "suite", "split", "scenario", "cases", "mismatch", "weight", "episodes", "only",
         "linear", "max_sensitivity", "case", "seeds", "none", "severity", "value", "noise", "base_error", "rate", "duration",
-        "record", "num_envs", "seconds", "rigs", "set_folder", "sealed", "accept", "signal", "fmi",
+        "record", "num_envs", "seconds", "rigs", "set_folder", "sealed", "accept", "play",
+        "command_limit", "rate_limit", "pressure_limit", "signal", "fmi",
     ),
     "Rig and model": ("plant", "model", "control_period", "steady", "effect_files"),
     "Columns of logs and curves": (

@@ -9,17 +9,18 @@ import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from ..files import write_json
+from ..files import write_json, write_text
 from .result import Diagnosis
 from .settings import Settings
-from .workflow import diagnose
+from .stages.next_experiment import FILE as NEXT_EXPERIMENT
+from .workflow import DEFAULT, diagnose
 
 __all__ = ["run", "write"]
 
 
 def run(
     fit_logs: Sequence[str | Path], sealed: Sequence[str | Path], out: str | Path, *, model: str | Path = "paper",
-    mapping: str | Path | None = None, jobs: int | None = None, seed: int = 0, steady: bool = False,
+    mapping: str | Path | None = None, jobs: int | None = None, settings: Settings = DEFAULT, steady: bool = False,
     accept: Collection[str] = (), quiet: bool = False,
 ) -> Diagnosis:  # fmt: skip
     """Diagnoses, prints about twenty lines, writes diagnosis.json, report.html and model.yaml to `out`.
@@ -38,7 +39,7 @@ def run(
 
         found = diagnose(
             fit_logs, sealed, model, mapping, jobs=jobs or _cores(), steady=steady, accept=accept,
-            settings=Settings(seed=seed), progress=progress,
+            settings=settings, progress=progress,
         )  # fmt: skip
         bar.set_description("writing the report")
         write(found, Path(out))
@@ -48,10 +49,14 @@ def run(
 
 
 def write(found: Diagnosis, folder: Path) -> None:
-    """Writes diagnosis.json, report.html and model.yaml to a folder, which is made if needed."""
+    """Writes diagnosis.json, report.html, model.yaml and, where names are open, next_experiment.csv to a folder, which is made if
+    needed."""
     folder.mkdir(parents=True, exist_ok=True)
     found.report(folder / "report.html")
     write_json(folder / "diagnosis.json", found.as_dict())
+    commands = found.state.next_experiment.csv() if found.state.next_experiment else None
+    if commands is not None:
+        write_text(folder / NEXT_EXPERIMENT, commands)
     found.model.to_yaml(folder / "model.yaml", source="diagnosis of logs")
 
 

@@ -18,8 +18,6 @@ from .state import State
 __all__ = ["SCHEMA", "Diagnosis"]
 
 SCHEMA = "hydro_env/diagnosis/1"
-#: Named effects that leave a speed of the held-out logs above so many times its noise are not proven.
-PROVEN = 1.5
 
 
 @dataclass(frozen=True)
@@ -37,12 +35,8 @@ class Diagnosis:
 
     @property
     def best_guess(self) -> bool:
-        """Whether the named effects are only the best guess: they leave more of a speed of the held-out logs than its noise
-        (`PROVEN`). A reduced model is not held against the noise, which is not all that it leaves out."""
-        if self.verdict != "effects" or not self.state.rig.has_hidden_states:
-            return False
-        errors = self.state.on_held_out.errors
-        return any(e["after"] > PROVEN * e["noise"] for (_, signal), e in errors.items() if signal == "speed")
+        """Whether the named effects are only the best guess, see `State.best_guess`."""
+        return self.state.best_guess
 
     @property
     def effects(self) -> list[NamedEffect]:
@@ -91,7 +85,7 @@ class Diagnosis:
             },
             "gap": {"sealed": state.on_held_out.as_dict(), "fit": state.on_fit.as_dict()},
             "shape_corrections": [self._correction(k) for k in state.corrections],
-            "next_experiment": state.next_experiment,
+            "next_experiment": state.next_experiment.as_dict() if state.next_experiment else None,
             "detectable": detectable(state.screening),
             "hidden_by_calibration": hidden_by_calibration(state.screening),
             "seconds": round(self.seconds, 1),

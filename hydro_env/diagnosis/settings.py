@@ -48,6 +48,12 @@ class Settings:
     temper: float = 0.1
     #: Share of the power above the noise that the named effects must explain on the held-out logs.
     confirmed_share: float = 0.25
+    #: Command of the next experiment at most, as a share of the rated one, ...
+    command_limit: float = 1.0
+    #: ... its rate of change in rated commands per second, ...
+    rate_limit: float = 20.0
+    #: ... and the load pressure that the models predict, Pa; none: the supply pressure of the model.
+    pressure_limit: float | None = None
     #: Seed of the bootstrap; the same one gives the same result.
     seed: int = 0
     #: Rules that are switched off.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..measured import Finding
 from ..plant import PlantModel
@@ -18,10 +18,14 @@ if TYPE_CHECKING:
     from .stages.form_correction import Correction
     from .stages.localisation import Location
     from .stages.naming import NamedEffect
+    from .stages.next_experiment import NextExperiment
     from .stages.screening import Screening
     from .stages.validation import Proof
 
 __all__ = ["Estimates", "State"]
+
+#: Named effects that leave a speed of the held-out logs above so many times its noise are not proven.
+PROVEN = 1.5
 
 #: Estimates by channel; the same one for both where the whole rig was estimated together.
 Estimates = dict[int, Estimate]
@@ -58,7 +62,7 @@ class State:
     on_held_out: Proof = None  # type: ignore[assignment]
     doubts: list[str] = field(default_factory=list)
     effects: list[NamedEffect] = field(default_factory=list)
-    next_experiment: dict[str, Any] | None = None
+    next_experiment: NextExperiment | None = None
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -73,6 +77,15 @@ class State:
     def seconds(self) -> float:
         """Length of the longest log to fit, s."""
         return max(len(p.log) * p.log.period for p in self.rig.parts)
+
+    @property
+    def best_guess(self) -> bool:
+        """Whether the named effects are only the best guess: they leave more of a speed of the held-out logs than its noise
+        (`PROVEN`). A reduced model is not held against the noise, which is not all that it leaves out."""
+        if self.verdict != "effects" or not self.rig.has_hidden_states:
+            return False
+        errors = self.on_held_out.errors
+        return any(e["after"] > PROVEN * e["noise"] for (_, signal), e in errors.items() if signal == "speed")
 
     @property
     def shown(self) -> Estimates:

@@ -20,6 +20,7 @@ from hydro_env import __version__
 from hydro_env.benchmark import command as benchmark
 from hydro_env.benchmark.report import privileged_information
 from hydro_env.controllers.registry import CONTROLLERS
+from hydro_env.diagnosis import Settings
 from hydro_env.diagnosis import command as diagnosis
 from hydro_env.experiments import reproduce
 from hydro_env.experiments.shaft_animation import animation, record
@@ -298,7 +299,9 @@ def _diagnosis(practice: Path, out: Path, seed: int) -> dict[str, Any]:
     hide.run(HIDDEN, practice, seed=seed)
     truth = read_json(practice / "truth.json", "what `hydro-env hide` wrote", most=MOST_BYTES_OF_RESULTS)
     logs = {kind: [practice / name for name in truth["logs"][kind]] for kind in ("fit", "sealed")}
-    diagnosis.run(logs["fit"], logs["sealed"], out, model=practice / "model.yaml", seed=seed)
+    diagnosis.run(
+        logs["fit"], logs["sealed"], out, model=practice / "model.yaml", settings=Settings(seed=seed)
+    )
     found = read_json(out / "diagnosis.json", "what `hydro-env diagnose` wrote", most=MOST_BYTES_OF_RESULTS)
     hidden = {effect["name"]: effect for effect in truth["effects"]}
     effects, parameters = [], []

@@ -19,7 +19,7 @@ def run(
     effects: Sequence[str], out: Path, *, none: bool = False, model: str = "paper", values: Sequence[str] = (),
     base_error_percent: float = 0.0, **settings: Any,
 ) -> Practice:  # fmt: skip
-    """Writes fit_1.csv, fit_2.csv, sealed.csv, model.yaml and truth.json to `out`.
+    """Writes fit_1.csv, fit_2.csv, sealed.csv (or played.csv, with `play`), model.yaml and truth.json to `out`.
 
     `values` are words "effect.parameter=value"; `none` (--none) hides nothing and must be given when no effect is named;
     `settings` as in `PracticeSettings`.

@@ -9,6 +9,8 @@ diagnosis fits. An engineer's two runs and a third one to be sealed are made (`m
     model.yaml  the model as an engineer has it, without the hidden effects
     truth.json  what was hidden, and everything else that was drawn for the rig
 
+Or the same rig plays commands from a file, which makes played.csv in the place of the three.
+
 A user's own effect (`plant.load_effects`) has one set of equations, its laws. If one is hidden, the rig is the compiled
 plant with the laws of the catalogue for all effects, and truth.json says `"forms": "catalogue"`: the diagnosis then meets
 its own equations, so such a log shows that an effect can be found, not that it would be found on a real rig.
@@ -32,6 +34,7 @@ from ..files import write_text
 from ..plant import BUILT_IN, CATALOGUE, PlantModel, load_model
 from .hidden import SEVERITIES, Hidden, check_values, choose, parse_effects, true_model
 from .manoeuvres import RUNS
+from .played import plans_of
 from .recorder import CATALOGUE_FORMS, CONTROL_PERIOD, RECORDABLE, Recorder, log_text
 from .reference import FORMS
 from .reference.forms import Constants, draw, units
@@ -41,6 +44,8 @@ __all__ = ["Practice", "PracticeSettings", "constants_of", "make_practice"]
 Array = NDArray[np.float64]
 
 SCHEMA = "hydro_env/truth/1"
+#: The log of commands from a file.
+PLAYED = "played"
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,7 @@ class PracticeSettings:
     forms       of the effects in the simulator, see `reference.FORMS`; "catalogue": the laws of the catalogue, as wherever a
                 user's effect is
     runs        which logs to make, of "fit_1", "fit_2", "sealed"
+    play        a CSV file of commands (`played.plans_of`): the same rig plays these instead of `runs`, as the log "played"
     """
 
     severity: str = "medium"
@@ -73,6 +79,7 @@ class PracticeSettings:
     seed: int = 0
     forms: str = "different"
     runs: Sequence[str] = tuple(RUNS)
+    play: str | Path | None = None
 
     def __post_init__(self) -> None:
         if self.severity not in SEVERITIES:
@@ -163,8 +170,10 @@ def make_practice(
     true, wrong = true_model(given, hidden, own.base_error, np.random.default_rng(base_seed))
     recorder = Recorder(given, true, forms, constants, own.record, own.noise, own.rate, own.duration)
     logs = {}
+    if own.play is not None:
+        logs[PLAYED] = _played(own, given, recorder)
     for name, seeds in zip(RUNS, run_seeds, strict=True):
-        if name in own.runs:
+        if name in own.runs and own.play is None:
             if progress is not None:
                 progress(name)
             logs[name] = recorder.log(name, seeds)
@@ -183,9 +192,22 @@ def make_practice(
         "duration_s": own.duration,
         "seed": own.seed,
         "forms": forms,
-        "logs": {kind: [f"{n}.csv" for n in logs if n.startswith(kind)] for kind in ("fit", "sealed")},
+        "logs": {
+            kind: [f"{n}.csv" for n in logs if n.startswith(kind)]
+            for kind in (("fit", "sealed") if own.play is None else (PLAYED,))
+        },
     }
     return Practice(logs, given, true, constants, hidden, truth)
+
+
+def _played(own: PracticeSettings, given: PlantModel, recorder: Recorder) -> dict[str, Array]:
+    """The log of commands from a file. The same commands have the same noise, others have other noise."""
+    assert own.play is not None
+    channels = plans_of(own.play, given.pair("u_rated"), recorder.period)
+    content = hashlib.sha256(b"".join(a.tobytes() for p in channels for a in (p.value, p.load))).digest()
+    return recorder.played(
+        channels, np.random.SeedSequence([own.seed, int.from_bytes(content[:8], "little")])
+    )
 
 
 def constants_of(truth: Mapping[str, Any]) -> Constants | None:

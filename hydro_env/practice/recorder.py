@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..plant import Plant, PlantModel
 from ..plant.sensors import NOISE
 from ..units import BAR, LPM, MILLIMETRE, RPM
-from .manoeuvres import plans
+from .manoeuvres import Plan, plans
 from .reference import ReferenceRig
 from .reference.forms import Constants
 
@@ -143,10 +143,20 @@ class Recorder:
     def log(self, run: str, seeds: np.random.SeedSequence) -> dict[str, Array]:
         """Drives one of `manoeuvres.RUNS` and returns the log's columns by header name."""
         plan_seed, noise_seed = seeds.spawn(2)
-        period = max(CONTROL_PERIOD, 1.0 / self.rate)
+        return self.played(
+            plans(run, plan_seed, self.period, max(1, round(self.duration / self.period))), noise_seed
+        )
+
+    @property
+    def period(self) -> float:
+        """Time between two commands, s."""
+        return max(CONTROL_PERIOD, 1.0 / self.rate)
+
+    def played(self, channels: Sequence[Plan], noise_seed: np.random.SeedSequence) -> dict[str, Array]:
+        """Drives the plan of each channel and returns the log's columns by header name."""
+        period = self.period
         samples = round(period * self.rate)
-        steps = max(1, round(self.duration / period))
-        channels = plans(run, plan_seed, period, steps)
+        steps = len(channels[0].value)
         closed = np.column_stack([p.closed for p in channels])
         value = np.column_stack([p.value for p in channels])
         load: Array = np.column_stack([p.load for p in channels]).round(3)

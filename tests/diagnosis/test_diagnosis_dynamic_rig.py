@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis import diagnose
-from hydro_env.diagnosis.estimation import Estimate, base_unknown, effect_starts, effect_unknowns
+from hydro_env.diagnosis.estimation import base_unknown, effect_starts, effect_unknowns
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import PARTED_SUBSTEP, SUBSTEP, DynamicRig
-from hydro_env.diagnosis.stages.candidates import Candidate
-from hydro_env.diagnosis.stages.naming import NamedEffect
-from hydro_env.diagnosis.stages.next_experiment import next_experiment, simulated
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, load_model
 from hydro_env.practice.generate import make_practice
 from hydro_env.units import RPM
@@ -143,25 +140,3 @@ def test_practice_logs(tmp_path: Path, hidden: list[str], base_error: float, ver
     assert [f"{e.name}:{e.channel}" for e in found.effects] == hidden
     for key, gap in found.as_dict()["gap"]["sealed"].items():
         assert gap["after"] < 1.5 * gap["noise"], key
-
-
-def test_the_next_experiment_is_the_one_in_which_two_models_differ(fit_log: Path) -> None:
-    rig = DynamicRig(load_model("paper"), read_parts([fit_log], None))
-    models = []
-    for name in ("line_loss", "quadratic_drag"):
-        effect = CATALOGUE[name]
-        unknowns = effect_unknowns(effect, {p.name: p.typical or p.nominal for p in effect.parameters})
-        models.append(Estimate(0, unknowns, np.zeros(len(unknowns)), name))
-    found = simulated(rig, 0, *models)
-    assert found[0].distance > 2.0 and found[0].distance >= found[-1].distance
-    # Current and spool know nothing of what happens behind the valve.
-    assert all(s.distance < 1e-6 for s in found if s.signal in ("current", "spool"))
-    assert all(s.distance == 0.0 for s in simulated(rig, 0, models[0], models[0]))
-    trials = [
-        Candidate("line_loss", 0, 1, 9.0, 1.0, "taken", models[0]),
-        Candidate("quadratic_drag", 0, 1, 8.0, 1.0, "near", models[1]),
-    ]
-    named = [NamedEffect("line_loss", (0,), 0.5, ["quadratic_drag"], {})]
-    advice = next_experiment(named, rig, trials)
-    assert advice is not None and advice["separates"] == ["line_loss", "quadratic_drag"]
-    assert "times the noise" in advice["description"] and "; or " in advice["description"]

@@ -261,3 +261,47 @@ def test_bad_commands_leave_nothing_behind(tmp_path):
     with pytest.raises(InputError, match="NUMBER"):
         run(["dead_zone"], tmp_path, values=["dead_zone.overlap_positive=wide"])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_same_rig_plays_commands_from_a_file(tmp_path):
+    table = "time_s,command_1_V,load_1_Nm\n0.0,0,0\n0.5,20.5,0\n1.0,-20.5,0.3\n1.5,0,0\n"
+    (tmp_path / "commands.csv").write_text(table)
+    how = {"duration": 3.0, "seed": 4, "base_error": 0.1}
+    first = make_practice(["dead_zone:1"], runs=("fit_1",), **how)
+    played = make_practice(["dead_zone:1"], play=tmp_path / "commands.csv", **how)
+    assert list(played.logs) == ["played"] and played.truth["logs"] == {"played": ["played.csv"]}
+    for key in ("effects", "base_parameters", "form_constants"):
+        assert played.truth[key] == first.truth[key]
+    log = played.logs["played"]
+    assert (
+        len(log["time_s"]) == 2000
+    )  # each row is held until the next, the last as long as the one before it
+    rows = [0, 499, 500, 999, 1000, 1500]
+    np.testing.assert_array_equal(log["command_1_V"][rows], [0, 0, 20.5, 20.5, -20.5, 0])
+    np.testing.assert_array_equal(log["load_1_Nm"][[999, 1000, 1500]], [0, 0.3, 0])
+    assert not log["command_2_V"].any() and np.abs(log["speed_1_rpm"][800:1000]).mean() > 50.0
+    again = make_practice(["dead_zone:1"], play=tmp_path / "commands.csv", **how)
+    assert _equal(played, again)
+    (tmp_path / "others.csv").write_text(table.replace("20.5", "20.6"))
+    others = make_practice(["dead_zone:1"], play=tmp_path / "others.csv", **how).logs["played"]
+    assert not np.array_equal(log["speed_1_rpm"][:400], others["speed_1_rpm"][:400])  # noise of its own
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time_s,speed_1_rpm\n0,0\n1,0\n", "columns time_s and command_1_V"),
+        ("time_s,command_1_V\n", "with rows below them"),
+        ("time_s,command_1_V\n0,0\n", "at least two rows"),
+        ("time_s,command_1_V\n0,0\n1,x\n", "row 3, column 'command_1_V': 'x' is not a number"),
+        ("time_s,command_1_V\n0,0\n1\n", "row 3, column 'command_1_V': None is not a number"),
+        ("time_s,command_1_V\n0,0\n1,74\n", "row 3: command_1_V is 74; the rated command is 73 V"),
+        ("time_s,command_1_V\n0,0\n1,0\n1,0\n", "row 4: time_s does not rise"),
+        ("time_s,command_1_V\n0,0\n5000,0\n", "3600 s at most"),
+    ],
+)
+def test_commands_that_cannot_be_played_are_refused(tmp_path, text, words):
+    (tmp_path / "commands.csv").write_text(text)
+    with pytest.raises(InputError, match=words) as problem:
+        run(["dead_zone:1"], tmp_path / "out", play=tmp_path / "commands.csv")
+    assert "commands.csv" in str(problem.value) and not (tmp_path / "out").exists()

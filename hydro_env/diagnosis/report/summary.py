@@ -42,7 +42,7 @@ def summary(found: Diagnosis) -> str:
     lines += [f"  shape correction, not physics: {text}" for text in correction_texts(found)]
     lines += [*_errors(found), *tried, known, _hidden(found)]
     if found.state.next_experiment:
-        lines.append(f"  next experiment: {found.state.next_experiment['description']}")
+        lines.append(f"  next experiment: {found.state.next_experiment.description}")
     # What a full screen can spare first: the second place, then what was rejected, then known parameters.
     spare = [known, *tried, *places[1:]]
     while len(lines) > LINES - min(2, len(found.warnings)) and spare:

@@ -1,7 +1,9 @@
-"""Which experiment would separate what the logs cannot: from the catalogue for known pairs, and by simulating both models.
+"""The next experiment: commands for which the models that the logs leave open answer most differently.
 
-`simulated` drives the model with the named effect and the one with a competing one, both as refitted to the logs, through a few
-manoeuvres of a bench, and says in which of them, and in which signal, they differ most in units of that signal's noise.
+Open are the names that are listed as indistinguishable from a named effect; where nothing is confirmed, the candidates that
+explain most of each channel. Each has been refitted to the logs; `experiment_design` finds the commands. What the catalogue
+knows of a pair is said beside it, such as a signal to record. The reduced model of a cylinder axis gets words only: commands
+from a table would drive it to the end of its stroke.
 """
 
 from __future__ import annotations
@@ -12,152 +14,142 @@ from typing import Any
 
 import numpy as np
 
-from ...plant import simulate
 from ...plant.catalogue import separating_experiment
-from ...plant.sensors import NOISE
-from ...waveforms import triangle
 from ..estimation import Estimate
-from ..models.base import UNITS, RigModel
+from ..experiment_design import SECONDS, Design, Question, best_design, commands_csv
 from ..models.dynamic_rig import DynamicRig
 from ..state import State
-from .candidates import ACCEPTED, Candidate
+from .candidates import Candidate
 from .naming import NamedEffect
 
-__all__ = ["MANOEUVRES", "Separation", "next_experiment", "run", "simulated"]
+__all__ = ["FILE", "NextExperiment", "questions", "run"]
 
-#: Rows of the simulated manoeuvres, s, and the difference (RMS in noise units) from which two models count as separated.
-PERIOD, SEPARATED = 1e-3, 2.0
-
-
-def _triangle(seconds: float, cycle: float, size: float) -> np.ndarray:
-    return np.asarray(-size * triangle(np.arange(round(seconds / PERIOD)) * PERIOD / cycle))
-
-
-def _sweep(seconds: float, middle: float, size: float, high: float) -> np.ndarray:
-    t = np.arange(round(seconds / PERIOD)) * PERIOD
-    return np.asarray(middle + size * np.sin(np.pi * high * t * t / seconds))
-
-
-def _steps(levels: Sequence[float], dwell: float) -> np.ndarray:
-    return np.repeat(np.asarray(levels), round(dwell / PERIOD))
-
-
-#: name: (command as a share of the rated one, load torque in N m)
-MANOEUVRES: dict[str, tuple[np.ndarray, float]] = {
-    "a slow triangle of 60 % of the rated command, 10 s a cycle": (_triangle(10.0, 10.0, 0.6), 0.0),
-    "fast triangles of 40 %, 1 s a cycle": (_triangle(6.0, 1.0, 0.4), 0.0),
-    "triangles of 15 %, 4 s a cycle": (_triangle(8.0, 4.0, 0.15), 0.0),
-    "a sine about 35 % with rising frequency, up to 20 Hz": (_sweep(6.0, 0.35, 0.15, 20.0), 0.0),
-    "steps of 20 to 100 % both ways": (_steps([0.2, -0.2, 0.5, -0.5, 0.8, -0.8, 1.0, -1.0, 0.0], 0.6), 0.0),
-    "steps of 40 % both ways under a load of 0.6 N m": (_steps([0.4, -0.4, 0.0, 0.4, -0.4, 0.0], 0.8), 0.6),
-    "a constant 80 % for 20 s": (_steps([0.8], 20.0), 0.0),
-}
+#: The file that the commands are written to, beside diagnosis.json.
+FILE = "next_experiment.csv"
+#: Candidates of a channel that compete where nothing is confirmed, the best by their gain.
+OPEN = 3
+#: The model without any effect: the other one where a single candidate explains something.
+CALIBRATION = "calibration"
+#: Models that differ by less (RMS, in units of what is not known) are not parted by commands alone; a signal that would be
+#: logged besides is named where it parts them better by this factor.
+PARTED, BETTER_BY = 1.0, 3.0
 
 
 @dataclass(frozen=True)
-class Separation:
-    """How far two models are apart: RMS difference of a signal in a manoeuvre, in units of that signal's noise."""
+class NextExperiment:
+    """What to record next: in words, the names that it separates, and the commands, if there are any."""
 
-    manoeuvre: str
-    signal: str
-    distance: float
+    description: str
+    separates: Sequence[str]
+    design: Design | None = None
 
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of diagnosis.json; `distances` between pairs are RMS in units of noise and open parameters."""
+        found: dict[str, Any] = {"description": self.description, "separates": list(self.separates)}
+        if self.design is not None:
+            found["distances"] = {" | ".join(pair): round(d, 2) for pair, d in self.design.apart.items()}
+            found["commands"] = FILE
+        return found
 
-def simulated(rig: DynamicRig, channel: int, first: Estimate, second: Estimate) -> list[Separation]:
-    """All manoeuvres and signals, those that separate the two models best first."""
-    names = {u.name for p in (first, second) for u in p.unknowns}
-    pairs = [rig.model.pair(name) for name in sorted(names)]
-    values = {name: np.array([pair, pair]) for name, pair in zip(sorted(names), pairs, strict=True)}
-    for lane, estimate in enumerate((first, second)):
-        for name, value in estimate.values(channel).items():
-            values[name][lane, channel] = value
-    effects = rig.kernel(first.request().effects | second.request().effects)
-    rated = rig.model.value("u_rated", channel)
-    found = []
-    for manoeuvre, (share, torque) in MANOEUVRES.items():
-        command = np.zeros((share.size, 2))
-        command[:, channel] = share * rated
-        load = np.zeros_like(command)
-        load[:, channel] = torque * np.sign(share)
-        recorded = {
-            "speed": "measured_speed",
-            "current": "current",
-            "pressure": "pressure",
-            "spool": "spool",
-            "mean_line_pressure": "mean_line_pressure",
-        }
-        out = simulate(
-            rig.model, command, load, PERIOD, values=values, num_rigs=2, effects=effects,
-            record=list(recorded.values()), substep=rig.substep,
-        )  # fmt: skip
-        for signal, name in recorded.items():
-            unit, size = UNITS[signal]
-            noise = (NOISE["pressure_bar"] if unit == "bar" else NOISE[f"{signal}_{unit}"]) * size
-            apart = out[name][:, 0, channel] - out[name][:, 1, channel]
-            found.append(Separation(manoeuvre, signal, float(np.sqrt(np.mean(apart**2))) / noise))
-    return sorted(found, key=lambda s: -s.distance)
-
-
-def _by_simulation(
-    rig: RigModel, candidates: Sequence[Candidate], effect: NamedEffect, competing: str
-) -> dict[str, Any] | None:
-    """The manoeuvre that separates an effect from a competing one, from the models that were refitted with each of them."""
-    if not isinstance(rig, DynamicRig) or len(effect.channels) != 1:
-        return None
-    (channel,) = effect.channels
-    tried = [t for t in reversed(candidates) if t.channel == channel and t.estimate is not None]
-    own = next((t for t in tried if t.effect == effect.name and t.outcome == ACCEPTED), None)
-    other = next((t for t in tried if t.effect == competing and (own is None or t.round == own.round)), None)
-    if own is None or other is None or own.estimate is None or other.estimate is None:
-        return None
-    found = simulated(rig, channel, own.estimate, other.estimate)
-    logged = {s for s in UNITS if any(p.log.has(s, channel) for p in rig.parts)}
-    best = next((s for s in found if s.signal in logged), None)
-    if best is None or best.distance < SEPARATED:
-        best = found[0]
-    more = "" if best.signal in logged else f" with the {best.signal} recorded"
-    if best.distance < SEPARATED:
-        text = f"none of {len(MANOEUVRES)} bench manoeuvres would separate them: at most {best.distance:.1f} times the noise"
-        return {
-            "description": text,
-            "separates": sorted((effect.name, competing)),
-            "distance": round(best.distance, 2),
-        }
-    text = f"{best.manoeuvre}{more}: there the two differ by {best.distance:.1f} times the noise of the {best.signal}"
-    return {
-        "description": text,
-        "separates": sorted((effect.name, competing)),
-        "distance": round(best.distance, 1),
-    }
+    def csv(self) -> str | None:
+        """The text of `FILE`; None without commands."""
+        return None if self.design is None else commands_csv(self.design.command_V)
 
 
 def run(state: State) -> State:
-    """Proposes what to record next."""
-    found = next_experiment(state.effects, state.rig, state.selection.candidates)
-    return replace(state, next_experiment=found)
+    """Proposes what to record next, and the commands for it."""
+    asked = questions(state)
+    if not asked or not isinstance(state.rig, DynamicRig):
+        return replace(state, next_experiment=_in_words(state.effects, state))
+    rng = np.random.default_rng([state.settings.seed, 21])
+    design = best_design(state.fit, asked, rng)
+    if design is None:
+        return replace(state, next_experiment=_in_words(state.effects, state))
+    names = sorted({name for question in asked for name in question.models})
+    return replace(state, next_experiment=NextExperiment(_described(design), names, design))
 
 
-def next_experiment(
-    named: Sequence[NamedEffect], rig: RigModel, candidates: Sequence[Candidate]
-) -> dict[str, Any] | None:
-    """The experiment that separates the names that stayed tied, or None."""
-    for effect in named:
-        for other in effect.indistinguishable_from:
-            found = _by_simulation(rig, candidates, effect, other)
-            if found is not None:
-                known = separating_experiment(effect.name, other)
-                return {**found, "description": "; or ".join(filter(None, (found["description"], known)))}
+# --- what is open -----------------------------------------------------------------------------------------------------
+def questions(state: State) -> list[Question]:
+    """What the logs leave open: competing names by channel, each with its estimate."""
+    found = []
+    for channel in (*state.rig.channels, None):
+        models = _tied(state, channel) or _best(state, channel)
+        if len(models) > 1:
+            found.append(Question(channel, models))
+    return found
+
+
+def _tied(state: State, channel: int | None) -> dict[str, Estimate]:
+    """A confirmed effect of a channel and those that it is tied with; of several, the first that is tied with others."""
+    if state.verdict != "effects" or state.best_guess:
+        return {}
+    for effect in state.effects:
+        if channel in (effect.channels or (None,)) and effect.indistinguishable_from:
+            present = state.selection.estimates[state.rig.channels[0] if channel is None else channel]
+            others = {name: _estimate(state, name, channel) for name in effect.indistinguishable_from}
+            return {effect.name: present, **{n: e for n, e in others.items() if e is not None}}
+    return {}
+
+
+def _estimate(state: State, name: str, channel: int | None) -> Estimate | None:
+    """The latest estimate with a candidate."""
+    tried = (
+        t.estimate for t in reversed(state.selection.candidates) if (t.effect, t.channel) == (name, channel)
+    )
+    return next((e for e in tried if e is not None and e.columns), None)
+
+
+def _best(state: State, channel: int | None) -> dict[str, Estimate]:
+    """Where nothing is confirmed: the candidates of a channel that explain most of it."""
+    if state.verdict != "unknown" and not state.best_guess:
+        return {}
+    tried: dict[str, Candidate] = {}
+    for t in state.selection.candidates:
+        if t.channel == channel and t.estimate is not None and t.estimate.columns and t.gain > t.needed:
+            tried[t.effect] = t
+    best = sorted(tried.values(), key=lambda t: t.estimate.cost if t.estimate else np.inf)[:OPEN]
+    found = {t.effect: t.estimate for t in best if t.estimate is not None}
+    if len(found) == 1 and channel is not None and state.calibrated[channel].columns:
+        found[CALIBRATION] = state.calibrated[channel]
+    return found
+
+
+# --- in words ---------------------------------------------------------------------------------------------------------
+def _described(design: Design) -> str:
+    """What the commands will show, and what is to be logged besides for the pair that they part least."""
+    (one, other), least = min(design.apart.items(), key=lambda item: item[1])
+    pair = f"{one.replace('_', ' ')} and {other.replace('_', ' ')}"
+    times = f"{least:.2g} times what is not known"
+    if least >= PARTED:
+        text = (
+            f"play the {SECONDS:g} s of commands in {FILE} and log as before: there {pair} differ by {times}"
+        )
+    else:
+        text = f"commands alone hardly separate {pair} ({FILE}: {times})"
+    by_signal = design.signals[one, other]
+    signal = max(by_signal, key=lambda name: by_signal[name])
+    if by_signal[signal] > max(BETTER_BY * least, PARTED):
+        text += f"; with the {signal.replace('_', ' ')} logged, by {by_signal[signal]:.2g}"
+    known = "" if CALIBRATION in (one, other) else separating_experiment(one, other)
+    return "; or ".join(filter(None, (text, known)))
+
+
+def _in_words(named: Sequence[NamedEffect], state: State) -> NextExperiment | None:
+    """What the catalogue knows of names that stayed tied, or which signals are missing."""
     for effect in named:
         for other in effect.indistinguishable_from:
             if text := separating_experiment(effect.name, other):
-                return {"description": text, "separates": sorted({effect.name, other})}
+                return NextExperiment(text, sorted({effect.name, other}))
     for effect in named:
         if effect.indistinguishable_from:
-            missing = [s for s in ("current", "pressure", "load") if not any(p.log.has(s) for p in rig.parts)]
+            missing = [
+                s for s in ("current", "pressure", "load") if not any(p.log.has(s) for p in state.rig.parts)
+            ]
             text = (
                 f"record {', '.join(missing)} as well"
                 if missing
                 else "slow triangles of three amplitudes, then steps under load"
             )
-            return {"description": text, "separates": [effect.name, *effect.indistinguishable_from]}
+            return NextExperiment(text, [effect.name, *effect.indistinguishable_from])
     return None

@@ -1,0 +1,105 @@
+"""The next experiment: commands that part models, within the limits, as a file that a rig can play."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env.diagnosis import Settings
+from hydro_env.diagnosis.estimation import Estimate, Fit, effect_unknowns
+from hydro_env.diagnosis.estimation.uncertainty import Intervals
+from hydro_env.diagnosis.experiment_design import PERIOD, SECONDS, Question, Trial, best_design, random_design
+from hydro_env.diagnosis.input.parts import read_parts
+from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
+from hydro_env.diagnosis.stages.next_experiment import NextExperiment
+from hydro_env.plant import CATALOGUE, PlantModel, load_model, simulate
+from hydro_env.practice.generate import make_practice
+from hydro_env.practice.played import plans_of
+from hydro_env.units import BAR, RPM
+
+NOISE = {(0, "speed"): RPM, (0, "current"): 0.002, (0, "pressure"): 0.05 * BAR}
+RATED = 73.0
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> DynamicRig:
+    folder = tmp_path_factory.mktemp("practice")
+    make_practice([], duration=3.0, rate=500.0, runs=("fit_1",)).write(folder)
+    return DynamicRig(load_model("paper"), read_parts([folder / "fit_1.csv"], None))
+
+
+def _estimate(fit: Fit, name: str, times: float = 1.0, spread: float = 0.0) -> Estimate:
+    """A model with an effect of so many times its typical size; the logs leave it open by `spread` (in q)."""
+    effect = CATALOGUE[name]
+    values = {p.name: p.nominal + times * ((p.typical or p.nominal) - p.nominal) for p in effect.parameters}
+    unknowns = effect_unknowns(effect, values)
+    found = Estimate(0, unknowns, np.zeros(len(unknowns)), name)
+    draws = np.linspace(-1.0, 1.0, 8)[:, None] * np.full(len(unknowns), spread)
+    found.intervals = Intervals(*(np.zeros(len(unknowns)) for _ in range(3)), draws)
+    # As if it explained the logs.
+    found.simulated = {0: np.concatenate([s.filled for s in fit.rig.segments[0]])}
+    return found
+
+
+def _asked(fit: Fit) -> list[Question]:
+    return [Question(0, {name: _estimate(fit, name) for name in ("spool_stiction", "dead_zone")})]
+
+
+def test_commands_part_two_models_better_than_random_ones(rig: DynamicRig) -> None:
+    fit = Fit(rig, NOISE)
+    asked = _asked(fit)
+    found = best_design(fit, asked, np.random.default_rng(1))
+    assert found is not None and found.least > 1.0
+    others = [random_design(rig.model, fit.settings, np.random.default_rng(n)) for n in range(10)]
+    scores = Trial(fit, asked).scores(np.array([found.command_V, *others]) / RATED)[:, 0]
+    assert scores[0] > scores[1:].max()
+
+
+def test_the_commands_keep_to_the_limits(rig: DynamicRig) -> None:
+    fit = Fit(rig, NOISE, Settings(command_limit=0.5, rate_limit=2.0, pressure_limit=6.0 * BAR))
+    asked = _asked(fit)
+    found = best_design(fit, asked, np.random.default_rng(2))
+    assert found is not None and found.command_V.shape == (round(SECONDS / PERIOD), 2)
+    share = found.command_V / RATED
+    assert np.abs(share).max() <= 0.5 and np.abs(np.diff(share, axis=0)).max() <= 2.0 * PERIOD * (1 + 1e-9)
+    assert share[0].tolist() == [0.0, 0.0] and np.abs(share).max() > 0.1
+    model = _model(rig.model, asked[0].models["dead_zone"])
+    out = simulate(model, found.command_V, np.zeros_like(share), PERIOD, record=["pressure"])
+    assert np.abs(out["pressure"][:, 0, 0]).max() < 6.0 * BAR
+    impossible = replace(fit, settings=Settings(pressure_limit=1.0))
+    assert best_design(impossible, asked, np.random.default_rng(2)) is None
+
+
+def _model(model: PlantModel, estimate: Estimate) -> PlantModel:
+    return model.with_values({n: (v, model.value(n, 1)) for n, v in estimate.values(0).items()})
+
+
+def test_what_a_parameter_would_make_up_for_counts_for_nothing(rig: DynamicRig) -> None:
+    fit = Fit(rig, NOISE)
+    shares = random_design(rig.model, fit.settings, np.random.default_rng(3))[None] / RATED
+
+    def apart(spread: float) -> float:
+        other = _estimate(fit, "quadratic_drag", 1.05)
+        trial = Trial(
+            fit, [Question(0, {"one": _estimate(fit, "quadratic_drag", 1.0, spread), "other": other})]
+        )
+        (answers,), _ = trial.run(shares)
+        return float(answers.apart(trial.logged())["one", "other"][0])
+
+    assert apart(spread=0.3) < 0.02 * apart(spread=0.0)
+
+
+def test_the_commands_are_a_file_that_a_rig_plays(rig: DynamicRig, tmp_path: Path) -> None:
+    fit = Fit(rig, NOISE)
+    found = best_design(fit, _asked(fit), np.random.default_rng(4))
+    assert found is not None
+    text = NextExperiment("", ["dead_zone", "spool_stiction"], found).csv()
+    assert text is not None
+    (tmp_path / "next.csv").write_text(text)
+    plans = plans_of(tmp_path / "next.csv", (RATED, RATED), PERIOD)
+    played = np.column_stack([p.value for p in plans]) * RATED
+    np.testing.assert_allclose(played, found.command_V, rtol=0.0, atol=0.00051)
+    assert not any(p.closed.any() or p.load.any() for p in plans)
