@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from math import isfinite
 
+import numpy as np
+
 from ..jit import compiled
+from ..streams import fill_normal
 from ..units import DEGREE, RPM
 
 __all__ = ["COLUMNS", "SIGNALS", "apply", "look"]
@@ -38,17 +41,16 @@ _TO_DEG = 1.0 / DEGREE
 
 
 @compiled
-def apply(actions, rated, step, last, loads, fraction, moved, command, load):
+def apply(actions, rated, driven, fraction, moved, command, load):
     """Turns actions (N, 2) into commands and loads (N, 2) of the period that begins; False if one is not finite.
 
-    rated (N, 2) in V; step, last (N,): row of the episode, its last row; loads (N, rows, 2) in N m; fraction (N, 2):
-    the command in force, replaced; moved (N,): its mean absolute change.
+    rated (N, 2) in V; driven (N, 4): what is driven, see `look`; fraction (N, 2): the command in force, replaced; moved (N,):
+    its mean absolute change.
     """
     for i in range(actions.shape[0]):
         if not (isfinite(actions[i, 0]) and isfinite(actions[i, 1])):
             return False
     for i in range(actions.shape[0]):
-        row = step[i] if step[i] < last[i] else last[i]
         moved[i] = 0.0
         for c in range(2):
             action = actions[i, c]
@@ -57,66 +59,87 @@ def apply(actions, rated, step, last, loads, fraction, moved, command, load):
             moved[i] += 0.5 * abs(action - fraction[i, c])
             fraction[i, c] = action
             command[i, c] = action * rated[i, c]
-            load[i, c] = loads[i, row, c]
+            load[i, c] = driven[i, 1 + c]
     return True
 
 
 @compiled
+def _drive(rows, step, last, of, starts, levels, place, driven):
+    """`driven` at the instant `step`, see `look`; once an episode is over its last instant stays."""
+    for i in rows:
+        now = step[i]
+        if now > last[i]:
+            continue
+        if now == 0:
+            place[i, 0], place[i, 1] = -1, 0
+        driven[i, 3] = driven[i, 0]
+        if now == place[i, 1]:
+            piece = place[i, 0] + 1
+            for j in range(3):
+                driven[i, j] = levels[of[i], piece, j]
+            place[i, 0], place[i, 1] = piece, starts[of[i], piece + 1]
+        if now == 0:
+            driven[i, 3] = driven[i, 0]
+
+
+def _threaded(function):
+    return compiled(function, nogil=True)
+
+
+@_threaded
 def look(
-    rows, memory, half, where, step, last, setpoint, noise, levels, scales, limit, factor, stuck, held, fraction, moved,
-    rated, weights, observation, true, reward, terminated, truncated,
+    rows, memory, half, where, step, last, of, starts, levels, place, driven, noise, deviation, scales, limit, factor, stuck,
+    held, fraction, moved, rated, weights, observation, true, reward, terminated, truncated,
 ):  # fmt: skip
     """Sensors, reward and true signals of some rows at the instant `step` (N,) of their episodes.
 
-    rows: numbers of the rows. memory, half, where: the plant's memory and the rows of `SIGNALS` in it. setpoint
-    (N, rows) in rad/s; noise (N, rows, 6), standard normal; levels (6,) and scales (9,) of the observation. factor,
-    stuck, held (N, 2): noise factor of the speed sensors, row from which on one is stuck, and what it last showed.
+    rows: numbers of the rows. memory, half, where: the plant's memory and the rows of `SIGNALS` in it. of, starts, levels: see
+    `Courses`; place (N, 2): the piece that is driven, and when the next begins; driven (N, 4): set-point in rad/s, loads in
+    N m from now on, and the set-point that was in force. noise (N, 5): states of the sensors' `Streams`; deviation (6,) and
+    scales (9,) of the observation. factor, stuck, held (N, 2): noise factor of the speed sensors, row from which on one is
+    stuck, and what it last showed.
     The last five are filled: observation (N, n), its last frame alone; true (N, TRUE), reward, terminated, truncated (N,).
 
     Every operation here costs a millisecond or two of the first start, in which all this is compiled.
     """
     newest = observation.shape[1] - scales.shape[0]
+    _drive(rows, step, last, of, starts, levels, place, driven)
+    noisy, normal = deviation.max() > 0.0, np.zeros(6, np.float32)
     for i in rows:
         block = i // half
         lane = i - block * half
         cells = memory[block]
         now, end = step[i], last[i]
-        t = now if now < end else end
-        target = setpoint[i, t]
+        if noisy:
+            fill_normal(noise, i, normal)
+        target = driven[i, 0]
         observation[i, newest] = target / scales[0]
         for j in range(6):
             c = j % 2
-            noisy = noise[i, t, j] * levels[j]
+            error = normal[j] * deviation[j]
             if j < 2:
-                noisy *= factor[i, c]
-            value = cells[where[2 + j // 2], lane + c * half] / scales[1 + j] + noisy
+                error *= factor[i, c]
+            value = cells[where[2 + j // 2], lane + c * half] / scales[1 + j] + error
             if j < 2:
                 if now >= stuck[i, c]:
                     value = held[i, c]
                 held[i, c] = value
             observation[i, newest + 1 + j] = value
-        observation[i, newest + 7] = fraction[i, 0]
-        observation[i, newest + 8] = fraction[i, 1]
+        observation[i, newest + 7], observation[i, newest + 8] = fraction[i, 0], fraction[i, 1]
         for j in range(newest, observation.shape[1]):
             value = observation[i, j] if observation[i, j] < limit else limit
             observation[i, j] = value if value > -limit else -limit
 
         one = cells[where[0], lane] * _TO_RPM
         two = cells[where[0], lane + half] * _TO_RPM
-        aim = setpoint[i, t - 1 if t > 0 else 0] * _TO_RPM  # the set-point that was in force
+        aim = driven[i, 3] * _TO_RPM
         tracking = -weights[0] * 0.5 * (abs(one - aim) + abs(two - aim))
         difference, variation = -weights[1] * abs(one - two), -weights[2] * moved[i]
         lost = cells[where[5], lane] > 0.0 or cells[where[5], lane + half] > 0.0
-        true[i, 0] = one
-        true[i, 1] = two
-        true[i, 2] = target * _TO_RPM
-        true[i, 3] = one - two
-        true[i, 4] = fraction[i, 0] * rated[i, 0]
-        true[i, 5] = fraction[i, 1] * rated[i, 1]
+        true[i, 0], true[i, 1], true[i, 2], true[i, 3] = one, two, target * _TO_RPM, one - two
+        true[i, 4], true[i, 5] = fraction[i, 0] * rated[i, 0], fraction[i, 1] * rated[i, 1]
         true[i, 6] = (cells[where[1], lane] - cells[where[1], lane + half]) * _TO_DEG
-        true[i, 7] = tracking
-        true[i, 8] = difference
-        true[i, 9] = variation
+        true[i, 7], true[i, 8], true[i, 9] = tracking, difference, variation
         true[i, 10] = max(abs(one - two) - COST_BOUND_RPM, 0.0)
         true[i, 11] = moved[i]
         reward[i] = tracking + difference + variation - (weights[3] if lost else 0.0)

@@ -298,6 +298,31 @@ class Plant:
         """`step` without its checks: finite float64 arrays (num_rigs, 2), and `substeps(period)` counted before."""
         self._advance(command_V[None], load_Nm[None], substeps, period / substeps)
 
+    def hold_rigs(self, rigs: slice, command_V: Array, load_Nm: Array, substeps: int, period: float) -> None:
+        """`hold` for a range of rigs, so that threads can share the work: the first one a multiple of `kernel.half`. The period
+        is over when all rigs have been held and `turn` was called."""
+        half, cells = self._kernel.half, self._kernel.num_rows * 2 * self._kernel.half
+        first, last = rigs.start // half, -(-rigs.stop // half)
+        h = period / substeps
+        self._kernel.advance(
+            self._flat[first * cells : last * cells],
+            _room(self._kernel),
+            self._ring[first:last],
+            self._head,
+            command_V[None, rigs],
+            load_Nm[None, rigs],
+            substeps,
+            h,
+            h if self.given_substep is None else 0.0,
+            _NO_RECORD,
+            1,
+            self._empty[:, :, rigs],
+        )
+
+    def turn(self, substeps: int) -> None:
+        """Moves the delay line on by so many substeps, after `hold_rigs`."""
+        self._head = (self._head + substeps) % self._slots
+
     def run(
         self,
         command_V: Array,

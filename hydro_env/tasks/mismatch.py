@@ -28,6 +28,7 @@ from ..errors import InputError, shown, suggestion
 from ..plant import CATALOGUE, Parameter, PlantModel, parameter_of
 from ..plant.model_files import values_set_by
 from ..reading import parse_yaml, read_yaml
+from ..streams import Streams
 
 __all__ = [
     "NAMED_PAIRS",
@@ -154,7 +155,7 @@ class Mismatch:
     def draw(
         self, seeds: Sequence[int], episodes: Sequence[int], cases: Sequence[int], model: PlantModel
     ) -> Pairs:
-        """One pair for each seed and episode, or for each case where that is not negative.
+        """One pair for each seed and episode, or for each case where these are not negative: all are or none.
 
         `model` supplies the healthy values of parameters that only a fault changes. A pair depends on nothing but its
         own seed and episode, or its case.
@@ -164,15 +165,14 @@ class Mismatch:
             still = np.zeros((count, 2))
             fixed = {name: r.scaled(name, r.value(still, {}), model) for name, r in self.ranges.items()}
             return Pairs(fixed, ("",) * count)
-        sources = map(self._seed, seeds, episodes, cases)
-        streams = [np.random.Generator(np.random.PCG64(source)) for source in sources]
+        streams = self._streams(seeds, episodes, cases)
         values = self._draw(streams)
         again = self._inside(values)
         for _ in range(MOST_DRAWS):
             if not again.any():
                 break
             rows = np.flatnonzero(again)
-            for name, redrawn in self._draw([streams[i] for i in rows]).items():
+            for name, redrawn in self._draw(streams, rows).items():
                 values[name][rows] = redrawn
             again[rows] = self._inside({name: value[rows] for name, value in values.items()})
         else:
@@ -184,13 +184,14 @@ class Mismatch:
             return Pairs(values, ("",) * count)
         return self._with_faults(values, streams, cases, model)
 
-    def _seed(self, seed: int, episode: int, case: int) -> np.random.SeedSequence:
-        if case >= 0:
-            return np.random.SeedSequence(self.entropy, spawn_key=(case,))
-        return np.random.SeedSequence([self.entropy, seed], spawn_key=(episode, MISMATCH_STREAM))
+    def _streams(self, seeds: Sequence[int], episodes: Sequence[int], cases: Sequence[int]) -> Streams:
+        entropy = [self.entropy] * len(seeds)
+        if cases[0] >= 0:
+            return Streams.seeded([entropy], [cases])
+        return Streams.seeded([entropy, seeds], [episodes, [MISMATCH_STREAM] * len(seeds)])
 
-    def _draw(self, streams: Sequence[np.random.Generator]) -> dict[str, Floats]:
-        shares = np.array([stream.random((len(self.ranges), 2)) for stream in streams])
+    def _draw(self, streams: Streams, rows: NDArray[np.int64] | slice = slice(None)) -> dict[str, Floats]:
+        shares = streams.random((len(self.ranges), 2), rows)
         values: dict[str, Floats] = {}
         for column, (name, each) in enumerate(self.ranges.items()):
             values[name] = each.value(shares[:, column], values)
@@ -205,16 +206,17 @@ class Mismatch:
     def _with_faults(
         self,
         values: dict[str, Floats],
-        streams: Sequence[np.random.Generator],
+        streams: Streams,
         cases: Sequence[int],
         model: PlantModel,
     ) -> Pairs:
         names = list(self.faults)
         for name in self.parameters:
             if name not in values:
-                values[name] = np.tile(own_values(name, model), (len(streams), 1))
+                values[name] = np.tile(own_values(name, model), (len(cases), 1))
         drawn = []
-        for row, (stream, case) in enumerate(zip(streams, cases, strict=True)):
+        for row, case in enumerate(cases):
+            stream = streams.generator(row)
             number = case if case >= 0 else int(stream.integers(2 * len(names)))
             fault, channel = names[number % len(names)], number // len(names) % 2
             faulty: dict[str, Floats] = {}

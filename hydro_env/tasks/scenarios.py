@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, shown, suggestion
 from ..limits import Limits
+from ..streams import Streams
 from ..units import RPM
 
 __all__ = ["NOMINAL_TORQUE", "SCENARIOS", "Reference", "Scenario", "load_scenario"]
@@ -50,14 +51,17 @@ class Reference:
 class Scenario:
     """`duration` in s and `course(time, stream)` -> set-point (len(time),) in rpm, loads (len(time), 2) in N m.
 
-    A `random` scenario draws its course anew in each episode from `stream`; the others must not use it.
+    A `random` scenario draws its course anew in each episode from `stream`, a NumPy generator; the others must not use it. One
+    that draws many `together` gets `Streams` of n episodes instead and returns set-points (n, len(time)), loads
+    (n, len(time), 2).
     """
 
     name: str
     summary: str
     duration: float
-    course: Callable[[Floats, np.random.Generator | None], tuple[Floats, Floats]]
+    course: Callable[[Floats, Any], tuple[Floats, Floats]]
     random: bool = False
+    together: bool = False
 
     def steps(self, period: float) -> int:
         """Number of control periods in an episode. InputError if not even one fits."""
@@ -69,9 +73,22 @@ class Scenario:
         return steps
 
     def reference(self, period: float, stream: np.random.Generator | None = None) -> Reference:
-        """The course on the grid of a control period in s."""
+        """The course on the grid of a control period in s. `stream` is a generator of PCG64, as NumPy's default is."""
+        if self.together and stream is not None:
+            setpoints, loads = self.courses(period, Streams.of(stream.bit_generator))
+            return Reference(setpoints[0], loads[0])
         setpoint, load = self.course(_grid(self.steps(period), period), stream)
         return Reference(np.asarray(setpoint, dtype=float) * RPM, np.asarray(load, dtype=float))
+
+    def courses(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
+        """Set-points (n, T + 1) in rad/s and loads (n, T + 1, 2) in N m, each row as `reference` with its stream has it; of a
+        scenario that is not random one row for all."""
+        if self.together:
+            setpoint, load = self.course(_grid(self.steps(period), period), streams)
+            return setpoint * RPM, load
+        rows = range(len(streams.states)) if self.random else ()
+        found = [self.reference(period, streams.generator(row)) for row in rows] or [self.reference(period)]
+        return np.stack([each.setpoint for each in found]), np.stack([each.load for each in found])
 
 
 @lru_cache(maxsize=8)
@@ -122,43 +139,56 @@ def _disturbance(time: Floats, stream: np.random.Generator | None) -> tuple[Floa
     return np.where(time < 0.2, 0.0, 400.0), load
 
 
-def _random_steps(time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
-    assert stream is not None
+def _held_together(time: Floats, changes: Floats, values: Floats) -> Floats:
+    """`_held` of n courses: changes and values (n, m) give (n, len(time))."""
+    row = np.arange(len(changes))[:, None]
+    passed = np.zeros((len(changes), time.size + 1), np.int64)
+    np.add.at(passed, (row, time.searchsorted(changes)), 1)
+    padded = np.concatenate([np.zeros((len(values), 1)), values], axis=1)
+    return np.take_along_axis(padded, np.cumsum(passed[:, :-1], axis=1), axis=1)
+
+
+def _random_steps(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
     # A set-point of up to 600 rpm either way every 0.3-2 s, standstill now and then; in two of three episodes each
     # motor has a load of its own that changes every 0.5-2 s.
     most = int(time[-1] / 0.3) + 2
-    gaps, rests, levels = stream.random((3, most))
-    changes = 0.2 * gaps[0] + np.concatenate([[0.0], np.cumsum(0.3 + 1.7 * gaps[1:])])
-    setpoint = _held(time, changes, np.where(rests < 0.1, 0.0, 600.0 * (2.0 * levels - 1.0)))
-    load = np.zeros((time.size, 2))
-    if stream.random() < 2.0 / 3.0:
-        for channel in (0, 1):
-            gaps, levels = stream.random((2, most))
-            load[:, channel] = _held(time, np.cumsum(0.5 + 1.5 * gaps), NOMINAL_TORQUE * (2.0 * levels - 1.0))
+    gaps, rests, levels = np.moveaxis(streams.random((3, most)), 1, 0)
+    first = np.zeros((len(gaps), 1))
+    changes = 0.2 * gaps[:, :1] + np.concatenate([first, np.cumsum(0.3 + 1.7 * gaps[:, 1:], axis=1)], axis=1)
+    setpoint = _held_together(time, changes, np.where(rests < 0.1, 0.0, 600.0 * (2.0 * levels - 1.0)))
+    load = np.zeros((*setpoint.shape, 2))
+    loaded = np.flatnonzero(streams.random(()) < 2.0 / 3.0)
+    for channel in (0, 1):
+        gaps, levels = np.moveaxis(streams.random((2, most), loaded), 1, 0)
+        torque = NOMINAL_TORQUE * (2.0 * levels - 1.0)
+        load[loaded, :, channel] = _held_together(time, np.cumsum(0.5 + 1.5 * gaps, axis=1), torque)
     return setpoint, load
 
 
-def _random_courses(time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
-    assert stream is not None
-    setpoint, load = _random_steps(time, stream)
+def _random_courses(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
+    setpoint, load = _random_steps(time, streams)
     # In every second episode the set-point goes from level to level in ramps: a moving mean over 0.1-1 s.
-    ramps, length = stream.random(2)
-    if ramps < 0.5 and time.size > 1:
-        window = max(1, round((0.1 + 0.9 * length) / (time[1] - time[0])))
-        total = np.concatenate([np.zeros(window), np.cumsum(setpoint)])
-        setpoint = (total[window:] - total[:-window]) / window
+    ramps, length = streams.random(2).T
+    ramped = np.flatnonzero(ramps < 0.5)
+    if time.size > 1:
+        window = np.maximum(1, np.rint((0.1 + 0.9 * length[ramped, None]) / (time[1] - time[0]))).astype(
+            np.int64
+        )
+        total = np.cumsum(setpoint[ramped], axis=1)
+        back = np.arange(time.size) - window
+        before = np.where(back < 0, 0.0, np.take_along_axis(total, np.maximum(back, 0), axis=1))
+        setpoint[ramped] = (total - before) / window
     return setpoint, load
 
 
-def _random_drives(time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
-    assert stream is not None
+def _random_drives(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
     # Up to 0.3 s of rest, then as random_courses, but half of the episodes have no load and a quarter the same on both
     # motors: sudden loads on one motor alone make differences that nothing prevents and that drown all others.
-    setpoint, load = _random_courses(time, stream)
-    rest, kind = stream.random(2)
-    setpoint = np.where(time < 0.3 * rest, 0.0, setpoint)
-    if kind < 0.75:
-        load = np.zeros_like(load) if kind < 0.5 else np.repeat(load[:, :1], 2, axis=1)
+    setpoint, load = _random_courses(time, streams)
+    rest, kind = streams.random(2).T
+    setpoint[time < 0.3 * rest[:, None]] = 0.0
+    load[kind < 0.75, :, 1] = load[kind < 0.75, :, 0]
+    load[kind < 0.5] = 0.0
     return setpoint, load
 
 
@@ -183,12 +213,12 @@ _ALL: tuple[Scenario, ...] = (
     ),
     Scenario("disturbance", "400 rpm; from 1.5 s opposed loads that oscillate at 1.5 Hz", 5.0, _disturbance),
     Scenario(
-        "random_steps", "for training: random set-points, random loads on each motor", 6.0, _random_steps, random=True
+        "random_steps", "for training: random set-points, random loads on each motor", 6.0, _random_steps, True, True
     ),
     Scenario(
-        "random_courses", "random_steps with ramps for steps in every second episode", 6.0, _random_courses, random=True
+        "random_courses", "random_steps with ramps for steps in every second episode", 6.0, _random_courses, True, True
     ),
-    Scenario("random_drives", "random_courses from rest, most without unequal loads", 6.0, _random_drives, random=True),
+    Scenario("random_drives", "random_courses from rest, most without unequal loads", 6.0, _random_drives, True, True),
 )  # fmt: skip
 
 #: The scenarios by name.

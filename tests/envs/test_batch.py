@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 import hydro_env  # noqa: F401 (registers the environment)
 from hydro_env.envs import HydraulicSyncEnv, HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
-from hydro_env.plant import Plant
+from hydro_env.plant import Plant, PlantModel
 
 SHORT = {"duration": 0.12, "setpoint_rpm": [[0.0, 300.0], [0.06, -200.0]], "load_Nm": [[0.03, 0.5, 0.1]]}
 
@@ -256,7 +256,7 @@ def test_wrong_use_is_named():
 def test_a_batch_that_cannot_fit_is_refused_in_a_line(monkeypatch):
     from hydro_env.envs import batch
 
-    monkeypatch.setattr(batch, "machine_memory", lambda: 2e6)
+    monkeypatch.setattr(batch, "machine_memory", lambda: 1e5)
     envs = HydraulicSyncVectorEnv(100)
     with pytest.raises(InputError, match=r"num_envs is 100: episodes of \d+ steps need .* GiB"):
         envs.reset(seed=0)
@@ -268,3 +268,21 @@ def test_a_plant_brings_its_substep():
     plant = Plant("paper_dead_zone", substep=5e-4)
     assert HydraulicSyncVectorEnv(2, plant=plant).plant.given_substep == 5e-4
     assert HydraulicSyncVectorEnv(2, plant=plant.model).plant.given_substep is None
+
+
+@pytest.mark.parametrize(
+    "plant", ["paper_dead_zone", PlantModel(values={"command_delay.delay": (0.004, 0.004)})]
+)
+def test_threads_change_no_bit(plant):
+    def course(threads):
+        envs = HydraulicSyncVectorEnv(75, plant=plant, threads=threads, history=2, max_episode_steps=20)
+        seen = [envs.reset(seed=3)[0]]
+        stream = np.random.default_rng(0)
+        for _ in range(45):
+            observation, reward, *_ = envs.step(stream.uniform(-1.0, 1.0, (75, 2)))
+            seen += [observation, reward]
+        assert copy.deepcopy(envs).threads == threads
+        return seen
+
+    for one, many in zip(course(1), course(3), strict=True):
+        np.testing.assert_array_equal(one, many)

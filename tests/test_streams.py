@@ -1,0 +1,39 @@
+"""Streams of many rows give the numbers of NumPy's own generators."""
+
+import numpy as np
+import pytest
+
+from hydro_env.streams import FEW, Streams, fill_normal
+
+SEEDS = [0, 1, 7, 2**31, 2**32 - 1, 2**32, 2**63, 2**64 - 1]
+
+
+def numpys(seeds, key):
+    return [
+        np.random.Generator(np.random.PCG64(np.random.SeedSequence([5, s], spawn_key=key))) for s in seeds
+    ]
+
+
+def ours(seeds, key):
+    return Streams.seeded([[5] * len(seeds), seeds], [[each] * len(seeds) for each in key])
+
+
+@pytest.mark.parametrize("seeds", [SEEDS, SEEDS[:FEW], [*SEEDS, 2**64, 2**128 - 1]])
+def test_numbers_are_numpys(seeds):
+    streams, generators = ours(seeds, (3, 2)), numpys(seeds, (3, 2))
+    np.testing.assert_array_equal(streams.random((4, 5)), [g.random((4, 5)) for g in generators])
+    rows = np.array([1, 3])
+    np.testing.assert_array_equal(streams.random(3, rows), [generators[i].random(3) for i in rows])
+    for row, generator in enumerate(generators):
+        assert streams.generator(row).random() == generator.random()
+
+
+def test_normal_numbers_are_numpys():
+    streams, generators = ours(SEEDS, (0, 1)), numpys(SEEDS, (0, 1))
+    for row, generator in enumerate(generators):
+        # Enough for the tail beyond the ziggurat, and an odd number of 32-bit words between two calls.
+        for size in (7, 100_000):
+            found = np.empty(size, np.float32)
+            fill_normal(streams.states, row, found)
+            np.testing.assert_array_equal(found, generator.standard_normal(size, dtype=np.float32))
+        assert np.abs(found).max() > 3.66
