@@ -9,8 +9,7 @@ ziggurat method for generating random variables, Journal of Statistical Software
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
-from math import erfc, exp, log, log1p, pi, sqrt
+from math import erfc, exp, log, log1p, pi, prod, sqrt
 from typing import Any
 
 import numpy as np
@@ -60,7 +59,7 @@ class Streams:
             pool = [word for column in words[: len(entropy)] for word in column]
             pool += [np.zeros(rows.size, np.uint32)] * (4 - len(pool))
             pool += [word for column in words[len(entropy) :] for word in column]
-            states[rows, :4] = _start(_generate(_mix(pool)))
+            states[rows] = _start(_generate(_mix(pool)))
         return cls(states)
 
     @classmethod
@@ -91,29 +90,10 @@ class Streams:
     ) -> NDArray[np.float64]:
         """`Generator.random(shape)` of some rows (indices or mask): (rows, *shape). The other rows stay where they are."""
         shape = (shape,) if isinstance(shape, int) else shape
-        if len(self.states) <= FEW:
-            return self._one_by_one(shape, rows)
-        multipliers, sums = _jumps(int(np.prod(shape)))
-        state = self.states[rows]
-        begin = state[:, None, _STATE_HIGH], state[:, None, _STATE_LOW]
-        step = state[:, None, _STEP_HIGH], state[:, None, _STEP_LOW]
-        high, low = _add(_times(begin, multipliers), _times(step, sums))
-        state[:, _STATE_HIGH], state[:, _STATE_LOW] = high[:, -1], low[:, -1]
-        self.states[rows] = state
-        turn = high >> np.uint64(58)
-        mixed = high ^ low
-        bits = mixed >> turn | mixed << (-turn & np.uint64(63))
-        shares = (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
-        return shares.reshape(len(state), *shape)
-
-    def _one_by_one(self, shape: tuple[int, ...], rows: NDArray[Any] | slice) -> NDArray[np.float64]:
         chosen = np.arange(len(self.states))[rows]
-        found = np.empty((len(chosen), *shape))
-        for place, row in enumerate(chosen.tolist()):
-            stream = self.generator(row)
-            found[place] = stream.random(shape)
-            self.states[row] = Streams.of(stream.bit_generator).states[0]
-        return found
+        shares = np.empty((chosen.size, prod(shape)))
+        _fill_uniform(self.states, chosen, shares)
+        return shares.reshape(chosen.size, *shape)
 
 
 # --- seeds --------------------------------------------------------------------------------------------------------
@@ -161,43 +141,53 @@ def _generate(pool: list[Words]) -> Integers:
 
 
 def _start(seed: Integers) -> Integers:
-    """States and increments (N, 4) of PCG64 seeded with (N, 4)."""
-    step_high, step_low = (
-        seed[:, 2] << np.uint64(1) | seed[:, 3] >> np.uint64(63),
-        seed[:, 3] << np.uint64(1) | np.uint64(1),
-    )
-    multiplier = np.uint64(_HIGH), np.uint64(_LOW)
-    begin = _add((step_high, step_low), (seed[:, 0], seed[:, 1]))
-    high, low = _add(_times(begin, multiplier), (step_high, step_low))
-    return np.stack([high, low, step_high, step_low], axis=1)
+    """States (N, 5) of PCG64 seeded with (N, 4): the first two as the state, the others as the increment."""
+    states = np.zeros((len(seed), 5), np.uint64)
+    states[:, _STEP_HIGH] = seed[:, 2] << np.uint64(1) | seed[:, 3] >> np.uint64(63)
+    states[:, _STEP_LOW] = seed[:, 3] << np.uint64(1) | np.uint64(1)
+    states[:, _STATE_LOW] = states[:, _STEP_LOW] + seed[:, 1]
+    carried = states[:, _STATE_LOW] < seed[:, 1]
+    states[:, _STATE_HIGH] = states[:, _STEP_HIGH] + seed[:, 0] + carried
+    Streams(states).random(())
+    return states
 
 
-# --- arithmetic of 128 bits in halves -----------------------------------------------------------------------------
-def _times(one: tuple[Any, Any], other: tuple[Any, Any]) -> tuple[Integers, Integers]:
-    (high, low), (by_high, by_low) = one, other
-    a, b, c, d = low >> _HALF, low & _WORD, by_low >> _HALF, by_low & _WORD
-    lower = a * d + (b * d >> _HALF)
-    upper = b * c + (lower & _WORD)
-    carried = a * c + (lower >> _HALF) + (upper >> _HALF)
-    return carried + high * by_low + low * by_high, low * by_low
+# --- uniform numbers ----------------------------------------------------------------------------------------------
+@compiled
+def _word_of_64(states, i):
+    """The next 64 bits of a stream."""
+    word, half = np.uint64(0xFFFFFFFF), np.uint64(32)
+    high, low = states[i, _STATE_HIGH], states[i, _STATE_LOW]
+    by_high, by_low = np.uint64(_HIGH), np.uint64(_LOW)
+    a, b, c, d = low >> half, low & word, by_low >> half, by_low & word
+    lower = a * d + (b * d >> half)
+    upper = b * c + (lower & word)
+    high = a * c + (lower >> half) + (upper >> half) + high * by_low + low * by_high + states[i, _STEP_HIGH]
+    low = low * by_low + states[i, _STEP_LOW]
+    high += np.uint64(1) if low < states[i, _STEP_LOW] else np.uint64(0)
+    states[i, _STATE_HIGH], states[i, _STATE_LOW] = high, low
+    turn, mixed = high >> np.uint64(58), high ^ low
+    return mixed >> turn | mixed << (-turn & np.uint64(63))
 
 
-def _add(one: tuple[Any, Any], other: tuple[Any, Any]) -> tuple[Integers, Integers]:
-    low = one[1] + other[1]
-    return one[0] + other[0] + (low < one[1]), low
+@compiled
+def _bits(states, i):
+    """The next 32 bits of a stream: PCG64 gives twice as many at a time."""
+    left = states[i, _LEFT]
+    if left >> np.uint64(32):
+        states[i, _LEFT] = np.uint64(0)
+        return left & np.uint64(0xFFFFFFFF)
+    both = _word_of_64(states, i)
+    states[i, _LEFT] = np.uint64(1) << np.uint64(32) | both >> np.uint64(32)
+    return both & np.uint64(0xFFFFFFFF)
 
 
-@lru_cache(maxsize=64)
-def _jumps(count: int) -> tuple[tuple[Integers, Integers], tuple[Integers, Integers]]:
-    """What 1 ... `count` steps multiply a state and the increment by, in halves."""
-    multiplier, factor, total = _HIGH << 64 | _LOW, 1, 0
-    found = []
-    for _ in range(count):
-        total = (total * multiplier + 1) % 2**128
-        factor = factor * multiplier % 2**128
-        found.append((factor >> 64, factor % 2**64, total >> 64, total % 2**64))
-    table = np.array(found, np.uint64).reshape(-1, 4)
-    return (table[:, 0], table[:, 1]), (table[:, 2], table[:, 3])
+@compiled
+def _fill_uniform(states, rows, out):
+    """Fills row k of `out` with `Generator.random()` of stream rows[k]."""
+    for k in range(rows.size):
+        for place in range(out.shape[1]):
+            out[k, place] = np.float64(_word_of_64(states, rows[k]) >> np.uint64(11)) * 2.0**-53
 
 
 # --- normal numbers -----------------------------------------------------------------------------------------------
@@ -224,29 +214,6 @@ def _strips() -> tuple[NDArray[np.float32], Words, NDArray[np.float32]]:
 
 _WIDTHS, _INSIDE, _HEIGHTS = _strips()
 _TAIL_32, _INVERSE_TAIL_32 = np.float32(_TAIL), np.float32(1.0 / _TAIL)
-
-
-@compiled
-def _bits(states, i):
-    """The next 32 bits of a stream: PCG64 gives twice as many at a time."""
-    left = states[i, 4]
-    if left >> np.uint64(32):
-        states[i, 4] = np.uint64(0)
-        return left & np.uint64(0xFFFFFFFF)
-    word, half = np.uint64(0xFFFFFFFF), np.uint64(32)
-    high, low = states[i, 0], states[i, 1]
-    by_high, by_low = np.uint64(_HIGH), np.uint64(_LOW)
-    a, b, c, d = low >> half, low & word, by_low >> half, by_low & word
-    lower = a * d + (b * d >> half)
-    upper = b * c + (lower & word)
-    high = a * c + (lower >> half) + (upper >> half) + high * by_low + low * by_high + states[i, 2]
-    low = low * by_low + states[i, 3]
-    high += np.uint64(1) if low < states[i, 3] else np.uint64(0)
-    states[i, 0], states[i, 1] = high, low
-    turn, mixed = high >> np.uint64(58), high ^ low
-    mixed = mixed >> turn | mixed << (-turn & np.uint64(63))
-    states[i, 4] = np.uint64(1) << half | mixed >> half
-    return mixed & word
 
 
 @compiled

@@ -197,7 +197,8 @@ class Plant:
         index = np.arange(self.num_rigs)
         if rows is not None:
             index = index[np.asarray(rows)].reshape(-1)
-        pair = np.broadcast_to(np.asarray(values, dtype=np.float64), (index.size, 2))
+        pair = np.empty((index.size, 2))
+        pair[:] = values
         if name in self._delays and pair.max(initial=0.0) > self._longest_delay:
             raise InputError(
                 f"{name} is {pair.max():g} s, the delay line of this plant holds {self._longest_delay:g} s"

@@ -141,7 +141,8 @@ class Mismatch:
     @property
     def effects(self) -> tuple[str, ...]:
         """Effects of the plant that these parameters need."""
-        return tuple(n for n in CATALOGUE if any(p.startswith(f"{n}.") for p in self.parameters))
+        named = {name.partition(".")[0] for name in self.parameters}
+        return tuple(name for name in CATALOGUE if name in named)
 
     @property
     def random(self) -> bool:

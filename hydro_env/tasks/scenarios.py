@@ -140,26 +140,26 @@ def _disturbance(time: Floats, stream: np.random.Generator | None) -> tuple[Floa
 
 
 def _held_together(time: Floats, changes: Floats, values: Floats) -> Floats:
-    """`_held` of n courses: changes and values (n, m) give (n, len(time))."""
-    row = np.arange(len(changes))[:, None]
-    passed = np.zeros((len(changes), time.size + 1), np.int64)
-    np.add.at(passed, (row, time.searchsorted(changes)), 1)
-    padded = np.concatenate([np.zeros((len(values), 1)), values], axis=1)
-    return np.take_along_axis(padded, np.cumsum(passed[:, :-1], axis=1), axis=1)
+    """`_held` of n courses: changes, in their order, and values (n, m) give (n, len(time))."""
+    count, most = values.shape
+    edges, padded = np.zeros((count, most + 2), np.int64), np.zeros((count, most + 1))
+    edges[:, 1:-1], edges[:, -1] = time.searchsorted(changes), time.size
+    padded[:, 1:] = values
+    return np.repeat(padded.ravel(), (edges[:, 1:] - edges[:, :-1]).ravel()).reshape(count, time.size)
 
 
 def _random_steps(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
     # A set-point of up to 600 rpm either way every 0.3-2 s, standstill now and then; in two of three episodes each
     # motor has a load of its own that changes every 0.5-2 s.
     most = int(time[-1] / 0.3) + 2
-    gaps, rests, levels = np.moveaxis(streams.random((3, most)), 1, 0)
+    gaps, rests, levels = streams.random((3, most)).swapaxes(0, 1)
     first = np.zeros((len(gaps), 1))
     changes = 0.2 * gaps[:, :1] + np.concatenate([first, np.cumsum(0.3 + 1.7 * gaps[:, 1:], axis=1)], axis=1)
     setpoint = _held_together(time, changes, np.where(rests < 0.1, 0.0, 600.0 * (2.0 * levels - 1.0)))
     load = np.zeros((*setpoint.shape, 2))
     loaded = np.flatnonzero(streams.random(()) < 2.0 / 3.0)
     for channel in (0, 1):
-        gaps, levels = np.moveaxis(streams.random((2, most), loaded), 1, 0)
+        gaps, levels = streams.random((2, most), loaded).swapaxes(0, 1)
         torque = NOMINAL_TORQUE * (2.0 * levels - 1.0)
         load[loaded, :, channel] = _held_together(time, np.cumsum(0.5 + 1.5 * gaps, axis=1), torque)
     return setpoint, load
