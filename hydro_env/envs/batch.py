@@ -536,7 +536,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             observation[rows, :-FRAME] = self._frames[rows, FRAME:]
             observation[begun, :-FRAME] = np.tile(observation[begun, -FRAME:], self.history - 1)
         if rows is self._all:
-            np.copyto(self._frames, observation)
+            self._frames[:] = observation
         else:
             self._frames[rows] = observation[rows]
         if self._recorder is not None:
