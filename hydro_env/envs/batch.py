@@ -347,12 +347,13 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._parts, self._pool = self._split(), None
 
     def _split(self) -> list[slice]:
-        """The ranges of rows that threads step, whole blocks of the kernel; none for one thread."""
+        """The ranges of rows that threads step, whole blocks of the kernel; none where one thread steps them all."""
         if self.threads == 1 or type(self.plant) is not Plant:
             return []
         blocks = -(-self.num_envs // self._half)
         edges = [min(self.num_envs, blocks * k // self.threads * self._half) for k in range(self.threads + 1)]
-        return [slice(low, high) for low, high in pairwise(edges) if high > low]
+        parts = [slice(low, high) for low, high in pairwise(edges) if high > low]
+        return parts if len(parts) > 1 else []
 
     def _next(
         self, rows: NDArray[np.int64], seed: int | Sequence[int | None] | None = None
