@@ -64,6 +64,10 @@ def measure(num_envs: int, threads: int, seconds: float) -> dict[str, float]:
     }
 
 
+def _digits(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100.0 else f"{value:.2g}"
+
+
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """The figures as a table in Markdown."""
     lines = [
@@ -72,8 +76,8 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     ]
     for row in rows:
         cells = [
-            f"{row['num_envs']:,}", f"{row['threads']}", f"{row['env_steps_per_s']:,.0f}", f"{1e3 * row['step_s']:.3g}",
-            f"{1e3 * row['step_processor_s']:.3g}", f"{row['reset_s']:.2g}",
+            f"{row['num_envs']:,}", f"{row['threads']}", f"{row['env_steps_per_s']:,.0f}", _digits(1e3 * row["step_s"]),
+            _digits(1e3 * row["step_processor_s"]), _digits(row["reset_s"]),
             f"{row['memory_bytes_per_env']:,.0f}" if row["num_envs"] >= 10_000 else "",
         ]  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
