@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .jit import compiled
 
-__all__ = ["Streams", "fill_normal"]
+__all__ = ["Streams", "normal"]
 
 Words = NDArray[np.uint32]
 Integers = NDArray[np.uint64]
@@ -222,27 +222,26 @@ def _share(states, i):
 
 
 @compiled
-def fill_normal(states, i, out):
-    """Fills `out` with `Generator.standard_normal(dtype=float32)` of stream i."""
-    for place in range(out.size):
-        found = False
-        while not found:
-            bits = _bits(states, i)
-            strip, size = np.int64(bits & np.uint64(255)), np.uint32(bits >> np.uint64(9))
-            value, found = np.float32(size) * _WIDTHS[strip], True
-            if size >= _INSIDE[strip]:
-                if strip == 0:
-                    while True:
-                        beyond = -_INVERSE_TAIL_32 * np.float32(log1p(-_share(states, i)))
-                        depth = -np.float32(log1p(-_share(states, i)))
-                        if depth + depth > beyond * beyond:
-                            break
-                    value = _TAIL_32 + beyond
-                    if not size >> np.uint32(8) & np.uint32(1):
-                        bits &= ~np.uint64(256)
-                    else:
-                        bits |= np.uint64(256)
+def normal(states, i):
+    """The next `Generator.standard_normal(dtype=float32)` of stream i."""
+    while True:
+        bits = _bits(states, i)
+        strip, size = np.int64(bits & np.uint64(255)), np.uint32(bits >> np.uint64(9))
+        value, found = np.float32(size) * _WIDTHS[strip], True
+        if size >= _INSIDE[strip]:
+            if strip == 0:
+                while True:
+                    beyond = -_INVERSE_TAIL_32 * np.float32(log1p(-_share(states, i)))
+                    depth = -np.float32(log1p(-_share(states, i)))
+                    if depth + depth > beyond * beyond:
+                        break
+                value = _TAIL_32 + beyond
+                if not size >> np.uint32(8) & np.uint32(1):
+                    bits &= ~np.uint64(256)
                 else:
-                    step = _HEIGHTS[strip - 1] - _HEIGHTS[strip]
-                    found = step * _share(states, i) + _HEIGHTS[strip] < exp(-0.5 * value * value)
-            out[place] = -value if bits & np.uint64(256) else value
+                    bits |= np.uint64(256)
+            else:
+                step = _HEIGHTS[strip - 1] - _HEIGHTS[strip]
+                found = step * _share(states, i) + _HEIGHTS[strip] < exp(-0.5 * value * value)
+        if found:
+            return -value if bits & np.uint64(256) else value

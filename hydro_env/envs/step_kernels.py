@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from math import isfinite
 
-import numpy as np
-
 from ..jit import compiled
-from ..streams import fill_normal
+from ..streams import normal
 from ..units import DEGREE, RPM
 
 __all__ = ["COLUMNS", "SIGNALS", "apply", "look"]
@@ -104,19 +102,19 @@ def look(
     """
     newest = observation.shape[1] - scales.shape[0]
     _drive(rows, step, last, of, starts, levels, place, driven)
-    noisy, normal = deviation.max() > 0.0, np.zeros(6, np.float32)
+    noisy = False
+    for j in range(6):
+        noisy |= deviation[j] > 0.0
     for i in rows:
         block = i // half
         lane = i - block * half
         cells = memory[block]
         now, end = step[i], last[i]
-        if noisy:
-            fill_normal(noise, i, normal)
         target = driven[i, 0]
         observation[i, newest] = target / scales[0]
         for j in range(6):
             c = j % 2
-            error = normal[j] * deviation[j]
+            error = normal(noise, i) * deviation[j] if noisy else 0.0
             if j < 2:
                 error *= factor[i, c]
             value = cells[where[2 + j // 2], lane + c * half] / scales[1 + j] + error
