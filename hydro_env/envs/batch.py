@@ -33,7 +33,7 @@ from .made_spec import made_spec
 from .observation import ERRORS, FRAME, LIMIT, SCALES, noise_levels, with_errors
 from .render import Recorder
 from .reward import Reward, load_reward
-from .step_kernels import COLUMNS, SIGNALS, TRUE, apply, look
+from .step_kernels import COLUMNS, SIGNALS, TRUE, apply, drive, look
 
 __all__ = ["HydraulicSyncVectorEnv", "Result"]
 
@@ -521,12 +521,12 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._show(rows, result)
 
     def _sense(self, rows: NDArray[np.int64], result: Result) -> None:
-        courses = self._courses
+        c = self._courses
+        drive(rows, self._step, self._last, c.of, c.starts, c.levels, self._place, self._driven)
         look(
-            rows, self.plant.memory, self._half, self._where, self._step, self._last, courses.of, courses.starts,
-            courses.levels, self._place, self._driven, self._noise, self._levels, SCALES, LIMIT,
-            self._sensor["speed_sensor.noise_factor"], self._stuck, self._held, self._fraction, self._moved, self._rated,
-            self._weights, *result,
+            rows, self.plant.memory, self._half, self._where, self._step, self._last, self._driven, self._noise, self._levels,
+            SCALES, LIMIT, self._sensor["speed_sensor.noise_factor"], self._stuck, self._held, self._fraction, self._moved,
+            self._rated, self._weights, *result,
         )  # fmt: skip
 
     def _show(self, rows: NDArray[np.int64], result: Result) -> None:

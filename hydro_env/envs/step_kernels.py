@@ -1,6 +1,6 @@
 """The compiled part of a step around the plant: commands in; sensors, reward and true signals out.
 
-Both functions work row by row on arrays of any number of rigs, with the same arithmetic in the same order for each,
+The functions work row by row on arrays of any number of rigs, with the same arithmetic in the same order for each,
 so that a row of a batch is bit for bit the same as that row alone.
 """
 
@@ -12,7 +12,7 @@ from ..jit import compiled
 from ..streams import normal
 from ..units import DEGREE, RPM
 
-__all__ = ["COLUMNS", "SIGNALS", "apply", "look"]
+__all__ = ["COLUMNS", "SIGNALS", "apply", "drive", "look"]
 
 #: Signals of the plant's memory that `look` reads, in the order of its argument `where`.
 SIGNALS = ("speed", "angle", "measured_speed", "current", "pressure", "diverged")
@@ -42,7 +42,7 @@ _TO_DEG = 1.0 / DEGREE
 def apply(actions, rated, driven, fraction, moved, command, load):
     """Turns actions (N, 2) into commands and loads (N, 2) of the period that begins; False if one is not finite.
 
-    rated (N, 2) in V; driven (N, 4): what is driven, see `look`; fraction (N, 2): the command in force, replaced; moved (N,):
+    rated (N, 2) in V; driven (N, 4): see `drive`; fraction (N, 2): the command in force, replaced; moved (N,):
     its mean absolute change.
     """
     for i in range(actions.shape[0]):
@@ -61,9 +61,17 @@ def apply(actions, rated, driven, fraction, moved, command, load):
     return True
 
 
-@compiled
-def _drive(rows, step, last, of, starts, levels, place, driven):
-    """`driven` at the instant `step`, see `look`; once an episode is over its last instant stays."""
+def _threaded(function):
+    return compiled(function, nogil=True)
+
+
+@_threaded
+def drive(rows, step, last, of, starts, levels, place, driven):
+    """What is driven by some rows at the instant `step` (N,) of their episodes; once one is over its last instant stays.
+
+    of, starts, levels: see `Courses`; place (N, 2): the piece that is driven, and when the next begins. Filled is driven (N, 4):
+    set-point in rad/s, loads in N m from now on, and the set-point that was in force.
+    """
     for i in rows:
         now = step[i]
         if now > last[i]:
@@ -80,28 +88,21 @@ def _drive(rows, step, last, of, starts, levels, place, driven):
             driven[i, 3] = driven[i, 0]
 
 
-def _threaded(function):
-    return compiled(function, nogil=True)
-
-
 @_threaded
 def look(
-    rows, memory, half, where, step, last, of, starts, levels, place, driven, noise, deviation, scales, limit, factor, stuck,
-    held, fraction, moved, rated, weights, observation, true, reward, terminated, truncated,
+    rows, memory, half, where, step, last, driven, noise, deviation, scales, limit, factor, stuck, held, fraction, moved, rated,
+    weights, observation, true, reward, terminated, truncated,
 ):  # fmt: skip
     """Sensors, reward and true signals of some rows at the instant `step` (N,) of their episodes.
 
-    rows: numbers of the rows. memory, half, where: the plant's memory and the rows of `SIGNALS` in it. of, starts, levels: see
-    `Courses`; place (N, 2): the piece that is driven, and when the next begins; driven (N, 4): set-point in rad/s, loads in
-    N m from now on, and the set-point that was in force. noise (N, 5): states of the sensors' `Streams`; deviation (6,) and
-    scales (9,) of the observation. factor, stuck, held (N, 2): noise factor of the speed sensors, row from which on one is
-    stuck, and what it last showed.
+    rows: numbers of the rows. memory, half, where: the plant's memory and the rows of `SIGNALS` in it. driven (N, 4): see
+    `drive`. noise (N, 5): states of the sensors' `Streams`; deviation (6,) and scales (9,) of the observation. factor, stuck,
+    held (N, 2): noise factor of the speed sensors, row from which on one is stuck, and what it last showed.
     The last five are filled: observation (N, n), its last frame alone; true (N, TRUE), reward, terminated, truncated (N,).
 
     Every operation here costs a millisecond or two of the first start, in which all this is compiled.
     """
     newest = observation.shape[1] - scales.shape[0]
-    _drive(rows, step, last, of, starts, levels, place, driven)
     noisy = False
     for j in range(6):
         noisy |= deviation[j] > 0.0
