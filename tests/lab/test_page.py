@@ -147,7 +147,8 @@ def test_a_log_that_cannot_be_written_is_said_and_the_rig_runs_on(tmp_path: Path
     async def steps(user: User) -> None:
         user.find("Record a log, from rest").click()
         await until(lab, lambda seen: (seen.session.recorded or 0.0) > 0.1)
-        user.find("Record").click()
+        await user.should_see("Stop recording", retries=100)
+        user.find("Stop recording").click()
         await until(lab, lambda seen: "was not written" in seen.refused)
         time = lab.worker.seen.session.time
         await until(lab, lambda seen: seen.session.time > time)
