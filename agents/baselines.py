@@ -23,7 +23,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from agents.command import run_command
+from hydro_env.errors import run_command
 from hydro_env.files import write_bytes, write_json
 from hydro_env.limits import CORES, Limits
 from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json

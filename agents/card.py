@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 from hydro_env.benchmark.statistics import cvar, iqm
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, run_command
 from hydro_env.limits import Limits
 from hydro_env.training.evaluate import METRICS
-
-from .command import run_command
 
 __all__ = ["ROWS", "card_rows", "interval"]
 

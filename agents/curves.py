@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from agents.command import run_command
 from agents.recurrent.settings import read_settings
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, run_command
 from hydro_env.files import write_bytes
 from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json, read_yaml
 from hydro_env.training.config import read_config

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from agents.command import run_command
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, run_command
 from hydro_env.limits import SEEDS, Limits
 from hydro_env.reading import read_yaml
 from hydro_env.training.config import ENV_ID, read_config

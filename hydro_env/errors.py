@@ -1,13 +1,14 @@
-"""The one error that users' input can cause, and what it says of a name that nobody knows."""
+"""The one error that users' input can cause, what it says of a name that nobody knows, and how a command ends by it."""
 
 from __future__ import annotations
 
+import sys
 import traceback
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from pathlib import Path
 
-__all__ = ["InputError", "InputWarning", "nearest", "place_of", "shown", "suggestion"]
+__all__ = ["InputError", "InputWarning", "nearest", "place_of", "run_command", "shown", "suggestion"]
 
 #: Similarity (`difflib.SequenceMatcher.ratio`) from which on a name counts as a misspelling of another.
 SIMILAR = 0.5
@@ -77,3 +78,19 @@ def suggestion(word: object, known: Iterable[str]) -> str:
     names = list(known)
     near = nearest(word, names)
     return f"did you mean {near!r}?" if near else f"known are {', '.join(names)}"
+
+
+def run_command(work: Callable[[], None]) -> None:
+    """Runs what a command of `python -m` does: bad input or a full disk end it with one line and status 2, Ctrl-C with 130."""
+    try:
+        work()
+    except InputError as problem:
+        print(f"error: {problem}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except OSError as problem:
+        where = f"{problem.filename}: " if problem.filename else ""
+        print(f"error: {where}{problem.strerror or problem}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on with what is not finished", file=sys.stderr)
+        raise SystemExit(130) from None

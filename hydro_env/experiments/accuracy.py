@@ -19,7 +19,6 @@ import csv
 import io
 import itertools
 import math
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, run_command
 from hydro_env.files import write_text
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Parameter, Plant, PlantModel, load_model
 from hydro_env.practice.reference import simulate_reference
@@ -252,7 +251,7 @@ def table(results: Sequence[Result]) -> str:
     return out.getvalue()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--ends", action="store_true")
@@ -260,7 +259,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=2.0)
     parser.add_argument("--sample", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(options.seed)
     cases, refused = drawn(options.models, rng)
@@ -289,8 +288,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 result.reference = against_reference(result.case, share)
         write_text(options.out / "accuracy.csv", table(results))
         print(f"{kind}:\n{summary(results, made, refused)}", flush=True)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_command(main)

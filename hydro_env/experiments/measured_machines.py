@@ -14,14 +14,13 @@ measured_machines.png.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ..diagnosis import Diagnosis, diagnose
-from ..errors import InputError
+from ..errors import InputError, run_command
 from ..files import write_json, write_text
 from ..pages import COLOURS, RC, png
 from ..valve_bench import Columns
@@ -208,8 +207,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+    run_command(main)

@@ -30,7 +30,7 @@ import numpy as np
 
 from ..diagnosis import Diagnosis, Settings, diagnose
 from ..diagnosis.experiment_design import SECONDS, commands_csv, random_design
-from ..errors import InputError
+from ..errors import run_command
 from ..files import write_json, write_text
 from ..limits import CORES, SEEDS, Limits
 from ..plant import BUILT_IN, CATALOGUE
@@ -199,8 +199,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+    run_command(main)

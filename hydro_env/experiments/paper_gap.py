@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from hydro_env.errors import run_command
 from hydro_env.experiments.paper_calibration import PUBLISHED_STEPS_RPM
 from hydro_env.experiments.paper_rig import SETPOINT_STEPS, Traces, equal_again_after, run_paper
 from hydro_env.experiments.reproduce import EQUAL_WITHIN_RPM
@@ -209,7 +210,12 @@ def run(out: Path) -> list[Answer]:
     return answers
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="What could the paper's tables lack?")
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="paper_gap", description="What could the paper's tables lack?")
     parser.add_argument("--out", type=Path, required=True)
-    print(table(run(parser.parse_args().out)))
+    given = parser.parse_args()
+    print(table(run(given.out)))
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -21,6 +21,7 @@ import numpy as np
 from tqdm import tqdm
 
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
+from hydro_env.errors import run_command
 from hydro_env.experiments.speed import LIMIT, commands
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, RC, png
@@ -106,17 +107,17 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         png(made, path)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--most", type=int, default=1_000_000)
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--seconds", type=float, default=2.0)
     parser.add_argument("--only", type=int, help="prints the figures of this one size, as JSON")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     if options.only:
         print(json.dumps(measure(options.only, options.threads[0], options.seconds)))
-        return 0
+        return
     if options.out is None:
         parser.error("--out: a folder is needed")
     options.out.mkdir(parents=True, exist_ok=True)
@@ -132,8 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     write_text(options.out / "scaling.md", table(rows))
     draw(rows, options.out / "scaling.png")
     print(table(rows), end="")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_command(main)

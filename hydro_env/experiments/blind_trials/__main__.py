@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 from pathlib import Path
 
 from ...diagnosis import RULES
-from ...errors import InputError
+from ...errors import run_command
 from ...limits import CORES, SEEDS, Limits
 from .ablation import ablation_table, folder_without, write_ablation
 from .cases import EMPTY, GROUPS, Case, cases
@@ -100,8 +99,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+    run_command(main)
