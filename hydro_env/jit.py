@@ -45,9 +45,15 @@ MOST_BYTES = 1 << 30
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 
-def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
-    """The function in machine code; `options` are those of `numba.njit`."""
-    dispatcher = njit(**_OPTIONS, **options)(function)
+def compiled(
+    function: Callable[..., Any], *, nogil: bool = False, allocates: bool = True
+) -> Callable[..., Any]:
+    """The function in machine code.
+
+    `nogil`: other threads run meanwhile. `allocates`: false for a function that makes no arrays; it compiles in less time, as
+    none are counted.
+    """
+    dispatcher = njit(nogil=nogil, _nrt=allocates, **_OPTIONS)(function)
     dispatcher._cache = _Cache(function)
     return dispatcher
 

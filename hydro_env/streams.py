@@ -152,8 +152,12 @@ def _start(seed: Integers) -> Integers:
     return states
 
 
+def _without_arrays(function: Any) -> Any:
+    return compiled(function, allocates=False)
+
+
 # --- uniform numbers ----------------------------------------------------------------------------------------------
-@compiled
+@_without_arrays
 def _word_of_64(states, i):
     """The next 64 bits of a stream."""
     word, half = np.uint64(0xFFFFFFFF), np.uint64(32)
@@ -170,7 +174,7 @@ def _word_of_64(states, i):
     return mixed >> turn | mixed << (-turn & np.uint64(63))
 
 
-@compiled
+@_without_arrays
 def _bits(states, i):
     """The next 32 bits of a stream: PCG64 gives twice as many at a time."""
     left = states[i, _LEFT]
@@ -182,7 +186,7 @@ def _bits(states, i):
     return both & np.uint64(0xFFFFFFFF)
 
 
-@compiled
+@_without_arrays
 def _fill_uniform(states, rows, out):
     """Fills row k of `out` with `Generator.random()` of stream rows[k]."""
     for k in range(rows.size):
@@ -216,12 +220,12 @@ _WIDTHS, _INSIDE, _HEIGHTS = _strips()
 _TAIL_32, _INVERSE_TAIL_32 = np.float32(_TAIL), np.float32(1.0 / _TAIL)
 
 
-@compiled
+@_without_arrays
 def _share(states, i):
     return np.float32(_bits(states, i) >> np.uint64(8)) * np.float32(2.0**-24)
 
 
-@compiled
+@_without_arrays
 def normal(states, i):
     """The next `Generator.standard_normal(dtype=float32)` of stream i."""
     while True:

@@ -38,7 +38,11 @@ _TO_RPM = 1.0 / RPM
 _TO_DEG = 1.0 / DEGREE
 
 
-@compiled
+def _threaded(function):
+    return compiled(function, nogil=True, allocates=False)
+
+
+@_threaded
 def apply(actions, rated, driven, fraction, moved, command, load):
     """Turns actions (N, 2) into commands and loads (N, 2) of the period that begins; False if one is not finite.
 
@@ -59,10 +63,6 @@ def apply(actions, rated, driven, fraction, moved, command, load):
             command[i, c] = action * rated[i, c]
             load[i, c] = driven[i, 1 + c]
     return True
-
-
-def _threaded(function):
-    return compiled(function, nogil=True)
 
 
 @_threaded
@@ -139,7 +139,8 @@ def look(
         true[i, 4], true[i, 5] = fraction[i, 0] * rated[i, 0], fraction[i, 1] * rated[i, 1]
         true[i, 6] = (cells[where[1], lane] - cells[where[1], lane + half]) * _TO_DEG
         true[i, 7], true[i, 8], true[i, 9] = tracking, difference, variation
-        true[i, 10] = max(abs(one - two) - COST_BOUND_RPM, 0.0)
+        beyond = abs(one - two) - COST_BOUND_RPM
+        true[i, 10] = beyond if beyond > 0.0 else 0.0
         true[i, 11] = moved[i]
         reward[i] = tracking + difference + variation - (weights[3] if lost else 0.0)
         terminated[i] = lost

@@ -57,7 +57,9 @@ def sweep(typing: Any, address: Any, cells: Any, h: Any) -> Any:
 
 
 def _nogil(function: Any) -> Any:
-    return compiled(function, nogil=True)  # threads may step plants of their own side by side
+    return compiled(
+        function, nogil=True, allocates=False
+    )  # threads may step plants of their own side by side
 
 
 @_nogil
@@ -106,17 +108,17 @@ def advance(  # type: ignore[no-untyped-def]
                 for r in range(record.size):
                     for channel in range(2):
                         first = record[r] * lanes + channel * half
-                        for lane in range(min(half, rigs - b * half)):
+                        for lane in range(half if half < rigs - b * half else rigs - b * half):
                             out[r, t // every, b * half + lane, channel] = cells[first + lane]
             for channel in range(2):
                 first = channel * half
                 for lane in range(half):
-                    rig = min(b * half + lane, rigs - 1)
+                    rig = b * half + lane if b * half + lane < rigs else rigs - 1
                     cells[at[COMMAND] * lanes + first + lane] = commands[
-                        t, min(rig, commands.shape[1] - 1), channel
+                        t, rig if rig < commands.shape[1] else 0, channel
                     ]
                     cells[at[LOAD] * lanes + first + lane] = loads[
-                        min(t, loads.shape[0] - 1), min(rig, loads.shape[1] - 1), channel
+                        t if t < loads.shape[0] else 0, rig if rig < loads.shape[1] else 0, channel
                     ]
             sweep(at[LIMIT], cells, substeps)
             # Each lane goes through its substeps at its own pace, whole or in parts; it waits for the others at the next row.
