@@ -1,7 +1,7 @@
 """Learning curves of runs over steps and wall time: `python -m agents.curves runs/ppo --out runs/ppo/curves.png`.
 
-Reads each run's `curve.json`; a folder of `agents.sweep` stands for all its seeds. Beside the picture a JSON file of the same
-name holds the points.
+Reads each run's `curve.json`; a folder of `agents.sweep` stands for all its seeds. Curves over more than two decades are drawn
+over logarithms. Beside the picture a JSON file of the same name holds the points.
 """
 
 from __future__ import annotations
@@ -80,6 +80,11 @@ def draw(curves: list[dict[str, Any]], levels: dict[str, float], out: Path) -> N
         axes[0, 1].axhline(level, color="0.5", lw=1, ls="--", label=text)
     for axis in axes[0]:
         axis.legend(fontsize=8)
+    steps = [point["steps"] for _, points in named for point in points]
+    if max(steps) > 100 * min(steps):
+        for axis in axes[0]:
+            axis.set_xscale("log")
+            axis.set_yscale("log")
     axes[0, 0].set_ylabel("largest difference, rpm")
     axes[1, 0].set_ylabel("tracking error, rpm")
     axes[1, 0].set_xlabel("million control periods")

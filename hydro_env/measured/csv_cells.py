@@ -1,15 +1,13 @@
 """Rows of a CSV file as columns of numbers: a fast reader for plain numbers and a careful one for everything else.
 
 The careful reader understands every spelling that a log may have and names the row and column of what it does not. The
-fast one (pyarrow, where it is installed) takes blocks in which every row is complete and every cell is a plain number or
-plainly missing, and refuses all others. What it takes the careful one reads as the same numbers, so it changes the time
-only.
+fast one (NumPy's) takes blocks in which every row is complete and every cell that is wanted is a plain number or empty, and
+refuses all others. What it takes the careful one reads as the same numbers, so it changes the time only.
 """
 
 from __future__ import annotations
 
 import csv
-import importlib
 import io
 import math
 import re
@@ -17,7 +15,6 @@ from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +29,6 @@ __all__ = ["MISSING", "SI_SUFFIX", "Cells", "Dialect", "is_number", "is_value", 
 SI_SUFFIX = {"n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 #: Cells that say that nothing was measured, in lower case.
 MISSING = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "#n/a"})
-_MISSING_SPELLINGS = sorted(
-    {spell(word) for word in MISSING for spell in (str, str.upper, str.title)} | {"NaN"}
-)
 _HOURS = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
 
 
@@ -80,38 +74,37 @@ class Cells:
         return self.careful(text, start)
 
     def fast(self, text: str) -> list[np.ndarray] | None:
-        """The columns of a block of complete rows of plain or missing numbers, None of any other block."""
-        library = _pyarrow()
-        # One column cannot be told from empty lines, and a quoted cell may hold a delimiter or the end of a line. A delimiter
-        # is one byte there.
-        plain = self.dialect.delimiter.isascii() and '"' not in text
-        if library is None or self.dialect.width < 2 or not self.places or not plain:
+        """The columns of a block of complete rows of plain numbers and empty cells, None of any other block."""
+        delimiter, width = self.dialect.delimiter, self.dialect.width
+        # One column cannot be told from empty lines, and a quoted cell may hold a delimiter or the end of a line.
+        if width < 2 or not self.places or '"' in text or (self.decimal_comma and "." in text):
             return None
-        named = [str(place) for place in range(self.dialect.width)]
-        wanted = [named[place] for place in self.places]
+        if self.decimal_comma:
+            text = text.replace(",", ".")
+        rows = text.count("\n") + (not text.endswith("\n"))
+        if text.count(delimiter) != rows * (width - 1):
+            return None
+        block = self._numbers(text)
+        if block is None:
+            filled = _with_nan(text, delimiter)
+            block = self._numbers(filled) if len(filled) > len(text) else None
+            if block is not None and np.isnan(block).all(axis=1).any():  # perhaps a row of delimiters only
+                return None
+        return None if block is None or len(block) != rows else list(np.ascontiguousarray(block.T))
+
+    def _numbers(self, text: str) -> np.ndarray | None:
+        """The wanted columns (rows, columns) of rows of at least `width` cells, None where a wanted cell is no plain number."""
+        last = self.dialect.width - 1  # it is read in any case, so that no row is shorter
+        unwanted = last not in self.places
+        places = [*self.places, last] if unwanted else self.places
         try:
-            table = library.csv.read_csv(
-                library.BufferReader(text.encode()),
-                library.csv.ReadOptions(column_names=named, use_threads=False),
-                library.csv.ParseOptions(
-                    delimiter=self.dialect.delimiter, quote_char=False, ignore_empty_lines=False
-                ),
-                library.csv.ConvertOptions(
-                    column_types=dict.fromkeys(wanted, library.float64()), include_columns=wanted,
-                    decimal_point="," if self.decimal_comma else ".", null_values=_MISSING_SPELLINGS,
-                ),
+            block = np.loadtxt(
+                io.StringIO(text, newline=""), delimiter=self.dialect.delimiter, comments=None, usecols=places,
+                converters={last: _no_number} if unwanted else None, ndmin=2,
             )  # fmt: skip
-        except library.ArrowException:
+        except ValueError:
             return None
-        if all(column.null_count for column in table.columns):  # perhaps a row of delimiters only
-            return None
-        columns = [column.to_numpy() for column in table.columns]
-        # Spellings of NaN that the careful reader does not know, such as nan(1).
-        odd = any(
-            np.count_nonzero(np.isnan(values)) > column.null_count
-            for values, column in zip(columns, table.columns, strict=True)
-        )
-        return None if odd else columns
+        return block[:, : len(self.places)]
 
     def careful(self, text: str, start: int) -> tuple[list[np.ndarray], np.ndarray]:
         """The columns of any block cell by cell, and the numbers of its lines without the empty ones."""
@@ -204,14 +197,18 @@ class Cells:
         return "write a number, or leave the cell empty where nothing was measured"
 
 
-@cache
-def _pyarrow() -> Any:
-    """The library with its reader of CSV, or None where it is not installed."""
-    try:
-        importlib.import_module("pyarrow.csv")
-    except ImportError:
-        return None
-    return importlib.import_module("pyarrow")
+def _no_number(cell: str) -> float:
+    return 0.0
+
+
+def _with_nan(text: str, delimiter: str) -> str:
+    """The text with `nan` in its empty cells."""
+    for _ in range(2):  # of three delimiters in a row, the first two make one match
+        text = text.replace(delimiter + delimiter, f"{delimiter}nan{delimiter}")
+    for end in ("\n", "\r\n"):
+        text = text.replace(delimiter + end, f"{delimiter}nan{end}")
+    text = text.replace("\n" + delimiter, f"\nnan{delimiter}")
+    return ("nan" if text.startswith(delimiter) else "") + text + ("nan" if text.endswith(delimiter) else "")
 
 
 def seconds(text: str) -> float | None:
