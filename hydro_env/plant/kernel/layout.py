@@ -87,7 +87,8 @@ class Layout:
 
     def load(self, names: Iterable[str], text: str) -> list[str]:
         """Statements that load those of the names that a text uses."""
-        return [f"{name} = {self.cell(name)}" for name in names if uses(name, text)]
+        used = {*re.findall(r"\w+", text)}
+        return [f"{name} = {self.cell(name)}" for name in names if name in used]
 
 
 def parameters_of(effects: Iterable[Effect]) -> tuple[str, ...]:
