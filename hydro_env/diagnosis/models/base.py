@@ -63,6 +63,11 @@ class Segment:
     period: float
     place: slice = field(default_factory=lambda: slice(0, 0))
 
+    @property
+    def step(self) -> int:
+        """Rows of the log from one sample to the next."""
+        return int(self.rows[1] - self.rows[0]) if self.rows.size > 1 else 1
+
     @cached_property
     def used(self) -> np.ndarray:
         """Which rows count (n,)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from math import gcd
 from typing import Any
 
 import numpy as np
@@ -19,11 +20,11 @@ __all__ = ["DynamicRig"]
 #: Longest substep of the fit and of the proof, s. With 200 us the speeds are off by less than 0.2 rpm; from 300 us on a spool
 #: that meets its end stop may be lost.
 SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
-#: The fit's substep where an effect has every substep taken in parts (of 20 to 50 us then), s.
-PARTED_SUBSTEP = 500e-6
-#: Rigs that go through the kernel together: as many as fill a vector register in single precision, or half of it where lanes
-#: would be idle.
-BLOCKS = (4, 8)
+#: Times as long a substep where an effect has every one taken in parts (of 25 to 50 us in the fit then).
+PARTED_LONGER = 2.5
+#: Rigs that go through the kernel together. A substep takes as long for 4 as for 8, and a third longer for 16: instructions wait
+#: for each other's results, not for room in the registers.
+BLOCKS = (8, 16)
 #: Numbers of the fit and of the proof. Single precision moves a speed by a tenth of what the fit's substep does.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: Base parameters that calibration may adjust. V is left out (never separated from beta), u_rated and x_max are settings.
@@ -84,7 +85,7 @@ class DynamicRig:
         self.notes: list[str] = []
         self.own: dict[str, Parameter] = {}
         library = {*self.candidates(), *without}
-        self._light = {n for n, e in CATALOGUE.items() if n in library and e.is_cheap}
+        self._light = frozenset(n for n, e in CATALOGUE.items() if n in library and e.is_cheap)
 
     def with_parts(self, parts: list[Part], every_row: bool) -> DynamicRig:
         return DynamicRig(
@@ -182,15 +183,14 @@ class DynamicRig:
     def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
         """The effects to compile in; what is neutral changes no bit, but costs time.
 
-        So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for these
-        and each heavy one. Long refits are many of few effects: there is one kernel for these and all corrections of their
-        form."""
-        if not effects:
-            return ()
+        So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for each
+        heavy one, and one for it and all light ones. Long refits are many of few effects: there is one kernel for these and
+        all corrections of their form."""
         if self._of_few(effects):
             forms = {name for effect in effects for name in CORRECTIONS.get(effect, {})}
             return tuple(n for n in CATALOGUE if n in effects or n in forms)
-        return tuple(n for n in CATALOGUE if n in effects or n in self._light)
+        shared = self._light if effects & self._light else frozenset()
+        return tuple(n for n in CATALOGUE if n in effects or n in shared)
 
     def _of_few(self, effects: Collection[str]) -> bool:
         return self.own_kernels or any(CATALOGUE[n].family == FAMILY for n in effects)
@@ -199,10 +199,10 @@ class DynamicRig:
         """The substep of a request, which does not depend on what is simulated beside it."""
         parted = (
             not (self.coupled and request.channel is not None)
-            and self.substep == SUBSTEP
+            and self.period >= PARTED_LONGER * self.substep
             and any(_all_parted(CATALOGUE[e], request) for e in request.effects)
         )
-        return PARTED_SUBSTEP if parted and self.period >= PARTED_SUBSTEP else self.substep
+        return PARTED_LONGER * self.substep if parted else self.substep
 
     def close(self) -> None:
         """Ends the threads, if there are any."""
@@ -244,12 +244,11 @@ class DynamicRig:
                 for name, value in request.values.items():
                     values[name][lane, own] = value
                 shown += [(lane, c if self._whole(request) else side, n, c) for c in self._seen(request)]
-        out = self._simulate(batch, values, plays)
+        every, out = self._simulate(batch, values, plays)
         for lane, side, n, channel in shown:
             for segment in self.segments[channel]:
                 if segment.log == batch.lanes[lane][0]:
-                    signal = out[_RECORDED[segment.signal]]
-                    simulated = signal[segment.rows, lane, side]
+                    simulated = out[_RECORDED[segment.signal]][lane, side, segment.rows // every]
                     results[n][channel][segment.place] = segment.levelled(simulated)
         if self.progress is not None:
             self.progress(len({n for lane, _, n, _ in shown if batch.lanes[lane][0] == 0}))
@@ -259,23 +258,28 @@ class DynamicRig:
 
     def _simulate(
         self, batch: _Batch, values: dict[str, np.ndarray], plays: np.ndarray
-    ) -> dict[str, np.ndarray]:
-        """`plays` (lanes, 2): the channel whose command and load each side has."""
+    ) -> tuple[int, dict[str, np.ndarray]]:
+        """`plays` (lanes, 2): the channel whose command and load each side has. Returns each how many-th row is there, and by
+        signal (lanes, 2, rows)."""
         lanes = [(log, *sides) for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True)]
         alike = lanes[:1] if len(set(lanes)) == 1 else lanes
         longest = max(len(self.parts[log].log) for log, *_ in lanes)
         command, load = np.zeros((2, longest, len(alike), 2))  # a lane whose log has ended is at rest
-        for lane, (log, *sides) in enumerate(alike):
+        for one in set(alike):
+            (log, *sides), same = one, [lane for lane, other in enumerate(alike) if other == one]
             given = self.parts[log].log
-            command[: len(given), lane] = np.nan_to_num(given.command_V)[:, sides]
+            command[: len(given), same] = np.nan_to_num(given.command_V)[:, None, sides]
             if given.load is not None:
-                load[: len(given), lane] = np.nan_to_num(given.load)[:, sides]
+                load[: len(given), same] = np.nan_to_num(given.load)[:, None, sides]
+        logs = {log for log, *_ in lanes}
+        every = gcd(*(s.step for own in self.segments.values() for s in own if s.log in logs)) or 1
         with np.errstate(all="ignore"):
-            return simulate(
+            found = simulate(
                 self.model, command, load, batch.period, values=values, num_rigs=len(lanes),
                 effects=batch.effects, record=[_RECORDED[s] for s in self.signals], substep=batch.step, dtype=self.dtype,
-                block=batch.block,
+                block=batch.block, every=every,
             )  # fmt: skip
+        return every, {name: np.ascontiguousarray(x.transpose(1, 2, 0)) for name, x in found.items()}
 
 
 def _pieces(count: int, jobs: int) -> Iterator[tuple[int, int, int]]:

@@ -113,10 +113,10 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     solve(fit, [r.estimate for r in best], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS)
     accepted = [c for c in channels if _accept_best(search, c, [r for r in best if r.channel == c], number)]
     # The winners are refitted as far as they go: what is left afterwards decides on further effects. So are the placebos.
-    winners = [search.present[c] for c in accepted]
-    solve(fit, winners + [search.placebo[c] for c in accepted if number == 1], SETTLE_ITERATIONS)
+    winners, long = [search.present[c] for c in accepted], fit.on(fit.rig.for_long_refits())
+    solve(long, winners + [search.placebo[c] for c in accepted if number == 1], SETTLE_ITERATIONS)
     if fit.rig.has_hidden_states:
-        solve(fit, grow_horizon(fit, winners), SETTLE_ITERATIONS)
+        solve(long, grow_horizon(long, winners), SETTLE_ITERATIONS)
     return accepted
 
 

@@ -14,7 +14,7 @@ def run(state: State) -> State:
     An estimate that stops a little early is far from the truth in what the logs know by ratios only, measured by its interval.
     What is far from the noise is left as it is: something is missing there, and its minimum is not where the truth is.
     """
-    fine = state.fit.on(state.fine)
+    fine = state.fit.on(state.fine.for_long_refits())
     every = {id(p): p for p in state.shown.values()}.values()
     settle(fine, [p for p in every if p.simulated and not far_from_noise(fine, p)])
     return state
