@@ -250,7 +250,8 @@ def _most_pressure(model: PlantModel, channel: int, limits: Settings) -> float:
     if limits.pressure_limit is not None:
         return limits.pressure_limit
     return min(
-        model.value(f"{e}.supply_pressure", channel) for e in ("pressure_dependent_flow", "external_leakage")
+        model.value(f"{e}.supply_pressure", channel)
+        for e in ("pressure_dependent_flow", "external_leakage", "anti_cavitation")
     )
 
 

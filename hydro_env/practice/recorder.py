@@ -27,6 +27,8 @@ __all__ = ["CATALOGUE_FORMS", "CONTROL_PERIOD", "RECORDABLE", "SENSORS", "Record
 Array = NDArray[np.float64]
 
 CONTROL_PERIOD = 0.01  # s
+#: Pressure above the tank's that no oil falls below, Pa.
+_VACUUM = -101325.0
 #: Forms of a rig that the compiled plant plays, with the laws of the catalogue.
 CATALOGUE_FORMS = "catalogue"
 #: What may be recorded besides time, command and speed.
@@ -94,9 +96,9 @@ class _CatalogueRig:
 
 
 def _with_lines(signals: dict[str, Array], level: Array) -> dict[str, Array]:
-    """The signals with the pressures of both lines above the tank's, Pa; none is below it."""
+    """The signals with the pressures of both lines above the tank's, Pa; none is below vacuum."""
     mean, half = level + signals["mean_line_pressure"], 0.5 * signals["pressure"]
-    lines = {"pressure_a": np.maximum(mean + half, 0.0), "pressure_b": np.maximum(mean - half, 0.0)}
+    lines = {"pressure_a": np.maximum(mean + half, _VACUUM), "pressure_b": np.maximum(mean - half, _VACUUM)}
     return signals | lines
 
 
@@ -186,7 +188,9 @@ class Recorder:
     def _level(self) -> Array:
         """What the simulator's mean line pressure is above, (2,) in Pa: half the supply's where the model has none."""
         without = np.isinf(self.true.pair("pressure_dependent_flow.supply_pressure"))
-        return np.where(without, 0.5 * np.array(self.true.pair("external_leakage.supply_pressure")), 0.0)
+        leaks = np.array(self.true.pair("external_leakage.conductance")) != 0.0
+        supplies = (self.true.pair(f"{e}.supply_pressure") for e in ("external_leakage", "anti_cavitation"))
+        return np.where(without, 0.5 * np.where(leaks, *supplies), 0.0)
 
     def _drive(
         self, value: Array, closed: NDArray[np.bool_], load: Array, speed_error: Array, period: float, samples: int

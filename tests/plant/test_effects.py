@@ -400,7 +400,7 @@ def test_a_leak_takes_flow_from_its_own_line(rigs: Callable[..., Plant]) -> None
         plant.reset()
         hold(plant, sign * 60.0, 0.5 * sign)
         missing = (plant.flow - plant.get("D") * plant.speed - plant.get("Km") * plant.pressure)[:3, 0]
-        mean = plant.get("external_leakage__mean_pressure")[:2, 0]
+        mean = plant.get("lines__mean_pressure")[:2, 0]
         a, b = (0.5 * (supply * (1.0 + mean) + way * plant.pressure[:2, 0]) for way in (1.0, -1.0))
         assert missing[0] == pytest.approx(0.5 * leak * a[0], rel=1e-4)  # half of what leaves either line
         assert missing[1] == pytest.approx(-0.5 * leak * b[1], rel=1e-4)
@@ -408,8 +408,55 @@ def test_a_leak_takes_flow_from_its_own_line(rigs: Callable[..., Plant]) -> None
         assert missing[2] == pytest.approx(0.0, abs=1e-12)
     # At closed valves both lines drain, and nothing leaks any more.
     plant = hold(rigs(**values), 0.0, 0.0, 5.0)
-    assert plant.get("external_leakage__mean_pressure")[0, 0] == pytest.approx(-1.0, abs=1e-3)
+    assert plant.get("lines__mean_pressure")[0, 0] == pytest.approx(-1.0, abs=1e-3)
     assert abs(plant.speed[0, 0]) < 0.1
+
+
+@defines("anti_cavitation")
+def test_check_valves_fill_the_line_that_a_driven_motor_empties(rigs: Callable[..., Plant]) -> None:
+    """An overrunning load turns the motor at a closed valve, from rest."""
+    supply, slope, opens = 20e5, 1e-10, [-0.3e5, 4e5, 0.0, -0.3e5]
+    values = {
+        "anti_cavitation__conductance": [slope, slope, 0.0, slope],
+        "anti_cavitation__supply_pressure": [supply, supply, supply, 100e5],
+        "anti_cavitation__opening_pressure": opens,
+    }
+    volume = 4.0 * 1e-4 / 12670e5  # m3/Pa of both lines
+    for sign in (1.0, -1.0):
+        plant = rigs(**values)
+        load = np.tile([sign * 6.0, 0.0], (6000, 1))
+        rows = plant.run(np.zeros((6000, 2)), load, 2e-4, ("pressure", "speed", "lines__mean_pressure"))
+        pressure, speed, off = (rows[name][:, :4, 0] for name in rows)
+        # Without the valves, and with valves that stay closed, nothing of a bit is different.
+        for signal in (pressure, speed):
+            np.testing.assert_array_equal(signal[:, 2], signal[:, 3])
+        assert not off[:, 2:].any() and 0.5 * (supply - np.abs(pressure[:, 2])).min() < -5e5
+        # In the end they have filled the lines till the drained one is where they close; not all at once.
+        mean = 0.5 * supply * (1.0 + off[:, :2])
+        drained = mean - 0.5 * np.abs(pressure[:, :2])
+        assert drained[-1] == pytest.approx(opens[:2], abs=0.02e5)
+        assert (drained.min(axis=0) < np.array(opens[:2]) - 0.05e5).all()
+        # What both lines hold more is what came through the valves.
+        drawn = np.sum(slope * np.maximum(opens[:2] - drained, 0.0), axis=0) * 2e-4
+        assert volume * (mean[-1] - 0.5 * supply) == pytest.approx(drawn, rel=0.02)
+
+
+def test_a_leak_and_check_valves_have_the_lines_in_common(rigs: Callable[..., Plant]) -> None:
+    """Under a lasting overrunning load at a closed valve they draw what leaks from the line that is pressed."""
+    leak, slope, supply = 2e-11, 1e-9, 50e5
+    values = {
+        "external_leakage__conductance": [leak, 0.0, 0.0],
+        "external_leakage__supply_pressure": [supply, 90e5, 120e5],
+        "anti_cavitation__conductance": slope,
+        "anti_cavitation__supply_pressure": [70e5, supply, supply],
+    }
+    plant = hold(rigs(**values, Km=1e-10), 0.0, 12.0, 3.0)
+    pressure, mean = plant.pressure[:3, 0], 0.5 * supply * (1.0 + plant.get("lines__mean_pressure")[:3, 0])
+    high, low = mean + 0.5 * np.abs(pressure), mean - 0.5 * np.abs(pressure)
+    assert leak * high[0] == pytest.approx(slope * (-0.3e5 - low[0]), rel=1e-3)
+    # The supply pressure is that of the first effect that acts: without a leak, that of the check valves.
+    assert low[1] == pytest.approx(-0.3e5, rel=1e-3) and mean[1] > 1.2 * 0.5 * supply
+    assert (pressure[1], mean[1]) == (pressure[2], mean[2])
 
 
 @defines("line_volume")

@@ -29,6 +29,7 @@ from hydro_env.plant.kernel.integrator import METHOD
 from hydro_env.plant.model import SUBSTEP
 from hydro_env.plant.plant import SIGNALS
 from hydro_env.plant.rhs import rates
+from tests import golden
 from tests.plant.test_plant_accuracy import _strong
 
 PERIOD = 0.01
@@ -166,8 +167,7 @@ def crowd(substep: float, names: list[str], **base: float) -> Plant:
     plant.set_values(base)
     for row, name in enumerate(names):
         if name in CATALOGUE:
-            typical = {p.name: p.typical for p in CATALOGUE[name].parameters}
-            plant.set_values({f"{name}.{own}": value for own, value in typical.items()}, rows=[row])
+            plant.set_values(golden.typical(name), rows=[row])
         elif name != "base":
             plant.set_values(load_model(name).values, rows=[row])
     plant.reset()
@@ -335,7 +335,7 @@ def test_every_parameter_of_every_effect_is_seen_in_some_signal(name: str, every
         [45 * np.sin(2 * np.pi * 0.8 * time), 73 * np.sin(2 * np.pi * 0.5 * time) + 9], axis=1
     )
     loads = np.stack([2.5 * np.sign(np.sin(7 * time)), 0.3 * np.sin(3 * time)], axis=1)
-    typical = {f"{name}.{p.name}": p.typical for p in effect.parameters}
+    typical = golden.typical(name)
     if effect.family == FAMILY:  # a correction is seen beside an effect that it corrects
         corrected = next(each for each, corrections in CORRECTIONS.items() if name in corrections)
         typical |= {f"{corrected}.{p.name}": p.typical for p in CATALOGUE[corrected].parameters}

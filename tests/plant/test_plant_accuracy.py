@@ -11,6 +11,7 @@ from hydro_env.errors import InputError
 from hydro_env.experiments.accuracy import COMMANDS, commands, compare, drawn, ends_of_base, ends_of_effects
 from hydro_env.plant import BUILT_IN, CATALOGUE, Plant, load_model, simulate
 from hydro_env.practice.reference import run_closed_loop, simulate_reference
+from tests.golden import SHAPES
 from tests.practice.test_reference import PaperPID
 
 RPM = math.pi / 30
@@ -77,7 +78,7 @@ def _strong(effect):
         else:
             value = p.high if typical > p.nominal else p.low
         values[f"{effect.name}.{p.name}"] = value
-    return values
+    return values | {key: value for key, value in SHAPES.items() if key in values}
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +108,33 @@ def test_each_effect_at_its_strongest(name, strongest):
     row = BUILT_IN.index(name)
     error = max(np.abs(kernel[signal][:, row] - truth[signal]).max() for signal in kernel) / RPM
     assert error < 0.1
+
+
+#: Lines that quick stops and overrunning loads empty, at little supply pressure.
+EMPTIED = {
+    "typical": {"anti_cavitation.conductance": 1e-9},
+    "strong, boosted, small lines": {
+        "anti_cavitation.conductance": 3e-9, "anti_cavitation.opening_pressure": 5e5, "V": 2e-5,
+    },
+    "with a leak": {
+        "anti_cavitation.conductance": 3e-9, "external_leakage.conductance": 1e-10,
+        "external_leakage.supply_pressure": 50e5,
+    },
+    "tight motor, large inertia": {
+        "anti_cavitation.conductance": 3e-9, "pressure_dependent_flow.supply_pressure": 20e5, "Km": 5e-12, "J": 0.01,
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EMPTIED)
+def test_check_valves_fill_emptied_lines(name):
+    rng = np.random.default_rng(7)
+    stops = 73.0 * np.where(rng.random((20, 2)) < 0.5, 0.0, rng.choice([-1.0, 1.0], (20, 2)))
+    command, load = np.repeat(stops, 10, axis=0), np.repeat(rng.uniform(-5.0, 5.0, (20, 2)), 10, axis=0)
+    model = load_model("paper").with_values({"anti_cavitation.supply_pressure": 20e5, **EMPTIED[name]})
+    without = simulate(model.without("anti_cavitation"), command, load, 0.002)["speed"]
+    assert np.abs(simulate(model, command, load, 0.002)["speed"] - without).max() > RPM
+    assert _error_rpm(model, command, load, 0.002) < 0.1
 
 
 #: What a whole substep of 125 us does not resolve, and a spool without dry friction.

@@ -10,6 +10,7 @@ import pytest
 from hydro_env.errors import InputError
 from hydro_env.plant import BUILT_IN, CATALOGUE, load_model
 from hydro_env.practice.reference import REFERENCE_SIGNALS, ReferenceRig, run_closed_loop, simulate_reference
+from tests.golden import typical
 
 RPM = math.pi / 30
 
@@ -144,9 +145,7 @@ def test_supply_couples_the_channels():
 
 
 def _severe(effect):
-    values = {}
-    for p in effect.parameters:
-        values[f"{effect.name}.{p.name}"] = p.typical
+    values = typical(effect.name)
     if effect.name in ("coil_heating", "viscosity_drift"):
         values[f"{effect.name}.time_constant"] = 3.0
     return values

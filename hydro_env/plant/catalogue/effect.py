@@ -13,6 +13,9 @@ and the functions of `vector_math`.
 A *state* is memory of an effect: a rate (law of the same kind) and, where it is fast, its decay rate -d(rate)/d(state),
 which the implicit integrator then uses. Several states may share their laws, each with arguments of its own (`given`).
 
+Several effects may have laws and states in common (`Effect.shares`), as a leak and a check valve have the mean pressure of
+the lines that they drain and fill.
+
 A law that reads a function's own arguments only is what makes user effects possible: see `register`.
 """
 
@@ -81,6 +84,10 @@ class Effect:
     is too sharp for a whole substep, or wants short ones everywhere; it then takes the substep in
     `corner_parts` parts. It must be false when the effect is neutral.
 
+    `shares` is what several effects have in common: an effect in no catalogue, which acts once and just before the first of them
+    where any is compiled in. Its states and parameters are also theirs: a state of theirs with the name of one of its states adds
+    to that state's rate, and its parameters have the values of the first of them that is not neutral.
+
     What it is confused with: `indistinguishable_from` lists effects that no data of the usual channels separate from this
     one, `separated_by` experiments that do, by the name of the other effect; a pair needs its experiment on one side only.
     `corrects` is for a correction of form: the effects that it corrects, each with the parameters of the correction that
@@ -104,6 +111,7 @@ class Effect:
     family: str = ""
     title: str = ""
     delays_command: str = ""
+    shares: Effect | None = None
     separated_by: Mapping[str, str] = field(default_factory=dict)
     corrects: Mapping[str, Mapping[str, str | float]] = field(default_factory=dict)
 
@@ -130,6 +138,11 @@ class Effect:
         asked = {a for law in self.laws.values() for a in arguments(law)}
         asked |= {str(state.given.get(a, a)) for state in self.states for a in arguments(state.rate)}
         return signal in asked
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its parameters and states."""
+        return (*(p.name for p in self.parameters), *(s.name for s in self.states))
 
     @property
     def couples_channels(self) -> bool:

@@ -54,7 +54,7 @@ def _line(law: Callable[..., Any], number: int = 1) -> str:
 
 def _laws(effect: Effect) -> Iterator[tuple[str, Callable[..., Any], set[str]]]:
     """Every law with what it is and what it may ask for."""
-    own = {p.name for p in effect.parameters} | {s.name for s in effect.states}
+    own = {*effect.names, *(effect.shares.names if effect.shares else ())}
     for quantity, law in effect.laws.items():
         yield f"the law of {quantity}", law, own | _known_at(quantity) | {quantity, "other_flow"}
     everything = own | _known_at("") | {"other_flow", "own_flow"}
@@ -78,7 +78,8 @@ def _check_neutral(effect: Effect, quantity: str, law: Callable[..., Any]) -> No
     """InputError if the law changes its quantity although the parameters that carry the effect's size are neutral."""
     rng = np.random.default_rng(0)
     own = {p.name: p for p in effect.parameters}
-    rest = {state.name: 0.0 for state in effect.states}  # where a state of an effect that does not act stays
+    states = (*effect.states, *(effect.shares.states if effect.shares else ()))
+    rest = {state.name: 0.0 for state in states}  # where a state of an effect that does not act stays
     first, *others = arguments(law)
     for sample in range(SAMPLES):
         scale = 10.0 ** rng.uniform(-6.0, 0.0 if sample % 2 else 6.0)

@@ -1,7 +1,8 @@
-"""Effects of the line between valve and motor: fluid, hoses, relief valves."""
+"""Effects of the line between valve and motor: fluid, hoses, relief and check valves."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf
 
 from ..parameters import MOTOR_SIZE, SUPPLY_PRESSURE, Parameter
@@ -177,15 +178,8 @@ CROSSPORT_RELIEF = Effect(
 )
 
 
-# Pressures of both lines from their difference and from their mean, whose deviation from half the supply is a state.
-def _external_leakage(leakage, pressure, mean_pressure, conductance, supply_pressure):
-    middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle + 0.5 * pressure
-    b = middle - 0.5 * pressure
-    line = a if conductance > 0.0 else b
-    return leakage + 0.5 * conductance * (line if line > 0.0 else 0.0)
-
-
+# Pressures of both lines from their difference and from their mean, whose deviation from half the supply, as a share of that, is
+# a state. Oil that both lines gain or lose moves it; the edges of the valve bring it back to the middle.
 def _drive_of_both_edges(drive, mean_pressure):
     # The mean of both edges' roots, squared; exactly the one drive while the mean pressure is half the supply. One edge alone
     # has a pressure drop where the mean is further off than that.
@@ -197,30 +191,54 @@ def _drive_of_both_edges(drive, mean_pressure):
     return driven if drive + off > 0.0 else drive
 
 
-def _mean_pressure_rate(
-    mean_pressure, pressure, opening, drive, bulk_modulus, V, Kq, conductance, supply_pressure
-):  # fmt: skip
+def _gained_at_the_edges(mean_pressure, opening, drive, bulk_modulus, V, Kq, supply_pressure):
+    # By which the root of the filling edge exceeds that of the emptying one; `drive` is the square of their mean. Beyond the
+    # supply pressure neither has a drop.
+    root = sqrt(drive if drive > 0.0 else 0.0)
+    gained = -clip(mean_pressure / (root if root > 1e-3 else 1e-3), -2.0 * root, 2.0 * root)
+    return bulk_modulus / (2.0 * V * supply_pressure) * Kq * abs(opening) * gained
+
+
+def _decay_by_the_edges(opening, drive, bulk_modulus, V, Kq, supply_pressure):
+    slopes = 1.0 / sqrt(drive if drive > 0.01 else 0.01)
+    return bulk_modulus / (2.0 * V * supply_pressure) * Kq * abs(opening) * slopes
+
+
+def _off_the_middle(mean_line_pressure, mean_pressure, supply_pressure):
+    return mean_line_pressure + 0.5 * supply_pressure * mean_pressure
+
+
+BOTH_LINES = Effect(
+    name="lines",
+    port="line",
+    title="pressures of both lines",
+    summary="the mean pressure of both lines leaves the middle of the supply where they lose or gain oil",
+    signature="mean of both line pressures; flow through the edges of the valve",
+    source="mean pressure of the lines from the flows of both edges, Merritt 1967, ch. 5 and 6",
+    parameters=(SUPPLY_PRESSURE,),
+    laws={"drive": _drive_of_both_edges, "mean_line_pressure": _off_the_middle},
+    states=(State("mean_pressure", _gained_at_the_edges, _decay_by_the_edges),),
+)
+
+
+def _external_leakage(leakage, pressure, mean_pressure, conductance, supply_pressure):
     middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
     a = middle + 0.5 * pressure
     b = middle - 0.5 * pressure
     line = a if conductance > 0.0 else b
-    lost = abs(conductance) * (line if line > 0.0 else 0.0)
-    # By which the root of the filling edge exceeds that of the emptying one; `drive` is the square of their mean.
-    root = sqrt(drive if drive > 1e-6 else 1e-6)
-    gained = -clip(mean_pressure / root, -2.0 * root, 2.0 * root)
-    return bulk_modulus / (2.0 * V * supply_pressure) * (Kq * abs(opening) * gained - lost)
+    return leakage + 0.5 * conductance * (line if line > 0.0 else 0.0)
 
 
-def _mean_pressure_decay(
-    opening, drive, bulk_modulus, V, Kq, conductance, supply_pressure
-):  # fmt: skip
-    slopes = 1.0 / sqrt(drive if drive > 0.01 else 0.01)
-    lost = 0.5 * supply_pressure * abs(conductance)
-    return bulk_modulus / (2.0 * V * supply_pressure) * (Kq * abs(opening) * slopes + lost)
+def _drained(mean_pressure, pressure, bulk_modulus, V, conductance, supply_pressure):
+    middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
+    a = middle + 0.5 * pressure
+    b = middle - 0.5 * pressure
+    line = a if conductance > 0.0 else b
+    return -bulk_modulus / (2.0 * V * supply_pressure) * abs(conductance) * (line if line > 0.0 else 0.0)
 
 
-def _drained_lines(mean_line_pressure, mean_pressure, supply_pressure):
-    return mean_line_pressure + 0.5 * supply_pressure * mean_pressure
+def _drained_decay(bulk_modulus, V, conductance):
+    return bulk_modulus / (4.0 * V) * abs(conductance)
 
 
 EXTERNAL_LEAKAGE = Effect(
@@ -244,9 +262,83 @@ EXTERNAL_LEAKAGE = Effect(
         ),
         SUPPLY_PRESSURE,
     ),
-    laws={"leakage": _external_leakage, "drive": _drive_of_both_edges, "mean_line_pressure": _drained_lines},
-    states=(State("mean_pressure", _mean_pressure_rate, _mean_pressure_decay),),
+    laws={"leakage": _external_leakage},
+    states=(State("mean_pressure", _drained, _drained_decay),),
+    shares=BOTH_LINES,
     separated_by={"null_offset": "record the pressure of each line: a leak lowers that of its own"},
+)
+
+
+# Pressures by which the lines are below the one at which their check valves open.
+def _made_up(leakage, pressure, mean_pressure, conductance, opening_pressure, supply_pressure):
+    middle = opening_pressure - 0.5 * supply_pressure * (1.0 + mean_pressure)
+    a = middle - 0.5 * pressure
+    b = middle + 0.5 * pressure
+    return leakage - 0.5 * conductance * ((a if a > 0.0 else 0.0) - (b if b > 0.0 else 0.0))
+
+
+def _filled(mean_pressure, pressure, bulk_modulus, V, conductance, opening_pressure, supply_pressure):
+    middle = opening_pressure - 0.5 * supply_pressure * (1.0 + mean_pressure)
+    a = middle - 0.5 * pressure
+    b = middle + 0.5 * pressure
+    drawn = conductance * ((a if a > 0.0 else 0.0) + (b if b > 0.0 else 0.0))
+    return bulk_modulus / (2.0 * V * supply_pressure) * drawn
+
+
+def _filled_decay(mean_pressure, pressure, bulk_modulus, V, conductance, opening_pressure, supply_pressure):
+    # Of the line that is being filled, twice the decay of the mean: the matrix of the integrator has no entry that ties the mean
+    # to the load pressure, and is stable without one if it has the whole stiffness here.
+    middle = opening_pressure - 0.5 * supply_pressure * (1.0 + mean_pressure)
+    return bulk_modulus / (2.0 * V) * conductance if middle + 0.5 * abs(pressure) > 0.0 else 0.0
+
+
+def _make_up_corner(
+    mean_pressure, pressure, spool, speed, D, Kq, beta, V, conductance, opening_pressure, supply_pressure, substep
+):  # fmt: skip
+    # Open, or as near to it as motor and valve can move a line within the substep.
+    middle = opening_pressure - 0.5 * supply_pressure * (1.0 + mean_pressure)
+    moved = substep * beta / (2.0 * V) * (D * abs(speed) + Kq * abs(spool))
+    return conductance > 0.0 and middle + 0.5 * abs(pressure) > -moved
+
+
+ANTI_CAVITATION = Effect(
+    name="anti_cavitation",
+    port="line",
+    title="anti-cavitation (make-up) check valves",
+    summary="a line that the motor empties draws oil from the tank through a check valve, which opens gradually",
+    signature="in a quick stop or under an overrunning load the drained line stays near tank pressure and load pressure "
+    "changes more slowly",
+    source="flow in proportion to the pressure below the opening one, as in data sheets; mean pressure of the lines from the "
+    "flows of both edges, Merritt 1967, ch. 5 and 6",
+    parameters=(
+        Parameter(
+            "conductance",
+            "m3/(s Pa)",
+            0.0,
+            low=0.0,
+            high=3e-9,
+            typical=1e-9,
+            scaling=MOTOR_SIZE,
+            note="slope of the open check valves",
+            source="assumed: 6 l/min at 1 bar; valves of sizes 6 to 10 pass 2 to 18 l/min",
+        ),
+        Parameter(
+            "opening_pressure",
+            "Pa",
+            -0.3e5,
+            low=-1e5,
+            high=5e5,
+            note="pressure of a line at which its valve opens; above the tank's: below 0 by the spring, above 0 where the return "
+            "line is boosted",
+            source="cracking pressures of 0.05 to 1 bar are usual; boosted return lines have 2 to 5 bar",
+        ),
+        replace(SUPPLY_PRESSURE, low=10e5, possible=(10e5, 350e5)),
+    ),
+    laws={"leakage": _made_up},
+    states=(State("mean_pressure", _filled, _filled_decay),),
+    shares=BOTH_LINES,
+    corner=_make_up_corner,
+    corner_parts=10,
 )
 
 
@@ -312,5 +404,6 @@ EFFECTS = (
     LINE_LOSS,
     CROSSPORT_RELIEF,
     EXTERNAL_LEAKAGE,
+    ANTI_CAVITATION,
     LINE_VOLUME,
 )

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import ast
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,7 +24,20 @@ from ..catalogue import Effect
 from ..stiffness import FINE_PARTS, SPOOL
 from .driver import NUMBERS
 from .integrator import METHOD, integral_coefficients
-from .layout import DIVISORS, FACTORS, INTEGRAL, RECIPROCALS, STATES, Layout, in_text, layout_of, uses
+from .layout import (
+    DIVISORS,
+    FACTORS,
+    INTEGRAL,
+    RECIPROCALS,
+    STATES,
+    Layout,
+    in_text,
+    layout_of,
+    parameters_of,
+    states_of,
+    uses,
+    with_shared,
+)  # fmt: skip
 from .statements import Substep, call, chain, functions, fused_lines, needed, substep_of
 from .template import EXCHANGE, MODULE, TOGETHER
 
@@ -148,10 +161,7 @@ class _Sweeps:
         lines += self._store(("Fc", "Fs", "s0", "s1", "fine"))
         if self.coupling:
             lines += at.load(self.coupling, " ".join(self.coupling))
-            tests = [
-                f"({name} != {ast.unparse(ast.Constant(nominal))})" for name, nominal in self.coupling.items()
-            ]
-            coupled = " | ".join(tests)
+            coupled = " | ".join(_acts(e, str) for e in at.effects if e.couples_channels)
             lines += [f"{at.cell('together')} = 1.0 if {coupled} else 0.0"]
         lines += at.load(DIVISORS, " ".join(DIVISORS)) + [f"per_{name} = 1.0 / {name}" for name in DIVISORS]
         return lines + self._store(RECIPROCALS) + [f"{at.cell('parts')} = 0.0"]
@@ -189,16 +199,11 @@ class _Sweeps:
             at.load(at.constants, "\n".join(used)) + step.rates + step.own_rates + step.slopes + step.factors
         )
         lines += [f"{at.cell('f__' + name)} = {name}" for name in FACTORS if name not in step.factor_rows]
-        for effect in at.effects:
-            for state in effect.states:
-                name = in_text(effect, state.name)
-                decay = (
-                    ""
-                    if state.decay is None
-                    else call(effect, state.name + "_decay", state.decay, state.given)
-                )
-                lines.append(f"f__{name} = 1.0 / (ig + {decay})" if decay else f"f__{name} = 1.0 / ig")
-                lines.append(f"{at.cell('f__' + name)} = f__{name}")
+        for name, adding in states_of(at.effects).items():
+            decays = [call(e, s.name + "_decay", s.decay, s.given) for e, s in adding if s.decay is not None]
+            slope = f"({' + '.join(['ig', *decays])})" if decays else "ig"
+            lines.append(f"f__{name} = 1.0 / {slope}")
+            lines.append(f"{at.cell('f__' + name)} = f__{name}")
         lines += [f"{at.cell('next_flow')} = flow"] if self.exchanges_flows else []
         lines += self._solve(summed=False)
         return lines + [f"{at.cell('u0__' + name)} = u__{name}" for name in at.staged]
@@ -304,9 +309,22 @@ def _sweep(lines: Iterable[str]) -> str:
     return _indent(["for l in range(LANES):", *("    " + line for line in fused_lines(lines))])
 
 
+def _acts(effect: Effect, called: Callable[[str], str]) -> str:
+    """The test whether an effect is not neutral; `called` says what its parameters are called."""
+    sizes = [(called(in_text(effect, p.name)), p.nominal) for p in effect.parameters if p.carries_size]
+    return " | ".join(f"({name} != {ast.unparse(ast.Constant(nominal))})" for name, nominal in sizes)
+
+
 def _additions(layout: Layout) -> str:
-    """Adds parameters of effects to base parameters, or limits these by them."""
+    """Adds parameters of effects to base parameters, or limits these by them; parameters that several effects share."""
     cell, lines = layout.cell, []
+    for shared in layout.effects:
+        for p in shared.parameters:
+            value = ""
+            for e in reversed([e for e in layout.effects if e.shares is shared]):
+                own = cell(in_text(e, p.name))
+                value = f"({own} if {_acts(e, cell)} else {value})" if value else own
+            lines += [f"{cell(in_text(shared, p.name))} = {value}"] if value else []
     for e in layout.effects:
         for base, own in ((cell(b), cell(in_text(e, o))) for b, o in e.adds_to.items()):
             lines.append(f"{base} = {base} + {own}")
@@ -325,6 +343,7 @@ def _delay_line(layout: Layout) -> dict[str, str]:
 
 def module_text(effects: tuple[Effect, ...], half: int) -> Module:
     """The module of a kernel for these effects, for blocks of `half` rigs."""
+    given, effects = effects, with_shared(effects)
     layout = layout_of(effects, half)
     substep = substep_of(effects)
     layout = layout.with_settled(substep.settled)
@@ -341,9 +360,11 @@ def module_text(effects: tuple[Effect, ...], half: int) -> Module:
         watch=_sweep(sweeps.look()), guard=_sweep(sweeps.guard()), exchange=_indent(exchange.splitlines()),
         additions=_additions(layout), **_delay_line(layout),
     )  # fmt: skip
-    own = set(layout.parameters)
+    own, settable = set(layout.parameters), set(parameters_of(given))
     rows = {
-        name.replace("__", ".", 1) if name in own else name: n for name, n in at.items() if n < layout.kept
+        name.replace("__", ".", 1) if name in own else name: n
+        for name, n in at.items()
+        if n < layout.kept and (name in settable or name not in own)
     }
     numbers = {"half": half, "moving": layout.moving, "kept": layout.kept}
     numbers["most_parts"] = max([1, *(bend.parts for bend in bends)]) * max(FINE_PARTS)

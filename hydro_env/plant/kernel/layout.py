@@ -10,12 +10,12 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from ..catalogue import Effect
+from ..catalogue import Effect, State
 from ..parameters import PARAMETERS
 
 __all__ = [
     "DIVISORS", "FACTORS", "INTEGRAL", "PACE", "RECIPROCALS", "STATES", "Layout", "in_text", "layout_of", "parameters_of",
-    "uses",
+    "states_of", "uses", "with_shared",
 ]  # fmt: skip
 
 #: States of a channel, in the order of `rates`.
@@ -39,6 +39,23 @@ _OUTPUTS = ("time", "flow", "measured_speed", "mean_line_pressure", "diverged", 
 def in_text(effect: Effect, own: str) -> str:
     """What a parameter or state of an effect is called in the generated text."""
     return f"{effect.name}__{own}"
+
+
+def with_shared(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """The effects, each after what it shares with others, which is there once."""
+    both = (one for effect in effects for one in (effect.shares, effect) if one is not None)
+    return tuple(dict.fromkeys(both))
+
+
+def states_of(effects: Iterable[Effect]) -> dict[str, list[tuple[Effect, State]]]:
+    """The states of effects by their names in the text, each with all that adds to its rate."""
+    found: dict[str, list[tuple[Effect, State]]] = {}
+    for effect in effects:
+        for state in effect.states:
+            shared = effect.shares is not None and state.name in effect.shares.names
+            owner = effect.shares if effect.shares is not None and shared else effect
+            found.setdefault(in_text(owner, state.name), []).append((effect, state))
+    return found
 
 
 def uses(name: str, text: str) -> bool:
@@ -99,7 +116,7 @@ def parameters_of(effects: Iterable[Effect]) -> tuple[str, ...]:
 def layout_of(effects: tuple[Effect, ...], half: int) -> Layout:
     """The layout of a block of `half` rigs with these effects."""
     parameters = parameters_of(effects)
-    own_states = tuple(in_text(e, s.name) for e in effects for s in e.states)
+    own_states = tuple(states_of(effects))
     states = STATES + own_states
     moving = [*states, *_OUTPUTS]
     kept = [*moving, *parameters]

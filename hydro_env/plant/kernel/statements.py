@@ -21,7 +21,7 @@ from ..catalogue.effect import arguments
 from ..rhs import rates
 from ..stiffness import LAWS
 from . import vector_ir
-from .layout import DIVISORS, RECIPROCALS, in_text, parameters_of, uses
+from .layout import DIVISORS, RECIPROCALS, in_text, parameters_of, states_of, uses
 
 __all__ = ["HELPERS", "Substep", "call", "chain", "functions", "fused_lines", "needed", "substep_of"]
 
@@ -36,10 +36,9 @@ def _law_name(effect: Effect, part: str) -> str:
 
 def _names(effect: Effect, law: Callable[..., Any], given: Mapping[str, str | float]) -> list[str]:
     """What the arguments of a law are called in the generated text; `given` says what else an argument stands for."""
-    own = {
-        own: in_text(effect, own)
-        for own in [*(p.name for p in effect.parameters), *(s.name for s in effect.states)]
-    }
+    own = {own: in_text(effect, own) for own in effect.names}
+    if effect.shares is not None:
+        own |= {shared: in_text(effect.shares, shared) for shared in effect.shares.names}
     own |= {argument: own.get(str(source), str(source)) for argument, source in given.items()}
     return [own.get(argument, argument) for argument in arguments(law)]
 
@@ -224,9 +223,8 @@ def substep_of(effects: tuple[Effect, ...]) -> Substep:
     """The statements of a substep with these effects."""
     whole = _by_reciprocals(_rates_body(effects))
     own = [
-        f"{in_text(e, s.name)}_rate = {call(e, s.name + '_rate', s.rate, s.given)}"
-        for e in effects
-        for s in e.states
+        f"{name}_rate = {' + '.join(call(e, s.name + '_rate', s.rate, s.given) for e, s in adding)}"
+        for name, adding in states_of(effects).items()
     ]
     hoist = _Hoist({*parameters_of(effects), *RECIPROCALS, "ig", "gh"})
     taken = hoist.take(whole)

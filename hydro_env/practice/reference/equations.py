@@ -1,8 +1,8 @@
 """Equations of the rig, one by one, in both forms of every effect: coil and spool, valve flow, line, motor and load, sensor.
 
 `p` is the record of a channel: base parameters by symbol, those of effects as EFFECT__PARAMETER, constants of form as
-form_NAME, `different` for the form, and `at_...`, the places of its states in `y` (-1: it has none). Numbers in brackets are
-equations of the paper.
+form_NAME, `different` for the form, `lines_supply`, the supply pressure of the effects on single lines, and `at_...`, the
+places of its states in `y` (-1: it has none). Numbers in brackets are equations of the paper.
 """
 
 from __future__ import annotations
@@ -113,21 +113,37 @@ def _valve_flow(p, spool, pressure, droop, mean):
 
 
 @compiled
-def _line_pressures(p, pressure, mean):
-    """Pressures of both lines above the tank's, Pa."""
-    middle = 0.5 * p.external_leakage__supply_pressure * (1.0 + mean)
-    return max(middle + 0.5 * pressure, 0.0), max(middle - 0.5 * pressure, 0.0)
+def _leak(p, line):
+    """Pressure that drives a leak out of a line, Pa; its conductance is that at half the supply pressure."""
+    driving = max(line, 0.0)
+    if p.different:
+        half = 0.5 * p.lines_supply
+        driving = half * (driving / half) ** p.form_leak_power
+    return driving
 
 
 @compiled
-def _leaks(p, pressure, mean):
-    """Flows from the lines to the tank, m3/s; their conductance is that at half the supply pressure."""
-    a, b = _line_pressures(p, pressure, mean)
+def _make_up(p, line):
+    """Pressure that drives oil through a check valve into a line, Pa; its conductance is that at 1 bar."""
+    below = max(p.anti_cavitation__opening_pressure - line, 0.0)
     if p.different:
-        half = 0.5 * p.external_leakage__supply_pressure
-        a, b = half * (a / half) ** p.form_leak_power, half * (b / half) ** p.form_leak_power
-    leak = p.external_leakage__conductance
-    return max(leak, 0.0) * a, max(-leak, 0.0) * b
+        # The poppet lifts over its spring, then the valve is an orifice.
+        lift = p.form_check_lift
+        below = below**2 / (2.0 * lift) if below < lift else below - 0.5 * lift
+        below = 1e5 * (below / 1e5) ** p.form_check_power
+    return below
+
+
+@compiled
+def _outflows(p, pressure, mean):
+    """Flows from both lines to the tank, m3/s, less what they draw from it."""
+    middle = 0.5 * p.lines_supply * (1.0 + mean)
+    a, b = middle + 0.5 * pressure, middle - 0.5 * pressure
+    leak, check = p.external_leakage__conductance, p.anti_cavitation__conductance
+    return (
+        max(leak, 0.0) * _leak(p, a) - check * _make_up(p, a),
+        max(-leak, 0.0) * _leak(p, b) - check * _make_up(p, b),
+    )
 
 
 @compiled
@@ -137,9 +153,9 @@ def _mean_rate(p, spool, pressure, droop, mean, softness):
     against = pressure if x > 0.0 else (-pressure if x < 0.0 else 0.0)
     drive = 1.0 - against / p.pressure_dependent_flow__supply_pressure - droop
     gained = p.Kq * abs(x) * (_root(p, drive - mean) - _root(p, drive + mean))
-    a, b = _leaks(p, pressure, mean)
+    a, b = _outflows(p, pressure, mean)
     # Each line holds twice the volume that both have in series.
-    return (gained - a - b) / (2.0 * p.V * softness * p.external_leakage__supply_pressure)
+    return (gained - a - b) / (2.0 * p.V * softness * p.lines_supply)
 
 
 @compiled
@@ -432,7 +448,7 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
     if p.at_lift >= 0:
         leakage += _relief_flow(p, y, dy, pressure)
     if p.at_mean >= 0:
-        a, b = _leaks(p, pressure, y[p.at_mean])
+        a, b = _outflows(p, pressure, y[p.at_mean])
         leakage += 0.5 * (a - b)
     if p.at_side >= 0:
         drop = pressure - y[p.at_side]
@@ -506,7 +522,7 @@ def _mean_line_pressure(p, droop, mean):
     """Half the sum of both line pressures above the tank's, Pa; of a model without a supply pressure what differs from it."""
     supply = p.pressure_dependent_flow__supply_pressure
     level = 0.0 if supply == np.inf else 0.5 * supply * (1.0 - droop)
-    return level + 0.5 * p.external_leakage__supply_pressure * mean
+    return level + 0.5 * p.lines_supply * mean
 
 
 @compiled

@@ -131,6 +131,22 @@ _LATER = (
         True,
         "depth at which that force is a spring's: what full force presses into a stop",
     ),
+    (
+        "check_lift",
+        "Pa",
+        5e3,
+        1e5,
+        True,
+        "pressure over which the poppet of a check valve lifts: soft to stiff springs",
+    ),
+    (
+        "check_power",
+        "1",
+        0.5,
+        1.0,
+        False,
+        "power of the pressure in its flow: 0.5 at full lift, 1 while it lifts further",
+    ),
 )
 #: Every constant but the stops.
 CONSTANTS = tuple(FormConstant(*row) for row in (*_ROWS, *_LATER))

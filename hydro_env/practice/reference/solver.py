@@ -47,7 +47,16 @@ def _fields() -> list[tuple[Any, ...]]:
     forms = [(f"form_{c.name}", np.float64) for c in CONSTANTS]
     stops = [(f"form_{name}", np.float64, (STOPS,)) for name in ("stop_travels", "stop_shares")]
     places = [(f"at_{name}", np.int64) for name in ("states", *_SHIFTS)]
-    return [*own, *effects, *forms, *stops, *places, ("different", np.int64), ("lossy", np.int64)]
+    return [
+        *own,
+        *effects,
+        *forms,
+        *stops,
+        *places,
+        ("lines_supply", np.float64),
+        ("different", np.int64),
+        ("lossy", np.int64),
+    ]
 
 
 class Group:
@@ -87,7 +96,9 @@ class Group:
                 p["at_loop"] = place(*([1.0] * (STOPS if different else 1)))
             if p["input_hysteresis__width"] != 0.0:
                 p["at_play"] = place(*([1.0] * (PLAYS if different else 1)))
-            if p["external_leakage__conductance"] != 0.0:
+            leaks = p["external_leakage__conductance"] != 0.0
+            p["lines_supply"] = p[f"{'external_leakage' if leaks else 'anti_cavitation'}__supply_pressure"]
+            if leaks or p["anti_cavitation__conductance"] > 0.0:
                 p["at_mean"] = place(0.1)
             if p["line_volume__conductance"] > 0.0:
                 p["at_side"] = place(1e5)
