@@ -1,7 +1,8 @@
 """Learning curves of runs over steps and wall time: `python -m agents.curves runs/ppo --out runs/ppo/curves.png`.
 
 Reads each run's `curve.json`; a folder of `agents.sweep` stands for all its seeds. Curves over more than two decades are drawn
-over logarithms. Beside the picture a JSON file of the same name holds the points.
+over logarithms. Beside the picture a JSON file of the same name holds the points. A table of the scores after 10^5, 10^6 periods
+and so on is printed.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ import argparse
 import io
 import json
 from collections.abc import Sequence
+from math import log10
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from agents.recurrent.settings import read_settings
@@ -98,6 +101,33 @@ def draw(curves: list[dict[str, Any]], levels: dict[str, float], out: Path) -> N
     write_bytes(out.with_suffix(".json"), json.dumps({"levels": levels, "curves": curves}, indent=1).encode())
 
 
+def table(curves: list[dict[str, Any]]) -> str:
+    """Rows of algorithms, columns of powers of ten: largest difference / tracking error in rpm and minutes on one thread, the
+    median over runs of each one's point that is nearest, within a factor of 1.5."""
+    rows: dict[str, dict[int, list[dict[str, Any]]]] = {}
+    for curve in curves:
+        for power in range(4, 10):
+            near = min(curve["points"], key=lambda point: abs(log10(point["steps"]) - power))
+            if abs(log10(near["steps"]) - power) < log10(1.5):
+                rows.setdefault(curve["algorithm"], {}).setdefault(power, []).append(near)
+    powers = sorted({power for row in rows.values() for power in row})
+    lines = ["| periods |" + "".join(f" 10^{power} |" for power in powers), "|---|" + "---|" * len(powers)]
+    for name, row in rows.items():
+        cells = [_cell(row.get(power, [])) for power in powers]
+        lines.append(f"| `{name}` | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _cell(points: list[dict[str, Any]]) -> str:
+    if not points:
+        return ""
+    difference, tracking = (
+        median(p[key] for p in points) for key in ("max_speed_difference_rpm", "tracking_mae_rpm")
+    )
+    minutes = median(p.get("cpu_seconds", p["seconds"]) for p in points) / 60.0
+    return f"{difference:.1f} / {tracking:.1f} ({minutes:.1f} min)"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m agents.curves", description=__doc__)
     parser.add_argument("runs", nargs="+", type=Path, help="folders of runs")
@@ -116,6 +146,7 @@ def main() -> None:
         law = make_controller(chosen.law)
         scores = roll_out(law, range(128), plant=chosen.plant, mismatch="val").metrics(METRICS)
         draw(curves, {"the law alone": float(iqm(scores[METRICS[0]]))}, chosen.out)
+        print(table(curves))
 
     run_command(run)
 

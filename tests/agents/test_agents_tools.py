@@ -133,3 +133,18 @@ def test_the_baselines_change_no_default_setting(tmp_path, algorithm):
         "ent_coef",
     ):
         assert getattr(model, name, None) == getattr(plain, name, None), name
+
+
+def test_curves_give_a_table_of_powers_of_ten():
+    from agents.curves import table
+
+    point = {"max_speed_difference_rpm": 20.0, "tracking_mae_rpm": 30.0, "seconds": 90.0}
+    runs = [
+        {
+            "algorithm": "ppo",
+            "points": [{**point, "steps": 1e5 * k, "max_speed_difference_rpm": d} for k in (0.2, 1.2, 13.0)],
+        }
+        for d in (20.0, 22.0, 30.0)
+    ]
+    assert table(runs).splitlines()[0] == "| periods | 10^5 | 10^6 |"
+    assert table(runs).splitlines()[2] == "| `ppo` | 22.0 / 30.0 (1.5 min) | 22.0 / 30.0 (1.5 min) |"
