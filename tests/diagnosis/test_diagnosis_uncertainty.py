@@ -55,16 +55,16 @@ def test_what_stops_beside_the_minimum_settles_there_with_its_own_spread() -> No
     )
     fit.evaluate([found])
     differentiate(fit, [found])
-    settle(fit, [found])
-    assert found.spread is not None
+    settle(fit, fit, [found])
+    spread = fit.spread(found)
     for name, true in zip(names, (0.3, 0.2), strict=True):
         j = [u.name for u in found.unknowns].index(name)
-        low, high = (found.unknowns[j].value(found.q[j] + s * found.spread[j]) for s in (-3.0, 3.0))
+        low, high = (found.unknowns[j].value(found.q[j] + s * spread[j]) for s in (-3.0, 3.0))
         assert low < true < high
     alone = found.at(found.q.copy())
     alone.simulated = dict(found.simulated)
     differentiate(fit, [alone])
-    assert found.spread == pytest.approx(fit.spread(alone), rel=0.05)
+    assert spread == pytest.approx(fit.spread(alone), rel=0.05)
 
 
 def test_a_replica_beyond_its_bounds_keeps_combinations_that_make_up_for_each_other() -> None:

@@ -24,7 +24,7 @@ class Estimate:
     """Unknowns of a channel (None: of the whole rig) and their values, on the scale `q` of each.
 
     `simulated` holds, by channel, the samples at `q`; `columns` their derivatives (n, number of unknowns) where they were
-    last computed; `cost` twice the negative log-likelihood at `q`; `spread` the standard deviations of q. `follow` holds
+    last computed; `cost` twice the negative log-likelihood at `q`. `follow` holds
     parameters that are not estimated but repeat another one, by name (with a minus: its opposite), or a number. `together`
     names the directions of `SCALED_TOGETHER` along which derivatives are taken.
     """
@@ -35,7 +35,6 @@ class Estimate:
     label: str = ""
     simulated: dict[int, Vector] = field(default_factory=dict)
     columns: dict[int, Vector] = field(default_factory=dict)
-    spread: Vector | None = None
     cost: float = np.inf
     intervals: Intervals | None = None
     follow: dict[str, str | float] = field(default_factory=dict)
@@ -126,8 +125,7 @@ class Estimate:
         """Takes over the values of `other`, of the same unknowns, if it explains the logs better; whether it does."""
         if not other.cost < self.cost:
             return False
-        self.q, self.cost, self.spread = other.q, other.cost, other.spread
-        self.simulated, self.columns = other.simulated, other.columns
+        self.q, self.cost, self.simulated, self.columns = other.q, other.cost, other.simulated, other.columns
         return True
 
 

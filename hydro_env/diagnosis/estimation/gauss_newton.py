@@ -32,9 +32,9 @@ MET = 0.05
 
 def solve(
     fit: Fit, estimates: Sequence[Estimate], iterations: int = 4, tolerance: float = 2.0,
-    races: Sequence[Sequence[Estimate]] = (), sizes: Sequence[float] = DIFFERENCE_STEPS,
+    races: Sequence[Sequence[Estimate]] = (),
 ) -> None:  # fmt: skip
-    """Improves all estimates, in place. `sizes` are the steps of q for finite differences, in turn.
+    """Improves all estimates, in place.
 
     `races` are starts of the same estimate, or competing candidates, improved in the same way, of which only the best one will
     be used: one that cannot become the best any more ends early (`_out_of_race`).
@@ -51,7 +51,7 @@ def solve(
             break
         before = {id(p): p.cost for p in live}
         old = [p for p in live if not p.columns or iteration > 0]
-        points = differentiate(fit, old, size=sizes[iteration % len(sizes)])
+        points = differentiate(fit, old, size=DIFFERENCE_STEPS[iteration % len(DIFFERENCE_STEPS)])
         step_all(fit, live)
         for estimate, (cost, q, result) in zip(old, points, strict=True):
             # A point that was simulated for a derivative may be better than every step along it.
@@ -60,13 +60,10 @@ def solve(
         for p in live:
             idle = before[id(p)] - p.cost < tolerance
             quiet = idle and fit.at_noise(p)
-            stalled[id(p)] = len(sizes) if quiet else stalled[id(p)] + 1 if idle else 0
+            stalled[id(p)] = len(DIFFERENCE_STEPS) if quiet else stalled[id(p)] + 1 if idle else 0
             falls[id(p)].append(before[id(p)] - p.cost)
         out = {n for race in races for n in _out_of_race(race, falls, iterations - iteration - 1, tolerance)}
-        live = [p for p in live if stalled[id(p)] < len(sizes) and id(p) not in out]
-    for estimate in estimates:
-        if estimate.unknowns and estimate.columns:
-            estimate.spread = fit.spread(estimate)
+        live = [p for p in live if stalled[id(p)] < len(DIFFERENCE_STEPS) and id(p) not in out]
 
 
 def step_all(fit: Fit, live: Sequence[Estimate]) -> None:

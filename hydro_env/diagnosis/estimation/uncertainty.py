@@ -41,13 +41,13 @@ class Intervals:
 
 
 def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
-    """Intervals of all unknowns of an estimate whose `columns` are at its q, never narrower than its `spread` says."""
+    """Intervals of all unknowns of an estimate whose `columns` are at its q, never narrower than `Fit.spread` says."""
     size, bounds = len(estimate.unknowns), estimate.bounds
     prior = np.diag([1.0 if u.prior else 0.0 for u in estimate.unknowns]) + 1e-9 * np.eye(size)
     matrices, sides = fit.normal_equations_by_stretch(estimate, STRETCH_S)
     moves = bootstrap(matrices, sides, prior, estimate.q, np.random.default_rng(fit.settings.seed))
     low, high = np.quantile(moves, [0.025, 0.975], axis=0)
-    spread = np.zeros(size) if estimate.spread is None else 1.96 * estimate.spread
+    spread = 1.96 * fit.spread(estimate)
     low = np.clip(estimate.q + np.minimum(low, -spread), *bounds)
     high = np.clip(estimate.q + np.maximum(high, spread), *bounds)
     whole, right = matrices.sum(axis=0) + prior, sides.sum(axis=0) - prior @ estimate.q

@@ -92,7 +92,7 @@ class Unknown:
             return math.log(value / self.center) / self.scale
         return (value - self.center) / self.scale
 
-    @property
+    @cached_property
     def bounds(self) -> tuple[float, float]:
         """Bounds of q."""
         return self.q(self.low), self.q(self.high)

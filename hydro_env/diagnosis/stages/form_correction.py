@@ -29,7 +29,7 @@ from ..models.base import RigModel, view
 from ..settings import rule
 from ..state import Estimates, State
 from .candidates import penalty_per_parameter
-from .refits import LAST_STEPS, refit_found
+from .refits import refit_found
 
 __all__ = [
     "Correction", "changes", "correct", "correct_all", "correct_placebo", "is_correction", "run", "with_correction",
@@ -61,10 +61,7 @@ class Correction:
 
 
 def run(state: State) -> State:
-    """Corrects the form of what is named, and of the placebos as much; refits both by the proof's substeps.
-
-    Where a shaft nearly comes to rest a parameter's last decimals count; but what is far from the noise is left as it is.
-    """
+    """Corrects the form of what is named, and of the placebos as much, which are then refitted as what was found has been."""
     if state.verdict != "effects":
         return state
     fit = state.fit.on(state.rig.for_long_refits())
@@ -72,8 +69,7 @@ def run(state: State) -> State:
     if state.settings.uses(CORRECT_FORM):
         final, corrections = correct_all(fit, final, state.selection.effects_by_channel())
         placebo = correct_placebo(fit, placebo, corrections)
-    fine, every = fit.on(state.fine), (*final.values(), *placebo.values())
-    refit_found(fine, [p for p in every if not far_from_noise(fine, p)], LAST_STEPS)
+    refit_found(fit, [p for p in placebo.values() if not far_from_noise(fit, p)])
     return replace(state, final=final, placebo=placebo, corrections=corrections)
 
 
@@ -196,10 +192,9 @@ def correct_placebo(fit: Fit, placebo: Estimates, kept: Sequence[Correction]) ->
             effect, name = own[number] if number < len(own) else (k.effect, k.correction)
             if name in estimate.effects() or CATALOGUE[name].scope == "rig":
                 continue
-            estimate = with_correction(estimate, effect, name, k.channel)
-        if estimate is not placebo[c]:
-            solve(fit, [estimate], TRY_ITERATIONS + KEEP_ITERATIONS)
-            found[c] = estimate
+            found[c] = estimate = with_correction(estimate, effect, name, k.channel)
+    if changed := [p for c, p in found.items() if p is not placebo[c]]:
+        solve(fit, changed, TRY_ITERATIONS + KEEP_ITERATIONS)
     return found
 
 

@@ -188,8 +188,7 @@ def _interval(estimate: Estimate, j: int) -> Interval:
     u, q, sure = estimate.unknowns[j], float(estimate.q[j]), estimate.intervals
     value = float(u.value(q))
     if sure is None:
-        spread = 1.96 * float(estimate.spread[j]) if estimate.spread is not None else 0.0
-        ends, moved = [u.value(q - spread), u.value(q + spread)], 0.0
+        ends, moved = [value, value], 0.0
     else:
         ends = [u.value(float(sure.low[j])), u.value(float(sure.high[j]))]
         moved = max(abs(u.value(q + d) - value) for d in (-float(sure.without[j]), float(sure.without[j])))

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from ..estimation import Estimate, Fit, bases_of, differentiate, solve
 from ..settings import rule
 
-__all__ = ["LAST_STEPS", "refit_found", "short_refit"]
+__all__ = ["refit_found", "short_refit"]
 
 REFIT_FOUND = rule("refit_found", "refit what was found by the noise that is seen then")
 
-#: Steps of q for the differences in the iterations of the refit of what was found, and of the last one, by the proof's substeps.
-FOUND_STEPS, LAST_STEPS = (0.15, 0.04, 0.4, 0.15, 0.04, 0.4), (0.15, 0.04, 0.01, 0.04, 0.01)
+#: Iterations of the refit of what was found.
+FOUND_ITERATIONS = 6
 #: Iterations of a short refit; where simulating costs next to nothing there are more.
 SHORT_ITERATIONS, CHEAP_ITERATIONS = 2, 10
 
@@ -37,14 +37,13 @@ def short_refit(fit: Fit, estimates: Sequence[Estimate]) -> None:
         solve(fit, estimates, 1)
 
 
-def refit_found(fit: Fit, estimates: Sequence[Estimate], steps: Sequence[float] = FOUND_STEPS) -> None:
-    """Refits what was found, in place: by the noise that is seen now, since what was missing made it look larger, and by the
-    substeps of the model of `fit`."""
+def refit_found(fit: Fit, estimates: Sequence[Estimate]) -> None:
+    """Refits what was found, in place: by the noise that is seen now, since what was missing made it look larger."""
     if not (fit.rig.has_hidden_states and fit.settings.uses(REFIT_FOUND)):
         return
     every = [p for p in {id(p): p for p in estimates}.values() if p.unknowns]
     finer = [p.in_all_directions() for p in every]
-    solve(fit.on(fit.rig.for_long_refits()), finer, len(steps), sizes=steps)
+    solve(fit.on(fit.rig.for_long_refits()), finer, FOUND_ITERATIONS)
     for estimate, other in zip(every, finer, strict=True):
-        estimate.cost = math.inf  # was counted by another noise, or with other substeps
+        estimate.cost = math.inf  # was counted by another noise
         estimate.adopt(other)
