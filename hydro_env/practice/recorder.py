@@ -96,10 +96,11 @@ class _CatalogueRig:
 
 
 def _with_lines(signals: dict[str, Array], level: Array) -> dict[str, Array]:
-    """The signals with the pressures of both lines above the tank's, Pa; none is below vacuum."""
+    """The signals with the pressures of both lines above the tank's, Pa. The simulator knows no cavitation: where a line would be
+    below vacuum it does not know what a sensor shows, NaN."""
     mean, half = level + signals["mean_line_pressure"], 0.5 * signals["pressure"]
-    lines = {"pressure_a": np.maximum(mean + half, _VACUUM), "pressure_b": np.maximum(mean - half, _VACUUM)}
-    return signals | lines
+    lines = {"pressure_a": mean + half, "pressure_b": mean - half}
+    return signals | {name: np.where(line < _VACUUM, np.nan, line) for name, line in lines.items()}
 
 
 class _SpeedLoop:

@@ -181,26 +181,30 @@ CROSSPORT_RELIEF = Effect(
 # Pressures of both lines from their difference and from their mean, whose deviation from half the supply, as a share of that, is
 # a state. Oil that both lines gain or lose moves it; the edges of the valve bring it back to the middle.
 def _drive_of_both_edges(drive, mean_pressure):
-    # The mean of both edges' roots, squared; exactly the one drive while the mean pressure is half the supply. One edge alone
-    # has a pressure drop where the mean is further off than that.
+    # The mean of both edges' roots, squared; exactly the one drive while the mean pressure is half the supply. Where the mean is
+    # further off than the drive, one line is above the supply or below the tank, and its edge passes back.
     off = abs(mean_pressure)
     product = drive * drive - off * off
-    both = 0.5 * (drive + sqrt(product if product > 0.0 else 0.0))
-    one = 0.25 * (drive + off)
-    driven = both if drive > off else one
-    return driven if drive + off > 0.0 else drive
+    root = sqrt(abs(product))
+    driven = 0.5 * (drive + root if product > 0.0 else off - root)
+    return driven if drive > 0.0 else drive
 
 
 def _gained_at_the_edges(mean_pressure, opening, drive, bulk_modulus, V, Kq, supply_pressure):
-    # By which the root of the filling edge exceeds that of the emptying one; `drive` is the square of their mean. Beyond the
-    # supply pressure neither has a drop.
-    root = sqrt(drive if drive > 0.0 else 0.0)
-    gained = -clip(mean_pressure / (root if root > 1e-3 else 1e-3), -2.0 * root, 2.0 * root)
-    return bulk_modulus / (2.0 * V * supply_pressure) * Kq * abs(opening) * gained
+    # By which the root of the filling edge exceeds that of the emptying one, of what `drive` is above. Beyond the supply pressure
+    # it is the one drive of both edges; as the load pressure moves no oil there, the mean alone does.
+    off = abs(mean_pressure)
+    beyond = sqrt(off - drive if drive < 0.0 else 0.0) + sign(off + drive) * sqrt(abs(off + drive))
+    back = 2.0 * sqrt(off - drive if off > drive else 0.0)
+    forth = off / sqrt(drive if drive > 1e-12 else 1e-12)
+    apart = beyond if drive <= 0.0 else back if drive < 0.5 * off else forth
+    return -bulk_modulus / (2.0 * V * supply_pressure) * Kq * abs(opening) * sign(mean_pressure) * apart
 
 
-def _decay_by_the_edges(opening, drive, bulk_modulus, V, Kq, supply_pressure):
-    slopes = 1.0 / sqrt(drive if drive > 0.01 else 0.01)
+def _decay_by_the_edges(mean_pressure, opening, drive, bulk_modulus, V, Kq, supply_pressure):
+    share = 0.5 * abs(mean_pressure)
+    share = drive if drive > share else share
+    slopes = 1.0 / sqrt(share if share > 0.01 else 0.01)
     return bulk_modulus / (2.0 * V * supply_pressure) * Kq * abs(opening) * slopes
 
 

@@ -49,6 +49,12 @@ def _root(p, drive):
 
 
 @compiled
+def _edge_root(p, drop):
+    """The same of the edges of single lines, which pass back where a line is above the supply or below the tank."""
+    return _root(p, drop) if p.different else math.copysign(math.sqrt(abs(drop)), drop)
+
+
+@compiled
 def _opening(p, spool):
     """Opening of the metering edges, m, as a function of the spool's position."""
     x = spool + p.null_offset__offset
@@ -96,7 +102,8 @@ def _valve_flow(p, spool, pressure, droop, mean):
     drive = 1.0 - against / p.pressure_dependent_flow__supply_pressure - droop
     plain = p.pressure_dependent_flow__supply_pressure == np.inf and p.supply_droop__relative_drop == 0.0
     if p.at_mean >= 0:
-        flow = p.Kq * x * 0.5 * (_root(p, drive - mean) + _root(p, drive + mean))
+        passed = 0.5 * (_edge_root(p, drive - mean) + _edge_root(p, drive + mean))
+        flow = p.Kq * x * (passed if p.different else max(passed, 0.0))
     elif plain:
         flow = p.Kq * x
     else:
@@ -152,7 +159,7 @@ def _mean_rate(p, spool, pressure, droop, mean, softness):
     x = _opening(p, spool)
     against = pressure if x > 0.0 else (-pressure if x < 0.0 else 0.0)
     drive = 1.0 - against / p.pressure_dependent_flow__supply_pressure - droop
-    gained = p.Kq * abs(x) * (_root(p, drive - mean) - _root(p, drive + mean))
+    gained = p.Kq * abs(x) * (_edge_root(p, drive - mean) - _edge_root(p, drive + mean))
     a, b = _outflows(p, pressure, mean)
     # Each line holds twice the volume that both have in series.
     return (gained - a - b) / (2.0 * p.V * softness * p.lines_supply)
