@@ -85,7 +85,7 @@ def draw(curves: list[dict[str, Any]], levels: dict[str, float], out: Path) -> N
         axis.legend(fontsize=8)
     steps = [point["steps"] for _, points in named for point in points]
     if max(steps) > 100 * min(steps):
-        for axis in axes[0]:
+        for axis in axes.flat:
             axis.set_xscale("log")
             axis.set_yscale("log")
     axes[0, 0].set_ylabel("largest difference, rpm")
