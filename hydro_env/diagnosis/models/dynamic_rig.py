@@ -20,8 +20,8 @@ __all__ = ["DynamicRig"]
 #: Longest substep of the fit and of the proof, s. With 200 us the speeds are off by less than 0.2 rpm; from 300 us on a spool
 #: that meets its end stop may be lost.
 SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
-#: Times as long a substep where an effect has every one taken in parts (of 25 to 50 us in the fit then).
-PARTED_LONGER = 2.5
+#: The fit's substep where an effect has every substep taken in parts (of 25 to 50 us then), s.
+PARTED_SUBSTEP = 500e-6
 #: Rigs that go through the kernel together. A substep takes as long for 4 as for 8, and a third longer for 16: instructions wait
 #: for each other's results, not for room in the registers.
 BLOCKS = (8, 16)
@@ -199,10 +199,12 @@ class DynamicRig:
         """The substep of a request, which does not depend on what is simulated beside it."""
         parted = (
             not (self.coupled and request.channel is not None)
-            and self.period >= PARTED_LONGER * self.substep
+            and self.substep
+            == SUBSTEP  # shafts that rattle all the time are 0.4 rpm off with half of this in the proof
+            and self.period >= PARTED_SUBSTEP
             and any(_all_parted(CATALOGUE[e], request) for e in request.effects)
         )
-        return PARTED_LONGER * self.substep if parted else self.substep
+        return PARTED_SUBSTEP if parted else self.substep
 
     def close(self) -> None:
         """Ends the threads, if there are any."""
