@@ -23,8 +23,8 @@ __all__ = [
 #: Values of the two channels that differ by less (relative) are one effect of both.
 SAME_VALUE = 0.15
 #: Of names that the logs do not confirm the share that is right, as a factor on their probability: 8 of 27 blind trials were
-#: right whose probabilities sum to 21 (block 210000 of seeds; the mean of its posterior under a uniform prior). What such logs
-#: hold may be no candidate at all.
+#: right whose probabilities sum to 21 (block 210000 of seeds; the mean of its posterior under a uniform prior). In block 310000,
+#: 6 of 27 were right where 9.1 were to be expected with it. What such logs hold may be no candidate at all.
 UNCONFIRMED = 0.39
 #: A candidate of the same signature competes if it gained this share of what the accepted one did.
 NEARLY_AS_MUCH = 0.9
