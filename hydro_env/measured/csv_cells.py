@@ -76,8 +76,10 @@ class Cells:
     def fast(self, text: str) -> list[np.ndarray] | None:
         """The columns of a block of complete rows of plain numbers and empty cells, None of any other block."""
         delimiter, width = self.dialect.delimiter, self.dialect.width
-        # One column cannot be told from empty lines, and a quoted cell may hold a delimiter or the end of a line.
-        if width < 2 or not self.places or '"' in text or (self.decimal_comma and "." in text):
+        # One column cannot be told from empty lines, and a quoted cell may hold a delimiter or the end of a line. Lines that end
+        # in \r alone are not counted here.
+        lone = text.count("\r") != text.count("\r\n")
+        if width < 2 or not self.places or lone or '"' in text or (self.decimal_comma and "." in text):
             return None
         if self.decimal_comma:
             text = text.replace(",", ".")

@@ -68,6 +68,7 @@ def outcome(path: Path, style: CsvStyle) -> Any:
 @example(("a,b,c\n1,2,nan(1)\n", ","), 1, False)
 @example(("a;b;c\n1.5;2;1,5\n", ";"), 1, True)
 @example(("a,b,c\n,,\n1,2,3\n", ","), 1, False)
+@example(("a,b,c\r\r0.0,0.0,0.0", ","), 1, False)
 @example(("a,b,c\n,2,\n1,,3\n1,2,3,\n", ","), 40, False)
 def test_both_readers_give_the_same(
     tmp_path_factory: pytest.TempPathFactory, text: tuple[str, str], block: int, suffixes: bool
