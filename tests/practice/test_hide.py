@@ -125,9 +125,8 @@ def test_pressures_of_both_lines():
         inside = (a > 0.0) & (b > 0.0)
         np.testing.assert_allclose((a - b)[inside], log[f"pressure_{channel}_bar"][inside], atol=1e-6)
         mean = 0.5 * (a + b)[inside]
-        assert (
-            min(np.nanmin(a), np.nanmin(b)) >= -1.01325
-        )  # and no number where the lines would be below vacuum
+        # There is no number where the lines would be below vacuum.
+        assert min(np.nanmin(a), np.nanmin(b)) >= -1.01325
         assert np.ptp(mean) > 5.0 if channel == 2 else np.ptp(mean) < 1e-6
 
 
