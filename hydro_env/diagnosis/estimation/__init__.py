@@ -8,10 +8,12 @@ gauss_newton     the solver
 settling         the last steps to the minimum, with derivatives as wide as the uncertainty
 multistart       restarts, where friction makes local minima
 growing_horizon  fits to the beginning of the logs first
+beginnings       competing candidates on the beginning of the logs
 explained        criteria: how much of a residual is explained
 uncertainty      block bootstrap
 """
 
+from .beginnings import best_on_beginnings
 from .estimate import Estimate, Vector, joined
 from .explained import (
     could_pay,
@@ -48,9 +50,9 @@ from .unknowns import (
 
 __all__ = [
     "CANNOT_BE_PREDICTED", "SCALED_TOGETHER", "SETTLE_ITERATIONS", "Estimate", "Fit", "Noise", "Unknown", "Vector",
-    "base_unknown", "bases_of", "could_pay", "courses_apart", "differentiate", "effect_starts", "effect_unknowns",
-    "effective_samples", "explained_share", "far_from_noise", "grow_horizon", "intervals_of", "joined", "less_taken",
-    "limited_by_effects", "mostly_explained", "nearly_explained", "noise_floor", "noise_of",
-    "probability_of_gain", "restart_friction", "scaled", "settle", "smallest_share", "solve",
-    "unexplained", "unpredictable",
+    "base_unknown", "bases_of", "best_on_beginnings", "could_pay", "courses_apart", "differentiate", "effect_starts",
+    "effect_unknowns", "effective_samples", "explained_share", "far_from_noise", "grow_horizon", "intervals_of",
+    "joined", "less_taken", "limited_by_effects", "mostly_explained", "nearly_explained", "noise_floor", "noise_of",
+    "probability_of_gain", "restart_friction", "scaled", "settle", "smallest_share", "solve", "unexplained",
+    "unpredictable",
 ]  # fmt: skip

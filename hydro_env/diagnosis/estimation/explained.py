@@ -30,7 +30,10 @@ ABOVE_NOISE, WORTH = 1.04, 20.0
 
 
 def could_pay(fit: Fit, estimate: Estimate, channel: int) -> bool:
-    """Whether a channel has a residual above its noise that could pay for an effect."""
+    """Whether a channel has a residual above its noise that could pay for an effect, or one that must not stay unexplained.
+
+    A residual that goes on for long counts few independent samples, and the many more that are left when an effect explains it.
+    """
     worth, seen = 0.0, False
     for s in fit.rig.segments[channel]:
         error = (s.measured - estimate.simulated[channel][s.place])[s.used]
@@ -38,7 +41,7 @@ def could_pay(fit: Fit, estimate: Estimate, channel: int) -> bool:
             ratio = float(np.mean(error**2)) / fit.noise[channel, s.signal] ** 2
             seen = seen or ratio > ABOVE_NOISE
             worth += effective_samples(error) * max(np.log(ratio), 0.0)
-    return seen and worth > WORTH
+    return seen and (worth > WORTH or unexplained(fit, estimate, channel))
 
 
 def unexplained(fit: Fit, estimate: Estimate, channel: int) -> bool:

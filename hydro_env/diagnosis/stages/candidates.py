@@ -14,8 +14,8 @@ from ..state import Estimates
 from .screening import Screening
 
 __all__ = [
-    "ACCEPTED", "AT_EDGE", "OUTDONE", "Accepted", "Candidate", "Search", "Selection", "at_edge", "is_neutral", "judge",
-    "penalty", "penalty_per_parameter",
+    "ACCEPTED", "AT_EDGE", "OUTDONE", "VANISHED", "Accepted", "Candidate", "Search", "Selection", "at_edge", "is_neutral",
+    "judge", "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
 REJECT_SMALL_SHARE = rule(
@@ -28,9 +28,10 @@ REJECT_AT_EDGE = rule(
 #: What becomes of a candidate, in words that the report shows.
 ACCEPTED = "taken"
 OUTDONE = "others explain more"
+VANISHED = "vanishes when refitted"
 AT_EDGE = "only at the edge of its plausible range"
 #: An estimate that is nearer to neutral than this share of the usual size has vanished.
-VANISHED = 0.02
+NEUTRAL_SHARE = 0.02
 #: The round under which candidates are listed that were judged after the forward rounds.
 AFTER_ROUNDS = 9
 
@@ -155,7 +156,7 @@ def judge(fit: Fit, before: Estimate, after: Estimate, effect: str, gain: float)
     if share < fit.settings.least_share and fit.settings.uses(REJECT_SMALL_SHARE):
         return "explains no noticeable share of the gap"
     if is_neutral(after, effect):
-        return "vanishes when refitted"
+        return VANISHED
     # A size beyond what rigs have makes up for something else; where the last plausible one leaves nothing it does not.
     edge = at_edge(after, effect) and fit.settings.uses(REJECT_AT_EDGE)
     if edge and not all(nearly_explained(fit, before, after, c) for c in channels):
@@ -184,7 +185,8 @@ def is_neutral(estimate: Estimate, effect: str, channel: int | None = None) -> b
         if u.effect == effect and (channel is None or u.channel in (None, channel))
     }
     return all(
-        np.isfinite(p.nominal) and abs(values[p.name] - p.nominal) < VANISHED * abs(p.typical - p.nominal)
+        np.isfinite(p.nominal)
+        and abs(values[p.name] - p.nominal) < NEUTRAL_SHARE * abs(p.typical - p.nominal)
         for p in CATALOGUE[effect].parameters
         if p.typical is not None and p.typical != p.nominal
     )

@@ -6,9 +6,10 @@ from ...plant import CATALOGUE
 from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, solve
 from ..settings import rule
 from .candidates import AFTER_ROUNDS, Accepted, Search, at_edge, is_neutral
+from .form_correction import attempts, refit_attempts
 from .screening import alike
 
-__all__ = ["compare_competing", "drop_not_missed", "drop_unneeded"]
+__all__ = ["compare_competing", "drop_not_missed", "drop_unneeded", "prefer_form"]
 
 DROP_UNNEEDED = rule(
     "drop_unneeded", "drop an effect that the known parameters replace, from where it led them"
@@ -16,6 +17,7 @@ DROP_UNNEEDED = rule(
 DROP_NOT_MISSED = rule(
     "drop_not_missed", "backward elimination: drop an effect that is not missed beside the others"
 )
+PREFER_FORM = rule("prefer_form", "drop an effect if another form of those beside it explains more")
 COMPARE_COMPETING = rule("compare_competing", "put competing candidates in the place of what was accepted")
 
 #: Iterations of the refit without an effect, and of the refit of a competing candidate.
@@ -51,6 +53,35 @@ def drop_not_missed(search: Search) -> None:
         search.accepted.remove(one)
         outcome = "not missed once the others are there"
         search.record(one.effect, c, AFTER_ROUNDS, one.gain, outcome, less, one.needed)
+
+
+def prefer_form(search: Search) -> None:
+    """Drops an effect if another form of one that is accepted on its channel explains more: no rig has exactly the laws of the
+    catalogue, and what a law leaves is no further effect."""
+    fit = search.fit
+    long = fit.on(fit.rig.for_long_refits())
+    while fit.rig.has_hidden_states and fit.settings.uses(PREFER_FORM):
+        tries: list[tuple[float, Accepted | None, int]] = []
+        for c in fit.rig.channels:
+            for one in search.on(c):
+                others = [(k.effect, one.channel) for k in search.on(c) if k is not one]
+                if not others or one.without is None or search.present[c].channel is None:
+                    continue
+                found = attempts(fit, one.without, others)
+                refit_attempts(long, found)
+                tries += [(t.score - search.present[c].cost - one.needed, one, c) for t in found]
+        lead, dropped, c = min(tries, key=lambda t: t[0], default=(0.0, None, 0))
+        if dropped is None or dropped.without is None or lead >= 0.0:
+            return
+        less, present = dropped.without, search.present[c]
+        outcome = "another form of the others does better"
+        search.record(
+            dropped.effect, c, AFTER_ROUNDS, fit.gain(less, present), outcome, present, dropped.needed
+        )
+        search.accepted.remove(dropped)
+        search.present[c] = less
+        solve(long, [less], SETTLE_ITERATIONS)
+        drop_not_missed(search)
 
 
 def drop_unneeded(search: Search) -> None:

@@ -32,7 +32,8 @@ from .candidates import penalty_per_parameter
 from .refits import refit_found
 
 __all__ = [
-    "Correction", "changes", "correct", "correct_all", "correct_placebo", "is_correction", "run", "with_correction",
+    "Attempt", "Correction", "attempts", "changes", "correct", "correct_all", "correct_placebo", "is_correction",
+    "refit_attempts", "run", "with_correction",
 ]  # fmt: skip
 
 CORRECT_FORM = rule("correct_form", "correct the form of named effects")
@@ -58,6 +59,22 @@ class Correction:
     fall: float
     fall_on_left_out: float
     changes: Mapping[tuple[int, str], float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """An estimate with one correction more, and by how much the cost must fall for it (`needed`)."""
+
+    effect: str
+    channel: int | None
+    correction: str
+    estimate: Estimate
+    needed: float
+
+    @property
+    def score(self) -> float:
+        """The cost with what the correction must pay for."""
+        return self.estimate.cost + self.needed
 
 
 def run(state: State) -> State:
@@ -125,37 +142,46 @@ def correct(
             break
         if number and far_from_noise(fit, estimate):
             break  # with the form put right that matters most, what is left is no matter of form
-        tries = [
-            (effect, channel, correction, with_correction(estimate, effect, correction, channel))
-            for effect, channel in dict.fromkeys(named)
-            for correction in CORRECTIONS.get(effect, {})
-            if not any(k.correction == correction for k in kept)
-        ]
+        tries = [t for t in attempts(fit, estimate, named) if all(k.correction != t.correction for k in kept)]
         if not tries:
             break
-        _refit_from_two_starts(fit, [p for *_, p in tries])
+        refit_attempts(fit, tries)
         if number == 0 and estimate.channel is not None:
-            grow_horizon(fit, [min((p for *_, p in tries), key=lambda p: p.cost)])
-        needed = [penalty_per_parameter(fit) * _own_size(k, e) for e, _, k, _ in tries]
-        worth = [estimate.cost - p.cost - n for (*_, p), n in zip(tries, needed, strict=True)]
-        most = int(np.argmax(worth))
-        effect, channel, correction, best = tries[most]
-        if worth[most] <= 0.0:
+            grow_horizon(fit, [min((t.estimate for t in tries), key=lambda p: p.cost)])
+        best = min(tries, key=lambda t: t.score)
+        if best.score >= estimate.cost:
             break
         checked = fit.settings.uses(LEFT_OUT)
-        falls = falls_on_left_out(fit, estimate, best) if checked else (np.inf, np.inf)
+        falls = falls_on_left_out(fit, estimate, best.estimate) if checked else (np.inf, np.inf)
         # It must help in both halves, and in all pay for its numbers there too.
-        if min(falls) <= 0.0 or sum(falls) < needed[most]:
+        if min(falls) <= 0.0 or sum(falls) < best.needed:
             break
-        solve(fit, [best], KEEP_ITERATIONS)
-        kept.append(Correction(effect, correction, channel, estimate.cost - best.cost, sum(falls)))
-        estimate = best
+        solve(fit, [best.estimate], KEEP_ITERATIONS)
+        fall = estimate.cost - best.estimate.cost
+        kept.append(Correction(best.effect, best.correction, best.channel, fall, sum(falls)))
+        estimate = best.estimate
     return estimate, kept
 
 
-def _refit_from_two_starts(fit: Fit, estimates: Sequence[Estimate]) -> None:
+def attempts(fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]]) -> list[Attempt]:
+    """The estimate with each correction of its effects `named` (with their channels), not yet refitted."""
+    return [
+        Attempt(
+            effect,
+            channel,
+            correction,
+            with_correction(estimate, effect, correction, channel),
+            penalty_per_parameter(fit) * _own_size(correction, effect),
+        )
+        for effect, channel in dict.fromkeys(named)
+        for correction in CORRECTIONS.get(effect, {})
+    ]
+
+
+def refit_attempts(fit: Fit, tries: Sequence[Attempt]) -> None:
     """Improves what may become the best of all: the known parameters have moved to make up for the form, so they begin
     where they are and where they were given. Those of a whole rig, whose simulations are slow, begin where they are."""
+    estimates = [t.estimate for t in tries]
     again = {id(p): p.from_given().in_all_directions() for p in estimates if p.channel is not None}
     every = [*estimates, *again.values()]
     solve(fit, every, TRY_ITERATIONS, races=[every])

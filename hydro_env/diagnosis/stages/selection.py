@@ -9,17 +9,33 @@ compete last, against what the channels found separately.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
-from ..estimation import SETTLE_ITERATIONS, Estimate, could_pay, grow_horizon, smallest_share, solve
+from ..estimation import (
+    SETTLE_ITERATIONS,
+    Estimate,
+    Fit,
+    best_on_beginnings,
+    could_pay,
+    grow_horizon,
+    smallest_share,
+    solve,
+    unexplained,
+)
+from ..settings import rule
 from ..state import State
-from .candidates import ACCEPTED, OUTDONE, Accepted, Search, Selection, judge, penalty
-from .elimination import compare_competing, drop_not_missed, drop_unneeded
+from .candidates import ACCEPTED, OUTDONE, VANISHED, Accepted, Search, Selection, judge, penalty
+from .elimination import compare_competing, drop_not_missed, drop_unneeded, prefer_form
 from .refits import refit_found, short_refit
 from .rig_effects import select_rig_effects
 from .screening import Screening, screen
 
 __all__ = ["run", "select"]
+
+COMPETE_ON_BEGINNING = rule(
+    "compete_on_beginning",
+    "compare all candidates on the beginning of the logs where the best one leaves something",
+)
 
 #: Short refits and full refits in the first round, and in later ones, where the screening is beside a better model.
 FIRST_REFITS, LATER_REFITS = (12, 3), (6, 2)
@@ -38,6 +54,30 @@ class Refit:
     channel: int
     screened: Screening
     estimate: Estimate
+
+
+@dataclass
+class Contest:
+    """The candidates of a channel in a round: those that are refitted in full, best first, and the rest.
+
+    `gains` are those of the refitted ones when all had been refitted alike, by effect.
+    """
+
+    channel: int
+    refits: list[Refit]
+    outdone: list[Refit]
+    gains: dict[str, float] = field(default_factory=dict)
+
+    def rank(self, search: Search) -> None:
+        """Sorts the refitted ones, the best of each effect first, and counts their gains."""
+        fit, before = search.fit, search.present[self.channel]
+        self.refits.sort(key=lambda r: r.estimate.cost + penalty(fit, r.screened.effect))
+        best: dict[str, Refit] = {}
+        for r in self.refits:
+            best.setdefault(r.screened.effect, r)
+        self.refits = [*best.values()]
+        self.outdone = [r for r in self.outdone if r.screened.effect not in best]
+        self.gains = {effect: fit.gain(before, r.estimate) for effect, r in best.items()}
 
 
 def run(state: State) -> State:
@@ -74,6 +114,7 @@ def select(search: Search) -> Selection:
     if any(len(search.on(c)) > 1 for c in fit.rig.channels):
         search.progress("can any of them be left out?")
         drop_not_missed(search)
+        prefer_form(search)
     if search.accepted:
         search.progress("what else would do as well?")
         compare_competing(search)
@@ -109,14 +150,19 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     refits = _short_refits(search, channels, screening, number, short)
     if not refits:
         return []
-    best = _best_refits(search, channels, refits, number, full)
-    solve(fit, [r.estimate for r in best], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS)
-    accepted = [c for c in channels if _accept_best(search, c, [r for r in best if r.channel == c], number)]
-    # The winners are refitted as far as they go: what is left afterwards decides on further effects. So are the placebos.
-    winners, long = [search.present[c] for c in accepted], fit.on(fit.rig.for_long_refits())
-    solve(long, winners + [search.placebo[c] for c in accepted if number == 1], SETTLE_ITERATIONS)
-    if fit.rig.has_hidden_states:
-        solve(long, grow_horizon(long, winners), SETTLE_ITERATIONS)
+    contests = [_contest(search, c, [r for r in refits if r.channel == c], full) for c in channels]
+    contests = [k for k in contests if k.refits]
+    solve(
+        fit, [r.estimate for k in contests for r in k.refits], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS
+    )
+    for k in contests:
+        k.rank(search)
+    _compete_on_beginning(search, contests)
+    _settle_leaders(search, contests)
+    accepted = [k.channel for k in contests if _accept_best(search, k, number)]
+    if number == 1:
+        long = fit.on(fit.rig.for_long_refits())
+        solve(long, [search.placebo[c] for c in accepted], SETTLE_ITERATIONS)
     return accepted
 
 
@@ -138,44 +184,88 @@ def _short_refits(
     return refits
 
 
-def _best_refits(
-    search: Search, channels: Sequence[int], refits: Sequence[Refit], number: int, most: int
-) -> list[Refit]:
-    """The candidates of every channel that are worth a full refit: those within reach of the best, and one more."""
-    best = []
-    for c in channels:
-        own = sorted((r for r in refits if r.channel == c), key=lambda r: r.estimate.cost)
-        fall = [search.present[c].cost - r.estimate.cost for r in own]
-        near = sum(each > WITHIN_REACH * fall[0] for each in fall[:most])
-        worthwhile = max(min(near, most), min(2, len(own)))
-        best += own[:worthwhile]
-        for r in own[worthwhile:]:
-            gain = search.fit.gain(search.present[c], r.estimate)
-            search.record(r.screened.effect, c, number, gain, OUTDONE, r.estimate)
-    return best
+def _contest(search: Search, c: int, refits: Sequence[Refit], most: int) -> Contest:
+    """The candidates of a channel, best first; those within reach of the best, and one more, are to be refitted in full."""
+    own = sorted(refits, key=lambda r: r.estimate.cost)
+    fall = [search.present[c].cost - r.estimate.cost for r in own]
+    near = sum(each > WITHIN_REACH * fall[0] for each in fall[:most])
+    worthwhile = max(min(near, most), min(2, len(own)))
+    return Contest(c, own[:worthwhile], own[worthwhile:])
 
 
-def _accept_best(search: Search, c: int, refits: Sequence[Refit], number: int) -> bool:
+def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
+    """Where the best candidate leaves something unexplained, every effect that the logs would show competes anew on their
+    beginning, and the best are refitted beside those that the screening proposed.
+    """
+    fit = search.fit
+    left = [k for k in contests if unexplained(fit, k.refits[0].estimate, k.channel)]
+    if not (left and fit.rig.has_hidden_states and fit.settings.uses(COMPETE_ON_BEGINNING)):
+        return
+    screened = {(k.effect, k.channel): k for k in search.screening}
+    names = []
+    for k in left:
+        new = [n for n in search.names if n not in search.present[k.channel].effects()]
+        names.append([n for n in new if screened[n, k.channel].shows])
+    found = best_on_beginnings(fit, [search.present[k.channel] for k in left], names)
+    for k, own in zip(left, found, strict=True):
+        k.refits += [Refit(k.channel, screened[p.label, k.channel], p) for p in own]
+    races = [[r.estimate for r in k.refits] for k in left]
+    solve(fit, [p for race in races for p in race], SETTLE_ITERATIONS, races=races)
+
+
+def _settle_leaders(search: Search, contests: Sequence[Contest]) -> None:
+    """Refits the best candidates as far as they go, before they are judged: in a local minimum the right one gains little, too.
+
+    Where the best leaves something unexplained, so does the second.
+    """
+    fit = search.fit
+    for k in contests:
+        k.rank(search)
+    _settle(fit, [k.refits[0].estimate for k in contests])
+    left = [k for k in contests if unexplained(fit, k.refits[0].estimate, k.channel)]
+    _settle(fit, [r.estimate for k in left for r in k.refits[1:2]])
+    for k in left:
+        k.rank(search)
+
+
+def _settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
+    """Improves estimates as far as they go, in place."""
+    long = fit.on(fit.rig.for_long_refits())
+    solve(long, estimates, SETTLE_ITERATIONS)
+    if fit.rig.has_hidden_states:
+        solve(long, grow_horizon(long, estimates), SETTLE_ITERATIONS)
+
+
+def _adopt_base(search: Search, c: int, vanished: Refit) -> bool:
+    """Takes over the known parameters of a candidate that vanished, if they explain the logs better; whether it does."""
+    fit, present = search.fit, search.present[c]
+    less = vanished.estimate.without(vanished.screened.effect)
+    solve(fit, [less], CHEAP_ITERATIONS)
+    return fit.gain(present, less) > 0.0 and present.adopt(less)
+
+
+def _accept_best(search: Search, contest: Contest, number: int) -> bool:
     """Judges the refitted candidates of a channel and accepts the best one, if it passes; whether it does."""
-    fit, before = search.fit, search.present[c]
-    refits = sorted(refits, key=lambda r: r.estimate.cost + penalty(fit, r.screened.effect))
-    if not refits:
-        return False
-    gains = {r.screened.effect: fit.gain(before, r.estimate) for r in refits}
-    accepted = False
-    for place, r in enumerate(refits):
-        effect, gain = r.screened.effect, gains[r.screened.effect]
+    fit, c, gains = search.fit, contest.channel, contest.gains
+    before = search.present[c]
+    judged, accepted = "", False
+    for place, r in enumerate(contest.refits):
+        effect, gain = r.screened.effect, fit.gain(before, r.estimate)
         outcome = judge(fit, before, r.estimate, effect, gain)
         if place == 0:
-            accepted = outcome == ACCEPTED
+            judged, accepted = outcome, outcome == ACCEPTED
             if accepted:
                 competing = search.competing(effect, gains)
                 search.accepted.append(Accepted(effect, c, gain, penalty(fit, effect), competing, before))
         elif outcome == ACCEPTED:
             outcome = OUTDONE
         search.record(effect, c, number, gain, outcome, r.estimate)
+    for r in contest.outdone:
+        search.record(r.screened.effect, c, number, fit.gain(before, r.estimate), OUTDONE, r.estimate)
+    refits = contest.refits
     if number == 1:
         search.placebo[c] = refits[1 if accepted and len(refits) > 1 else 0].estimate
     if accepted:
         search.present[c] = refits[0].estimate
-    return accepted
+        return True
+    return judged == VANISHED and _adopt_base(search, c, refits[0])

@@ -1,0 +1,81 @@
+"""Competing candidates on the beginning of the logs, where they are parted at little cost.
+
+On whole logs a missing effect has pulled known parameters along, and a shaft is revolutions away from where it should be: from
+there no small step leads to the right candidate. On the first half second there is one minimum, a simulation costs a twentieth,
+and every candidate can be refitted from many sizes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from ...plant import CATALOGUE
+from .estimate import Estimate
+from .fit import Fit
+from .gauss_newton import solve
+from .growing_horizon import beginning_of
+from .unknowns import effect_starts
+
+__all__ = ["best_on_beginnings"]
+
+#: Shares of the logs in turn, iterations with each, and the starts of each candidate that go on.
+STAGES = ((0.04, 2, 2), (0.04, 6, 1), (0.11, 4, 1), (0.22, 3, 1))
+#: Starts of each candidate that are improved, of all those that are simulated once.
+FIRST_STARTS = 3
+#: A candidate is dropped that is behind the best one by more than this, and by this share of what the best one gains over no
+#: effect; so many go on in any case.
+FAR_BEHIND, OUT_OF_REACH, KEPT = 100.0, 0.5, 3
+
+
+def best_on_beginnings(
+    fit: Fit, presents: Sequence[Estimate], names: Sequence[Sequence[str]]
+) -> list[list[Estimate]]:
+    """For each of `presents` the few extensions by one of the effects `names` that explain the beginning of the logs best.
+
+    They come best first. They start from the estimate and from the known parameters as given, with every size and shape of the
+    effect.
+    """
+    fields = [_starts(p, own) for p, own in zip(presents, names, strict=True)]
+    beginning = fit.on(beginning_of(fit.rig, STAGES[0][0]))
+    beginning.evaluate([p for field in fields for p in field])
+    fields = [_best_of_each(field, FIRST_STARTS) for field in fields]
+    for share, iterations, kept in STAGES:
+        beginning = fit.on(beginning_of(fit.rig, share))
+        fields = [[p.at(p.q.copy()) for p in field] for field in fields]
+        solve(beginning, [p for field in fields for p in field], iterations)
+        fields = [_within_reach(_best_of_each(field, kept)) for field in fields]
+    return [[p.at(p.q.copy()) for p in _best_of_each(field, 1) if p.label][:KEPT] for field in fields]
+
+
+def _starts(present: Estimate, names: Sequence[str]) -> list[Estimate]:
+    """Every start of every candidate; without a label those that have no further effect."""
+    found = [present.at(present.q.copy(), ""), present.from_given().at(present.from_given().q, "")]
+    for name in names:
+        for values in effect_starts(CATALOGUE[name], math.inf, whole=True):
+            one = present.with_effect(name, values)
+            found += [one, one.from_given()]
+    return found
+
+
+def _best_of_each(field: Sequence[Estimate], most: int) -> list[Estimate]:
+    """The best starts of each candidate, best first."""
+    count: dict[str, int] = {}
+    found = []
+    for p in sorted(field, key=lambda p: p.cost):
+        count[p.label] = count.get(p.label, 0) + 1
+        if count[p.label] <= most:
+            found.append(p)
+    return found
+
+
+def _within_reach(field: Sequence[Estimate]) -> list[Estimate]:
+    """Those of a field, best first, that may still become the best."""
+    best = field[0].cost
+    fall = min(p.cost for p in field if not p.label) - best
+    found: list[Estimate] = []
+    for p in field:
+        near = p.cost - best < max(FAR_BEHIND, OUT_OF_REACH * fall)
+        if near or not p.label or len({f.label for f in found} | {p.label}) <= KEPT:
+            found.append(p)
+    return found
