@@ -65,7 +65,7 @@ class Cell:
     scenario: str
     cases: int
     metrics: dict[str, Floats] = field(default_factory=dict)
-    strata: tuple[str, ...] | None = None
+    summaries: dict[str, Summary] = field(default_factory=dict)
     unsettled: int = 0
     needs: str = "measurements"
     plant: str | None = None
@@ -292,9 +292,12 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
     if done.typical_command > 1.0:
         note = f"half of its commands are {done.typical_command:.3g} or more, and 1 was applied instead: a command is a fraction"
         note += " of the rated one, not a voltage"
+    summaries = {
+        name: summarise(values, strata=done.faults, seed=conditions.seed) for name, values in metrics.items()
+    }
     traces = _kept(done.trace, metrics[TRACE_METRIC])
     unsettled = int(np.sum(never_settled(done.trace)))
-    return replace(cell, metrics=metrics, strata=done.faults, unsettled=unsettled, traces=traces, note=note)
+    return replace(cell, metrics=metrics, summaries=summaries, unsettled=unsettled, traces=traces, note=note)
 
 
 def _kept(trace: Trace, difference: Floats) -> dict[str, Any]:
@@ -331,9 +334,7 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
     names = list(dict.fromkeys(cell.name for cell in cells))
     baseline = BASELINE if BASELINE in names else names[0]
     summaries = {
-        (cell.name, cell.split, cell.scenario, metric): summarise(
-            cell.metrics[metric], strata=cell.strata, seed=conditions.seed
-        )
+        (cell.name, cell.split, cell.scenario, metric): cell.summaries[metric]
         for cell in cells
         for metric in (suite.metrics if cell.metrics else ())
     }

@@ -141,8 +141,8 @@ class Oracle(Controller):
         for turn in range(turns):
             copies.take_state(self._twin, None if every else rows)
             # The last command stays: what follows its last sample is not looked at.
-            held = (plan * rated[:, None]).transpose(1, 0, 2)
-            volts[:-1].reshape(HORIZON, SAMPLES, -1, 2)[:] = held[:, None]
+            held = (plan * rated[:, None]).transpose(1, 0, 2).reshape(HORIZON, 1, -1)
+            volts[:-1].reshape(HORIZON, SAMPLES, -1)[:] = held
             volts[-1] = volts[-2]
             copies.run_into(seen, volts, load, self._step, signals)
             # Out of standstill the way leads over a ridge: at first a plan need not be better than the one before.

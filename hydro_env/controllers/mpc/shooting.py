@@ -19,6 +19,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.mpc.planner import CLOSED
@@ -30,6 +31,8 @@ HORIZON, SAMPLES = 5, 10
 """Control periods that are planned, and samples of a period at which the planned motion is looked at."""
 COMMANDS, END = 2 * HORIZON, HORIZON * SAMPLES
 """Commands of a plan, channel by channel, and its last sample. (Known to the compiler, which unrolls loops over them.)"""
+LANES = 32
+"""Rigs that are worked on side by side. (With 16 LLVM unrolls the loops over them and finds no vectors in what is left.)"""
 CORNER = 2.0
 """Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm."""
 BETWEEN = 100.0
@@ -63,6 +66,38 @@ class Course(NamedTuple):
     def of(self, rows: np.ndarray) -> Course:
         """That of some rigs."""
         return Course(*(np.ascontiguousarray(each[rows]) for each in self))
+
+
+class Tile(NamedTuple):
+    """Some plans and what they lead to, rigs in the last axis, so that a vector of the processor holds the same number of each.
+
+    rig (LANES,): which rigs. speed, open, spool, travel (2, END + 1, LANES), `open` is CLOSED where a valve is. plan (2, H + 1,
+    LANES) begins with the command in force. motor, setpoint, margin, difference, smooth, stops, damping: as in `Course` and
+    `Best`. turned (END + 1, COMMANDS, LANES): how speeds change with each command. square (COMMANDS, COMMANDS, LANES) and slope
+    (COMMANDS, LANES): normal equations. To these are added errors (LANES,) that count by `weight` and change by `change`
+    (COMMANDS, LANES) with the commands; `weighted`: weight times change of one command.
+    """
+
+    rig: NDArray[np.int64]
+    speed: Floats
+    open: Floats
+    spool: Floats
+    travel: Floats
+    plan: Floats
+    motor: Floats
+    setpoint: Floats
+    margin: Floats
+    difference: Floats
+    smooth: Floats
+    stops: Floats
+    damping: Floats
+    turned: Floats
+    square: Floats
+    slope: Floats
+    error: Floats
+    weight: Floats
+    change: Floats
+    weighted: Floats
 
 
 class Best(NamedTuple):
@@ -207,93 +242,177 @@ def keep(plan, free, motion, course, best):
 @compiled
 def improve(plan, course, best):
     """Improves the best plans, in `plan` (N, HORIZON, 2), fractions of the rated command."""
-    turned = np.zeros((END + 1, COMMANDS))
+    rigs, tile = plan.shape[0], _room()
     square, slope = np.empty((COMMANDS, COMMANDS)), np.empty(COMMANDS)
     x, low, high = np.empty(COMMANDS), np.empty(COMMANDS), np.empty(COMMANDS)
-    for i in range(plan.shape[0]):
-        _sensitivity(i, best.motion[1], course, turned)
-        square[:] = 0.0
-        slope[:] = 0.0
-        _add_motion(i, best.motion, course, turned, square, slope)
-        for c in range(2):
-            for j in range(HORIZON):
-                b = c * HORIZON + j
-                _add_move(plan, i, j, c, best.damping[i], course, square, slope)
-                x[b] = 0.0
-                low[b] = min(0.0, -course.most[i, c] - plan[i, j, c])
-                high[b] = max(0.0, course.most[i, c] - plan[i, j, c])
-        minimise_in_box(square, slope, low, high, x)
-        for b in range(COMMANDS):
-            plan[i, b % HORIZON, b // HORIZON] += x[b]
+    for first in range(0, rigs, LANES):
+        _gather(first, plan, best.motion, best.damping, course, tile)
+        _sensitivity(tile)
+        _add_motion(tile)
+        _add_moves(tile)
+        for i in range(first, min(first + LANES, rigs)):
+            for b in range(COMMANDS):
+                slope[b] = tile.slope[b, i - first]
+                for k in range(COMMANDS):
+                    square[b, k] = tile.square[b, k, i - first]
+            for c in range(2):
+                for j in range(HORIZON):
+                    b = c * HORIZON + j
+                    x[b] = 0.0
+                    low[b] = min(0.0, -course.most[i, c] - plan[i, j, c])
+                    high[b] = max(0.0, course.most[i, c] - plan[i, j, c])
+            minimise_in_box(square, slope, low, high, x)
+            for b in range(COMMANDS):
+                plan[i, b % HORIZON, b // HORIZON] += x[b]
 
 
 @compiled
-def _sensitivity(i, flow, course, turned):
-    """How speeds at every sample change with each command, `turned` (END + 1, COMMANDS): the spool's travel, where the valve is
-    open, is integrated. Sample by sample, so that no command waits for another one's chain of sums."""
-    pressed, before = np.zeros(COMMANDS), np.zeros(COMMANDS)
+def _room():
+    """A `Tile` to be filled."""
+    n, moved, commands = LANES, (2, END + 1, LANES), (COMMANDS, LANES)
+    return Tile(
+        np.empty(n, np.int64), np.empty(moved), np.empty(moved), np.empty(moved), np.empty(moved),
+        np.empty((2, HORIZON + 1, n)), np.empty((2, 2, 3, n)), np.empty((HORIZON + 1, n)), np.empty((2, n)),
+        np.empty(n), np.empty(n), np.empty(n), np.empty(n),
+        np.zeros((END + 1, COMMANDS, n)), np.empty((COMMANDS, COMMANDS, n)), np.empty(commands),
+        np.empty(n), np.empty(n), np.empty(commands), np.empty(n),
+    )  # fmt: skip
+
+
+@compiled
+def _gather(first, plan, motion, damping, course, tile):
+    """Lays rigs side by side, from the rig `first` on; where there are fewer the last one fills their lanes, too."""
+    for lane in range(LANES):
+        tile.rig[lane] = min(first + lane, course.stops.size - 1)
+    for lane in range(LANES):
+        i = tile.rig[lane]
+        tile.difference[lane], tile.smooth[lane] = course.difference[i], course.smooth[i]
+        tile.stops[lane], tile.damping[lane] = 1e6 * course.stops[i], damping[i]
+    for k in range(HORIZON + 1):
+        for lane in range(LANES):
+            tile.setpoint[k, lane] = course.setpoint[tile.rig[lane], k]
+    for c in range(2):
+        for lane in range(LANES):
+            tile.margin[c, lane] = course.margin[tile.rig[lane], c]
+            tile.plan[c, 0, lane] = course.sent[tile.rig[lane], c]
+        for k in range(HORIZON):
+            for lane in range(LANES):
+                tile.plan[c, k + 1, lane] = plan[tile.rig[lane], k, c]
+        for k in range(6):
+            for lane in range(LANES):
+                tile.motor[c, k // 3, k % 3, lane] = course.motor[tile.rig[lane], c, k // 3, k % 3]
+        for s in range(END + 1):
+            for lane in range(LANES):
+                i = tile.rig[lane]
+                tile.travel[c, s, lane] = course.travel[i, c, s]
+                tile.speed[c, s, lane] = motion[0, s, i, c]
+                tile.open[c, s, lane] = CLOSED if motion[1, s, i, c] == 0.0 else 1.0
+                tile.spool[c, s, lane] = motion[2, s, i, c]
+
+
+@compiled
+def _sensitivity(tile):
+    """How speeds at every sample change with each command, `turned`: the spool's travel, where the valve is open, is integrated.
+    Sample by sample, so that no command waits for another one's chain of sums."""
+    pressed, before, turned = np.zeros((COMMANDS, LANES)), np.zeros((COMMANDS, LANES)), tile.turned
     for s in range(1, END + 1):
         begun = (s - 1) // SAMPLES + 1  # commands that have begun to act
         for c in range(2):
-            travel, motor, closed = course.travel[i, c], course.motor[i, c], flow[s, i, c] == 0.0
+            motor = tile.motor[c]
             for j in range(begun):
                 b = c * HORIZON + j
-                now = travel[s - j * SAMPLES]
-                if closed:
-                    now *= CLOSED
-                mean, before[b] = 0.5 * (before[b] + now), now
-                was, speed = pressed[b], turned[s - 1, b]
-                pressed[b] = motor[0, 0] * was + motor[0, 1] * speed + motor[0, 2] * mean
-                turned[s, b] = motor[1, 0] * was + motor[1, 1] * speed + motor[1, 2] * mean
+                for lane in range(LANES):
+                    now = tile.travel[c, s - j * SAMPLES, lane] * tile.open[c, s, lane]
+                    mean = 0.5 * (before[b, lane] + now)
+                    before[b, lane] = now
+                    was, speed = pressed[b, lane], turned[s - 1, b, lane]
+                    pressed[b, lane] = (
+                        motor[0, 0, lane] * was + motor[0, 1, lane] * speed + motor[0, 2, lane] * mean
+                    )
+                    turned[s, b, lane] = (
+                        motor[1, 0, lane] * was + motor[1, 1, lane] * speed + motor[1, 2, lane] * mean
+                    )
 
 
 @compiled
-def _add_motion(i, motion, course, turned, square, slope):
-    """Adds travel beyond the margin, tracking errors and speed differences at all samples to the normal equations; `turned`
-    (END + 1, COMMANDS): how speeds change with each command."""
-    speed, spool, apart_by = motion[0], motion[2], np.empty(COMMANDS)
-    setpoint, difference, stops = course.setpoint[i], course.difference[i], 1e6 * course.stops[i]
+def _add_motion(tile):
+    """The normal equations of travel beyond the margin, tracking errors and speed differences at all samples."""
+    tile.square[:] = 0.0
+    tile.slope[:] = 0.0
     for s in range(1, END + 1):
         begun = (s - 1) // SAMPLES + 1  # commands that have begun to act
-        instant = s % SAMPLES == 0
         for c in range(2):
-            base = c * HORIZON
-            past = abs(spool[s, i, c]) - course.margin[i, c]
-            if past > 0.0:
-                sign = 1.0 if spool[s, i, c] > 0.0 else -1.0
+            if _beyond(s, c, tile):
                 for j in range(begun):
-                    a = stops * course.travel[i, c, s - j * SAMPLES]
-                    slope[base + j] += a * sign * past
-                    for k in range(begun):
-                        square[base + j, base + k] += a * course.travel[i, c, s - k * SAMPLES]
-            if instant:
-                error = speed[s, i, c] - setpoint[s // SAMPLES]
-                weight = 1.0 / np.sqrt(1.0 + (error / CORNER) ** 2)
+                    for lane in range(LANES):
+                        tile.change[c * HORIZON + j, lane] = tile.travel[c, s - j * SAMPLES, lane]
+                _add_squares(c, c + 1, begun, tile)
+            if s % SAMPLES == 0:
+                for lane in range(LANES):
+                    error = tile.speed[c, s, lane] - tile.setpoint[s // SAMPLES, lane]
+                    tile.weight[lane] = 1.0 / np.sqrt(1.0 + (error / CORNER) ** 2)
+                    tile.error[lane] = error
                 for j in range(begun):
-                    a = weight * turned[s, base + j]
-                    slope[base + j] += a * error
-                    for k in range(begun):
-                        square[base + j, base + k] += a * turned[s, base + k]
-        apart = speed[s, i, 0] - speed[s, i, 1]
-        weight = difference if instant else BETWEEN
-        for j in range(HORIZON):
-            apart_by[j], apart_by[HORIZON + j] = turned[s, j], -turned[s, HORIZON + j]
-        for b in range(COMMANDS):
-            a = weight * apart_by[b]
-            slope[b] += a * apart
-            for k in range(COMMANDS):
-                square[b, k] += a * apart_by[k]
+                    for lane in range(LANES):
+                        tile.change[c * HORIZON + j, lane] = tile.turned[s, c * HORIZON + j, lane]
+                _add_squares(c, c + 1, begun, tile)
+        for lane in range(LANES):
+            tile.weight[lane] = tile.difference[lane] if s % SAMPLES == 0 else BETWEEN
+            tile.error[lane] = tile.speed[0, s, lane] - tile.speed[1, s, lane]
+        for c in range(2):
+            sign = 1.0 - 2.0 * c
+            for j in range(begun):
+                for lane in range(LANES):
+                    tile.change[c * HORIZON + j, lane] = sign * tile.turned[s, c * HORIZON + j, lane]
+        _add_squares(0, 2, begun, tile)
 
 
 @compiled
-def _add_move(plan, i, j, c, damping, course, square, slope):
-    """Adds the move of a command, and its change, to the normal equations."""
-    b, smooth = c * HORIZON + j, course.smooth[i]
-    square[b, b] += damping + smooth
-    move = plan[i, j, c] - (course.sent[i, c] if j == 0 else plan[i, j - 1, c])
-    slope[b] += smooth * move
-    if j > 0:
-        slope[b - 1] -= smooth * move
-        square[b - 1, b - 1] += smooth
-        square[b, b - 1] -= smooth
-        square[b - 1, b] -= smooth
+def _beyond(s, c, tile):
+    """Whether a spool is beyond its margin, the weight where it is, and how far."""
+    beyond = 0.0
+    for lane in range(LANES):
+        spool = tile.spool[c, s, lane]
+        past = max(0.0, abs(spool) - tile.margin[c, lane])
+        beyond = max(beyond, past)
+        tile.weight[lane] = tile.stops[lane] if past > 0.0 else 0.0
+        tile.error[lane] = past if spool > 0.0 else -past
+    return beyond > 0.0
+
+
+@compiled
+def _add_squares(first, last, begun, tile):
+    """Adds errors that count by `weight` and change by `change` with the commands of channels from `first` to before `last` to
+    the normal equations."""
+    for c in range(first, last):
+        for j in range(begun):
+            b = c * HORIZON + j
+            for lane in range(LANES):
+                a = tile.weight[lane] * tile.change[b, lane]
+                tile.weighted[lane] = a
+                tile.slope[b, lane] += a * tile.error[lane]
+            for d in range(first, last):
+                for k in range(begun):
+                    for lane in range(LANES):
+                        tile.square[b, d * HORIZON + k, lane] += (
+                            tile.weighted[lane] * tile.change[d * HORIZON + k, lane]
+                        )
+
+
+@compiled
+def _add_moves(tile):
+    """Adds the moves of the commands, and their changes, to the normal equations."""
+    for c in range(2):
+        for j in range(HORIZON):
+            b = c * HORIZON + j
+            for lane in range(LANES):
+                smooth, move = tile.smooth[lane], tile.plan[c, j + 1, lane] - tile.plan[c, j, lane]
+                tile.square[b, b, lane] += tile.damping[lane] + smooth
+                tile.slope[b, lane] += smooth * move
+            if j > 0:
+                for lane in range(LANES):
+                    smooth, move = tile.smooth[lane], tile.plan[c, j + 1, lane] - tile.plan[c, j, lane]
+                    tile.slope[b - 1, lane] -= smooth * move
+                    tile.square[b - 1, b - 1, lane] += smooth
+                    tile.square[b, b - 1, lane] -= smooth
+                    tile.square[b - 1, b, lane] -= smooth
