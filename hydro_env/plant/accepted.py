@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from .catalogue import CATALOGUE
+from .catalogue.effect import arguments
 from .parameters import Parameter
-from .stiffness import LEAST_FRICTION, SPOOL, friction_left, greatest_force, parts_wanted
+from .stiffness import LEAST_FRICTION, MOST_FINER, SPOOL, friction_left, greatest_force, parts_wanted
 
 if TYPE_CHECKING:
     from .model import PlantModel
@@ -45,6 +46,7 @@ def check_spool(model: PlantModel, channel: int, where: str) -> None:
         for base, own in effect.limits.items():
             values[base] = min(values[base], model.value(f"{effect.name}.{own}", channel))
     _check_coil(model, channel, where)
+    _check_corners(model, channel, where)
     force = greatest_force(*(values[name] for name in ("alpha", "R", "k", "x_max", "u_rated")))
     least = force / values["x_max"] - 2.0 * values["k"]  # the stop yields by the stroke
     if values["k_stop"] < least:
@@ -91,6 +93,27 @@ def _check_coil(model: PlantModel, channel: int, where: str) -> None:
             f"{where}: channel {channel + 1}: L is {model.value('L', channel):g}; with a hysteresis that follows the current"
             f" {least:.3g} H or more can be simulated"
         )
+
+
+def _check_corners(model: PlantModel, channel: int, where: str) -> None:
+    """InputError for a valve or throttle that passes oil too quickly for its volume."""
+    for effect in map(CATALOGUE.__getitem__, model.declared):
+        if effect.least_parts is None:
+            continue
+        own = {p.name: model.value(f"{effect.name}.{p.name}", channel) for p in effect.parameters}
+        if effect.is_neutral(own):
+            continue
+        asked = [n for n in arguments(effect.least_parts) if n != "substep"]
+        values = {n: own[n] if n in own else model.value(n, channel) for n in asked}
+        least = effect.least_parts(substep=model.substep, **values)
+        most = MOST_FINER * effect.corner_parts
+        if least > (1.0 + _AT_END) * most:
+            p = effect.parameter("conductance")
+            others = ", ".join(n for n in asked if n != p.name)
+            raise InputError(
+                f"{where}: channel {channel + 1}: {effect.name}.conductance is {with_unit(own[p.name], p)}; with these {others}"
+                f" {with_unit(float(f'{own[p.name] * most / least:.3g}'), p)} or less can be simulated"
+            )
 
 
 def with_unit(value: float, parameter: Parameter) -> str:

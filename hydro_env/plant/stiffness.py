@@ -21,10 +21,12 @@ from collections.abc import Mapping
 
 from .vector_math import sqrt
 
-__all__ = ["FINE_PARTS", "LAWS", "LEAST_FRICTION", "SPOOL", "greatest_force", "parts_wanted"]
+__all__ = ["FINE_PARTS", "LAWS", "LEAST_FRICTION", "MOST_FINER", "SPOOL", "greatest_force", "parts_wanted"]
 
 #: Numbers of parts in which a stiff channel takes every substep.
 FINE_PARTS = (4, 16, 64)
+#: In how many again a stiff channel takes the parts at a bend of an effect, at most.
+MOST_FINER = 16.0
 #: Dry friction of the spool, N, below which only none is simulated: 0.06 um of travel.
 LEAST_FRICTION = 0.001
 #: Base parameters that decide.
@@ -79,6 +81,12 @@ def fine_parts(bristles, stops, coil):
     return 1.0 if cubed <= 1.0 else parts
 
 
+def corner_parts(parts, least):
+    """In how many parts a substep is taken at a bend that asks for `parts`, where its stiffness wants `least` of them."""
+    more = 4.0 if least <= 4.0 * parts else 16.0
+    return parts if least <= parts else more * parts
+
+
 def friction_left(friction, other):
     """What is left of Fc or Fs (N) when effects have added to it or taken from it; 1 N that acts on nothing if none is."""
     least = friction if friction > 0.001 else 0.001
@@ -86,7 +94,7 @@ def friction_left(friction, other):
 
 
 #: What the kernel takes from here.
-LAWS = (greatest_force, bristle_parts, stop_parts, coil_parts, fine_parts, friction_left)
+LAWS = (greatest_force, bristle_parts, stop_parts, coil_parts, fine_parts, corner_parts, friction_left)
 
 
 def parts_wanted(substep: float, values: Mapping[str, float]) -> float:

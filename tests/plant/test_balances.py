@@ -30,6 +30,7 @@ MEMORIES = (
     "lines__mean_pressure",
     "line_volume__side_pressure",
     "crossport_relief__lift",
+    "crossport_relief__lift_back",
 )
 SECONDS = 0.3
 ATMOSPHERE = 101325.0
@@ -133,14 +134,12 @@ class Books:
         )
         flow = self["Km"] * np.exp(-drift) * pressure + self["speed_dependent_leakage.coefficient"] * speed
         setting, half = self["crossport_relief.relief_pressure"], 0.5 * self["crossport_relief.hysteresis"]
-        lift = self["crossport_relief__lift"]
-        opens, closes = setting * (1.0 + half), setting * (1.0 - half)
-        held = np.clip(
-            lift, pressure - np.clip(pressure, -closes, opens), pressure - np.clip(pressure, -opens, closes)
-        )
-        lift = np.where(self["crossport_relief.time_constant"] > 0.0, lift, held)
+        forth, back = self["crossport_relief__lift"], self["crossport_relief__lift_back"]
+        low, high = (np.maximum(size - setting * (1.0 + way * half), 0.0) for way in (1.0, -1.0))
+        held = np.clip(np.where(pressure > 0.0, forth, back), low, high)
+        lift = np.where(self["crossport_relief.time_constant"] > 0.0, forth + back, held)
         root = np.sqrt(np.minimum(size / setting, 1.0))
-        flow = flow + np.sign(pressure) * self["crossport_relief.conductance"] * np.abs(lift) * root
+        flow = flow + np.sign(pressure) * self["crossport_relief.conductance"] * lift * root
         mean = 0.5 * (1.0 + self["lines__mean_pressure"])
         middle, leak = mean * self["external_leakage.supply_pressure"], self["external_leakage.conductance"]
         of_line = np.maximum(middle + 0.5 * np.sign(leak) * pressure, 0.0)

@@ -9,7 +9,7 @@ import pytest
 
 from hydro_env.errors import InputError
 from hydro_env.experiments.accuracy import COMMANDS, commands, compare, drawn, ends_of_base, ends_of_effects
-from hydro_env.plant import BUILT_IN, CATALOGUE, Plant, load_model, simulate
+from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Plant, load_model, simulate
 from hydro_env.practice.reference import run_closed_loop, simulate_reference
 from tests.golden import SHAPES
 from tests.practice.test_reference import PaperPID
@@ -116,6 +116,7 @@ EMPTIED = {
     "strong, boosted, small lines": {
         "anti_cavitation.conductance": 3e-9, "anti_cavitation.opening_pressure": 5e5, "V": 2e-5,
     },
+    "smallest lines": {"anti_cavitation.conductance": 3e-9, "V": 2e-6},
     "with a leak": {
         "anti_cavitation.conductance": 3e-9, "external_leakage.conductance": 1e-10,
         "external_leakage.supply_pressure": 50e5,
@@ -137,6 +138,25 @@ def test_check_valves_fill_emptied_lines(name):
     assert _error_rpm(model, command, load, 0.002) < 0.1
 
 
+#: Valves that lag beside a reversal, and lines that cross a setting of 10 bar in a fraction of a substep.
+RELIEVED = {
+    "lag": {"time_constant": 0.003},
+    "friction and lag": {"hysteresis": 0.3, "time_constant": 0.02},
+    "small lines": {"V": 2e-5, "beta": 1.9e9, "conductance": 2.5e-9},
+    "friction, small lines": {"V": 2e-5, "beta": 1.9e9, "hysteresis": 0.1, "conductance": 5e-10},
+    "smallest lines": {"V": 2e-6, "conductance": 2e-9},
+}
+
+
+@pytest.mark.parametrize("name", RELIEVED)
+def test_relief_valves_open_and_close_in_small_lines(name):
+    rng = np.random.default_rng(5)
+    command = 73.0 * np.where(np.cumsum(rng.random((50, 2)) < 0.4, axis=0) % 2 == 0, 1.0, -1.0)
+    own = {n if n in PARAMETERS else f"crossport_relief.{n}": value for n, value in RELIEVED[name].items()}
+    model = load_model("paper").with_values({"crossport_relief.relief_pressure": 10e5, **own})
+    assert _error_rpm(model, command, None, 0.01) < 0.1
+
+
 #: What a whole substep of 125 us does not resolve, and a spool without dry friction.
 STIFF = {
     "no friction": {"Fc": 0.0, "Fs": 0.0},
@@ -145,8 +165,11 @@ STIFF = {
     "light spool": {"m": 0.04},
     "hard stop": {"k_stop": 1e7, "v_stop": 1e-3},
     "high breakaway": {"Fs": 2.0},
+    "stiff bristles and a quick exchange": {
+        "s0": 3e6, "Fs": 0.0025, "line_volume.conductance": 8e-10, "line_volume.volume": 5e-4, "V": 2e-5,
+    },
     "quick coil": {"L": 0.001, "magnetic_hysteresis.amplitude": 2.0, "magnetic_hysteresis.width": 0.01},
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", STIFF)

@@ -82,7 +82,11 @@ class Effect:
     the command is late; the delay line itself lives in the kernel, which hands `rates` the delayed command.
     `corner` says, by a law that may also ask for `substep` (s), whether a channel is about to pass a bend of the effect that
     is too sharp for a whole substep, or wants short ones everywhere; it then takes the substep in
-    `corner_parts` parts. It must be false when the effect is neutral.
+    `corner_parts` parts. It must be false when the effect is neutral. It may also ask for `line_travel`: as much pressure (Pa) as
+    the flows of valve and motor could move the line by within the substep, if one of them acted alone and nothing leaked.
+    `least_parts` says, from the substep and from parameters, how many parts a stiff one wants there: where that is more
+    than `corner_parts`, these are taken in 4 or 16 again, and a model that wants still more is refused. It grows in
+    proportion to the effect's `conductance`.
 
     `shares` is what several effects have in common: an effect in no catalogue, which acts once and just before the first of them
     where any is compiled in. Its states and parameters are also theirs: a state of theirs with the name of one of its states adds
@@ -106,6 +110,7 @@ class Effect:
     limits: Mapping[str, str] = field(default_factory=dict)
     corner: Callable[..., bool] | None = None
     corner_parts: int = 5
+    least_parts: Callable[..., float] | None = None
     scope: str = "channel"
     indistinguishable_from: tuple[str, ...] = ()
     family: str = ""

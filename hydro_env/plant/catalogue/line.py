@@ -17,9 +17,10 @@ def _entrained_air(bulk_modulus, pressure, fraction):
     return bulk_modulus / (1.0 + fraction * bulk_modulus * 101325.0 / (absolute * absolute))
 
 
-def _entrained_air_corner(pressure, fraction):
-    # The fluid is soft within some bar of zero only, which a hard-driven line crosses in a tenth of a millisecond.
-    return fraction > 0.0 and abs(pressure) < 4e5
+def _entrained_air_corner(pressure, line_travel, fraction):
+    # The fluid is soft within some bar of zero only, which a hard-driven line crosses in a tenth of a millisecond. 4 bar will
+    # do for a line that moves no further in a part.
+    return fraction > 0.0 and abs(pressure) < (line_travel if line_travel > 20e5 else 4e5)
 
 
 ENTRAINED_AIR = Effect(
@@ -82,44 +83,52 @@ LINE_LOSS = Effect(
 )
 
 
-# The lift of an open relief valve is given as the pressure above the setting that would hold it there, with the sign of the
-# pressure. Dry friction lets it rest between the line on which it opens and the one on which it closes; without friction both
-# are the dead zone of the setting.
-def _crossport_relief(leakage, pressure, lift, relief_pressure, conductance, hysteresis, time_constant):
-    opens = relief_pressure * (1.0 + 0.5 * hysteresis)
-    closes = relief_pressure * (1.0 - 0.5 * hysteresis)
-    low = pressure - clip(pressure, -closes, opens)
-    high = pressure - clip(pressure, -opens, closes)
-    lifted = lift if time_constant > 0.0 else clip(lift, low, high)
+# The lift of an open relief valve is given as the pressure above the setting that would hold it there. Dry friction lets it rest
+# between the line on which it opens and the one on which it closes; without friction both are the dead zone of the setting.
+# Each direction has its own valve, which lags on its own.
+def _crossport_relief(
+    leakage, pressure, lift, lift_back, relief_pressure, conductance, hysteresis, time_constant
+):
+    size = abs(pressure)
+    low = size - relief_pressure * (1.0 + 0.5 * hysteresis)
+    high = size - relief_pressure * (1.0 - 0.5 * hysteresis)
+    held = clip(lift if pressure > 0.0 else lift_back, low if low > 0.0 else 0.0, high if high > 0.0 else 0.0)
+    lifted = lift + lift_back if time_constant > 0.0 else held
     # Below its setting it is open only as it lags or sticks; its flow then falls with the root of the pressure.
-    share = abs(pressure) / relief_pressure
+    share = size / relief_pressure
     root = sqrt(share if share < 1.0 else 1.0)
-    return leakage + sign(pressure) * conductance * abs(lifted) * root
+    return leakage + sign(pressure) * conductance * lifted * root
 
 
-def _lift_rate(lift, pressure, relief_pressure, hysteresis, time_constant):
-    opens = relief_pressure * (1.0 + 0.5 * hysteresis)
-    closes = relief_pressure * (1.0 - 0.5 * hysteresis)
-    low = pressure - clip(pressure, -closes, opens)
-    high = pressure - clip(pressure, -opens, closes)
-    return (clip(lift, low, high) - lift) / (time_constant if time_constant > 1e-4 else 1e-4)
+def _lift_rate(lift, pressure, way, relief_pressure, hysteresis, time_constant):
+    low = way * pressure - relief_pressure * (1.0 + 0.5 * hysteresis)
+    high = way * pressure - relief_pressure * (1.0 - 0.5 * hysteresis)
+    held = clip(lift, low if low > 0.0 else 0.0, high if high > 0.0 else 0.0)
+    # Without friction and lag the pressure says it all; a lift that fades for ever would only cost time.
+    moves = 1.0 if hysteresis > 0.0 or time_constant > 0.0 else 0.0
+    return moves * (held - lift) / (time_constant if time_constant > 1e-4 else 1e-4)
 
 
-def _lift_decay(lift, pressure, relief_pressure, hysteresis, time_constant):
-    opens = relief_pressure * (1.0 + 0.5 * hysteresis)
-    closes = relief_pressure * (1.0 - 0.5 * hysteresis)
-    low = pressure - clip(pressure, -closes, opens)
-    high = pressure - clip(pressure, -opens, closes)
-    moves = 1.0 if lift < low or lift > high else 0.0
+def _lift_decay(lift, pressure, way, relief_pressure, hysteresis, time_constant):
+    low = way * pressure - relief_pressure * (1.0 + 0.5 * hysteresis)
+    high = way * pressure - relief_pressure * (1.0 - 0.5 * hysteresis)
+    moves = 1.0 if lift < low or lift > (high if high > 0.0 else 0.0) else 0.0
     return moves / (time_constant if time_constant > 1e-4 else 1e-4)
 
 
-def _crossport_relief_corner(pressure, lift, relief_pressure, hysteresis, time_constant):
-    # About to open or to close, or open with a lag of its own.
+def _crossport_relief_corner(
+    pressure, lift, lift_back, line_travel, relief_pressure, hysteresis, time_constant
+):  # fmt: skip
+    # About to open or to close, or open with a lag of its own. 4 bar will do for a line that moves no further in a part.
     size = abs(pressure)
     half = 0.5 * hysteresis
-    near = size > relief_pressure * (1.0 - half) - 4e5 and size < relief_pressure * (1.0 + half) + 4e5
-    return near or (time_constant > 0.0 and abs(lift) > 0.0)
+    margin = line_travel if line_travel > 20e5 else 4e5
+    near = size > relief_pressure * (1.0 - half) - margin and size < relief_pressure * (1.0 + half) + margin
+    return near or (time_constant > 0.0 and lift + lift_back > 0.0)
+
+
+def _relief_parts(substep, beta, V, conductance):
+    return substep * beta / V * conductance / 2.0
 
 
 CROSSPORT_RELIEF = Effect(
@@ -173,8 +182,12 @@ CROSSPORT_RELIEF = Effect(
         ),
     ),
     laws={"leakage": _crossport_relief},
-    states=(State("lift", _lift_rate, _lift_decay),),
+    states=(
+        State("lift", _lift_rate, _lift_decay, {"way": 1.0}),
+        State("lift_back", _lift_rate, _lift_decay, {"lift": "lift_back", "way": -1.0}),
+    ),
     corner=_crossport_relief_corner,
+    least_parts=_relief_parts,
 )
 
 
@@ -296,13 +309,14 @@ def _filled_decay(mean_pressure, pressure, bulk_modulus, V, conductance, opening
     return bulk_modulus / (2.0 * V) * conductance if middle + 0.5 * abs(pressure) > 0.0 else 0.0
 
 
-def _make_up_corner(
-    mean_pressure, pressure, spool, speed, D, Kq, beta, V, conductance, opening_pressure, supply_pressure, substep
-):  # fmt: skip
-    # Open, or as near to it as motor and valve can move a line within the substep.
+def _make_up_corner(mean_pressure, pressure, line_travel, conductance, opening_pressure, supply_pressure):
+    # Open, or as near to it as motor and valve can move one of the lines within the substep.
     middle = opening_pressure - 0.5 * supply_pressure * (1.0 + mean_pressure)
-    moved = substep * beta / (2.0 * V) * (D * abs(speed) + Kq * abs(spool))
-    return conductance > 0.0 and middle + 0.5 * abs(pressure) > -moved
+    return conductance > 0.0 and middle + 0.5 * abs(pressure) > -0.5 * line_travel
+
+
+def _make_up_parts(substep, beta, V, conductance):
+    return substep * beta / (2.0 * V) * conductance / 3.0
 
 
 ANTI_CAVITATION = Effect(
@@ -343,6 +357,7 @@ ANTI_CAVITATION = Effect(
     shares=BOTH_LINES,
     corner=_make_up_corner,
     corner_parts=10,
+    least_parts=_make_up_parts,
 )
 
 
@@ -360,9 +375,13 @@ def _side_pressure_decay(bulk_modulus, conductance, volume):
 
 def _quick_exchange(conductance, volume, beta, V, substep):
     # The matrix of the integrator knows how fast each of the two volumes drains, not that one fills the other. Off by 0.1 rpm
-    # and more where the square of this ratio passes 0.16 (24 random ones against the reference).
+    # and more where this ratio passes 0.2 (256 random models against an eighth of the substep).
     drained = substep * beta * conductance
-    return drained * drained > 0.1 * V * volume
+    return drained * drained > 0.01 * V * volume
+
+
+def _exchange_parts(conductance, volume, beta, V, substep):
+    return substep * beta * conductance / sqrt(V * volume) / 0.15
 
 
 LINE_VOLUME = Effect(
@@ -399,6 +418,7 @@ LINE_VOLUME = Effect(
     laws={"leakage": _volume_behind_a_throttle},
     states=(State("side_pressure", _side_pressure_rate, _side_pressure_decay),),
     corner=_quick_exchange,
+    least_parts=_exchange_parts,
 )
 
 

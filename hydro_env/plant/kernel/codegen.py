@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from ..catalogue import Effect
-from ..stiffness import FINE_PARTS, SPOOL
+from ..stiffness import FINE_PARTS, MOST_FINER, SPOOL
 from .driver import NUMBERS
 from .integrator import METHOD, integral_coefficients
 from .layout import (
@@ -76,11 +76,13 @@ class Module(NamedTuple):
 
 @dataclass(frozen=True)
 class _Bend:
-    """A test whether a lane should take its substep in `parts` parts; a cheap one may say before where that can be."""
+    """A test whether a lane should take its substep in `parts` parts; a cheap one may say before where that can be. `least` is
+    how many of them a stiff lane wants."""
 
     test: str
     parts: int
     near: str = ""
+    least: str = ""
 
 
 @dataclass(frozen=True)
@@ -175,9 +177,15 @@ class _Sweeps:
         at, known = self.at, [*self.at.parameters, *RECIPROCALS]
         near = " | ".join(dict.fromkeys(f"({bend.near or bend.test})" for bend in self.bends))
         first = needed({"past"}, self.substep.whole_rates)
+        if uses("line_travel", near):
+            first.append("line_travel = h * beta * per_V * (D * abs(speed) + Kq * abs(spool))")
         then = needed({"outward", "grip"}, self.substep.whole_rates)
         for bend in sorted(self.bends, key=lambda bend: bend.parts):
             then.append(f"wanted = {float(bend.parts)} if {bend.test} else wanted")
+        for bend in self.bends:
+            if bend.least:
+                then.append(f"finer = corner_parts({float(bend.parts)}, {bend.least} / {at.cell('fine')})")
+                then.append(f"wanted = finer if {bend.test} and finer > wanted else wanted")
         then = [*at.load(known, "\n".join(then)), "wanted = 1.0", *then]
         then += [f"{at.cell('wanted')} = wanted * {at.cell('fine')}"]
         lines = [*at.load(known, "\n".join([*first, near])), *first]
@@ -283,7 +291,10 @@ def _bends(effects: Iterable[Effect]) -> list[_Bend]:
     ]
     for effect in effects:
         if effect.corner is not None:
-            bends.append(_Bend(call(effect, "corner", effect.corner, {"substep": "h"}), effect.corner_parts))
+            given = {"substep": "h"}
+            test = call(effect, "corner", effect.corner, given)
+            least = call(effect, "least_parts", effect.least_parts, given) if effect.least_parts else ""
+            bends.append(_Bend(test, effect.corner_parts, least=least))
     return bends
 
 
@@ -367,6 +378,7 @@ def module_text(effects: tuple[Effect, ...], half: int) -> Module:
         if n < layout.kept and (name in settable or name not in own)
     }
     numbers = {"half": half, "moving": layout.moving, "kept": layout.kept}
-    numbers["most_parts"] = max([1, *(bend.parts for bend in bends)]) * max(FINE_PARTS)
+    at_bends = (bend.parts * (int(MOST_FINER) if bend.least else 1) for bend in bends)
+    numbers["most_parts"] = max([1, *at_bends]) * max(FINE_PARTS)
     numbers |= {} if any(e.delays_command for e in effects) else {"late": -1}
     return Module(text, rows, len(at), {name: numbers.get(name, at.get(name, 0)) for name in NUMBERS})

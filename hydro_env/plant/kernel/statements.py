@@ -71,6 +71,8 @@ def functions(effects: Iterable[Effect]) -> list[str]:
         pasted += [_paste(law, _law_name(effect, quantity)) for quantity, law in effect.laws.items()]
         if effect.corner is not None:
             pasted.append(_paste(effect.corner, _law_name(effect, "corner")))
+        if effect.least_parts is not None:
+            pasted.append(_paste(effect.least_parts, _law_name(effect, "least_parts")))
         for state in effect.states:
             pasted.append(_paste(state.rate, _law_name(effect, state.name + "_rate")))
             if state.decay is not None:
