@@ -91,6 +91,11 @@ class Streams:
         """`Generator.random(shape)` of some rows (indices or mask): (rows, *shape). The other rows stay where they are."""
         shape = (shape,) if isinstance(shape, int) else shape
         chosen = np.arange(len(self.states))[rows]
+        if chosen.size <= FEW:  # nothing has to be compiled for them
+            few = [self.generator(row) for row in chosen.tolist()]
+            drawn = [each.random(shape) for each in few]
+            self.states[chosen] = Streams.of(*(each.bit_generator for each in few)).states
+            return np.array(drawn).reshape(chosen.size, *shape)
         shares = np.empty((chosen.size, prod(shape)))
         _fill_uniform(self.states, chosen, shares)
         return shares.reshape(chosen.size, *shape)

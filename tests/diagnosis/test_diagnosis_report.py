@@ -155,7 +155,7 @@ def test_the_page_has_every_part_and_needs_no_network(found: Diagnosis) -> None:
 def test_the_title_names_logs_model_and_day(found: Diagnosis) -> None:
     page = report_page(found)
     assert re.search(r"<title>Diagnosis of fit\.csv, model paper, \d{4}-\d\d-\d\d</title>", page)
-    assert "Held out: " in page.partition("</p>")[0]
+    assert "Fitted: fit.csv. Held out: sealed.csv." in page.partition("</p>")[0]
 
 
 def test_a_probability_stands_beside_what_remains(found: Diagnosis) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import date
 from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ... import __version__
@@ -15,6 +17,7 @@ from . import pictures, statements
 from . import wording as words
 
 if TYPE_CHECKING:
+    from ..input.parts import Part
     from ..result import Diagnosis
 
 __all__ = ["report_page"]
@@ -36,8 +39,13 @@ def report_page(found: Diagnosis) -> str:
         maps=pictures.maps(found), next_experiment=state.next_experiment, ranking=statements.ranking(found),
         parameters=[(p, statements.comment(found, p)) for p in known_parameters(state.rig, state.shown)],
         detectable=_detectable(found),
-        logs=[p.label for p in state.rig.parts], held_out=[p.label for p in state.held_out_parts],
+        logs=_names(state.rig.parts), held_out=_names(state.held_out_parts),
     )  # fmt: skip
+
+
+def _names(parts: Sequence[Part]) -> list[str]:
+    """Parts of logs without the folders, which need not be there when the page is read: the demo's get another name."""
+    return [Path(part.label).name for part in parts]
 
 
 def _detectable(found: Diagnosis) -> tuple[list[str], list[tuple[str, list[str]]]]:
