@@ -99,7 +99,8 @@ class Selection:
 
 @dataclass
 class Search:
-    """A selection under way: `present` are the estimates so far, from `calibrated`; the rest as in `Selection`."""
+    """A selection under way: `present` are the estimates so far, from `calibrated`; `corrected` those
+    with a correction of form, by the id of the estimate without; the rest as in `Selection`."""
 
     fit: Fit
     calibrated: Estimates
@@ -110,6 +111,7 @@ class Search:
     accepted: list[Accepted] = field(default_factory=list)
     candidates: list[Candidate] = field(default_factory=list)
     placebo: Estimates = field(default_factory=dict)
+    corrected: dict[int, Estimate] = field(default_factory=dict)
 
     @property
     def names(self) -> list[str]:

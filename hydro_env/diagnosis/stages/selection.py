@@ -26,6 +26,7 @@ from ..settings import rule
 from ..state import State
 from .candidates import ACCEPTED, OUTDONE, VANISHED, Accepted, Search, Selection, judge, penalty
 from .elimination import compare_competing, drop_not_missed, drop_unneeded, prefer_form
+from .form_correction import attempts, refit_attempts
 from .refits import refit_found, short_refit
 from .rig_effects import select_rig_effects
 from .screening import Screening, screen
@@ -47,7 +48,7 @@ WITHIN_REACH = 0.5
 WORTH_ANOTHER = 0.01
 
 
-@dataclass
+@dataclass(eq=False)
 class Refit:
     """A candidate on a channel and its estimate."""
 
@@ -122,10 +123,14 @@ def select(search: Search) -> Selection:
 
 
 def _worth_another(search: Search, c: int) -> bool:
-    """Whether a channel on which an effect was accepted has a residual left that is worth looking into."""
+    """Whether a channel has a residual left that is worth looking into and is no matter of the form of what was accepted."""
     fit, present = search.fit, search.present[c]
     left = 1.0 - smallest_share(fit, search.calibrated[c], present, c)
-    return could_pay(fit, present, c) and left > WORTH_ANOTHER
+    if not (could_pay(fit, present, c) and left > WORTH_ANOTHER):
+        return False
+    if not fit.rig.has_hidden_states or search.present[c].channel is None or not search.on(c):
+        return True
+    return could_pay(fit, _in_other_form(search, c, present), c)
 
 
 # --- forward steps --------------------------------------------------------------------------------------------------------
@@ -157,8 +162,9 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     )
     for k in contests:
         k.rank(search)
+    # Before it is judged: in a local minimum the right one gains little, too.
+    _settle(fit, [k.refits[0].estimate for k in contests])
     _compete_on_beginning(search, contests)
-    _settle_leaders(search, contests)
     accepted = [k.channel for k in contests if _accept_best(search, k, number)]
     if number == 1:
         long = fit.on(fit.rig.for_long_refits())
@@ -194,38 +200,46 @@ def _contest(search: Search, c: int, refits: Sequence[Refit], most: int) -> Cont
 
 
 def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
-    """Where the best candidate leaves something unexplained, every effect that the logs would show competes anew on their
-    beginning, and the best are refitted beside those that the screening proposed.
+    """Where the best candidate leaves more than another form of it would explain, every effect that the logs would show competes
+    anew on their beginning, and the best are refitted beside those that the screening proposed, the two best as far as they go.
     """
     fit = search.fit
-    left = [k for k in contests if unexplained(fit, k.refits[0].estimate, k.channel)]
-    if not (left and fit.rig.has_hidden_states and fit.settings.uses(COMPETE_ON_BEGINNING)):
+    if not (fit.rig.has_hidden_states and fit.settings.uses(COMPETE_ON_BEGINNING)):
         return
+    left = [
+        k
+        for k in contests
+        if unexplained(fit, k.refits[0].estimate, k.channel)
+        and unexplained(fit, _in_other_form(search, k.channel, k.refits[0].estimate), k.channel)
+    ]
     screened = {(k.effect, k.channel): k for k in search.screening}
     names = []
     for k in left:
         new = [n for n in search.names if n not in search.present[k.channel].effects()]
         names.append([n for n in new if screened[n, k.channel].shows])
-    found = best_on_beginnings(fit, [search.present[k.channel] for k in left], names)
+    found = best_on_beginnings(fit, [search.present[k.channel] for k in left], names) if left else []
+    leaders = [k.refits[0] for k in left]
     for k, own in zip(left, found, strict=True):
         k.refits += [Refit(k.channel, screened[p.label, k.channel], p) for p in own]
     races = [[r.estimate for r in k.refits] for k in left]
-    solve(fit, [p for race in races for p in race], SETTLE_ITERATIONS, races=races)
-
-
-def _settle_leaders(search: Search, contests: Sequence[Contest]) -> None:
-    """Refits the best candidates as far as they go, before they are judged: in a local minimum the right one gains little, too.
-
-    Where the best leaves something unexplained, so does the second.
-    """
-    fit = search.fit
-    for k in contests:
-        k.rank(search)
-    _settle(fit, [k.refits[0].estimate for k in contests])
-    left = [k for k in contests if unexplained(fit, k.refits[0].estimate, k.channel)]
-    _settle(fit, [r.estimate for k in left for r in k.refits[1:2]])
+    solve(fit, [p for race in races for p in race[1:]], SETTLE_ITERATIONS, races=races)
     for k in left:
         k.rank(search)
+    _settle(fit, [r.estimate for k in left for r in k.refits[:2] if r not in leaders])
+    for k in left:
+        k.rank(search)
+
+
+def _in_other_form(search: Search, c: int, estimate: Estimate) -> Estimate:
+    """The estimate with the correction of form that explains most of what it leaves, if one does; remembered in the search."""
+    if id(estimate) not in search.corrected:
+        fit = search.fit
+        found = attempts(fit, estimate, [(n, c) for n in estimate.effects()])
+        refit_attempts(fit.on(fit.rig.for_long_refits()), found)
+        best = min(found, key=lambda t: t.score, default=None)
+        better = best is not None and best.score < estimate.cost
+        search.corrected[id(estimate)] = best.estimate if best is not None and better else estimate
+    return search.corrected[id(estimate)]
 
 
 def _settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
