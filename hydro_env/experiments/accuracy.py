@@ -3,11 +3,11 @@
     python -m hydro_env.experiments.accuracy --out DIR [--ends] [--models N] [--seconds S] [--sample N] [--seed N]
 
 `--ends` takes every base parameter over its accepted range, two of them at their ends, and every effect with each of its
-parameters at either end. `--models` draws models: base parameters and effects within the accepted ranges. Each is driven for S
-seconds by smooth, random and bang-bang commands of full range, and compared with the same at an eighth of the substep. A
-model that differs there by more than 0.1 rpm (RMS) is compared again, an eighth with a sixteenth: where these differ too, the
-motion separates neighbouring solutions and no simulator foretells it. `--sample` models, chosen by chance, are also compared
-with the reference simulator, each under one of the commands in turn.
+parameters at either end. `--models` draws models: a preset, base parameters and effects within the accepted ranges. Each is
+driven for S seconds by smooth, uniform, Gaussian and bang-bang commands of full range, and compared with the same at an eighth
+of the substep. A model that differs there by more than 0.1 rpm (RMS) is compared again, an eighth with a sixteenth: where these
+differ too, the motion separates neighbouring solutions and no simulator foretells it. `--sample` models, chosen by chance, are
+also compared with the reference simulator, each under one of the commands in turn.
 
 `accuracy.csv` has a line for each model and command: the RMS of the speed and of its errors in rpm, and what the model is.
 """
@@ -37,7 +37,8 @@ __all__ = ["COMMANDS", "Case", "Result", "commands", "compare", "drawn", "ends_o
 
 Array = NDArray[np.float64]
 
-COMMANDS = ("smooth", "random", "bang_bang")
+COMMANDS = ("smooth", "random", "gaussian", "bang_bang")
+PRESETS = ("paper", "paper_dead_zone", "rig", "servo", "valve_1", "valve_2")
 PERIOD = 0.01
 #: What an infinite limit of the command stands for, V.
 _NO_LIMIT = 200.0
@@ -49,19 +50,20 @@ TOLERANCE_RPM, TOLERANCE_SHARE = 0.1, 1e-4
 
 @dataclass(frozen=True)
 class Case:
-    """What differs from the preset `paper`, the same on both channels."""
+    """What differs from a preset, the same on both channels."""
 
     values: dict[str, float]
+    preset: str = "paper"
 
     @property
     def model(self) -> PlantModel:
         """InputError if the model is refused."""
-        return load_model("paper").with_values(self.values, name="case")
+        return load_model(self.preset).with_values(self.values, name="case")
 
     @property
     def plain(self) -> bool:
         """Whether no effect acts."""
-        return not any("." in name for name in self.values)
+        return not self.model.declared
 
 
 @dataclass
@@ -96,6 +98,8 @@ def commands(kind: str, seconds: float, rng: np.random.Generator) -> Array:
         return 0.6 * slow + 0.15 * fast
     if kind == "random":
         return rng.uniform(-1.0, 1.0, (rows, 2))
+    if kind == "gaussian":
+        return np.clip(rng.normal(0.0, 0.5, (rows, 2)), -1.0, 1.0)
     return np.where(np.cumsum(rng.random((rows, 2)) < 0.4, axis=0) % 2 == 0, 1.0, -1.0)
 
 
@@ -132,7 +136,8 @@ def ends_of_effects(names: Iterable[str] = BUILT_IN, seed: int = 0) -> list[Case
 
 
 def drawn(count: int, rng: np.random.Generator, move: float = 0.35) -> tuple[list[Case], int]:
-    """Random models, and how many draws were refused: a third of the base parameters, and on every second one effects."""
+    """Random models, and how many draws were refused: of a preset a third of the base parameters is moved, and every second one
+    gets effects."""
     cases: list[Case] = []
     refused = 0
     while len(cases) < count:
@@ -143,12 +148,13 @@ def drawn(count: int, rng: np.random.Generator, move: float = 0.35) -> tuple[lis
         for name in rng.choice(BUILT_IN, rng.choice([0, 0, 1, 2]), replace=False):
             for p in CATALOGUE[name].parameters:
                 values[f"{name}.{p.name}"] = _value(p, p.low, min(p.high, 1e9), rng)
+        case = Case(values, str(rng.choice(PRESETS)))
         try:
-            _ = Case(values).model
+            _ = case.model
         except InputError:
             refused += 1
         else:
-            cases.append(Case(values))
+            cases.append(case)
     return cases, refused
 
 
@@ -163,14 +169,15 @@ def _value(p: Parameter, low: float, high: float, rng: np.random.Generator) -> f
 
 # --- comparison -------------------------------------------------------------------------------------------------------
 def _run(cases: Sequence[Case], share: Array, parts: int) -> tuple[Array, NDArray[np.bool_], float]:
-    """Speeds (T, cases, 2) in rpm at the substep divided by `parts`, which diverged, and channel substeps."""
+    """Speeds (T, cases, 2) in rpm at the substep, one and the same, divided by `parts`; which diverged; and channel substeps."""
     effects = () if all(case.plain for case in cases) else BUILT_IN
-    model = load_model("paper")
+    models = [case.model for case in cases]
     # A rig to a block: in a common one all take the parts that any of them asks for.
-    finer = replace(model, substep=model.substep / parts)
+    finer = replace(load_model("paper"), substep=models[0].substep / parts)
     plant = Plant(finer, len(cases), effects=effects, block=1)
-    for row, case in enumerate(cases):
-        plant.set_values(case.values, rows=[row])
+    named = [f"{name}.{p.name}" for name in effects for p in CATALOGUE[name].parameters]
+    for row, model in enumerate(models):
+        plant.set_values({name: model.pair(name) for name in (*PARAMETERS, *named)}, rows=[row])
     plant.reset()
     volts = share[:, None] * np.minimum(plant.get("u_rated"), _NO_LIMIT)
     speed = plant.run(volts, None, PERIOD, ("speed",))["speed"]
@@ -183,11 +190,12 @@ def _rms(values: Array) -> Array:
 
 def compare(cases: Sequence[Case], share: Array, command: str) -> tuple[list[Result], float]:
     """The results under one command, and the number of channel substeps that were made at the model's own substep."""
-    plain = [case for case in cases if case.plain]
-    groups = [group for group in (plain, [case for case in cases if not case.plain]) if group]
+    groups: dict[tuple[bool, float], list[Case]] = {}
+    for case in cases:
+        groups.setdefault((case.plain, case.model.substep), []).append(case)
     results: list[Result] = []
     made = 0.0
-    for group in groups:
+    for group in groups.values():
         speed, diverged, substeps = _run(group, share, 1)
         eighth, broken, _ = _run(group, share, 8)
         made += substeps
@@ -246,7 +254,7 @@ def table(results: Sequence[Result]) -> str:
     writer.writerow(["command", "speed_rpm", "error_rpm", "finer_rpm", "reference_rpm", "diverged", "model"])
     for r in sorted(results, key=lambda r: -r.error):
         numbers = ["" if v is None else f"{v:.3g}" for v in (r.speed, r.error, r.finer, r.reference)]
-        said = " ".join(f"{name}={value:.4g}" for name, value in r.case.values.items())
+        said = " ".join([r.case.preset, *(f"{name}={value:.4g}" for name, value in r.case.values.items())])
         writer.writerow([r.command, *numbers, int(r.diverged), said])
     return out.getvalue()
 

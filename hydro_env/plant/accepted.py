@@ -20,6 +20,8 @@ __all__ = ["check_spool", "out_of_range", "with_unit"]
 _MOST_PARTS = 40.0
 #: Substep over the time constant of the coil, at most, where an effect follows the rate of the current; in 64 parts.
 _MOST_COIL = 12.5
+#: Substep times the natural frequency of line and motor, at most, where effects act. `rig` is right at 7, and not at 70.
+_MOST_RINGING = 20.0
 _FRICTION = ("Fc", "Fs")
 #: Room for the rounding of a value that stands at an end.
 _AT_END = 1e-9
@@ -47,6 +49,7 @@ def check_spool(model: PlantModel, channel: int, where: str) -> None:
             values[base] = min(values[base], model.value(f"{effect.name}.{own}", channel))
     _check_coil(model, channel, where)
     _check_corners(model, channel, where)
+    _check_shaft(model, channel, where)
     force = greatest_force(*(values[name] for name in ("alpha", "R", "k", "x_max", "u_rated")))
     least = force / values["x_max"] - 2.0 * values["k"]  # the stop yields by the stroke
     if values["k_stop"] < least:
@@ -92,6 +95,17 @@ def _check_coil(model: PlantModel, channel: int, where: str) -> None:
         raise InputError(
             f"{where}: channel {channel + 1}: L is {model.value('L', channel):g}; with a hysteresis that follows the current"
             f" {least:.3g} H or more can be simulated"
+        )
+
+
+def _check_shaft(model: PlantModel, channel: int, where: str) -> None:
+    """InputError for a motor that rings too quickly against its line: effects on either are then not followed."""
+    D, J, beta, V = (model.value(name, channel) for name in ("D", "J", "beta", "V"))
+    most = _MOST_RINGING / model.substep * math.sqrt(V * J / beta)
+    if model.declared and (1.0 + _AT_END) * most < D:
+        raise InputError(
+            f"{where}: channel {channel + 1}: D is {D:g}; with these J, beta, V and with effects {most:.3g} m3/rad or less can be"
+            " simulated"
         )
 
 

@@ -52,7 +52,8 @@ def test_any_model_survives_a_round_trip(
         model = PlantModel("mine", {**base, **effects})
     except InputError as refused:
         assert re.search(
-            r"channel [12](: m is|: k_stop is|: \w+.conductance is| has) .* can be simulated", str(refused)
+            r"channel [12](: m is|: D is|: k_stop is|: \w+.conductance is| has) .* can be simulated",
+            str(refused),
         )
         return
     path = tmp_path_factory.mktemp("model") / "model.yaml"
@@ -83,6 +84,10 @@ def test_any_model_survives_a_round_trip(
         (
             {"V": 2e-6, "beta": 1.9e10, "anti_cavitation.conductance": 3e-9},
             r"channel 1: anti_cavitation.conductance is 3e-09 .* 8.08e-10 m3/\(s Pa\) or less can be simulated",
+        ),
+        (
+            {"D": 0.1, "dead_zone.overlap_positive": 1e-4},
+            "channel 1: D is 0.1; with these J, beta, V and with effects 0.00238 m3/rad or less can be simulated",
         ),
         ({"Km": -1.0}, "Km: -1 .* is 0 to 5e-09"),
         ({"shaft_backlash.inertia": 1e-6}, "0.0001 to 0.01 kg m2"),

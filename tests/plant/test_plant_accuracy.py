@@ -157,6 +157,14 @@ def test_relief_valves_open_and_close_in_small_lines(name):
     assert _error_rpm(model, command, None, 0.01) < 0.1
 
 
+def test_lines_of_a_tight_motor_that_reach_the_supply():
+    """The flow falls to nothing with the steepest slope of its root there."""
+    rng = np.random.default_rng(77)
+    values = {"pressure_dependent_flow.supply_pressure": 31e5, "Km": 4e-12, "V": 6e-5}
+    command = 73.0 * rng.uniform(-1.0, 1.0, (50, 2))
+    assert _error_rpm(load_model("paper").with_values(values), command, None, 0.01) < 0.1
+
+
 #: What a whole substep of 125 us does not resolve, and a spool without dry friction.
 STIFF = {
     "no friction": {"Fc": 0.0, "Fs": 0.0},

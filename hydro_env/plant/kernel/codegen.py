@@ -38,7 +38,7 @@ from .layout import (
     uses,
     with_shared,
 )  # fmt: skip
-from .statements import Substep, call, chain, functions, fused_lines, needed, substep_of
+from .statements import Substep, call, chain, drive_around, functions, fused_lines, needed, substep_of
 from .template import EXCHANGE, MODULE, TOGETHER
 
 __all__ = ["Module", "module_text"]
@@ -177,8 +177,10 @@ class _Sweeps:
         at, known = self.at, [*self.at.parameters, *RECIPROCALS]
         near = " | ".join(dict.fromkeys(f"({bend.near or bend.test})" for bend in self.bends))
         first = needed({"past"}, self.substep.whole_rates)
-        if uses("line_travel", near):
+        around = drive_around(at.effects)
+        if around or uses("line_travel", near):
             first.append("line_travel = h * beta * per_V * (D * abs(speed) + Kq * abs(spool))")
+        first += around
         then = needed({"outward", "grip"}, self.substep.whole_rates)
         for bend in sorted(self.bends, key=lambda bend: bend.parts):
             then.append(f"wanted = {float(bend.parts)} if {bend.test} else wanted")
@@ -289,6 +291,9 @@ def _bends(effects: Iterable[Effect]) -> list[_Bend]:
         _Bend(f"{contact} & (h * h * k_stop * grip > {HARD_FREQUENCY**2!r} * m)", HARD_PARTS, near),
         _Bend(f"{contact} & (h * k_stop * past > {HARD_DAMPING!r} * v_stop * m)", HARD_PARTS, near),
     ]
+    if drive_around(effects):
+        # The root of the drive is steepest where none is left: a line as high as the supply.
+        bends.append(_Bend("drive__above * drive__below < 0.0", HARD_PARTS))
     for effect in effects:
         if effect.corner is not None:
             given = {"substep": "h"}

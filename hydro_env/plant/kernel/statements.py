@@ -23,7 +23,17 @@ from ..stiffness import LAWS
 from . import vector_ir
 from .layout import DIVISORS, RECIPROCALS, in_text, parameters_of, states_of, uses
 
-__all__ = ["HELPERS", "Substep", "call", "chain", "functions", "fused_lines", "needed", "substep_of"]
+__all__ = [
+    "HELPERS",
+    "Substep",
+    "call",
+    "chain",
+    "drive_around",
+    "functions",
+    "fused_lines",
+    "needed",
+    "substep_of",
+]
 
 #: Functions of vector_math that laws may call.
 HELPERS = ("clip", "sign", "exp", "bell", "tanh", "cos", "sin")
@@ -157,6 +167,20 @@ def _leakage_slope(effects: tuple[Effect, ...]) -> list[str]:
             *chain("flow", effects, changed),
             "leakage_slope = leakage_slope + positive((flow - flow__d) * 1e-3)",
         ]
+    return lines
+
+
+def drive_around(effects: Iterable[Effect]) -> list[str]:
+    """Statements for the drive of an open valve a margin above the load pressure and below it; none where no effect changes it.
+    4 bar will do for a line that moves no further in a part."""
+    effects = tuple(effects)
+    if not _depends("drive", effects, "pressure"):
+        return []
+    lines = ["margin = line_travel if line_travel > 20e5 else 4e5"]
+    for name, sign in (("above", "+"), ("below", "-")):
+        changed = {"drive": f"drive__{name}", "pressure": f"pressure__{name}", "opening": "1.0"}
+        lines += [f"pressure__{name} = abs(pressure) {sign} margin", f"drive__{name} = 1.0"]
+        lines += chain("drive", effects, changed)
     return lines
 
 
