@@ -71,19 +71,16 @@ class Course(NamedTuple):
 class Tile(NamedTuple):
     """Some plans and what they lead to, rigs in the last axis, so that a vector of the processor holds the same number of each.
 
-    rig (LANES,): which rigs. speed, open, spool, travel (2, END + 1, LANES), `open` is CLOSED where a valve is. plan (2, H + 1,
-    LANES) begins with the command in force. motor, setpoint, margin, difference, smooth, stops, damping: as in `Course` and
-    `Best`. turned (END + 1, COMMANDS, LANES): how speeds change with each command. square (COMMANDS, COMMANDS, LANES) and slope
-    (COMMANDS, LANES): normal equations. To these are added errors (LANES,) that count by `weight` and change by `change`
-    (COMMANDS, LANES) with the commands; `weighted`: weight times change of one command.
+    rig (LANES,): which rigs. travel (2, END + 1, LANES), motor, setpoint, margin, difference, smooth, stops, damping: as in
+    `Course` and `Best`. plan (2, H + 1, LANES) begins with the command in force. At one sample: speed, open, spool (2, LANES),
+    `open` is CLOSED where a valve is; how travel now and before, pressures and speeds change with each command, `risen`,
+    `pressed`, `turned` (COMMANDS, LANES). square (COMMANDS, COMMANDS, LANES) and slope (COMMANDS, LANES): normal equations. To
+    these are added errors (LANES,) that count by `weight` and change by `change` (COMMANDS, LANES) with the commands;
+    `weighted`: weight times change of one command.
     """
 
     rig: NDArray[np.int64]
-    speed: Floats
-    open: Floats
-    spool: Floats
     travel: Floats
-    plan: Floats
     motor: Floats
     setpoint: Floats
     margin: Floats
@@ -91,6 +88,12 @@ class Tile(NamedTuple):
     smooth: Floats
     stops: Floats
     damping: Floats
+    plan: Floats
+    speed: Floats
+    open: Floats
+    spool: Floats
+    risen: Floats
+    pressed: Floats
     turned: Floats
     square: Floats
     slope: Floats
@@ -246,9 +249,12 @@ def improve(plan, course, best):
     square, slope = np.empty((COMMANDS, COMMANDS)), np.empty(COMMANDS)
     x, low, high = np.empty(COMMANDS), np.empty(COMMANDS), np.empty(COMMANDS)
     for first in range(0, rigs, LANES):
-        _gather(first, plan, best.motion, best.damping, course, tile)
-        _sensitivity(tile)
-        _add_motion(tile)
+        _gather(first, plan, best.damping, course, tile)
+        # Sample by sample, so that no command waits for another one's chain of sums, and little memory is in use.
+        for sample in range(1, END + 1):
+            _look(sample, best.motion, tile)
+            _turn(sample, tile)
+            _add_motion(sample, tile)
         _add_moves(tile)
         for i in range(first, min(first + LANES, rigs)):
             for b in range(COMMANDS):
@@ -269,18 +275,17 @@ def improve(plan, course, best):
 @compiled
 def _room():
     """A `Tile` to be filled."""
-    n, moved, commands = LANES, (2, END + 1, LANES), (COMMANDS, LANES)
+    n, pair, commands = LANES, (2, LANES), (COMMANDS, LANES)
     return Tile(
-        np.empty(n, np.int64), np.empty(moved), np.empty(moved), np.empty(moved), np.empty(moved),
-        np.empty((2, HORIZON + 1, n)), np.empty((2, 2, 3, n)), np.empty((HORIZON + 1, n)), np.empty((2, n)),
-        np.empty(n), np.empty(n), np.empty(n), np.empty(n),
-        np.zeros((END + 1, COMMANDS, n)), np.empty((COMMANDS, COMMANDS, n)), np.empty(commands),
-        np.empty(n), np.empty(n), np.empty(commands), np.empty(n),
+        np.empty(n, np.int64), np.empty((2, END + 1, n)), np.empty((2, 2, 3, n)), np.empty((HORIZON + 1, n)), np.empty(pair),
+        np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty((2, HORIZON + 1, n)),
+        np.empty(pair), np.empty(pair), np.empty(pair), np.empty(commands), np.empty(commands), np.empty(commands),
+        np.empty((COMMANDS, COMMANDS, n)), np.empty(commands), np.empty(n), np.empty(n), np.empty(commands), np.empty(n),
     )  # fmt: skip
 
 
 @compiled
-def _gather(first, plan, motion, damping, course, tile):
+def _gather(first, plan, damping, course, tile):
     """Lays rigs side by side, from the rig `first` on; where there are fewer the last one fills their lanes, too."""
     for lane in range(LANES):
         tile.rig[lane] = min(first + lane, course.stops.size - 1)
@@ -303,76 +308,82 @@ def _gather(first, plan, motion, damping, course, tile):
                 tile.motor[c, k // 3, k % 3, lane] = course.motor[tile.rig[lane], c, k // 3, k % 3]
         for s in range(END + 1):
             for lane in range(LANES):
-                i = tile.rig[lane]
-                tile.travel[c, s, lane] = course.travel[i, c, s]
-                tile.speed[c, s, lane] = motion[0, s, i, c]
-                tile.open[c, s, lane] = CLOSED if motion[1, s, i, c] == 0.0 else 1.0
-                tile.spool[c, s, lane] = motion[2, s, i, c]
-
-
-@compiled
-def _sensitivity(tile):
-    """How speeds at every sample change with each command, `turned`: the spool's travel, where the valve is open, is integrated.
-    Sample by sample, so that no command waits for another one's chain of sums."""
-    pressed, before, turned = np.zeros((COMMANDS, LANES)), np.zeros((COMMANDS, LANES)), tile.turned
-    for s in range(1, END + 1):
-        begun = (s - 1) // SAMPLES + 1  # commands that have begun to act
-        for c in range(2):
-            motor = tile.motor[c]
-            for j in range(begun):
-                b = c * HORIZON + j
-                for lane in range(LANES):
-                    now = tile.travel[c, s - j * SAMPLES, lane] * tile.open[c, s, lane]
-                    mean = 0.5 * (before[b, lane] + now)
-                    before[b, lane] = now
-                    was, speed = pressed[b, lane], turned[s - 1, b, lane]
-                    pressed[b, lane] = (
-                        motor[0, 0, lane] * was + motor[0, 1, lane] * speed + motor[0, 2, lane] * mean
-                    )
-                    turned[s, b, lane] = (
-                        motor[1, 0, lane] * was + motor[1, 1, lane] * speed + motor[1, 2, lane] * mean
-                    )
-
-
-@compiled
-def _add_motion(tile):
-    """The normal equations of travel beyond the margin, tracking errors and speed differences at all samples."""
+                tile.travel[c, s, lane] = course.travel[tile.rig[lane], c, s]
+    tile.risen[:] = 0.0
+    tile.pressed[:] = 0.0
+    tile.turned[:] = 0.0
     tile.square[:] = 0.0
     tile.slope[:] = 0.0
-    for s in range(1, END + 1):
-        begun = (s - 1) // SAMPLES + 1  # commands that have begun to act
-        for c in range(2):
-            if _beyond(s, c, tile):
-                for j in range(begun):
-                    for lane in range(LANES):
-                        tile.change[c * HORIZON + j, lane] = tile.travel[c, s - j * SAMPLES, lane]
-                _add_squares(c, c + 1, begun, tile)
-            if s % SAMPLES == 0:
-                for lane in range(LANES):
-                    error = tile.speed[c, s, lane] - tile.setpoint[s // SAMPLES, lane]
-                    tile.weight[lane] = 1.0 / np.sqrt(1.0 + (error / CORNER) ** 2)
-                    tile.error[lane] = error
-                for j in range(begun):
-                    for lane in range(LANES):
-                        tile.change[c * HORIZON + j, lane] = tile.turned[s, c * HORIZON + j, lane]
-                _add_squares(c, c + 1, begun, tile)
-        for lane in range(LANES):
-            tile.weight[lane] = tile.difference[lane] if s % SAMPLES == 0 else BETWEEN
-            tile.error[lane] = tile.speed[0, s, lane] - tile.speed[1, s, lane]
-        for c in range(2):
-            sign = 1.0 - 2.0 * c
-            for j in range(begun):
-                for lane in range(LANES):
-                    tile.change[c * HORIZON + j, lane] = sign * tile.turned[s, c * HORIZON + j, lane]
-        _add_squares(0, 2, begun, tile)
 
 
 @compiled
-def _beyond(s, c, tile):
+def _look(s, motion, tile):
+    """What the plans lead to at a sample."""
+    for c in range(2):
+        for lane in range(LANES):
+            i = tile.rig[lane]
+            tile.speed[c, lane] = motion[0, s, i, c]
+            tile.open[c, lane] = CLOSED if motion[1, s, i, c] == 0.0 else 1.0
+            tile.spool[c, lane] = motion[2, s, i, c]
+
+
+@compiled
+def _turn(s, tile):
+    """How speeds change with each command, from the sample before to this one: the spool's travel, where the valve is open, is
+    integrated."""
+    for c in range(2):
+        motor = tile.motor[c]
+        for j in range((s - 1) // SAMPLES + 1):  # commands that have begun to act
+            b = c * HORIZON + j
+            for lane in range(LANES):
+                now = tile.travel[c, s - j * SAMPLES, lane] * tile.open[c, lane]
+                mean = 0.5 * (tile.risen[b, lane] + now)
+                tile.risen[b, lane] = now
+                was, speed = tile.pressed[b, lane], tile.turned[b, lane]
+                tile.pressed[b, lane] = (
+                    motor[0, 0, lane] * was + motor[0, 1, lane] * speed + motor[0, 2, lane] * mean
+                )
+                tile.turned[b, lane] = (
+                    motor[1, 0, lane] * was + motor[1, 1, lane] * speed + motor[1, 2, lane] * mean
+                )
+
+
+@compiled
+def _add_motion(s, tile):
+    """Adds travel beyond the margin, tracking errors and the speed difference at a sample to the normal equations."""
+    begun = (s - 1) // SAMPLES + 1  # commands that have begun to act
+    for c in range(2):
+        if _beyond(c, tile):
+            for j in range(begun):
+                for lane in range(LANES):
+                    tile.change[c * HORIZON + j, lane] = tile.travel[c, s - j * SAMPLES, lane]
+            _add_squares(c, c + 1, begun, tile)
+        if s % SAMPLES == 0:
+            for lane in range(LANES):
+                error = tile.speed[c, lane] - tile.setpoint[s // SAMPLES, lane]
+                tile.weight[lane] = 1.0 / np.sqrt(1.0 + (error / CORNER) ** 2)
+                tile.error[lane] = error
+            for j in range(begun):
+                for lane in range(LANES):
+                    tile.change[c * HORIZON + j, lane] = tile.turned[c * HORIZON + j, lane]
+            _add_squares(c, c + 1, begun, tile)
+    for lane in range(LANES):
+        tile.weight[lane] = tile.difference[lane] if s % SAMPLES == 0 else BETWEEN
+        tile.error[lane] = tile.speed[0, lane] - tile.speed[1, lane]
+    for c in range(2):
+        sign = 1.0 - 2.0 * c
+        for j in range(begun):
+            for lane in range(LANES):
+                tile.change[c * HORIZON + j, lane] = sign * tile.turned[c * HORIZON + j, lane]
+    _add_squares(0, 2, begun, tile)
+
+
+@compiled
+def _beyond(c, tile):
     """Whether a spool is beyond its margin, the weight where it is, and how far."""
     beyond = 0.0
     for lane in range(LANES):
-        spool = tile.spool[c, s, lane]
+        spool = tile.spool[c, lane]
         past = max(0.0, abs(spool) - tile.margin[c, lane])
         beyond = max(beyond, past)
         tile.weight[lane] = tile.stops[lane] if past > 0.0 else 0.0
