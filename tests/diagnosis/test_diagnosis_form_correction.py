@@ -12,7 +12,8 @@ from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns
-from hydro_env.diagnosis.stages.candidates import Accepted, Candidate
+from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate, Search
+from hydro_env.diagnosis.stages.elimination import drop_not_missed, prefer_form
 from hydro_env.diagnosis.stages.form_correction import (
     correct,
     correct_all,
@@ -34,6 +35,14 @@ def _fitted(folder: Path, forms: str) -> tuple[Fit, Estimate]:
         runs=("fit_1",), forms=forms, noise=0.3,
     )  # fmt: skip
     practice.write(folder)
+    fit, found = _fit_of(folder)
+    solve(fit, [found], 6)
+    return fit, found
+
+
+def _fit_of(folder: Path) -> tuple[Fit, Estimate]:
+    """The log of a folder, with overlap at its true size in the first channel's model."""
+    sizes = {"overlap_positive": 1e-4, "overlap_negative": 7e-5}
     rig = DynamicRig(load_model("paper"), read_parts([folder / "fit_1.csv"], None))
     rig.channels = (0,)
     unknowns = [*base_unknowns(rig, 0), *effect_unknowns(CATALOGUE["dead_zone"], sizes)]
@@ -41,8 +50,34 @@ def _fitted(folder: Path, forms: str) -> tuple[Fit, Estimate]:
     Fit(rig, {(0, s.signal): 1e-9 for s in rig.segments[0]}).evaluate([found])
     fit = Fit(rig, noise_of(rig, {0: found}))
     fit.evaluate([found])
-    solve(fit, [found], 6)
     return fit, found
+
+
+@pytest.mark.parametrize(("forms", "truth"), [("different", 0.0), ("same", 0.1)])
+def test_what_another_form_explains_is_no_second_effect(tmp_path: Path, forms: str, truth: float) -> None:
+    name = "flow_gain_nonlinearity"
+    sizes = {"dead_zone.overlap_positive": 1e-4, "dead_zone.overlap_negative": 7e-5}
+    hidden = ["dead_zone:1"] + ([f"{name}:1"] if truth else [])
+    values = {**sizes, **({f"{name}.curvature": truth} if truth else {})}
+    practice = make_practice(
+        hidden, values=values, duration=6.0, rate=500.0, seed=4, runs=("fit_1",), forms=forms, noise=0.3
+    )
+    practice.write(tmp_path)
+    fit, one = _fit_of(tmp_path)
+    both = one.with_effect(name, {"curvature": 0.05})
+    solve(fit, [one, both], 6)
+    bare = one.without("dead_zone")
+    fit.evaluate([bare])
+    search = Search(fit, {0: bare}, [], 6.0, {0: both})
+    search.accepted = [
+        Accepted("dead_zone", 0, 5000.0, 37.0, {}, bare),
+        Accepted(name, 0, 50.0, 18.0, {}, one),
+    ]
+    drop_not_missed(search)
+    prefer_form(search)
+    assert [k.effect for k in search.accepted] == ["dead_zone", name] if truth else ["dead_zone"]
+    assert search.present[0].effects() == [k.effect for k in search.accepted]
+    assert all(k.outcome != ACCEPTED for k in search.candidates)
 
 
 def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None:

@@ -218,15 +218,17 @@ def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
         new = [n for n in search.names if n not in search.present[k.channel].effects()]
         names.append([n for n in new if screened[n, k.channel].shows])
     found = best_on_beginnings(fit, [search.present[k.channel] for k in left], names) if left else []
+    # The others race among themselves, since the best so far has been refitted for longer; then the best of them is, too.
     leaders = [k.refits[0] for k in left]
     for k, own in zip(left, found, strict=True):
-        k.refits += [Refit(k.channel, screened[p.label, k.channel], p) for p in own]
+        k.refits = k.refits[1:] + [Refit(k.channel, screened[p.label, k.channel], p) for p in own]
     races = [[r.estimate for r in k.refits] for k in left]
-    solve(fit, [p for race in races for p in race[1:]], SETTLE_ITERATIONS, races=races)
+    solve(fit, [p for race in races for p in race], SETTLE_ITERATIONS, races=races)
     for k in left:
         k.rank(search)
-    _settle(fit, [r.estimate for k in left for r in k.refits[:2] if r not in leaders])
-    for k in left:
+    _settle(fit, [r.estimate for k in left for r in k.refits[:1]])
+    for k, leader in zip(left, leaders, strict=True):
+        k.refits.append(leader)
         k.rank(search)
 
 
