@@ -1,5 +1,6 @@
 """Bootstrap, noise floors, restarts, and what calibration hides."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import as_given, base_unknowns, calibrate
 from hydro_env.diagnosis.stages.localisation import shape
+from hydro_env.diagnosis.stages.naming import Interval, widened_by_form
 from hydro_env.diagnosis.stages.screening import Screening, absorb, hidden_by_calibration, screen
 from hydro_env.plant import PARAMETERS, load_model
 from hydro_env.practice.generate import make_practice
@@ -41,6 +43,41 @@ def test_bootstrap_has_the_spread_of_the_mean() -> None:
     matrices, sides = np.ones((count, 1, 1)), (truth + noise)[:, None]
     moves = bootstrap(matrices, sides, np.zeros((1, 1)), np.zeros(1), rng)
     assert np.std(moves) == pytest.approx(1.0 / np.sqrt(count), rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "bare", "low", "high"),
+    [
+        (
+            "dead_zone.overlap_positive",
+            5e-5,
+            5e-5,
+            4.8e-5,
+            5.2e-5,
+        ),  # a size: 2 % of its distance from neutral
+        ("directional_gain.ratio", 0.6, 0.6, 0.584, 0.616),
+        ("motor_coulomb_friction.stribeck_speed", 3.0, 3.0, 2.4, 3.6),  # what shapes the law: 10 %
+        (
+            "sensor_lag.time_constant",
+            0.010,
+            0.012,
+            0.006,
+            0.014,
+        ),  # as far as a correction of form has moved it
+        ("eccentric_load.phase", 1.0, 1.0, 1.0, 1.0),  # an angle
+        ("displacement_ripple.order", 9.0, 9.0, 9.0, 9.0),
+    ],
+)
+def test_the_interval_of_an_effect_holds_what_the_form_of_its_law_leaves_open(
+    parameter: str, value: float, bare: float, low: float, high: float
+) -> None:
+    effect, name = parameter.split(".")
+    exact, before = (Interval(v, v, v, "") for v in (value, bare))
+    found = widened_by_form(effect, name, exact, before)
+    assert (found.low, found.high) == pytest.approx((low, high), abs=0.01 * abs(value))
+    wide = replace(exact, low=0.9 * value, high=1.1 * value)
+    found = widened_by_form(effect, name, wide, wide)
+    assert found.low <= wide.low and found.high >= wide.high
 
 
 def test_what_stops_beside_the_minimum_settles_there_with_its_own_spread() -> None:

@@ -29,14 +29,15 @@ FAR_BEHIND, OUT_OF_REACH, KEPT = 100.0, 0.5, 3
 
 
 def best_on_beginnings(
-    fit: Fit, presents: Sequence[Estimate], names: Sequence[Sequence[str]]
+    fit: Fit, presents: Sequence[tuple[int, Estimate]], names: Sequence[Sequence[str]]
 ) -> list[list[Estimate]]:
-    """For each of `presents` the few extensions by one of the effects `names` that explain the beginning of the logs best.
+    """For each of `presents`, with its channel, the few extensions by one of the effects `names` on that channel that explain the
+    beginning of the logs best.
 
     They come best first. They start from the estimate and from the known parameters as given, with every size and shape of the
     effect.
     """
-    fields = [_starts(p, own) for p, own in zip(presents, names, strict=True)]
+    fields = [_starts(p, c, own) for (c, p), own in zip(presents, names, strict=True)]
     beginning = fit.on(beginning_of(fit.rig, STAGES[0][0]))
     beginning.evaluate([p for field in fields for p in field])
     fields = [_best_of_each(field, FIRST_STARTS) for field in fields]
@@ -48,12 +49,12 @@ def best_on_beginnings(
     return [[p.at(p.q.copy()) for p in _best_of_each(field, 1) if p.label][:KEPT] for field in fields]
 
 
-def _starts(present: Estimate, names: Sequence[str]) -> list[Estimate]:
+def _starts(present: Estimate, channel: int, names: Sequence[str]) -> list[Estimate]:
     """Every start of every candidate; without a label those that have no further effect."""
     found = [present.at(present.q.copy(), ""), present.from_given().at(present.from_given().q, "")]
     for name in names:
         for values in effect_starts(CATALOGUE[name], math.inf, whole=True):
-            one = present.with_effect(name, values)
+            one = present.with_effect(name, values, channel)
             found += [one, one.from_given()]
     return found
 

@@ -80,6 +80,12 @@ class Estimate:
         """The effects of which parameters are estimated."""
         return list(dict.fromkeys(u.effect for u in self.unknowns if u.effect))
 
+    def placed_effects(self) -> list[tuple[str, int | None]]:
+        """The effects of which parameters are estimated, each with its channel, None for one of the whole rig."""
+        own = (u for u in self.unknowns if u.effect)
+        every = ((u.effect, u.channel if self.channel is None else self.channel) for u in own)
+        return list(dict.fromkeys(every))
+
     # --- other estimates made from this one -------------------------------------------------------------------------------
     def at(self, q: Vector, label: str | None = None) -> Estimate:
         """The same unknowns at q, not yet simulated."""
@@ -98,27 +104,30 @@ class Estimate:
         twin.together = tuple(SCALED_TOGETHER)
         return twin
 
-    def with_effect(self, effect: str, start: dict[str, float]) -> Estimate:
-        """An effect more, at the values `start` {own name: value}."""
-        added = effect_unknowns(CATALOGUE[effect], start)
+    def with_effect(self, effect: str, start: dict[str, float], on: int | None = None) -> Estimate:
+        """An effect more, at the values `start` {own name: value}; `on` a channel, where the estimate is the rig's."""
+        alone = on if self.channel is None else None
+        added = [replace(u, channel=alone) for u in effect_unknowns(CATALOGUE[effect], start)]
         q = np.concatenate([self.q, np.zeros(len(added))])
-        if self.channel is not None:
-            taken = less_taken(self.values(self.channel), effect, start)
+        channel = on if self.channel is None else self.channel
+        if channel is not None:
+            taken = less_taken(self.values(channel), effect, start)
             for j, u in enumerate(self.unknowns):
-                if u.name in taken:
+                if u.name in taken and u.channel in (None, channel):
                     q[j] = np.clip(u.q(taken[u.name]), *u.bounds)
         return Estimate(self.channel, [*self.unknowns, *added], q, effect, follow=self.follow)
 
-    def extended(self, effect: str, start: dict[str, float]) -> Estimate:
+    def extended(self, effect: str, start: dict[str, float], on: int | None = None) -> Estimate:
         """An effect more, with the derivatives taken along; those of the new parameters are zero."""
-        twin = self.with_effect(effect, start)
+        twin = self.with_effect(effect, start, on)
         added = len(twin.unknowns) - len(self.unknowns)
         twin.columns = {c: np.hstack([m, np.zeros((m.shape[0], added))]) for c, m in self.columns.items()}
         return twin
 
-    def without(self, effect: str) -> Estimate:
-        """An effect less, at the same values of everything else."""
-        keep = [j for j, u in enumerate(self.unknowns) if u.effect != effect]
+    def without(self, effect: str, on: int | None = None) -> Estimate:
+        """An effect less, at the same values of everything else; `on` as in `with_effect`."""
+        alone = on if self.channel is None else None
+        keep = [j for j, u in enumerate(self.unknowns) if (u.effect, u.channel) != (effect, alone)]
         return Estimate(self.channel, [self.unknowns[j] for j in keep], self.q[keep], f"without {effect}")
 
     def adopt(self, other: Estimate) -> bool:

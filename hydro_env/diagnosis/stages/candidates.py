@@ -122,6 +122,15 @@ class Search:
         """What was accepted on a channel."""
         return [k for k in self.accepted if k.channel == channel]
 
+    @property
+    def of_rig(self) -> bool:
+        """Whether the present estimate is one of the whole rig."""
+        return any(p.channel is None for p in self.present.values())
+
+    def put(self, channel: int, estimate: Estimate) -> None:
+        """Makes an estimate the present one: of its channel, or of both where it is the rig's."""
+        self.present.update(dict.fromkeys(self.fit.channels_of(estimate), estimate))
+
     def record(
         self, effect: str, channel: int | None, number: int, gain: float, outcome: str, estimate: Estimate | None = None,
         needed: float | None = None,
@@ -149,27 +158,33 @@ def penalty(fit: Fit, effect: str) -> float:
     return penalty_per_parameter(fit) * len(CATALOGUE[effect].parameters)
 
 
-def judge(fit: Fit, before: Estimate, after: Estimate, effect: str, gain: float) -> str:
-    """What becomes of a candidate that gains so much: `ACCEPTED`, or why not."""
+def judge(
+    fit: Fit, before: Estimate, after: Estimate, effect: str, gain: float, channel: int | None = None
+) -> str:
+    """What becomes of a candidate that gains so much: `ACCEPTED`, or why not; `channel` is its own, where the estimate is the
+    rig's."""
     if gain < penalty(fit, effect):
         return "gains less than chance could"
     channels = fit.channels_of(after)
     share = explained_share(fit, before, after, channels)
     if share < fit.settings.least_share and fit.settings.uses(REJECT_SMALL_SHARE):
         return "explains no noticeable share of the gap"
-    if is_neutral(after, effect):
+    if is_neutral(after, effect, channel):
         return VANISHED
     # A size beyond what rigs have makes up for something else; where the last plausible one leaves nothing it does not.
-    edge = at_edge(after, effect) and fit.settings.uses(REJECT_AT_EDGE)
+    edge = at_edge(after, effect, channel) and fit.settings.uses(REJECT_AT_EDGE)
     if edge and not all(nearly_explained(fit, before, after, c) for c in channels):
         return AT_EDGE
     return ACCEPTED
 
 
-def at_edge(estimate: Estimate, effect: str) -> bool:
-    """Whether a size of an effect ends at a bound of its range that is not its neutral value."""
+def at_edge(estimate: Estimate, effect: str, channel: int | None = None) -> bool:
+    """Whether a size of an effect ends at a bound of its range that is not its neutral value; `channel` says whose, where the
+    estimate is the rig's."""
     for u, q in zip(estimate.unknowns, estimate.q, strict=True):
         if u.effect != effect or u.prior or not u.at_bound(float(q)):
+            continue
+        if channel is not None and u.channel not in (None, channel):
             continue
         parameter = CATALOGUE[effect].parameter(u.parameter)
         near = u.low if u.value(float(q)) < 0.5 * (u.low + u.high) else u.high

@@ -35,11 +35,12 @@ def drop_not_missed(search: Search) -> None:
         without: list[tuple[Accepted, int, Estimate]] = []
         for one in search.accepted:
             c = one.channel
-            if c is None or search.present[c].channel is None or len(search.on(c)) < 2:
+            if c is None or len(search.present[c].effects()) < 2:
                 continue
-            less, present = search.present[c].without(one.effect), search.present[c]
-            keep = [j for j, u in enumerate(present.unknowns) if u.effect != one.effect]
-            less.columns = {c: present.columns[c][:, keep]}
+            present = search.present[c]
+            less = present.without(one.effect, c)
+            keep = [j for j, u in enumerate(present.unknowns) if u in less.unknowns]
+            less.columns = {k: present.columns[k][:, keep] for k in fit.channels_of(less)}
             without.append((one, c, less))
         if not without:
             return
@@ -49,7 +50,7 @@ def drop_not_missed(search: Search) -> None:
         one, c, less = min(without, key=lambda entry: entry[0].gain - entry[0].needed)
         if one.gain > one.needed:
             return
-        search.present[c] = less
+        search.put(c, less)
         search.accepted.remove(one)
         outcome = "not missed once the others are there"
         search.record(one.effect, c, AFTER_ROUNDS, one.gain, outcome, less, one.needed)
@@ -64,9 +65,9 @@ def prefer_form(search: Search) -> None:
         tries: list[tuple[float, Accepted | None, int]] = []
         for c in fit.rig.channels:
             for one in search.on(c):
-                others = [(k.effect, one.channel) for k in search.on(c) if k is not one]
-                if not others or one.without is None or search.present[c].channel is None:
+                if one.without is None or one.without.channel != search.present[c].channel:
                     continue
+                others = one.without.placed_effects()
                 found = attempts(fit, one.without, others)
                 refit_attempts(long, found)
                 tries += [(t.score - search.present[c].cost - one.needed, one, c) for t in found]
@@ -79,7 +80,7 @@ def prefer_form(search: Search) -> None:
             dropped.effect, c, AFTER_ROUNDS, fit.gain(less, present), outcome, present, dropped.needed
         )
         search.accepted.remove(dropped)
-        search.present[c] = less
+        search.put(c, less)
         solve(long, [less], SETTLE_ITERATIONS)
         drop_not_missed(search)
 
@@ -134,7 +135,7 @@ def compare_competing(search: Search) -> None:
     swaps: list[tuple[Accepted, int, str, Estimate]] = []
     for one in search.accepted:
         c = one.channel
-        if c is None or one.without is None or search.present[c].channel is None:
+        if c is None or one.without is None or one.without.channel != search.present[c].channel:
             continue
         own = {k.effect for k in search.on(c)}
         by_gain = sorted(one.competing, key=lambda n: one.competing[n])[:MOST_BY_GAIN]
@@ -142,11 +143,12 @@ def compare_competing(search: Search) -> None:
         declared = CATALOGUE[one.effect].indistinguishable_from
         for other in dict.fromkeys((*by_gain, *declared, *by_signature)):
             if (other, c) in starts and other not in own:
-                rest = search.present[c].without(one.effect)
-                swaps.append((one, c, other, rest.extended(other, starts[other, c])))
+                rest = search.present[c].without(one.effect, c)
+                swaps.append((one, c, other, rest.extended(other, starts[other, c], c)))
     solve(fit.on(fit.rig.for_long_refits()), [p for *_, p in swaps], COMPETING_ITERATIONS)
     for one, c, other, estimate in sorted(swaps, key=lambda s: s[3].cost):
-        if {*estimate.effects()} - {other} != {*search.present[c].effects()} - {one.effect}:
+        placed, present = {*estimate.placed_effects()}, {*search.present[c].placed_effects()}
+        if placed - {(other, c)} != present - {(one.effect, c)}:
             continue  # another effect of this channel was replaced meanwhile
         _compare(search, one, c, other, estimate)
 
@@ -159,11 +161,12 @@ def _compare(search: Search, one: Accepted, c: int, other: str, estimate: Estima
     behind = own_gain - fit.gain(one.without, estimate)
     near = max(fit.settings.tied_share * own_gain, one.needed)
     better = behind < -CLEARLY_BETTER * one.needed and estimate.cost < present.cost
-    if better and not (is_neutral(estimate, other) or at_edge(estimate, other)):
+    if better and not (is_neutral(estimate, other, c) or at_edge(estimate, other, c)):
         one.competing.pop(other, None)
         if -behind < near:
             one.competing[one.effect] = -behind
-        one.effect, one.gain, search.present[c] = other, own_gain - behind, estimate
+        one.effect, one.gain = other, own_gain - behind
+        search.put(c, estimate)
     elif behind < near:
         one.competing[other] = max(behind, 0.0)
     else:

@@ -19,10 +19,22 @@ from .candidates import (
 from .refits import short_refit
 from .screening import Screening
 
-__all__ = ["drop_vanished", "select_rig_effects"]
+__all__ = ["drop_vanished", "rig_effect_leads", "select_rig_effects"]
 
 #: Iterations of the joint refit, which is slow.
 ITERATIONS = 2
+
+
+def rig_effect_leads(search: Search) -> bool:
+    """Whether an effect of the rig promises more at first look than the best effects of both channels together.
+
+    It then comes first: beside it, channels are searched for what they have, without it for what imitates it.
+    """
+    best: dict[int | None, float] = {}
+    for k in search.screening:
+        best[k.channel] = max(best.get(k.channel, 0.0), k.gain)
+    of_rig = best.pop(None, 0.0)
+    return of_rig > sum(best.values())
 
 
 def select_rig_effects(search: Search) -> None:

@@ -195,6 +195,8 @@ class _Absorption:
 
 def _request(estimates: Estimates, effect: str, channel: int | None, start: dict[str, float]) -> Request:
     extra = {f"{effect}.{name}": value for name, value in start.items()}
+    if channel is not None and estimates[channel].channel is None:
+        return estimates[channel].with_effect(effect, start, channel).request()
     if channel is not None:
         values = estimates[channel].values(channel)
         return Request(channel, {**values, **less_taken(values, effect, start), **extra})

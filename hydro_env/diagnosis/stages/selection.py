@@ -28,7 +28,7 @@ from .candidates import ACCEPTED, OUTDONE, VANISHED, Accepted, Search, Selection
 from .elimination import compare_competing, drop_not_missed, drop_unneeded, prefer_form
 from .form_correction import attempts, refit_attempts
 from .refits import refit_found, short_refit
-from .rig_effects import select_rig_effects
+from .rig_effects import rig_effect_leads, select_rig_effects
 from .screening import Screening, screen
 
 __all__ = ["run", "select"]
@@ -106,13 +106,21 @@ def select(search: Search) -> Selection:
     fit, calibrated = search.fit, search.calibrated
     first = [c for c in fit.rig.channels if could_pay(fit, calibrated[c], c)]
     of_channels = [k for k in search.screening if k.channel is not None]
-    _forward(search, first, of_channels)
-    if len(fit.rig.channels) == 2 and any(k.channel is None for k in search.screening):
+    whole = len(fit.rig.channels) == 2 and any(k.channel is None for k in search.screening)
+    if whole and rig_effect_leads(search):
         search.progress("effects of the whole rig")
         select_rig_effects(search)
+        _set_placebos(search, first, of_channels)
+    if not search.of_rig:
+        _forward(search, first, of_channels)
+        if whole:
+            search.progress("effects of the whole rig")
+            select_rig_effects(search)
+    if search.of_rig:
+        _forward_beside_rig_effect(search)
     if fit.rig.has_hidden_states:
         drop_unneeded(search)
-    if any(len(search.on(c)) > 1 for c in fit.rig.channels):
+    if any(len(p.effects()) > 1 for p in search.present.values()):
         search.progress("can any of them be left out?")
         drop_not_missed(search)
         prefer_form(search)
@@ -128,9 +136,9 @@ def _worth_another(search: Search, c: int) -> bool:
     left = 1.0 - smallest_share(fit, search.calibrated[c], present, c)
     if not (could_pay(fit, present, c) and left > WORTH_ANOTHER):
         return False
-    if not fit.rig.has_hidden_states or search.present[c].channel is None or not search.on(c):
+    if not fit.rig.has_hidden_states or not present.effects():
         return True
-    return could_pay(fit, _in_other_form(search, c, present), c)
+    return could_pay(fit, _in_other_form(search, present), c)
 
 
 # --- forward steps --------------------------------------------------------------------------------------------------------
@@ -146,6 +154,31 @@ def _forward(search: Search, channels: list[int], screening: Sequence[Screening]
         search.progress(f"round {number}: refitting candidates")
         accepted = _round(search, channels, screening, number)
         channels = [c for c in accepted if _worth_another(search, c)]
+
+
+def _forward_beside_rig_effect(search: Search) -> None:
+    """Further rounds where an effect of the rig was accepted: before, it had hidden what else there is on each channel."""
+    fit = search.fit
+    for number in range(2, fit.settings.max_effects + 1):
+        channels = [c for c in fit.rig.channels if _worth_another(search, c)]
+        if not channels:
+            return
+        search.progress(f"round {number}: screening what is left beside the effect of the rig")
+        screening = screen(fit, search.present, search.names, search.seconds, search.screening)
+        # One channel at a time: what one of them gets changes the model of both.
+        if not [c for c in channels if _round(search, [c], screening, number)]:
+            return
+
+
+def _set_placebos(search: Search, channels: Sequence[int], screening: Sequence[Screening]) -> None:
+    """The best candidate of each channel at first look, refitted, as the placebo beside an effect of the rig."""
+    if not search.of_rig:
+        return
+    best = {k.channel: k for k in reversed(screening)}
+    search.placebo = {c: search.calibrated[c].extended(best[c].effect, best[c].start) for c in channels}
+    placebos = list(search.placebo.values())
+    short_refit(search.fit, placebos)
+    solve(search.fit.on(search.fit.rig.for_long_refits()), placebos, SETTLE_ITERATIONS)
 
 
 def _round(search: Search, channels: Sequence[int], screening: Sequence[Screening], number: int) -> list[int]:
@@ -182,7 +215,7 @@ def _short_refits(
         own = [k for k in screening if k.channel == c and k.effect not in here]
         for place, one in enumerate(own):
             if search.fit.rig.simulation_is_cheap or (place < most and one.gain > 0.0):
-                refits.append(Refit(c, one, search.present[c].extended(one.effect, one.start)))
+                refits.append(Refit(c, one, search.present[c].extended(one.effect, one.start, c)))
             else:
                 search.record(one.effect, c, number, one.gain, "explains too little at first look")
     if refits:
@@ -210,14 +243,16 @@ def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
         k
         for k in contests
         if unexplained(fit, k.refits[0].estimate, k.channel)
-        and unexplained(fit, _in_other_form(search, k.channel, k.refits[0].estimate), k.channel)
+        and unexplained(fit, _in_other_form(search, k.refits[0].estimate), k.channel)
     ]
     screened = {(k.effect, k.channel): k for k in search.screening}
     names = []
     for k in left:
-        new = [n for n in search.names if n not in search.present[k.channel].effects()]
+        here = {n for n, c in search.present[k.channel].placed_effects() if c in (None, k.channel)}
+        new = [n for n in search.names if n not in here]
         names.append([n for n in new if screened[n, k.channel].shows])
-    found = best_on_beginnings(fit, [search.present[k.channel] for k in left], names) if left else []
+    presents = [(k.channel, search.present[k.channel]) for k in left]
+    found = best_on_beginnings(fit, presents, names) if left else []
     # The others race among themselves, since the best so far has been refitted for longer; then the best of them is, too.
     leaders = [k.refits[0] for k in left]
     for k, own in zip(left, found, strict=True):
@@ -232,11 +267,11 @@ def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
         k.rank(search)
 
 
-def _in_other_form(search: Search, c: int, estimate: Estimate) -> Estimate:
+def _in_other_form(search: Search, estimate: Estimate) -> Estimate:
     """The estimate with the correction of form that explains most of what it leaves, if one does; remembered in the search."""
     if id(estimate) not in search.corrected:
         fit = search.fit
-        found = attempts(fit, estimate, [(n, c) for n in estimate.effects()])
+        found = attempts(fit, estimate, estimate.placed_effects())
         refit_attempts(fit.on(fit.rig.for_long_refits()), found)
         best = min(found, key=lambda t: t.score, default=None)
         better = best is not None and best.score < estimate.cost
@@ -255,7 +290,7 @@ def _settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
 def _adopt_base(search: Search, c: int, vanished: Refit) -> bool:
     """Takes over the known parameters of a candidate that vanished, if they explain the logs better; whether it does."""
     fit, present = search.fit, search.present[c]
-    less = vanished.estimate.without(vanished.screened.effect)
+    less = vanished.estimate.without(vanished.screened.effect, c)
     solve(fit, [less], CHEAP_ITERATIONS)
     return fit.gain(present, less) > 0.0 and present.adopt(less)
 
@@ -267,7 +302,7 @@ def _accept_best(search: Search, contest: Contest, number: int) -> bool:
     judged, accepted = "", False
     for place, r in enumerate(contest.refits):
         effect, gain = r.screened.effect, fit.gain(before, r.estimate)
-        outcome = judge(fit, before, r.estimate, effect, gain)
+        outcome = judge(fit, before, r.estimate, effect, gain, c)
         if place == 0:
             judged, accepted = outcome, outcome == ACCEPTED
             if accepted:
@@ -282,6 +317,6 @@ def _accept_best(search: Search, contest: Contest, number: int) -> bool:
     if number == 1:
         search.placebo[c] = refits[1 if accepted and len(refits) > 1 else 0].estimate
     if accepted:
-        search.present[c] = refits[0].estimate
+        search.put(c, refits[0].estimate)
         return True
     return judged == VANISHED and _adopt_base(search, c, refits[0])
