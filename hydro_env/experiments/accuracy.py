@@ -1,13 +1,18 @@
 """How accurately models are simulated that lie far apart, within the ranges that are accepted.
 
-    python -m hydro_env.experiments.accuracy --out DIR [--ends] [--models N] [--seconds S] [--sample N] [--seed N]
+    python -m hydro_env.experiments.accuracy --out DIR [--ends] [--models N] [--effects NAME ...] [--commands KIND ...]
+        [--seconds S] [--sample N] [--seed N]
 
 `--ends` takes every base parameter over its accepted range, two of them at their ends, and every effect with each of its
-parameters at either end. `--models` draws models: a preset, base parameters and effects within the accepted ranges. Each is
-driven for S seconds by smooth, uniform, Gaussian and bang-bang commands of full range, and compared with the same at an eighth
-of the substep. A model that differs there by more than 0.1 rpm (RMS) is compared again, an eighth with a sixteenth: where these
-differ too, the motion separates neighbouring solutions and no simulator foretells it. `--sample` models, chosen by chance, are
-also compared with the reference simulator, each under one of the commands in turn.
+parameters at either end. `--models` draws models: a preset, base parameters and effects within the accepted ranges. With
+`--effects` it draws so many for each of these effects (`all`: for every one): the effect over its bounds, volume and bulk modulus
+and up to three other base parameters of the paper's model over theirs; effects.md then counts what is off, by effect.
+
+Each model is driven for S seconds by smooth, uniform, Gaussian and bang-bang commands of full range, or by some of these
+(`--commands`), and compared with the same at an eighth of the substep. One that differs there by more than 0.1 rpm (RMS) and 1e-4
+of its speed is compared again, an eighth with a sixteenth: where these differ too, the motion separates neighbouring solutions
+and no simulator foretells it. `--sample` models, chosen by chance, are also compared with the reference simulator, each under one
+of the commands in turn.
 
 `accuracy.csv` has a line for each model and command: the RMS of the speed and of its errors in rpm, and what the model is.
 """
@@ -33,7 +38,10 @@ from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Parameter, Plant, P
 from hydro_env.practice.reference import simulate_reference
 from hydro_env.units import RPM
 
-__all__ = ["COMMANDS", "Case", "Result", "commands", "compare", "drawn", "ends_of_base", "ends_of_effects"]
+__all__ = [
+    "COMMANDS", "Case", "Result", "commands", "compare", "drawn", "drawn_about", "ends_of_base",
+    "ends_of_effects",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
@@ -158,6 +166,28 @@ def drawn(count: int, rng: np.random.Generator, move: float = 0.35) -> tuple[lis
     return cases, refused
 
 
+def drawn_about(effect: str, count: int, rng: np.random.Generator) -> tuple[list[Case], int]:
+    """Random models that have one effect, and how many draws were refused.
+
+    The effect, volume and bulk modulus and up to three other base parameters are within their accepted ranges."""
+    cases: list[Case] = []
+    others = [name for name in PARAMETERS if name not in ("V", "beta")]
+    refused = 0
+    while len(cases) < count:
+        moved = ("V", "beta", *rng.choice(others, rng.integers(4), replace=False))
+        values = {name: _value(PARAMETERS[name], *_ends(PARAMETERS[name]), rng) for name in moved}
+        for p in CATALOGUE[effect].parameters:
+            values[f"{effect}.{p.name}"] = _value(p, p.low, min(p.high, 1e9), rng)
+        case = Case(values)
+        try:
+            _ = case.model
+        except InputError:
+            refused += 1
+        else:
+            cases.append(case)
+    return cases, refused
+
+
 def _value(p: Parameter, low: float, high: float, rng: np.random.Generator) -> float:
     """An end of the range, or a value between, by factors where these are natural."""
     if rng.random() < 0.3:
@@ -170,8 +200,9 @@ def _value(p: Parameter, low: float, high: float, rng: np.random.Generator) -> f
 # --- comparison -------------------------------------------------------------------------------------------------------
 def _run(cases: Sequence[Case], share: Array, parts: int) -> tuple[Array, NDArray[np.bool_], float]:
     """Speeds (T, cases, 2) in rpm at the substep, one and the same, divided by `parts`; which diverged; and channel substeps."""
-    effects = () if all(case.plain for case in cases) else BUILT_IN
     models = [case.model for case in cases]
+    declared = {model.declared for model in models}
+    effects = declared.pop() if len(declared) == 1 else BUILT_IN
     # A rig to a block: in a common one all take the parts that any of them asks for.
     finer = replace(load_model("paper"), substep=models[0].substep / parts)
     plant = Plant(finer, len(cases), effects=effects, block=1)
@@ -247,6 +278,27 @@ def summary(results: Sequence[Result], made: float, refused: int) -> str:
     return "\n".join(lines)
 
 
+def effects_table(results: Sequence[Result]) -> str:
+    """By effect how many models are off under any command, in Markdown: all, those that separate, and the worst other one."""
+    lines = [
+        "| effect | models | off | of these separating | worst other error, rpm |",
+        "|---|---|---|---|---|",
+    ]
+    by_effect: dict[str, list[Result]] = {}
+    for r in results:
+        by_effect.setdefault(" ".join(r.case.model.declared), []).append(r)
+    for name, own in sorted(by_effect.items()):
+        off = [r for r in own if r.error > r.bound]
+        others = [r for r in off if not r.separates]
+        off_models, other_models = ({id(r.case) for r in rows} for rows in (off, others))
+        worst = f"{max(r.error for r in others):.2g}" if others else ""
+        models = len({id(r.case) for r in own})
+        lines.append(
+            f"| `{name}` | {models} | {len(off_models)} | {len(off_models - other_models)} | {worst} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
 def table(results: Sequence[Result]) -> str:
     """The results as CSV, the worst first."""
     out = io.StringIO()
@@ -259,43 +311,55 @@ def table(results: Sequence[Result]) -> str:
     return out.getvalue()
 
 
+def _wanted(options: argparse.Namespace, rng: np.random.Generator) -> tuple[list[Case], int]:
+    """The models that are asked for, and how many were refused."""
+    names = BUILT_IN if "all" in options.effects else options.effects
+    found = [drawn_about(name, options.models, rng) for name in names] or [drawn(options.models, rng)]
+    cases, refused = [case for own, _ in found for case in own], sum(count for _, count in found)
+    for case in (*ends_of_base(), *ends_of_effects()) if options.ends else ():
+        try:
+            _ = case.model
+        except InputError:
+            refused += 1
+        else:
+            cases.append(case)
+    return cases, refused
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--ends", action="store_true")
     parser.add_argument("--models", type=int, default=0)
+    parser.add_argument("--effects", nargs="+", choices=("all", *BUILT_IN), metavar="NAME", default=[])
+    parser.add_argument("--commands", nargs="+", choices=COMMANDS, default=list(COMMANDS))
     parser.add_argument("--seconds", type=float, default=2.0)
     parser.add_argument("--sample", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(options.seed)
-    cases, refused = drawn(options.models, rng)
-    if options.ends:
-        for case in (*ends_of_base(), *ends_of_effects()):
-            try:
-                _ = case.model
-            except InputError:
-                refused += 1
-            else:
-                cases.append(case)
+    cases, refused = _wanted(options, rng)
     if not cases:
         parser.error("--ends or --models: nothing to simulate")
     sampled = set(rng.permutation(len(cases))[: options.sample].tolist())
     results: list[Result] = []
     made = 0.0
-    for turn, kind in enumerate(COMMANDS):
+    for turn, kind in enumerate(options.commands):
         share = commands(kind, options.seconds, rng)
         for start in range(0, len(cases), 64):
             found, substeps = compare(cases[start : start + 64], share, kind)
             results += found
             made += substeps
-        own: dict[int, Any] = {id(cases[n]): n for n in sampled if n % len(COMMANDS) == turn}
+        own: dict[int, Any] = {id(cases[n]): n for n in sampled if n % len(options.commands) == turn}
         for result in results:
             if result.command == kind and id(result.case) in own:
                 result.reference = against_reference(result.case, share)
         write_text(options.out / "accuracy.csv", table(results))
         print(f"{kind}:\n{summary(results, made, refused)}", flush=True)
+    if options.effects:
+        write_text(options.out / "effects.md", effects_table(results))
+        print(effects_table(results), end="")
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ def test_bootstrap_has_the_spread_of_the_mean() -> None:
             4.8e-5,
             5.2e-5,
         ),  # a size: 2 % of its distance from neutral
-        ("directional_gain.ratio", 0.6, 0.6, 0.584, 0.616),
+        ("directional_gain.ratio", 0.6, 0.6, 0.576, 0.624),
         ("motor_coulomb_friction.stribeck_speed", 3.0, 3.0, 2.4, 3.6),  # what shapes the law: 10 %
         (
             "sensor_lag.time_constant",
