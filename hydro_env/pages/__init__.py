@@ -114,6 +114,7 @@ def svg(drawing: Figure, alt: str) -> Any:
     buffer = io.StringIO()
     _as_written(drawing)
     with matplotlib.rc_context(RC):
+        _lay_out(drawing)
         drawing.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :].replace(INK, "currentColor")
@@ -126,6 +127,14 @@ def svg(drawing: Figure, alt: str) -> Any:
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
     text = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)
     return Markup(text)
+
+
+def _lay_out(drawing: Figure) -> None:
+    """Lays the figure out, once: to save it does so twice, and draws all of it for that."""
+    engine = drawing.get_layout_engine()
+    if engine is not None:
+        engine.execute(drawing)
+        drawing.set_layout_engine("none")
 
 
 def _as_written(drawing: Figure) -> None:
@@ -149,5 +158,6 @@ def png(drawing: Figure, path: Path) -> None:
         for text in drawing.findobj(Text):
             text.set_color("#1c2430")
         memory = io.BytesIO()
+        _lay_out(drawing)
         drawing.savefig(memory, format="png", dpi=150, facecolor="white")
     write_bytes(path, memory.getvalue())

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
+
+from .filters import one_pole
 
 __all__ = ["shaft_speed"]
 
@@ -17,4 +18,5 @@ def shaft_speed(
     """Speed (T,) in rad/s of J dw/dt = D p - B w - load from rest; pressure (Pa) and load (N m) are held for a `period`."""
     friction = max(friction, LEAST_FRICTION)
     keep = float(np.exp(-period * friction / inertia))
-    return lfilter([0.0, 1.0 - keep], [1.0, -keep], (displacement * pressure - load) / friction)
+    torque = np.concatenate([[0.0], (displacement * pressure - load)[:-1]])
+    return one_pole((1.0 - keep) / friction * torque, keep)

@@ -13,12 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter, savgol_filter
 
 from ...units import BAR, RPM
 from ..estimation import Estimate, effective_samples, noise_floor
 from ..input.parts import Part, filled
 from ..models.base import RigModel, Segment
+from ..models.filters import local_parabola, one_pole
 from ..models.shaft import shaft_speed
 from ..state import Estimates, State
 
@@ -181,17 +181,16 @@ def _hydraulic(
     replayed = shaft_speed(pressure, load, h, **own)
     # Only what the shaft loses against measurement within a second counts: errors do not pile up.
     forget = float(np.exp(-h / 1.0))
-    error = lfilter([(1.0 + forget) / 2.0, -(1.0 + forget) / 2.0], [1.0, -forget], speed - replayed)
+    error = one_pole((1.0 + forget) / 2.0 * np.diff(speed - replayed, prepend=0.0), forget)
     shaft = ("speed, rpm", "speed lost or gained within a second, rpm", RPM)
     found = [_replay("shaft", error, h, time, speeds, used, speed / RPM, shaft)]
 
     width = max(5, 2 * round(0.01 / h) + 1)
 
     def flow(w: np.ndarray, dp: np.ndarray) -> np.ndarray:
-        squeezed = numbers["V"] / numbers["beta"] * savgol_filter(dp, width, 2, deriv=1, delta=h)
-        return (
-            numbers["D"] * savgol_filter(w, width, 2) + numbers["Km"] * savgol_filter(dp, width, 2) + squeezed
-        )
+        level, slope = local_parabola(dp, width, h)
+        squeezed = numbers["V"] / numbers["beta"] * slope
+        return numbers["D"] * local_parabola(w, width, h)[0] + numbers["Km"] * level + squeezed
 
     missing = flow(speed, pressure) - flow(simulated["speed"], simulated["pressure"])
     found.append(_replay("valve_flow", missing / numbers["D"], h, time, openings, used, command, _FLOW))

@@ -8,13 +8,13 @@ zone, play or stiction has no useful derivative at zero.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..estimation import Estimate, Fit, effect_starts, less_taken
+from ..estimation import Estimate, Fit, could_pay, effect_starts, less_taken
 from ..models.base import Request
 from ..settings import rule
 from ..state import Estimates, State
@@ -85,29 +85,33 @@ class _Projector:
 def run(state: State) -> State:
     """Screens every candidate beside the calibrated model."""
     fit = state.fit
-    screening = screen(fit, state.calibrated, fit.rig.candidates(), state.seconds)
+    settled = [c for c, p in state.calibrated.items() if not could_pay(fit, p, c)]
+    screening = screen(fit, state.calibrated, fit.rig.candidates(), state.seconds, settled=settled)
     if fit.rig.has_hidden_states and state.settings.uses(ABSORB_BY_CALIBRATION):
         absorb(fit, state.calibrated, screening)
     return replace(state, screening=screening)
 
 
 def screen(
-    fit: Fit, estimates: Estimates, effects: Sequence[str], seconds: float, earlier: Sequence[Screening] = ()
-) -> list[Screening]:
+    fit: Fit, estimates: Estimates, effects: Sequence[str], seconds: float, earlier: Sequence[Screening] = (),
+    settled: Collection[int] = (),
+) -> list[Screening]:  # fmt: skip
     """Screens every effect on every channel, beside the present `estimates`, best first.
 
-    Effects of the whole rig are screened on both channels together. Effects that are slow to simulate are screened only in the
-    size that did best in an `earlier` screening, if there is one.
+    On channels that have `settled`, where nothing is left to explain, only the medium size is simulated, which says what would
+    be seen. Effects of the whole rig are screened on both channels together. Effects that are slow to simulate are screened
+    only in the size that did best in an `earlier` screening, if there is one.
     """
     wanted: list[tuple[str, int | None, dict[str, float]]] = []
     for name in effects:
         effect = CATALOGUE[name]
         for channel in estimates if effect.scope == "channel" else (None,):
             known = [k.start for k in earlier if (k.effect, k.channel) == (name, channel)]
+            starts = effect_starts(effect, seconds)
+            if channel in settled:
+                starts = [start for start in starts if _is_medium(name, start)] or starts
             slow = effect.corner is not None and known
-            wanted += [
-                (name, channel, start) for start in (known if slow else effect_starts(effect, seconds))
-            ]
+            wanted += [(name, channel, start) for start in (known if slow else starts)]
     results = fit.rig.predict([_request(estimates, *one) for one in wanted])
     left = {c: _Projector(fit, p, c, _deviations(fit, p, c)) for c, p in estimates.items()}
     noise = {

@@ -67,11 +67,9 @@ def signal_key(rig: RigModel, signal: str, channel: int) -> str:
 
 def prove(rig: RigModel, models: Mapping[str, Estimates]) -> Proof:
     """Simulates every model freely from the logged commands and compares with all logs of `rig`."""
-    traces: dict[str, dict[int, np.ndarray]] = {}
-    for name, estimates in models.items():
-        every = list({id(p): p for p in estimates.values()}.values())
-        results = {id(p): r for p, r in zip(every, rig.predict([p.request() for p in every]), strict=True)}
-        traces[name] = {c: results[id(p)][c] for c, p in estimates.items()}
+    every = list({id(p): p for estimates in models.values() for p in estimates.values()}.values())
+    results = {id(p): r for p, r in zip(every, rig.predict([p.request() for p in every]), strict=True)}
+    traces = {name: {c: results[id(p)][c] for c, p in own.items()} for name, own in models.items()}
     errors: dict[tuple[int, str], dict[str, float]] = {}
     for channel in rig.channels:
         for signal in dict.fromkeys(s.signal for s in rig.segments[channel]):
