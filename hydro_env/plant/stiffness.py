@@ -1,6 +1,7 @@
 """How finely a channel has to be stepped, from its parameters alone.
 
-The spool is what limits the substep of h seconds; the method damps coil, pressure and shaft. With its greatest force F and
+The spool is what limits the substep of h seconds; the method damps coil, pressure and shaft, but for a ring of the motor against
+its line that hardly anything damps (`ring_parts`). With its greatest force F and
 mass m it gains the speed a h in a substep, a = 2 F / m. Five ratios say what a substep resolves:
 
     stretch    h s1 / m                             damping of the bristles against the mass
@@ -21,7 +22,16 @@ from collections.abc import Mapping
 
 from .vector_math import sqrt
 
-__all__ = ["FINE_PARTS", "LAWS", "LEAST_FRICTION", "MOST_FINER", "SPOOL", "greatest_force", "parts_wanted"]
+__all__ = [
+    "FINE_PARTS",
+    "LAWS",
+    "LINE",
+    "LEAST_FRICTION",
+    "MOST_FINER",
+    "SPOOL",
+    "greatest_force",
+    "parts_wanted",
+]
 
 #: Numbers of parts in which a stiff channel takes every substep.
 FINE_PARTS = (4, 16, 64)
@@ -31,6 +41,8 @@ MOST_FINER = 16.0
 LEAST_FRICTION = 0.001
 #: Base parameters that decide.
 SPOOL = ("m", "R", "alpha", "k", "Fc", "Fs", "s0", "s1", "x_max", "k_stop", "v_stop", "u_rated")
+#: The same of motor and line.
+LINE = ("D", "J", "B", "Km", "beta", "V")
 
 
 def greatest_force(alpha, R, k, x_max, u_rated):
@@ -72,10 +84,23 @@ def coil_parts(substep, R, L):
     return ratio * ratio * ratio
 
 
-def fine_parts(bristles, stops, coil):
+def ring_parts(substep, D, J, B, Km, beta, V):
+    """The same for a motor that rings against its line.
+
+    The phase is off by the third power of the turn in a substep, and more with every turn as long as the ring lasts, of which ten
+    seconds count. No spool excites a ring of more than half a radian in a substep.
+    """
+    rate = D * sqrt(beta / (V * J))
+    turn = substep * rate
+    lasts = 2.0 * rate / (Km * beta / V + B / J + 0.2)
+    return turn * turn * turn * lasts / 0.005 if turn < 0.5 else 0.0
+
+
+def fine_parts(bristles, stops, coil, ring):
     """In how many parts a channel takes every substep: 1, 4, 16 or 64, with a reserve of a third and more."""
     cubed = stops if stops > bristles else bristles
     cubed = coil if coil > cubed else cubed
+    cubed = ring if ring > cubed else cubed
     parts = 16.0 if cubed <= 1e3 else 64.0
     parts = 4.0 if cubed <= 27.0 else parts
     return 1.0 if cubed <= 1.0 else parts
@@ -94,7 +119,16 @@ def friction_left(friction, other):
 
 
 #: What the kernel takes from here.
-LAWS = (greatest_force, bristle_parts, stop_parts, coil_parts, fine_parts, corner_parts, friction_left)
+LAWS = (
+    greatest_force,
+    bristle_parts,
+    stop_parts,
+    coil_parts,
+    ring_parts,
+    fine_parts,
+    corner_parts,
+    friction_left,
+)
 
 
 def parts_wanted(substep: float, values: Mapping[str, float]) -> float:

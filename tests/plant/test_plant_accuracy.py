@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from hydro_env.errors import InputError
-from hydro_env.experiments.accuracy import COMMANDS, commands, compare, drawn, ends_of_base, ends_of_effects
+from hydro_env.experiments.accuracy import (
+    COMMANDS,
+    Case,
+    commands,
+    compare,
+    drawn,
+    ends_of_base,
+    ends_of_effects,
+)
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Plant, load_model, simulate
 from hydro_env.practice.reference import run_closed_loop, simulate_reference
 from tests.golden import SHAPES
@@ -197,6 +205,14 @@ def test_random_models_against_the_reference():
         speed = simulate(case.model, command, None, 0.01)["speed"]
         error = _error_rpm(case.model, command, None, 0.01)
         assert error < max(0.1, 1e-4 * np.abs(speed).max() / RPM), case
+
+
+@pytest.mark.parametrize("leakage", [0.0, 1e-14])
+def test_a_ring_that_hardly_anything_damps_keeps_its_phase(leakage):
+    """The smallest volume of stiff oil and a motor that hardly leaks; with whole substeps 20 rpm off after 0.7 s."""
+    case = Case({"V": 2e-6, "beta": 4.77e9, "Km": leakage})
+    (result,), _ = compare([case], commands("bang_bang", 0.7, np.random.default_rng(1)), "bang_bang")
+    assert result.speed > 500.0 and result.error < 0.1
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from ..catalogue import Effect
-from ..stiffness import FINE_PARTS, MOST_FINER, SPOOL
+from ..stiffness import FINE_PARTS, LINE, MOST_FINER, SPOOL
 from .driver import NUMBERS
 from .integrator import METHOD, integral_coefficients
 from .layout import (
@@ -149,7 +149,7 @@ class _Sweeps:
             if p.carries_size
         ]
         coil = " | ".join(f"(abs({name}) > 0.0)" for name in sizes) or "L < 0.0"
-        asked = (*SPOOL, "L", *sizes)
+        asked = (*SPOOL, *LINE, "L", *sizes)
         lines = [*at.load(asked, " ".join(asked)), "dry = (Fc > 0.0) | (Fs > 0.0)"]
         lines += ["s0 = s0 if dry else 0.0", "s1 = s1 if dry else 0.0"]
         lines += ["left = friction_left(Fc, Fs)", "Fs = friction_left(Fs, Fc)", "Fc = left"]
@@ -158,7 +158,8 @@ class _Sweeps:
             "bristles = bristle_parts(h, force, m, Fc, Fs, s0, s1)",
             "stops = stop_parts(h, force, m, x_max, k_stop, v_stop)",
             f"coil = coil_parts(h, R, L) if {coil} else 0.0",
-            "fine = fine_parts(bristles, stops, coil)",
+            f"ring = ring_parts(h, {', '.join(LINE)})",
+            "fine = fine_parts(bristles, stops, coil, ring)",
         ]
         lines += self._store(("Fc", "Fs", "s0", "s1", "fine"))
         if self.coupling:
