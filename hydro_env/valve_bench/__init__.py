@@ -13,7 +13,7 @@ The bench needs the plant and nothing above it, so that a controller may use wha
 
 from hydro_env.valve_bench.alike import distance, most_alike
 from hydro_env.valve_bench.curve import Curve, Loop, loop_of
-from hydro_env.valve_bench.figures import Figures, Side, identify
+from hydro_env.valve_bench.figures import Figures, Side, identify, sides_of
 from hydro_env.valve_bench.rates import RateCheck, check_rates
 from hydro_env.valve_bench.read import Columns, read_curve
 from hydro_env.valve_bench.record import record, record_rates, record_rigs
@@ -34,4 +34,5 @@ __all__ = [
     "record",
     "record_rates",
     "record_rigs",
+    "sides_of",
 ]

@@ -32,7 +32,7 @@ from hydro_env.units import LPM
 from hydro_env.valve_bench.curve import FLOW, Curve, Floats, Loop, Monotone, loop_of, resolution
 from hydro_env.valve_bench.leakage import flank_signals, flanks_of, peak_of
 
-__all__ = ["Figures", "Side", "identify", "widths"]
+__all__ = ["Figures", "Side", "identify", "sides_of", "widths"]
 
 #: Shares of the largest flow between which each figure is read.
 EDGE, LINE, LINEAR, WIDTH = (0.03, 0.5), (0.1, 0.8), (0.05, 0.95), (0.02, 0.98)
@@ -147,23 +147,10 @@ def identify(curve: Curve, loop: Loop | None = None) -> Figures:
         )
     if loop.kind != FLOW:
         return _leakage(curve, loop, notes)
-    top = {
-        sign: max(float(sign * b.smooth[-1 if sign > 0 else 0]) for b in loop.branches) for sign in (1, -1)
-    }
-    whole = max(top.values())
-    floor = 6.0 * loop.noise / np.sqrt(np.median(loop.branches[0].count))
-    sides: dict[int, Side | None] = {}
-    for sign, word in ((1, "positive"), (-1, "negative")):
-        if top[sign] < max(0.05 * whole, floor):
-            notes.append(f"{curve.name}: no {word} flow in the curve, its figures are left out")
-            sides[sign] = None
-        else:
-            sides[sign] = _side(curve, loop, sign, top[sign], steps, notes)
-    if sides[1] is None and sides[-1] is None:
-        raise InputError(
-            f"{curve.name}: the flow does not rise out of its noise of {loop.noise / LPM:.3g} l/min"
-        )
-    widest, where, spread, mean = _hysteresis(curve, loop, {s: top[s] for s in sides if sides[s] is not None})
+    sides = sides_of(curve, loop, steps, notes)
+    widest, where, spread, mean = _hysteresis(
+        curve, loop, {sign: side.maximum_flow for sign, side in sides.items() if side is not None}
+    )
     positive, negative = sides[1], sides[-1]
     if spread is not None:
         gain = max(side.gain for side in (positive, negative) if side)
@@ -193,6 +180,32 @@ def identify(curve: Curve, loop: Loop | None = None) -> Figures:
         travel_per_signal=curve.travel_per_signal,
         findings=tuple(notes),
     )
+
+
+def sides_of(
+    curve: Curve, loop: Loop, steps: tuple[float, float] = (0.0, 0.0), notes: list[str] | None = None
+) -> dict[int, Side | None]:
+    """The directions 1 and -1 of a curve, None where nothing flows and of a curve of leakage. `steps`: those in which signal and
+    flow were recorded; `notes`: what was noticed is added. InputError if neither direction flows, or if the curve cannot be
+    read."""
+    if loop.kind != FLOW:
+        return {1: None, -1: None}
+    notes = [] if notes is None else notes
+    top = {sign: max(sign_top(b, sign) for b in loop.branches) for sign in (1, -1)}
+    whole = max(top.values())
+    floor = 6.0 * loop.noise / np.sqrt(np.median(loop.branches[0].count))
+    sides: dict[int, Side | None] = {}
+    for sign, word in ((1, "positive"), (-1, "negative")):
+        if top[sign] < max(0.05 * whole, floor):
+            notes.append(f"{curve.name}: no {word} flow in the curve, its figures are left out")
+            sides[sign] = None
+        else:
+            sides[sign] = _side(curve, loop, sign, top[sign], steps, notes)
+    if sides[1] is None and sides[-1] is None:
+        raise InputError(
+            f"{curve.name}: the flow does not rise out of its noise of {loop.noise / LPM:.3g} l/min"
+        )
+    return sides
 
 
 def widths(rising: Monotone, falling: Monotone, levels: Floats) -> Floats:

@@ -82,7 +82,7 @@ def test_modelled_spool_goes_where_the_plants_spool_goes():
 
 
 def test_slope_of_the_cost_is_that_of_its_differences():
-    r, w, work = channel(), Weights(30.0, 1.0, 100.0, 100.0, 2.0, 1), Work.of(HORIZON, STEPS)
+    r, w, work = channel(), Weights(30.0, 1.0, 100.0, 100.0, 2.0, 1), Work.of(STEPS)
     place = [[0.3, 0.4], [2.0, -1.0], [0.3, 0.4]]
     s = scene(
         place,
@@ -103,7 +103,26 @@ def test_slope_of_the_cost_is_that_of_its_differences():
         more, less = (cost_of(plan + sign * step.reshape(2, -1), 0, s, w, r, work) for sign in (1.0, -1.0))
         found[k] = (more - less) / 4e-5
     np.testing.assert_allclose(work.slope, found, rtol=0.02, atol=0.02 * np.abs(found).max())
-    np.testing.assert_allclose(work.square, work.square.T, atol=1e-9)
+
+
+def test_matrix_of_the_normal_equations_is_the_change_of_the_slope():
+    """With a cost that is a sum of squares throughout, the lower triangle that is read."""
+    r, w, work = channel(), Weights(30.0, 1.0, 100.0, 100.0, 1e6, 1), Work.of(STEPS)
+    place = [[0.3, 0.4], [2.0, -1.0], [0.3, 0.4]]
+    load, edge = [0.1, 0.3], np.full((2, 2), 0.02)
+    s = scene(place, [20.0, 22.0], load, edge, [0.8, 0.7], [0.3, 0.4], np.linspace(21.0, 25.0, HORIZON + 1))
+    plan, slopes = np.array([[0.35, 0.4, 0.38, 0.4], [0.45, 0.5, 0.5, 0.52]]), []
+    for k in range(2 * HORIZON):
+        step = np.zeros(2 * HORIZON)
+        step[k] = 1e-5
+        for sign in (1.0, -1.0):
+            cost_of(plan + sign * step.reshape(2, -1), 0, s, w, r, work)
+            normal_equations(plan + sign * step.reshape(2, -1), 0, s, w, r, work)
+            slopes.append(sign * work.slope / 2e-5)
+    found = np.add.reduceat(slopes, range(0, 4 * HORIZON, 2))
+    np.testing.assert_allclose(
+        np.tril(work.square), np.tril(found), rtol=0.02, atol=0.02 * np.abs(found).max()
+    )
 
 
 def test_speeds_are_foreseen_as_the_plant_makes_them():
@@ -113,7 +132,7 @@ def test_speeds_are_foreseen_as_the_plant_makes_them():
     r, w, work = (
         channel(friction=0.85 * STICTION),
         Weights(1.0, 1.0, 1.0, 1.0, 1.0, 1),
-        Work.of(HORIZON, STEPS),
+        Work.of(STEPS),
     )
     for _ in range(16):
         command = np.full((60, 2), 0.45)
@@ -135,7 +154,7 @@ def test_speeds_are_foreseen_as_the_plant_makes_them():
 
 def test_a_plan_at_the_commands_limits_is_the_best_there_is():
     """Motors that are to hurry and to meet: no command of the plan can be moved, within the limits, so that it costs less."""
-    r, w, work = channel(), Weights(300.0, 1.0, 650.0, 3000.0, 1.5, 40), Work.of(HORIZON, STEPS)
+    r, w, work = channel(), Weights(300.0, 1.0, 650.0, 3000.0, 1.5, 40), Work.of(STEPS)
     place = [[0.8, 0.8], [0.0, 0.0], [0.8, 0.8]]
     s = scene(
         place,
@@ -159,7 +178,7 @@ def test_a_plan_at_the_commands_limits_is_the_best_there_is():
 
 def test_the_valve_with_the_longer_way_sets_out_first():
     """From rest, with dead zones of 2 and 20 %: both motors are to begin to turn in the same period."""
-    r, w, work = channel(), Weights(300.0, 1.0, 1000.0, 1000.0, 2.0, 20), Work.of(HORIZON, STEPS)
+    r, w, work = channel(), Weights(300.0, 1.0, 1000.0, 1000.0, 2.0, 20), Work.of(STEPS)
     edge, none = [[0.02, 0.02], [0.20, 0.20]], np.zeros(2)
     s = scene(np.zeros((3, 2)), none, none, edge, [0.8, 0.8], none, [0.0, 1.0, 2.0, 3.0, 4.0])
     plan, plain = np.zeros((1, 2, HORIZON)), np.tile([[[0.1], [0.28]]], (1, 1, HORIZON))

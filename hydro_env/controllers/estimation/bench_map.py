@@ -11,7 +11,7 @@ from hydro_env.controllers.estimation.nominal import RATED_FLOW
 from hydro_env.controllers.estimation.valve_map import ValveMap
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant
-from hydro_env.valve_bench import Curve, identify, record_rigs
+from hydro_env.valve_bench import Curve, loop_of, record_rigs, sides_of
 
 __all__ = ["on_the_bench"]
 
@@ -50,10 +50,10 @@ def _measured(rigs: _Rigs) -> Floats:
 def _read(curve: Curve) -> tuple[tuple[float, float], ...]:
     """Edge and gain of a valve each way, as shares of its rated command and of the rated flow over that."""
     try:
-        figures = identify(curve)
+        found = sides_of(curve, loop_of(curve))
     except InputError:
         return UNREAD
-    sides = (figures.positive, figures.negative)
+    sides = (found[1], found[-1])
     return tuple(
         missing if side is None else (side.dead_zone / curve.rated, side.gain * curve.rated / RATED_FLOW)
         for side, missing in zip(sides, UNREAD, strict=True)

@@ -124,28 +124,19 @@ def substep(position, speed, coil, command, m):
     gap = coil - command
     position += 0.5 * m.step * speed
     speed = m.decay * speed + m.step * m.rate * m.rate * (command + m.late_mean * gap - position)
-    if speed > m.grip:
-        speed -= m.grip
-    elif speed < -m.grip:
-        speed += m.grip
-    else:
-        speed = 0.0
+    speed -= min(max(speed, -m.grip), m.grip)
     position += 0.5 * m.step * speed
-    if position > m.stop:
-        position, speed = m.stop, min(speed, 0.0)
-    elif position < -m.stop:
-        position, speed = -m.stop, max(speed, 0.0)
-    return position, speed, command + m.late * gap
+    speed = min(speed, 0.0) if position > m.stop else speed
+    speed = max(speed, 0.0) if position < -m.stop else speed
+    return min(max(position, -m.stop), m.stop), speed, command + m.late * gap
 
 
 @compiled
 def valve_flow(position, positive, negative, gain):
     """Flow, and whether the valve is open."""
-    if position > positive:
-        return gain * (position - positive), True
-    if position < -negative:
-        return gain * (position + negative), True
-    return 0.0, False
+    nearest = -negative if position < -negative else position
+    nearest = positive if position > positive else nearest
+    return gain * (position - nearest), position != nearest
 
 
 @compiled

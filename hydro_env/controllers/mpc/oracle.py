@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
-from hydro_env.controllers.mpc.shooting import DAMPING, HORIZON, SAMPLES, Best, Course, improve, keep
+from hydro_env.controllers.mpc.shooting import DAMPING, END, HORIZON, SAMPLES, Best, Course, improve, keep
 from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
 from hydro_env.units import RPM
 
@@ -76,6 +76,8 @@ class Oracle(Controller):
         self._travel = _travel(twin, self.period)
         self._motor = _motor(twin, self._step)
         self._copies = _copies(twin, np.arange(n))
+        # Commands, and twice what they lead to: fresh memory for every search takes longer than to fill it.
+        self._room = [np.empty((signals, END + 1, n, 2)) for signals in (1, 3, 3)]
         stroke = get("x_max")
         self._margin = MARGIN * stroke
         self._most = np.minimum(1.0, TRAVEL * stroke * get("k") * get("R") / (get("alpha") * self._rated))
@@ -89,7 +91,7 @@ class Oracle(Controller):
         ahead = measured.setpoint[:, None] + slope[:, None] * np.arange(HORIZON + 1)
         # The last load stays, as the samples after the last period do.
         rows = np.minimum(np.arange(self._row, self._row + HORIZON + 1), len(self._load) - 1)
-        load = np.repeat(self._load[rows], SAMPLES, axis=0)[: HORIZON * SAMPLES + 1]
+        load = np.repeat(self._load[rows], SAMPLES, axis=0)[: END + 1]
         self._search(np.where(stepped | (self._row == 0), AFTER_A_STEP, TURNS), ahead, load)
         sent = self._plan[:, 0].astype(np.float32).astype(float)  # as actions are passed on
         self._twin.step(sent * self._rated, self._load[rows[0]], self.period)
@@ -135,9 +137,11 @@ class Oracle(Controller):
         copies = self._copies if every else _copies(self._twin, rows)
         plan, load, rated, course = start[rows], np.take(load, rows, 1), self._rated[rows], course.of(rows)
         signals = np.array([copies.row_of(name) for name in ("speed", "flow", "spool")])
-        volts = np.empty((HORIZON * SAMPLES + 1, n, 2))
-        seen = np.empty((len(signals), *volts.shape))
-        best = Best(plan.copy(), np.full(n, np.inf), np.empty_like(seen), np.full(n, DAMPING))
+        (volts,), seen, motion = (
+            each.reshape(-1)[: each.size // each.shape[2] * n].reshape(*each.shape[:2], n, 2)
+            for each in self._room
+        )
+        best = Best(plan.copy(), np.full(n, np.inf), motion, np.full(n, DAMPING))
         for turn in range(turns):
             copies.take_state(self._twin, None if every else rows)
             # The last command stays: what follows its last sample is not looked at.
@@ -150,7 +154,7 @@ class Oracle(Controller):
             plan = best.plan.copy()
             if turn < turns - 1:
                 improve(plan, course, best)
-        return best.plan, best.cost, best.motion[0][SAMPLES::SAMPLES]
+        return best.plan, best.cost, best.motion[0][SAMPLES::SAMPLES].copy()
 
 
 def _copies(plant: Plant, rows: NDArray[np.int64]) -> Plant:
@@ -178,7 +182,7 @@ def _travel(plant: Plant, period: float) -> Floats:
     held = expm(rates * (period / SAMPLES))
     state = np.zeros((plant.num_rigs, 2, 4))
     state[..., 3] = 1.0
-    travel = np.zeros((plant.num_rigs, 2, HORIZON * SAMPLES + 1))
+    travel = np.zeros((plant.num_rigs, 2, END + 1))
     for sample in range(1, travel.shape[2]):
         state = np.sum(held * state[..., None, :], axis=-1)
         if sample == SAMPLES:

@@ -45,6 +45,8 @@ Rows = NDArray[Any] | slice
 
 HORIZON = 4
 """Control periods that are planned: longer than the spool's period of 30 ms."""
+COMMANDS = 2 * HORIZON
+"""Commands of a plan, channel by channel. (Known to the compiler, which unrolls loops over them.)"""
 CLOSED = 0.3
 """What a closed valve is taken to react like, as a share of an open one: it may be open when the plan has changed."""
 TRIES, SMALLER = 3, 0.35
@@ -105,7 +107,7 @@ class Scene(NamedTuple):
 
 class Work(NamedTuple):
     """Memory for one rig: what a plan leads to (`speeds` (2, H + 1), `ends` of the spools (2, 2), `opened` (2, H steps)), how
-    speeds change with it (2, H, H + 1), and the normal equations."""
+    speeds change with it, `change` (H + 1, 2 H), which is zero where a command comes too late, and the normal equations."""
 
     speeds: Floats
     ends: Floats
@@ -117,11 +119,11 @@ class Work(NamedTuple):
     tried: Floats
 
     @classmethod
-    def of(cls, horizon: int, steps: int) -> Work:
-        n, empty = 2 * horizon, np.empty
+    def of(cls, steps: int) -> Work:
+        empty = np.empty
         return cls(
-            empty((2, horizon + 1)), empty((2, 2)), empty((2, horizon * steps)), empty((2, horizon, horizon + 1)),
-            empty((n, n)), empty(n), empty(n), empty((2, horizon)),
+            empty((2, HORIZON + 1)), empty((2, 2)), empty((2, HORIZON * steps)), np.zeros((HORIZON + 1, COMMANDS)),
+            empty((COMMANDS, COMMANDS)), empty(COMMANDS), empty(COMMANDS), empty((2, HORIZON)),
         )  # fmt: skip
 
 
@@ -130,7 +132,7 @@ class Planner:
 
     def __init__(self, settings: PlannerSettings, num_rigs: int, channel: Channel) -> None:
         s = self.settings = settings
-        self._channel, self._work = channel, Work.of(HORIZON, channel.steps)
+        self._channel, self._work = channel, Work.of(channel.steps)
         self._weights = Weights(s.apart, 1.0, s.moves, s.swing, s.corner * RPM, s.turns)
         self.plan, self._mean = np.zeros((num_rigs, 2, HORIZON)), np.zeros(num_rigs)
 
@@ -222,7 +224,7 @@ def cost_of(plan, i, s, w, m, work):
     last0, _ = valve_flow(x0, edge[0, 0], edge[0, 1], gain[0])
     last1, _ = valve_flow(x1, edge[1, 0], edge[1, 1], gain[1])
     total, moves = 0.0, w.moves * s.heavier[i]
-    for k in range(plan.shape[1]):
+    for k in range(HORIZON):
         command0, command1 = plan[0, k], plan[1, k]
         for n in range(k * m.steps, (k + 1) * m.steps):
             x0, v0, coil0 = substep(x0, v0, coil0, command0, m)
@@ -247,7 +249,7 @@ def cost_of(plan, i, s, w, m, work):
 @compiled
 def _add_speeds(total, speeds, aim, w):
     """A cost with those of differences and distances from the aim."""
-    for k in range(1, aim.size):
+    for k in range(1, HORIZON + 1):
         apart, off = speeds[0, k] - speeds[1, k], 0.5 * (speeds[0, k] + speeds[1, k]) - aim[k]
         square = apart * apart
         total += w.apart * square * (1.0 + 0.5 * square / (w.corner * w.corner)) + 2.0 * w.aim * off * off
@@ -256,89 +258,85 @@ def _add_speeds(total, speeds, aim, w):
 
 @compiled
 def normal_equations(plan, i, s, w, m, work):
-    """The cost's slope (2 H,) and the matrix (2 H, 2 H) of Gauss and Newton, each halved, into `work`."""
-    horizon, change, square, slope = plan.shape[1], work.change, work.square, work.slope
+    """The cost's slope (2 H,) and the lower triangle of the matrix (2 H, 2 H) of Gauss and Newton, each halved, into `work`."""
+    change, square, slope = work.change, work.square, work.slope
     square[:] = 0.0
     slope[:] = 0.0
-    _sensitivity(plan, s.gain[i], m, work)
-    for k in range(1, horizon + 1):
+    _sensitivity(s.gain[i], m, work)
+    for k in range(1, HORIZON + 1):
         apart = work.speeds[0, k] - work.speeds[1, k]
         off = 0.5 * (work.speeds[0, k] + work.speeds[1, k]) - s.aim[i, k]
         weight = w.apart * (1.0 + apart * apart / (w.corner * w.corner))
         for c in range(2):
             sign = 1.0 - 2.0 * c
             for j in range(k):
-                a = change[c, j, k]
-                slope[c * horizon + j] += (weight * apart * sign + w.aim * off) * a
-                for d in range(2):
-                    both = weight if d == c else -weight
-                    for n in range(k):
-                        square[c * horizon + j, d * horizon + n] += (both + 0.5 * w.aim) * a * change[d, n, k]
+                b, a = c * HORIZON + j, change[k, c * HORIZON + j]
+                slope[b] += (weight * apart * sign + w.aim * off) * a
+                for d in range(c + 1):
+                    both = ((weight if d == c else -weight) + 0.5 * w.aim) * a
+                    for n in range(HORIZON):
+                        square[b, d * HORIZON + n] += both * change[k, d * HORIZON + n]
     for c in range(2):
         _of_commands(plan, c, s.sent[i, c], w.moves * s.heavier[i], w.swing, m, work)
 
 
 @compiled
-def _sensitivity(plan, gain, m, work):
+def _sensitivity(gain, m, work):
     """How speeds at the control instants change with each command: the spool's travel, where the valve is open, integrated."""
-    horizon, push = plan.shape[1], m.step / m.per_acceleration
+    # Both motors in one loop: one's next substep does not wait for the other's.
+    push, change, opened = m.step / m.per_acceleration, work.change, work.opened
     keep = 1.0 - push * m.per_speed
-    turned, risen = np.empty(horizon), np.empty(horizon)
-    for c in range(2):
-        turned[:] = 0.0
-        risen[:] = 0.0
-        for k in range(horizon):
-            for n in range(m.steps):
-                rise = push * gain[c] * work.opened[c, k * m.steps + n]
-                for j in range(k + 1):
-                    now = rise * m.travel[(k - j) * m.steps + n]
-                    turned[j] = keep * turned[j] + risen[j] + m.fresh * (now - risen[j])
-                    risen[j] = now
-            for j in range(k + 1):
-                work.change[c, j, k + 1] = turned[j]
+    for j in range(HORIZON):
+        turned0 = turned1 = risen0 = risen1 = 0.0
+        for k in range(j, HORIZON):
+            for n in range(k * m.steps, (k + 1) * m.steps):
+                travel = m.travel[n - j * m.steps]
+                now0, now1 = push * gain[0] * opened[0, n] * travel, push * gain[1] * opened[1, n] * travel
+                turned0 = keep * turned0 + risen0 + m.fresh * (now0 - risen0)
+                turned1 = keep * turned1 + risen1 + m.fresh * (now1 - risen1)
+                risen0, risen1 = now0, now1
+            change[k + 1, j], change[k + 1, HORIZON + j] = turned0, turned1
 
 
 @compiled
 def _of_commands(plan, c, sent, moves, swing, m, work):
     """Adds the moves of a channel's commands, and the swing they leave."""
-    horizon, square, slope, ends = plan.shape[1], work.square, work.slope, work.ends
-    for j in range(horizon):
-        at = c * horizon + j
+    square, slope, ends = work.square, work.slope, work.ends
+    for j in range(HORIZON):
+        at = c * HORIZON + j
         move = plan[c, j] - (sent if j == 0 else plan[c, j - 1])
         square[at, at] += moves
         slope[at] += moves * move
         if j > 0:
             square[at - 1, at - 1] += moves
             square[at, at - 1] -= moves
-            square[at - 1, at] -= moves
             slope[at - 1] -= moves * move
-        last = (horizon - j) * m.steps - 1
-        x, v = m.travel[last] - (1.0 if j == horizon - 1 else 0.0), m.swing[last]
+        last = (HORIZON - j) * m.steps - 1
+        x, v = m.travel[last] - (1.0 if j == HORIZON - 1 else 0.0), m.swing[last]
         slope[at] += swing * (ends[c, 0] * x + ends[c, 1] * v)
-        for n in range(horizon):
-            last = (horizon - n) * m.steps - 1
-            y = m.travel[last] - (1.0 if n == horizon - 1 else 0.0)
-            square[at, c * horizon + n] += swing * (x * y + v * m.swing[last])
+        for n in range(j + 1):
+            last = (HORIZON - n) * m.steps - 1
+            y = m.travel[last] - (1.0 if n == HORIZON - 1 else 0.0)
+            square[at, c * HORIZON + n] += swing * (x * y + v * m.swing[last])
 
 
 @compiled
 def _solve(square, slope, move):
-    """move = -square^-1 slope, by Cholesky in place."""
-    n = slope.size
-    for p in range(n):
+    """move = -square^-1 slope, by Cholesky in place; of `square` the lower triangle is read."""
+    for p in range(COMMANDS):
         for q in range(p + 1):
             rest = square[p, q]
             for k in range(q):
                 rest -= square[p, k] * square[q, k]
             square[p, q] = np.sqrt(max(rest, 1e-12)) if p == q else rest / square[q, q]
-    for p in range(n):
+    for p in range(COMMANDS):
         rest = -slope[p]
         for k in range(p):
             rest -= square[p, k] * move[k]
         move[p] = rest / square[p, p]
-    for p in range(n - 1, -1, -1):
+    for p in range(COMMANDS - 1, -1, -1):
         rest = move[p]
-        for k in range(p + 1, n):
+        for k in range(p + 1, COMMANDS):
             rest -= square[k, p] * move[k]
         move[p] = rest / square[p, p]
 
@@ -347,19 +345,18 @@ def _solve(square, slope, move):
 def _copy(source, plan):
     """Copies a plan (2, H) into another: one by one, since for `plan[:] = source` Numba compiles texts of errors for seconds."""
     for c in range(2):
-        for j in range(source.shape[1]):
+        for j in range(HORIZON):
             plan[c, j] = source[c, j]
 
 
 @compiled
 def _improve(plan, i, cost, s, w, m, work):
     """One step of Gauss and Newton on the plan of rig i, shortened until it helps; the cost reached, or the old one."""
-    horizon = plan.shape[1]
     normal_equations(plan, i, s, w, m, work)
     # a command at its limit that would go beyond stays there
     for c in range(2):
-        for j in range(horizon):
-            k = c * horizon + j
+        for j in range(HORIZON):
+            k = c * HORIZON + j
             if plan[c, j] * work.slope[k] < 0.0 and abs(plan[c, j]) >= 1.0:
                 work.square[k, :] = 0.0
                 work.square[:, k] = 0.0
@@ -368,8 +365,8 @@ def _improve(plan, i, cost, s, w, m, work):
     size = 1.0
     for _ in range(TRIES):
         for c in range(2):
-            for j in range(horizon):
-                moved = plan[c, j] + size * work.move[c * horizon + j]
+            for j in range(HORIZON):
+                moved = plan[c, j] + size * work.move[c * HORIZON + j]
                 work.tried[c, j] = min(1.0, max(-1.0, moved))
         reached = cost_of(work.tried, i, s, w, m, work)
         if reached < cost:
@@ -383,7 +380,6 @@ def _improve(plan, i, cost, s, w, m, work):
 def improve_plans(plans, plain, rows, s, w, m, work):
     """Improves the plans (N, 2, H) of the rigs `rows`, in place. plain (N, 2, H): another plan to begin with, where it is better.
     s: `Scene`, w: `Weights`, m: `Channel`, work: `Work`."""
-    horizon = plans.shape[2]
     for i in rows:
         plan, now = plans[i], 0.5 * (s.motor[i, 0] + s.motor[i, 1])
         other = cost_of(plain[i], i, s, w, m, work)
@@ -400,8 +396,8 @@ def improve_plans(plans, plain, rows, s, w, m, work):
                     break
                 cost = reached
             # out of standstill the way leads over a ridge: a plan that stays behind it is restarted beyond
-            away = s.aim[i, horizon] - now
-            left = s.aim[i, horizon] - 0.5 * (work.speeds[0, horizon] + work.speeds[1, horizon])
+            away = s.aim[i, HORIZON] - now
+            left = s.aim[i, HORIZON] - 0.5 * (work.speeds[0, HORIZON] + work.speeds[1, HORIZON])
             if attempt == 1 or abs(away) < AWAY or left * away < STUCK * away * away:
                 break
             _copy(plain[i], plan)

@@ -25,7 +25,7 @@ from hydro_env.controllers.base import Floats
 from hydro_env.controllers.mpc.planner import CLOSED
 from hydro_env.jit import compiled
 
-__all__ = ["DAMPING", "HORIZON", "SAMPLES", "Best", "Course", "improve", "keep", "minimise_in_box"]
+__all__ = ["DAMPING", "END", "HORIZON", "SAMPLES", "Best", "Course", "improve", "keep", "minimise_in_box"]
 
 HORIZON, SAMPLES = 5, 10
 """Control periods that are planned, and samples of a period at which the planned motion is looked at."""
