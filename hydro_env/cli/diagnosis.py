@@ -40,6 +40,16 @@ Threads = Annotated[
     int | None, number("--jobs", within=CORES, help="Threads to work with. Default: one for every core.")
 ]
 
+PressureLimit = Annotated[
+    float | None,
+    number(
+        within=Limits(1.0, 1000.0, unit="bar"), help="Its largest load pressure. Default: supply pressure."
+    ),
+]
+LoadLimit = Annotated[
+    float | None,
+    number(within=Limits(0.0, 1e6, unit="N m"), help="Its largest load. Default: that of the logs."),
+]
 Severity = Annotated[str, typer.Option(help="Range of the drawn sizes: small, medium or large.")]
 Play = Annotated[
     str | None,
@@ -123,13 +133,8 @@ def diagnose(
     rate_limit: Annotated[
         float, number(within=Limits(0.1, 1000.0), help="Its largest rate, rated commands per second.")
     ] = 20.0,
-    pressure_limit: Annotated[
-        float | None,
-        number(
-            within=Limits(1.0, 1000.0, unit="bar"),
-            help="Its largest load pressure. Default: supply pressure.",
-        ),
-    ] = None,
+    pressure_limit: PressureLimit = None,
+    load_limit: LoadLimit = None,
     seed: Seed = 0,
 ) -> None:
     """Identify from logs what physics a model lacks.
@@ -162,6 +167,7 @@ def diagnose(
                 command_limit=command_limit / 100.0,
                 rate_limit=rate_limit,
                 pressure_limit=None if pressure_limit is None else pressure_limit * BAR,
+                load_limit=load_limit,
             ),
             steady=steady,
             accept=accept or [],

@@ -1,21 +1,30 @@
-"""The design of an experiment: 12 s of commands for which models that explain the logs so far answer most differently.
+"""The design of an experiment: 12 s of commands, and loads where the rig has been loaded, that show what the logs leave open.
 
-Criterion: the squared difference of two models' answers, in units of all that is not known about it. That is the noise (or what
-the better model leaves of the logs, where that is more), the form of the laws, which no machine keeps to exactly (`FORM`), and
-what either model's parameters leave open, as an ensemble of estimates that the logs allow. What another value of a parameter
-would make up for counts for nothing. Box and Hill (1967), Technometrics 9, 57; Buzzi-Ferraris and others (1984), Chem. Eng.
-Sci. 39, 81.
+Two things may be open, and the logarithms of both criteria are added up.
+
+Which of several models is right. The criterion is the squared difference of two models' answers, in units of all that is not
+known about it: the noise (or what the better model leaves of the logs, where that is more), the form of the laws, which no
+machine keeps to exactly (`FORM`), and what either model's parameters leave open, as an ensemble of estimates that the logs
+allow. What another value of a parameter would make up for counts for nothing. Box and Hill (1967), Technometrics 9, 57;
+Buzzi-Ferraris and others (1984), Chem. Eng. Sci. 39, 81.
+
+What the held-out logs will show. Their commands and loads are known beforehand, and estimates that the logs allow may give
+courses far apart there: the scale of all torques is open where no load acted. The criterion is how far they would still be apart
+with the experiment's log (V-optimality; Atkinson, Donev and Tobias 2007, Optimum Experimental Designs, section 10.6).
 
 Search: the best of some random experiments, then coordinate exchange, Meyer and Nachtsheim (1995), Technometrics 37, 60: one
 piece after the other is replaced by the best of some random ones. All pieces are simulated as part of the whole, so that what
 changes slowly (a coil that heats up) counts.
+
+An experiment is an array (T, 2, 2) with a row every `PERIOD`: for each channel the command as a share of the rated one and the
+load in N m.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -30,7 +39,9 @@ from .models.base import BLOCK_S, UNITS, Request
 from .models.dynamic_rig import DynamicRig
 from .settings import Settings
 
-__all__ = ["SECONDS", "Design", "Question", "Trial", "best_design", "commands_csv", "random_design"]
+__all__ = [
+    "SECONDS", "Design", "Operation", "Question", "Trial", "best_design", "commands_csv", "operation_of", "random_design",
+]  # fmt: skip
 
 Array = np.ndarray
 
@@ -57,22 +68,31 @@ class Question:
 
 
 @dataclass(frozen=True)
+class Operation:
+    """What an estimate of a channel is to predict: `apart` (draws, draws) are mean products of how far the courses of its draws
+    are from its own on the held-out logs, in units of the noise, so that the trace is the mean square of all of them."""
+
+    estimate: Estimate
+    apart: Array
+
+
+@dataclass(frozen=True)
 class Design:
-    """Commands (T, 2) in V, one row every `PERIOD`, and for each pair of names how far their models are apart: RMS in units of
-    what is not known. `signals` is the same by signal, of all that could be logged."""
+    """Commands (T, 2) in V and loads (T, 2) in N m, one row every `PERIOD`, and for each pair of names how far their models are
+    apart: RMS in units of what is not known. `signals` is the same by signal, of all that could be logged. `prediction`: how far
+    estimates are apart on the held-out logs now and, as expected, with the experiment, RMS in times the noise."""
 
     command_V: Array
+    load: Array
     apart: Mapping[tuple[str, str], float]
     signals: Mapping[tuple[str, str], Mapping[str, float]]
-
-    @property
-    def least(self) -> float:
-        return min(self.apart.values())
+    prediction: tuple[float, float] | None = None
 
 
-# --- the family of commands -------------------------------------------------------------------------------------------
-def _piece(rng: np.random.Generator, size: float) -> Array:
-    """A random piece (PIECE,) as a share of the rated command: triangle, steps, a sine of rising frequency, or a constant."""
+# --- the family of experiments ----------------------------------------------------------------------------------------
+def _piece(rng: np.random.Generator, size: float, most_load: float) -> Array:
+    """A random piece (PIECE, 2). The command is a triangle, steps, a sine of rising frequency or a constant. In half of the
+    pieces a load is on, from the beginning or from somewhere in the piece."""
     x = np.arange(PIECE) / PIECE
     kind = rng.integers(4)
     middle = rng.uniform(-0.7, 0.7) * rng.integers(2)
@@ -84,38 +104,49 @@ def _piece(rng: np.random.Generator, size: float) -> Array:
         np.sin(np.pi * 4.0 * cycles * x * x),
         np.ones(PIECE),
     )[kind]
-    return size * np.clip(middle + swing * wave, -1.0, 1.0)
+    load = (
+        rng.uniform(-most_load, most_load) * rng.integers(2) * (x >= rng.uniform(0.0, 0.7) * rng.integers(2))
+    )
+    return size * np.column_stack([np.clip(middle + swing * wave, -1.0, 1.0), load])
 
 
 def _whole(pieces: Array, limits: Settings) -> Array:
-    """Pieces (..., PIECES, PIECE, 2) between two rests as commands (..., T, 2) within the limits of command and rate."""
-    rest = np.zeros((*pieces.shape[:-3], REST, 2))
-    joined = pieces.reshape(*pieces.shape[:-3], PIECES * PIECE, 2)
-    wanted = np.clip(
-        np.concatenate([rest, joined, rest], axis=-2), -limits.command_limit, limits.command_limit
-    )
+    """Pieces (..., PIECES, PIECE, 2, 2) between two rests as experiments within the limits of command and rate."""
+    rest = np.zeros((*pieces.shape[:-4], REST, 2, 2))
+    joined = pieces.reshape(*pieces.shape[:-4], PIECES * PIECE, 2, 2)
+    out = np.concatenate([rest, joined, rest], axis=-3)
+    wanted = np.clip(out[..., 0], -limits.command_limit, limits.command_limit)
     step = limits.rate_limit * PERIOD
-    out = np.zeros_like(wanted)
+    out[..., 0, :, 0] = 0.0
     for n in range(1, wanted.shape[-2]):
-        out[..., n, :] = out[..., n - 1, :] + np.clip(wanted[..., n, :] - out[..., n - 1, :], -step, step)
+        last = out[..., n - 1, :, 0]
+        out[..., n, :, 0] = last + np.clip(wanted[..., n, :] - last, -step, step)
     return out
 
 
-def _drawn(rng: np.random.Generator, count: int, size: float, pieces: int = PIECES) -> Array:
-    """Random experiments (count, pieces, PIECE, 2)."""
-    found = [[[_piece(rng, size) for _ in (0, 1)] for _ in range(pieces)] for _ in range(count)]
+def _drawn(
+    rng: np.random.Generator, count: int, size: float, most_load: float, pieces: int = PIECES
+) -> Array:
+    """Pieces (count, pieces, PIECE, 2, 2) of random experiments."""
+    found = [[[_piece(rng, size, most_load) for _ in (0, 1)] for _ in range(pieces)] for _ in range(count)]
     return np.moveaxis(np.array(found), 2, 3)
 
 
-def random_design(model: PlantModel, limits: Settings, rng: np.random.Generator) -> Array:
-    """A random experiment of the family, commands (T, 2) in V."""
-    return _whole(_drawn(rng, 1, 1.0)[0], limits) * np.array(model.pair("u_rated"))
+def random_design(
+    model: PlantModel, limits: Settings, rng: np.random.Generator, most_load: float = 0.0
+) -> tuple[Array, Array]:
+    """A random experiment of the family: commands (T, 2) in V and loads (T, 2) in N m."""
+    found = _whole(_drawn(rng, 1, 1.0, most_load)[0], limits)
+    return found[..., 0] * np.array(model.pair("u_rated")), found[..., 1]
 
 
-def commands_csv(command_V: Array) -> str:
-    """Commands (T, 2) in V as the beginning of a rig log: one row every `PERIOD`, each held until the next."""
-    rows = (f"{n * PERIOD:.2f},{a:.3f},{b:.3f}\n" for n, (a, b) in enumerate(command_V))
-    return "time_s,command_1_V,command_2_V\n" + "".join(rows)
+def commands_csv(command_V: Array, load: Array) -> str:
+    """Commands (T, 2) in V, and loads (T, 2) in N m if there are any, as the beginning of a rig log: one row every `PERIOD`, each
+    held until the next."""
+    loads = [f",{a:.3f},{b:.3f}" for a, b in load] if load.any() else [""] * len(load)
+    head = "time_s,command_1_V,command_2_V" + (",load_1_Nm,load_2_Nm" if load.any() else "")
+    rows = (f"{n * PERIOD:.2f},{a:.3f},{b:.3f}{loads[n]}" for n, (a, b) in enumerate(command_V))
+    return "\n".join([head, *rows]) + "\n"
 
 
 # --- the criterion ----------------------------------------------------------------------------------------------------
@@ -157,8 +188,8 @@ def _power(change: Array) -> Array:
     return np.repeat(blocks, rows, axis=-1)
 
 
-def _scale(fit: Fit, question: Question, channel: int, signal: str) -> float:
-    """The noise of a signal, or what the better model leaves of it where that is more; of one that is not logged the usual."""
+def _scale(fit: Fit, models: Iterable[Estimate], channel: int, signal: str) -> float:
+    """The noise of a signal, or what the best of the models leaves of it where that is more; of one not logged the usual."""
     if (channel, signal) not in fit.noise:
         unit, size = UNITS[signal]
         return NOISE["pressure_bar" if unit == "bar" else f"{signal}_{unit}"] * size
@@ -166,82 +197,121 @@ def _scale(fit: Fit, question: Question, channel: int, signal: str) -> float:
         np.sqrt(
             np.mean([v * v for (_, s), v in fit.rms(p.simulated[channel], channel).items() if s == signal])
         )
-        for p in question.models.values()
+        for p in models
     ]
     return max(fit.noise[channel, signal], float(min(left)))
 
 
+def operation_of(held_out: Fit, estimate: Estimate, channel: int) -> Operation | None:
+    """What an estimate with intervals is to predict of a channel on the held-out logs; None without intervals."""
+    if estimate.intervals is None:
+        return None
+    draws = estimate.intervals.draws
+    first, *others = held_out.rig.predict([estimate.request(), *(estimate.request(q) for q in draws)])
+    off = []
+    for s in held_out.rig.segments[channel]:
+        rows = np.array([(each[channel] - first[channel])[s.place][s.used] for each in others])
+        off.append(np.nan_to_num(rows) / held_out.noise[channel, s.signal])
+    joined = np.concatenate(off, axis=1) / np.sqrt(len(draws))
+    return Operation(estimate, joined @ joined.T / joined.shape[1])
+
+
 @dataclass(frozen=True)
 class Trial:
-    """Experiments on the models: what each question's models answer, and which channels stay below the pressure limit."""
+    """Experiments on the models: what each question's models answer, what each channel's estimate would still leave open of the
+    held-out logs, and which channels stay below the pressure limit."""
 
     fit: Fit
     questions: Sequence[Question]
+    operations: Mapping[int, Operation] = field(default_factory=dict)
 
     @cached_property
-    def _draws(self) -> dict[int, Array]:
-        """Estimates that the logs allow as well, (draws, k) by model."""
+    def _models(self) -> dict[int, tuple[Estimate, Array]]:
+        """All estimates, by their `id`, with others that the logs allow as well (draws, k)."""
         models = [p for question in self.questions for p in question.models.values()]
-        return {id(p): (p.intervals or intervals_of(self.fit, p)).draws for p in models}
+        models += [each.estimate for each in self.operations.values()]
+        return {id(p): (p, (p.intervals or intervals_of(self.fit, p)).draws) for p in models}
 
-    def run(self, shares: Array) -> tuple[list[_Answers], Array]:
-        """Simulates experiments (n, T, 2), shares of the rated command. Also whether a channel is allowed (n, 2)."""
+    def run(self, experiments: Array) -> tuple[list[_Answers], dict[int, Array], Array]:
+        """Simulates experiments (n, T, 2, 2): answers to the questions; by channel the mean squares (n,) by which estimates
+        would still be apart on the held-out logs; whether a channel is allowed (n, 2)."""
         rig = self.fit.rig
         assert isinstance(rig, DynamicRig)
-        parts = [_part(share * np.array(rig.model.pair("u_rated")), n) for n, share in enumerate(shares)]
+        parts = [_part(each, rig.model, n) for n, each in enumerate(experiments)]
         own = DynamicRig(rig.model, parts, jobs=rig.jobs, progress=rig.progress, without=rig.without)
-        wanted: list[tuple[int, str]] = []
-        requests: list[Request] = []
-        for number, question in enumerate(self.questions):
-            for name, estimate in question.models.items():
-                bare = estimate.without(name)
-                own_requests = [
-                    estimate.request(),
-                    bare.request(),
-                    *(estimate.request(q) for q in self._draws[id(estimate)]),
-                ]
-                wanted += [(number, name)] * len(own_requests)
-                requests += own_requests
+        requests: dict[tuple[int, str], list[Request]] = {
+            (key, ""): [p.request(), *(p.request(q) for q in draws)]
+            for key, (p, draws) in self._models.items()
+        }
+        for question in self.questions:
+            requests |= {(id(p), name): [p.without(name).request()] for name, p in question.models.items()}
         try:
-            results = own.predict(requests)
+            results = iter(own.predict([one for each in requests.values() for one in each]))
         finally:
             own.close()
-        allowed = np.ones((len(shares), 2), bool)
+        allowed = np.ones((len(parts), 2), bool)
         signals = list(UNITS)
-        found: list[dict[str, dict[int, list[Array]]]] = [{} for _ in self.questions]
-        for (number, name), result in zip(wanted, results, strict=True):
-            for c, values in result.items():
-                table = np.array(
-                    [[values[s.place] for s in own.segments[c] if s.log == n] for n in range(len(parts))]
-                )
-                peak = np.abs(table[:, signals.index("pressure")]).max(axis=-1)
-                # A comparison with NaN is false: what diverges is not allowed either.
-                allowed[:, c] &= peak <= _most_pressure(rig.model, c, self.fit.settings)
-                scale = np.array([_scale(self.fit, self.questions[number], c, s) for s in signals])
-                found[number].setdefault(name, {}).setdefault(c, []).append(
-                    np.nan_to_num(table) / scale[:, None]
-                )
-        answers = [
-            _Answers(q, {name: {c: np.array(v) for c, v in of.items()} for name, of in each.items()})
-            for q, each in zip(self.questions, found, strict=True)
-        ]
-        return answers, allowed
+        found: dict[tuple[int, str], dict[int, Array]] = {}
+        for key, each in requests.items():
+            tables: dict[int, list[Array]] = {}
+            for result in itertools.islice(results, len(each)):
+                for c, values in result.items():
+                    by_log = [
+                        [values[s.place] for s in own.segments[c] if s.log == n] for n in range(len(parts))
+                    ]
+                    table = np.array(by_log)
+                    peak = np.abs(table[:, signals.index("pressure")]).max(axis=-1)
+                    # A comparison with NaN is false: what diverges is not allowed either.
+                    allowed[:, c] &= peak <= _most_pressure(rig.model, c, self.fit.settings)
+                    tables.setdefault(c, []).append(np.nan_to_num(table))
+            found[key] = {c: np.array(rows) for c, rows in tables.items()}
+        answers = [self._answers(question, found) for question in self.questions]
+        left = {c: self._left(c, found[id(o.estimate), ""][c]) for c, o in self.operations.items()}
+        return answers, left, allowed
+
+    def _in_noise(self, models: Iterable[Estimate], channel: int, table: Array) -> Array:
+        """Courses (..., signals, T) in units of what cannot be known of a signal."""
+        models = list(models)
+        return table / np.array([_scale(self.fit, models, channel, s) for s in UNITS])[:, None]
+
+    def _answers(self, question: Question, found: Mapping[tuple[int, str], Mapping[int, Array]]) -> _Answers:
+        of: dict[str, dict[int, Array]] = {}
+        for name, p in question.models.items():
+            whole, bare = found[id(p), ""], found[id(p), name]
+            of[name] = {
+                c: self._in_noise(question.models.values(), c, np.concatenate([rows[:1], bare[c], rows[1:]]))
+                for c, rows in whole.items()
+            }
+        return _Answers(question, of)
+
+    def _left(self, channel: int, rows: Array) -> Array:
+        """Mean squares (n,) by which the courses on the held-out logs would still be apart, in units of the noise; `rows`
+        (1 + draws, n, signals, T)."""
+        operation = self.operations[channel]
+        seen = self._in_noise([operation.estimate], channel, rows)[:, :, self.logged()]
+        left = np.empty(rows.shape[1])
+        for n in range(left.size):
+            off = (seen[1:, n] - seen[0, n]).reshape(len(seen) - 1, -1) / np.sqrt(len(seen) - 1)
+            left[n] = np.trace(np.linalg.solve(np.eye(len(off)) + off @ off.T, operation.apart))
+        return left
 
     def logged(self) -> list[int]:
         """Places of the logged signals in the list of all."""
         assert isinstance(self.fit.rig, DynamicRig)
         return [n for n, s in enumerate(UNITS) if s in self.fit.rig.signals]
 
-    def scores(self, shares: Array) -> Array:
+    def scores(self, experiments: Array) -> Array:
         """How good experiments are for each channel (n, 2); -inf beyond the pressure limit.
 
         The logarithm keeps a pair that is far apart already from outweighing one that is not."""
-        answers, allowed = self.run(shares)
-        found = np.zeros((len(shares), 2))
+        answers, left, allowed = self.run(experiments)
+        found = np.zeros((len(experiments), 2))
         for each in answers:
-            score = sum(np.log1p(d * shares.shape[1]) for d in each.apart(self.logged()).values())
+            score = sum(np.log1p(d * experiments.shape[1]) for d in each.apart(self.logged()).values())
             for c in (0, 1):
                 found[:, c] += score if each.question.concerns(c) else 0.0
+        for c, mean_square in left.items():
+            found[:, c] -= np.log1p(mean_square)
         return np.where(allowed, found, -np.inf)
 
 
@@ -255,50 +325,48 @@ def _most_pressure(model: PlantModel, channel: int, limits: Settings) -> float:
     )
 
 
-def _part(command_V: Array, number: int) -> Part:
-    """A log of these commands in which every signal is asked for."""
-    rows = len(command_V)
+def _part(experiment: Array, model: PlantModel, number: int) -> Part:
+    """A log of an experiment in which every signal is asked for."""
+    rows = len(experiment)
     empty = np.zeros((rows, 2))
     log = RigLog(
-        np.arange(rows) * PERIOD, command_V, empty, current=empty, pressure=empty, spool=empty, flow=empty,
-        pressure_a=empty, pressure_b=empty, name=str(number),
+        np.arange(rows) * PERIOD, experiment[..., 0] * np.array(model.pair("u_rated")), empty, load=experiment[..., 1],
+        current=empty, pressure=empty, spool=empty, flow=empty, pressure_a=empty, pressure_b=empty, name=str(number),
     )  # fmt: skip
     return Part(str(number), log, np.ones(rows, bool))
 
 
 # --- the search -------------------------------------------------------------------------------------------------------
-def best_design(fit: Fit, questions: Sequence[Question], rng: np.random.Generator) -> Design | None:
-    """The experiment that was found to part the models of all questions best; None where none keeps below the pressure limit.
+def best_design(trial: Trial, rng: np.random.Generator, most_load: float = 0.0) -> Design | None:
+    """The experiment that was found to show best what is open; None where none keeps below the pressure limit.
 
-    fit        the model of the rig with the logs so far, of which the questions' estimates are
-    questions  at least one
+    `most_load`: largest load in N m.
     """
-    trial = Trial(fit, questions)
-    size = 1.0
+    settings, size = trial.fit.settings, 1.0
     for _ in range(TIMES_SMALLER):
-        pieces = _drawn(rng, FIRST, size)
-        scores = trial.scores(_whole(pieces, fit.settings))
+        pieces = _drawn(rng, FIRST, size, most_load)
+        scores = trial.scores(_whole(pieces, settings))
         if np.isfinite(scores).any(axis=0).all():
             break
         size *= SMALLER
     else:
         return None
     best = np.argmax(scores, axis=0)
-    chosen = np.stack([pieces[best[c], ..., c] for c in (0, 1)], axis=-1)
+    chosen = np.stack([pieces[best[c], :, :, c] for c in (0, 1)], axis=-2)
     reached = scores[best, [0, 1]]
     for place in range(PIECES):
         tried = np.repeat(chosen[None], PIECES_TRIED, axis=0)
-        tried[:, place] = _drawn(rng, PIECES_TRIED, size, 1)[:, 0]
-        scores = trial.scores(_whole(tried, fit.settings))
+        tried[:, place] = _drawn(rng, PIECES_TRIED, size, most_load, 1)[:, 0]
+        scores = trial.scores(_whole(tried, settings))
         best = np.argmax(scores, axis=0)
         for c in (0, 1):
             if scores[best[c], c] > reached[c]:
                 chosen[place, :, c], reached[c] = tried[best[c], place, :, c], scores[best[c], c]
-    return _described(trial, _whole(chosen, fit.settings))
+    return _described(trial, _whole(chosen, settings))
 
 
-def _described(trial: Trial, share: Array) -> Design:
-    answers, _ = trial.run(share[None])
+def _described(trial: Trial, experiment: Array) -> Design:
+    answers, left, _ = trial.run(experiment[None])
     logged, names = trial.logged(), list(UNITS)
 
     def of(signals: Sequence[int]) -> dict[tuple[str, str], float]:
@@ -307,4 +375,9 @@ def _described(trial: Trial, share: Array) -> Design:
     by_signal = {name: of([n]) for n, name in enumerate(names)}
     apart = of(logged)
     signals = {pair: {name: by_signal[name][pair] for name in names} for pair in apart}
-    return Design(share * np.array(trial.fit.rig.model.pair("u_rated")), apart, signals)
+    prediction = None
+    if left:
+        now = max(float(np.trace(each.apart)) for each in trial.operations.values())
+        prediction = np.sqrt(now), np.sqrt(max(float(each[0]) for each in left.values()))
+    rated = np.array(trial.fit.rig.model.pair("u_rated"))
+    return Design(experiment[..., 0] * rated, experiment[..., 1], apart, signals, prediction)

@@ -52,8 +52,10 @@ class Settings:
     command_limit: float = 1.0
     #: ... its rate of change in rated commands per second, ...
     rate_limit: float = 20.0
-    #: ... and the load pressure that the models predict, Pa; none: the supply pressure of the model.
+    #: ... the load pressure that the models predict, Pa; none: the supply pressure of the model.
     pressure_limit: float | None = None
+    #: Its load at most, N m; none: the largest of the logs, 0: no load.
+    load_limit: float | None = None
     #: Seed of the bootstrap; the same one gives the same result.
     seed: int = 0
     #: Rules that are switched off.

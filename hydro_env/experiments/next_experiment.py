@@ -5,8 +5,8 @@
 Each rig hides one effect that the catalogue declares alike with others, of medium size and on one channel, and has base
 parameters up to 15 % off the given model's; noise, sizes and forms as in `blind_trials`. The first log is 6 s of closed-loop
 operation, the held-out one 6 s of another mixture. Where the diagnosis leaves several names, a best guess or `unknown`, the
-rig plays 12 s of commands twice: those that the diagnosis proposes, and random ones of the same family and limits. Each log is
-diagnosed together with the first one, against the same held-out log.
+rig plays 12 s of commands and loads twice: those that the diagnosis proposes, and random ones of the same family and limits.
+Each log is diagnosed together with the first one, against the same held-out log.
 
 Decided is a rig if the diagnosis confirms the right effect on the right channel, alone, with no name beside it.
 
@@ -30,6 +30,7 @@ import numpy as np
 
 from ..diagnosis import Diagnosis, Settings, diagnose
 from ..diagnosis.experiment_design import SECONDS, commands_csv, random_design
+from ..diagnosis.stages.next_experiment import most_load
 from ..errors import run_command
 from ..files import write_json, write_text
 from ..limits import CORES, SEEDS, Limits
@@ -65,11 +66,11 @@ def run_rig(seed: int, hidden: Sequence[str], jobs: int = 1) -> dict[str, Any]:
         begin = time.process_time()
         first = _diagnosed(folder, [], jobs)
         row = {"seed": seed, "hidden": list(hidden), "first": _answer(first, truth), "open": _open(first)}
-        proposed = first.state.next_experiment
+        proposed, rng = first.state.next_experiment, np.random.default_rng([seed, 7])
         commands = {
             "proposed": proposed.csv() if proposed is not None else None,
             "random": commands_csv(
-                random_design(first.state.model, Settings(), np.random.default_rng([seed, 7]))
+                *random_design(first.state.model, Settings(), rng, most_load(first.state))
             ),
         }
         for kind in SECOND if row["open"] else ():

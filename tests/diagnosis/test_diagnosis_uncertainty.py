@@ -45,6 +45,16 @@ def test_bootstrap_has_the_spread_of_the_mean() -> None:
     assert np.std(moves) == pytest.approx(1.0 / np.sqrt(count), rel=0.2)
 
 
+def test_replicas_differ_as_much_as_the_prior_where_the_logs_say_nothing() -> None:
+    """Two parameters of which the logs see the sum alone, a hundred times."""
+    rng, count = np.random.default_rng(0), 100
+    matrices = np.ones((count, 2, 2))
+    sides = rng.standard_normal((count, 1)) * np.ones((count, 2))
+    moves = bootstrap(matrices, sides, np.eye(2), np.zeros(2), rng)
+    assert np.std(moves.sum(axis=1)) == pytest.approx(1.0 / np.sqrt(count), rel=0.25)
+    assert np.std(moves[:, 0] - moves[:, 1]) == pytest.approx(np.sqrt(2.0), rel=0.2)
+
+
 @pytest.mark.parametrize(
     ("parameter", "value", "bare", "low", "high"),
     [

@@ -9,13 +9,21 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis import Settings
-from hydro_env.diagnosis.estimation import Estimate, Fit, effect_unknowns
+from hydro_env.diagnosis.estimation import Estimate, Fit, base_unknown, effect_unknowns
 from hydro_env.diagnosis.estimation.uncertainty import Intervals
-from hydro_env.diagnosis.experiment_design import PERIOD, SECONDS, Question, Trial, best_design, random_design
+from hydro_env.diagnosis.experiment_design import (
+    PERIOD,
+    SECONDS,
+    Question,
+    Trial,
+    best_design,
+    operation_of,
+    random_design,
+)
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.next_experiment import NextExperiment
-from hydro_env.plant import CATALOGUE, PlantModel, load_model, simulate
+from hydro_env.plant import CATALOGUE, PARAMETERS, PlantModel, load_model, simulate
 from hydro_env.practice.generate import make_practice
 from hydro_env.practice.played import plans_of
 from hydro_env.units import BAR, RPM
@@ -44,6 +52,10 @@ def _estimate(fit: Fit, name: str, times: float = 1.0, spread: float = 0.0) -> E
     return found
 
 
+def _experiment(command_V: np.ndarray, load: np.ndarray) -> np.ndarray:
+    return np.stack([command_V / RATED, load], axis=-1)
+
+
 def _asked(fit: Fit) -> list[Question]:
     return [Question(0, {name: _estimate(fit, name) for name in ("spool_stiction", "dead_zone")})]
 
@@ -51,17 +63,18 @@ def _asked(fit: Fit) -> list[Question]:
 def test_commands_part_two_models_better_than_random_ones(rig: DynamicRig) -> None:
     fit = Fit(rig, NOISE)
     asked = _asked(fit)
-    found = best_design(fit, asked, np.random.default_rng(1))
-    assert found is not None and found.least > 1.0
+    found = best_design(Trial(fit, asked), np.random.default_rng(1))
+    assert found is not None and min(found.apart.values()) > 1.0
     others = [random_design(rig.model, fit.settings, np.random.default_rng(n)) for n in range(10)]
-    scores = Trial(fit, asked).scores(np.array([found.command_V, *others]) / RATED)[:, 0]
+    tried = np.array([_experiment(*each) for each in ((found.command_V, found.load), *others)])
+    scores = Trial(fit, asked).scores(tried)[:, 0]
     assert scores[0] > scores[1:].max()
 
 
 def test_the_commands_keep_to_the_limits(rig: DynamicRig) -> None:
     fit = Fit(rig, NOISE, Settings(command_limit=0.5, rate_limit=2.0, pressure_limit=6.0 * BAR))
     asked = _asked(fit)
-    found = best_design(fit, asked, np.random.default_rng(2))
+    found = best_design(Trial(fit, asked), np.random.default_rng(2))
     assert found is not None and found.command_V.shape == (round(SECONDS / PERIOD), 2)
     share = found.command_V / RATED
     assert np.abs(share).max() <= 0.5 and np.abs(np.diff(share, axis=0)).max() <= 2.0 * PERIOD * (1 + 1e-9)
@@ -70,7 +83,7 @@ def test_the_commands_keep_to_the_limits(rig: DynamicRig) -> None:
     out = simulate(model, found.command_V, np.zeros_like(share), PERIOD, record=["pressure"])
     assert np.abs(out["pressure"][:, 0, 0]).max() < 6.0 * BAR
     impossible = replace(fit, settings=Settings(pressure_limit=1.0))
-    assert best_design(impossible, asked, np.random.default_rng(2)) is None
+    assert best_design(Trial(impossible, asked), np.random.default_rng(2)) is None
 
 
 def _model(model: PlantModel, estimate: Estimate) -> PlantModel:
@@ -79,22 +92,48 @@ def _model(model: PlantModel, estimate: Estimate) -> PlantModel:
 
 def test_what_a_parameter_would_make_up_for_counts_for_nothing(rig: DynamicRig) -> None:
     fit = Fit(rig, NOISE)
-    shares = random_design(rig.model, fit.settings, np.random.default_rng(3))[None] / RATED
+    tried = _experiment(*random_design(rig.model, fit.settings, np.random.default_rng(3)))[None]
 
     def apart(spread: float) -> float:
         other = _estimate(fit, "quadratic_drag", 1.05)
         trial = Trial(
             fit, [Question(0, {"one": _estimate(fit, "quadratic_drag", 1.0, spread), "other": other})]
         )
-        (answers,), _ = trial.run(shares)
+        (answers,), _, _ = trial.run(tried)
         return float(answers.apart(trial.logged())["one", "other"][0])
 
     assert apart(spread=0.3) < 0.02 * apart(spread=0.0)
 
 
+def test_where_torques_have_no_scale_loads_are_proposed(rig: DynamicRig, tmp_path: Path) -> None:
+    """The fit logs leave open one scale of displacement, inertia, losses, flow and capacity; the held-out log is under load."""
+    fit = Fit(rig, NOISE)
+    names = {"D": 1.0, "J": 1.0, "B": 1.0, "Km": 1.0, "Kq": 1.0, "beta": -1.0}
+    unknowns = [base_unknown(PARAMETERS[name], rig.model.value(name, 0)) for name in names]
+    estimate = Estimate(0, unknowns, np.zeros(len(names)), "")
+    ways = np.array([sign * 0.05 / u.scale for sign, u in zip(names.values(), unknowns, strict=True)])
+    draws = np.linspace(-1.0, 1.0, 8)[:, None] * ways
+    estimate.intervals = Intervals(*(np.zeros(len(names)) for _ in range(3)), draws)
+    estimate.simulated = {0: np.concatenate([s.filled for s in fit.rig.segments[0]])}
+    make_practice([], rate=500.0, runs=("sealed",)).write(tmp_path)
+    operation = operation_of(
+        fit.on(DynamicRig(rig.model, read_parts([tmp_path / "sealed.csv"], None))), estimate, 0
+    )
+    assert operation is not None and np.trace(operation.apart) > 1.0
+    trial = Trial(fit, [], {0: operation})
+    command, load = random_design(rig.model, fit.settings, np.random.default_rng(5), most_load=0.6)
+    (with_load, without) = trial.run(
+        np.array([_experiment(command, load), _experiment(command, 0.0 * load)])
+    )[1][0]
+    assert with_load < 0.2 * without and without > 0.5 * np.trace(operation.apart)
+    found = best_design(trial, np.random.default_rng(6), most_load=0.6)
+    assert found is not None and 0.1 < np.abs(found.load[:, 0]).max() <= 0.6
+    assert found.prediction is not None and found.prediction[1] < 0.2 * found.prediction[0]
+
+
 def test_the_commands_are_a_file_that_a_rig_plays(rig: DynamicRig, tmp_path: Path) -> None:
     fit = Fit(rig, NOISE)
-    found = best_design(fit, _asked(fit), np.random.default_rng(4))
+    found = best_design(Trial(fit, _asked(fit)), np.random.default_rng(4), most_load=0.5)
     assert found is not None
     text = NextExperiment("", ["dead_zone", "spool_stiction"], found).csv()
     assert text is not None
@@ -102,4 +141,6 @@ def test_the_commands_are_a_file_that_a_rig_plays(rig: DynamicRig, tmp_path: Pat
     plans = plans_of(tmp_path / "next.csv", (RATED, RATED), PERIOD)
     played = np.column_stack([p.value for p in plans]) * RATED
     np.testing.assert_allclose(played, found.command_V, rtol=0.0, atol=0.00051)
-    assert not any(p.closed.any() or p.load.any() for p in plans)
+    loads = np.column_stack([p.load for p in plans])
+    np.testing.assert_allclose(loads, found.load, rtol=0.0, atol=0.00051)
+    assert loads.any() and not any(p.closed.any() for p in plans)

@@ -1,8 +1,10 @@
 """Uncertainty: block bootstrap and leave-one-manoeuvre-out, on the derivatives at the estimate, without a new simulation.
 
 The logs are cut into stretches of `STRETCH_S`; each holds all signals of that time. A replica draws as many stretches with
-replacement, solves the linearised normal equations and counts the deviance that an effect saves. Stretches are much longer
-than the residual's memory, so what is correlated inside one stays together.
+replacement, draws from the priors, solves the linearised normal equations and counts the deviance that an effect saves.
+Stretches are much longer than the residual's memory, so what is correlated inside one stays together. What the logs say nothing
+of, such as the common scale of torques where no load acts, differs between replicas as much as the priors allow (randomised
+maximum likelihood; Oliver, He and Reynolds 1996).
 """
 
 from __future__ import annotations
@@ -88,7 +90,8 @@ def bootstrap(
     for n in range(REPLICAS):
         times = np.bincount(rng.integers(count, size=count), minlength=count).astype(float)
         whole = np.tensordot(times, matrices, 1) + prior
-        moves[n] = np.linalg.lstsq(whole, times @ sides - prior @ q, rcond=None)[0]
+        middle = rng.standard_normal(len(q))
+        moves[n] = np.linalg.lstsq(whole, times @ sides + prior @ (middle - q), rcond=None)[0]
     return moves - np.median(moves, axis=0)
 
 

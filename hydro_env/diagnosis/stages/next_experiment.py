@@ -1,9 +1,10 @@
-"""The next experiment: commands for which the models that the logs leave open answer most differently.
+"""The next experiment: commands, and loads where the rig has been loaded, that show what the logs leave open.
 
 Open are the names that are listed as indistinguishable from a named effect; where nothing is confirmed, the candidates that
-explain most of each channel. Each has been refitted to the logs; `experiment_design` finds the commands. What the catalogue
-knows of a pair is said beside it, such as a signal to record. The reduced model of a cylinder axis gets words only: commands
-from a table would drive it to the end of its stroke.
+explain most of each channel, and what the held-out logs ask of parameters that the fit logs leave open. Each model has been
+refitted to the logs; `experiment_design` finds the experiment. What the catalogue knows of a pair is said beside it, such as a
+signal to record. The reduced model of a cylinder axis gets words only: commands from a table would drive it to the end of its
+stroke.
 """
 
 from __future__ import annotations
@@ -16,13 +17,22 @@ import numpy as np
 
 from ...plant.catalogue import separating_experiment
 from ..estimation import Estimate
-from ..experiment_design import SECONDS, Design, Question, best_design, commands_csv
+from ..experiment_design import (
+    SECONDS,
+    Design,
+    Operation,
+    Question,
+    Trial,
+    best_design,
+    commands_csv,
+    operation_of,
+)
 from ..models.dynamic_rig import DynamicRig
 from ..state import State
 from .candidates import Candidate
 from .naming import NamedEffect
 
-__all__ = ["FILE", "NextExperiment", "questions", "run"]
+__all__ = ["FILE", "NextExperiment", "most_load", "operations", "questions", "run"]
 
 #: The file that the commands are written to, beside diagnosis.json.
 FILE = "next_experiment.csv"
@@ -37,36 +47,50 @@ PARTED, BETTER_BY = 1.0, 3.0
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """What to record next: in words, the names that it separates, and the commands, if there are any."""
+    """What to record next: in words, the names that it separates, and the commands and loads, if there are any."""
 
     description: str
     separates: Sequence[str]
     design: Design | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """The entry of diagnosis.json; `distances` between pairs are RMS in units of noise and open parameters."""
+        """The entry of diagnosis.json; `distances` between pairs are RMS in units of noise and open parameters, `prediction`
+        is how far estimates are apart on the held-out logs, RMS in times the noise."""
         found: dict[str, Any] = {"description": self.description, "separates": list(self.separates)}
         if self.design is not None:
             found["distances"] = {" | ".join(pair): round(d, 2) for pair, d in self.design.apart.items()}
+            if self.design.prediction is not None:
+                now, then = self.design.prediction
+                found["prediction"] = {"now": round(now, 2), "expected": round(then, 2)}
             found["commands"] = FILE
         return found
 
     def csv(self) -> str | None:
         """The text of `FILE`; None without commands."""
-        return None if self.design is None else commands_csv(self.design.command_V)
+        return None if self.design is None else commands_csv(self.design.command_V, self.design.load)
 
 
 def run(state: State) -> State:
     """Proposes what to record next, and the commands for it."""
-    asked = questions(state)
-    if not asked or not isinstance(state.rig, DynamicRig):
+    asked, wanted = questions(state), operations(state)
+    if not (asked or wanted) or not isinstance(state.rig, DynamicRig):
         return replace(state, next_experiment=_in_words(state.effects, state))
     rng = np.random.default_rng([state.settings.seed, 21])
-    design = best_design(state.fit, asked, rng)
+    design = best_design(Trial(state.fit, asked, wanted), rng, most_load(state))
     if design is None:
         return replace(state, next_experiment=_in_words(state.effects, state))
     names = sorted({name for question in asked for name in question.models})
     return replace(state, next_experiment=NextExperiment(_described(design), names, design))
+
+
+def most_load(state: State) -> float:
+    """The largest load of an experiment, N m: as the settings say, else the largest of the logs, which the rig can do."""
+    if state.settings.load_limit is not None:
+        return state.settings.load_limit
+    logs = (part.log.load for part in (*state.rig.parts, *state.held_out_parts))
+    return max(
+        (float(np.nanmax(np.abs(load), initial=0.0)) for load in logs if load is not None), default=0.0
+    )
 
 
 # --- what is open -----------------------------------------------------------------------------------------------------
@@ -78,6 +102,15 @@ def questions(state: State) -> list[Question]:
         if len(models) > 1:
             found.append(Question(channel, models))
     return found
+
+
+def operations(state: State) -> dict[int, Operation]:
+    """Where nothing is proven: what the estimate of each channel is to predict of the held-out logs."""
+    if not state.rig.has_hidden_states or (state.verdict != "unknown" and not state.best_guess):
+        return {}
+    held_out = state.fit.on(state.held_out)
+    found = {c: operation_of(held_out, state.final[c], c) for c in state.rig.channels}
+    return {c: each for c, each in found.items() if each is not None}
 
 
 def _tied(state: State, channel: int | None) -> dict[str, Estimate]:
@@ -117,21 +150,28 @@ def _best(state: State, channel: int | None) -> dict[str, Estimate]:
 
 # --- in words ---------------------------------------------------------------------------------------------------------
 def _described(design: Design) -> str:
-    """What the commands will show, and what is to be logged besides for the pair that they part least."""
-    (one, other), least = min(design.apart.items(), key=lambda item: item[1])
-    pair = f"{one.replace('_', ' ')} and {other.replace('_', ' ')}"
-    times = f"{least:.2g} times what is not known"
-    if least >= PARTED:
-        text = (
-            f"play the {SECONDS:g} s of commands in {FILE} and log as before: there {pair} differ by {times}"
+    """What the experiment will show, and what is to be logged besides for the pair that it parts least."""
+    what = "commands and loads" if design.load.any() else "commands"
+    text, known = f"play the {SECONDS:g} s of {what} in {FILE} and log as before", ""
+    if design.apart:
+        (one, other), least = min(design.apart.items(), key=lambda item: item[1])
+        pair = f"{one.replace('_', ' ')} and {other.replace('_', ' ')}"
+        times = f"{least:.2g} times what is not known"
+        if least >= PARTED:
+            text += f": there {pair} differ by {times}"
+        else:
+            text = f"{what} alone hardly separate {pair} ({FILE}: {times})"
+        by_signal = design.signals[one, other]
+        signal = max(by_signal, key=lambda name: by_signal[name])
+        if by_signal[signal] > max(BETTER_BY * least, PARTED):
+            text += f"; with the {signal.replace('_', ' ')} logged, by {by_signal[signal]:.2g}"
+        known = "" if CALIBRATION in (one, other) else separating_experiment(one, other)
+    if design.prediction is not None:
+        now, then = design.prediction
+        text += (
+            f"; estimates that the logs allow, {now:.2g} times the noise apart on the held-out logs, should then be "
+            f"{then:.2g} times apart"
         )
-    else:
-        text = f"commands alone hardly separate {pair} ({FILE}: {times})"
-    by_signal = design.signals[one, other]
-    signal = max(by_signal, key=lambda name: by_signal[name])
-    if by_signal[signal] > max(BETTER_BY * least, PARTED):
-        text += f"; with the {signal.replace('_', ' ')} logged, by {by_signal[signal]:.2g}"
-    known = "" if CALIBRATION in (one, other) else separating_experiment(one, other)
     return "; or ".join(filter(None, (text, known)))
 
 
