@@ -270,6 +270,21 @@ class Plant:
             if kernel.has_delay:
                 self._ring[to[0], :, to[1]] = other._ring[of[0], :, of[1]]
 
+    def select(self, rows: NDArray[np.int64]) -> Plant:
+        """Some of the rigs (indices), with parameters and state, as a plant of their own."""
+        half, n = self._kernel.half, len(rows)
+        blocks = -(-n // half)
+        block, lane = self._lanes(np.resize(rows, blocks * half))  # all lanes of the last block hold a rig
+        some = object.__new__(type(self))
+        state = self.__getstate__()
+        state["num_rigs"], state["_empty"] = n, np.zeros((0, 1, n, 2))
+        for name in ("_memory", "_ring"):
+            cells = state[name].reshape(len(self._memory), -1, 2, half)[block, :, :, lane]
+            apart = cells.reshape(blocks, half, -1, 2).transpose(0, 2, 3, 1)
+            state[name] = np.ascontiguousarray(apart).reshape(blocks, -1, 2 * half)
+        some.__setstate__(state)
+        return some
+
     def _lanes(self, rigs: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Block of each rig and the lane of its first channel."""
         return rigs // self._kernel.half, rigs % self._kernel.half

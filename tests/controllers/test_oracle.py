@@ -138,3 +138,21 @@ def test_a_plant_takes_the_state_of_some_rigs_of_another(effects):
     many.step(command, 0.0, 0.05)
     few.step(command[rows], 0.0, 0.05)
     np.testing.assert_array_equal(few.speed, many.speed[rows])
+
+
+@pytest.mark.parametrize("effects", [(), ("command_delay",)])
+def test_selected_rigs_go_on_as_in_the_whole(effects):
+    """Parameters, state and delayed commands come along, across blocks of lanes and in another order."""
+    many = Plant("paper_dead_zone", 40, effects=effects)
+    if effects:
+        many.set("command_delay.delay", 0.004)
+    stream = np.random.default_rng(1)
+    many.set("Kq", many.get("Kq") * stream.uniform(0.8, 1.2, (40, 2)))
+    command, rows = stream.uniform(-60.0, 60.0, (40, 2)), np.array([33, 2, 17, 16])
+    many.step(command, 0.0, 0.05)
+    few = many.select(rows)
+    for _ in range(2):
+        np.testing.assert_array_equal(few.speed, many.speed[rows])
+        many.step(command, 0.0, 0.05)
+        few.step(command[rows], 0.0, 0.05)
+    np.testing.assert_array_equal(few.get("Kq"), many.get("Kq")[rows])

@@ -35,6 +35,8 @@ APART = 4.0 * RPM
 """Speed difference in a plan from which on another is looked for, rad/s."""
 RETRIES = (6, 30)
 """Turns of those other plans, one after the other."""
+SETTLED = 1e-4
+"""A plan of which no command would move by more than this share of the rated one is left as it is."""
 SUBSTEP = 250e-6
 """Substep in which plans are simulated, s: wrong by about 0.1 rpm at worst, for less than half the time."""
 TRAVEL, MARGIN = 0.95, 0.96
@@ -129,32 +131,43 @@ class Oracle(Controller):
         self, rows: NDArray[np.int64], turns: int, start: Floats, course: Course, load: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """Plans (n, HORIZON, 2) of the n rigs `rows`, their costs (n,) and the speeds (HORIZON, n, 2) they lead to at control
-        instants, after `turns` of Levenberg and Marquardt: copies of the rigs drive the plan, and a change that did not help
-        is taken back and tried smaller.
+        instants, after at most `turns` of Levenberg and Marquardt: copies of the rigs drive the plan, and a change that did not
+        help is taken back and tried smaller.
         """
         assert self._twin is not None
-        every, n = len(rows) == len(start), len(rows)
-        copies = self._copies if every else _copies(self._twin, rows)
         plan, load, rated, course = start[rows], np.take(load, rows, 1), self._rated[rows], course.of(rows)
+        n = len(rows)
+        every, going = n == len(start), np.arange(n)
+        copies = self._copies if every else self._copies.select(rows)
         signals = np.array([copies.row_of(name) for name in ("speed", "flow", "spool")])
-        (volts,), seen, motion = (
-            each.reshape(-1)[: each.size // each.shape[2] * n].reshape(*each.shape[:2], n, 2)
-            for each in self._room
-        )
+        motion = _room_for(n, self._room[2])
         best = Best(plan.copy(), np.full(n, np.inf), motion, np.full(n, DAMPING))
         for turn in range(turns):
-            copies.take_state(self._twin, None if every else rows)
+            copies.take_state(self._twin, None if every and len(going) == n else rows[going])
+            (volts,), seen = (_room_for(len(going), each) for each in self._room[:2])
             # The last command stays: what follows its last sample is not looked at.
-            held = (plan * rated[:, None]).transpose(1, 0, 2).reshape(HORIZON, 1, -1)
+            held = (plan[going] * rated[going, None]).transpose(1, 0, 2).reshape(HORIZON, 1, -1)
             volts[:-1].reshape(HORIZON, SAMPLES, -1)[:] = held
             volts[-1] = volts[-2]
             copies.run_into(seen, volts, load, self._step, signals)
             # Out of standstill the way leads over a ridge: at first a plan need not be better than the one before.
-            keep(plan, turn < FREE * turns, seen, course, best)
-            plan = best.plan.copy()
-            if turn < turns - 1:
-                improve(plan, course, best)
-        return best.plan, best.cost, best.motion[0][SAMPLES::SAMPLES].copy()
+            keep(going, plan, turn < FREE * turns, seen, course, best)
+            if turn == turns - 1:
+                break
+            moved = improve(going, plan, course, best)
+            settled, moving = going[moved <= SETTLED], np.flatnonzero(moved > SETTLED)
+            best.plan[settled] = plan[settled]
+            if not len(moving):
+                break
+            if len(moving) < len(going):
+                going, load, copies = going[moving], np.take(load, moving, 1), copies.select(moving)
+        return best.plan, best.cost, motion[0][SAMPLES::SAMPLES].copy()
+
+
+def _room_for(n: int, room: Floats) -> Floats:
+    """Memory for signals of n rigs, (signals, T, n, 2), in that of more of them."""
+    signals, rows, most, _ = room.shape
+    return room.reshape(-1)[: room.size // most * n].reshape(signals, rows, n, 2)
 
 
 def _copies(plant: Plant, rows: NDArray[np.int64]) -> Plant:

@@ -197,79 +197,83 @@ def _newton_step(square, rate, side, free, factor, move):
 
 
 @compiled
-def _cost(plan, motion, course):
-    """The cost (N,) of plans (N, H, 2), from the motion they lead to."""
+def _cost(rigs, plan, motion, course):
+    """The cost (n,) of the plans of some rigs (n,), from the motion (3, END + 1, n, 2) they lead to."""
     speed, spool = motion[0], motion[2]
-    total = np.zeros(plan.shape[0])
+    total = np.zeros(rigs.size)
     for s in range(1, END + 1):
         instant = s % SAMPLES == 0
-        for i in range(plan.shape[0]):
-            apart = speed[s, i, 0] - speed[s, i, 1]
-            total[i] += 0.5 * (course.difference[i] if instant else BETWEEN) * apart * apart
+        for n, i in enumerate(rigs):
+            apart = speed[s, n, 0] - speed[s, n, 1]
+            total[n] += 0.5 * (course.difference[i] if instant else BETWEEN) * apart * apart
             for c in range(2):
-                past = max(0.0, abs(spool[s, i, c]) - course.margin[i, c])
-                total[i] += 0.5e6 * course.stops[i] * past * past
+                past = max(0.0, abs(spool[s, n, c]) - course.margin[i, c])
+                total[n] += 0.5e6 * course.stops[i] * past * past
                 if instant:
-                    error = (speed[s, i, c] - course.setpoint[i, s // SAMPLES]) / CORNER
-                    total[i] += CORNER * CORNER * (np.sqrt(1.0 + error * error) - 1.0)
-    for i in range(plan.shape[0]):
+                    error = (speed[s, n, c] - course.setpoint[i, s // SAMPLES]) / CORNER
+                    total[n] += CORNER * CORNER * (np.sqrt(1.0 + error * error) - 1.0)
+    for n, i in enumerate(rigs):
         for c in range(2):
             for j in range(HORIZON):
                 move = plan[i, j, c] - (course.sent[i, c] if j == 0 else plan[i, j - 1, c])
-                total[i] += 0.5 * course.smooth[i] * move * move
+                total[n] += 0.5 * course.smooth[i] * move * move
     return total
 
 
 @compiled
-def keep(plan, free, motion, course, best):
-    """Keeps the plans (N, H, 2) that cost less than the best yet, or all where `free`, with the motion they lead to. The damping
-    gets less where a plan was kept and more where not."""
-    reached = _cost(plan, motion, course)
-    better = (reached < best.cost) | free
-    for i in range(plan.shape[0]):
-        if better[i]:
+def keep(rigs, plan, free, motion, course, best):
+    """Keeps the plans (N, H, 2) of `rigs` (n,) that cost less than the best yet, or all where `free`, with the motion
+    (3, END + 1, n, 2) they lead to. The damping gets less where a plan was kept and more where not."""
+    reached = _cost(rigs, plan, motion, course)
+    better = (reached < best.cost[rigs]) | free
+    for n, i in enumerate(rigs):
+        if better[n]:
             best.damping[i] = max(DAMPING, best.damping[i] / 4.0)
-            best.cost[i] = reached[i]
+            best.cost[i] = reached[n]
             for j in range(HORIZON):
                 best.plan[i, j, 0], best.plan[i, j, 1] = plan[i, j, 0], plan[i, j, 1]
         else:
             best.damping[i] *= 8.0
     for signal in range(motion.shape[0]):
         for s in range(motion.shape[1]):
-            for i in range(plan.shape[0]):
-                if better[i]:
+            for n, i in enumerate(rigs):
+                if better[n]:
                     for c in range(2):
-                        best.motion[signal, s, i, c] = motion[signal, s, i, c]
+                        best.motion[signal, s, i, c] = motion[signal, s, n, c]
 
 
 @compiled
-def improve(plan, course, best):
-    """Improves the best plans, in `plan` (N, HORIZON, 2), fractions of the rated command."""
-    rigs, tile = plan.shape[0], _room()
+def improve(rigs, plan, course, best):
+    """Improves the best plans of `rigs` (n,), in `plan` (N, HORIZON, 2), fractions of the rated command; how far each moves (n,),
+    its command that moves most."""
+    tile, moved = _room(), np.zeros(rigs.size)
     square, slope = np.empty((COMMANDS, COMMANDS)), np.empty(COMMANDS)
     x, low, high = np.empty(COMMANDS), np.empty(COMMANDS), np.empty(COMMANDS)
-    for first in range(0, rigs, LANES):
-        _gather(first, plan, best.damping, course, tile)
+    for first in range(0, rigs.size, LANES):
+        _gather(rigs[first:], best, course, tile)
         # Sample by sample, so that no command waits for another one's chain of sums, and little memory is in use.
         for sample in range(1, END + 1):
             _look(sample, best.motion, tile)
             _turn(sample, tile)
             _add_motion(sample, tile)
         _add_moves(tile)
-        for i in range(first, min(first + LANES, rigs)):
+        for lane in range(min(LANES, rigs.size - first)):
+            i = rigs[first + lane]
             for b in range(COMMANDS):
-                slope[b] = tile.slope[b, i - first]
+                slope[b] = tile.slope[b, lane]
                 for k in range(COMMANDS):
-                    square[b, k] = tile.square[b, k, i - first]
+                    square[b, k] = tile.square[b, k, lane]
             for c in range(2):
                 for j in range(HORIZON):
                     b = c * HORIZON + j
                     x[b] = 0.0
-                    low[b] = min(0.0, -course.most[i, c] - plan[i, j, c])
-                    high[b] = max(0.0, course.most[i, c] - plan[i, j, c])
+                    low[b] = min(0.0, -course.most[i, c] - best.plan[i, j, c])
+                    high[b] = max(0.0, course.most[i, c] - best.plan[i, j, c])
             minimise_in_box(square, slope, low, high, x)
             for b in range(COMMANDS):
-                plan[i, b % HORIZON, b // HORIZON] += x[b]
+                plan[i, b % HORIZON, b // HORIZON] = best.plan[i, b % HORIZON, b // HORIZON] + x[b]
+                moved[first + lane] = max(moved[first + lane], abs(x[b]))
+    return moved
 
 
 @compiled
@@ -285,14 +289,14 @@ def _room():
 
 
 @compiled
-def _gather(first, plan, damping, course, tile):
-    """Lays rigs side by side, from the rig `first` on; where there are fewer the last one fills their lanes, too."""
+def _gather(rigs, best, course, tile):
+    """Lays the first of `rigs` side by side; where there are fewer the last one fills their lanes, too."""
     for lane in range(LANES):
-        tile.rig[lane] = min(first + lane, course.stops.size - 1)
+        tile.rig[lane] = rigs[min(lane, rigs.size - 1)]
     for lane in range(LANES):
         i = tile.rig[lane]
         tile.difference[lane], tile.smooth[lane] = course.difference[i], course.smooth[i]
-        tile.stops[lane], tile.damping[lane] = 1e6 * course.stops[i], damping[i]
+        tile.stops[lane], tile.damping[lane] = 1e6 * course.stops[i], best.damping[i]
     for k in range(HORIZON + 1):
         for lane in range(LANES):
             tile.setpoint[k, lane] = course.setpoint[tile.rig[lane], k]
@@ -302,7 +306,7 @@ def _gather(first, plan, damping, course, tile):
             tile.plan[c, 0, lane] = course.sent[tile.rig[lane], c]
         for k in range(HORIZON):
             for lane in range(LANES):
-                tile.plan[c, k + 1, lane] = plan[tile.rig[lane], k, c]
+                tile.plan[c, k + 1, lane] = best.plan[tile.rig[lane], k, c]
         for k in range(6):
             for lane in range(LANES):
                 tile.motor[c, k // 3, k % 3, lane] = course.motor[tile.rig[lane], c, k // 3, k % 3]

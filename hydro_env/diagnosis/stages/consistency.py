@@ -154,7 +154,8 @@ def _tied_units(
 ) -> Iterator[Finding]:
     """Speed or pressure in another unit: what the shaft makes of the two, each taken in every unit that it may be in.
 
-    Without a load the shaft cannot say which of the two is off; the valve's model then does, roughly.
+    Without a load the shaft cannot say which of the two is off; the valve's model then does, roughly. Where no unit fits it is
+    a warning only: a missing drag can be several times the friction that the model has.
     """
     best: tuple[float, str, str] | None = None
     plain = _misfit(_shaft(rig, channel, channel))
@@ -176,9 +177,9 @@ def _tied_units(
     if shaft is not None and shaft[0] > 0.9 and not 1.0 / _EFFECTS < shaft[1] < _EFFECTS:
         message = (
             f"the speed of channel {channel + 1} is {shaft[1]:.3g} times what its pressure and load give to the shaft: "
-            "is one of them in another unit?"
+            "a large loss that the model lacks, or is one of them in another unit?"
         )
-        yield Finding("unit", message, _HINT, "speed", channel + 1, sure=True)
+        yield Finding("unit", message, _HINT, "speed", channel + 1)
 
 
 def _factors(rig: RigModel, signal: str, channel: int) -> dict[str, float]:

@@ -1,0 +1,51 @@
+"""Do logs fit the model at all: what is a mistake in a recording, and what a missing effect."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_env.diagnosis.estimation import Fit
+from hydro_env.diagnosis.input.parts import read_parts
+from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
+from hydro_env.diagnosis.stages.calibration import as_given
+from hydro_env.diagnosis.stages.consistency import implausible
+from hydro_env.measured import Finding
+from hydro_env.plant import load_model, simulate
+from hydro_env.units import BAR, RPM
+
+
+def _findings(folder: Path, drag: float, unit: float = 1.0) -> list[Finding]:
+    """Findings about 12 s of a rig with a drag of `drag` N m s2/rad2; the pressure is written `unit` times as large."""
+    time = np.arange(6000) * 0.002
+    command = np.repeat(40.0 * np.sin(0.5 * time)[:, None], 2, axis=1)
+    values = {"quadratic_drag.coefficient": np.full((1, 2), drag)}
+    seen = simulate("paper", command, None, 0.002, values=values, record=("speed", "pressure"))
+    columns = {"time_s": time}
+    for c in (0, 1):
+        columns[f"command_{c + 1}_V"] = command[:, c]
+        columns[f"speed_{c + 1}_rpm"] = seen["speed"][:, 0, c] / RPM
+        columns[f"pressure_{c + 1}_bar"] = unit * seen["pressure"][:, 0, c] / BAR
+    path = folder / "log.csv"
+    np.savetxt(
+        path, np.column_stack(list(columns.values())), "%.9g", ",", header=",".join(columns), comments=""
+    )
+    rig = DynamicRig(load_model("paper"), read_parts([path], None))
+    return implausible(
+        rig, as_given(Fit(rig, {(c, s.signal): 1e-9 for c in (0, 1) for s in rig.segments[c]}))
+    )
+
+
+def test_a_drag_many_times_the_friction_is_no_mistake_in_the_recording(tmp_path: Path) -> None:
+    found = _findings(tmp_path, drag=6e-4)
+    assert any("a large loss that the model lacks" in f.message for f in found)
+    assert not any(f.sure for f in found)
+
+
+@pytest.mark.parametrize("drag", [0.0, 2e-5])
+def test_pressures_in_another_unit_are_a_mistake(tmp_path: Path, drag: float) -> None:
+    found = _findings(tmp_path, drag, unit=0.1)
+    assert [f.signal for f in found if f.sure] == ["pressure", "pressure"]
+    assert all("MPa" in f.message for f in found if f.sure)
