@@ -46,6 +46,11 @@ def _eccentric_load(torque, angle, amplitude, phase):
     return torque - amplitude * sin(angle + phase)
 
 
+def _eccentric_load_corner(amplitude):
+    # A heavy weight that hardly moves may stand near its highest point, from where it falls to either side.
+    return amplitude > 0.5
+
+
 ECCENTRIC_LOAD = Effect(
     name="eccentric_load",
     port="load",
@@ -77,6 +82,7 @@ ECCENTRIC_LOAD = Effect(
         ),
     ),
     laws={"torque": _eccentric_load},
+    corner=_eccentric_load_corner,
 )
 
 

@@ -63,11 +63,16 @@ _HYDRODYNAMIC = Parameter(
 )  # fmt: skip
 
 
-def _loss_model(name: str, title: str, summary: str, signature: str, source: str, parameters, laws) -> Effect:  # type: ignore[no-untyped-def]
+def _loss_model(name: str, title: str, summary: str, signature: str, source: str, parameters, laws, corner) -> Effect:  # type: ignore[no-untyped-def]
     return Effect(
         name=name, port="motor", parameters=parameters, title=title, summary=summary, signature=signature, source=source,
-        laws=laws, indistinguishable_from=_ALIKE, family=FAMILY,
+        laws=laws, corner=corner, indistinguishable_from=_ALIKE, family=FAMILY,
     )  # fmt: skip
+
+
+# The corners of all models: the step of friction at standstill is passed within a substep, as in `motor_coulomb_friction`.
+def _standstill(speed, pressure, friction, constant_torque, D, J, substep):
+    return friction + constant_torque > 0.0 and abs(speed) < 1.0 + substep * abs(D * pressure) / J
 
 
 # --- Wilson -----------------------------------------------------------------------------------------------------------
@@ -88,6 +93,7 @@ WILSON_LOSSES = _loss_model(
     source="Wilson, Positive-Displacement Pumps and Fluid Motors, 1950; Merritt 1967, section 4-3",
     parameters=(_SLIP, _DRAG, _FRICTION, _CONSTANT, _VISCOSITY),
     laws={"leakage": _wilson_leakage, "torque": _wilson_torque},
+    corner=_standstill,
 )
 
 
@@ -120,6 +126,7 @@ SCHLOESSER_LOSSES = _loss_model(
         _DRAG, _FRICTION, _HYDRODYNAMIC, _CONSTANT, _VISCOSITY, _DENSITY,
     ),
     laws={"leakage": _schloesser_leakage, "torque": _schloesser_torque},
+    corner=_standstill,
 )  # fmt: skip
 
 
@@ -133,6 +140,12 @@ def _dorey_leakage(leakage, pressure, speed, slip, slip_growth, compression, vis
 def _dorey_torque(torque, motor_pressure, speed, drag, friction, boundary, boundary_speed, viscosity, D):
     sliding = friction * (1.0 + boundary * exp(-abs(speed) / boundary_speed)) * D * abs(motor_pressure)
     return torque - drag * D * viscosity * speed - sliding * tanh(speed * 10.0)
+
+
+def _dorey_corner(speed, pressure, friction, boundary, boundary_speed, D, J, substep):
+    gain = substep * abs(D * pressure) / J
+    falling = 3.0 * boundary_speed if friction * boundary * gain > 0.02 * boundary_speed else 0.0
+    return friction > 0.0 and abs(speed) < 1.0 + gain + falling
 
 
 DOREY_LOSSES = _loss_model(
@@ -156,6 +169,7 @@ DOREY_LOSSES = _loss_model(
         _VISCOSITY,
     ),
     laws={"leakage": _dorey_leakage, "torque": _dorey_torque},
+    corner=_dorey_corner,
 )  # fmt: skip
 
 
@@ -175,6 +189,12 @@ def _jeong_torque(
     return torque - fluid * speed - sliding * tanh(speed * 10.0)
 
 
+def _jeong_corner(speed, pressure, friction, constant_torque, stribeck, stribeck_speed, D, J, substep):
+    gain = substep * abs(D * pressure) / J
+    falls = stribeck * (friction * gain + substep * constant_torque / J) > 0.02 * stribeck_speed
+    return friction + constant_torque > 0.0 and abs(speed) < 1.0 + gain + (3.0 * stribeck_speed if falls else 0.0)
+
+
 JEONG_LOSSES = _loss_model(
     name="jeong_losses",
     title="Jeong's losses of the motor",
@@ -192,6 +212,7 @@ JEONG_LOSSES = _loss_model(
         _HYDRODYNAMIC, _VISCOSITY, _DENSITY,
     ),
     laws={"leakage": _jeong_leakage, "torque": _jeong_torque},
+    corner=_jeong_corner,
 )  # fmt: skip
 
 
@@ -204,6 +225,10 @@ def _ivantysyn_torque(torque, motor_pressure, speed, torque_0, torque_p, torque_
     size = abs(motor_pressure)
     fluid = torque_ww * abs(speed) + torque_pw * size
     return torque - fluid * speed - (torque_0 + torque_p * size) * tanh(speed * 10.0)
+
+
+def _ivantysyn_corner(speed, pressure, torque_0, torque_p, D, J, substep):
+    return torque_0 + torque_p > 0.0 and abs(speed) < 1.0 + substep * abs(D * pressure) / J
 
 
 IVANTYSYN_LOSSES = _loss_model(
@@ -227,6 +252,7 @@ IVANTYSYN_LOSSES = _loss_model(
                   "drag with pressure times speed", 5e-10, scaling=MOTOR_SIZE),
     ),
     laws={"leakage": _ivantysyn_leakage, "torque": _ivantysyn_torque},
+    corner=_ivantysyn_corner,
 )  # fmt: skip
 
 
