@@ -9,7 +9,7 @@ from hydro_env.diagnosis import diagnose
 from hydro_env.diagnosis.estimation import base_unknown, effect_starts, effect_unknowns
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
-from hydro_env.diagnosis.models.dynamic_rig import PARTED_SUBSTEP, SUBSTEP, DynamicRig
+from hydro_env.diagnosis.models.dynamic_rig import SUBSTEP, DynamicRig
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, load_model
 from hydro_env.practice.generate import make_practice
 from hydro_env.units import RPM
@@ -85,8 +85,8 @@ def test_a_rig_takes_longer_substeps_only_where_both_channels_are_in_parts(fit_l
     rig = DynamicRig(load_model("paper"), parts)
     ripple = {"displacement_ripple.amplitude": (0.15, 0.0)}
     weak = {"supply_droop.relative_drop": (0.7, 0.7), "supply_droop.time_constant": (0.1, 0.1)}
-    assert rig._step(Request(None, ripple)) == SUBSTEP and rig._step(Request(None, weak)) == PARTED_SUBSTEP
-    assert rig._step(Request(0, {"displacement_ripple.amplitude": 0.15})) == PARTED_SUBSTEP
+    assert rig._step(Request(None, ripple)) == SUBSTEP and rig._step(Request(None, weak)) == 500e-6
+    assert rig._step(Request(0, {"displacement_ripple.amplitude": 0.15})) == 1e-3
     for values in (ripple, weak):
         coarse, fine = (m.predict([Request(None, values)])[0] for m in (rig, rig.with_parts(parts, True)))
         speed = next(s for s in rig.segments[1] if s.signal == "speed")

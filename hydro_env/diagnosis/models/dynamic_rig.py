@@ -20,9 +20,10 @@ __all__ = ["DynamicRig"]
 #: Longest substep of the fit and of the proof, s. With 200 us the speeds are off by less than 0.2 rpm; from 300 us on a spool
 #: that meets its end stop may be lost.
 SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
-#: The fit's substep where an effect has every substep taken in parts (of 25 to 50 us then), s. With half of it in the proof,
-#: shafts that rattle for 12 s were 0.4 rpm off.
-PARTED_SUBSTEP = 500e-6
+#: Where an effect has every substep taken in parts, the fit's substep is the longest of which these are at most so long, and
+#: never longer than the second number, s. Preloaded springs are 0.02 rpm off then in a log of 12 s, at most 0.13. The proof has
+#: no such substeps: with 500 us, shafts that rattle for 12 s were 0.4 rpm off.
+PARTED_SUBSTEP, LONGEST_SUBSTEP = 100e-6, 1e-3
 #: Rigs that go through the kernel together. A substep takes as long for 4 as for 8, and a third longer for 16: instructions wait
 #: for each other's results, not for room in the registers.
 BLOCKS = (8, 16)
@@ -198,13 +199,11 @@ class DynamicRig:
 
     def _step(self, request: Request) -> float:
         """The substep of a request, which does not depend on what is simulated beside it."""
-        parted = (
-            not (self.coupled and request.channel is not None)
-            and self.substep == SUBSTEP
-            and self.period >= PARTED_SUBSTEP
-            and any(_all_parted(CATALOGUE[e], request) for e in request.effects)
-        )
-        return PARTED_SUBSTEP if parted else self.substep
+        if self.substep != SUBSTEP or (self.coupled and request.channel is not None):
+            return self.substep
+        parts = [e.corner_parts for e in map(CATALOGUE.__getitem__, request.effects) if _all_parted(e, request)]
+        longest = min(max(parts, default=0) * PARTED_SUBSTEP, LONGEST_SUBSTEP, self.period)
+        return max(longest, self.substep)
 
     def close(self) -> None:
         """Ends the threads, if there are any."""
