@@ -258,6 +258,12 @@ def _drained_decay(bulk_modulus, V, conductance):
     return bulk_modulus / (4.0 * V) * abs(conductance)
 
 
+def _drained_corner(conductance, line_travel, supply_pressure):
+    # A line so small that motor and valve move it through much of the supply pressure within a substep: it passes the bends of
+    # the edges with every swing.
+    return conductance != 0.0 and line_travel > 0.3 * supply_pressure
+
+
 EXTERNAL_LEAKAGE = Effect(
     name="external_leakage",
     port="line",
@@ -282,6 +288,7 @@ EXTERNAL_LEAKAGE = Effect(
     laws={"leakage": _external_leakage},
     states=(State("mean_pressure", _drained, _drained_decay),),
     shares=BOTH_LINES,
+    corner=_drained_corner,
     separated_by={"null_offset": "record the pressure of each line: a leak lowers that of its own"},
 )
 
