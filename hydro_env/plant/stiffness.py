@@ -13,7 +13,7 @@ mass m it gains the speed a h in a substep, a = 2 F / m. Five ratios say what a 
 The last one falls with the third power of h; it grows where static friction is more than four times the Coulomb friction, to
 which it has to fall. Where a hysteresis follows the current, the coil counts too, with h R / L. Each has to stay below a
 bound. The bounds were measured on models that lie far apart (`python -m hydro_env.experiments.accuracy`). Where one is passed,
-the channel takes every substep in 4, 16 or 64 parts.
+the channel takes every substep in 2, 4, 16 or 64 parts.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 #: Numbers of parts in which a stiff channel takes every substep.
-FINE_PARTS = (4, 16, 64)
+FINE_PARTS = (2, 4, 16, 64)
 #: In how many again a stiff channel takes the parts at a bend of an effect, at most.
 MOST_FINER = 16.0
 #: Dry friction of the spool, N, below which only none is simulated: 0.06 um of travel.
@@ -97,12 +97,13 @@ def ring_parts(substep, D, J, B, Km, beta, V):
 
 
 def fine_parts(bristles, stops, coil, ring):
-    """In how many parts a channel takes every substep: 1, 4, 16 or 64, with a reserve of a third and more."""
+    """In how many parts a channel takes every substep: 1, 2, 4, 16 or 64, with a reserve of a third and more."""
     cubed = stops if stops > bristles else bristles
     cubed = coil if coil > cubed else cubed
     cubed = ring if ring > cubed else cubed
     parts = 16.0 if cubed <= 1e3 else 64.0
     parts = 4.0 if cubed <= 27.0 else parts
+    parts = 2.0 if cubed <= 3.375 else parts
     return 1.0 if cubed <= 1.0 else parts
 
 
