@@ -94,7 +94,11 @@ class DynamicRig:
         self.notes: list[str] = []
         self.own: dict[str, Parameter] = {}
         library = {*self.candidates(), *without}
-        self._light = frozenset(n for n, e in CATALOGUE.items() if n in library and e.is_cheap)
+        cheap = {n: e for n, e in CATALOGUE.items() if n in library and e.is_cheap}
+        leaks = frozenset(n for n, e in cheap.items() if "leakage" in e.laws)
+        #: Effects that share a kernel. To a kernel each state adds a tenth. The slope of the leakage is a difference over all
+        #: effects on it, in which rounding shows: so they are always together.
+        self._shared = frozenset(n for n, e in cheap.items() if not e.states) - leaks, leaks
 
     def with_parts(self, parts: list[Part], every_row: bool) -> DynamicRig:
         return DynamicRig(
@@ -197,14 +201,14 @@ class DynamicRig:
     def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
         """The effects to compile in; what is neutral changes no bit, but costs time.
 
-        So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for each
-        heavy one, and one for it and all light ones. Long refits are many of few effects: there is one kernel for these and
-        all corrections of their form."""
+        So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for those of the
+        leakage, one for each other one, and one for it and those it is combined with. Long refits are many of few effects: there
+        is one kernel for these and all corrections of their form."""
         if self._of_few(effects):
             forms = {name for effect in effects for name in CORRECTIONS.get(effect, {})}
             return tuple(n for n in CATALOGUE if n in effects or n in forms)
-        shared = self._light if effects & self._light else frozenset()
-        return tuple(n for n in CATALOGUE if n in effects or n in shared)
+        wanted = effects.union(*(group for group in self._shared if group & effects))
+        return tuple(n for n in CATALOGUE if n in wanted)
 
     def _of_few(self, effects: Collection[str]) -> bool:
         return self.own_kernels or any(CATALOGUE[n].family == FAMILY for n in effects)

@@ -160,7 +160,7 @@ class Effect:
         called = {name for law in self.laws.values() for name in law.__code__.co_names}
         asked = set() if self.corner is None else {*arguments(self.corner)}
         bends = not asked <= {"substep", *PARAMETERS, *(p.name for p in self.parameters)}
-        costly = bends or self.delays_command or self.states or called & TRANSCENDENTAL
+        costly = bends or self.delays_command or len(self.states) > 1 or called & TRANSCENDENTAL
         return self.scope == "channel" and not costly
 
     def parts_every_step(self, values: Mapping[str, float]) -> bool:
