@@ -201,9 +201,9 @@ class DynamicRig:
     def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
         """The effects to compile in; what is neutral changes no bit, but costs time.
 
-        So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for those of the
-        leakage, one for each other one, and one for it and those it is combined with. Long refits are many of few effects: there
-        is one kernel for these and all corrections of their form."""
+        So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for those of
+        the leakage, one for each other one, and one for it and those it is combined with. Long refits are many of few effects:
+        there is one kernel for these and all corrections of their form."""
         if self._of_few(effects):
             forms = {name for effect in effects for name in CORRECTIONS.get(effect, {})}
             return tuple(n for n in CATALOGUE if n in effects or n in forms)
