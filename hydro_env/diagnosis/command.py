@@ -10,6 +10,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from ..files import write_json, write_text
+from ..pages import import_in_background
 from .result import Diagnosis
 from .settings import Settings
 from .stages.next_experiment import FILE as NEXT_EXPERIMENT
@@ -37,6 +38,7 @@ def run(
             else:
                 bar.set_description(text)
 
+        import_in_background()
         found = diagnose(
             fit_logs, sealed, model, mapping, jobs=jobs or _cores(), steady=steady, accept=accept,
             settings=settings, progress=progress,

@@ -12,9 +12,12 @@ from __future__ import annotations
 import io
 import json
 import re
+from contextlib import suppress
+from importlib import import_module
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from hydro_env.files import write_bytes
@@ -22,7 +25,7 @@ from hydro_env.files import write_bytes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["COLOURS", "figure", "fill", "legend", "png", "render", "svg"]
+__all__ = ["COLOURS", "figure", "fill", "import_in_background", "legend", "png", "render", "svg"]
 
 COLOURS = ("#2b83ba", "#e07b39", "#3f9b5f", "#a35aa8", "#8a8f98", "#c5a100")
 """Line colours that can be told apart on white and on dark, also by most colour-blind eyes."""
@@ -41,6 +44,17 @@ RC: Any = {
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.4,
 }
+
+
+def import_in_background() -> None:
+    """Begins to import what pictures and pages need, while this thread goes on: it takes half a second."""
+
+    def work() -> None:
+        for name in ("matplotlib.figure", "matplotlib.backends.backend_svg", "jinja2"):
+            with suppress(ImportError):  # who draws says what is missing
+                import_module(name)
+
+    Thread(target=work).start()
 
 
 def render(template: Path | Traversable, **values: Any) -> str:

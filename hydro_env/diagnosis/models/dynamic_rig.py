@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from heapq import heapreplace
 from math import gcd
 from typing import Any
 
@@ -24,11 +25,16 @@ SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
 #: never longer than the second number, s. Preloaded springs are 0.02 rpm off then in a log of 12 s, at most 0.13. The proof has
 #: no such substeps: with 500 us, shafts that rattle for 12 s were 0.4 rpm off.
 PARTED_SUBSTEP, LONGEST_SUBSTEP = 100e-6, 1e-3
-#: Rigs that go through the kernel together. A substep takes as long for 4 as for 8, and a third longer for 16: instructions wait
-#: for each other's results, not for room in the registers.
-BLOCKS = (8, 16)
 #: Numbers of the fit and of the proof. Single precision moves a speed by a tenth of what the fit's substep does.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
+#: By numbers: how many rigs go through the kernel together, and how long that takes. Up to one register of the processor
+#: instructions wait for each other's results, beyond it for room.
+BLOCKS: dict[type[np.floating[Any]], dict[int, float]] = {
+    np.float32: {8: 1.0, 16: 1.7},
+    np.float64: {4: 0.6, 8: 1.0},
+}
+#: What an effect that is compiled in adds to the time of a kernel without any.
+EFFECT_SHARE = 0.06
 #: Base parameters that calibration may adjust. V is left out (never separated from beta), u_rated and x_max are settings.
 BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
 _RECORDED = {
@@ -43,14 +49,16 @@ _RECORDED = {
 
 @dataclass(frozen=True)
 class _Batch:
-    """Lanes that go through a kernel together: its effects, the substep and the period of the logs, s, and the block. A lane is
-    a rig that runs through a log: the number of the log, and one request number for each side of the rig, or one for both."""
+    """Lanes that go through a kernel together: its effects, the substep and the period of the logs, s, the block, and how long
+    each unit of `BLOCKS` takes. A lane is a rig that runs through a log: the number of the log, and one request number for each
+    side of the rig, or one for both."""
 
     effects: tuple[str, ...]
     step: float
     period: float
     lanes: list[tuple[int, list[int]]]
     block: int
+    weight: float
 
 
 class DynamicRig:
@@ -87,7 +95,11 @@ class DynamicRig:
         self.notes: list[str] = []
         self.own: dict[str, Parameter] = {}
         library = {*self.candidates(), *without}
-        self._light = frozenset(n for n, e in CATALOGUE.items() if n in library and e.is_cheap)
+        cheap = {n: e for n, e in CATALOGUE.items() if n in library and e.is_cheap}
+        leaks = frozenset(n for n, e in cheap.items() if "leakage" in e.laws)
+        #: Effects that share a kernel. To a kernel each state adds a tenth. The slope of the leakage is a difference over all
+        #: effects on it, in which rounding shows: so they are always together.
+        self._shared = frozenset(n for n, e in cheap.items() if not e.states) - leaks, leaks
 
     def with_parts(self, parts: list[Part], every_row: bool) -> DynamicRig:
         return DynamicRig(
@@ -167,17 +179,22 @@ class DynamicRig:
             key = (self.kernel(request.effects), parts, self._step(request))
             by_kernel.setdefault(key, []).append(number)
         batches: list[_Batch] = []
-        for (effects, _, step), numbers in by_kernel.items():
+        widths = BLOCKS[self.dtype]
+        for (effects, parts, step), numbers in by_kernel.items():
             rigs = self._pack([(n, requests[n]) for n in numbers])
             for period, logs in self._logs.items():
                 lanes = [(log, rig) for log in logs for rig in rigs]
-                for start, stop, block in _pieces(len(lanes), self.jobs):
-                    batches.append(_Batch(effects, step, period, lanes[start:stop], block))
+                rows = max(len(self.parts[log].log) for log in logs)
+                weight = rows * period / step * parts * (1.0 + EFFECT_SHARE * len(effects))
+                for start in range(0, len(lanes), max(widths)):
+                    own = lanes[start : start + max(widths)]
+                    batches.append(_Batch(effects, step, period, own, _block(len(own), widths), weight))
 
         def work(batch: _Batch) -> None:
             self._run(batch, requests, results)
 
         # A request's result does not depend on who simulates it or beside what; every one has its place in `results`.
+        batches = _shared_out(batches, widths, self.jobs)
         for _ in map(work, batches) if self._pool is None else self._pool.map(work, batches):
             pass
         return results
@@ -185,14 +202,14 @@ class DynamicRig:
     def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
         """The effects to compile in; what is neutral changes no bit, but costs time.
 
-        So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for each
-        heavy one, and one for it and all light ones. Long refits are many of few effects: there is one kernel for these and
-        all corrections of their form."""
+        So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for those of
+        the leakage, one for each other one, and one for it and those it is combined with. Long refits are many of few effects:
+        there is one kernel for these and all corrections of their form."""
         if self._of_few(effects):
             forms = {name for effect in effects for name in CORRECTIONS.get(effect, {})}
             return tuple(n for n in CATALOGUE if n in effects or n in forms)
-        shared = self._light if effects & self._light else frozenset()
-        return tuple(n for n in CATALOGUE if n in effects or n in shared)
+        wanted = effects.union(*(group for group in self._shared if group & effects))
+        return tuple(n for n in CATALOGUE if n in wanted)
 
     def _of_few(self, effects: Collection[str]) -> bool:
         return self.own_kernels or any(CATALOGUE[n].family == FAMILY for n in effects)
@@ -284,16 +301,37 @@ class DynamicRig:
             )  # fmt: skip
 
 
-def _pieces(count: int, jobs: int) -> Iterator[tuple[int, int, int]]:
-    """Rigs from, to, and the block they go in, for `jobs` threads that share them."""
+def _block(count: int, widths: Mapping[int, float]) -> int:
+    """The block for so many rigs."""
+    return min(width for width in widths if width >= count)
 
-    def block_of(rigs: int) -> int:
-        return next((b for b in BLOCKS if b >= rigs), BLOCKS[-1])
 
-    step = block_of(-(-count // jobs))
-    for start in range(0, count, step):
-        stop = min(start + step, count)
-        yield start, stop, block_of(stop - start)
+def _shared_out(batches: Sequence[_Batch], widths: Mapping[int, float], jobs: int) -> list[_Batch]:
+    """The batches, the longest first, cut as far as `jobs` threads are then done earlier."""
+
+    def time(batch: _Batch) -> float:
+        return batch.weight * widths[batch.block]
+
+    def done(ordered: Sequence[_Batch]) -> float:
+        ends = [0.0] * jobs
+        for batch in ordered:
+            heapreplace(ends, ends[0] + time(batch))
+        return max(ends)
+
+    ordered = sorted(batches, key=time, reverse=True)
+    while True:
+        long = next((b for b in ordered if b.block > min(widths)), None)
+        if long is None:
+            return ordered
+        middle = (len(long.lanes) + 1) // 2
+        halves = [
+            replace(long, lanes=lanes, block=_block(len(lanes), widths))
+            for lanes in (long.lanes[:middle], long.lanes[middle:])
+        ]
+        finer = sorted([*(b for b in ordered if b is not long), *halves], key=time, reverse=True)
+        if done(finer) >= done(ordered):
+            return ordered
+        ordered = finer
 
 
 def _parts(effect: Effect) -> int:

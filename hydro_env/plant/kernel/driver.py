@@ -67,16 +67,22 @@ def delay(at, cells, ring, end, substep):  # type: ignore[no-untyped-def]
     """Where a substep (s) begins, the command goes to a slot of the ring (slots, lanes) and one from as many slots before as it
     is late, with a fraction, to the valve. `end`: the slot after the last one of this row."""
     lanes, slots = 2 * at[HALF], ring.shape[0]
+    end %= slots
+    todo_row, left_row, late_row = at[TODO] * lanes, at[LEFT] * lanes, at[LATE] * lanes
+    command_row, applied_row = at[COMMAND] * lanes, at[APPLIED] * lanes
     for lane in range(lanes):
-        todo = int(cells[at[TODO] * lanes + lane])
-        if todo > 0 and cells[at[LEFT] * lanes + lane] <= 0.0:
-            slot = (end - todo) % slots
-            ring[slot, lane] = cells[at[COMMAND] * lanes + lane]
-            late = min(cells[at[LATE] * lanes + lane] / substep, slots - 2.0)
+        todo = int(cells[todo_row + lane])
+        if todo > 0 and cells[left_row + lane] <= 0.0:
+            slot = end - todo
+            while slot < 0:  # seldom more than once; a division for each lane takes as long as all the rest
+                slot += slots
+            ring[slot, lane] = cells[command_row + lane]
+            late = min(cells[late_row + lane] / substep, slots - 2.0)
             whole = int(late)
             share = late - whole
-            newer, older = ring[(slot - whole) % slots, lane], ring[(slot - whole - 1) % slots, lane]
-            cells[at[APPLIED] * lanes + lane] = (1.0 - share) * newer + share * older
+            newer = slot - whole if slot >= whole else slot - whole + slots
+            older = newer - 1 if newer > 0 else slots - 1
+            cells[applied_row + lane] = (1.0 - share) * ring[newer, lane] + share * ring[older, lane]
 
 
 @_nogil
