@@ -549,6 +549,7 @@ SHORT = (
     "servo_pid",
     "oracle",
     "ppo",
+    "sac",
     "gru",
 )
 SPEED = (

@@ -90,6 +90,7 @@ CONTROLLERS: dict[str, Entry] = {
         _tuned("servo_pid", "PID behind a ramp, on the same motors behind servo valves"),
         _tuned("oracle", "model-predictive control with the true plant: the bound"),
         _policy("ppo", "network from the observation alone, trained with PPO"),
+        _policy("sac", "network from the observation alone, trained with SAC"),
         _policy("gru", "recurrent network from the observation alone"),
         _policy("gru_rig", "recurrent network for the preset `rig`", apart=True),
         _law(RigFlow, "probing_flow_rig", "`probing_flow` with settings for the preset `rig`", apart=True),

@@ -12,7 +12,7 @@ __all__ = ["RECIPES", "recipe"]
 RECIPES = {
     "ppo": "the shipped agent `ppo`, from the plain observation, in a quarter of an hour",
     "ppo_short": "the same with a smaller reward, in three minutes",
-    "sac": "the same by SAC, in seven minutes; no agent of it ships",
+    "sac": "the shipped agent `sac`, the same by SAC, in seven minutes",
     "ppo_quick": "a few seconds of PPO, to see that it works",
     "sac_quick": "a few seconds of SAC, to see that it works",
 }

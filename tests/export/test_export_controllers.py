@@ -32,7 +32,7 @@ CLASSICAL = (
 )  # fmt: skip
 IN_TEXT = tuple(name for name in CLASSICAL if name != "disturbance_observer")
 LAWS = ("adaptive_flow", "probing_flow", "bench_flow", "probing_flow_rig")
-NETWORKS = ("ppo", "gru", "gru_rig")
+NETWORKS = ("ppo", "sac", "gru", "gru_rig")
 Act = Callable[[np.ndarray], np.ndarray]
 
 
