@@ -218,7 +218,9 @@ class DynamicRig:
         """The substep of a request, which does not depend on what is simulated beside it."""
         if self.substep != SUBSTEP or (self.coupled and request.channel is not None):
             return self.substep
-        parts = [e.corner_parts for e in map(CATALOGUE.__getitem__, request.effects) if _all_parted(e, request)]
+        parts = [
+            e.corner_parts for e in map(CATALOGUE.__getitem__, request.effects) if _all_parted(e, request)
+        ]
         longest = min(max(parts, default=0) * PARTED_SUBSTEP, LONGEST_SUBSTEP, self.period)
         return max(longest, self.substep)
 

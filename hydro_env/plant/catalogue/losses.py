@@ -63,7 +63,9 @@ _HYDRODYNAMIC = Parameter(
 )  # fmt: skip
 
 
-def _loss_model(name: str, title: str, summary: str, signature: str, source: str, parameters, laws, corner) -> Effect:  # type: ignore[no-untyped-def]
+def _loss_model(  # type: ignore[no-untyped-def]
+    name: str, title: str, summary: str, signature: str, source: str, parameters, laws, corner
+) -> Effect:
     return Effect(
         name=name, port="motor", parameters=parameters, title=title, summary=summary, signature=signature, source=source,
         laws=laws, corner=corner, indistinguishable_from=_ALIKE, family=FAMILY,
@@ -192,7 +194,8 @@ def _jeong_torque(
 def _jeong_corner(speed, pressure, friction, constant_torque, stribeck, stribeck_speed, D, J, substep):
     gain = substep * abs(D * pressure) / J
     falls = stribeck * (friction * gain + substep * constant_torque / J) > 0.02 * stribeck_speed
-    return friction + constant_torque > 0.0 and abs(speed) < 1.0 + gain + (3.0 * stribeck_speed if falls else 0.0)
+    falling = 3.0 * stribeck_speed if falls else 0.0
+    return friction + constant_torque > 0.0 and abs(speed) < 1.0 + gain + falling
 
 
 JEONG_LOSSES = _loss_model(

@@ -73,9 +73,8 @@ def delay(at, cells, ring, end, substep):  # type: ignore[no-untyped-def]
     for lane in range(lanes):
         todo = int(cells[todo_row + lane])
         if todo > 0 and cells[left_row + lane] <= 0.0:
-            slot = end - todo
-            while slot < 0:  # seldom more than once; a division for each lane takes as long as all the rest
-                slot += slots
+            slot = end - todo  # a division for each lane would take as long as all the rest
+            slot = slot if slot >= 0 else slot % slots
             ring[slot, lane] = cells[command_row + lane]
             late = min(cells[late_row + lane] / substep, slots - 2.0)
             whole = int(late)
