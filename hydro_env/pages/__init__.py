@@ -124,12 +124,16 @@ def svg(drawing: Figure, alt: str) -> Any:
     """The figure as inline SVG (`Markup`) that takes its text colour and font from the page."""
     import matplotlib
     from markupsafe import Markup, escape
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     buffer = io.StringIO()
     _as_written(drawing)
     with matplotlib.rc_context(RC):
         _lay_out(drawing)
-        drawing.savefig(buffer, format="svg", transparent=True, metadata={"Date": None})
+        for ground in (drawing.patch, *(axis.patch for axis in drawing.axes)):
+            ground.set_visible(False)
+        # `savefig` would draw everything once more before it writes, for a layout that is done.
+        FigureCanvasSVG(drawing).print_svg(buffer, metadata={"Date": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :].replace(INK, "currentColor")
     text = re.sub(
@@ -153,13 +157,18 @@ def _lay_out(drawing: Figure) -> None:
 
 def _as_written(drawing: Figure) -> None:
     """Shows all texts but the numbers at the axes as they are: a name with two "$" is no formula."""
-    from matplotlib.axis import Tick
     from matplotlib.text import Text
 
-    numbers = {id(text) for tick in drawing.findobj(Tick) for text in tick.findobj(Text)}
-    for text in drawing.findobj(Text):
-        if id(text) not in numbers:
-            text.set_parse_math(False)
+    texts = list(drawing.texts)
+    for axis in drawing.axes:
+        texts += [child for child in axis.get_children() if isinstance(child, Text)]
+        texts += [
+            axis.xaxis.label,
+            axis.yaxis.label,
+            *(key.get_texts() if (key := axis.get_legend()) else ()),
+        ]
+    for text in texts:
+        text.set_parse_math(False)
 
 
 def png(drawing: Figure, path: Path) -> None:
