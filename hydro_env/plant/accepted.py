@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
@@ -110,7 +112,7 @@ def _check_shaft(model: PlantModel, channel: int, where: str) -> None:
 
 
 def _check_corners(model: PlantModel, channel: int, where: str) -> None:
-    """InputError for a valve or throttle that passes oil too quickly for its volume."""
+    """InputError for a valve, throttle, leakage or dry friction that is too quick for its volume or inertia."""
     for effect in map(CATALOGUE.__getitem__, model.declared):
         if effect.least_parts is None:
             continue
@@ -119,15 +121,34 @@ def _check_corners(model: PlantModel, channel: int, where: str) -> None:
             continue
         asked = [n for n in arguments(effect.least_parts) if n != "substep"]
         values = {n: own[n] if n in own else model.value(n, channel) for n in asked}
-        least = effect.least_parts(substep=model.substep, **values)
+        wanted = partial(_wanted, effect.least_parts, model.substep, values)
         most = MOST_FINER * effect.corner_parts
-        if least > (1.0 + _AT_END) * most:
-            p = effect.parameter("conductance")
-            others = ", ".join(n for n in asked if n != p.name)
+        if wanted((), 1.0) > (1.0 + _AT_END) * most:
+            # Those of which more would be worse still; a larger volume, say, would help.
+            sizes = [n for n in asked if n in own and wanted((n,), 4.0) > wanted((), 1.0)]
+            share = _largest_share(partial(wanted, sizes), most)
+            p = effect.parameter(max(sizes, key=values.__getitem__))
+            others = ", ".join(n for n in asked if n not in sizes)
             raise InputError(
-                f"{where}: channel {channel + 1}: {effect.name}.conductance is {with_unit(own[p.name], p)}; with these {others}"
-                f" {with_unit(float(f'{own[p.name] * most / least:.3g}'), p)} or less can be simulated"
+                f"{where}: channel {channel + 1}: {effect.name}.{p.name} is {with_unit(own[p.name], p)}; with these {others}"
+                f" {with_unit(float(f'{share * own[p.name]:.3g}'), p)} or less can be simulated"
             )
+
+
+def _wanted(
+    law: Callable[..., float], substep: float, values: dict[str, float], names: Sequence[str], share: float
+) -> float:
+    """How many parts a law wants, with so many times the values of these names."""
+    return float(law(substep=substep, **values | {n: share * values[n] for n in names}))
+
+
+def _largest_share(wanted: Callable[[float], float], most: float) -> float:
+    """The share in [0, 1] at which `wanted`, which grows with it, reaches `most`."""
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if wanted(middle) <= most else (low, middle)
+    return low
 
 
 def with_unit(value: float, parameter: Parameter) -> str:

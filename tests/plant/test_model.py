@@ -86,6 +86,10 @@ def test_any_model_survives_a_round_trip(
             r"channel 1: anti_cavitation.conductance is 3e-09 .* 8.08e-10 m3/\(s Pa\) or less can be simulated",
         ),
         (
+            {"V": 2e-6, "beta": 1.9e10, "Km": 0.0, "Kq": 7.5, "ivantysyn_losses.flow_pp": 1e-16},
+            r"channel 1: ivantysyn_losses.flow_pp is 1e-16 .* with these Kq, x_max, Km, beta, V \d\S+ m3/\(s Pa2\) or less",
+        ),
+        (
             {"D": 0.1, "dead_zone.overlap_positive": 1e-4},
             "channel 1: D is 0.1; with these J, beta, V and with effects 0.00238 m3/rad or less can be simulated",
         ),
