@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hydro_env.diagnosis.estimation import Estimate, Fit, base_unknown, solve
-from hydro_env.diagnosis.models.base import Request, Segment
+from hydro_env.diagnosis.models.base import Request, Segment, Segments
 from hydro_env.plant import PARAMETERS
 
 #: Noise of the speed, rad/s.
@@ -27,7 +27,7 @@ class LinearRig:
     simulation_is_cheap: bool = False
     has_hidden_states: bool = True
     signals: int = 1
-    segments: dict[int, list[Segment]] = field(default_factory=dict)
+    segments: dict[int, Segments] = field(default_factory=dict)
 
     def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
         return [{0: np.tile(self.speed(dict(r.values)), self.signals)} for r in requests]  # type: ignore[arg-type]
@@ -53,7 +53,7 @@ def logged(curves: dict[str, np.ndarray], truth: dict[str, float], rows: int) ->
     rig, every = LinearRig(curves, time_of(rows)), np.arange(rows)
     noise = NOISE[0, "speed"] * np.random.default_rng(0).standard_normal(rows)
     used, place = np.ones(rows, bool), slice(0, rows)
-    rig.segments[0] = [Segment(0, 0, "speed", rig.speed(truth) + noise, every, used, PERIOD, place)]
+    rig.segments[0] = Segments([Segment(0, 0, "speed", rig.speed(truth) + noise, every, used, PERIOD, place)])
     base = Estimate(0, [base_unknown(PARAMETERS["J"], PARAMETERS["J"].nominal)], np.zeros(1), "calibrated")
     fit = Fit(rig, NOISE)  # type: ignore[arg-type]
     solve(fit, [base], 4)

@@ -25,7 +25,7 @@ from hydro_env.diagnosis.estimation import (
 )
 from hydro_env.diagnosis.estimation.growing_horizon import beginning_of
 from hydro_env.diagnosis.input.parts import read_parts
-from hydro_env.diagnosis.models.base import Request
+from hydro_env.diagnosis.models.base import Request, Segment, Segments
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import as_given, base_unknowns, calibrate
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, simulate
@@ -107,13 +107,13 @@ def test_a_copy_of_an_estimate_keeps_its_own_derivatives() -> None:
         0, machine.unknowns, np.full(len(machine.unknowns), 0.2), together=tuple(SCALED_TOGETHER)
     )
     problem.simulated = machine.predict([problem.request()])[0]
-    differentiate(Fit(machine, {}), [problem])  # type: ignore[arg-type]
+    differentiate(Fit(machine, {(0, "speed"): 1.0}), [problem])  # type: ignore[arg-type]
     before = problem.columns[0].copy()
     twin = replace(problem, q=problem.q.copy())
     machine.matrix = 2.0 * machine.matrix
     for only in (None, [[1, 2]]):
         twin.simulated = machine.predict([twin.request()])[0]
-        differentiate(Fit(machine, {}), [twin], only)  # type: ignore[arg-type]
+        differentiate(Fit(machine, {(0, "speed"): 1.0}), [twin], only)  # type: ignore[arg-type]
         np.testing.assert_array_equal(problem.columns[0], before)
         assert not np.array_equal(twin.columns[0], before)
 
@@ -124,7 +124,10 @@ class _Linear:
     channels = (0,)
 
     def __init__(self, unknowns: list[Unknown]) -> None:
-        self.segments: dict[int, list[object]] = {0: []}
+        rows = np.arange(20)
+        self.segments = {
+            0: Segments([Segment(0, 0, "speed", np.zeros(20), rows, rows >= 0, 1e-3, slice(0, 20))])
+        }
         self.unknowns = unknowns
         self.matrix = np.random.default_rng(0).standard_normal((20, len(unknowns)))
 
@@ -139,7 +142,7 @@ def test_derivatives_along_a_direction_are_those_of_every_unknown() -> None:
         0, machine.unknowns, np.full(len(machine.unknowns), 0.2), together=tuple(SCALED_TOGETHER)
     )
     problem.simulated = machine.predict([problem.request()])[0]
-    differentiate(Fit(machine, {}), [problem])  # type: ignore[arg-type]
+    differentiate(Fit(machine, {(0, "speed"): 1.0}), [problem])  # type: ignore[arg-type]
     np.testing.assert_allclose(problem.columns[0], machine.matrix, rtol=1e-9, atol=1e-9)
 
 

@@ -246,6 +246,7 @@ def test_the_terminal_names_known_parameters_to_check(
     ]
     rows[1] = dataclasses.replace(rows[1], symbol="Kq")
     monkeypatch.setattr(summary, "known_parameters", lambda rig, estimates: rows)
+    assert found.model.name  # made with the parameters that the rig has, and kept
     monkeypatch.setattr(found.state.rig, "own", {})
     assert "J_1 +63 %, Kq_1 +20 %; check J_1: further than usual" in found.summary()
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from hydro_env.diagnosis.estimation import Estimate, Fit, unpredictable
 from hydro_env.diagnosis.estimation.uncertainty import Intervals
-from hydro_env.diagnosis.models.base import Segment
+from hydro_env.diagnosis.models.base import Segment, Segments
 from hydro_env.diagnosis.stages.candidates import Accepted, Selection
 from hydro_env.diagnosis.stages.validation import Proof
 from hydro_env.diagnosis.stages.verdict import doubts
@@ -32,10 +32,10 @@ def _doubts(
     size = np.where(every < share * ROWS, fit["after"] / np.sqrt(share), 1.0)
     errors = {"speed": size, "pressure": np.ones(ROWS)}
     rng = np.random.default_rng(1)
-    rig.segments[0] = [
+    rig.segments[0] = Segments(
         Segment(0, 0, name, v * rng.standard_normal(ROWS), every, every >= 0, 1e-3, slice(n * ROWS, (n + 1) * ROWS))
         for n, (name, v) in enumerate(errors.items())
-    ]  # fmt: skip
+    )  # fmt: skip
     found = Estimate(0, [], np.zeros(0)).with_effect("load_bias", {"bias": 0.1})
     moved = found.q + apart / found.unknowns[-1].scale
     ends = [np.array([found.unknowns[-1].q(value)]) for value in (low, 0.11)]

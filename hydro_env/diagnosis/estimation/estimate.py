@@ -149,7 +149,7 @@ def joined(estimates: dict[int, Estimate]) -> Estimate:
     whole = Estimate(None, unknowns, q, "rig", simulated={c: p.simulated[c] for c, p in estimates.items()})
     place = 0
     for c, p in estimates.items():
-        matrix = np.zeros((p.simulated[c].size, len(unknowns)))
+        matrix = np.zeros((p.simulated[c].size, len(unknowns)), order="F")
         if c in p.columns:
             matrix[:, place : place + len(p.unknowns)] = p.columns[c]
         whole.columns[c] = matrix

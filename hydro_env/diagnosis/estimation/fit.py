@@ -7,12 +7,12 @@ few events that it misses (a spool that sticks a moment longer) do not drown the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..models.base import BLOCK_S, RigModel, Segment
+from ..models.base import BLOCK_S, Joined, RigModel
 from ..settings import Settings
 from .estimate import Estimate, Vector
 from .noise import effective_samples, noise_floor
@@ -78,12 +78,14 @@ class Fit:
 
         Unlike an RMS it is not a matter of a few events, such as a spool that meets its end stop a millisecond late.
         """
-        sums: dict[str, list[float]] = {}
-        for s, _, count, power in self._powers(simulated, channel):
-            entry = sums.setdefault(s.signal, [0.0, 0.0])
-            entry[0] += float(count @ np.log(power / self.noise[channel, s.signal] ** 2))
-            entry[1] += float(count.sum())
-        return {name: max(total / max(n, 1.0) - float(np.log(2.0)), 0.0) for name, (total, n) in sums.items()}
+        j, power = self._powers(simulated, channel)
+        found = {}
+        for number, signal in enumerate(j.signals):
+            own = j.signal == number
+            count = j.count[own]
+            total = float(count @ np.log(power[own] / self.noise[channel, signal] ** 2))
+            found[signal] = max(total / max(float(count.sum()), 1.0) - float(np.log(2.0)), 0.0)
+        return found
 
     def level(self, estimate: Estimate) -> float:
         """The largest level of all signals of an estimate's channels."""
@@ -99,16 +101,12 @@ class Fit:
         )
 
     # --- likelihood -------------------------------------------------------------------------------------------------------
-    def _powers(self, simulated: Vector, channel: int) -> Iterator[tuple[Segment, Vector, Vector, Vector]]:
-        """By segment: the first row of every block (b,), the rows of it that count, and the power of noise and error (b,).
-
-        The power is the mean square of the error plus the noise's.
-        """
-        for s in self.rig.segments[channel]:
-            first, count = s.blocks
-            error = s.error(simulated)
-            mean = np.add.reduceat(error * error, first) / np.maximum(count, 1.0)
-            yield s, first, count, mean + self.noise[channel, s.signal] ** 2
+    def _powers(self, simulated: Vector, channel: int) -> tuple[Joined, Vector]:
+        """The samples of a channel, and the power of each block (b,): the mean square of the error plus the noise's."""
+        j = self.rig.segments[channel].joined
+        error = np.where(j.used, j.filled - simulated, 0.0)
+        mean = np.add.reduceat(error * error, j.first) / np.maximum(j.count, 1.0)
+        return j, mean + np.array([self.noise[channel, signal] ** 2 for signal in j.signals])[j.signal]
 
     def cost(self, estimate: Estimate, simulated: dict[int, Vector], q: Vector) -> float:
         """Twice the negative log-likelihood with an unknown variance in every block, plus priors; inf for a failed simulation."""
@@ -116,9 +114,17 @@ class Fit:
         for channel in self.channels_of(estimate):
             if not np.isfinite(simulated[channel]).all():
                 return np.inf
-            for _, _, count, power in self._powers(simulated[channel], channel):
-                total += float(count @ np.log(power))
+            j, power = self._powers(simulated[channel], channel)
+            total += float(j.count @ np.log(power))
         return total
+
+    def cost_of_noise(self, estimate: Estimate) -> float:
+        """The cost of an error that is the noise alone, without priors."""
+        found = 0.0
+        for channel in self.channels_of(estimate):
+            for s in self.rig.segments[channel]:
+                found += float(s.blocks[1].sum() * np.log(2.0 * self.noise[channel, s.signal] ** 2))
+        return found
 
     def evaluate(self, estimates: Sequence[Estimate]) -> None:
         """Simulates every estimate and sets `simulated` and `cost`."""
@@ -133,11 +139,8 @@ class Fit:
 
     def weights(self, simulated: Vector, channel: int) -> Vector:
         """One over the standard deviation of every sample (n,), 0 for rows that do not count."""
-        weights = np.zeros(simulated.size)
-        for s, first, _, power in self._powers(simulated, channel):
-            sizes = np.diff(first, append=s.rows.size)
-            weights[s.place] = s.used / np.sqrt(np.repeat(power, sizes))
-        return weights
+        j, power = self._powers(simulated, channel)
+        return j.used / np.sqrt(np.repeat(power, np.diff(j.first, append=simulated.size)))
 
     # --- likelihood ratio -------------------------------------------------------------------------------------------------
     def gain(self, smaller: Estimate, larger: Estimate, channels: Sequence[int] | None = None) -> float:
@@ -174,9 +177,11 @@ class Fit:
     def cost_by_stretch(self, estimate: Estimate, channel: int, stretch_s: float) -> Vector:
         """The cost, without priors, of a channel's logs in stretches of time (m,)."""
         found: dict[tuple[int, int], float] = {}
-        for s, first, count, power in self._powers(estimate.simulated[channel], channel):
-            for n, value in zip(s.stretches(stretch_s)[first], count * np.log(power), strict=True):
-                found[s.log, n] = found.get((s.log, n), 0.0) + float(value)
+        j, power = self._powers(estimate.simulated[channel], channel)
+        costs = iter(j.count * np.log(power))
+        for s in self.rig.segments[channel]:
+            for n in s.stretches(stretch_s)[s.blocks[0]]:
+                found[s.log, n] = found.get((s.log, n), 0.0) + float(next(costs))
         return np.array([found[key] for key in sorted(found)])
 
     # --- normal equations -------------------------------------------------------------------------------------------------
@@ -188,7 +193,7 @@ class Fit:
             simulated = estimate.simulated[channel]
             weights = self.weights(simulated, channel)
             columns = estimate.columns[channel] * weights[:, None]
-            measured = np.concatenate([s.filled for s in self.rig.segments[channel]])
+            measured = self.rig.segments[channel].joined.filled
             matrix += columns.T @ columns
             side += columns.T @ ((measured - simulated) * weights)
         return matrix.reshape(prior.size, prior.size), side

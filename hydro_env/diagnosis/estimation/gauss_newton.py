@@ -28,6 +28,9 @@ STEP_FACTORS = (4.0, 2.0, 1.0, 0.4, 0.1)
 LONGEST_STEP = 3.0
 #: Starts of an estimate that are nearer than this in every q have met.
 MET = 0.05
+#: An iteration is idle if it takes away less than this share of what the cost is above that of the noise alone. Where something
+#: is missing, the other parameters creep for long, and to no use: they move again once it is there.
+IDLE_SHARE = 0.0005
 
 
 def solve(
@@ -39,13 +42,14 @@ def solve(
     `races` are starts of the same estimate, or competing candidates, improved in the same way, of which only the best one will
     be used: one that cannot become the best any more ends early (`_out_of_race`).
 
-    An estimate ends early once no step size of the differences lowers its cost by `tolerance`, or one does not and it is at the
-    noise already. One that brings `columns` along (from a smaller one) uses them in its first step.
+    An estimate ends early once no step size of the differences lowers its cost by `tolerance` (or `IDLE_SHARE`), or one does not
+    and it is at the noise already. One that brings `columns` along (from a smaller one) uses them in its first step.
     """
     fit.evaluate([p for p in estimates if not p.simulated])
     live = [p for p in estimates if p.unknowns and np.isfinite(p.cost)]
     stalled = dict.fromkeys(map(id, live), 0)
     falls: dict[int, list[float]] = {id(p): [] for p in live}
+    floors = {id(p): fit.cost_of_noise(p) for p in live}
     for iteration in range(iterations):
         if not live:
             break
@@ -58,7 +62,7 @@ def solve(
             if cost < estimate.cost:
                 estimate.cost, estimate.q, estimate.simulated = cost, q, result
         for p in live:
-            idle = before[id(p)] - p.cost < tolerance
+            idle = before[id(p)] - p.cost < max(tolerance, IDLE_SHARE * (p.cost - floors[id(p)]))
             quiet = idle and fit.at_noise(p)
             stalled[id(p)] = len(DIFFERENCE_STEPS) if quiet else stalled[id(p)] + 1 if idle else 0
             falls[id(p)].append(before[id(p)] - p.cost)
@@ -131,8 +135,13 @@ def differentiate(
         for channel in fit.channels_of(estimate):
             shape = (estimate.simulated[channel].size, len(estimate.unknowns))
             kept = estimate.columns.get(channel)
-            # New ones: an estimate that another was made from may still hold the old ones.
-            fresh = np.zeros(shape) if kept is None or kept.shape != shape or only is None else kept.copy()
+            # New ones: an estimate that another was made from may still hold the old ones. They lie in memory column by column,
+            # as they come.
+            fresh = (
+                np.zeros(shape, order="F")
+                if kept is None or kept.shape != shape or only is None
+                else kept.copy(order="K")
+            )
             estimate.columns = {**estimate.columns, channel: fresh}
         for j, move in own:
             result, moved = next(results), estimate.q + move

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..models.base import RigModel, Segment, view
+from ..models.base import RigModel, Segment, Segments, view
 from ..settings import rule
 from .estimate import Estimate
 from .fit import Fit
@@ -121,9 +121,9 @@ def beginning_of(rig: RigModel, share: float) -> RigModel:
     return view(rig, parts=parts, segments={c: _first(own, rows) for c, own in rig.segments.items()})
 
 
-def _first(segments: Sequence[Segment], rows: Sequence[int]) -> list[Segment]:
+def _first(segments: Sequence[Segment], rows: Sequence[int]) -> Segments:
     """The samples of the first so many rows of each log, which again lie one behind the other in a vector."""
-    place, found = 0, []
+    place, found = 0, Segments()
     for s in segments:
         n = int(np.searchsorted(s.rows, rows[s.log]))
         cut = replace(s, measured=s.measured[:n], rows=s.rows[:n], inside=s.inside[:n])

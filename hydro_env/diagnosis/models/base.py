@@ -18,7 +18,10 @@ from ...plant import Parameter, PlantModel
 from ...units import BAR, LPM, MILLIMETRE, RPM
 from ..input.parts import Part
 
-__all__ = ["BLOCK_S", "LEVEL_FREE", "Request", "RigModel", "UNITS", "Segment", "measured_segments", "view"]
+__all__ = [
+    "BLOCK_S", "LEVEL_FREE", "Request", "RigModel", "UNITS", "Joined", "Segment", "Segments",
+    "measured_segments", "view",
+]  # fmt: skip
 
 #: Rows of one log and signal that a fit looks at, at most; the proof looks at all of them.
 MAX_ROWS = 6000
@@ -99,6 +102,35 @@ class Segment:
         return np.where(self.used, self.filled - simulated[self.place], 0.0)
 
 
+@dataclass(frozen=True)
+class Joined:
+    """The samples of all segments of a channel, one behind the other: `filled` and `used` (n,), the first row of every block of
+    `BLOCK_S` and how many rows of it count (b,), and by block the number of its signal in `signals`."""
+
+    filled: np.ndarray
+    used: np.ndarray
+    first: np.ndarray
+    count: np.ndarray
+    signal: np.ndarray
+    signals: tuple[str, ...]
+
+
+class Segments(list[Segment]):
+    """The segments of a channel, in the order of their places."""
+
+    @cached_property
+    def joined(self) -> Joined:
+        signals = tuple(dict.fromkeys(s.signal for s in self))
+        return Joined(
+            np.concatenate([s.filled for s in self]),
+            np.concatenate([s.used for s in self]),
+            np.concatenate([s.place.start + s.blocks[0] for s in self]),
+            np.concatenate([s.blocks[1] for s in self]),
+            np.concatenate([np.full(s.blocks[0].size, signals.index(s.signal)) for s in self]),
+            signals,
+        )
+
+
 class RigModel(Protocol):
     """A model of the rig with the logs it is fitted to.
 
@@ -109,7 +141,7 @@ class RigModel(Protocol):
     model: PlantModel
     parts: list[Part]
     channels: tuple[int, ...]
-    segments: dict[int, list[Segment]]
+    segments: dict[int, Segments]
     notes: list[str]
     own: dict[str, Parameter]
     simulation_is_cheap: bool
@@ -153,11 +185,11 @@ def view(rig: Rig, **changes: Any) -> Rig:
 
 def measured_segments(
     parts: Sequence[Part], channels: Sequence[int], signals: Sequence[str], every_row: bool
-) -> dict[int, list[Segment]]:
+) -> dict[int, Segments]:
     """The measurements of every channel as segments that lie one behind the other in a vector."""
-    found: dict[int, list[Segment]] = {}
+    found: dict[int, Segments] = {}
     for channel in channels:
-        place, found[channel] = 0, []
+        place, found[channel] = 0, Segments()
         for number, part in enumerate(parts):
             step = 1 if every_row else max(1, -(-len(part.log) // MAX_ROWS))
             rows = np.arange(0, len(part.log), step)

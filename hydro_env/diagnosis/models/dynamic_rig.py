@@ -14,7 +14,7 @@ import numpy as np
 from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, simulate
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY
 from ..input.parts import Part
-from .base import Request, Segment, measured_segments, view
+from .base import Request, Segments, measured_segments, view
 
 __all__ = ["DynamicRig"]
 
@@ -35,6 +35,8 @@ BLOCKS: dict[type[np.floating[Any]], dict[int, float]] = {
 }
 #: What an effect that is compiled in adds to the time of a kernel without any.
 EFFECT_SHARE = 0.06
+#: Bytes of inputs of batches that are kept at most. Those of sixteen lanes of 12 s at 1 kHz take 6 MB.
+MOST_INPUTS = 100_000_000
 #: Base parameters that calibration may adjust. V is left out (never separated from beta), u_rated and x_max are settings.
 BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
 _RECORDED = {
@@ -72,7 +74,7 @@ class DynamicRig:
         self.without, self.dtype = without, dtype
         self.model, self.parts, self.substep, self.jobs, self.progress = model, parts, substep, jobs, progress
         self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
-        self.segments: dict[int, list[Segment]] = measured_segments(
+        self.segments: dict[int, Segments] = measured_segments(
             parts, self.channels, tuple(_RECORDED), every_row
         )
         self.signals = tuple(
@@ -83,6 +85,7 @@ class DynamicRig:
         self._logs: dict[float, list[int]] = {}
         for number in sorted(range(len(parts)), key=lambda n: -len(parts[n].log)):
             self._logs.setdefault(parts[number].log.period, []).append(number)
+        self._kept_inputs: dict[tuple[tuple[int, int, int, int], ...], np.ndarray] = {}
         self.every_row = every_row
         # The plant's kernel lets other threads of this process run beside it.
         self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
@@ -282,25 +285,40 @@ class DynamicRig:
     ) -> tuple[int, dict[str, np.ndarray]]:
         """`plays` (lanes, 2): the channel whose command and load each side has. Returns each how many-th row is there, and the
         signals (rows, lanes, 2)."""
-        lanes = [(log, *sides) for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True)]
-        kinds = list(dict.fromkeys(lanes))
-        longest = max(len(self.parts[log].log) for log, *_ in kinds)
-        inputs = np.zeros((2, longest, len(kinds), 2))  # a lane whose log has ended is at rest
-        for number, (log, *sides) in enumerate(kinds):
-            given = self.parts[log].log
-            inputs[0, : len(given), number] = np.nan_to_num(given.command_V)[:, sides]
-            if given.load is not None:
-                inputs[1, : len(given), number] = np.nan_to_num(given.load)[:, sides]
-        if len(kinds) > 1:
-            inputs = inputs.take([kinds.index(lane) for lane in lanes], axis=2)
-        logs = {log for log, *_ in kinds}
+        inputs = self._inputs(
+            [
+                (log, len(self.parts[log].log), *sides)
+                for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True)
+            ]
+        )
+        logs = {log for log, _ in batch.lanes}
         every = gcd(*(s.step for own in self.segments.values() for s in own if s.log in logs)) or 1
         with np.errstate(all="ignore"):
             return every, simulate(
-                self.model, inputs[0], inputs[1], batch.period, values=values, num_rigs=len(lanes),
+                self.model, inputs[0], inputs[1], batch.period, values=values, num_rigs=len(batch.lanes),
                 effects=batch.effects, record=[_RECORDED[s] for s in self.signals], substep=batch.step, dtype=self.dtype,
                 block=batch.block, every=every,
             )  # fmt: skip
+
+    def _inputs(self, lanes: list[tuple[int, int, int, int]]) -> np.ndarray:
+        """Commands and loads (2, rows, lanes, 2) of lanes: each the first so many rows of a log, and the channel that each side
+        plays; one lane for all if they are alike. Some are kept: the same lanes are asked for again and again."""
+        key = tuple(lanes) if len(set(lanes)) > 1 else (lanes[0],)
+        found = self._kept_inputs.get(key)
+        if found is None:
+            found = np.zeros(
+                (2, max(rows for _, rows, *_ in key), len(key), 2)
+            )  # a lane whose log has ended is at rest
+            for number, (log, rows, *sides) in enumerate(key):
+                given = self.parts[log].log
+                found[0, :rows, number] = np.nan_to_num(given.command_V[:, sides])
+                if given.load is not None:
+                    found[1, :rows, number] = np.nan_to_num(given.load[:, sides])
+            if sum(kept.nbytes for kept in self._kept_inputs.values()) + found.nbytes > MOST_INPUTS:
+                self._kept_inputs.clear()
+            if found.nbytes <= MOST_INPUTS:
+                self._kept_inputs[key] = found
+        return found
 
 
 def _block(count: int, widths: Mapping[int, float]) -> int:

@@ -20,7 +20,7 @@ import numpy as np
 from ...plant import CATALOGUE, PARAMETERS, Parameter, PlantModel
 from ..input.parts import Part, filled
 from .array_laws import apply_laws, argument, elementwise
-from .base import Request, Segment, measured_segments
+from .base import Request, Segments, measured_segments
 
 __all__ = ["SteadyValve"]
 
@@ -52,9 +52,7 @@ class SteadyValve:
         self.without = without
         self.model, self.parts, self.progress = model, parts, progress
         self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
-        self.segments: dict[int, list[Segment]] = measured_segments(
-            parts, self.channels, ("speed",), every_row
-        )
+        self.segments: dict[int, Segments] = measured_segments(parts, self.channels, ("speed",), every_row)
         self.displacement = {c: parts[0].log.displacement[c] or model.value("D", c) for c in self.channels}
         self.flow_gain = flow_gain or {c: self._flow_gain(c) for c in self.channels}
         widest = [v * f for v in self.flow_gain.values() for f in (0.2, 5.0)]

@@ -25,6 +25,8 @@ POINTS = 900
 FAR_OFF = 2.0
 #: Beside errors of so many times the noise its band cannot be seen: what is left then has axes of its own.
 BAND_INVISIBLE = 5.0
+#: Room for numbers and a label on the left of a picture, and for a letter of a label, inches.
+LEFT, LETTER = 0.95, 0.065
 _MODEL_COLOURS = {
     "before": COLOURS[1], "calibrated": COLOURS[5], "placebo": COLOURS[3], NAMED: COLOURS[2], "after": COLOURS[0],
 }  # fmt: skip
@@ -52,7 +54,7 @@ def _trace(found: Diagnosis, segment: Segment) -> tuple[str, Any]:
     name, log = words.signal(segment.signal), proof.rig.parts[segment.log].log
     time, entry = _thin(log.time_s[segment.rows]), proof.errors[channel, segment.signal]
     apart = max(entry["before"], entry["calibrated"]) > BAND_INVISIBLE * entry["noise"]
-    drawing, axes = figure(3 if apart else 2, height=2.1)
+    drawing, axes = figure(3 if apart else 2, height=2.1, left=LEFT)
     measured = np.where(keep, segment.measured, np.nan) / size
     axes[0].plot(time, _thin(measured), color=COLOURS[4], label="measured", linewidth=2.2)
     errors: dict[str, np.ndarray] = {}
@@ -96,7 +98,7 @@ def maps(found: Diagnosis) -> list[tuple[str, Any]]:
 def _map(found: Diagnosis, location: Location) -> tuple[str, Any]:
     rig, channel, form = found.state.rig, location.channel, location.shape
     number = max(set(location.logs), key=location.logs.count) if location.logs else 0
-    drawing, (above, below) = figure(2, height=2.0, share_x=False)
+    drawing, (above, below) = figure(2, height=2.0, share_x=False, left=LEFT)
     x, y, spread = np.array(form.points).reshape(-1, 3).T
     above.axhline(0.0, color=COLOURS[4], linewidth=0.8)
     above.errorbar(x, y, 2.0 * spread, color=COLOURS[1], marker="o", markersize=3.5, capsize=2)
@@ -133,7 +135,9 @@ def _thin(values: np.ndarray) -> np.ndarray:
 def bars(found: Diagnosis) -> Any:
     """RMS errors on the held-out logs in noise units."""
     signals = errors_of(found.state.on_held_out)
-    drawing, (axis,) = figure(1, height=0.8 * len(signals) + 0.9)
+    labels = [f"{s.name} {s.channel + 1}" for s in signals]
+    left = 0.2 + LETTER * max(map(len, labels))
+    drawing, (axis,) = figure(1, height=0.8 * len(signals) + 0.9, left=left)
     formed = bool(found.state.corrections)
     names = ("before", "calibrated", "placebo", *((NAMED,) if formed else ()), "after")
     said = {NAMED: "effects only", "after": "after, with shape correction" if formed else "after"}
@@ -155,7 +159,7 @@ def bars(found: Diagnosis) -> Any:
     axis.set_xlim(0.5, 0.5 * (widest / 0.5) ** (1.0 / 0.85))
     axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.xaxis.set_minor_formatter(lambda value, _: "")
-    axis.set_yticks(rows, [f"{s.name} {s.channel + 1}" for s in signals])
+    axis.set_yticks(rows, labels)
     axis.set_xlabel("RMS error over noise (1, grey line: nothing left to explain)")
     axis.legend(ncols=len(names), **_ABOVE)
     return svg(drawing, "errors of the models in noise units")

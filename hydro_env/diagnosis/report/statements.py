@@ -75,9 +75,11 @@ def _speeds(found: Diagnosis) -> list[SignalErrors]:
 
 
 def headline(found: Diagnosis) -> SignalErrors:
-    """The signal that says most: the speed whose residual fell most, in noise units."""
+    """The signal that says most: the speed whose residual fell most, in noise units, of the channels where something is named."""
+    speeds, named = _speeds(found), {c for effect in found.effects for c in effect.channels}
     return max(
-        _speeds(found), key=lambda e: (e.errors["before"] - e.errors["after"]) / max(e.errors["noise"], 1e-30)
+        [e for e in speeds if e.channel in named] or speeds,
+        key=lambda e: (e.errors["before"] - e.errors["after"]) / max(e.errors["noise"], 1e-30),
     )
 
 

@@ -25,7 +25,7 @@ from ..estimation import (
     grow_horizon,
     solve,
 )
-from ..models.base import RigModel, view
+from ..models.base import RigModel, Segments, view
 from ..settings import rule
 from ..state import Estimates, State
 from .candidates import penalty_per_parameter
@@ -272,7 +272,7 @@ def _effects_only(estimate: Estimate) -> Estimate:
 def _half(rig: RigModel, half: int) -> RigModel:
     """The model with every second stretch of its logs only; the simulations are the same."""
     segments = {
-        c: [replace(s, inside=s.inside & (s.stretches(STRETCH_S) % 2 == half)) for s in own]
+        c: Segments(replace(s, inside=s.inside & (s.stretches(STRETCH_S) % 2 == half)) for s in own)
         for c, own in rig.segments.items()
     }
     return view(rig, segments=segments)
