@@ -119,7 +119,7 @@ def test_without_a_name_nothing_is_corrected() -> None:
     problems = {0: _bare()}
     fit = Fit(_Silent(), {})  # type: ignore[arg-type]
     assert correct_all(fit, problems, {}) == (problems, [])
-    assert correct_placebo(fit, problems, []) == problems
+    assert correct_placebo(fit, problems, problems, []) == problems
 
 
 def test_a_correction_repeats_what_it_corrects_and_a_placebo_does_not_have_it() -> None:

@@ -14,8 +14,8 @@ from ..state import Estimates
 from .screening import Screening
 
 __all__ = [
-    "ACCEPTED", "AT_EDGE", "OUTDONE", "VANISHED", "Accepted", "Candidate", "Search", "Selection", "at_edge", "is_neutral",
-    "judge", "penalty", "penalty_per_parameter",
+    "ACCEPTED", "AT_EDGE", "OUTDONE", "VANISHED", "WITHIN_REACH", "Accepted", "Candidate", "Search", "Selection", "at_edge",
+    "is_neutral", "judge", "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
 REJECT_SMALL_SHARE = rule(
@@ -32,6 +32,8 @@ VANISHED = "vanishes when refitted"
 AT_EDGE = "only at the edge of its plausible range"
 #: An estimate that is nearer to neutral than this share of the usual size has vanished.
 NEUTRAL_SHARE = 0.02
+#: Candidates whose short refit reached less than this share of the best one's are not refitted in full.
+WITHIN_REACH = 0.5
 #: The round under which candidates are listed that were judged after the forward rounds.
 AFTER_ROUNDS = 9
 

@@ -97,7 +97,13 @@ def drop_unneeded(search: Search) -> None:
             continue
         if not far_from_noise(fit, one.without):
             starts.append((one, c, _without(search.present[c], one.without, one.effect)))
-    solve(fit.on(fit.rig.for_long_refits()), [p for *_, own in starts for p in own], SETTLE_ITERATIONS)
+    races = [[search.present[c], *own] for _, c, own in starts]
+    solve(
+        fit.on(fit.rig.for_long_refits()),
+        [p for *_, own in starts for p in own],
+        SETTLE_ITERATIONS,
+        races=races,
+    )
     for one, c, own in starts:
         less = min(own, key=lambda p: p.cost)
         gain = fit.gain(less, search.present[c])

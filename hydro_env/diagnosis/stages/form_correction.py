@@ -85,7 +85,7 @@ def run(state: State) -> State:
     final, placebo, corrections = state.final, state.placebo, state.corrections
     if state.settings.uses(CORRECT_FORM):
         final, corrections = correct_all(fit, final, state.selection.effects_by_channel())
-        placebo = correct_placebo(fit, placebo, corrections)
+        placebo = correct_placebo(fit, placebo, final, corrections)
     refit_found(fit, [p for p in placebo.values() if not far_from_noise(fit, p)])
     return replace(state, final=final, placebo=placebo, corrections=corrections)
 
@@ -207,9 +207,9 @@ def correct_all(
     return found, every
 
 
-def correct_placebo(fit: Fit, placebo: Estimates, kept: Sequence[Correction]) -> Estimates:
+def correct_placebo(fit: Fit, placebo: Estimates, final: Estimates, kept: Sequence[Correction]) -> Estimates:
     """The placebos with as many corrections as the named effects of their channels have, untested: their own ones where there
-    are some, else the same."""
+    are some, else the same. Each is refitted as long as it can still reach what was found."""
     found = dict(placebo)
     for c, estimate in placebo.items():
         for number, k in enumerate(k for k in kept if k.channel in (None, c)):
@@ -219,8 +219,9 @@ def correct_placebo(fit: Fit, placebo: Estimates, kept: Sequence[Correction]) ->
             if name in estimate.effects() or CATALOGUE[name].scope == "rig":
                 continue
             found[c] = estimate = with_correction(estimate, effect, name, k.channel)
-    if changed := [p for c, p in found.items() if p is not placebo[c]]:
-        solve(fit, changed, TRY_ITERATIONS + KEEP_ITERATIONS)
+    if changed := {c: p for c, p in found.items() if p is not placebo[c]}:
+        races = [[final[c], p] for c, p in changed.items()]
+        solve(fit, list(changed.values()), TRY_ITERATIONS + KEEP_ITERATIONS, races=races)
     return found
 
 

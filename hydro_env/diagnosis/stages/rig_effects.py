@@ -9,6 +9,7 @@ from .candidates import (
     ACCEPTED,
     AFTER_ROUNDS,
     OUTDONE,
+    WITHIN_REACH,
     Accepted,
     Candidate,
     Search,
@@ -52,7 +53,10 @@ def select_rig_effects(search: Search) -> None:
     if not tries:
         return
     short_refit(fit, [p for _, p, _, _ in tries])
-    solve(fit, [p for _, p, _, _ in tries], ITERATIONS)
+    # What has not come near by then is not refitted in full, as on a channel.
+    falls = [base.cost - p.cost for p in (full, *(p for _, p, _, _ in tries))]
+    near = [p for _, p, _, _ in tries if base.cost - p.cost > WITHIN_REACH * max(falls)]
+    solve(fit, near, ITERATIONS)
 
     def score(estimate: Estimate, names: Sequence[str]) -> float:
         return fit.gain(base, estimate, fit.rig.channels) - sum(penalty(fit, n) for n in names)

@@ -24,7 +24,7 @@ from ..estimation import (
 )
 from ..settings import rule
 from ..state import State
-from .candidates import ACCEPTED, OUTDONE, VANISHED, Accepted, Search, Selection, judge, penalty
+from .candidates import ACCEPTED, OUTDONE, VANISHED, WITHIN_REACH, Accepted, Search, Selection, judge, penalty
 from .elimination import compare_competing, drop_not_missed, drop_unneeded, prefer_form
 from .form_correction import attempts, refit_attempts
 from .refits import refit_found, short_refit
@@ -42,8 +42,6 @@ COMPETE_ON_BEGINNING = rule(
 FIRST_REFITS, LATER_REFITS = (12, 3), (6, 2)
 #: Iterations of a full refit, and of one where simulating costs next to nothing.
 FULL_ITERATIONS, CHEAP_ITERATIONS = 3, 10
-#: Candidates whose short refit reached less than this share of the best one's are not refitted in full.
-WITHIN_REACH = 0.5
 #: What stays of the residual after an effect is looked into if it is a larger share; no effect has exactly its law.
 WORTH_ANOTHER = 0.01
 
@@ -200,8 +198,12 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     _compete_on_beginning(search, contests)
     accepted = [k.channel for k in contests if _accept_best(search, k, number)]
     if number == 1:
-        long = fit.on(fit.rig.for_long_refits())
-        solve(long, [search.placebo[c] for c in accepted], SETTLE_ITERATIONS)
+        # As far as what was accepted has been, unless they cannot reach it any more.
+        long, races = (
+            fit.on(fit.rig.for_long_refits()),
+            [[search.present[c], search.placebo[c]] for c in accepted],
+        )
+        solve(long, [search.placebo[c] for c in accepted], SETTLE_ITERATIONS, races=races)
     return accepted
 
 
