@@ -31,8 +31,8 @@ HORIZON, SAMPLES = 5, 10
 """Control periods that are planned, and samples of a period at which the planned motion is looked at."""
 COMMANDS, END = 2 * HORIZON, HORIZON * SAMPLES
 """Commands of a plan, channel by channel, and its last sample. (Known to the compiler, which unrolls loops over them.)"""
-LANES = 32
-"""Rigs that are worked on side by side. (With 16 LLVM unrolls the loops over them and finds no vectors in what is left.)"""
+LANES = 64
+"""Rigs that are worked on side by side. (With 32 and less LLVM unrolls loops over them and finds no vectors in what is left.)"""
 CORNER = 2.0
 """Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm."""
 BETWEEN = 100.0
