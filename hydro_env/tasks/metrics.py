@@ -83,9 +83,13 @@ def _longest_apart(trace: Trace) -> tuple[Floats, NDArray[np.bool_]]:
     apart = np.abs(trace.difference_rpm) > SETTLED_RPM
     enough = max(1, round(SETTLED_S / trace.period))  # rows together that end a time out of step
     row = np.arange(len(apart), dtype=np.int32)[:, None]
-    last = np.maximum.accumulate(np.where(apart, row, np.int32(-enough - 1)), axis=0)  # last row with the motors apart
+    last = np.maximum.accumulate(
+        np.where(apart, row, np.int32(-enough - 1)), axis=0
+    )  # last row with the motors apart
     before = np.concatenate([np.full_like(last[:1], -enough - 1), last[:-1]])
-    first = np.maximum.accumulate(np.where(apart & (row - before > enough), row, np.int32(0)), axis=0)  # in which that time began
+    first = np.maximum.accumulate(
+        np.where(apart & (row - before > enough), row, np.int32(0)), axis=0
+    )  # in which that time began
     long = np.where(apart, row + 1 - first, np.int32(0))
     longest = long.max(axis=0)
     end = np.where(longest > 0, long.argmax(axis=0), -enough - 1)  # last row of the longest time out of step
