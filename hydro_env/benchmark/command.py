@@ -43,6 +43,10 @@ BASELINE = "pid_tuned"
 BOUND = "oracle"
 """Who says how much there is to gain on the baseline."""
 
+DTYPE = "float32"
+"""Of the plant that every controller meets: half the time of float64, and scores move as they do with another substep
+(docs/reference/benchmark.md, Precision)."""
+
 LIMIT = 600.0
 """S that a controller may take for one split and scenario, by default: 200 rigs for 8 s are 160,000 commands to each valve."""
 
@@ -283,6 +287,7 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
         scenario=cell.scenario,
         control_period=conditions.control_period,
         limit=conditions.limit,
+        dtype=DTYPE,
     )
     metrics = done.metrics(METRICS)
     for name, values in metrics.items():
@@ -292,9 +297,11 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
     if done.typical_command > 1.0:
         note = f"half of its commands are {done.typical_command:.3g} or more, and 1 was applied instead: a command is a fraction"
         note += " of the rated one, not a voltage"
-    summaries = {
-        name: summarise(values, strata=done.faults, seed=conditions.seed) for name, values in metrics.items()
+    distinct = {id(values): values for values in metrics.values()}  # two names stand for the command's travel
+    summarised = {
+        key: summarise(values, strata=done.faults, seed=conditions.seed) for key, values in distinct.items()
     }
+    summaries = {name: summarised[id(values)] for name, values in metrics.items()}
     traces = _kept(done.trace, metrics[TRACE_METRIC])
     unsettled = int(np.sum(never_settled(done.trace)))
     return replace(cell, metrics=metrics, summaries=summaries, unsettled=unsettled, traces=traces, note=note)
@@ -349,6 +356,7 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
         "plant": label,
         "seed": conditions.seed,
         "control_period_s": conditions.control_period,
+        "dtype": DTYPE,
         "splits": suite.splits,
         "drawn_over": drawn,
         "controllers": names,

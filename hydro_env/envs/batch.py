@@ -33,7 +33,7 @@ from .made_spec import made_spec
 from .observation import ERRORS, FRAME, LIMIT, SCALES, noise_levels, with_errors
 from .render import Recorder
 from .reward import Reward, load_reward
-from .step_kernels import COLUMNS, SIGNALS, TRUE, apply, drive, look
+from .step_kernels import COLUMNS, SIGNALS, TRUE, apply, drive, look, wind
 
 __all__ = ["HydraulicSyncVectorEnv", "Result"]
 
@@ -78,7 +78,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     * `info` holds arrays with one row per rig and masks `_key` as Gymnasium has them; `pairs` the values of the valves.
     * `max_episode_steps` ends episodes early (truncation).
     * `plant` may be a `Plant`: its model, in the substep that it was given.
-    * `dtype`: "float64" (default), or "float32" for a faster plant (see `Plant`).
+    * `dtype`: "float64" (default), or "float32" for a faster plant (see `Plant`). Angles are then summed up period by
+      period in float64, and those of `plant` are what was turned since, unless an effect goes by them.
     * `threads` that step the rows together, 1 by default; as many as the machine has cores pay from some hundred rows on. They
       change no bit.
     """
@@ -168,7 +169,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._noise = np.zeros((n, 5), np.uint64)
         self._sensor = {name: np.full((n, 2), p.nominal) for name, p in SENSOR_PARAMETERS.items()}
         self._stuck, self._held = np.full((n, 2), _NEVER, np.int64), np.zeros((n, 2))
-        self._fraction, self._moved = np.zeros((n, 2)), np.zeros(n)
+        self._fraction, self._moved, self._turned = np.zeros((n, 2)), np.zeros(n), np.zeros((n, 2))
         self._command, self._torque = np.zeros((n, 2)), np.zeros((n, 2))
         self._frames = np.zeros((n, FRAME * self.history), np.float32)
         self._all = np.arange(n)
@@ -344,6 +345,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._half = self.plant.memory.shape[2] // 2
         self._substeps = self.plant.substeps(self.control_period)
         self._rated = self.plant.get("u_rated")
+        # In float32 the angles are summed up here, unless an effect goes by them.
+        self._winds = type(self.plant) is Plant and self.dtype == np.float32 and not self.plant.angle_acts
         self._parts, self._pool = self._split(), None
 
     def _split(self) -> list[slice]:
@@ -401,6 +404,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._step[rows] = 0
         self._fraction[rows] = 0.0
         self._moved[rows] = 0.0
+        self._turned[rows] = 0.0
         self._held[rows] = 0.0
         self._ended[rows] = False
         if self._recorder is not None:
@@ -528,6 +532,15 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             SCALES, LIMIT, self._sensor["speed_sensor.noise_factor"], self._stuck, self._held, self._fraction, self._moved,
             self._rated, self._weights, *result,
         )  # fmt: skip
+        if self._winds:
+            wind(
+                rows,
+                self.plant.memory,
+                self._half,
+                self._where[SIGNALS.index("angle")],
+                self._turned,
+                result[1],
+            )
 
     def _show(self, rows: NDArray[np.int64], result: Result) -> None:
         """What was sensed, behind the frames before it, and to the pictures."""
@@ -541,7 +554,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         else:
             self._frames[rows] = observation[rows]
         if self._recorder is not None:
-            self._recorder.add(rows, result[1], self.plant.angle)
+            self._recorder.add(rows, result[1], self._turned if self._winds else self.plant.angle)
 
     def seen(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """What leaves the environment of its frames."""

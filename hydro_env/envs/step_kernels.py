@@ -12,7 +12,7 @@ from ..jit import compiled
 from ..streams import normal
 from ..units import DEGREE, RPM
 
-__all__ = ["COLUMNS", "SIGNALS", "apply", "drive", "look"]
+__all__ = ["COLUMNS", "SIGNALS", "apply", "drive", "look", "wind"]
 
 #: Signals of the plant's memory that `look` reads, in the order of its argument `where`.
 SIGNALS = ("speed", "angle", "measured_speed", "current", "pressure", "diverged")
@@ -145,3 +145,17 @@ def look(
         reward[i] = tracking + difference + variation - (weights[3] if lost else 0.0)
         terminated[i] = lost
         truncated[i] = now >= end
+
+
+@_threaded
+def wind(rows, memory, half, angle, turned, true):
+    """Adds what the shafts of some rows have turned to `turned` (N, 2) in rad and puts their angles, a row of the memory, to
+    zero: a sum of seven digits would be degrees off after some thousand small steps. Corrects true (N, TRUE)."""
+    for i in rows:
+        block = i // half
+        lane = i - block * half
+        cells = memory[block]
+        for c in range(2):
+            turned[i, c] += cells[angle, lane + c * half]
+            cells[angle, lane + c * half] = 0.0
+        true[i, 6] = (turned[i, 0] - turned[i, 1]) * _TO_DEG

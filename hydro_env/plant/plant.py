@@ -399,6 +399,12 @@ class Plant:
         )
         self._head = (self._head + substeps * command_V.shape[0]) % self._slots
 
+    @property
+    def angle_acts(self) -> bool:
+        """Whether an effect goes by the shaft's angle; without one it is the integral of the speed and nothing else."""
+        laws = (law for name in self.effects for law in CATALOGUE[name].laws.values())
+        return any("angle" in law.__code__.co_varnames[: law.__code__.co_argcount] for law in laws)
+
     # --- signals --------------------------------------------------------------------------------------------------
     @property
     def current(self) -> Array:

@@ -82,17 +82,18 @@ def _longest_apart(trace: Trace) -> tuple[Floats, NDArray[np.bool_]]:
     """The longest time out of step in s, (N,), and whether the episode ended in it, (N,)."""
     apart = np.abs(trace.difference_rpm) > SETTLED_RPM
     enough = max(1, round(SETTLED_S / trace.period))  # rows together that end a time out of step
-    rigs = apart.shape[1]
-    first = np.zeros(rigs, dtype=int)  # row in which the present time out of step began
-    last = np.full(rigs, -enough - 1)  # last row with the motors apart
-    longest = np.zeros(rigs, dtype=int)
-    end = np.full(rigs, -enough - 1)  # last row of the longest time out of step
-    for row in range(apart.shape[0]):
-        first = np.where(row - last > enough, row, first)
-        last = np.where(apart[row], row, last)
-        end = np.where(apart[row] & (row + 1 - first > longest), row, end)
-        longest = np.maximum(longest, np.where(apart[row], row + 1 - first, 0))
-    return longest * trace.period, apart.shape[0] - 1 - end < enough
+    row = np.arange(len(apart), dtype=np.int32)[:, None]
+    last = np.maximum.accumulate(
+        np.where(apart, row, np.int32(-enough - 1)), axis=0
+    )  # last row with the motors apart
+    before = np.concatenate([np.full_like(last[:1], -enough - 1), last[:-1]])
+    first = np.maximum.accumulate(
+        np.where(apart & (row - before > enough), row, np.int32(0)), axis=0
+    )  # in which that time began
+    long = np.where(apart, row + 1 - first, np.int32(0))
+    longest = long.max(axis=0)
+    end = np.where(longest > 0, long.argmax(axis=0), -enough - 1)  # last row of the longest time out of step
+    return longest * trace.period, len(apart) - 1 - end < enough
 
 
 def _angle_difference(trace: Trace) -> Floats:

@@ -112,6 +112,12 @@ def test_page_is_one_file_and_harmless(scores):
     assert name in nasty["controllers"] and name not in scores_page(nasty, None)
 
 
+def driven(name):
+    """What the benchmark of SMALL drives."""
+    where = {"mismatch": "test_interp", "scenario": "setpoint_steps", "dtype": command.DTYPE}
+    return roll_out(make_controller(name), range(4), **where)
+
+
 def _embedded(page, name):
     text = page.split(f" {name} = ", 1)[1]
     return json.JSONDecoder().raw_decode(text)[0]
@@ -124,7 +130,7 @@ def test_page_keeps_the_typical_and_the_worst_case_behind_each_row(scores):
     cell = traces["splits"]["test_interp"]["setpoint_steps"]
     assert set(cell) == {"pid_paper", "cross_coupled"}
     for name, kept in cell.items():
-        again = roll_out(make_controller(name), range(4), mismatch="test_interp", scenario="setpoint_steps")
+        again = driven(name)
         value = again.metrics()["max_speed_difference_rpm"]
         assert kept["worst"]["case"] == int(np.argmax(value))
         assert np.sum(value < value[kept["typical"]["case"]]) == 1  # the lower median of four
@@ -140,9 +146,7 @@ def test_page_keeps_the_commands_of_both_valves(scores):
     _, out = scores
     kept = _embedded((out / "scores.html").read_text(), "T")["splits"]["test_interp"]["setpoint_steps"]
     case = kept["cross_coupled"]["worst"]
-    again = roll_out(
-        make_controller("cross_coupled"), range(4), mismatch="test_interp", scenario="setpoint_steps"
-    )
+    again = driven("cross_coupled")
     rows = np.minimum(case["sample"], len(again.trace.command) - 1)
     np.testing.assert_allclose(
         np.transpose(case["command_percent"]), 100 * again.trace.command[rows, case["case"]], atol=0.51
@@ -514,7 +518,7 @@ PINNED = {
     "compensated": (41.74, 8.90),
     "adaptive_flow": (39.99, 13.00),
     "probing_flow": (30.29, 5.56),
-    "bench_flow": (28.85, 4.02),
+    "bench_flow": (28.85, 4.39),
     "servo_pid": (24.45, 5.32),
     "oracle": (25.41, 0.84),
 }

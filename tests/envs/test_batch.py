@@ -235,6 +235,39 @@ def test_spaces_and_metadata():
     assert "autoreset_mode" not in HydraulicSyncVectorEnv.metadata
 
 
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_angles_in_single_precision_are_the_integrals_of_the_speeds(mode):
+    """Also behind the end of an episode. Summed up in seven digits they were degrees off after some seconds."""
+    far = {"duration": 4.0, "setpoint_rpm": [[0.0, 600.0]]}
+    envs = [
+        make(3, scenario=far, mismatch="val", dtype=d, autoreset_mode=mode) for d in ("float64", "float32")
+    ]
+    for env in envs:
+        env.reset(seed=5)
+    for k in range(460):
+        wanted, found = (env.step(np.full((3, 2), 0.6, np.float32))[-1] for env in envs)
+        if k in (300, 399, 400, 459):
+            np.testing.assert_allclose(found["speed_rpm"], wanted["speed_rpm"], atol=0.1)
+            np.testing.assert_allclose(
+                found["angle_difference_deg"], wanted["angle_difference_deg"], rtol=2e-5, atol=0.01
+            )
+    assert np.abs(wanted["angle_difference_deg"]).min() > 1.0
+
+
+def test_an_effect_goes_by_angles_in_single_precision_too():
+    ripple = {"displacement_ripple.amplitude": (0.05, 0.0), "displacement_ripple.order": (3.5, 3.5)}
+    model = PlantModel(values=ripple)
+    speeds = []
+    for dtype in ("float64", "float32"):
+        env = HydraulicSyncVectorEnv(1, plant=model, mismatch=None, dtype=dtype)
+        env.reset(seed=0)
+        for _ in range(200):
+            *_, info = env.step(np.full((1, 2), 0.6, np.float32))
+        speeds.append(info["speed_rpm"])
+    np.testing.assert_allclose(speeds[1], speeds[0], atol=0.1)
+    assert abs(speeds[0][0, 0] - speeds[0][0, 1]) > 1.0
+
+
 def test_render():
     frames = make(2, render_mode="rgb_array").render()
     assert len(frames) == 2 and frames[0].shape == (480, 640, 3)

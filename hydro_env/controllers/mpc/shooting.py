@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
-from hydro_env.controllers.mpc.planner import CLOSED
+from hydro_env.controllers.mpc.planner_steps import CLOSED
 from hydro_env.jit import compiled
 
 __all__ = ["DAMPING", "END", "HORIZON", "SAMPLES", "Best", "Course", "improve", "keep", "minimise_in_box"]
@@ -31,8 +31,8 @@ HORIZON, SAMPLES = 5, 10
 """Control periods that are planned, and samples of a period at which the planned motion is looked at."""
 COMMANDS, END = 2 * HORIZON, HORIZON * SAMPLES
 """Commands of a plan, channel by channel, and its last sample. (Known to the compiler, which unrolls loops over them.)"""
-LANES = 32
-"""Rigs that are worked on side by side. (With 16 LLVM unrolls the loops over them and finds no vectors in what is left.)"""
+LANES = 64
+"""Rigs that are worked on side by side. (With 32 and less LLVM unrolls loops over them and finds no vectors in what is left.)"""
 CORNER = 2.0
 """Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm."""
 BETWEEN = 100.0
@@ -74,9 +74,9 @@ class Tile(NamedTuple):
     rig (LANES,): which rigs. travel (2, END + 1, LANES), motor, setpoint, margin, difference, smooth, stops, damping: as in
     `Course` and `Best`. plan (2, H + 1, LANES) begins with the command in force. At one sample: speed, open, spool (2, LANES),
     `open` is CLOSED where a valve is; how travel now and before, pressures and speeds change with each command, `risen`,
-    `pressed`, `turned` (COMMANDS, LANES). square (COMMANDS, COMMANDS, LANES) and slope (COMMANDS, LANES): normal equations. To
-    these are added errors (LANES,) that count by `weight` and change by `change` (COMMANDS, LANES) with the commands;
-    `weighted`: weight times change of one command.
+    `pressed`, `turned` (COMMANDS, LANES). square (COMMANDS, COMMANDS, LANES), of which the lower triangle is filled, and slope
+    (COMMANDS, LANES): normal equations. To these are added errors (LANES,) that count by `weight` and change by `change`
+    (COMMANDS, LANES) with the commands; `weighted`: weight times change of one command.
     """
 
     rig: NDArray[np.int64]
@@ -261,8 +261,8 @@ def improve(rigs, plan, course, best):
             i = rigs[first + lane]
             for b in range(COMMANDS):
                 slope[b] = tile.slope[b, lane]
-                for k in range(COMMANDS):
-                    square[b, k] = tile.square[b, k, lane]
+                for k in range(b + 1):
+                    square[b, k] = square[k, b] = tile.square[b, k, lane]
             for c in range(2):
                 for j in range(HORIZON):
                     b = c * HORIZON + j
@@ -406,8 +406,8 @@ def _add_squares(first, last, begun, tile):
                 a = tile.weight[lane] * tile.change[b, lane]
                 tile.weighted[lane] = a
                 tile.slope[b, lane] += a * tile.error[lane]
-            for d in range(first, last):
-                for k in range(begun):
+            for d in range(first, c + 1):
+                for k in range(j + 1 if d == c else begun):
                     for lane in range(LANES):
                         tile.square[b, d * HORIZON + k, lane] += (
                             tile.weighted[lane] * tile.change[d * HORIZON + k, lane]
@@ -430,4 +430,3 @@ def _add_moves(tile):
                     tile.slope[b - 1, lane] -= smooth * move
                     tile.square[b - 1, b - 1, lane] += smooth
                     tile.square[b, b - 1, lane] -= smooth
-                    tile.square[b - 1, b, lane] -= smooth
