@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,21 @@ class Trace:
         """Speed of motor 1 less that of motor 2, (T, N)."""
         return self.speed_rpm[..., 0] - self.speed_rpm[..., 1]
 
+    @cached_property
+    def longest_apart(self) -> tuple[Floats, NDArray[np.bool_]]:
+        """The longest time out of step in s, (N,), and whether the episode ended in it, (N,)."""
+        apart = np.abs(self.difference_rpm) > SETTLED_RPM
+        enough = max(1, round(SETTLED_S / self.period))  # rows together that end a time out of step
+        row, none = np.arange(len(apart), dtype=np.int32)[:, None], np.int32(-enough - 1)
+        # Up to each row: the last row with the motors apart, and the row in which that time out of step began.
+        last = np.maximum.accumulate(np.where(apart, row, none), axis=0)
+        before = np.concatenate([np.full_like(last[:1], none), last[:-1]])
+        first = np.maximum.accumulate(np.where(apart & (row - before > enough), row, np.int32(0)), axis=0)
+        long = np.where(apart, row + 1 - first, np.int32(0))
+        longest = long.max(axis=0)
+        end = np.where(longest > 0, long.argmax(axis=0), none)  # last row of the longest one
+        return longest * self.period, len(apart) - 1 - end < enough
+
 
 @dataclass(frozen=True)
 class Metric:
@@ -69,31 +85,13 @@ def _rms_difference(trace: Trace) -> Floats:
 
 
 def _settling_time(trace: Trace) -> Floats:
-    return _longest_apart(trace)[0]
+    return trace.longest_apart[0]
 
 
 def never_settled(trace: Trace) -> NDArray[np.bool_]:
     """(N,), whether the longest time out of step was still running when the episode ended: `sync_settling_time_s` is then only a
     lower bound, set by the length of the episode."""
-    return _longest_apart(trace)[1]
-
-
-def _longest_apart(trace: Trace) -> tuple[Floats, NDArray[np.bool_]]:
-    """The longest time out of step in s, (N,), and whether the episode ended in it, (N,)."""
-    apart = np.abs(trace.difference_rpm) > SETTLED_RPM
-    enough = max(1, round(SETTLED_S / trace.period))  # rows together that end a time out of step
-    row = np.arange(len(apart), dtype=np.int32)[:, None]
-    last = np.maximum.accumulate(
-        np.where(apart, row, np.int32(-enough - 1)), axis=0
-    )  # last row with the motors apart
-    before = np.concatenate([np.full_like(last[:1], -enough - 1), last[:-1]])
-    first = np.maximum.accumulate(
-        np.where(apart & (row - before > enough), row, np.int32(0)), axis=0
-    )  # in which that time began
-    long = np.where(apart, row + 1 - first, np.int32(0))
-    longest = long.max(axis=0)
-    end = np.where(longest > 0, long.argmax(axis=0), -enough - 1)  # last row of the longest time out of step
-    return longest * trace.period, len(apart) - 1 - end < enough
+    return trace.longest_apart[1]
 
 
 def _angle_difference(trace: Trace) -> Floats:
