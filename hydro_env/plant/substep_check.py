@@ -2,8 +2,8 @@
 
 `stiffness` and the laws of the effects tell from parameters how finely a channel has to be stepped. They were measured on
 models that lie far apart, but values far from any real rig can be combined in ways that no such law foresees. So a model is
-simulated once where a value of a channel is outside of its plausible range: for a second from rest, under four kinds of
-command, at its substep and at half of it. The error falls at least in proportion to the substep, so that half of it shows half
+simulated once where a value of a channel is outside of its plausible range: for a second from rest, under six
+commands, at its substep and at half of it. The error falls at least in proportion to the substep, so that half of it shows half
 of the error or more. Where the speeds differ, the model gets the longest of a half, a quarter and an eighth of its substep that
 agrees with a sixteenth.
 
@@ -94,11 +94,12 @@ def _parts(
     values: tuple[tuple[str, tuple[float, float]], ...], effects: tuple[Effect, ...], substep: float
 ) -> tuple[int, tuple[int, ...]]:
     """In how many parts the substep (s) follows a model, and the channels on which none of `_PARTS` does."""
+    rigs = np.arange(_commands().shape[1])
     found: dict[int, tuple[Array, NDArray[np.bool_]]] = {}
 
     def at(parts: int) -> tuple[Array, NDArray[np.bool_]]:
         if parts not in found:
-            found[parts] = _speeds(dict(values), effects, substep / parts)
+            found[parts] = _speeds(dict(values), effects, substep / parts, rigs)
         return found[parts]
 
     def differ(one: int, other: int, share: float) -> NDArray[np.bool_]:
@@ -106,11 +107,13 @@ def _parts(
         (a, broken), (b, broken_too) = at(one), at(other)
         return (_rms(a - b) > share * _bound(b)) | broken | broken_too
 
-    if not differ(1, 2, _RESERVE).any():
+    rigs = np.flatnonzero(differ(1, 2, _RESERVE).any(axis=1))
+    if not rigs.size:
         return 1, ()
+    found = {parts: (speed[:, rigs], broken[rigs]) for parts, (speed, broken) in found.items()}
     unsettled = differ(_PARTS[-1], _FINEST, 1.0)
     if unsettled.any():
-        speed, (nudged, _) = at(2)[0], _speeds(dict(values), effects, substep / 2, 1.0 - _NUDGE)
+        speed, (nudged, _) = at(2)[0], _speeds(dict(values), effects, substep / 2, rigs, 1.0 - _NUDGE)
         separates = (_rms(nudged - speed) > _GROWTH * _NUDGE * _rms(speed)).any(axis=0)
         if (wrong := (unsettled & ~separates) | at(_FINEST)[1]).any():
             return 0, tuple(np.flatnonzero(wrong.any(axis=0)).tolist())
@@ -130,27 +133,37 @@ def _bound(speed: Array) -> Array:
 
 @cache
 def _commands() -> Array:
-    """Shares of the rated command, (rows, rigs, 2): slow sines, levels for 10 ms, levels for 50 ms, and its two ends."""
+    """Shares of the rated command, (rows, rigs, 2): two of slow sines, levels for 10 ms, large and small, levels for 50 ms, and
+    its two ends."""
     rng = np.random.default_rng(0)
     time = np.arange(_ROWS)[:, None] * _PERIOD
     phase = np.array([0.0, 2.0])
-    smooth = 0.6 * np.sin(2.0 * pi * 0.8 * time + phase) + 0.15 * np.sin(2.0 * pi * 3.0 * time + 2.0 * phase)
-    quick = rng.uniform(-1.0, 1.0, (_ROWS, 2))
-    held = np.repeat(rng.uniform(-1.0, 1.0, (-(-_ROWS // 5), 2)), 5, axis=0)[:_ROWS]
+
+    def sines(large: float, small: float) -> Array:
+        """Sines of these frequencies (Hz)."""
+        slow, quick = (np.sin(2.0 * pi * f * time + n * phase) for n, f in ((1, large), (2, small)))
+        return np.asarray(0.6 * slow + 0.15 * quick)
+
+    def levels(rows: int) -> Array:
+        return np.repeat(rng.uniform(-1.0, 1.0, (_ROWS // rows, 2)), rows, axis=0)
+
     ends = np.where(np.cumsum(rng.random((_ROWS, 2)) < 0.4, axis=0) % 2 == 0, 1.0, -1.0)
-    return np.stack([smooth, quick, held, ends], axis=1)
+    return np.stack([sines(0.8, 3.0), sines(2.0, 7.0), levels(1), 0.3 * levels(1), levels(5), ends], axis=1)
 
 
 def _speeds(
-    values: Mapping[str, tuple[float, float]], effects: tuple[Effect, ...], substep: float, times: float = 1.0
+    values: Mapping[str, tuple[float, float]],
+    effects: tuple[Effect, ...],
+    substep: float,
+    rigs: NDArray[np.int64],
+    times: float = 1.0,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Speeds in rpm under so many times the commands, (rows, rigs, 2), and which diverged, (rigs, 1).
+    """Speeds in rpm under so many times some of the commands, (rows, rigs, 2), and which diverged, (rigs, 1).
 
     The kernel is the one that a single rig of the model takes."""
     kernel = compile_kernel((e.name for e in effects), 1)
-    commands = _commands()
-    rigs = commands.shape[1]
-    memory = np.zeros((rigs, kernel.num_rows, 2))
+    commands = _commands()[:, rigs]
+    memory = np.zeros((len(rigs), kernel.num_rows, 2))
     known = {f"{e.name}.{p.name}": p for e in effects for p in e.parameters}
     for name, p in (PARAMETERS | known).items():
         memory[:, kernel.rows[name]] = values.get(name, p.nominal)
@@ -166,7 +179,7 @@ def _speeds(
     kernel.advance(
         memory.reshape(-1),
         kernel.room(),
-        np.zeros((rigs, 3, 2)) if kernel.has_delay else None,
+        np.zeros((len(rigs), 3, 2)) if kernel.has_delay else None,
         0,
         times * commands * rated,
         np.zeros((1, 1, 2)),

@@ -42,9 +42,9 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[float]]:
     made: list[float] = []
     simulate = substep_check._speeds
 
-    def counted(values: Any, effects: Any, substep: float, times: float = 1.0) -> Any:
+    def counted(values: Any, effects: Any, substep: float, *rest: Any) -> Any:
         made.append(substep)
-        return simulate(values, effects, substep, times)
+        return simulate(values, effects, substep, *rest)
 
     substep_check._parts.cache_clear()
     monkeypatch.setattr(substep_check, "_speeds", counted)
