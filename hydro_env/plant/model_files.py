@@ -311,7 +311,7 @@ def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantMode
 
 
 def read_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantModel:
-    """`load_model` without the simulation, for a model that is simulated with a substep of one's own."""
+    """`load_model` without the simulation, for what takes steps of its own."""
     if isinstance(source, PlantModel):
         return source
     if isinstance(source, str) and source in preset_names():
