@@ -69,7 +69,7 @@ def followed(model: PlantModel, presets: Sequence[PlantModel]) -> PlantModel:
     channel = next((c for c in wrong if unusual[c]), wrong[0])
     raise InputError(
         f"model {model.name!r}: channel {channel + 1}: no substep down to {model.substep / _PARTS[-1] * 1e6:.3g} us follows"
-        f" {', '.join(unusual[channel] or unusual[1 - channel])}; values nearer to what is usual can be simulated"
+        f" {', '.join(unusual[channel] or unusual[1 - channel])}; give values nearer to what is usual, or a shorter substep"
     )
 
 

@@ -111,7 +111,7 @@ def test_a_model_that_is_not_followed_gets_a_finer_substep_and_agrees_with_the_r
 def test_what_no_substep_follows_is_refused_in_one_line(tmp_path: Path) -> None:
     said = (
         r"model 'mine': channel [12]: no substep down to 15.6 us follows .*V 2e-06 \(usual 2e-05 to 0.001 m3\).*"
-        "; values nearer to what is usual can be simulated$"
+        "; give values nearer to what is usual, or a shorter substep$"
     )
     for _ in range(2):
         with pytest.raises(InputError, match=f"^{said}") as caught:
