@@ -7,6 +7,9 @@ commands, at its substep and at half of it. The error falls at least in proporti
 of the error or more. Where the speeds differ, the model gets the longest of a half, a quarter and an eighth of its substep that
 agrees with a sixteenth.
 
+A shorter substep of a stiff channel may be taken in so many fewer parts that nothing becomes finer. The half therefore takes the
+parts of the whole, and the sixteenth those of a quarter.
+
 An eighth and a sixteenth may differ too. If a millionth of the command moves the speed by more than a ten-thousandth, the
 motion separates neighbouring solutions: no simulator foretells it, and it says nothing about the substep. If not, the model is
 refused.
@@ -99,28 +102,37 @@ def _parts(
 
     def at(parts: int) -> tuple[Array, NDArray[np.bool_]]:
         if parts not in found:
-            found[parts] = _speeds(dict(values), effects, substep / parts, rigs)
+            # The finest takes as many parts as a substep of four times its length: a stiff channel is stepped more finely, too.
+            found[parts] = _speeds(dict(values), effects, substep / parts, rigs, 4 if parts == _FINEST else 1)
         return found[parts]
 
-    def differ(one: int, other: int, share: float) -> NDArray[np.bool_]:
-        """Where the speeds are apart by more than so much of what is right, (rigs, 2)."""
-        (a, broken), (b, broken_too) = at(one), at(other)
-        return (_rms(a - b) > share * _bound(b)) | broken | broken_too
+    def differ(parts: int, share: float) -> NDArray[np.bool_]:
+        """Where the speeds are apart from the finest by more than so much of what is right, (rigs, 2)."""
+        return _differ(at(parts), at(_FINEST), share)
 
-    rigs = np.flatnonzero(differ(1, 2, _RESERVE).any(axis=1))
+    half = _speeds(dict(values), effects, substep / 2, rigs, 2)
+    rigs = np.flatnonzero(_differ(at(1), half, _RESERVE).any(axis=1))
     if not rigs.size:
         return 1, ()
-    found = {parts: (speed[:, rigs], broken[rigs]) for parts, (speed, broken) in found.items()}
-    unsettled = differ(_PARTS[-1], _FINEST, 1.0)
+    found[1] = at(1)[0][:, rigs], at(1)[1][rigs]
+    unsettled = differ(_PARTS[-1], 1.0)
     if unsettled.any():
-        speed, (nudged, _) = at(2)[0], _speeds(dict(values), effects, substep / 2, rigs, 1.0 - _NUDGE)
+        speed, (nudged, _) = at(2)[0], _speeds(dict(values), effects, substep / 2, rigs, 1, 1.0 - _NUDGE)
         separates = (_rms(nudged - speed) > _GROWTH * _NUDGE * _rms(speed)).any(axis=0)
         if (wrong := (unsettled & ~separates) | at(_FINEST)[1]).any():
             return 0, tuple(np.flatnonzero(wrong.any(axis=0)).tolist())
     for parts in _PARTS[:-1]:
-        if not (differ(parts, _FINEST, _RESERVE) & ~unsettled).any():
+        if not (differ(parts, _RESERVE) & ~unsettled).any():
             return parts, ()
     return _PARTS[-1], ()
+
+
+def _differ(
+    one: tuple[Array, NDArray[np.bool_]], other: tuple[Array, NDArray[np.bool_]], share: float
+) -> NDArray[np.bool_]:
+    """Where speeds are apart by more than so much of what is right, or diverged, (rigs, 2)."""
+    (a, broken), (b, broken_too) = one, other
+    return (_rms(a - b) > share * _bound(b)) | broken | broken_too
 
 
 def _rms(speed: Array) -> Array:
@@ -156,11 +168,13 @@ def _speeds(
     effects: tuple[Effect, ...],
     substep: float,
     rigs: NDArray[np.int64],
+    stiff_at: int,
     times: float = 1.0,
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Speeds in rpm under so many times some of the commands, (rows, rigs, 2), and which diverged, (rigs, 1).
 
-    The kernel is the one that a single rig of the model takes."""
+    A stiff channel takes its substep in as many parts as one `stiff_at` times as long would be taken in. The kernel is the one
+    that a single rig of the model takes."""
     kernel = compile_kernel((e.name for e in effects), 1)
     commands = _commands()[:, rigs]
     memory = np.zeros((len(rigs), kernel.num_rows, 2))
@@ -185,7 +199,7 @@ def _speeds(
         np.zeros((1, 1, 2)),
         substeps,
         h,
-        h,
+        stiff_at * h,
         np.array([kernel.rows["speed"]]),
         1,
         out,
