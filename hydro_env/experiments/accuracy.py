@@ -8,7 +8,8 @@ parameters at either end. `--models` draws models: a preset, base parameters and
 `--effects` it draws so many for each of these effects (`all`: for every one): the effect over its bounds, volume and bulk modulus
 and up to three other base parameters of the paper's model over theirs; effects.md then counts what is off, by effect.
 
-Each model is driven for S seconds by smooth, uniform, Gaussian and bang-bang commands of full range, or by some of these
+Each model is what a user gets from `load_model`, which gives it a shorter substep or refuses it where its own does not follow it.
+It is driven for S seconds by smooth, uniform, Gaussian and bang-bang commands of full range, or by some of these
 (`--commands`), and compared with the same at an eighth of the substep. One that differs there by more than 0.1 rpm (RMS) and 1e-4
 of its speed is compared again, an eighth with a sixteenth: where these differ too, the motion separates neighbouring solutions
 and no simulator foretells it. `--sample` models, chosen by chance, are also compared with the reference simulator, each under one
@@ -26,6 +27,7 @@ import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +37,7 @@ from numpy.typing import NDArray
 from hydro_env.errors import InputError, run_command
 from hydro_env.files import write_text
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Parameter, Plant, PlantModel, load_model
+from hydro_env.plant.substep_check import TOLERANCE_RPM, TOLERANCE_SHARE
 from hydro_env.practice.reference import simulate_reference
 from hydro_env.units import RPM
 
@@ -52,8 +55,6 @@ PERIOD = 0.01
 _NO_LIMIT = 200.0
 #: Most combinations of ends of the parameters of one effect.
 _MOST_CORNERS = 16
-#: An error below this (rpm, RMS), or below this share of the speed, is none.
-TOLERANCE_RPM, TOLERANCE_SHARE = 0.1, 1e-4
 
 
 @dataclass(frozen=True)
@@ -64,14 +65,19 @@ class Case:
     preset: str = "paper"
 
     @property
-    def model(self) -> PlantModel:
-        """InputError if the model is refused."""
+    def given(self) -> PlantModel:
+        """The model as it is written down. InputError if it is refused by its parameters alone."""
         return load_model(self.preset).with_values(self.values, name="case")
+
+    @cached_property
+    def model(self) -> PlantModel:
+        """The model as a user gets it, with a substep that follows it. InputError if none does."""
+        return load_model(self.given)
 
     @property
     def plain(self) -> bool:
         """Whether no effect acts."""
-        return not self.model.declared
+        return not self.given.declared
 
 
 @dataclass
@@ -158,7 +164,7 @@ def drawn(count: int, rng: np.random.Generator, move: float = 0.35) -> tuple[lis
                 values[f"{name}.{p.name}"] = _value(p, p.low, min(p.high, 1e9), rng)
         case = Case(values, str(rng.choice(PRESETS)))
         try:
-            _ = case.model
+            _ = case.given
         except InputError:
             refused += 1
         else:
@@ -180,7 +186,7 @@ def drawn_about(effect: str, count: int, rng: np.random.Generator) -> tuple[list
             values[f"{effect}.{p.name}"] = _value(p, p.low, min(p.high, 1e9), rng)
         case = Case(values)
         try:
-            _ = case.model
+            _ = case.given
         except InputError:
             refused += 1
         else:
@@ -286,7 +292,7 @@ def effects_table(results: Sequence[Result]) -> str:
     ]
     by_effect: dict[str, list[Result]] = {}
     for r in results:
-        by_effect.setdefault(" ".join(r.case.model.declared), []).append(r)
+        by_effect.setdefault(" ".join(r.case.given.declared), []).append(r)
     for name, own in sorted(by_effect.items()):
         off = [r for r in own if r.error > r.bound]
         others = [r for r in off if not r.separates]
@@ -318,12 +324,30 @@ def _wanted(options: argparse.Namespace, rng: np.random.Generator) -> tuple[list
     cases, refused = [case for own, _ in found for case in own], sum(count for _, count in found)
     for case in (*ends_of_base(), *ends_of_effects()) if options.ends else ():
         try:
-            _ = case.model
+            _ = case.given
         except InputError:
             refused += 1
         else:
             cases.append(case)
     return cases, refused
+
+
+def _checked(cases: Iterable[Case]) -> set[int]:
+    """The cases, by `id`, that are not refused when their substep is checked; prints what came of it."""
+    followed, shorter, refused = set(), 0, []
+    for case in cases:
+        try:
+            shorter += case.model.substep < case.given.substep
+        except InputError as problem:
+            refused.append(str(problem))
+        else:
+            followed.add(id(case))
+    print(
+        f"substep checked: {shorter} models get a shorter one, {len(refused)} are refused",
+        *refused,
+        sep="\n  ",
+    )
+    return followed
 
 
 def main() -> None:
@@ -342,13 +366,15 @@ def main() -> None:
     cases, refused = _wanted(options, rng)
     if not cases:
         parser.error("--ends or --models: nothing to simulate")
+    followed = _checked(cases)
     sampled = set(rng.permutation(len(cases))[: options.sample].tolist())
     results: list[Result] = []
     made = 0.0
     for turn, kind in enumerate(options.commands):
         share = commands(kind, options.seconds, rng)
         for start in range(0, len(cases), 64):
-            found, substeps = compare(cases[start : start + 64], share, kind)
+            group = [case for case in cases[start : start + 64] if id(case) in followed]
+            found, substeps = compare(group, share, kind)
             results += found
             made += substeps
         own: dict[int, Any] = {id(cases[n]): n for n in sampled if n % len(options.commands) == turn}

@@ -16,7 +16,7 @@ from .stiffness import LEAST_FRICTION, MOST_FINER, SPOOL, friction_left, greates
 if TYPE_CHECKING:
     from .model import PlantModel
 
-__all__ = ["check_spool", "out_of_range", "with_unit"]
+__all__ = ["check_spool", "inside", "out_of_range", "with_unit"]
 
 #: A stiff channel takes a substep in at most 64 parts, of which the last third is a reserve.
 _MOST_PARTS = 40.0
@@ -32,13 +32,19 @@ _AT_END = 1e-9
 def out_of_range(value: float, p: Parameter) -> str:
     """What is wrong with a value that is not simulated correctly or that no component has, "" if nothing is."""
     low, high = p.possible
-    room = _AT_END * max(abs(end) for end in (low, high) if math.isfinite(end))
     absent = p.name in _FRICTION and value == 0.0
-    if value == p.neutral or absent or low - room <= value <= high + room:
+    if value == p.neutral or absent or inside(value, p.possible):
         return ""
     ends = f"{low:g} to {with_unit(high, p)}" if high < math.inf else f"{with_unit(low, p)} or more"
     none = ", or 0 for none" if p.name in _FRICTION else ""
     return f"{with_unit(value, p)} is out of range; {p.title} is {ends}{none}"
+
+
+def inside(value: float, ends: tuple[float, float]) -> bool:
+    """Whether a value is in a range, as far as rounding goes."""
+    low, high = ends
+    room = _AT_END * max((abs(end) for end in ends if math.isfinite(end)), default=0.0)
+    return low - room <= value <= high + room
 
 
 def check_spool(model: PlantModel, channel: int, where: str) -> None:

@@ -52,7 +52,8 @@ class PlantModel:
     Only what differs from the nominal or neutral value need be there. An effect acts if it is in `effects`; it may be
     there with neutral values (then it may be varied later). `substep` is the longest step of the integrator in s that
     the model is to be simulated with; a stiff channel takes it in parts. InputError for unknown names, values that are no
-    numbers, and those outside of what is simulated correctly (`Parameter.possible`, `stiffness`).
+    numbers, and those outside of what is simulated correctly (`Parameter.possible`, `stiffness`). Whether the substep follows
+    unusual values is only seen by simulation: `load_model` does that, and so all that makes a `Plant`.
     """
 
     name: str = "nominal"

@@ -3,7 +3,7 @@
     schema: hydro_env/model/1
     name: my rig
     base: paper                       # optional: start from a preset
-    substep: 1.0e-4                   # optional: longest step of the integrator, s
+    substep: 5.0e-5                   # optional: longest step of the integrator, s
     both: {J: 0.0031}                 # base parameters of both channels
     channel_1: {Kq: 0.476}            # of one channel
     channel_2: {valve: valve_2}       # the valve of a preset or model file: its coil, spool and edges, with their effects
@@ -19,6 +19,8 @@ parameters `VALVE_PARAMETERS` and the effects of the ports `VALVE_PORTS`, as the
 
 Values are SI. Anything unknown, and a value that no such component has (`Parameter.possible`), is refused with a line that
 names the file and the key. A base parameter beyond its plausible range gives a warning, unless `sources` says where it is from.
+Such a model is also simulated for a second (`substep_check`), and gets a shorter substep, or is refused, where its own does not
+follow it. A substep that a file gives is taken as it is, unless it is that of a preset (125 or 100 us).
 """
 
 from __future__ import annotations
@@ -40,8 +42,9 @@ from .accepted import out_of_range, with_unit
 from .catalogue import CATALOGUE
 from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, parameter_of
 from .parameters import PARAMETERS
+from .substep_check import followed
 
-__all__ = ["load_model", "preset_names", "preset_summary", "sources_of", "values_set_by"]
+__all__ = ["load_model", "preset_names", "preset_summary", "read_model", "sources_of", "values_set_by"]
 
 _CHANNELS = ("both", "channel_1", "channel_2")
 #: Files that may build on each other: a model on its base or valve, that one on its own, ...
@@ -284,11 +287,31 @@ def _preset(name: str) -> PlantModel:
     return _from_dict(*_data(name))
 
 
-def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantModel:
-    """A model from a preset's name, a YAML file, the content of one, or a model (returned as it is).
+@cache
+def _presets() -> tuple[PlantModel, ...]:
+    return tuple(map(_preset, preset_names()))
 
+
+def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantModel:
+    """A model from a preset's name, a YAML file, the content of one, or a model.
+
+    A model with unusual values, also one that is given as a model, gets a shorter substep where a short simulation shows that
+    its own does not follow it; all else stays as it is (`substep_check`). All that simulates takes its model from here. What is
+    derived from the result (`with_values`) is another model, which is checked when it comes here in turn.
     InputError, in one line that names file and key, for anything that is not right.
     """
+    model = read_model(source)
+    if isinstance(source, str) and source in preset_names():
+        return model
+    try:
+        return followed(model, _presets())
+    except InputError as error:
+        where = "" if isinstance(source, PlantModel) else f"{_called(source)}: "
+        raise InputError(f"{where}{error}") from None
+
+
+def read_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantModel:
+    """`load_model` without the simulation, for what takes steps of its own."""
     if isinstance(source, PlantModel):
         return source
     if isinstance(source, str) and source in preset_names():
@@ -296,10 +319,15 @@ def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantMode
     return _from_dict(*_data(source))
 
 
+def _called(source: str | Path | Mapping[str, Any]) -> str:
+    """What to call a file, or the content of one, in errors."""
+    return "model" if isinstance(source, Mapping) else os.path.normpath(source)
+
+
 def _data(source: str | Path | Mapping[str, Any]) -> tuple[Any, str]:
     """The content of a model file as it stands, and what to call it in errors."""
     if isinstance(source, Mapping):
-        return dict(source), "model"
+        return dict(source), _called(source)
     if not isinstance(source, str | Path):
         raise InputError(
             f"plant is {shown(source)}, expected a preset ({', '.join(preset_names())}), a YAML file, a mapping or a model"
@@ -310,5 +338,5 @@ def _data(source: str | Path | Mapping[str, Any]) -> tuple[Any, str]:
         return parse_yaml(file.read_text(encoding="utf-8"), f"preset {text}"), f"preset {text}"
     path = Path(source)
     if path.suffix in (".yaml", ".yml") or os.path.exists(path):
-        return read_yaml(path, "a model in YAML"), os.path.normpath(path)
+        return read_yaml(path, "a model in YAML"), _called(path)
     raise InputError(f"unknown plant {shown(text)}: no such file, and {suggestion(text, preset_names())}")

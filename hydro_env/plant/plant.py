@@ -19,7 +19,7 @@ from ..errors import InputError
 from .catalogue import CATALOGUE
 from .kernel import STATES, Kernel, compile_kernel
 from .model import PlantModel, parameter_of
-from .model_files import load_model
+from .model_files import load_model, read_model
 from .parameters import PARAMETERS
 
 __all__ = ["SIGNALS", "Plant", "machine_memory", "make_plant", "simulate"]
@@ -45,13 +45,6 @@ def _half(num_rigs: int) -> int:
     return 1 if num_rigs <= 2 else 16
 
 
-def _room(kernel: Kernel) -> NDArray[Any]:
-    """Room for a block to be worked on, from a cache line's beginning."""
-    item = kernel.dtype.itemsize
-    room = np.zeros(kernel.num_cells + 64 // item, kernel.dtype)
-    return room[-room.ctypes.data % 64 // item :][: kernel.num_cells]
-
-
 def machine_memory() -> float:
     """Memory of this machine in bytes, inf where it does not say."""
     try:
@@ -65,10 +58,10 @@ class Plant:
 
     Row i behaves bit for bit like the same row alone. `effects` names further effects whose parameters may be set by
     row; those of the model are always there. `substep` is the longest step of the integrator in s: a period is divided into
-    the fewest equal substeps that are not longer. Unless given it is the model's own, which a stiff channel takes in parts
-    (`stiffness`); one that is given is taken as it is. `dtype` is float64, or float32 for about twice the speed: it resolves
-    the angle and the time of an episode to seven digits only. `block` is how many rigs go through the kernel together (1, 2,
-    4, 8 or 16, chosen by their number unless given), a matter of speed alone.
+    the fewest equal substeps that are not longer. Unless given it is that of `load_model`, which a stiff channel takes in
+    parts (`stiffness`); one that is given is taken as it is. `dtype` is float64, or float32 for about twice the speed: it
+    resolves the angle and the time of an episode to seven digits only. `block` is how many rigs go through the kernel together
+    (1, 2, 4, 8 or 16, chosen by their number unless given), a matter of speed alone.
 
     InputError for an unknown model and for more rigs than this machine has memory for. ValueError for a number of rigs
     below one, another dtype or another block.
@@ -90,7 +83,7 @@ class Plant:
             raise ValueError(f"dtype is {np.dtype(dtype)}, expected float64 or float32")
         if block is not None and block not in BLOCKS:
             raise ValueError(f"block is {block}, expected one of {', '.join(map(str, BLOCKS))}")
-        self.model = load_model(model)
+        self.model = load_model(model) if substep is None else read_model(model)
         self.num_rigs = int(num_rigs)
         self.substep = float(self.model.substep if substep is None else substep)
         self.given_substep = substep
@@ -128,7 +121,7 @@ class Plant:
         for effect in kernel.effects:
             for parameter in CATALOGUE[effect].parameters:
                 self._fill(f"{effect}.{parameter.name}", self.model.pair(f"{effect}.{parameter.name}"))
-        self._flat, self._cells = self._memory.reshape(-1), _room(kernel)
+        self._flat, self._cells = self._memory.reshape(-1), kernel.room()
         self._observe()
 
     @property
@@ -322,7 +315,7 @@ class Plant:
         h = period / substeps
         self._kernel.advance(
             self._flat[first * cells : last * cells],
-            _room(self._kernel),
+            self._kernel.room(),
             self._ring[first:last],
             self._head,
             command_V[None, rigs],
@@ -468,7 +461,7 @@ class Plant:
         effects, half = state.pop("_effects"), state.pop("_half")
         self.__dict__.update(state)
         self._kernel = compile_kernel(effects, half, self._memory.dtype)
-        self._flat, self._cells = self._memory.reshape(-1), _room(self._kernel)
+        self._flat, self._cells = self._memory.reshape(-1), self._kernel.room()
 
     def copy(self) -> Plant:
         """Rigs of their own with the same parameters and state."""

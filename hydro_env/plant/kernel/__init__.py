@@ -29,6 +29,7 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..catalogue import CATALOGUE, Effect
 from .codegen import module_text
@@ -59,6 +60,12 @@ class Kernel:
     source: str
     numbers: dict[str, int]
     machine_code: MachineCode
+
+    def room(self) -> NDArray[Any]:
+        """Room for a block to be worked on (`cells`), from a cache line's beginning."""
+        item = self.dtype.itemsize
+        cells = np.zeros(self.num_cells + 64 // item, self.dtype)
+        return cells[-cells.ctypes.data % 64 // item :][: self.num_cells]
 
 
 #: The compiler of syntax trees is not safe in several threads at once (seen with Python 3.11).

@@ -1,0 +1,208 @@
+"""Whether the substep follows a model with unusual values, by a short simulation of it.
+
+`stiffness` and the laws of the effects tell from parameters how finely a channel has to be stepped. They were measured on
+models that lie far apart, but values far from any real rig can be combined in ways that no such law foresees. So a model is
+simulated once where a value of a channel is outside of its plausible range: for a second from rest, under six
+commands, at its substep and at half of it. The error falls at least in proportion to the substep, so that half of it shows half
+of the error or more. Where the speeds differ, the model gets the longest of a half, a quarter and an eighth of its substep that
+agrees with a sixteenth.
+
+A shorter substep of a stiff channel may be taken in so many fewer parts that nothing becomes finer. The half therefore takes the
+parts of the whole, and the sixteenth those of a quarter.
+
+An eighth and a sixteenth may differ too. If a millionth of the command moves the speed by more than a ten-thousandth, the
+motion separates neighbouring solutions: no simulator foretells it, and it says nothing about the substep. If not, the model is
+refused.
+
+What is usual costs nothing: values in their plausible ranges, from which mismatch is drawn, and those of a preset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache, lru_cache
+from math import ceil, pi
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..units import RPM
+from .accepted import inside, with_unit
+from .catalogue import CATALOGUE, Effect
+from .kernel import compile_kernel
+from .parameters import PARAMETERS
+
+if TYPE_CHECKING:
+    from .model import PlantModel
+
+__all__ = ["TOLERANCE_RPM", "TOLERANCE_SHARE", "followed"]
+
+Array = NDArray[np.float64]
+#: A speed that is off by less than this (rpm, RMS), or by less than this share of itself, is right.
+TOLERANCE_RPM, TOLERANCE_SHARE = 0.1, 1e-4
+#: The part of it that the check allows: other commands may be harder than these.
+_RESERVE = 0.5
+#: Shares of the substep that a model may get, and the finest one, with which they are compared.
+_PARTS, _FINEST = (1, 2, 4, 8), 16
+#: Change of the command that shows what a motion makes of small errors, and by how much more it has to change the speed.
+_NUDGE, _GROWTH = 1e-6, 100.0
+_PERIOD, _ROWS = 0.01, 100
+#: What no limit of the command stands for, V.
+_NO_LIMIT = 200.0
+
+
+def followed(model: PlantModel, presets: Sequence[PlantModel]) -> PlantModel:
+    """The model with a substep that follows it: its own wherever that is so.
+
+    A substep that no preset has is the user's choice, and taken as it is. InputError, in one line, for a model that is not
+    followed by an eighth of the substep either.
+    """
+    if model.substep not in {preset.substep for preset in presets}:
+        return model
+    unusual = [_unusual(model, channel, presets) for channel in (0, 1)]
+    if not any(unusual):
+        return model
+    values = tuple(sorted(model.values.items()))
+    parts, wrong = _parts(values, tuple(CATALOGUE[name] for name in model.declared), model.substep)
+    if not wrong:
+        return model if parts == 1 else replace(model, substep=model.substep / parts)
+    channel = next((c for c in wrong if unusual[c]), wrong[0])
+    raise InputError(
+        f"model {model.name!r}: channel {channel + 1}: no substep down to {model.substep / _PARTS[-1] * 1e6:.3g} us follows"
+        f" {', '.join(unusual[channel] or unusual[1 - channel])}; give values nearer to what is usual, or a shorter substep"
+    )
+
+
+def _unusual(model: PlantModel, channel: int, presets: Sequence[PlantModel]) -> list[str]:
+    """What is outside of the plausible range on a channel, in words; nothing if a preset has all of that."""
+    from_range = {}
+    for name in model.values:
+        effect, _, own = name.rpartition(".")
+        p = CATALOGUE[effect].parameter(own) if effect else PARAMETERS[name]
+        value = model.value(name, channel)
+        if value != p.neutral and not inside(value, (p.low, p.high)):
+            from_range[name] = f"{name} {value:g} (usual {p.low:g} to {with_unit(p.high, p)})"
+    for preset in presets:
+        if all(preset.value(name, 0) == model.value(name, channel) for name in from_range):
+            return []
+    return list(from_range.values())
+
+
+# --- simulation -------------------------------------------------------------------------------------------------------
+@lru_cache(maxsize=1024)
+def _parts(
+    values: tuple[tuple[str, tuple[float, float]], ...], effects: tuple[Effect, ...], substep: float
+) -> tuple[int, tuple[int, ...]]:
+    """In how many parts the substep (s) follows a model, and the channels on which none of `_PARTS` does."""
+    rigs = np.arange(_commands().shape[1])
+    found: dict[int, tuple[Array, NDArray[np.bool_]]] = {}
+
+    def at(parts: int) -> tuple[Array, NDArray[np.bool_]]:
+        if parts not in found:
+            # The finest takes as many parts as a substep of four times its length: a stiff channel is stepped more finely, too.
+            found[parts] = _speeds(dict(values), effects, substep / parts, rigs, 4 if parts == _FINEST else 1)
+        return found[parts]
+
+    def differ(parts: int, share: float) -> NDArray[np.bool_]:
+        """Where the speeds are apart from the finest by more than so much of what is right, (rigs, 2)."""
+        return _differ(at(parts), at(_FINEST), share)
+
+    half = _speeds(dict(values), effects, substep / 2, rigs, 2)
+    rigs = np.flatnonzero(_differ(at(1), half, _RESERVE).any(axis=1))
+    if not rigs.size:
+        return 1, ()
+    found[1] = at(1)[0][:, rigs], at(1)[1][rigs]
+    unsettled = differ(_PARTS[-1], 1.0)
+    if unsettled.any():
+        speed, (nudged, _) = at(2)[0], _speeds(dict(values), effects, substep / 2, rigs, 1, 1.0 - _NUDGE)
+        separates = (_rms(nudged - speed) > _GROWTH * _NUDGE * _rms(speed)).any(axis=0)
+        if (wrong := (unsettled & ~separates) | at(_FINEST)[1]).any():
+            return 0, tuple(np.flatnonzero(wrong.any(axis=0)).tolist())
+    for parts in _PARTS[:-1]:
+        if not (differ(parts, _RESERVE) & ~unsettled).any():
+            return parts, ()
+    return _PARTS[-1], ()
+
+
+def _differ(
+    one: tuple[Array, NDArray[np.bool_]], other: tuple[Array, NDArray[np.bool_]], share: float
+) -> NDArray[np.bool_]:
+    """Where speeds are apart by more than so much of what is right, or diverged, (rigs, 2)."""
+    (a, broken), (b, broken_too) = one, other
+    return (_rms(a - b) > share * _bound(b)) | broken | broken_too
+
+
+def _rms(speed: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(speed**2, axis=0)))
+
+
+def _bound(speed: Array) -> Array:
+    return np.maximum(TOLERANCE_RPM, TOLERANCE_SHARE * _rms(speed))
+
+
+@cache
+def _commands() -> Array:
+    """Shares of the rated command, (rows, rigs, 2): two of slow sines, levels for 10 ms, large and small, levels for 50 ms, and
+    its two ends."""
+    rng = np.random.default_rng(0)
+    time = np.arange(_ROWS)[:, None] * _PERIOD
+    phase = np.array([0.0, 2.0])
+
+    def sines(large: float, small: float) -> Array:
+        """Sines of these frequencies (Hz)."""
+        slow, quick = (np.sin(2.0 * pi * f * time + n * phase) for n, f in ((1, large), (2, small)))
+        return np.asarray(0.6 * slow + 0.15 * quick)
+
+    def levels(rows: int) -> Array:
+        return np.repeat(rng.uniform(-1.0, 1.0, (_ROWS // rows, 2)), rows, axis=0)
+
+    ends = np.where(np.cumsum(rng.random((_ROWS, 2)) < 0.4, axis=0) % 2 == 0, 1.0, -1.0)
+    return np.stack([sines(0.8, 3.0), sines(2.0, 7.0), levels(1), 0.3 * levels(1), levels(5), ends], axis=1)
+
+
+def _speeds(
+    values: Mapping[str, tuple[float, float]],
+    effects: tuple[Effect, ...],
+    substep: float,
+    rigs: NDArray[np.int64],
+    stiff_at: int,
+    times: float = 1.0,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Speeds in rpm under so many times some of the commands, (rows, rigs, 2), and which diverged, (rigs, 1).
+
+    A stiff channel takes its substep in as many parts as one `stiff_at` times as long would be taken in. The kernel is the one
+    that a single rig of the model takes."""
+    kernel = compile_kernel((e.name for e in effects), 1)
+    commands = _commands()[:, rigs]
+    memory = np.zeros((len(rigs), kernel.num_rows, 2))
+    known = {f"{e.name}.{p.name}": p for e in effects for p in e.parameters}
+    for name, p in (PARAMETERS | known).items():
+        memory[:, kernel.rows[name]] = values.get(name, p.nominal)
+    for effect in effects:
+        if (
+            effect.delays_command
+        ):  # how late a command is does not matter, and it may be later than the run is long
+            memory[:, kernel.rows[f"{effect.name}.{effect.delays_command}"]] = 0.0
+    rated = np.minimum(memory[:, kernel.rows["u_rated"]], _NO_LIMIT)
+    substeps = max(1, ceil(_PERIOD / substep - 1e-9))
+    h = _PERIOD / substeps
+    out = np.empty((1, *commands.shape))
+    kernel.advance(
+        memory.reshape(-1),
+        kernel.room(),
+        np.zeros((len(rigs), 3, 2)) if kernel.has_delay else None,
+        0,
+        times * commands * rated,
+        np.zeros((1, 1, 2)),
+        substeps,
+        h,
+        stiff_at * h,
+        np.array([kernel.rows["speed"]]),
+        1,
+        out,
+    )
+    diverged = np.asarray((memory[:, kernel.rows["diverged"]] > 0.0).any(axis=1, keepdims=True))
+    return out[0] / RPM, diverged
