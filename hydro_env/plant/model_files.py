@@ -304,7 +304,7 @@ def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantMode
     if isinstance(source, str) and source in preset_names():
         return model
     try:
-        return followed(model, _presets())
+        return followed(model, _presets)
     except InputError as error:
         where = "" if isinstance(source, PlantModel) else f"{_called(source)}: "
         raise InputError(f"{where}{error}") from None

@@ -19,7 +19,7 @@ What is usual costs nothing: values in their plausible ranges, from which mismat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
 from math import ceil, pi
@@ -54,15 +54,19 @@ _PERIOD, _ROWS = 0.01, 100
 _NO_LIMIT = 200.0
 
 
-def followed(model: PlantModel, presets: Sequence[PlantModel]) -> PlantModel:
-    """The model with a substep that follows it: its own wherever that is so.
+def followed(model: PlantModel, presets: Callable[[], Sequence[PlantModel]]) -> PlantModel:
+    """The model with a substep that follows it: its own wherever that is so. `presets` are only asked for if need be.
 
     A substep that no preset has is the user's choice, and taken as it is. InputError, in one line, for a model that is not
     followed by an eighth of the substep either.
     """
-    if model.substep not in {preset.substep for preset in presets}:
+    outside = [_outside(model, channel) for channel in (0, 1)]
+    if not any(outside) or model.substep not in {preset.substep for preset in presets()}:
         return model
-    unusual = [_unusual(model, channel, presets) for channel in (0, 1)]
+    unusual = [
+        [] if any(_has(preset, model, channel, found) for preset in presets()) else list(found.values())
+        for channel, found in enumerate(outside)
+    ]
     if not any(unusual):
         return model
     values = tuple(sorted(model.values.items()))
@@ -76,19 +80,21 @@ def followed(model: PlantModel, presets: Sequence[PlantModel]) -> PlantModel:
     )
 
 
-def _unusual(model: PlantModel, channel: int, presets: Sequence[PlantModel]) -> list[str]:
-    """What is outside of the plausible range on a channel, in words; nothing if a preset has all of that."""
-    from_range = {}
+def _outside(model: PlantModel, channel: int) -> dict[str, str]:
+    """What is outside of its plausible range on a channel, in words by name."""
+    found = {}
     for name in model.values:
         effect, _, own = name.rpartition(".")
         p = CATALOGUE[effect].parameter(own) if effect else PARAMETERS[name]
         value = model.value(name, channel)
         if value != p.neutral and not inside(value, (p.low, p.high)):
-            from_range[name] = f"{name} {value:g} (usual {p.low:g} to {with_unit(p.high, p)})"
-    for preset in presets:
-        if all(preset.value(name, 0) == model.value(name, channel) for name in from_range):
-            return []
-    return list(from_range.values())
+            found[name] = f"{name} {value:g} (usual {p.low:g} to {with_unit(p.high, p)})"
+    return found
+
+
+def _has(preset: PlantModel, model: PlantModel, channel: int, names: Iterable[str]) -> bool:
+    """Whether a preset has all of these values of a channel."""
+    return all(preset.value(name, 0) == model.value(name, channel) for name in names)
 
 
 # --- simulation -------------------------------------------------------------------------------------------------------
