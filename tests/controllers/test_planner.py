@@ -12,10 +12,10 @@ from hydro_env.controllers.estimation.spool import (
     follow,
 )
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
-from hydro_env.controllers.mpc.planner import Planner, PlannerSettings
-from hydro_env.controllers.mpc.planner_lanes import LANES, improve_together
-from hydro_env.controllers.mpc.planner_steps import (
+from hydro_env.controllers.mpc.planner import (
     HORIZON,
+    Planner,
+    PlannerSettings,
     Scene,
     Weights,
     Work,
@@ -300,33 +300,6 @@ def test_a_row_of_a_batch_is_that_rig_alone():
     many = roll_out(Alone(FlowController()), range(4), mismatch="train", scenario=steps).trace.command
     alone = roll_out(Alone(FlowController()), [2], mismatch="train", scenario=steps).trace.command
     np.testing.assert_array_equal(many[:, 2], alone[:, 0])
-
-
-def test_plans_of_rigs_side_by_side_are_those_of_each_alone():
-    """Bit for bit, in every branch: from rest and under way, with steps that help at once, after tries or not at all, commands
-    at their limits and plans that are begun anew; for some rigs of a batch, which do not fill its last tile."""
-    rng, n, r = np.random.default_rng(3), 3 * LANES + 7, channel(friction=0.85 * STICTION)
-    w = Weights(300.0, 1.0, 650.0, 3000.0, 14.0 * RPM, 4)
-    motor = rng.choice([0.0, 20.0, 60.0], (n, 1)) + rng.normal(scale=1.0, size=(n, 2))
-    ahead = rng.choice([0.0, 1.0, 30.0, -30.0], (n, 1)) * np.linspace(0.0, 1.0, HORIZON + 1)
-    place = rng.uniform(-0.6, 0.6, (3, n, 2)) * np.array([1.0, 50.0, 1.0])[:, None, None]
-    s = Scene(
-        place,
-        motor,
-        rng.uniform(-0.5, 0.5, (n, 2)),
-        rng.uniform(0.0, 0.3, (n, 2, 2)),
-        rng.uniform(0.5, 1.2, (n, 2)),
-        rng.uniform(-1.0, 1.0, (n, 2)),
-        motor.mean(axis=1, keepdims=True) + ahead,
-        rng.uniform(1.0, 6.0, n),
-    )
-    plan, plain = rng.uniform(-1.0, 1.0, (2, n, 2, HORIZON))
-    plan[::5], rows = 1.0, np.flatnonzero(rng.random(n) < 0.8)
-    alone, together = plan.copy(), plan.copy()
-    improve_plans(alone, plain, rows, s, w, r, Work.of(STEPS))
-    improve_together(together, plain, rows, s, w, r)
-    np.testing.assert_array_equal(together, alone)
-    assert np.mean(np.any(alone[rows] != plan[rows], axis=(1, 2))) > 0.9
 
 
 def test_at_other_control_periods_the_law_beneath_commands():

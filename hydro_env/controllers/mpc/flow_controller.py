@@ -29,8 +29,7 @@ from hydro_env.controllers.estimation.nominal import FLOWING, Motor
 from hydro_env.controllers.mpc.compensation import CompensationSettings, DeadZoneCompensation, Shaper
 from hydro_env.controllers.mpc.crossing import Crossing, CrossingSettings
 from hydro_env.controllers.mpc.feedback import Feedback, FeedbackSettings
-from hydro_env.controllers.mpc.planner import Planner, PlannerSettings
-from hydro_env.controllers.mpc.planner_steps import HORIZON, Scene, predict_delayed
+from hydro_env.controllers.mpc.planner import HORIZON, Planner, PlannerSettings, Scene, predict_delayed
 from hydro_env.controllers.mpc.probing import Probing, ProbingSettings
 from hydro_env.controllers.mpc.reference import Reference, ReferenceSettings
 from hydro_env.envs.observation import decode

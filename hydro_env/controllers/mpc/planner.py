@@ -1,30 +1,58 @@
-"""The planner: the next commands of both valves, so that the motors keep together.
+"""The receding-horizon planner: the next commands of both valves, so that the motors keep together.
 
-A plan holds the commands of the next few control periods and is improved in every period anew
-(`hydro_env.controllers.mpc.planner_steps`): what it weighs, what it aims at, and which rigs are planned for.
+A plan holds the commands of the next few control periods and is improved in every period anew, by steps of Gauss and Newton on
+a model of spools, valves and motors (direct single shooting; Diehl et al., Real-time optimization, J. Process Control 12, 2002).
+The motor follows its flow by (1) and (2). The cost adds up
+
+* the speed differences at the control instants squared, beyond `corner` more than squared
+* how far the mean of both speeds is from its aim, squared
+* the moves of the commands squared
+* what is left of the spool's swing about the last command, squared
+
+so that a spool that has the longer way to its edge sets out first, and one that would ring is caught in time. Each rig is
+worked on by itself: a row of a batch gets bit for bit what it would get alone.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.nominal import TUNED_PERIOD
-from hydro_env.controllers.estimation.spool import Channel
-from hydro_env.controllers.mpc.planner_lanes import LANES, improve_together
-from hydro_env.controllers.mpc.planner_steps import HORIZON, Scene, Weights, Work, improve_plans
+from hydro_env.controllers.estimation.spool import Channel, substep, valve_flow
 from hydro_env.controllers.mpc.reference import ReferenceState
 from hydro_env.controllers.settings import HAND, TUNED, setting
+from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
-__all__ = ["Planner", "PlannerSettings"]
+__all__ = [
+    "HORIZON",
+    "Planner",
+    "PlannerSettings",
+    "Scene",
+    "Weights",
+    "Work",
+    "improve_plans",
+    "predict_delayed",
+]
 
 Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice
+
+HORIZON = 4
+"""Control periods that are planned: longer than the spool's period of 30 ms."""
+COMMANDS = 2 * HORIZON
+"""Commands of a plan, channel by channel. (Known to the compiler, which unrolls loops over them.)"""
+CLOSED = 0.3
+"""What a closed valve is taken to react like, as a share of an open one: it may be open when the plan has changed."""
+TRIES, SMALLER = 3, 0.35
+"""How often a step is tried, and by how much smaller each time."""
+STUCK, AWAY = 0.6, 10.0 * RPM
+"""A plan that leaves this share of a larger distance from the aim is restarted from the plain way to the aim."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +79,60 @@ class PlannerSettings:
     )
 
 
+class Weights(NamedTuple):
+    """Of the difference, the distance from the aim, the moves, the swing at the end; `corner` in rad/s; `turns`."""
+
+    apart: float
+    aim: float
+    moves: float
+    swing: float
+    corner: float
+    turns: int
+
+
+class Scene(NamedTuple):
+    """What plans begin with: positions, speeds and coils' commands of the spools (3, N, 2); the motors' speeds (rad/s) and loads
+    (N m), (N, 2); edges (N, 2, 2) and gains (N, 2) of the valves; the last command (N, 2); the aim at the control instants
+    (N, H + 1), rad/s; factors on the moves' weight (N,)."""
+
+    place: Floats
+    motor: Floats
+    load: Floats
+    edge: Floats
+    gain: Floats
+    sent: Floats
+    aim: Floats
+    heavier: Floats
+
+
+class Work(NamedTuple):
+    """Memory for one rig: what a plan leads to (`speeds` (2, H + 1), `ends` of the spools (2, 2), `opened` (2, H steps)), how
+    speeds change with it, `change` (H + 1, 2 H), which is zero where a command comes too late, and the normal equations."""
+
+    speeds: Floats
+    ends: Floats
+    opened: Floats
+    change: Floats
+    square: Floats
+    slope: Floats
+    move: Floats
+    tried: Floats
+
+    @classmethod
+    def of(cls, steps: int) -> Work:
+        empty = np.empty
+        return cls(
+            empty((2, HORIZON + 1)), empty((2, 2)), empty((2, HORIZON * steps)), np.zeros((HORIZON + 1, COMMANDS)),
+            empty((COMMANDS, COMMANDS)), empty(COMMANDS), empty(COMMANDS), empty((2, HORIZON)),
+        )  # fmt: skip
+
+
 class Planner:
     """`plan` (num_rigs, 2, HORIZON): commands of the next periods. Only for the control period it was tuned at."""
 
     def __init__(self, settings: PlannerSettings, num_rigs: int, channel: Channel) -> None:
         s = self.settings = settings
         self._channel, self._work = channel, Work.of(channel.steps)
-        self._together = num_rigs >= LANES
         self._weights = Weights(s.apart, 1.0, s.moves, s.swing, s.corner * RPM, s.turns)
         self.plan, self._mean = np.zeros((num_rigs, 2, HORIZON)), np.zeros(num_rigs)
 
@@ -76,10 +151,7 @@ class Planner:
         self.plan[..., :-1] = self.plan[..., 1:].copy()
         self.plan[~planned] = plain[~planned, :, :1]
         rows = np.flatnonzero(planned)
-        if self._together:
-            improve_together(self.plan, plain, rows, scene, self._weights, self._channel)
-        else:
-            improve_plans(self.plan, plain, rows, scene, self._weights, self._channel, self._work)
+        improve_plans(self.plan, plain, rows, scene, self._weights, self._channel, self._work)
         return np.where(planned[:, None], self.plan[..., 0], plain[..., 0])
 
     def move_weights(self, innovation: Floats, acceleration: Floats) -> Floats:
@@ -107,3 +179,225 @@ class Planner:
                 aim[:, k] = reference.speed - reference.acceleration * back * period
         off = aim[:, 0] - np.mean(motor, axis=1)
         return aim - (off - np.clip(off, -s.ahead * RPM, s.ahead * RPM))[:, None]
+
+
+@compiled
+def predict_delayed(late, sent, place, motor, load, edge, gain, m):
+    """Spools `place` (3, N, 2) and speeds `motor` (N, 2), in place, after the commands that are on their way: the `late` (N,)
+    newest ones of `sent` (periods, N, 2), newest first."""
+    push = m.step / m.per_acceleration
+    for i in range(late.size):
+        for c in range(2):
+            x, v, coil, speed = place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c]
+            drag = m.per_torque * load[i, c]
+            before, _ = valve_flow(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
+            for k in range(late[i] - 1, -1, -1):
+                for _ in range(m.steps):
+                    x, v, coil = substep(x, v, coil, sent[k, i, c], m)
+                    flow, _ = valve_flow(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
+                    speed += push * (before + m.fresh * (flow - before) - m.per_speed * speed - drag)
+                    before = flow
+            place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c] = x, v, coil, speed
+
+
+@compiled
+def cost_of(plan, i, s, w, m, work):
+    """The cost of a plan (2, H) of rig i; fills `speeds`, `ends` and `opened` of `work`."""
+    # Both spools in one loop: one's next step does not wait for the other's.
+    push, gain, edge, place = m.step / m.per_acceleration, s.gain[i], s.edge[i], s.place[:, i]
+    x0, v0, coil0, speed0, drag0 = (
+        place[0, 0],
+        place[1, 0],
+        place[2, 0],
+        s.motor[i, 0],
+        m.per_torque * s.load[i, 0],
+    )
+    x1, v1, coil1, speed1, drag1 = (
+        place[0, 1],
+        place[1, 1],
+        place[2, 1],
+        s.motor[i, 1],
+        m.per_torque * s.load[i, 1],
+    )
+    before0, before1 = s.sent[i, 0], s.sent[i, 1]
+    work.speeds[0, 0], work.speeds[1, 0] = speed0, speed1
+    last0, _ = valve_flow(x0, edge[0, 0], edge[0, 1], gain[0])
+    last1, _ = valve_flow(x1, edge[1, 0], edge[1, 1], gain[1])
+    total, moves = 0.0, w.moves * s.heavier[i]
+    for k in range(HORIZON):
+        command0, command1 = plan[0, k], plan[1, k]
+        for n in range(k * m.steps, (k + 1) * m.steps):
+            x0, v0, coil0 = substep(x0, v0, coil0, command0, m)
+            x1, v1, coil1 = substep(x1, v1, coil1, command1, m)
+            flow0, open0 = valve_flow(x0, edge[0, 0], edge[0, 1], gain[0])
+            flow1, open1 = valve_flow(x1, edge[1, 0], edge[1, 1], gain[1])
+            speed0 += push * (last0 + m.fresh * (flow0 - last0) - m.per_speed * speed0 - drag0)
+            speed1 += push * (last1 + m.fresh * (flow1 - last1) - m.per_speed * speed1 - drag1)
+            last0, last1 = flow0, flow1
+            work.opened[0, n] = 1.0 if open0 else CLOSED
+            work.opened[1, n] = 1.0 if open1 else CLOSED
+        work.speeds[0, k + 1], work.speeds[1, k + 1] = speed0, speed1
+        total += moves * ((command0 - before0) ** 2 + (command1 - before1) ** 2)
+        before0, before1 = command0, command1
+    ends = work.ends
+    ends[0, 0], ends[0, 1] = x0 - before0, v0 / m.rate
+    ends[1, 0], ends[1, 1] = x1 - before1, v1 / m.rate
+    total += w.swing * (ends[0, 0] ** 2 + ends[0, 1] ** 2 + ends[1, 0] ** 2 + ends[1, 1] ** 2)
+    return _add_speeds(total, work.speeds, s.aim[i], w)
+
+
+@compiled
+def _add_speeds(total, speeds, aim, w):
+    """A cost with those of differences and distances from the aim."""
+    for k in range(1, HORIZON + 1):
+        apart, off = speeds[0, k] - speeds[1, k], 0.5 * (speeds[0, k] + speeds[1, k]) - aim[k]
+        square = apart * apart
+        total += w.apart * square * (1.0 + 0.5 * square / (w.corner * w.corner)) + 2.0 * w.aim * off * off
+    return total
+
+
+@compiled
+def normal_equations(plan, i, s, w, m, work):
+    """The cost's slope (2 H,) and the lower triangle of the matrix (2 H, 2 H) of Gauss and Newton, each halved, into `work`."""
+    change, square, slope = work.change, work.square, work.slope
+    square[:] = 0.0
+    slope[:] = 0.0
+    _sensitivity(s.gain[i], m, work)
+    for k in range(1, HORIZON + 1):
+        apart = work.speeds[0, k] - work.speeds[1, k]
+        off = 0.5 * (work.speeds[0, k] + work.speeds[1, k]) - s.aim[i, k]
+        weight = w.apart * (1.0 + apart * apart / (w.corner * w.corner))
+        for c in range(2):
+            sign = 1.0 - 2.0 * c
+            for j in range(k):
+                b, a = c * HORIZON + j, change[k, c * HORIZON + j]
+                slope[b] += (weight * apart * sign + w.aim * off) * a
+                for d in range(c + 1):
+                    both = ((weight if d == c else -weight) + 0.5 * w.aim) * a
+                    for n in range(HORIZON):
+                        square[b, d * HORIZON + n] += both * change[k, d * HORIZON + n]
+    for c in range(2):
+        _of_commands(plan, c, s.sent[i, c], w.moves * s.heavier[i], w.swing, m, work)
+
+
+@compiled
+def _sensitivity(gain, m, work):
+    """How speeds at the control instants change with each command: the spool's travel, where the valve is open, integrated."""
+    # Both motors in one loop: one's next substep does not wait for the other's.
+    push, change, opened = m.step / m.per_acceleration, work.change, work.opened
+    keep = 1.0 - push * m.per_speed
+    for j in range(HORIZON):
+        turned0 = turned1 = risen0 = risen1 = 0.0
+        for k in range(j, HORIZON):
+            for n in range(k * m.steps, (k + 1) * m.steps):
+                travel = m.travel[n - j * m.steps]
+                now0, now1 = push * gain[0] * opened[0, n] * travel, push * gain[1] * opened[1, n] * travel
+                turned0 = keep * turned0 + risen0 + m.fresh * (now0 - risen0)
+                turned1 = keep * turned1 + risen1 + m.fresh * (now1 - risen1)
+                risen0, risen1 = now0, now1
+            change[k + 1, j], change[k + 1, HORIZON + j] = turned0, turned1
+
+
+@compiled
+def _of_commands(plan, c, sent, moves, swing, m, work):
+    """Adds the moves of a channel's commands, and the swing they leave."""
+    square, slope, ends = work.square, work.slope, work.ends
+    for j in range(HORIZON):
+        at = c * HORIZON + j
+        move = plan[c, j] - (sent if j == 0 else plan[c, j - 1])
+        square[at, at] += moves
+        slope[at] += moves * move
+        if j > 0:
+            square[at - 1, at - 1] += moves
+            square[at, at - 1] -= moves
+            slope[at - 1] -= moves * move
+        last = (HORIZON - j) * m.steps - 1
+        x, v = m.travel[last] - (1.0 if j == HORIZON - 1 else 0.0), m.swing[last]
+        slope[at] += swing * (ends[c, 0] * x + ends[c, 1] * v)
+        for n in range(j + 1):
+            last = (HORIZON - n) * m.steps - 1
+            y = m.travel[last] - (1.0 if n == HORIZON - 1 else 0.0)
+            square[at, c * HORIZON + n] += swing * (x * y + v * m.swing[last])
+
+
+@compiled
+def _solve(square, slope, move):
+    """move = -square^-1 slope, by Cholesky in place; of `square` the lower triangle is read."""
+    for p in range(COMMANDS):
+        for q in range(p + 1):
+            rest = square[p, q]
+            for k in range(q):
+                rest -= square[p, k] * square[q, k]
+            square[p, q] = np.sqrt(max(rest, 1e-12)) if p == q else rest / square[q, q]
+    for p in range(COMMANDS):
+        rest = -slope[p]
+        for k in range(p):
+            rest -= square[p, k] * move[k]
+        move[p] = rest / square[p, p]
+    for p in range(COMMANDS - 1, -1, -1):
+        rest = move[p]
+        for k in range(p + 1, COMMANDS):
+            rest -= square[k, p] * move[k]
+        move[p] = rest / square[p, p]
+
+
+@compiled
+def _copy(source, plan):
+    """Copies a plan (2, H) into another: one by one, since for `plan[:] = source` Numba compiles texts of errors for seconds."""
+    for c in range(2):
+        for j in range(HORIZON):
+            plan[c, j] = source[c, j]
+
+
+@compiled
+def _improve(plan, i, cost, s, w, m, work):
+    """One step of Gauss and Newton on the plan of rig i, shortened until it helps; the cost reached, or the old one."""
+    normal_equations(plan, i, s, w, m, work)
+    # a command at its limit that would go beyond stays there
+    for c in range(2):
+        for j in range(HORIZON):
+            k = c * HORIZON + j
+            if plan[c, j] * work.slope[k] < 0.0 and abs(plan[c, j]) >= 1.0:
+                work.square[k, :] = 0.0
+                work.square[:, k] = 0.0
+                work.square[k, k], work.slope[k] = 1.0, 0.0
+    _solve(work.square, work.slope, work.move)
+    size = 1.0
+    for _ in range(TRIES):
+        for c in range(2):
+            for j in range(HORIZON):
+                moved = plan[c, j] + size * work.move[c * HORIZON + j]
+                work.tried[c, j] = min(1.0, max(-1.0, moved))
+        reached = cost_of(work.tried, i, s, w, m, work)
+        if reached < cost:
+            _copy(work.tried, plan)
+            return reached
+        size *= SMALLER
+    return cost
+
+
+@compiled
+def improve_plans(plans, plain, rows, s, w, m, work):
+    """Improves the plans (N, 2, H) of the rigs `rows`, in place. plain (N, 2, H): another plan to begin with, where it is better.
+    s: `Scene`, w: `Weights`, m: `Channel`, work: `Work`."""
+    for i in rows:
+        plan, now = plans[i], 0.5 * (s.motor[i, 0] + s.motor[i, 1])
+        other = cost_of(plain[i], i, s, w, m, work)
+        cost = cost_of(plan, i, s, w, m, work)
+        if other < cost:
+            _copy(plain[i], plan)
+            cost = cost_of(plan, i, s, w, m, work)
+        for attempt in range(2):
+            if attempt == 1:
+                cost = cost_of(plan, i, s, w, m, work)
+            for _ in range(w.turns):
+                reached = _improve(plan, i, cost, s, w, m, work)
+                if not reached < cost:
+                    break
+                cost = reached
+            # out of standstill the way leads over a ridge: a plan that stays behind it is restarted beyond
+            away = s.aim[i, HORIZON] - now
+            left = s.aim[i, HORIZON] - 0.5 * (work.speeds[0, HORIZON] + work.speeds[1, HORIZON])
+            if attempt == 1 or abs(away) < AWAY or left * away < STUCK * away * away:
+                break
+            _copy(plain[i], plan)
