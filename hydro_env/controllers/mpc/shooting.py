@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
-from hydro_env.controllers.mpc.planner_steps import CLOSED
+from hydro_env.controllers.mpc.planner import CLOSED
 from hydro_env.jit import compiled
 
 __all__ = ["DAMPING", "END", "HORIZON", "SAMPLES", "Best", "Course", "improve", "keep", "minimise_in_box"]
