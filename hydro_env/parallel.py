@@ -56,8 +56,7 @@ ATTEMPTS = 3
 """So often a task is begun whose process dies under it."""
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""Environment of a process beside others: threads of BLAS would wait for each other in loops, and take the others' time. (With
-the other core at work, exponentials of the oracle's matrices took 26 s of processor time in two threads, below 1 s in one.)"""
+"""Environment of a process beside others: threads of BLAS would wait for each other in loops, and take the others' time."""
 
 
 @dataclass(frozen=True)
