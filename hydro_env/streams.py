@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .jit import compiled
 
-__all__ = ["Streams", "normal"]
+__all__ = ["NormalNumbers", "Streams"]
 
 Words = NDArray[np.uint32]
 Integers = NDArray[np.uint64]
@@ -101,6 +101,33 @@ class Streams:
         return shares.reshape(chosen.size, *shape)
 
 
+class NormalNumbers:
+    """Standard normal numbers of float32, a stream of its own to each row: `numbers` (N, n) are those drawn last.
+
+    A few rows keep generators of NumPy, for which nothing has to be compiled.
+    """
+
+    def __init__(self, rows: int, numbers: int) -> None:
+        self.numbers = np.zeros((rows, numbers), np.float32)
+        self._generators: dict[int, np.random.Generator] | None = {} if rows <= FEW else None
+        self._states = np.zeros((rows if rows > FEW else 0, 5), np.uint64)
+
+    def begin(self, rows: NDArray[np.int64], streams: Streams) -> None:
+        """From now on these rows take their numbers from these streams."""
+        if self._generators is None:
+            self._states[rows] = streams.states
+        else:
+            self._generators.update({row: streams.generator(k) for k, row in enumerate(rows.tolist())})
+
+    def draw(self, rows: NDArray[np.int64]) -> None:
+        """The next numbers of these rows. Threads may draw for rows of their own side by side."""
+        if self._generators is None:
+            _fill_normal(self._states, rows, self.numbers)
+        else:
+            for row in rows.tolist():
+                self._generators[row].standard_normal(out=self.numbers[row], dtype=np.float32)
+
+
 # --- seeds --------------------------------------------------------------------------------------------------------
 def _words(numbers: Integers, two: bool) -> list[Words]:
     """Numbers as one or two words of 32 bits, the lower one first."""
@@ -159,6 +186,10 @@ def _start(seed: Integers) -> Integers:
 
 def _without_arrays(function: Any) -> Any:
     return compiled(function, allocates=False)
+
+
+def _threaded(function: Any) -> Any:
+    return compiled(function, nogil=True, allocates=False)
 
 
 # --- uniform numbers ----------------------------------------------------------------------------------------------
@@ -231,7 +262,7 @@ def _share(states, i):
 
 
 @_without_arrays
-def normal(states, i):
+def _normal(states, i):
     """The next `Generator.standard_normal(dtype=float32)` of stream i."""
     while True:
         bits = _bits(states, i)
@@ -254,3 +285,11 @@ def normal(states, i):
                 found = step * _share(states, i) + _HEIGHTS[strip] < exp(-0.5 * value * value)
         if found:
             return -value if bits & np.uint64(256) else value
+
+
+@_threaded
+def _fill_normal(states, rows, out):
+    """Fills these rows of `out` with the next numbers of their streams."""
+    for i in rows:
+        for place in range(out.shape[1]):
+            out[i, place] = _normal(states, i)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_env.streams import FEW, Streams, normal
+from hydro_env.streams import FEW, NormalNumbers, Streams
 
 SEEDS = [0, 1, 7, 2**31, 2**32 - 1, 2**32, 2**63, 2**64 - 1]
 
@@ -28,11 +28,21 @@ def test_numbers_are_numpys(seeds):
         assert streams.generator(row).random() == generator.random()
 
 
-def test_normal_numbers_are_numpys():
-    streams, generators = ours(SEEDS, (0, 1)), numpys(SEEDS, (0, 1))
-    for row, generator in enumerate(generators):
-        # Enough for the tail beyond the ziggurat, and an odd number of 32-bit words between two calls.
-        for size in (7, 100_000):
-            found = np.array([normal(streams.states, row) for _ in range(size)], np.float32)
-            np.testing.assert_array_equal(found, generator.standard_normal(size, dtype=np.float32))
-        assert np.abs(found).max() > 3.66
+@pytest.mark.parametrize("seeds", [SEEDS, SEEDS[:FEW]])
+def test_normal_numbers_are_numpys(seeds):
+    generators, rows = numpys(seeds, (0, 1)), np.arange(len(seeds))
+    # Enough for the tail beyond the ziggurat, and an odd number of 32-bit words between two calls.
+    found = NormalNumbers(len(seeds), 20_001)
+    found.begin(rows, ours(seeds, (0, 1)))
+    found.draw(rows)
+    np.testing.assert_array_equal(found.numbers, [g.standard_normal(20_001, dtype=np.float32) for g in generators])
+    assert np.abs(found.numbers).max() > 3.66
+    found.draw(rows[1:3])
+    np.testing.assert_array_equal(
+        found.numbers[1:3], [g.standard_normal(20_001, dtype=np.float32) for g in generators[1:3]]
+    )
+    found.begin(rows[:1], ours([99], (0,)))
+    found.draw(rows[:2])
+    again = numpys([99], (0,))[0].standard_normal(20_001, dtype=np.float32)
+    np.testing.assert_array_equal(found.numbers[0], again)
+    np.testing.assert_array_equal(found.numbers[1], generators[1].standard_normal(20_001, dtype=np.float32))

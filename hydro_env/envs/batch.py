@@ -25,7 +25,7 @@ from ..errors import InputError, shown, suggestion
 from ..limits import Limits
 from ..plant import Plant, PlantModel, load_model
 from ..plant.plant import machine_memory, make_plant
-from ..streams import Streams
+from ..streams import NormalNumbers, Streams
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, default_mismatch, load_mismatch, own_values
 from ..tasks.scenarios import Reference, Scenario, load_scenario
 from .courses import Courses, pieces
@@ -141,6 +141,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         _check_room(self.num_envs, self.history)
         self._make_spaces()
         self._levels = noise_levels(noise)
+        self._noisy = bool(self._levels.any())
         self._weights = self.reward.weights()
         self._recorder: Recorder | None = None
         if render_mode is not None:
@@ -166,7 +167,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         # The episode of each row: where it stands, what is driven, what the sensors do.
         self._step, self._last = np.zeros(n, np.int64), np.zeros(n, np.int64)
         self._courses, self._place, self._driven = Courses(n), np.zeros((n, 2), np.int64), np.zeros((n, 4))
-        self._noise = np.zeros((n, 5), np.uint64)
+        self._noise = NormalNumbers(n, self._levels.size)
         self._sensor = {name: np.full((n, 2), p.nominal) for name, p in SENSOR_PARAMETERS.items()}
         self._stuck, self._held = np.full((n, 2), _NEVER, np.int64), np.zeros((n, 2))
         self._fraction, self._moved, self._turned = np.zeros((n, 2)), np.zeros(n), np.zeros((n, 2))
@@ -483,8 +484,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self, rows: NDArray[np.int64], scenario: Scenario, steps: int, seeds: list[int], episodes: list[int]
     ) -> None:
         self._last[rows] = steps if self.max_episode_steps is None else min(steps, self.max_episode_steps)
-        if self._levels.any():
-            self._noise[rows] = _streams(seeds, episodes, NOISE_STREAM).states
+        if self._noisy:
+            self._noise.begin(rows, _streams(seeds, episodes, NOISE_STREAM))
         if not scenario.random and self._shared is not scenario and rows.size == self.num_envs:
             self._shared = scenario
             common = scenario.reference(self.control_period)
@@ -525,12 +526,14 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._show(rows, result)
 
     def _sense(self, rows: NDArray[np.int64], result: Result) -> None:
+        if self._noisy:
+            self._noise.draw(rows)
         c = self._courses
         drive(rows, self._step, self._last, c.of, c.starts, c.levels, self._place, self._driven)
         look(
-            rows, self.plant.memory, self._half, self._where, self._step, self._last, self._driven, self._noise, self._levels,
-            SCALES, LIMIT, self._sensor["speed_sensor.noise_factor"], self._stuck, self._held, self._fraction, self._moved,
-            self._rated, self._weights, *result,
+            rows, self.plant.memory, self._half, self._where, self._step, self._last, self._driven, self._noise.numbers,
+            self._levels, SCALES, LIMIT, self._sensor["speed_sensor.noise_factor"], self._stuck, self._held, self._fraction,
+            self._moved, self._rated, self._weights, *result,
         )  # fmt: skip
         if self._winds:
             wind(

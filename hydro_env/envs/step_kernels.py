@@ -9,7 +9,6 @@ from __future__ import annotations
 from math import isfinite
 
 from ..jit import compiled
-from ..streams import normal
 from ..units import DEGREE, RPM
 
 __all__ = ["COLUMNS", "SIGNALS", "apply", "drive", "look", "wind"]
@@ -90,22 +89,19 @@ def drive(rows, step, last, of, starts, levels, place, driven):
 
 @_threaded
 def look(
-    rows, memory, half, where, step, last, driven, noise, deviation, scales, limit, factor, stuck, held, fraction, moved, rated,
+    rows, memory, half, where, step, last, driven, error, deviation, scales, limit, factor, stuck, held, fraction, moved, rated,
     weights, observation, true, reward, terminated, truncated,
 ):  # fmt: skip
     """Sensors, reward and true signals of some rows at the instant `step` (N,) of their episodes.
 
     rows: numbers of the rows. memory, half, where: the plant's memory and the rows of `SIGNALS` in it. driven (N, 4): see
-    `drive`. noise (N, 5): states of the sensors' `Streams`; deviation (6,) and scales (9,) of the observation. factor, stuck,
+    `drive`. error (N, 6): of the sensors, standard normal; its deviation (6,) and scales (9,) of the observation. factor, stuck,
     held (N, 2): noise factor of the speed sensors, row from which on one is stuck, and what it last showed.
     The last five are filled: observation (N, n), its last frame alone; true (N, TRUE), reward, terminated, truncated (N,).
 
     Every operation here costs a millisecond or two of the first start, in which all this is compiled.
     """
     newest = observation.shape[1] - scales.shape[0]
-    noisy = False
-    for j in range(6):
-        noisy |= deviation[j] > 0.0
     for i in rows:
         block = i // half
         lane = i - block * half
@@ -115,10 +111,10 @@ def look(
         observation[i, newest] = target / scales[0]
         for j in range(6):
             c = j % 2
-            error = normal(noise, i) * deviation[j] if noisy else 0.0
+            added = error[i, j] * deviation[j]
             if j < 2:
-                error *= factor[i, c]
-            value = cells[where[2 + j // 2], lane + c * half] / scales[1 + j] + error
+                added *= factor[i, c]
+            value = cells[where[2 + j // 2], lane + c * half] / scales[1 + j] + added
             if j < 2:
                 if now >= stuck[i, c]:
                     value = held[i, c]

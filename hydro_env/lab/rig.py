@@ -13,7 +13,6 @@ from hydro_env.envs.observation import FRAME, LIMIT, SCALES, noise_levels
 from hydro_env.envs.step_kernels import SIGNALS, TRUE, look
 from hydro_env.plant import CATALOGUE, Plant, load_model
 from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
-from hydro_env.streams import Streams
 from hydro_env.tasks import draw_pairs
 from hydro_env.tasks.mismatch import OWN, SENSOR_PARAMETERS, own_values
 from hydro_env.units import RPM
@@ -127,7 +126,7 @@ class LiveRig:
         self.plant.reset()
         self.time = 0.0
         self._fraction, self._held = np.zeros((1, 2)), np.zeros((1, 2))
-        self._noise = np.zeros(6, np.float32)
+        self._noise = np.zeros((1, 6), np.float32)
 
     @property
     def rated(self) -> Floats:
@@ -136,8 +135,6 @@ class LiveRig:
 
     def sense(self, setpoint_rpm: float) -> Reading:
         """What the rig shows now, with the set-point that is in force from now on."""
-        # The sensors draw for themselves the numbers that are remembered here.
-        drawn = Streams.of(self._stream.bit_generator).states
         self._stream.standard_normal(out=self._noise, dtype=np.float32)
         # A sensor sticks at its first reading at the earliest.
         sticks = self.time >= np.maximum(self._sensor["speed_sensor.stuck_from"], PERIOD) - 1e-9
@@ -146,7 +143,7 @@ class LiveRig:
         rated = self.plant.get("u_rated")
         look(
             _ROW, self.plant.memory, self.plant.memory.shape[2] // 2, self._where, _ROW, _ROW,
-            np.array([[setpoint_rpm * RPM, 0.0, 0.0, 0.0]]), drawn, self._levels, SCALES, LIMIT,
+            np.array([[setpoint_rpm * RPM, 0.0, 0.0, 0.0]]), self._noise, self._levels, SCALES, LIMIT,
             self._sensor["speed_sensor.noise_factor"], np.where(sticks, 0, _NEVER), self._held, self._fraction, nothing, rated,
             np.zeros(4), observation, true, nothing.copy(), flags, flags.copy(),
         )  # fmt: skip
@@ -178,7 +175,7 @@ class LiveRig:
     @property
     def noise(self) -> Floats:
         """What the sensors added last, standard normal: speeds, currents, pressures, (6,)."""
-        return self._noise.astype(float)
+        return self._noise[0].astype(float)
 
     @property
     def diverged(self) -> bool:
