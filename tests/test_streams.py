@@ -35,7 +35,9 @@ def test_normal_numbers_are_numpys(seeds):
     found = NormalNumbers(len(seeds), 20_001)
     found.begin(rows, ours(seeds, (0, 1)))
     found.draw(rows)
-    np.testing.assert_array_equal(found.numbers, [g.standard_normal(20_001, dtype=np.float32) for g in generators])
+    np.testing.assert_array_equal(
+        found.numbers, [g.standard_normal(20_001, dtype=np.float32) for g in generators]
+    )
     assert np.abs(found.numbers).max() > 3.66
     found.draw(rows[1:3])
     np.testing.assert_array_equal(

@@ -197,7 +197,9 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One control period; see the class. ValueError for an action that is not finite or not of the shape (2,)."""
-        observation, true, reward, terminated, truncated = self.batch.advance(np.asarray(action, np.float64)[None])
+        observation, true, reward, terminated, truncated = self.batch.advance(
+            np.asarray(action, np.float64)[None]
+        )
         row = true[0]
         values = row.tolist()
         info: dict[str, Any] = {
