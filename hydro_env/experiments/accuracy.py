@@ -10,9 +10,9 @@ and up to three other base parameters of the paper's model over theirs; effects.
 
 Each model is what a user gets from `load_model`, which gives it a shorter substep or refuses it where its own does not follow it.
 It is driven for S seconds by smooth, uniform, Gaussian and bang-bang commands of full range, or by some of these
-(`--commands`), and compared with the same at an eighth of the substep. One that differs there by more than 0.1 rpm (RMS) and 1e-4
-of its speed is compared again, an eighth with a sixteenth: where these differ too, the motion separates neighbouring solutions
-and no simulator foretells it. `--sample` models, chosen by chance, are also compared with the reference simulator, each under one
+(`--commands`), and compared with the same at a sixteenth of the substep: a stiff channel may take an eighth in so many fewer parts
+that nothing becomes finer. One that differs there by more than 0.1 rpm (RMS) and 1e-4 of its speed is compared again, a sixteenth
+with a thirty-second: where these differ too, the motion separates neighbouring solutions and no simulator foretells it. `--sample` models, chosen by chance, are also compared with the reference simulator, each under one
 of the commands in turn.
 
 `accuracy.csv` has a line for each model and command: the RMS of the speed and of its errors in rpm, and what the model is.
@@ -98,7 +98,7 @@ class Result:
 
     @property
     def separates(self) -> bool:
-        """Whether halving an eighth of the substep still moves the result."""
+        """Whether halving a sixteenth of the substep still moves the result."""
         return self.finer is not None and self.finer > 0.5 * TOLERANCE_RPM
 
 
@@ -234,20 +234,20 @@ def compare(cases: Sequence[Case], share: Array, command: str) -> tuple[list[Res
     made = 0.0
     for group in groups.values():
         speed, diverged, substeps = _run(group, share, 1)
-        eighth, broken, _ = _run(group, share, 8)
+        fine, broken, _ = _run(group, share, 16)
         made += substeps
         found = [
             Result(case, command, *numbers)
             for case, *numbers in zip(
-                group, _rms(eighth).tolist(), _rms(speed - eighth).tolist(), strict=True
+                group, _rms(fine).tolist(), _rms(speed - fine).tolist(), strict=True
             )
         ]
         for result, bad in zip(found, (diverged | broken).tolist(), strict=True):
             result.diverged = bad
         doubtful = [n for n, result in enumerate(found) if result.error > result.bound]
         if doubtful:
-            sixteenth, _, _ = _run([group[n] for n in doubtful], share, 16)
-            for n, finer in zip(doubtful, _rms(eighth[:, doubtful] - sixteenth).tolist(), strict=True):
+            finest, _, _ = _run([group[n] for n in doubtful], share, 32)
+            for n, finer in zip(doubtful, _rms(fine[:, doubtful] - finest).tolist(), strict=True):
                 found[n].finer = finer
         results += found
     return results, made

@@ -43,8 +43,9 @@ __all__ = ["TOLERANCE_RPM", "TOLERANCE_SHARE", "followed"]
 Array = NDArray[np.float64]
 #: A speed that is off by less than this (rpm, RMS), or by less than this share of itself, is right.
 TOLERANCE_RPM, TOLERANCE_SHARE = 0.1, 1e-4
-#: The part of it that the check allows: other commands may be harder than these.
-_RESERVE = 0.5
+#: The part of it that the check allows. Other commands may meet events that these do not; docs/reference/plant.md has what other
+#: parts cost and leave.
+_RESERVE = 1 / 64
 #: Shares of the substep that a model may get, and the finest one, with which they are compared.
 _PARTS, _FINEST = (1, 2, 4, 8), 16
 #: Change of the command that shows what a motion makes of small errors, and by how much more it has to change the speed.

@@ -217,7 +217,7 @@ def test_a_ring_that_hardly_anything_damps_keeps_its_phase(leakage):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", COMMANDS)
-def test_ends_of_all_ranges_against_an_eighth_of_the_substep(kind):
+def test_ends_of_all_ranges_against_a_sixteenth_of_the_substep(kind):
     """All accepted models do not diverge, and few of them are off: those where neighbouring motions separate."""
     cases = []
     for case in (*ends_of_base(), *ends_of_effects()):
@@ -234,7 +234,7 @@ def test_ends_of_all_ranges_against_an_eighth_of_the_substep(kind):
 
 
 @pytest.mark.slow
-def test_random_models_against_an_eighth_of_the_substep():
+def test_random_models_against_a_sixteenth_of_the_substep():
     rng = np.random.default_rng(6)
     cases, _ = drawn(200, rng)
     for kind in COMMANDS:

@@ -76,7 +76,7 @@ def test_a_substep_of_its_own_is_taken_as_it_is(runs: list[float]) -> None:
 
 
 def test_a_model_that_is_followed_stays_and_is_simulated_once(runs: list[float]) -> None:
-    model = given({"V": 3e-6})
+    model = given({"V": 1.5e-5})
     assert load_model(model) is model
     assert sorted(runs) == [SUBSTEP / 2, SUBSTEP]
     assert Plant(model.with_values({}, name="other"), 2).substep == SUBSTEP
@@ -93,7 +93,7 @@ def test_a_model_that_is_not_followed_gets_a_finer_substep_and_agrees_with_the_r
 ) -> None:
     model = given(NOT_FOLLOWED)
     finer = load_model(model)
-    assert finer == replace(model, substep=SUBSTEP / 4)
+    assert finer == replace(model, substep=SUBSTEP / 8)
     model.to_yaml(tmp_path / "mine.yaml", "this test")
     assert load_model(tmp_path / "mine.yaml") == Plant(model).model == finer
     assert load_model(finer) is finer
