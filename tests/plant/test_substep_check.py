@@ -76,7 +76,7 @@ def test_a_substep_of_its_own_is_taken_as_it_is(runs: list[float]) -> None:
 
 
 def test_a_model_that_is_followed_stays_and_is_simulated_once(runs: list[float]) -> None:
-    model = given({"V": 1.5e-5})
+    model = given({"Km": 1e-9})
     assert load_model(model) is model
     assert sorted(runs) == [SUBSTEP / 2, SUBSTEP]
     assert Plant(model.with_values({}, name="other"), 2).substep == SUBSTEP
