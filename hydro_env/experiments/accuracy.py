@@ -10,10 +10,10 @@ and up to three other base parameters of the paper's model over theirs; effects.
 
 Each model is what a user gets from `load_model`, which gives it a shorter substep or refuses it where its own does not follow it.
 It is driven for S seconds by smooth, uniform, Gaussian and bang-bang commands of full range, or by some of these
-(`--commands`), and compared with the same at a sixteenth of the substep: a stiff channel may take an eighth in so many fewer parts
-that nothing becomes finer. One that differs there by more than 0.1 rpm (RMS) and 1e-4 of its speed is compared again, a sixteenth
-with a thirty-second: where these differ too, the motion separates neighbouring solutions and no simulator foretells it. `--sample` models, chosen by chance, are also compared with the reference simulator, each under one
-of the commands in turn.
+(`--commands`), and compared with the same at a sixteenth of the substep: a stiff channel may take an eighth in so many fewer
+parts that nothing becomes finer. One that differs there by more than 0.1 rpm (RMS) and 1e-4 of its speed is compared again, a
+sixteenth with a thirty-second: where these differ too, the motion separates neighbouring solutions and no simulator foretells it.
+`--sample` models, chosen by chance, are also compared with the reference simulator, each under one of the commands in turn.
 
 `accuracy.csv` has a line for each model and command: the RMS of the speed and of its errors in rpm, and what the model is.
 """
@@ -238,9 +238,7 @@ def compare(cases: Sequence[Case], share: Array, command: str) -> tuple[list[Res
         made += substeps
         found = [
             Result(case, command, *numbers)
-            for case, *numbers in zip(
-                group, _rms(fine).tolist(), _rms(speed - fine).tolist(), strict=True
-            )
+            for case, *numbers in zip(group, _rms(fine).tolist(), _rms(speed - fine).tolist(), strict=True)
         ]
         for result, bad in zip(found, (diverged | broken).tolist(), strict=True):
             result.diverged = bad

@@ -5,6 +5,7 @@ layout      where states, parameters and stages lie in the memory of a block
 statements  from the right-hand side and the laws of the effects to statements
 template    the text of a generated module
 codegen     writes the module: sweeps over lanes
+module_cache  keeps it for the next process
 vector_ir   writes its statements as vector instructions
 machine_code  compiles them and keeps what was compiled
 driver      the loop over substeps around the sweeps, one for all kernels
@@ -32,10 +33,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..catalogue import CATALOGUE, Effect
-from .codegen import module_text
 from .driver import SWEEPS, advance
 from .layout import STATES
 from .machine_code import MachineCode, machine_code
+from .module_cache import module_of
 
 __all__ = ["STATES", "Kernel", "compile_kernel"]
 
@@ -79,7 +80,7 @@ def _compiled(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
 
 
 def _compiled_alone(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
-    module = module_text(effects, half)
+    module = module_of(effects, half)
     code = machine_code(module.text, single)
     numbers = module.numbers | dict(zip(SWEEPS, code.addresses, strict=True))
     return Kernel(
