@@ -118,21 +118,21 @@ def advance(  # type: ignore[no-untyped-def]
     whole_step = cells.dtype.type(h)
     rigs = out.shape[2]
     for b in range(memory.size // kept):
-        start, begin = b * kept, b * half
-        end = begin + half if begin + half < rigs else rigs
+        start, low = b * kept, b * half
+        high = low + half if low + half < rigs else rigs
         copy(cells, 0, memory, start, kept)
         sweep(at[REFINE], cells, looked_at)
         for t in range(commands.shape[0]):
             if record.size > 0 and t % every == 0:
                 sweep(at[LOOK], cells, whole_step)
                 for r in range(record.size):
-                    first, seen = record[r] * lanes - begin, out[r, t // every]
-                    for rig in range(begin, end):
+                    first, seen = record[r] * lanes - low, out[r, t // every]
+                    for rig in range(low, high):
                         seen[rig, 0], seen[rig, 1] = cells[first + rig], cells[first + half + rig]
             for channel in range(2):
                 first = channel * half
                 for lane in range(half):
-                    rig = begin + lane if begin + lane < rigs else rigs - 1
+                    rig = low + lane if low + lane < rigs else rigs - 1
                     cells[at[COMMAND] * lanes + first + lane] = commands[
                         t, rig if rig < commands.shape[1] else 0, channel
                     ]
