@@ -28,6 +28,7 @@ import numpy as np
 from hydro_env.errors import InputError
 from hydro_env.measured.csv_file import CsvStyle, read_csv
 from hydro_env.measured.finding import Finding
+from hydro_env.measured.mat5_structure import check_structure
 from hydro_env.measured.table import MOST_VALUES, Table, check_file, check_size
 
 __all__ = ["is_binary", "read_table"]
@@ -175,9 +176,12 @@ def _mat(path: Path, units: dict[str, str]) -> Iterator[Columns]:
             yield columns
         return
     from scipy.io import loadmat, whosmat
+    from scipy.io.matlab import matfile_version
 
+    if matfile_version(path)[0] == 1:
+        check_size(path, _unpacked_size(path) // 8)  # of what lies in structures as well
+        check_structure(path)
     check_size(path, sum(math.prod(shape) for _, shape, _ in whosmat(path)))
-    check_size(path, _unpacked_size(path) // 8)  # of what lies in structures as well
     content = loadmat(path, squeeze_me=True, struct_as_record=False)
     named = {key: value for key, value in content.items() if not key.startswith("__")}
     yield {name: lambda values=values: values for name, values in _vectors(named)}  # type: ignore[misc]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from hydro_env import cli
 from hydro_env.errors import InputError
 from hydro_env.measured import load_mapping, read_log
+from hydro_env.measured.formats import read_binary
 from hydro_env.measured.table import MOST_VALUES
 
 TIME = np.arange(50) * 0.01
@@ -159,6 +161,31 @@ def test_damage_inside_a_record_of_an_mdf_file_is_named(tmp_path: Path) -> None:
     data[address + 24 + 8 * links + 5] = 8
     path.write_bytes(data)
     refused(path, "outside its record")
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_wrong_bit_in_what_a_mat_file_says_of_itself_is_read_or_refused(
+    tmp_path: Path, packed: bool
+) -> None:
+    """SciPy believes it, and the process would end: by a kind of number that there is not, or a matrix called complex."""
+    from scipy.io import savemat
+
+    path = tmp_path / "log.mat"
+    short = {"time_s": np.arange(4.0), "log": {"command_1_V": np.arange(4.0), "note": "text"}}
+    savemat(path, short, do_compression=packed)
+    data = path.read_bytes()
+    assert read_binary(path, lambda names: names).names == ("time_s", "log.command_1_V")
+    for place in range(128, len(data)):
+        for bit in range(0 if place % 4 < 2 else 7, 8):  # lengths and kinds are small
+            path.write_bytes(data[:place] + bytes([data[place] ^ 1 << bit]) + data[place + 1 :])
+            try:
+                read_binary(path, lambda names: names)
+            except InputError as error:
+                assert str(path) in str(error) and "\n" not in str(error)
+    for length in range(128, len(data), 8):
+        path.write_bytes(data[:length])
+        with suppress(InputError):
+            read_binary(path, lambda names: names)
 
 
 @pytest.mark.parametrize("ending", ["tdms", "parquet", "mat"])
