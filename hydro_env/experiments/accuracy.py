@@ -11,8 +11,9 @@ and up to three other base parameters of the paper's model over theirs; effects.
 Each model is what a user gets from `load_model`, which gives it a shorter substep or refuses it where its own does not follow it.
 It is driven for S seconds by smooth, uniform, Gaussian and bang-bang commands of full range, or by some of these
 (`--commands`), and compared with the same at a sixteenth of the substep: a stiff channel may take an eighth in so many fewer
-parts that nothing becomes finer. One that differs there by more than 0.1 rpm (RMS) and 1e-4 of its speed is compared again, a
-sixteenth with a thirty-second: where these differ too, the motion separates neighbouring solutions and no simulator foretells it.
+parts that nothing becomes finer. One that differs there by more than 0.1 rpm (RMS) and 1e-4 of its speed is driven once more at a
+sixteenth, by commands that are smaller by a millionth: where that moves the speed by more than a ten-thousandth, the motion
+separates neighbouring solutions, and no simulator foretells it (`substep_check`).
 `--sample` models, chosen by chance, are also compared with the reference simulator, each under one of the commands in turn.
 
 `accuracy.csv` has a line for each model and command: the RMS of the speed and of its errors in rpm, and what the model is.
@@ -37,7 +38,7 @@ from numpy.typing import NDArray
 from hydro_env.errors import InputError, run_command
 from hydro_env.files import write_text
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Parameter, Plant, PlantModel, load_model
-from hydro_env.plant.substep_check import TOLERANCE_RPM, TOLERANCE_SHARE
+from hydro_env.plant.substep_check import GROWTH, NUDGE, TOLERANCE_RPM, TOLERANCE_SHARE
 from hydro_env.practice.reference import simulate_reference
 from hydro_env.units import RPM
 
@@ -82,13 +83,14 @@ class Case:
 
 @dataclass
 class Result:
-    """A case under one command: RMS of the speed and of the errors in rpm, None where not compared."""
+    """A case under one command: RMS of the speed and of the errors in rpm, None where not compared; `growth`: by how much more
+    than the command the speed changes."""
 
     case: Case
     command: str
     speed: float
     error: float
-    finer: float | None = None
+    growth: float | None = None
     reference: float | None = None
     diverged: bool = False
 
@@ -98,8 +100,8 @@ class Result:
 
     @property
     def separates(self) -> bool:
-        """Whether halving a sixteenth of the substep still moves the result."""
-        return self.finer is not None and self.finer > 0.5 * TOLERANCE_RPM
+        """Whether a change of the command becomes so much larger that no simulator foretells the motion."""
+        return self.growth is not None and self.growth > GROWTH
 
 
 def commands(kind: str, seconds: float, rng: np.random.Generator) -> Array:
@@ -244,9 +246,9 @@ def compare(cases: Sequence[Case], share: Array, command: str) -> tuple[list[Res
             result.diverged = bad
         doubtful = [n for n, result in enumerate(found) if result.error > result.bound]
         if doubtful:
-            finest, _, _ = _run([group[n] for n in doubtful], share, 32)
-            for n, finer in zip(doubtful, _rms(fine[:, doubtful] - finest).tolist(), strict=True):
-                found[n].finer = finer
+            nudged, _, _ = _run([group[n] for n in doubtful], (1.0 - NUDGE) * share, 16)
+            for n, moved in zip(doubtful, _rms(fine[:, doubtful] - nudged).tolist(), strict=True):
+                found[n].growth = moved / (NUDGE * max(found[n].speed, 1e-9))
         results += found
     return results, made
 
@@ -307,9 +309,9 @@ def table(results: Sequence[Result]) -> str:
     """The results as CSV, the worst first."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["command", "speed_rpm", "error_rpm", "finer_rpm", "reference_rpm", "diverged", "model"])
+    writer.writerow(["command", "speed_rpm", "error_rpm", "growth", "reference_rpm", "diverged", "model"])
     for r in sorted(results, key=lambda r: -r.error):
-        numbers = ["" if v is None else f"{v:.3g}" for v in (r.speed, r.error, r.finer, r.reference)]
+        numbers = ["" if v is None else f"{v:.3g}" for v in (r.speed, r.error, r.growth, r.reference)]
         said = " ".join([r.case.preset, *(f"{name}={value:.4g}" for name, value in r.case.values.items())])
         writer.writerow([r.command, *numbers, int(r.diverged), said])
     return out.getvalue()

@@ -38,7 +38,7 @@ from .parameters import PARAMETERS
 if TYPE_CHECKING:
     from .model import PlantModel
 
-__all__ = ["TOLERANCE_RPM", "TOLERANCE_SHARE", "followed"]
+__all__ = ["GROWTH", "NUDGE", "TOLERANCE_RPM", "TOLERANCE_SHARE", "followed"]
 
 Array = NDArray[np.float64]
 #: A speed that is off by less than this (rpm, RMS), or by less than this share of itself, is right.
@@ -49,7 +49,7 @@ _RESERVE = 1 / 64
 #: Shares of the substep that a model may get, and the finest one, with which they are compared.
 _PARTS, _FINEST = (1, 2, 4, 8), 16
 #: Change of the command that shows what a motion makes of small errors, and by how much more it has to change the speed.
-_NUDGE, _GROWTH = 1e-6, 100.0
+NUDGE, GROWTH = 1e-6, 100.0
 _PERIOD, _ROWS = 0.01, 100
 #: What no limit of the command stands for, V.
 _NO_LIMIT = 200.0
@@ -124,8 +124,8 @@ def _parts(
     found[1] = at(1)[0][:, rigs], at(1)[1][rigs]
     unsettled = differ(_PARTS[-1], 1.0)
     if unsettled.any():
-        speed, (nudged, _) = at(2)[0], _speeds(dict(values), effects, substep / 2, rigs, 1, 1.0 - _NUDGE)
-        separates = (_rms(nudged - speed) > _GROWTH * _NUDGE * _rms(speed)).any(axis=0)
+        speed, (nudged, _) = at(2)[0], _speeds(dict(values), effects, substep / 2, rigs, 1, 1.0 - NUDGE)
+        separates = (_rms(nudged - speed) > GROWTH * NUDGE * _rms(speed)).any(axis=0)
         if (wrong := (unsettled & ~separates) | at(_FINEST)[1]).any():
             return 0, tuple(np.flatnonzero(wrong.any(axis=0)).tolist())
     for parts in _PARTS[:-1]:
