@@ -45,6 +45,8 @@ KINDS = ("smooth", "uniform", "gaussian", "bang_bang")
 PERIOD = 0.01
 #: Limit of the command, V.
 LIMIT = 73.0
+#: Control periods of each kind of command that are compared with the reference.
+ERROR_ROWS = 200
 
 
 def _rate(work: Callable[[], int], seconds: float) -> float:
@@ -153,8 +155,11 @@ def measure_commands(
     return rows
 
 
-def measure_errors(dtypes: Sequence[str] = ("float64", "float32")) -> list[dict[str, float]]:
-    """Largest error of the speed in rpm against the reference, for the paper's rig with its calibrated dead zone.
+def measure_errors(
+    dtypes: Sequence[str] = ("float64", "float32"), rows: int = ERROR_ROWS
+) -> list[dict[str, float]]:
+    """Largest error of the speed in rpm against the reference, for the paper's rig with its calibrated dead zone, over so many
+    control periods of each kind of command and twice as many of steps.
 
     One entry for each of `dtypes`: the error by kind of command, and the worst.
     """
@@ -162,13 +167,13 @@ def measure_errors(dtypes: Sequence[str] = ("float64", "float32")) -> list[dict[
 
     rng = np.random.default_rng(0)
     model = load_model("paper_dead_zone")
-    steps = np.repeat(rng.uniform(-40.0, 40.0, (8, 2)), 50, axis=0)
+    steps = np.repeat(rng.uniform(-40.0, 40.0, (8, 2)), rows // 4, axis=0)
     kinds = {
         "steps": steps,
-        "random": rng.uniform(-73.0, 73.0, (200, 2)),
-        "bang_bang": 73.0 * rng.choice([-1.0, 1.0], (200, 2)),
-        "smooth": commands("smooth", 200, 1, rng)[:, 0],
-        "gaussian": commands("gaussian", 200, 1, rng)[:, 0],
+        "random": rng.uniform(-73.0, 73.0, (rows, 2)),
+        "bang_bang": 73.0 * rng.choice([-1.0, 1.0], (rows, 2)),
+        "smooth": commands("smooth", rows, 1, rng)[:, 0],
+        "gaussian": commands("gaussian", rows, 1, rng)[:, 0],
     }
     errors: list[dict[str, float]] = [{} for _ in dtypes]
     for name, volts in kinds.items():
@@ -222,13 +227,16 @@ def measure_start() -> dict[str, float]:
     return {"cold_s": took[0], "warm_s": took[1]}
 
 
-def run(out: str | Path, *, num_envs: Sequence[int] = NUM_ENVS, seconds: float = 1.0) -> dict[str, Any]:
+def run(
+    out: str | Path, *, num_envs: Sequence[int] = NUM_ENVS, seconds: float = 1.0, rows: int = ERROR_ROWS
+) -> dict[str, Any]:
     """Measures and writes speed.json.
 
     Args:
         out: an existing folder.
         num_envs: sizes of batches.
         seconds: time to spend on each figure.
+        rows: control periods of each kind of command that are compared with the reference.
 
     Returns the content of speed.json.
     """
@@ -236,7 +244,7 @@ def run(out: str | Path, *, num_envs: Sequence[int] = NUM_ENVS, seconds: float =
     sizes = [(n, "float64") for n in num_envs] + [(max(num_envs), "float32")]
     batch = [measure_batch(n, seconds, dtype) for n, dtype in tqdm(sizes, desc="batch", leave=False)]
     plant = Plant("paper_dead_zone", 1024)
-    error, error_float32 = measure_errors()
+    error, error_float32 = measure_errors(rows=rows)
     result = {
         "schema": "hydro_env/speed/1",
         "machine": {

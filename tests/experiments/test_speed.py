@@ -12,7 +12,7 @@ from hydro_env.experiments import near_limit, speed
 
 
 def test_speed_writes_rates_and_the_error_at_that_speed(tmp_path: Path) -> None:
-    result = speed.run(tmp_path, num_envs=[3], seconds=0.05)
+    result = speed.run(tmp_path, num_envs=[3], seconds=0.05, rows=40)
     assert json.loads((tmp_path / "speed.json").read_text()) == result
     row, single = result["batch"]
     assert (row["dtype"], single["dtype"]) == ("float64", "float32")
