@@ -89,7 +89,9 @@ def _load_array_functions() -> None:
 
     To learn that there is one it imports all of `scipy.linalg`, which takes a tenth of a second of every start. SciPy is required
     here, and whatever makes use of a BLAS asks for it again."""
-    asked = numba_linalg.ensure_blas
+    asked = getattr(numba_linalg, "ensure_blas", None)
+    if asked is None:  # another version of Numba asks in another way
+        return
     numba_linalg.ensure_blas = lambda: None
     try:
         import_module("numba.np.arraymath")

@@ -26,6 +26,7 @@ import csv
 import io
 import itertools
 import math
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -333,21 +334,25 @@ def _wanted(options: argparse.Namespace, rng: np.random.Generator) -> tuple[list
 
 
 def _checked(cases: Iterable[Case]) -> set[int]:
-    """The cases, by `id`, that are not refused when their substep is checked; prints what came of it."""
-    followed, shorter, refused = set(), 0, []
+    """The cases, by `id`, that are not refused when their substep is checked; prints what came of it and what it took."""
+    parts: dict[int, float] = {}
+    took, refused = [], []
     for case in cases:
+        begun = time.process_time()
         try:
-            shorter += case.model.substep < case.given.substep
+            parts[id(case)] = case.given.substep / case.model.substep
         except InputError as problem:
             refused.append(str(problem))
-        else:
-            followed.add(id(case))
+        took.append(time.process_time() - begun)
+    shares = list(parts.values())
     print(
-        f"substep checked: {shorter} models get a shorter one, {len(refused)} are refused",
+        f"substep checked: {sum(share > 1.0 for share in shares)} models get a shorter one, so that they take"
+        f" {np.mean(shares):.3g} times as many in the mean, {len(refused)} are refused; {np.median(took):.2g} processor"
+        f" seconds in the median, {np.quantile(took, 0.9):.2g} for nine of ten",
         *refused,
         sep="\n  ",
     )
-    return followed
+    return set(parts)
 
 
 def main() -> None:

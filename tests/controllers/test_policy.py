@@ -221,12 +221,16 @@ def test_shipped_policies_drive_as_when_they_were_scored(path):
     metrics = roll_out(policy, range(val["pairs"]), scenario=val["scenario"], **where).metrics()
     for name in ("max_speed_difference_rpm", "tracking_mae_rpm"):
         assert trim_mean(metrics[name], 0.25) == pytest.approx(val[name], rel=0.03)
-    # What ships is worth it: better than either PID on the same pairs.
-    for name in ("pid_paper", "pid_tuned"):
-        plain = roll_out(
+    plain = {
+        name: roll_out(
             make_controller(name), range(val["pairs"]), scenario=val["scenario"], **where
         ).metrics()
-        assert val["max_speed_difference_rpm"] < trim_mean(plain["max_speed_difference_rpm"], 0.25)
+        for name in ("pid_paper", "pid_tuned")
+    }
+    left = {name: trim_mean(found["max_speed_difference_rpm"], 0.25) for name, found in plain.items()}
+    # What ships is worth it. Of the difference that the paper's PID leaves; of those that ship, `sac` is the weakest.
+    share = 0.5 if plant == "rig" else 0.3 if path.stem == "sac" else 0.25
+    assert val["max_speed_difference_rpm"] < min(share * left["pid_paper"], left["pid_tuned"])
 
 
 @given(st.data())
