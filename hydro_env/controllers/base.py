@@ -151,11 +151,13 @@ class Controller:
         last = self.__asked[-1]
         self.limits = np.maximum(last - most, -1.0), np.minimum(last + most, 1.0)
         self.asked = self.command(measured)
-        self.__asked = [*self.__asked[1:], np.clip(self.asked, *self.limits)]
+        low, high = self.limits
+        # `np.clip` does the same in three times the time.
+        self.__asked = [*self.__asked[1:], np.minimum(np.maximum(self.asked, low), high)]
         share = self.gains.get("shape", 0.0)
         ends, middle = self.__asked[0] + self.__asked[-1], self.__asked[self.__spacing]
         smooth = self.__outer * ends + (1.0 - 2.0 * self.__outer) * middle
-        self.sent = np.clip(self.__asked[-1] + share * (smooth - self.__asked[-1]), -1.0, 1.0)
+        self.sent = np.minimum(np.maximum(self.__asked[-1] + share * (smooth - self.__asked[-1]), -1.0), 1.0)
         return self.sent
 
     def start(self, measured: Measurements) -> None:

@@ -108,7 +108,7 @@ def roll_out(
         began = perf_counter()
         returned = _checked(controller.act(observation), len(seeds))
         spent += perf_counter() - began
-        action = np.clip(returned, -1.0, 1.0)
+        action = np.minimum(np.maximum(returned, -1.0), 1.0)
         # A law with an `act` of its own has no `asked`.
         asked = getattr(controller, "asked", returned) if isinstance(controller, Controller) else returned
         sizes.append(np.abs(asked).astype(np.float32))
@@ -118,7 +118,7 @@ def roll_out(
         for each in recorders:
             each.step(action, observation, reward, info)
         returns += reward
-        if np.any(terminated):
+        if terminated.any():
             raise ValueError(f"the plant of case {int(np.argmax(terminated))} diverged")
         done = np.asarray(truncated)
     return Episodes(kept.trace(control_period), faults, float(np.median(sizes)), returns)
@@ -146,9 +146,9 @@ def _checked(action: Any, num_rigs: int) -> Floats:
     if given.shape != (num_rigs, 2):
         raise ValueError(f"act returned the shape {given.shape}, expected ({num_rigs}, 2)")
     command = given.astype(float)
-    finite = np.isfinite(command).all(axis=1)
+    finite = np.isfinite(command)
     if not finite.all():
-        raise ValueError(f"act returned a command that is not finite for case {int(np.argmin(finite))}")
+        raise ValueError(f"act returned a command that is not finite for case {int(np.argmin(finite.all(axis=1)))}")
     return command
 
 

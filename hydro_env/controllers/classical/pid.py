@@ -87,7 +87,8 @@ class Pid:
         into_high = (output > high) & (grown > self.integral)
         into_low = (output < low) & (grown < self.integral)
         self.integral = np.where(into_high | into_low, self.integral, grown)
-        return np.clip(rest + self.integral, low, high)
+        limited: Floats = np.minimum(np.maximum(rest + self.integral, low), high)
+        return limited
 
 
 class PidController(Controller):

@@ -126,9 +126,9 @@ def substep(position, speed, coil, command, m):
     speed = m.decay * speed + m.step * m.rate * m.rate * (command + m.late_mean * gap - position)
     speed -= min(max(speed, -m.grip), m.grip)
     position += 0.5 * m.step * speed
-    speed = min(speed, 0.0) if position > m.stop else speed
-    speed = max(speed, 0.0) if position < -m.stop else speed
-    return min(max(position, -m.stop), m.stop), speed, command + m.late * gap
+    if abs(position) > m.stop:
+        position, speed = min(max(position, -m.stop), m.stop), min(speed, 0.0) if position > 0.0 else max(speed, 0.0)
+    return position, speed, command + m.late * gap
 
 
 @compiled
