@@ -148,7 +148,9 @@ def _checked(action: Any, num_rigs: int) -> Floats:
     command = given.astype(float)
     finite = np.isfinite(command)
     if not finite.all():
-        raise ValueError(f"act returned a command that is not finite for case {int(np.argmin(finite.all(axis=1)))}")
+        raise ValueError(
+            f"act returned a command that is not finite for case {int(np.argmin(finite.all(axis=1)))}"
+        )
     return command
 
 

@@ -127,7 +127,8 @@ def substep(position, speed, coil, command, m):
     speed -= min(max(speed, -m.grip), m.grip)
     position += 0.5 * m.step * speed
     if abs(position) > m.stop:
-        position, speed = min(max(position, -m.stop), m.stop), min(speed, 0.0) if position > 0.0 else max(speed, 0.0)
+        speed = min(speed, 0.0) if position > 0.0 else max(speed, 0.0)
+        position = min(max(position, -m.stop), m.stop)
     return position, speed, command + m.late * gap
 
 
