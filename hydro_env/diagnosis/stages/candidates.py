@@ -101,8 +101,8 @@ class Selection:
 
 @dataclass
 class Search:
-    """A selection under way: `present` are the estimates so far, from `calibrated`; `corrected` those
-    with a correction of form, by the id of the estimate without; the rest as in `Selection`."""
+    """A selection under way: `present` are the estimates so far, from `calibrated`; `corrected` are pairs of an estimate and the
+    same with a correction of form; the rest as in `Selection`."""
 
     fit: Fit
     calibrated: Estimates
@@ -113,7 +113,7 @@ class Search:
     accepted: list[Accepted] = field(default_factory=list)
     candidates: list[Candidate] = field(default_factory=list)
     placebo: Estimates = field(default_factory=dict)
-    corrected: dict[int, Estimate] = field(default_factory=dict)
+    corrected: list[tuple[Estimate, Estimate]] = field(default_factory=list)
 
     @property
     def names(self) -> list[str]:

@@ -271,14 +271,16 @@ def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
 
 def _in_other_form(search: Search, estimate: Estimate) -> Estimate:
     """The estimate with the correction of form that explains most of what it leaves, if one does; remembered in the search."""
-    if id(estimate) not in search.corrected:
+    known = next((better for own, better in search.corrected if own is estimate), None)
+    if known is None:
         fit = search.fit
         found = attempts(fit, estimate, estimate.placed_effects())
         refit_attempts(fit.on(fit.rig.for_long_refits()), found)
         best = min(found, key=lambda t: t.score, default=None)
         better = best is not None and best.score < estimate.cost
-        search.corrected[id(estimate)] = best.estimate if best is not None and better else estimate
-    return search.corrected[id(estimate)]
+        known = best.estimate if best is not None and better else estimate
+        search.corrected.append((estimate, known))
+    return known
 
 
 def _settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
