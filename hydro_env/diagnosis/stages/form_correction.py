@@ -43,6 +43,9 @@ LEFT_OUT = rule("left_out_stretches", "a correction of form must also help on st
 TRY_ITERATIONS, KEEP_ITERATIONS, HALF_ITERATIONS, BESIDE_ITERATIONS = 8, 12, 5, 5
 #: Length of the stretches that are fitted and left out in turn, s.
 STRETCH_S = 1.0
+#: Corrections of one estimate at most, and the times the noise above which a second one is tried: below, it took a twentieth of a
+#: diagnosis and changed nothing that shows.
+MOST_CORRECTIONS, SECOND_NOISE = 2, 1.1
 
 
 @dataclass(frozen=True)
@@ -128,29 +131,38 @@ def with_correction(estimate: Estimate, effect: str, correction: str, channel: i
 
 def correct(
     fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]]
-) -> tuple[Estimate, Correction | None]:
-    """The estimate with that correction of its effects `named` (with their channels) that does best, if it pays for itself; else
-    the estimate itself.
+) -> tuple[Estimate, list[Correction]]:
+    """The estimate with those corrections of its effects `named` (with their channels) that pay for themselves; the estimate
+    itself if none does.
 
-    A correction must also help on stretches of the fit logs that were left out (`falls_on_left_out`).
+    A correction must also help on stretches of the fit logs that were left out (`falls_on_left_out`). A second one is tried only
+    where more than `SECOND_NOISE` times the noise is left.
     """
-    tries = attempts(fit, estimate, named)
-    if not tries or not fit.rig.has_hidden_states or fit.at_noise(estimate):
-        return estimate, None
-    refit_attempts(fit, tries)
-    if estimate.channel is not None:
-        grow_horizon(fit, [min((t.estimate for t in tries), key=lambda p: p.cost)])
-    best = min(tries, key=lambda t: t.score)
-    if best.score >= estimate.cost:
-        return estimate, None
-    checked = fit.settings.uses(LEFT_OUT)
-    falls = falls_on_left_out(fit, estimate, best.estimate) if checked else (np.inf, np.inf)
-    # It must help in both halves, and in all pay for its numbers there too.
-    if min(falls) <= 0.0 or sum(falls) < best.needed:
-        return estimate, None
-    solve(fit, [best.estimate], KEEP_ITERATIONS)
-    fall = estimate.cost - best.estimate.cost
-    return best.estimate, Correction(best.effect, best.correction, best.channel, fall, sum(falls))
+    kept: list[Correction] = []
+    for number in range(MOST_CORRECTIONS):
+        if not fit.rig.has_hidden_states or fit.at_noise(estimate):
+            break
+        if number and (fit.at_noise(estimate, SECOND_NOISE) or far_from_noise(fit, estimate)):
+            break  # with the form put right that matters most, what is left far from the noise is no matter of form
+        tries = [t for t in attempts(fit, estimate, named) if all(k.correction != t.correction for k in kept)]
+        if not tries:
+            break
+        refit_attempts(fit, tries)
+        if number == 0 and estimate.channel is not None:
+            grow_horizon(fit, [min((t.estimate for t in tries), key=lambda p: p.cost)])
+        best = min(tries, key=lambda t: t.score)
+        if best.score >= estimate.cost:
+            break
+        checked = fit.settings.uses(LEFT_OUT)
+        falls = falls_on_left_out(fit, estimate, best.estimate) if checked else (np.inf, np.inf)
+        # It must help in both halves, and in all pay for its numbers there too.
+        if min(falls) <= 0.0 or sum(falls) < best.needed:
+            break
+        solve(fit, [best.estimate], KEEP_ITERATIONS)
+        fall = estimate.cost - best.estimate.cost
+        kept.append(Correction(best.effect, best.correction, best.channel, fall, sum(falls)))
+        estimate = best.estimate
+    return estimate, kept
 
 
 def attempts(fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]]) -> list[Attempt]:
@@ -189,26 +201,26 @@ def correct_all(
     for one in {id(p): p for p in estimates.values()}.values():
         c = one.channel
         names = [(n, channel) for channel, own in named.items() if c is None or channel == c for n in own]
+        if not fit.rig.has_hidden_states or not named or fit.at_noise(one):
+            continue
         better, kept = correct(fit, one, names)
-        if kept is not None:
-            found.update(dict.fromkeys(fit.channels_of(one), better))
-            every.append(kept)
+        found.update(dict.fromkeys(fit.channels_of(one), better))
+        every += kept
     return found, every
 
 
 def correct_placebo(fit: Fit, placebo: Estimates, final: Estimates, kept: Sequence[Correction]) -> Estimates:
-    """The placebos with a correction, untested, where the named effects of their channels have one: their own where there is one,
-    else the same. Each is refitted as long as it can still reach what was found."""
+    """The placebos with as many corrections as the named effects of their channels have, untested: their own ones where there
+    are some, else the same. Each is refitted as long as it can still reach what was found."""
     found = dict(placebo)
     for c, estimate in placebo.items():
-        k = next((k for k in kept if k.channel in (None, c)), None)
-        if k is None:
-            continue
-        effects = [n for n in estimate.effects() if not is_correction(n)]
-        own = [(n, name) for n in effects for name in CORRECTIONS.get(n, {})]
-        effect, name = own[0] if own else (k.effect, k.correction)
-        if name not in estimate.effects() and CATALOGUE[name].scope != "rig":
-            found[c] = with_correction(estimate, effect, name, k.channel)
+        for number, k in enumerate(k for k in kept if k.channel in (None, c)):
+            effects = [n for n in estimate.effects() if not is_correction(n)]
+            own = [(n, name) for n in effects for name in CORRECTIONS.get(n, {})]
+            effect, name = own[number] if number < len(own) else (k.effect, k.correction)
+            if name in estimate.effects() or CATALOGUE[name].scope == "rig":
+                continue
+            found[c] = estimate = with_correction(estimate, effect, name, k.channel)
     if changed := {c: p for c, p in found.items() if p is not placebo[c]}:
         races = [[final[c], p] for c, p in changed.items()]
         solve(fit, list(changed.values()), TRY_ITERATIONS + KEEP_ITERATIONS, races=races)
