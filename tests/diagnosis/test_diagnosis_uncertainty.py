@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis.estimation import (
+    Estimate,
     Fit,
     differentiate,
     less_taken,
     noise_floor,
     noise_of,
+    restart_friction,
     settle,
 )
 from hydro_env.diagnosis.estimation.uncertainty import bootstrap, nearest_inside
@@ -19,7 +21,7 @@ from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
-from hydro_env.diagnosis.stages.calibration import as_given, calibrate
+from hydro_env.diagnosis.stages.calibration import as_given, base_unknowns, calibrate
 from hydro_env.diagnosis.stages.localisation import shape
 from hydro_env.diagnosis.stages.naming import Interval, widened_by_form
 from hydro_env.diagnosis.stages.screening import Screening, absorb, hidden_by_calibration, screen
@@ -180,6 +182,24 @@ def test_what_calibration_takes_up_but_for_next_to_nothing_is_hidden() -> None:
     assert not seen(1e4, 6.5e6).hidden and seen(1e4, 6.5e6).shows
     small = seen(10.0, 20.0)  # nothing there that calibration could take
     assert not small.hidden and not small.shows
+
+
+def test_estimates_leave_a_local_minimum_of_friction(tmp_path: Path) -> None:
+    make_practice([], duration=4.0, rate=500.0, runs=("fit_1",), seed=3).write(tmp_path)
+    rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+    fit, unknowns = _fit(rig), base_unknowns(rig, 0)
+
+    def wrong(by: float) -> Estimate:
+        q = [{"Fc": by, "Fs": by, "vs": -by}.get(u.name, 0.0) for u in unknowns]
+        estimate = Estimate(0, unknowns, np.array(q))
+        fit.evaluate([estimate])
+        return estimate
+
+    assert not restart_friction(fit, [wrong(1.5)])  # so far off it may be an effect that is missing
+    found = wrong(0.4)
+    before = found.cost
+    assert restart_friction(fit, [found]) == [found] and found.cost < before - 100.0
+    assert not restart_friction(fit, [Estimate(0, [], np.zeros(0), simulated=found.simulated)])
 
 
 def test_the_shape_of_a_gap_tells_a_curve_from_memory() -> None:

@@ -13,7 +13,6 @@ from .noise import effective_samples
 __all__ = [
     "could_pay",
     "explained_share",
-    "far_from_noise",
     "mostly_explained",
     "nearly_explained",
     "smallest_share",
@@ -26,15 +25,8 @@ CLEARLY_ABOVE = 2.0
 SMALL_SUM = 0.15
 #: Share of the residual (in `Fit.levels`) that may be left where next to nothing is.
 NEXT_TO_NOTHING = 0.15
-#: A residual (`Fit.level`) up to which a local minimum may be the cause; what a missing effect leaves is larger.
-SMALL_LEVEL = 1.0
 #: A log whose mean square error is above so many times the noise's could pay for an effect, if its deviance is worth so much.
 ABOVE_NOISE, WORTH = 1.04, 20.0
-
-
-def far_from_noise(fit: Fit, estimate: Estimate) -> bool:
-    """Whether more is left than a local minimum leaves."""
-    return fit.level(estimate) > SMALL_LEVEL
 
 
 def could_pay(fit: Fit, estimate: Estimate, channel: int) -> bool:

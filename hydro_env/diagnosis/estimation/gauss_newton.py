@@ -31,8 +31,6 @@ MET = 0.05
 #: An iteration is idle if it takes away less than this share of what the cost is above that of the noise alone. Where something
 #: is missing, the other parameters creep for long, and to no use: they move again once it is there.
 IDLE_SHARE = 0.0005
-#: Idle iterations in a row after which an estimate ends.
-MOST_IDLE = 2
 
 
 def solve(
@@ -44,9 +42,8 @@ def solve(
     `races` are starts of the same estimate, or competing candidates, improved in the same way, of which only the best one will
     be used: one that cannot become the best any more ends early (`_out_of_race`).
 
-    An estimate ends early once `MOST_IDLE` step sizes of the differences in a row do not lower its cost by `tolerance` (or
-    `IDLE_SHARE`), or one does not and it is at the noise already. One that brings `columns` along (from a smaller one) uses
-    them in its first step.
+    An estimate ends early once no step size of the differences lowers its cost by `tolerance` (or `IDLE_SHARE`), or one does not
+    and it is at the noise already. One that brings `columns` along (from a smaller one) uses them in its first step.
     """
     fit.evaluate([p for p in estimates if not p.simulated])
     live = [p for p in estimates if p.unknowns and np.isfinite(p.cost)]
@@ -67,10 +64,10 @@ def solve(
         for p in live:
             idle = before[id(p)] - p.cost < max(tolerance, IDLE_SHARE * (p.cost - floors[id(p)]))
             quiet = idle and fit.at_noise(p)
-            stalled[id(p)] = MOST_IDLE if quiet else stalled[id(p)] + 1 if idle else 0
+            stalled[id(p)] = len(DIFFERENCE_STEPS) if quiet else stalled[id(p)] + 1 if idle else 0
             falls[id(p)].append(before[id(p)] - p.cost)
         out = {n for race in races for n in _out_of_race(race, falls, iterations - iteration - 1, tolerance)}
-        live = [p for p in live if stalled[id(p)] < MOST_IDLE and id(p) not in out]
+        live = [p for p in live if stalled[id(p)] < len(DIFFERENCE_STEPS) and id(p) not in out]
 
 
 def step_all(fit: Fit, live: Sequence[Estimate]) -> None:

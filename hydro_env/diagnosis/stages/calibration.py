@@ -13,6 +13,7 @@ from ..estimation import (
     Unknown,
     base_unknown,
     limited_by_effects,
+    restart_friction,
     solve,
 )
 from ..models.base import RigModel
@@ -64,6 +65,7 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     """Adjusts the base parameters of every channel, with priors about the model as given.
 
     The coil comes first, by the current alone: nothing behind it acts back, so that no missing effect can pull it away.
+    What is not at the noise then begins anew with other friction of the spool.
     """
     rig, estimates = fit.rig, {}
     for channel in rig.channels:
@@ -78,6 +80,8 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     solve(fit, [*estimates.values(), *apart.values()], iterations)
     further = [estimates[c] for c, other in apart.items() if estimates[c].adopt(other)]
     solve(fit, further, iterations // 3)
+    if rig.has_hidden_states:
+        solve(fit, restart_friction(fit, list(estimates.values())), iterations)
     return estimates
 
 
