@@ -170,7 +170,7 @@ def test_the_weight_of_tracking_follows_its_bound(tmp_path, bound, grows):
     assert weights == sorted(weights, reverse=not grows) and weights[0] != weights[-1]
 
 
-@pytest.mark.parametrize("law", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("law", [True, False])
 def test_imitation_lowers_the_error_of_the_commands(tmp_path, law):
     settings = settings_of(tmp_path)
     quick = replace(settings.imitation, law=law, periods=1.0, batch=4, epochs=8, rate=0.02)

@@ -172,7 +172,7 @@ def test_calibration_finds_a_rig_whose_spools_are_wrong_by_a_sixth(tmp_path: Pat
         assert len(base_unknowns(rig, c)) == found[c].q.size
 
 
-@pytest.mark.parametrize("off", [0.3, pytest.param(-2.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("off", [0.3, -2.0])
 def test_an_unbalanced_shaft_is_found_from_the_beginning_of_its_log(tmp_path: Path, off: float) -> None:
     make_practice(
         ["eccentric_load:1"], base_error=0.15, seed=12, duration=8.0, rate=500.0, runs=("fit_1",)

@@ -43,9 +43,8 @@ LEFT_OUT = rule("left_out_stretches", "a correction of form must also help on st
 TRY_ITERATIONS, KEEP_ITERATIONS, HALF_ITERATIONS, BESIDE_ITERATIONS = 8, 12, 5, 5
 #: Length of the stretches that are fitted and left out in turn, s.
 STRETCH_S = 1.0
-#: Corrections of one estimate at most, and the times the noise above which a second one is tried: below, it took a twentieth of a
-#: diagnosis and changed nothing that shows.
-MOST_CORRECTIONS, SECOND_NOISE = 2, 1.1
+#: Corrections of one estimate at most.
+MOST_CORRECTIONS = 2
 
 
 @dataclass(frozen=True)
@@ -135,15 +134,14 @@ def correct(
     """The estimate with those corrections of its effects `named` (with their channels) that pay for themselves; the estimate
     itself if none does.
 
-    A correction must also help on stretches of the fit logs that were left out (`falls_on_left_out`). A second one is tried only
-    where more than `SECOND_NOISE` times the noise is left.
+    A correction must also help on stretches of the fit logs that were left out (`falls_on_left_out`).
     """
     kept: list[Correction] = []
     for number in range(MOST_CORRECTIONS):
         if not fit.rig.has_hidden_states or fit.at_noise(estimate):
             break
-        if number and (fit.at_noise(estimate, SECOND_NOISE) or far_from_noise(fit, estimate)):
-            break  # with the form put right that matters most, what is left far from the noise is no matter of form
+        if number and far_from_noise(fit, estimate):
+            break  # with the form put right that matters most, what is left is no matter of form
         tries = [t for t in attempts(fit, estimate, named) if all(k.correction != t.correction for k in kept)]
         if not tries:
             break
