@@ -37,8 +37,9 @@ RETRIES = (6, 30)
 """Turns of those other plans, one after the other."""
 SETTLED = 1e-4
 """A plan of which no command would move by more than this share of the rated one is left as it is."""
-SUBSTEP = 250e-6
-"""Substep in which plans are simulated, s: wrong by about 0.1 rpm at worst, for less than half the time."""
+SUBSTEP = 334e-6
+"""Substep in which plans are simulated, s: six to a sample at a control period of 10 ms. With 250 us the motors keep step no better
+(200 pairs of `val`: peak difference 1.12 instead of 1.16 rpm in `setpoint_steps`, within the noise elsewhere)."""
 TRAVEL, MARGIN = 0.95, 0.96
 """Shares of the stroke: where the largest command lets a spool rest, and how far it should swing."""
 

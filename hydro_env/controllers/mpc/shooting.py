@@ -27,7 +27,7 @@ from hydro_env.jit import compiled
 
 __all__ = ["DAMPING", "END", "HORIZON", "SAMPLES", "Best", "Course", "improve", "keep", "minimise_in_box"]
 
-HORIZON, SAMPLES = 5, 10
+HORIZON, SAMPLES = 5, 5
 """Control periods that are planned, and samples of a period at which the planned motion is looked at."""
 COMMANDS, END = 2 * HORIZON, HORIZON * SAMPLES
 """Commands of a plan, channel by channel, and its last sample. (Known to the compiler, which unrolls loops over them.)"""
@@ -35,7 +35,7 @@ LANES = 64
 """Rigs that are worked on side by side. (With 32 and less LLVM unrolls loops over them and finds no vectors in what is left.)"""
 CORNER = 2.0
 """Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm."""
-BETWEEN = 100.0
+BETWEEN = 200.0
 """Weight of a squared speed difference between the control instants; set by hand."""
 DAMPING = 1.0
 """Least weight of the squared change of the plan, which keeps it where nothing else says what is better."""
