@@ -38,8 +38,8 @@ RETRIES = (6, 30)
 SETTLED = 1e-4
 """A plan of which no command would move by more than this share of the rated one is left as it is."""
 SUBSTEP = 334e-6
-"""Substep in which plans are simulated, s: six to a sample at a control period of 10 ms. With 250 us the motors keep step no better
-(200 pairs of `val`: peak difference 1.12 instead of 1.16 rpm in `setpoint_steps`, within the noise elsewhere)."""
+"""Substep in which plans are simulated, s: three to a sample at a control period of 10 ms. With 250 us the motors keep step no
+better, on 200 pairs of `val`, `test_extrap` and `faulted` each; with 500 us they fall out of step by 150 rpm once."""
 TRAVEL, MARGIN = 0.95, 0.96
 """Shares of the stroke: where the largest command lets a spool rest, and how far it should swing."""
 
