@@ -90,13 +90,21 @@ def test_nothing_is_named_where_only_the_gain_is_unknown(tmp_path: Path) -> None
     assert data["effects"] == []
 
 
-def test_the_estimated_model_drives_the_environment(tmp_path: Path) -> None:
+@pytest.mark.parametrize("area", ["", "  displacement: {value: 201, unit: cm2}\n"])
+def test_the_estimated_model_drives_the_environment(tmp_path: Path, area: str) -> None:
+    """With the area of a piston, too: the shaft turns by as many rad/s as the axis moves by m/s, dead zone and all."""
     fit = _axis(tmp_path, "fit", _overlap)
+    (tmp_path / "map.yaml").write_text(MAPPING + area)
     run([f"{fit}@0:20"], [f"{fit}@20:30"], tmp_path / "out", mapping=tmp_path / "map.yaml", quiet=True)
-    env = gymnasium.make("hydro_env:HydraulicSync-v0", plant=str(tmp_path / "out/model.yaml"), mismatch=None)
+    path = tmp_path / "out/model.yaml"
+    env = gymnasium.make("hydro_env:HydraulicSync-v0", plant=str(path), mismatch=None)
     env.reset(seed=0)
     env.step(env.action_space.sample())
     env.close()
+    model = load_model(path)
+    opening = 20.0 * 73.0 * 0.5 / (100.0 * 17000.0) - model.value("dead_zone.overlap_positive", 0)
+    speed = model.value("Kq", 0) * opening / model.value("D", 0)
+    assert speed == pytest.approx(0.040 * (0.5 - 0.06), rel=0.05)
 
 
 def test_bad_input_is_one_line(tmp_path: Path) -> None:

@@ -162,8 +162,8 @@ class RigModel(Protocol):
     def close(self) -> None:
         """Ends what the model holds open."""
 
-    def written(self, model: PlantModel) -> PlantModel:
-        """The estimated model as it goes to a model file of the plant."""
+    def written(self, values: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+        """Estimated values, a pair of both channels each, as they go to a model file of the plant."""
 
     def with_parts(self, parts: list[Part], every_row: bool) -> RigModel:
         """The same model on other logs, with the accuracy of the proof."""

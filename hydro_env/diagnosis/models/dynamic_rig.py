@@ -119,8 +119,8 @@ class DynamicRig:
     def for_long_refits(self) -> DynamicRig:
         return view(self, own_kernels=True)
 
-    def written(self, model: PlantModel) -> PlantModel:
-        return model
+    def written(self, values: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+        return dict(values)
 
     def base(self, channel: int) -> list[str]:
         return list(BASE)

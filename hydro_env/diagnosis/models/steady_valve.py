@@ -12,7 +12,7 @@ only, so Kq is estimated and D is the mapping's or the model's.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -84,9 +84,14 @@ class SteadyValve:
     def for_long_refits(self) -> SteadyValve:
         return self
 
-    def written(self, model: PlantModel) -> PlantModel:
-        """The model as a rig of the dynamic plant: the axis' displacement, or its flow gain scaled to the model's own."""
-        return model.with_values({"D": tuple(self.displacement.get(c, model.value("D", c)) for c in (0, 1))})
+    def written(self, values: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+        """The values as those of a rig with the model's own displacement: its flow gain gives the axis' speeds, in rad/s for m/s.
+
+        The area of a piston would make a shaft whose ring against its line no substep follows."""
+        gains = values.get("Kq", self.model.pair("Kq"))
+        shares = (self.model.value("D", c) / d if (d := self.displacement.get(c)) else 1.0 for c in (0, 1))
+        one, two = (gain * share for gain, share in zip(gains, shares, strict=True))
+        return {**values, "Kq": (one, two)}
 
     def base(self, channel: int) -> list[str]:
         return ["Kq", "lag"]

@@ -254,4 +254,4 @@ def estimated_model(rig: RigModel, estimates: Estimates, name: str) -> PlantMode
             pair = [*pairs.get(parameter, rig.model.pair(parameter))]
             pair[c] = float(value)
             pairs[parameter] = (pair[c], pair[c]) if parameter in of_rig else (pair[0], pair[1])
-    return rig.written(rig.model.with_values(pairs, name))
+    return rig.model.with_values(rig.written(pairs), name)
