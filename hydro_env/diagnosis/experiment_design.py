@@ -276,11 +276,15 @@ class Trial:
 
     def _answers(self, question: Question, found: Mapping[tuple[int, str], Mapping[int, Array]]) -> _Answers:
         of: dict[str, dict[int, Array]] = {}
+        # One of the models may be of the whole rig, another one of a channel alone.
+        shared = set.intersection(*(set(found[id(p), ""]) for p in question.models.values()))
         for name, p in question.models.items():
             whole, bare = found[id(p), ""], found[id(p), name]
             of[name] = {
-                c: self._in_noise(question.models.values(), c, np.concatenate([rows[:1], bare[c], rows[1:]]))
-                for c, rows in whole.items()
+                c: self._in_noise(
+                    question.models.values(), c, np.concatenate([whole[c][:1], bare[c], whole[c][1:]])
+                )
+                for c in sorted(shared)
             }
         return _Answers(question, of)
 

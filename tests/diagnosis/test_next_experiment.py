@@ -39,16 +39,20 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> DynamicRig:
     return DynamicRig(load_model("paper"), read_parts([folder / "fit_1.csv"], None))
 
 
-def _estimate(fit: Fit, name: str, times: float = 1.0, spread: float = 0.0) -> Estimate:
+def _estimate(
+    fit: Fit, name: str, times: float = 1.0, spread: float = 0.0, channel: int | None = 0
+) -> Estimate:
     """A model with an effect of so many times its typical size; the logs leave it open by `spread` (in q)."""
     effect = CATALOGUE[name]
     values = {p.name: p.nominal + times * ((p.typical or p.nominal) - p.nominal) for p in effect.parameters}
     unknowns = effect_unknowns(effect, values)
-    found = Estimate(0, unknowns, np.zeros(len(unknowns)), name)
+    found = Estimate(channel, unknowns, np.zeros(len(unknowns)), name)
     draws = np.linspace(-1.0, 1.0, 8)[:, None] * np.full(len(unknowns), spread)
     found.intervals = Intervals(*(np.zeros(len(unknowns)) for _ in range(3)), draws)
     # As if it explained the logs.
-    found.simulated = {0: np.concatenate([s.filled for s in fit.rig.segments[0]])}
+    found.simulated = {
+        c: np.concatenate([s.filled for s in fit.rig.segments[c]]) for c in fit.channels_of(found)
+    }
     return found
 
 
@@ -103,6 +107,19 @@ def test_what_a_parameter_would_make_up_for_counts_for_nothing(rig: DynamicRig) 
         return float(answers.apart(trial.logged())["one", "other"][0])
 
     assert apart(spread=0.3) < 0.02 * apart(spread=0.0)
+
+
+def test_a_model_of_the_rig_is_parted_from_one_of_a_channel(rig: DynamicRig) -> None:
+    """Where an effect of the rig was accepted before those of a channel, they are tied with estimates of that channel alone."""
+    fit = Fit(rig, NOISE | {(1, signal): noise for (_, signal), noise in NOISE.items()})
+    models = {
+        "supply_droop": _estimate(fit, "supply_droop", channel=None),
+        "dead_zone": _estimate(fit, "dead_zone"),
+    }
+    trial = Trial(fit, [Question(0, models)])
+    tried = _experiment(*random_design(rig.model, fit.settings, np.random.default_rng(7)))[None]
+    (answers,), _, _ = trial.run(tried)
+    assert answers.apart(trial.logged())["supply_droop", "dead_zone"][0] > 0.1
 
 
 def test_where_torques_have_no_scale_loads_are_proposed(rig: DynamicRig, tmp_path: Path) -> None:
