@@ -20,7 +20,6 @@ from .explained import (
     explained_share,
     mostly_explained,
     nearly_explained,
-    smallest_share,
     unexplained,
 )
 from .fit import Fit, Noise, noise_of
@@ -53,6 +52,6 @@ __all__ = [
     "base_unknown", "bases_of", "best_on_beginnings", "could_pay", "courses_apart", "differentiate", "effect_starts",
     "effect_unknowns", "effective_samples", "explained_share", "far_from_noise", "grow_horizon", "intervals_of",
     "joined", "less_taken", "limited_by_effects", "mostly_explained", "nearly_explained", "noise_floor", "noise_of",
-    "probability_of_gain", "restart_friction", "scaled", "settle", "smallest_share", "solve", "unexplained",
+    "probability_of_gain", "restart_friction", "scaled", "settle", "solve", "unexplained",
     "unpredictable",
 ]  # fmt: skip

@@ -15,7 +15,6 @@ __all__ = [
     "explained_share",
     "mostly_explained",
     "nearly_explained",
-    "smallest_share",
     "unexplained",
 ]
 
@@ -79,18 +78,3 @@ def explained_share(fit: Fit, before: Estimate, after: Estimate, channels: Seque
         old, new = (fit.levels(p.simulated[c], c) for p in (before, after))
         best = max([best, *(1.0 - new[s] / old[s] for s in old if old[s] > 0.01)])
     return best
-
-
-def smallest_share(fit: Fit, before: Estimate, after: Estimate, channel: int) -> float:
-    """Share of the variance above the noise that is explained, in the signal and log where it is smallest of those that
-    mattered."""
-    shares = [1.0]
-    for s in fit.rig.segments[channel]:
-        floor = fit.noise[channel, s.signal] ** 2
-        old, new = (
-            float(np.mean((s.measured - p.simulated[channel][s.place])[s.used] ** 2)) / floor - 1.0
-            for p in (before, after)
-        )
-        if old > 0.5:
-            shares.append(1.0 - new / old)
-    return min(shares)

@@ -18,7 +18,6 @@ from ..estimation import (
     best_on_beginnings,
     could_pay,
     grow_horizon,
-    smallest_share,
     solve,
     unexplained,
 )
@@ -42,8 +41,6 @@ COMPETE_ON_BEGINNING = rule(
 FIRST_REFITS, LATER_REFITS = (12, 3), (6, 2)
 #: Iterations of a full refit, and of one where simulating costs next to nothing.
 FULL_ITERATIONS, CHEAP_ITERATIONS = 3, 10
-#: What stays of the residual after an effect is looked into if it is a larger share; no effect has exactly its law.
-WORTH_ANOTHER = 0.01
 
 
 @dataclass(eq=False)
@@ -131,8 +128,7 @@ def select(search: Search) -> Selection:
 def _worth_another(search: Search, c: int) -> bool:
     """Whether a channel has a residual left that is worth looking into and is no matter of the form of what was accepted."""
     fit, present = search.fit, search.present[c]
-    left = 1.0 - smallest_share(fit, search.calibrated[c], present, c)
-    if not (could_pay(fit, present, c) and left > WORTH_ANOTHER):
+    if not could_pay(fit, present, c):
         return False
     if not fit.rig.has_hidden_states or not present.effects():
         return True
