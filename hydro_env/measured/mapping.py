@@ -19,7 +19,8 @@ A mapping says for each signal which column holds it, in which unit, and with wh
       speed: {column: v, unit: mm/s, sign: -1}
 
 A cylinder is treated as a motor whose displacement is its piston area: its speed is in m/s, its load a force in N,
-its displacement in m2; everything else is the same. A channel that is not named is absent.
+its displacement in m2; everything else is the same. A model that a diagnosis writes keeps the displacement of the
+model that was given, with a flow gain `Kq` that makes its rad/s the m/s of the log. A channel that is not named is absent.
 """
 
 from __future__ import annotations
