@@ -37,7 +37,7 @@ CORNER = 2.0
 """Tracking error from which on its cost grows no faster than in proportion, rad/s: 20 rpm."""
 EVERY, BETWEEN = 2, 200.0
 """Every how many samples a speed difference counts between the control instants, and the weight of its square; set by hand. (The
-bound is the same with every sample and half the weight, and takes a fifteenth more time.)"""
+bound is the same with every sample and half the weight, and takes 4 % more time.)"""
 DAMPING = 1.0
 """Least weight of the squared change of the plan, which keeps it where nothing else says what is better."""
 LONGEST = 60
