@@ -65,7 +65,7 @@ class PlannerSettings:
     corner: float = setting(
         14.0, "rpm", "difference from which on its cost grows faster than its square", TUNED
     )
-    turns: int = setting(4, "1", "steps of Gauss and Newton a period", HAND)
+    turns: int = setting(3, "1", "steps of Gauss and Newton a period", HAND)
     behind: float = setting(1.95, "periods", "how long after the reference the speeds are to follow", TUNED)
     ahead: float = setting(30.0, "rpm", "no farther are the speeds asked to move at once", TUNED)
     wrong: float = setting(
