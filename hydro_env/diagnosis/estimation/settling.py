@@ -33,24 +33,27 @@ def settle(coarse: Fit, fine: Fit, estimates: Sequence[Estimate]) -> None:
     `coarse` and `fine` simulate the same logs. The former, which costs a third, goes through all reaches; the latter goes on from
     there with the last one.
     """
-    every = far = [p for p in estimates if p.unknowns and p.columns]
+    every = moved = [p for p in estimates if p.unknowns and p.columns]
     for fit, reaches in ((coarse, REACHES), (fine, REACHES[-1:])):
         fit.evaluate(every)
         every = [p for p in every if np.isfinite(p.cost)]
-        far = _turns(fit, every, reaches)
-    # One that has settled has moved by less than a standard deviation since its derivatives were taken.
-    _secants(fine, far, REACHES[-1])
+        moved = _turns(fit, every, reaches)
+    _secants(fine, moved, REACHES[-1])
 
 
-def _turns(fit: Fit, live: list[Estimate], reaches: Sequence[float]) -> list[Estimate]:
-    """Turns through the reaches, as long as they lower the cost; returns the estimates that have not settled."""
+def _turns(fit: Fit, estimates: list[Estimate], reaches: Sequence[float]) -> list[Estimate]:
+    """Turns through the reaches, as long as they lower the cost; returns the estimates that have moved since their derivatives
+    were taken."""
+    live = estimates
+    taken_at: dict[int, Vector] = {}
     for _ in range(TURNS):
         before = [p.cost for p in live]
         for reach in reaches if live else ():
+            taken_at.update((id(p), p.q) for p in live)
             _secants(fit, live, reach)
             step_all(fit, live)
         live = [p for p, cost in zip(live, before, strict=True) if cost - p.cost > SETTLED]
-    return live
+    return [p for p in estimates if p.q is not taken_at[id(p)]]
 
 
 def _secants(fit: Fit, estimates: Sequence[Estimate], reach: float) -> None:
