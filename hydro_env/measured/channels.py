@@ -288,6 +288,13 @@ def _clean(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return first[keep], second[keep]
 
 
+def _correlation(first: np.ndarray, second: np.ndarray) -> float:
+    """The correlation of two signals (n,), 0 where one is constant; `np.corrcoef` takes four times as long."""
+    first, second = first - first.mean(), second - second.mean()
+    size = float(first @ first) * float(second @ second)
+    return float(first @ second) / size**0.5 if size > 0.0 else 0.0
+
+
 def _follow(command: np.ndarray, values: np.ndarray, period: float) -> float:
     """The correlation of a signal (T,) with a command (T,) at the shortest lag (0 to 0.5 s) at which it is near its
     strongest: of a fast sine the next extreme has the other sign. 0 where undefined."""
@@ -300,10 +307,7 @@ def _follow(command: np.ndarray, values: np.ndarray, period: float) -> float:
         before = command[: len(command) - lag : stride]
         after = values[lag::stride]
         before, after = _clean(before[: len(after)], after[: len(before)])
-        if len(before) < 50 or np.std(before) == 0.0 or np.std(after) == 0.0:
-            found.append(0.0)
-            continue
-        found.append(float(np.corrcoef(before, after)[0, 1]))
+        found.append(_correlation(before, after) if len(before) >= 50 else 0.0)
     if not found:
         return 0.0
     size = np.abs(found)

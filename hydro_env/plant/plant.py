@@ -184,25 +184,24 @@ class Plant:
         `values` broadcasts to (number of rows, 2). KeyError for a name the plant lacks, ValueError for a delay of the
         command that is longer than the delay line.
         """
-        if name not in PARAMETERS and "." not in name:
-            parameter_of(name)
-        row, half = self._row(name), self._kernel.half
-        index = np.arange(self.num_rigs)
-        if rows is not None:
-            index = index[np.asarray(rows)].reshape(-1)
-        pair = np.empty((index.size, 2))
-        pair[:] = values
-        if name in self._delays and pair.max(initial=0.0) > self._longest_delay:
-            raise InputError(
-                f"{name} is {pair.max():g} s, the delay line of this plant holds {self._longest_delay:g} s"
-            )
-        self._memory[index // half, row, index % half] = pair[:, 0]
-        self._memory[index // half, row, index % half + half] = pair[:, 1]
+        self.set_values({name: values}, rows)
 
     def set_values(self, values: Mapping[str, ArrayLike], rows: ArrayLike | None = None) -> None:
-        """Sets several parameters; see `set`."""
-        for name, value in values.items():
-            self.set(name, value, rows)
+        """Sets several parameters, which takes hardly longer than one; see `set`."""
+        index, half = np.arange(self.num_rigs), self._kernel.half
+        if rows is not None:
+            index = index[np.asarray(rows)].reshape(-1)
+        places, pairs = np.empty((len(values), 1), np.int64), np.empty((len(values), index.size, 2))
+        for name, value, place, pair in zip(values, values.values(), places, pairs, strict=True):
+            if name not in PARAMETERS and "." not in name:
+                parameter_of(name)
+            place[:], pair[:] = self._row(name), value
+            if name in self._delays and pair.max(initial=0.0) > self._longest_delay:
+                raise InputError(
+                    f"{name} is {pair.max():g} s, the delay line of this plant holds {self._longest_delay:g} s"
+                )
+        self._memory[index // half, places, index % half] = pairs[:, :, 0]
+        self._memory[index // half, places, index % half + half] = pairs[:, :, 1]
 
     def shift(self, state: str, by: float, rows: slice) -> None:
         """Adds to a state of some rigs, as finite differences need it. KeyError for a name that is no state of this plant."""
@@ -525,8 +524,12 @@ def simulate(
     named = {name.split(".", 1)[0] for name in values if "." in name}
     options["effects"] = (*options.get("effects", ()), *named)
     plant = Plant(model, num_rigs, **options)
-    for name, value in values.items():
-        array = np.asarray(value, dtype=np.float64)
-        plant.set(name, array[:, None] if array.ndim == 1 and array.shape[0] == num_rigs else array)
+    arrays = {name: np.asarray(value, dtype=np.float64) for name, value in values.items()}
+    plant.set_values(
+        {
+            name: array[:, None] if array.ndim == 1 and array.shape[0] == num_rigs else array
+            for name, array in arrays.items()
+        }
+    )
     plant.reset()
     return plant.run(command_V, load_Nm, period, record, every)

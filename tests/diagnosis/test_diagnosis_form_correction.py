@@ -77,6 +77,8 @@ def test_what_another_form_explains_is_no_second_effect(tmp_path: Path, forms: s
     prefer_form(search)
     assert [k.effect for k in search.accepted] == ["dead_zone", name] if truth else ["dead_zone"]
     assert search.present[0].effects() == [k.effect for k in search.accepted]
+    if not truth:  # what it is compared with has not the dropped effect in its place
+        assert search.accepted[0].without is search.calibrated[0]
     assert all(k.outcome != ACCEPTED for k in search.candidates)
 
 

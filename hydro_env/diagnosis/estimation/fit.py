@@ -104,8 +104,10 @@ class Fit:
     def _powers(self, simulated: Vector, channel: int) -> tuple[Joined, Vector]:
         """The samples of a channel, and the power of each block (b,): the mean square of the error plus the noise's."""
         j = self.rig.segments[channel].joined
-        error = np.where(j.used, j.filled - simulated, 0.0)
-        mean = np.add.reduceat(error * error, j.first) / np.maximum(j.count, 1.0)
+        error = j.filled - simulated
+        error *= j.used  # in place, as this is done for every simulation: six times as fast as `np.where`
+        error *= error
+        mean = np.add.reduceat(error, j.first) / np.maximum(j.count, 1.0)
         return j, mean + np.array([self.noise[channel, signal] ** 2 for signal in j.signals])[j.signal]
 
     def cost(self, estimate: Estimate, simulated: dict[int, Vector], q: Vector) -> float:
@@ -192,10 +194,10 @@ class Fit:
         for channel in self.channels_of(estimate):
             simulated = estimate.simulated[channel]
             weights = self.weights(simulated, channel)
-            columns = estimate.columns[channel] * weights[:, None]
+            columns = estimate.columns[channel].T * weights
             measured = self.rig.segments[channel].joined.filled
-            matrix += columns.T @ columns
-            side += columns.T @ ((measured - simulated) * weights)
+            matrix += columns @ columns.T
+            side += columns @ ((measured - simulated) * weights)
         return matrix.reshape(prior.size, prior.size), side
 
     def normal_equations_by_stretch(self, estimate: Estimate, stretch_s: float) -> tuple[Vector, Vector]:

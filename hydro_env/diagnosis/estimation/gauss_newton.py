@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
+from .box import minimum_in_box
 from .estimate import Estimate, Vector
 from .fit import Fit
 from .unknowns import scaled
@@ -87,12 +87,10 @@ def _bounded_step(estimate: Estimate, matrix: Vector, side: Vector) -> Vector:
     """The Gauss-Newton step inside the bounds and not longer than `LONGEST_STEP` in any coordinate."""
     scale, vectors = np.linalg.eigh(matrix)
     scale = np.maximum(scale, 1e-9 * scale[-1] + 1e-9)
-    root = np.sqrt(scale)
     low, high = estimate.bounds
     low, high = np.maximum(low - estimate.q, -LONGEST_STEP), np.minimum(high - estimate.q, LONGEST_STEP)
     low, high = np.minimum(low, 0.0) - 1e-9, np.maximum(high, 0.0) + 1e-9
-    matrix, side = root[:, None] * vectors.T, (vectors.T @ side) / root
-    return lsq_linear(matrix, side, bounds=(low, high), method="bvls").x
+    return minimum_in_box((vectors * scale) @ vectors.T, side, low, high)
 
 
 def _out_of_race(

@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from ..input.duration import STRETCH_S
+from .box import minimum_in_box
 from .estimate import Estimate, Vector
 from .fit import Fit
 
@@ -75,10 +75,10 @@ def nearest_inside(
     if np.all((q + move >= low) & (q + move <= high)):
         return q + move
     room = np.maximum(high - low, 1e-9)
-    root = np.linalg.cholesky(matrix + 1e-12 * np.trace(matrix) * np.eye(len(q))).T
+    matrix = matrix + 1e-12 * np.trace(matrix) * np.eye(len(q))
     inside = np.clip(q, low, high)
-    found = lsq_linear(root, root @ move, (low - inside, low - inside + room), method="bvls")
-    return np.clip(inside + found.x, low, high)
+    found = minimum_in_box(matrix, matrix @ move, low - inside, low - inside + room)
+    return np.clip(inside + found, low, high)
 
 
 def bootstrap(

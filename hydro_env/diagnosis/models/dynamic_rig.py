@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel, simulate
+from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, Plant, PlantModel
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY
 from ..input.parts import Part
 from .base import Request, Segments, measured_segments, view
@@ -86,6 +86,9 @@ class DynamicRig:
         for number in sorted(range(len(parts)), key=lambda n: -len(parts[n].log)):
             self._logs.setdefault(parts[number].log.period, []).append(number)
         self._kept_inputs: dict[tuple[tuple[int, int, int, int], ...], np.ndarray] = {}
+        #: A plant of the model for each effects, substep, number of rigs and block, of which every batch takes a copy: to make
+        #: one takes longer than to copy it.
+        self._plants: dict[tuple[tuple[str, ...], float, int, int], Plant] = {}
         self.every_row = every_row
         # The plant's kernel lets other threads of this process run beside it.
         self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
@@ -236,11 +239,15 @@ class DynamicRig:
     def _pack(self, wanted: list[tuple[int, Request]]) -> list[list[int]]:
         """Rigs, each a list of request numbers: two of a single channel where the channels do not act on each other.
 
-        Both sides of a rig are alike, so a side may play either channel.
+        Both sides of a rig are alike, so a side may play either channel. As many rigs as there can be play one of each: they have
+        the same inputs.
         """
         whole = [[n] for n, r in wanted if self._whole(r)]
-        single = [n for n, r in wanted if not self._whole(r)]
-        return whole + [single[k : k + 2] for k in range(0, len(single), 2)]
+        first, second = ([n for n, r in wanted if not self._whole(r) and r.channel == c] for c in (0, 1))
+        both = min(len(first), len(second))
+        left = first[both:] + second[both:]
+        pairs = [list(pair) for pair in zip(first, second, strict=False)]
+        return whole + pairs + [left[k : k + 2] for k in range(0, len(left), 2)]
 
     def _whole(self, request: Request) -> bool:
         """Whether a request takes both sides of a rig."""
@@ -294,11 +301,24 @@ class DynamicRig:
         logs = {log for log, _ in batch.lanes}
         every = gcd(*(s.step for own in self.segments.values() for s in own if s.log in logs)) or 1
         with np.errstate(all="ignore"):
-            return every, simulate(
-                self.model, inputs[0], inputs[1], batch.period, values=values, num_rigs=len(batch.lanes),
-                effects=batch.effects, record=[_RECORDED[s] for s in self.signals], substep=batch.step, dtype=self.dtype,
-                block=batch.block, every=every,
-            )  # fmt: skip
+            plant = self._plant(batch)
+            plant.set_values(values)
+            plant.reset()
+            signals = [_RECORDED[s] for s in self.signals]
+            return every, plant.run(inputs[0], inputs[1], batch.period, signals, every)
+
+    def _plant(self, batch: _Batch) -> Plant:
+        key = batch.effects, batch.step, len(batch.lanes), batch.block
+        if key not in self._plants:
+            self._plants[key] = Plant(
+                self.model,
+                key[2],
+                effects=batch.effects,
+                substep=batch.step,
+                dtype=self.dtype,
+                block=batch.block,
+            )
+        return self._plants[key].copy()
 
     def _inputs(self, lanes: list[tuple[int, int, int, int]]) -> np.ndarray:
         """Commands and loads (2, rows, lanes, 2) of lanes: each the first so many rows of a log, and the channel that each side
@@ -309,11 +329,12 @@ class DynamicRig:
             found = np.zeros(
                 (2, max(rows for _, rows, *_ in key), len(key), 2)
             )  # a lane whose log has ended is at rest
-            for number, (log, rows, *sides) in enumerate(key):
-                given = self.parts[log].log
-                found[0, :rows, number] = np.nan_to_num(given.command_V[:, sides])
+            for kind in dict.fromkeys(key):
+                log, rows, *sides = kind
+                given, alike = self.parts[log].log, [n for n, other in enumerate(key) if other == kind]
+                found[0, :rows, alike] = np.nan_to_num(given.command_V[:, sides])
                 if given.load is not None:
-                    found[1, :rows, number] = np.nan_to_num(given.load[:, sides])
+                    found[1, :rows, alike] = np.nan_to_num(given.load[:, sides])
             if sum(kept.nbytes for kept in self._kept_inputs.values()) + found.nbytes > MOST_INPUTS:
                 self._kept_inputs.clear()
             if found.nbytes <= MOST_INPUTS:

@@ -21,7 +21,7 @@ __all__ = ["bars", "maps", "traces"]
 
 #: Points of a trace in a picture.
 POINTS = 900
-#: Signals that were off by so many times the noise have a picture.
+#: Signals that the calibrated model leaves off by so many times the noise have a picture.
 FAR_OFF = 2.0
 #: Beside errors of so many times the noise its band cannot be seen: what is left then has axes of its own.
 BAND_INVISIBLE = 5.0
@@ -35,7 +35,7 @@ _ABOVE = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
 
 def traces(found: Diagnosis) -> list[tuple[str, Any]]:
     """Before and after on the held-out logs: speed and its error with the noise band, the headline's channel first; then every
-    other signal that was far off before."""
+    other signal that calibration leaves far off."""
     proof, first = found.state.on_held_out, headline(found).channel
     segments = proof.rig.segments
     channels = sorted(proof.rig.channels, key=lambda c: c != first)
@@ -43,7 +43,7 @@ def traces(found: Diagnosis) -> list[tuple[str, Any]]:
     for c in channels:
         for s in {s.signal: s for s in segments[c][::-1] if s.signal != "speed"}.values():
             entry = proof.errors[c, s.signal]
-            if max(entry["before"], entry["calibrated"]) > FAR_OFF * entry["noise"]:
+            if entry["calibrated"] > FAR_OFF * entry["noise"]:
                 pictures.append(_trace(found, s))
     return pictures
 

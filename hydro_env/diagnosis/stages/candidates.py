@@ -84,12 +84,14 @@ class Accepted:
 
 @dataclass
 class Selection:
-    """The result: final estimates by channel (the same joint one for both where an effect of the rig was accepted)."""
+    """The result: final estimates by channel (the same joint one for both where an effect of the rig was accepted). `corrected`
+    are estimates with a correction of form that were refitted on the way."""
 
     estimates: Estimates
     accepted: list[Accepted]
     candidates: list[Candidate]
     placebo: Estimates
+    corrected: list[Estimate] = field(default_factory=list)
 
     def effects_by_channel(self) -> dict[int | None, list[str]]:
         """The accepted effects by channel, None for those of the whole rig."""

@@ -50,8 +50,7 @@ def drop_not_missed(search: Search) -> None:
         one, c, less = min(without, key=lambda entry: entry[0].gain - entry[0].needed)
         if one.gain > one.needed:
             return
-        search.put(c, less)
-        search.accepted.remove(one)
+        _drop(search, one, c, less)
         outcome = "not missed once the others are there"
         search.record(one.effect, c, AFTER_ROUNDS, one.gain, outcome, less, one.needed)
 
@@ -79,10 +78,19 @@ def prefer_form(search: Search) -> None:
         search.record(
             dropped.effect, c, AFTER_ROUNDS, fit.gain(less, present), outcome, present, dropped.needed
         )
-        search.accepted.remove(dropped)
-        search.put(c, less)
+        _drop(search, dropped, c, less)
         solve(long, [less], SETTLE_ITERATIONS)
         drop_not_missed(search)
+
+
+def _drop(search: Search, dropped: Accepted, c: int, less: Estimate) -> None:
+    """Drops an effect from channel c, of which `less` is the estimate without it. Of an effect that is left alone, the calibrated
+    model is the estimate without it: the last one still had the other effect."""
+    search.accepted.remove(dropped)
+    search.put(c, less)
+    left = search.on(c)
+    if len(left) == 1:
+        left[0].without = search.calibrated[c]
 
 
 def drop_unneeded(search: Search) -> None:

@@ -84,7 +84,8 @@ def run(state: State) -> State:
     fit = state.fit.on(state.rig.for_long_refits())
     final, placebo, corrections = state.final, state.placebo, state.corrections
     if state.settings.uses(CORRECT_FORM):
-        final, corrections = correct_all(fit, final, state.selection.effects_by_channel())
+        named, begun = state.selection.effects_by_channel(), state.selection.corrected
+        final, corrections = correct_all(fit, final, named, begun)
         placebo = correct_placebo(fit, placebo, final, corrections)
     refit_found(fit, [p for p in placebo.values() if not far_from_noise(fit, p)])
     return replace(state, final=final, placebo=placebo, corrections=corrections)
@@ -129,12 +130,13 @@ def with_correction(estimate: Estimate, effect: str, correction: str, channel: i
 
 
 def correct(
-    fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]]
+    fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]], begun: Sequence[Estimate] = ()
 ) -> tuple[Estimate, list[Correction]]:
     """The estimate with those corrections of its effects `named` (with their channels) that pay for themselves; the estimate
     itself if none does.
 
-    A correction must also help on stretches of the fit logs that were left out (`falls_on_left_out`).
+    A correction must also help on stretches of the fit logs that were left out (`falls_on_left_out`). Of `begun` see
+    `refit_attempts`.
     """
     kept: list[Correction] = []
     for number in range(MOST_CORRECTIONS):
@@ -145,7 +147,7 @@ def correct(
         tries = [t for t in attempts(fit, estimate, named) if all(k.correction != t.correction for k in kept)]
         if not tries:
             break
-        refit_attempts(fit, tries)
+        refit_attempts(fit, tries, begun)
         if number == 0 and estimate.channel is not None:
             grow_horizon(fit, [min((t.estimate for t in tries), key=lambda p: p.cost)])
         best = min(tries, key=lambda t: t.score)
@@ -178,11 +180,18 @@ def attempts(fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None
     ]
 
 
-def refit_attempts(fit: Fit, tries: Sequence[Attempt]) -> None:
+def refit_attempts(fit: Fit, tries: Sequence[Attempt], begun: Sequence[Estimate] = ()) -> None:
     """Improves what may become the best of all: the known parameters have moved to make up for the form, so they begin
-    where they are and where they were given. Those of a whole rig, whose simulations are slow, begin where they are."""
+    where they are and where they were given. Those of a whole rig, whose simulations are slow, begin where they are; those that
+    were refitted before, which are among `begun`, where that led."""
     estimates = [t.estimate for t in tries]
-    again = {id(p): p.from_given().in_all_directions() for p in estimates if p.channel is not None}
+    again: dict[int, Estimate] = {}
+    for p in estimates:
+        earlier = next((b for b in begun if _names(b) == _names(p)), None)
+        if earlier is not None:
+            p.q = earlier.q.copy()
+        elif p.channel is not None:
+            again[id(p)] = p.from_given().in_all_directions()
     every = [*estimates, *again.values()]
     solve(fit, every, TRY_ITERATIONS, races=[every])
     for one in estimates:
@@ -190,8 +199,12 @@ def refit_attempts(fit: Fit, tries: Sequence[Attempt]) -> None:
             one.adopt(again[id(one)])
 
 
+def _names(estimate: Estimate) -> list[tuple[str, int | None]]:
+    return [(u.name, u.channel) for u in estimate.unknowns]
+
+
 def correct_all(
-    fit: Fit, estimates: Estimates, named: Mapping[int | None, Sequence[str]]
+    fit: Fit, estimates: Estimates, named: Mapping[int | None, Sequence[str]], begun: Sequence[Estimate] = ()
 ) -> tuple[Estimates, list[Correction]]:
     """Every estimate with the corrections of what is named there: `named` by channel, None for effects of the whole rig."""
     found: Estimates = dict(estimates)
@@ -201,7 +214,7 @@ def correct_all(
         names = [(n, channel) for channel, own in named.items() if c is None or channel == c for n in own]
         if not fit.rig.has_hidden_states or not named or fit.at_noise(one):
             continue
-        better, kept = correct(fit, one, names)
+        better, kept = correct(fit, one, names, begun)
         found.update(dict.fromkeys(fit.channels_of(one), better))
         every += kept
     return found, every

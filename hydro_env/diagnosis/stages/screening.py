@@ -126,11 +126,15 @@ def screen(
             continue
         changes = {c: result[c] - estimates[c].simulated[c] for c in channels}
         gained = _gain(fit, {c: left[c](changes[c]) for c in channels}, errors, left)
-        signature = np.concatenate([noise[c](changes[c]) for c in channels])
-        size = float(signature @ signature)
-        direction = signature / max(np.sqrt(size), 1e-30)
-        one = found.setdefault((name, channel), Screening(name, channel, start, gained, size, direction))
-        if _is_medium(name, start):
+        medium = _is_medium(name, start)
+        one = found.get((name, channel))
+        if one is None or medium:
+            signature = np.concatenate([noise[c](changes[c]) for c in channels])
+            size = float(signature @ signature)
+            direction = signature / max(np.sqrt(size), 1e-30)
+        if one is None:
+            one = found[name, channel] = Screening(name, channel, start, gained, size, direction)
+        if medium:
             one.visible, one.signature = size, direction
             one.unprojected = sum(float(np.sum((changes[c] * noise[c].weights) ** 2)) for c in channels)
             one.change = changes[channel] if channel is not None else None

@@ -122,7 +122,8 @@ def select(search: Search) -> Selection:
     if search.accepted:
         search.progress("what else would do as well?")
         compare_competing(search)
-    return Selection(search.present, search.accepted, search.candidates, search.placebo)
+    corrected = [better for own, better in search.corrected if better is not own]
+    return Selection(search.present, search.accepted, search.candidates, search.placebo, corrected)
 
 
 def _worth_another(search: Search, c: int) -> bool:
