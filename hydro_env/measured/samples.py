@@ -23,7 +23,6 @@ MEASURED = ("current", "pressure", "speed", "spool", "flow", "pressure_a", "pres
 _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
 _MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse
 _SPIKE = 0.1  # a spike stands out of the rows around it by this share of the signal's swing
-_PIECE = 1 << 14  # rows that are searched for spikes at a time
 _SPIKE_PERIOD = 2e-3  # s, in slower logs only speeds are searched for spikes
 _BURST_S = 0.5  # windows in which a disturbance is looked for
 _BURST_RATIO = 6.0  # the fast part of a disturbed signal stands out of its usual one by more
@@ -108,9 +107,7 @@ def _spikes(
     if 3.0 * np.abs(np.diff(finite)).max() <= least:  # the median of seven rows is at most three rows away
         return
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, 3, mode="edge"), 7)
-    # In pieces that stay in the cache: windows hold every value seven times.
-    pieces = [np.partition(windows[k : k + _PIECE], 3, axis=1)[:, 3] for k in range(0, len(values), _PIECE)]
-    off = np.abs(values - np.concatenate(pieces))
+    off = np.abs(values - np.partition(windows, 3, axis=1)[:, 3])
     far = off > least
     if not far.any():
         return
