@@ -275,11 +275,12 @@ class FmuRigs(Plant):
         self._units = [_Unit(model) for _ in range(num_rigs)]
         super().__init__(model, num_rigs, block=1)
 
-    def set(self, name: str, values: ArrayLike, rows: ArrayLike | None = None) -> None:
-        """InputError: its parameters are the FMU's."""
-        raise InputError(
-            f"{self.model.name}: an FMU has its own valves, {name} cannot be drawn; the split own is right"
-        )
+    def set_values(self, values: Mapping[str, ArrayLike], rows: ArrayLike | None = None) -> None:
+        """InputError for any value: its parameters are the FMU's."""
+        for name in values:
+            raise InputError(
+                f"{self.model.name}: an FMU has its own valves, {name} cannot be drawn; the split own is right"
+            )
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Puts all rigs, or `rows` (indices or mask), back to their start."""

@@ -24,12 +24,20 @@ Integers = NDArray[np.uint64]
 
 #: So many rows take less time one by one, by NumPy's own generators.
 FEW = 4
+_AHEAD = 32
 _LAST = 2**64 - 1
 #: PCG64's multiplier, high and low half.
 _HIGH, _LOW = 0x2360ED051FC65DA4, 0x4385DF649FCCF645
 _HALF, _WORD = np.uint64(32), np.uint64(0xFFFFFFFF)
 #: Columns of the states: the state's and the increment's halves; what is left of the last 64 bits, with a bit above it if so.
 _STATE_HIGH, _STATE_LOW, _STEP_HIGH, _STEP_LOW, _LEFT = range(5)
+
+
+class _Unseeded(np.random.bit_generator.ISeedSequence):
+    """For a generator that is put into a state at once: mixing a seed takes longer than that."""
+
+    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[Any]:
+        return np.zeros(n_words, dtype)
 
 
 class Streams:
@@ -76,7 +84,7 @@ class Streams:
     def generator(self, row: int) -> np.random.Generator:
         """NumPy's own generator where the stream of a row is now; it goes on by itself."""
         high, low, step_high, step_low, left = self.states[row].tolist()
-        bits = np.random.PCG64(0)
+        bits = np.random.PCG64(_Unseeded())  # type: ignore[arg-type]  # which its stubs leave out
         bits.state = {
             "bit_generator": "PCG64",
             "state": {"state": high << 64 | low, "inc": step_high << 64 | step_low},
@@ -111,13 +119,17 @@ class NormalNumbers:
         self.numbers = np.zeros((rows, numbers), np.float32)
         self._generators: dict[int, np.random.Generator] | None = {} if rows <= FEW else None
         self._states = np.zeros((rows if rows > FEW else 0, 5), np.uint64)
+        # A call takes a generator longer than its numbers: a few rows draw those of so many turns at a time.
+        self._ahead = np.zeros((rows if rows <= FEW else 0, _AHEAD, numbers), np.float32)
+        self._turn = [0] * len(self._ahead)
 
     def begin(self, rows: NDArray[np.int64], streams: Streams) -> None:
         """From now on these rows take their numbers from these streams."""
         if self._generators is None:
             self._states[rows] = streams.states
         else:
-            self._generators.update({row: streams.generator(k) for k, row in enumerate(rows.tolist())})
+            for k, row in enumerate(rows.tolist()):
+                self._generators[row], self._turn[row] = streams.generator(k), 0
 
     def draw(self, rows: NDArray[np.int64]) -> None:
         """The next numbers of these rows. Threads may draw for rows of their own side by side."""
@@ -125,7 +137,11 @@ class NormalNumbers:
             _fill_normal(self._states, rows, self.numbers)
         else:
             for row in rows.tolist():
-                self._generators[row].standard_normal(out=self.numbers[row], dtype=np.float32)
+                turn = self._turn[row]
+                if turn == 0:
+                    self._generators[row].standard_normal(out=self._ahead[row], dtype=np.float32)
+                self.numbers[row] = self._ahead[row, turn]
+                self._turn[row] = (turn + 1) % _AHEAD
 
 
 # --- seeds --------------------------------------------------------------------------------------------------------

@@ -315,10 +315,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if self.increment is not None:
             wanted = self._fraction + self.increment * np.clip(wanted, -1.0, 1.0)
         if not apply(
-            wanted, self._rated, self._driven, self._fraction, self._moved, self._command, self._torque
-        ):
+            wanted, self._rated, self._driven, self._step, self._fraction, self._moved, self._command, self._torque
+        ):  # fmt: skip
             raise ValueError("an action is not finite")
-        self._step += 1
         result = self._outputs()
         if self._parts:
             self._pool = self._pool or ThreadPoolExecutor(self.threads, "hydro_env")
@@ -466,12 +465,10 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             for name in values:
                 if name not in self._settable:
                     self._settable[name] = own_values(name, self.model)
-        for name, own in self._settable.items():
-            pairs = values.get(name, own)
-            if name in self._sensor:
-                self._sensor[name][rows] = pairs
-            else:
-                self.plant.set(name, pairs, rows)
+        pairs = {name: values.get(name, own) for name, own in self._settable.items()}
+        for name in self._sensor.keys() & pairs.keys():
+            self._sensor[name][rows] = pairs.pop(name)
+        self.plant.set_values(pairs, rows)
         self._rated[rows] = self.plant.get("u_rated")[rows]
         stuck = self._sensor["speed_sensor.stuck_from"][rows]
         finite = stuck < inf

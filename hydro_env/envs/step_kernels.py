@@ -42,16 +42,17 @@ def _threaded(function):
 
 
 @_threaded
-def apply(actions, rated, driven, fraction, moved, command, load):
+def apply(actions, rated, driven, step, fraction, moved, command, load):
     """Turns actions (N, 2) into commands and loads (N, 2) of the period that begins; False if one is not finite.
 
-    rated (N, 2) in V; driven (N, 4): see `drive`; fraction (N, 2): the command in force, replaced; moved (N,):
-    its mean absolute change.
+    rated (N, 2) in V; driven (N, 4): see `drive`; step (N,): moved on by one; fraction (N, 2): the command in force,
+    replaced; moved (N,): its mean absolute change.
     """
     for i in range(actions.shape[0]):
         if not (isfinite(actions[i, 0]) and isfinite(actions[i, 1])):
             return False
     for i in range(actions.shape[0]):
+        step[i] += 1
         moved[i] = 0.0
         for c in range(2):
             action = actions[i, c]
