@@ -57,7 +57,8 @@ class Parameter:
     "limit" or "size" where `typical` differs from `nominal`, else "shape".
     `scaling` has the parameter's power in the directions `SCALINGS`. `part_of` names the base parameter whose calibrated
     value contains this one, as the inertia of the shaft contains what sits behind a coupling. `not_below` names another
-    parameter of the effect that this one is never less than, as static friction is never less than sliding friction.
+    parameter of the effect that this one is never less than, as static friction is never less than sliding friction. `starts` are
+    the values of a shape that are worth a first look where the effect may not act at the neutral one.
 
     `possible` are the values that a model may have, beside the neutral one: for the parameter of an effect the plausible
     bounds unless given, for a base parameter those that are simulated correctly, see `_POSSIBLE`.
@@ -78,6 +79,7 @@ class Parameter:
     scaling: Mapping[str, float] = field(default_factory=dict, hash=False)
     part_of: str = ""
     not_below: str = ""
+    starts: tuple[float, ...] = ()
     possible: tuple[float, float] = (nan, nan)
 
     def __post_init__(self) -> None:

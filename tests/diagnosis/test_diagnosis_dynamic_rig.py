@@ -115,6 +115,19 @@ def test_every_effect_has_sensible_starts(name: str) -> None:
     assert any(not effect.is_neutral(row) for row in rows)
 
 
+def test_valves_that_open_at_the_load_pressures_of_a_log_are_seen_at_first_look(fit_log: Path) -> None:
+    """Check valves of the supply's usual pressure never open in logs of low load pressures."""
+    rig = DynamicRig(load_model("paper"), read_parts([fit_log], None))
+    pressure = next(s for s in rig.segments[0] if s.signal == "pressure")
+    assert 25e5 < np.abs(pressure.measured).max() < 90e5
+    starts = effect_starts(CATALOGUE["anti_cavitation"], 3.0)
+    without, *found = rig.predict(
+        [Request(0, {}), *(Request(0, {f"anti_cavitation.{k}": v for k, v in s.items()}) for s in starts)]
+    )
+    moved = {s["supply_pressure"]: np.ptp(f[0] - without[0]) for s, f in zip(starts, found, strict=True)}
+    assert moved[100e5] == 0.0 and moved[20e5] > 0.0
+
+
 @pytest.mark.parametrize("name", [n for n in PARAMETERS if n != "u_rated"])
 def test_base_parameters_stay_in_their_range(name: str) -> None:
     unknown = base_unknown(PARAMETERS[name], PARAMETERS[name].nominal)

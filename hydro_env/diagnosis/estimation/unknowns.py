@@ -177,7 +177,7 @@ def _shapes(p: Parameter, seconds: float) -> list[float]:
         return [float(n) for n in range(math.ceil(p.low), math.floor(p.high) + 1)]
     if p.role == "time_constant" and p.nominal > seconds:
         return [min(max(0.4 * seconds, p.low), p.high)]
-    return [p.nominal]
+    return list(p.starts) or [p.nominal]
 
 
 def effect_unknowns(effect: Effect, start: dict[str, float]) -> list[Unknown]:

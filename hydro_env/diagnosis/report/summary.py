@@ -148,7 +148,11 @@ def _known(found: Diagnosis) -> str:
 
 def _hidden(found: Diagnosis) -> str:
     seen = detectable(found.state.screening)
-    hidden = {name: [c for c, shows in row.items() if not shows] for name, row in seen.items()}
+    named = [(effect.name, str(channel + 1)) for effect in found.effects for channel in effect.channels]
+    hidden = {
+        name: [c for c, shows in row.items() if not shows and (name, c) not in named]
+        for name, row in seen.items()
+    }
     texts = [f"{words.plain(name)} ({', '.join(row)})" for name, row in hidden.items() if row]
     if not texts:
         all_of = "the catalogue" if found.state.rig.has_hidden_states else "this reduced model"

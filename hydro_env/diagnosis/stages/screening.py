@@ -218,9 +218,7 @@ def _request(estimates: Estimates, effect: str, channel: int | None, start: dict
 
 def _is_medium(effect: str, start: dict[str, float]) -> bool:
     return all(
-        start[p.name] == p.typical
-        for p in CATALOGUE[effect].parameters
-        if p.typical is not None and p.typical != p.nominal
+        start[p.name] == p.typical for p in CATALOGUE[effect].parameters if p.typical != p.nominal or p.starts
     )
 
 

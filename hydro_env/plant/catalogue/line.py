@@ -357,7 +357,8 @@ ANTI_CAVITATION = Effect(
             "line is boosted",
             source="cracking pressures of 0.05 to 1 bar are usual; boosted return lines have 2 to 5 bar",
         ),
-        replace(SUPPLY_PRESSURE, low=10e5, possible=(10e5, 350e5)),
+        # The valves open where the load pressure exceeds the supply's less twice their own.
+        replace(SUPPLY_PRESSURE, low=10e5, possible=(10e5, 350e5), starts=(20e5, 30e5, 45e5, 70e5, 100e5)),
     ),
     laws={"leakage": _made_up},
     states=(State("mean_pressure", _filled, _filled_decay),),
