@@ -112,7 +112,7 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
                     f"{mapping or file}: {name} of channel {channel + 1} is missing; name its variable in --mapping"
                 )
     model = PlantModel(Path(file).stem, {"u_rated": (rated, rated)})
-    return FmuModel(model.name, model.values, (), model.substep, str(file), links, start)
+    return FmuModel(model.name, model.values, (), model.substep, file=str(file), links=links, start=start)
 
 
 def _check(

@@ -10,10 +10,10 @@ and up to three other base parameters of the paper's model over theirs; effects.
 
 Each model is what a user gets from `load_model`, which gives it a shorter substep or refuses it where its own does not follow it.
 It is driven for S seconds by smooth, uniform, Gaussian and bang-bang commands of full range, or by some of these
-(`--commands`), and compared with the same at a sixteenth of the substep: a stiff channel may take an eighth in so many fewer
-parts that nothing becomes finer. One that differs there by more than 0.1 rpm (RMS) and 1e-4 of its speed is driven once more at a
-sixteenth, by commands that are smaller by a millionth: where that moves the speed by more than a ten-thousandth, the motion
-separates neighbouring solutions, and no simulator foretells it (`substep_check`).
+(`--commands`), and compared with the same at an eighth of the substep and of the parts in which a stiff channel takes it. One
+that differs there by more than 0.1 rpm (RMS) and 1e-4 of its speed is driven once more at an eighth, by commands that are
+smaller by a millionth: where that moves the speed by more than a ten-thousandth, the motion separates neighbouring solutions,
+and no simulator foretells it (`substep_check`).
 `--sample` models, chosen by chance, are also compared with the reference simulator, each under one of the commands in turn.
 
 `accuracy.csv` has a line for each model and command: the RMS of the speed and of its errors in rpm, and what the model is.
@@ -55,6 +55,8 @@ PRESETS = ("paper", "paper_dead_zone", "rig", "servo", "valve_1", "valve_2")
 PERIOD = 0.01
 #: What an infinite limit of the command stands for, V.
 _NO_LIMIT = 200.0
+#: In how many parts the substep is taken for what the speeds are compared with.
+_FINE = 8
 #: Most combinations of ends of the parameters of one effect.
 _MOST_CORNERS = 16
 
@@ -208,12 +210,12 @@ def _value(p: Parameter, low: float, high: float, rng: np.random.Generator) -> f
 
 # --- comparison -------------------------------------------------------------------------------------------------------
 def _run(cases: Sequence[Case], share: Array, parts: int) -> tuple[Array, NDArray[np.bool_], float]:
-    """Speeds (T, cases, 2) in rpm at the substep, one and the same, divided by `parts`; which diverged; and channel substeps."""
+    """Speeds (T, cases, 2) in rpm at the substep, one and the same, in so many parts; which diverged; and channel substeps."""
     models = [case.model for case in cases]
     declared = {model.declared for model in models}
     effects = declared.pop() if len(declared) == 1 else BUILT_IN
     # A rig to a block: in a common one all take the parts that any of them asks for.
-    finer = replace(load_model("paper"), substep=models[0].substep / parts)
+    finer = replace(load_model("paper"), substep=models[0].substep, finer=models[0].finer * parts)
     plant = Plant(finer, len(cases), effects=effects, block=1)
     named = [f"{name}.{p.name}" for name in effects for p in CATALOGUE[name].parameters]
     for row, model in enumerate(models):
@@ -230,14 +232,14 @@ def _rms(values: Array) -> Array:
 
 def compare(cases: Sequence[Case], share: Array, command: str) -> tuple[list[Result], float]:
     """The results under one command, and the number of channel substeps that were made at the model's own substep."""
-    groups: dict[tuple[bool, float], list[Case]] = {}
+    groups: dict[tuple[bool, float, int], list[Case]] = {}
     for case in cases:
-        groups.setdefault((case.plain, case.model.substep), []).append(case)
+        groups.setdefault((case.plain, case.model.substep, case.model.finer), []).append(case)
     results: list[Result] = []
     made = 0.0
     for group in groups.values():
         speed, diverged, substeps = _run(group, share, 1)
-        fine, broken, _ = _run(group, share, 16)
+        fine, broken, _ = _run(group, share, _FINE)
         made += substeps
         found = [
             Result(case, command, *numbers)
@@ -247,7 +249,7 @@ def compare(cases: Sequence[Case], share: Array, command: str) -> tuple[list[Res
             result.diverged = bad
         doubtful = [n for n, result in enumerate(found) if result.error > result.bound]
         if doubtful:
-            nudged, _, _ = _run([group[n] for n in doubtful], (1.0 - NUDGE) * share, 16)
+            nudged, _, _ = _run([group[n] for n in doubtful], (1.0 - NUDGE) * share, _FINE)
             for n, moved in zip(doubtful, _rms(fine[:, doubtful] - nudged).tolist(), strict=True):
                 found[n].growth = moved / (NUDGE * max(found[n].speed, 1e-9))
         results += found
@@ -335,18 +337,18 @@ def _wanted(options: argparse.Namespace, rng: np.random.Generator) -> tuple[list
 
 def _checked(cases: Iterable[Case]) -> set[int]:
     """The cases, by `id`, that are not refused when their substep is checked; prints what came of it and what it took."""
-    parts: dict[int, float] = {}
+    parts: dict[int, int] = {}
     took, refused = [], []
     for case in cases:
         begun = time.process_time()
         try:
-            parts[id(case)] = case.given.substep / case.model.substep
+            parts[id(case)] = case.model.finer
         except InputError as problem:
             refused.append(str(problem))
         took.append(time.process_time() - begun)
     shares = list(parts.values())
     print(
-        f"substep checked: {sum(share > 1.0 for share in shares)} models get a shorter one, so that they take"
+        f"substep checked: {sum(share > 1 for share in shares)} models get a shorter one, so that they take"
         f" {np.mean(shares):.3g} times as many in the mean, {len(refused)} are refused; {np.median(took):.2g} processor"
         f" seconds in the median, {np.quantile(took, 0.9):.2g} for nine of ten",
         *refused,

@@ -74,7 +74,7 @@ static const char settable[PLANT_CELLS / 2] = {{
 void plant_look(plant *p) {{
     int nothing = 0;
     double none = 0.0;
-    {look}(p->memory, p->room, p->delayed, p->head, p->command, p->load, 1, {substep}, {substep}, &nothing, &none);
+    {look}(p->memory, p->room, p->delayed, p->head, p->command, p->load, 1, {substep}, {stiff_at} * {substep}, &nothing, &none);
 }}
 
 void plant_rest(plant *p) {{
@@ -99,7 +99,7 @@ int plant_step(plant *p, double period) {{
     if (!(period > 0.0) || !(wanted < 1e8){refused}) return 0;
     substeps = wanted < 1.0 ? 1 : (int)wanted;
     h = period / substeps;
-    {step}(p->memory, p->room, p->delayed, p->head, p->command, p->load, substeps, h, h, &nothing, &none);
+    {step}(p->memory, p->room, p->delayed, p->head, p->command, p->load, substeps, h, {stiff_at} * h, &nothing, &none);
     p->head = (p->head + substeps) % PLANT_SLOTS;
     return 1;
 }}
@@ -159,7 +159,7 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
     parameters = (*PARAMETERS, *own)
     shared = {name for name in own if CATALOGUE[name.split(".")[0]].scope == "rig"}
     states = [name for name, row in kernel.rows.items() if row < kernel.rows["time"]]
-    substep = literal(model.substep, "double")
+    substep, stiff_at = literal(plant.substep, "double"), literal(float(plant.model.finer), "double")
     initial = plant.memory.reshape(-1).tolist()
     by_row = {row: 2 if name in shared else 1 for name, row in kernel.rows.items() if name in parameters}
     delay = ", or shorter than a substep: commands are delayed" if kernel.has_delay else ""
@@ -168,13 +168,21 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
         total=total * lanes, slots=slots, substep=substep, delay=delay,
     )  # fmt: skip
     body = _BODY.format(
-        helpers=HELPERS, functions=translator.text, step=step, look=look, substep=substep, moving=2 * (kernel.rows["load"] + 1),
+        helpers=HELPERS, functions=translator.text, step=step, look=look, substep=substep, stiff_at=stiff_at,
+        moving=2 * (kernel.rows["load"] + 1),
         initial=_table(literal(x, "double") for x in initial), settable=_table(str(by_row.get(n, 0)) for n in range(kept)),
         refused=f" || period < {substep} * (1.0 - 1e-9)" if kernel.has_delay else "",
     )  # fmt: skip
     places = {name: 2 * row for name, row in kernel.rows.items()}
     return PlantSource(
-        model, header, body, places, (*states, *_OUTPUTS), parameters, frozenset(shared), kernel.has_delay
+        plant.model,
+        header,
+        body,
+        places,
+        (*states, *_OUTPUTS),
+        parameters,
+        frozenset(shared),
+        kernel.has_delay,
     )
 
 

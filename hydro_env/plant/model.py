@@ -53,13 +53,15 @@ class PlantModel:
     there with neutral values (then it may be varied later). `substep` is the longest step of the integrator in s that
     the model is to be simulated with; a stiff channel takes it in parts. InputError for unknown names, values that are no
     numbers, and those outside of what is simulated correctly (`Parameter.possible`, `stiffness`). Whether the substep follows
-    unusual values is only seen by simulation: `load_model` does that, and so all that makes a `Plant`.
+    unusual values is only seen by simulation: `load_model` does that, and so all that makes a `Plant`. It then says by `finer`
+    in how many parts every substep, and every part of a stiff channel's, is to be taken; no file holds that.
     """
 
     name: str = "nominal"
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     declared: tuple[str, ...] = ()
     substep: float = SUBSTEP
+    finer: int = 1
 
     def __post_init__(self) -> None:
         if not 1e-7 <= self.substep <= 1e-3:

@@ -19,8 +19,8 @@ parameters `VALVE_PARAMETERS` and the effects of the ports `VALVE_PORTS`, as the
 
 Values are SI. Anything unknown, and a value that no such component has (`Parameter.possible`), is refused with a line that
 names the file and the key. A base parameter beyond its plausible range gives a warning, unless `sources` says where it is from.
-Such a model is also simulated for a second (`substep_check`), and gets a shorter substep, or is refused, where its own does not
-follow it. A substep that a file gives is taken as it is, unless it is that of a preset (125 or 100 us).
+Such a model is also simulated for a second (`substep_check`): it gets half of the longest substep that follows it, or is refused
+where none does. A substep that a file gives is taken as it is, unless it is that of a preset (125 or 100 us).
 """
 
 from __future__ import annotations
@@ -295,8 +295,8 @@ def _presets() -> tuple[PlantModel, ...]:
 def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantModel:
     """A model from a preset's name, a YAML file, the content of one, or a model.
 
-    A model with unusual values, also one that is given as a model, gets a shorter substep where a short simulation shows that
-    its own does not follow it; all else stays as it is (`substep_check`). All that simulates takes its model from here. What is
+    A model with unusual values, also one that is given as a model, gets a shorter substep, half of the longest that follows it in
+    a short simulation; all else stays as it is (`substep_check`). All that simulates takes its model from here. What is
     derived from the result (`with_values`) is another model, which is checked when it comes here in turn.
     InputError, in one line that names file and key, for anything that is not right.
     """

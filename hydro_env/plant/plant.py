@@ -85,8 +85,10 @@ class Plant:
             raise ValueError(f"block is {block}, expected one of {', '.join(map(str, BLOCKS))}")
         self.model = load_model(model) if substep is None else read_model(model)
         self.num_rigs = int(num_rigs)
-        self.substep = float(self.model.substep if substep is None else substep)
+        self.substep = float(self.model.substep / self.model.finer if substep is None else substep)
         self.given_substep = substep
+        # How many substeps long the step is by which channels are called stiff; 0: none is.
+        self._stiff_at = float(self.model.finer if substep is None else 0.0)
         effects = tuple(effects)
         for name in effects:
             if name not in CATALOGUE:
@@ -321,7 +323,7 @@ class Plant:
             load_Nm[None, rigs],
             substeps,
             h,
-            h if self.given_substep is None else 0.0,
+            self._stiff_at * h,
             _NO_RECORD,
             1,
             self._empty[:, :, rigs],
@@ -374,7 +376,6 @@ class Plant:
         rows: NDArray[np.int64] = _NO_RECORD, every: int = 1, out: Array | None = None,
     ) -> None:  # fmt: skip
         out = self._empty if out is None else out
-        looked_at = h if self.given_substep is None else 0.0
         self._kernel.advance(
             self._flat,
             self._cells,
@@ -384,7 +385,7 @@ class Plant:
             load_Nm,
             substeps,
             h,
-            looked_at,
+            self._stiff_at * h,
             rows,
             every,
             out,

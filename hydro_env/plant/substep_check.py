@@ -1,14 +1,12 @@
-"""Whether the substep follows a model with unusual values, by a short simulation of it.
+"""How finely a model with unusual values has to be stepped, by a short simulation of it.
 
 `stiffness` and the laws of the effects tell from parameters how finely a channel has to be stepped. They were measured on
 models that lie far apart, but values far from any real rig can be combined in ways that no such law foresees. So a model is
-simulated once where a value of a channel is outside of its plausible range: for a second from rest, under six
-commands, at its substep and at half of it. The error falls at least in proportion to the substep, so that half of it shows half
-of the error or more. Where the speeds differ, the model gets the longest of a half, a quarter and an eighth of its substep that
-agrees with a sixteenth.
-
-A shorter substep of a stiff channel may be taken in so many fewer parts that nothing becomes finer. The half therefore takes the
-parts of the whole, and the sixteenth those of a quarter.
+simulated once where a value of a channel is outside of its plausible range: for a second from rest, under six commands, at
+its substep and at half of it, and where the speeds differ at a half and a quarter, and so on. Other commands may meet events
+that these do not, such as a spool that just sticks, and there half of a substep has a thirtieth of the error. So the model
+gets half of the longest substep that agrees with its half. The parts in which a stiff channel takes every substep are
+shortened with it.
 
 An eighth and a sixteenth may differ too. If a millionth of the command moves the speed by more than a ten-thousandth, the
 motion separates neighbouring solutions: no simulator foretells it, and it says nothing about the substep. If not, the model is
@@ -43,11 +41,11 @@ __all__ = ["GROWTH", "NUDGE", "TOLERANCE_RPM", "TOLERANCE_SHARE", "followed"]
 Array = NDArray[np.float64]
 #: A speed that is off by less than this (rpm, RMS), or by less than this share of itself, is right.
 TOLERANCE_RPM, TOLERANCE_SHARE = 0.1, 1e-4
-#: The part of it that the check allows. Other commands may meet events that these do not; docs/reference/plant.md has what other
-#: parts cost and leave.
-_RESERVE = 1 / 64
-#: Shares of the substep that a model may get, and the finest one, with which they are compared.
-_PARTS, _FINEST = (1, 2, 4, 8), 16
+#: The part of it that the check allows, and how much finer than that the model is stepped; docs/reference/plant.md has what
+#: others cost and leave.
+_ALLOWED, _RESERVE = 1 / 64, 2
+#: In how many parts the substep is tried, each against twice as many.
+_PARTS = (1, 2, 4, 8)
 #: Change of the command that shows what a motion makes of small errors, and by how much more it has to change the speed.
 NUDGE, GROWTH = 1e-6, 100.0
 _PERIOD, _ROWS = 0.01, 100
@@ -73,7 +71,7 @@ def followed(model: PlantModel, presets: Callable[[], Sequence[PlantModel]]) -> 
     values = tuple(sorted(model.values.items()))
     parts, wrong = _parts(values, tuple(CATALOGUE[name] for name in model.declared), model.substep)
     if not wrong:
-        return model if parts == 1 else replace(model, substep=model.substep / parts)
+        return model if parts == model.finer else replace(model, finer=parts)
     channel = next((c for c in wrong if unusual[c]), wrong[0])
     raise InputError(
         f"model {model.name!r}: channel {channel + 1}: no substep down to {model.substep / _PARTS[-1] * 1e6:.3g} us follows"
@@ -103,35 +101,28 @@ def _has(preset: PlantModel, model: PlantModel, channel: int, names: Iterable[st
 def _parts(
     values: tuple[tuple[str, tuple[float, float]], ...], effects: tuple[Effect, ...], substep: float
 ) -> tuple[int, tuple[int, ...]]:
-    """In how many parts the substep (s) follows a model, and the channels on which none of `_PARTS` does."""
+    """In how many parts the substep (s) is to be taken, and the channels on which none of `_PARTS` follows."""
     rigs = np.arange(_commands().shape[1])
-    found: dict[int, tuple[Array, NDArray[np.bool_]]] = {}
-
-    def at(parts: int) -> tuple[Array, NDArray[np.bool_]]:
-        if parts not in found:
-            # The finest takes as many parts as a substep of four times its length: a stiff channel is stepped more finely, too.
-            found[parts] = _speeds(dict(values), effects, substep / parts, rigs, 4 if parts == _FINEST else 1)
-        return found[parts]
-
-    def differ(parts: int, share: float) -> NDArray[np.bool_]:
-        """Where the speeds are apart from the finest by more than so much of what is right, (rigs, 2)."""
-        return _differ(at(parts), at(_FINEST), share)
-
-    half = _speeds(dict(values), effects, substep / 2, rigs, 2)
-    rigs = np.flatnonzero(_differ(at(1), half, _RESERVE).any(axis=1))
-    if not rigs.size:
-        return 1, ()
-    found[1] = at(1)[0][:, rigs], at(1)[1][rigs]
-    unsettled = differ(_PARTS[-1], 1.0)
-    if unsettled.any():
-        speed, (nudged, _) = at(2)[0], _speeds(dict(values), effects, substep / 2, rigs, 1, 1.0 - NUDGE)
-        separates = (_rms(nudged - speed) > GROWTH * NUDGE * _rms(speed)).any(axis=0)
-        if (wrong := (unsettled & ~separates) | at(_FINEST)[1]).any():
+    enough = np.ones((len(rigs), 2), np.int64)
+    now = _speeds(dict(values), effects, substep, 1, rigs)
+    for parts in _PARTS:
+        then = _speeds(dict(values), effects, substep, 2 * parts, rigs)
+        apart = _differ(now, then, _ALLOWED)
+        enough[rigs] = np.where(apart, 2 * parts, enough[rigs])
+        left = apart.any(axis=1)
+        if not left.any():
+            break
+        unsettled = _differ(now, then, 1.0)[left]
+        rigs, now = rigs[left], (then[0][:, left], then[1][left])
+    else:
+        one, other = (
+            _speeds(dict(values), effects, substep, 2, rigs, times)[0] for times in (1.0, 1.0 - NUDGE)
+        )
+        separates = (_rms(one - other) > GROWTH * NUDGE * _rms(one)).any(axis=0)
+        if (wrong := (unsettled & ~separates) | now[1]).any():
             return 0, tuple(np.flatnonzero(wrong.any(axis=0)).tolist())
-    for parts in _PARTS[:-1]:
-        if not (differ(parts, _RESERVE) & ~unsettled).any():
-            return parts, ()
-    return _PARTS[-1], ()
+        enough[rigs] = np.where(unsettled, 1, enough[rigs])
+    return min(_RESERVE * int(enough.max()), 2 * _PARTS[-1]), ()
 
 
 def _differ(
@@ -174,14 +165,12 @@ def _speeds(
     values: Mapping[str, tuple[float, float]],
     effects: tuple[Effect, ...],
     substep: float,
+    parts: int,
     rigs: NDArray[np.int64],
-    stiff_at: int,
     times: float = 1.0,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Speeds in rpm under so many times some of the commands, (rows, rigs, 2), and which diverged, (rigs, 1).
-
-    A stiff channel takes its substep in as many parts as one `stiff_at` times as long would be taken in. The kernel is the one
-    that a single rig of the model takes."""
+    """Speeds in rpm under so many times some of the commands, with the substep in so many parts, (rows, rigs, 2), and which
+    diverged, (rigs, 1). The kernel is the one that a single rig of the model takes."""
     kernel = compile_kernel((e.name for e in effects), 1)
     commands = _commands()[:, rigs]
     memory = np.zeros((len(rigs), kernel.num_rows, 2))
@@ -194,7 +183,7 @@ def _speeds(
         ):  # how late a command is does not matter, and it may be later than the run is long
             memory[:, kernel.rows[f"{effect.name}.{effect.delays_command}"]] = 0.0
     rated = np.minimum(memory[:, kernel.rows["u_rated"]], _NO_LIMIT)
-    substeps = max(1, ceil(_PERIOD / substep - 1e-9))
+    substeps = max(1, ceil(_PERIOD * parts / substep - 1e-9))
     h = _PERIOD / substeps
     out = np.empty((1, *commands.shape))
     kernel.advance(
@@ -206,7 +195,7 @@ def _speeds(
         np.zeros((1, 1, 2)),
         substeps,
         h,
-        stiff_at * h,
+        parts * h,
         np.array([kernel.rows["speed"]]),
         1,
         out,

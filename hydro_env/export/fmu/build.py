@@ -95,7 +95,7 @@ def export_fmu(model: PlantModel, folder: Path, versions: tuple[int, ...] = (2, 
         "schema": "hydro_env/export/1",
         "kind": "fmu",
         "model": model.to_dict(),
-        "substep_s": model.substep,
+        "substep_s": source.model.substep / source.model.finer,
         "files": about,
     }
     write_json(folder / "export.json", data)
