@@ -150,6 +150,18 @@ def test_any_communication_step(units: list[Path], period: float) -> None:
 
 
 @needs_compiler
+def test_an_unusual_model_is_stepped_as_finely(tmp_path: Path) -> None:
+    """Its channels are stiff, so that the parts of a substep count as well."""
+    model = load_model("paper").with_values({"s0": 3e6, "Km": 1e-9}, name="stiff")
+    unit, plant = Unit(export_fmu(model, tmp_path).files[0]), Plant(model)
+    assert plant.model.finer > 1
+    for t, command in enumerate(commands(100, 60.0)):
+        unit.step(t * PERIOD, command, (0.0, 0.0))
+        plant.step(command, 0.0, PERIOD)
+    assert np.array_equal(unit.signals(), of_plant(plant))
+
+
+@needs_compiler
 def test_a_delayed_command(tmp_path: Path) -> None:
     (tmp_path / "late.yaml").write_text(
         "schema: hydro_env/model/1\nname: late\neffects:\n  command_delay:\n    both: {delay: 0.004}\n"
