@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from math import inf
+from math import ceil, inf
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
@@ -287,7 +287,7 @@ class Plant:
         """How many substeps a period takes. ValueError if it is not positive."""
         if not period > 0.0:
             raise ValueError(f"period is {period}, expected more than 0 s")
-        return max(1, int(np.ceil(period / self.substep - 1e-9)))
+        return max(1, ceil(period / self.substep - 1e-9))
 
     def step(self, command_V: ArrayLike, load_Nm: ArrayLike, period: float) -> None:
         """Holds commands (V) and loads (N m), each broadcast to (num_rigs, 2), over `period` s.
