@@ -24,6 +24,7 @@ Integers = NDArray[np.uint64]
 
 #: So many rows take less time one by one, by NumPy's own generators.
 FEW = 4
+#: Turns for which a few rows draw their normal numbers at a time: a call takes a generator longer than the numbers of one turn.
 _AHEAD = 32
 _LAST = 2**64 - 1
 #: PCG64's multiplier, high and low half.
@@ -119,7 +120,6 @@ class NormalNumbers:
         self.numbers = np.zeros((rows, numbers), np.float32)
         self._generators: dict[int, np.random.Generator] | None = {} if rows <= FEW else None
         self._states = np.zeros((rows if rows > FEW else 0, 5), np.uint64)
-        # A call takes a generator longer than its numbers: a few rows draw those of so many turns at a time.
         self._ahead = np.zeros((rows if rows <= FEW else 0, _AHEAD, numbers), np.float32)
         self._turn = [0] * len(self._ahead)
 

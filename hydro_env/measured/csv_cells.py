@@ -1,7 +1,7 @@
 """Rows of a CSV file as columns of numbers: a fast reader for plain numbers and a careful one for everything else.
 
 The careful reader understands every spelling that a log may have and names the row and column of what it does not. The
-fast one (Apache Arrow's, of the extra `measured`) takes blocks in which every row is complete and every cell that is wanted
+fast one (Apache Arrow's) takes blocks in which every row is complete and every cell that is wanted
 is a plain number or empty, and refuses all others. What it takes the careful one reads as the same numbers, so it changes
 the time only.
 """
@@ -84,10 +84,8 @@ class Cells:
         lone = "\r" in text and text.count("\r") != text.count("\r\n")
         if width < 2 or not self.places or lone or '"' in text or "(" in text or not delimiter.isascii():
             return None
-        try:
-            from pyarrow import ArrowInvalid, csv, float64, py_buffer
-        except ImportError:
-            return None
+        from pyarrow import ArrowInvalid, csv, float64, py_buffer
+
         wanted = [str(place) for place in self.places]
         try:
             table = csv.read_csv(

@@ -118,12 +118,12 @@ class PlantModel:
             if len(pair) != 2:
                 raise InputError(f"{key}: one number, or one for each of the two channels, not {len(pair)}")
             changed[key] = (float(pair[0]), float(pair[1]))
-        return replace(self, values=changed, name=self.name if name is None else name)
+        return replace(self, values=changed, name=self.name if name is None else name, finer=1)
 
     def without(self, effect: str) -> PlantModel:
         """A new model in which this effect does not act."""
         kept = {n: v for n, v in self.values.items() if n.split(".", 1)[0] != effect or "." not in n}
-        return replace(self, values=kept, declared=tuple(n for n in self.declared if n != effect))
+        return replace(self, values=kept, declared=tuple(n for n in self.declared if n != effect), finer=1)
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the model file; `load_model` of it gives an equal model."""

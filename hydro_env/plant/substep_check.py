@@ -41,8 +41,8 @@ __all__ = ["GROWTH", "NUDGE", "TOLERANCE_RPM", "TOLERANCE_SHARE", "followed"]
 Array = NDArray[np.float64]
 #: A speed that is off by less than this (rpm, RMS), or by less than this share of itself, is right.
 TOLERANCE_RPM, TOLERANCE_SHARE = 0.1, 1e-4
-#: The part of it that the check allows, and how much finer than that the model is stepped; docs/reference/plant.md has what
-#: others cost and leave.
+#: The part of it that the check allows, and how much finer than that the model is stepped; docs/reference/plant.md has what this
+#: costs and leaves.
 _ALLOWED, _RESERVE = 1 / 64, 2
 #: In how many parts the substep is tried, each against twice as many.
 _PARTS = (1, 2, 4, 8)

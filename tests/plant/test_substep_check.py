@@ -79,6 +79,7 @@ def test_a_model_that_is_followed_is_stepped_in_halves_and_simulated_once(runs: 
     assert found == replace(model, finer=2)
     assert load_model(found) is found
     assert runs == [1, 2]
+    assert found.with_values({"Km": 1.592e-10}).finer == 1  # of other values nothing is known
     assert Plant(model.with_values({}, name="other"), 2).substep == SUBSTEP / 2
     assert len(runs) == 2
 
