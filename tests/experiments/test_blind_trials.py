@@ -72,16 +72,19 @@ def test_true_values_inside_the_published_intervals_are_counted() -> None:
     }
     data = {
         "calibrated": {
-            "J_1": {"nominal": 2.8e-3, "low": 2.9e-3, "high": 3.1e-3},
-            "J_2": {"nominal": 2.8e-3, "low": 2.7e-3, "high": 2.9e-3},
-            "R_1": {"nominal": 100.0, "low": 99.0, "high": 101.0},  # not made wrong: the model's own value is true
+            "J_1": {"nominal": 2.8e-3, "value": 3.05e-3, "low": 2.9e-3, "high": 3.1e-3},
+            "J_2": {"nominal": 2.8e-3, "value": 2.8e-3, "low": 2.7e-3, "high": 2.9e-3},
+            # Not made wrong: the model's own value is true. It is near the end of the interval, and outside of one of 90 %.
+            "R_1": {"nominal": 100.0, "value": 110.0, "low": 99.0, "high": 121.0},
         },
         "effects": [
-            {"name": "load_bias", "channel": "2", "parameters": {"bias": {"low": 0.4, "high": 0.6}}},
-            {"name": "load_bias", "channel": "1", "parameters": {"bias": {"low": 0.4, "high": 0.6}}},
+            {"name": "load_bias", "channel": "2", "parameters": {"bias": {"value": 0.45, "low": 0.4, "high": 0.6}}},
+            {"name": "load_bias", "channel": "1", "parameters": {"bias": {"value": 0.45, "low": 0.4, "high": 0.6}}},
         ],
     }  # fmt: skip
-    assert covered(data, truth) == {"base": [2, 3], "effects": [1, 1], "outside": ["J_2"]}
+    assert covered(data, truth) == {
+        "base": [2, 3], "effects": [1, 1], "outside": ["J_2"], "at_90": {"base": 1, "effects": 1},
+    }  # fmt: skip
 
 
 def _row(

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from statistics import NormalDist
 from typing import Any
 
-from ...plant import CATALOGUE
+from ...plant import CATALOGUE, PARAMETERS
 
 __all__ = ["CRITERIA", "SEALED_WITHIN", "Criterion", "covered", "hidden_in", "judge", "summary"]
 
 #: A sealed speed error counts as explained within this multiple of the noise.
 SEALED_WITHIN = 1.3
+#: Width of an interval of 90 % of a normal distribution, as a share of that of 95 %.
+WIDTH_90 = NormalDist().inv_cdf(0.95) / NormalDist().inv_cdf(0.975)
 
 
 def sides(channel: str) -> tuple[str, ...]:
@@ -86,7 +89,8 @@ def covered(data: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]
     """How many true values lie inside the published intervals of a diagnosis.
 
     `base` and `effects` are [inside, all]: base parameters that were calibrated, and parameters of effects that were named
-    rightly, channel and all. `outside` names those that are not inside.
+    rightly, channel and all. `outside` names those that are not inside. `at_90` is how many of each are inside intervals of
+    90 %, which are the published ones of 95 % narrowed as those of a normal distribution.
     """
     wrong = truth["base_parameters"]
     base = {n: (wrong.get(n, {"value": e["nominal"]})["value"], e) for n, e in data["calibrated"].items()}
@@ -97,15 +101,39 @@ def covered(data: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]
         if (e["name"], e["channel"]) in true
         for n, interval in e["parameters"].items()
     }
-    inside = {
-        n: value is not None and entry["low"] <= value <= entry["high"]
-        for n, (value, entry) in (base | effects).items()
-    }
+    inside, at_90 = (
+        {
+            n: value is not None and _inside(value, entry, width, _logarithmic(n))
+            for n, (value, entry) in (base | effects).items()
+        }
+        for width in (1.0, WIDTH_90)
+    )
     return {
         "base": [sum(inside[n] for n in base), len(base)],
         "effects": [sum(inside[n] for n in effects), len(effects)],
         "outside": [n for n, yes in inside.items() if not yes],
+        "at_90": {
+            "base": sum(at_90[n] for n in base),
+            "effects": sum(at_90[n] for n in effects),
+        },
     }
+
+
+def _logarithmic(name: str) -> bool:
+    """Whether a parameter, `D_1` or `dead_zone.overlap`, varies by factors."""
+    effect, _, own = name.rpartition(".")
+    return (CATALOGUE[effect].parameter(own) if effect else PARAMETERS[own.rsplit("_", 1)[0]]).log
+
+
+def _inside(true: float, entry: Mapping[str, float], width: float, logarithmic: bool) -> bool:
+    """Whether a true value lies inside an interval whose halves are taken `width` times as wide, in the scale in which the
+    parameter varies."""
+    value, low, high = entry["value"], entry["low"], entry["high"]
+    if width == 1.0:
+        return low <= true <= high
+    if logarithmic and min(true, value, low) > 0.0:
+        true, value, low, high = map(math.log, (true, value, low, high))
+    return value - width * (value - low) <= true <= value + width * (high - value)
 
 
 # --- what is asked for --------------------------------------------------------------------------------------------------

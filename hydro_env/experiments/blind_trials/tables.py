@@ -82,10 +82,16 @@ def _coverage(rows: Sequence[Row]) -> list[str]:
         missed[symbol] = missed.get(symbol, 0) + 1
     worst = sorted(missed.items(), key=lambda item: -item[1])[:6]
     often = ", ".join(f"{name} ({count})" for name, count in worst) or "none"
-    return [
+    lines = [
         f"True values inside the published 95 % intervals: {share(*counts['base'])} of base parameters, "
         f"{share(*counts['effects'])} of parameters of correctly named effects. Most often outside: {often}."
     ]
+    if all("at_90" in c for c in known):
+        base, effects = (sum(c["at_90"][kind] for c in known) for kind in ("base", "effects"))
+        lines.append(
+            f"Inside intervals of 90 %: {share(base, counts['base'][1])} and {share(effects, counts['effects'][1])}."
+        )
+    return lines
 
 
 def _methods(rows: Sequence[Row]) -> list[str]:
