@@ -11,7 +11,16 @@ from ..errors import InputError
 from .catalogue import CATALOGUE
 from .catalogue.effect import arguments
 from .parameters import Parameter
-from .stiffness import LEAST_FRICTION, MOST_FINER, SPOOL, friction_left, greatest_force, parts_wanted
+from .stiffness import (
+    LEAST_FRICTION,
+    MOST_FINER,
+    MOST_PEAK,
+    SPOOL,
+    bristles_left,
+    friction_left,
+    greatest_force,
+    parts_wanted,
+)
 
 if TYPE_CHECKING:
     from .model import PlantModel
@@ -24,7 +33,6 @@ _MOST_PARTS = 40.0
 _MOST_COIL = 12.5
 #: Substep times the natural frequency of line and motor, at most, where effects act. `rig` is right at 7, and not at 70.
 _MOST_RINGING = 20.0
-_FRICTION = ("Fc", "Fs")
 #: Room for the rounding of a value that stands at an end.
 _AT_END = 1e-9
 
@@ -32,12 +40,10 @@ _AT_END = 1e-9
 def out_of_range(value: float, p: Parameter) -> str:
     """What is wrong with a value that is not simulated correctly or that no component has, "" if nothing is."""
     low, high = p.possible
-    absent = p.name in _FRICTION and value == 0.0
-    if value == p.neutral or absent or inside(value, p.possible):
+    if value == p.neutral or inside(value, p.possible):
         return ""
     ends = f"{low:g} to {with_unit(high, p)}" if high < math.inf else f"{with_unit(low, p)} or more"
-    none = ", or 0 for none" if p.name in _FRICTION else ""
-    return f"{with_unit(value, p)} is out of range; {p.title} is {ends}{none}"
+    return f"{with_unit(value, p)} is out of range; {p.title} is {ends}"
 
 
 def inside(value: float, ends: tuple[float, float]) -> bool:
@@ -48,8 +54,15 @@ def inside(value: float, ends: tuple[float, float]) -> bool:
 
 
 def check_spool(model: PlantModel, channel: int, where: str) -> None:
-    """InputError for a spool that no substep resolves or no stop holds: its friction, mass or stop is too small."""
+    """InputError for a spool that no substep resolves or no stop holds: its mass or stop is too small."""
     values = {name: model.value(name, channel) for name in SPOOL}
+    greater, lesser = max(values["Fc"], values["Fs"]), min(values["Fc"], values["Fs"])
+    least_friction = min(LEAST_FRICTION, greater / MOST_PEAK)
+    if lesser < (1.0 - _AT_END) * least_friction:
+        raise InputError(
+            f"{where}: channel {channel + 1} has {values['Fc']:g} N of Coulomb and {values['Fs']:g} N of static friction;"
+            f" {least_friction:.3g} N or more of either can be simulated, or 0 of both"
+        )
     for effect in map(CATALOGUE.__getitem__, model.declared):
         for base, own in effect.adds_to.items():
             values[base] += model.value(f"{effect.name}.{own}", channel)
@@ -65,20 +78,9 @@ def check_spool(model: PlantModel, channel: int, where: str) -> None:
             f"{where}: channel {channel + 1}: k_stop is {values['k_stop']:g}; against {force:.3g} N of the coil {least:.3g} N/m"
             " or more can be simulated"
         )
-    # Where an effect takes more than there is, the least is left.
-    most = [max(model.value(name, channel), values[name]) for name in _FRICTION]
-    if max(most) <= _AT_END:
-        return
-    if min(most) < (1.0 - _AT_END) * LEAST_FRICTION:
-        raise InputError(
-            f"{where}: channel {channel + 1} has {most[0]:g} N of Coulomb and {most[1]:g} N of static friction in all;"
-            f" {LEAST_FRICTION:g} N or more can be simulated, or Fc and Fs 0 for none"
-        )
-    both = [values[name] for name in _FRICTION]
-    values |= {
-        n: max(friction_left(a, b), LEAST_FRICTION)
-        for n, a, b in zip(_FRICTION, both, both[::-1], strict=True)
-    }
+    Fc, Fs = (friction_left(values[a], values[b]) for a, b in (("Fc", "Fs"), ("Fs", "Fc")))
+    soft = bristles_left(Fc, Fs) if max(values["Fc"], values["Fs"]) > 0.0 else 0.0
+    values |= {"Fc": Fc, "Fs": Fs, "s0": soft * values["s0"], "s1": soft * values["s1"]}
 
     def parts(mass: float) -> float:
         return parts_wanted(model.substep, {**values, "m": mass})

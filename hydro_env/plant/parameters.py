@@ -358,17 +358,17 @@ _ROWS = (
 )
 
 #: What is simulated as the reference does it, from models that lie far apart (`python -m hydro_env.experiments.accuracy`):
-#: ten times the plausible range either way, and less where no substep follows or a stop would rebound for ever. `Fc` and `Fs`
-#: may be 0 too. A cylinder axis is a motor whose `D` is the piston area, or whose `Kq` is as much smaller: both are far outside
-#: of what motors have, and are simulated as well.
+#: ten times the plausible range either way, and less where no substep follows or a stop would rebound for ever. A cylinder axis
+#: is a motor whose `D` is the piston area, or whose `Kq` is as much smaller: both are far outside of what motors have, and are
+#: simulated as well.
 _POSSIBLE: dict[str, tuple[float, float]] = {
     "D": (1e-7, 1.0),
     "Kq": (1e-6, 7.5),
     "Km": (0.0, 5e-9),
     "R": (1.0, 1250.0),
     "L": (0.001, 2.0),
-    "Fc": (0.001, 2.0),
-    "Fs": (0.001, 2.0),
+    "Fc": (0.0, 2.0),
+    "Fs": (0.0, 2.0),
     "m": (0.04, 8.0),
     "s1": (10.0, 2000.0),
     "x_max": (1e-4, 5e-3),

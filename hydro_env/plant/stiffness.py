@@ -28,6 +28,7 @@ __all__ = [
     "LINE",
     "LEAST_FRICTION",
     "MOST_FINER",
+    "MOST_PEAK",
     "SPOOL",
     "greatest_force",
     "parts_wanted",
@@ -37,8 +38,9 @@ __all__ = [
 FINE_PARTS = (2, 4, 16, 64)
 #: In how many again a stiff channel takes the parts at a bend of an effect, at most.
 MOST_FINER = 16.0
-#: Dry friction of the spool, N, below which only none is simulated: 0.06 um of travel.
-LEAST_FRICTION = 0.001
+#: Dry friction of the spool, N, below which the bristles are as much softer: they yield at the same travel then, so that no
+#: substep has to be shorter. And how many times one of both may be the other below that.
+LEAST_FRICTION, MOST_PEAK = 0.001, 20.0
 #: Base parameters that decide.
 SPOOL = ("m", "R", "alpha", "k", "Fc", "Fs", "s0", "s1", "x_max", "k_stop", "v_stop", "u_rated")
 #: The same of motor and line.
@@ -114,9 +116,19 @@ def corner_parts(parts, least):
 
 
 def friction_left(friction, other):
-    """What is left of Fc or Fs (N) when effects have added to it or taken from it; 1 N that acts on nothing if none is."""
-    least = friction if friction > 0.001 else 0.001
-    return least if friction > 0.0 or other > 0.0 else 1.0
+    """What is left of Fc or Fs (N) when effects have added to it or taken from it; 1 N that acts on nothing if none is.
+
+    No less than `LEAST_FRICTION`, or than the other one over `MOST_PEAK` where that is less.
+    """
+    least = other / 20.0 if other < 0.02 else 0.001
+    least = least if least > friction else friction
+    return least if least > 0.0 else 1.0
+
+
+def bristles_left(Fc, Fs):
+    """By which factor the bristles are softer than s0 and s1 say, with what is left of the friction."""
+    friction = Fc if Fc < Fs else Fs
+    return friction / 0.001 if friction < 0.001 else 1.0
 
 
 #: What the kernel takes from here.
@@ -129,6 +141,7 @@ LAWS = (
     fine_parts,
     corner_parts,
     friction_left,
+    bristles_left,
 )
 
 

@@ -67,8 +67,8 @@ def test_any_model_survives_a_round_trip(
     ("values", "said"),
     [
         ({"L": 0.0005}, "L: 0.0005 H is out of range; inductance of the coil is 0.001 to 2 H"),
-        ({"Fs": 1e-5, "Fc": 1e-5}, "Fc: 1e-05 N is out of range; .* is 0.001 to 2 N, or 0 for none"),
-        ({"Fc": 0.0}, "channel 1 has 0 N of Coulomb and 0.2 N of static friction in all; 0.001 N or more"),
+        ({"Fs": 3.0}, "Fs: 3 N is out of range; .* is 0 to 2 N"),
+        ({"Fc": 0.0}, "channel 1 has 0 N of Coulomb and 0.2 N of static friction; 0.001 N or more of either"),
         (
             {"m": 0.04, "s1": 2e3, "s0": 3e6, "Fc": 0.005},
             r"channel 1: m is 0.04; .* 0.\d+ kg or more can be simulated",

@@ -31,7 +31,7 @@ __all__ = [
 
 #: Largest standard deviation of the prior of a base parameter, relative (or share of its range).
 PRIOR_SPREAD = 0.3
-#: Base parameters that an effect of the catalogue adds to may be calibrated by this factor only: more has a name there.
+#: Base parameters that an effect of the catalogue adds to may be larger by this factor only: more has a name there.
 BASE_OF_EFFECT_FACTOR = 1.35
 
 #: First looks at an effect: sizes over the typical one. What limits is first looked at with limits of the typical one over these:
@@ -130,7 +130,7 @@ def base_unknown(parameter: Parameter, value: float, limited: bool = False) -> U
     if log:
         low = max(low, value / 20.0)
         if limited:
-            low, high = max(low, value / BASE_OF_EFFECT_FACTOR), min(high, value * BASE_OF_EFFECT_FACTOR)
+            high = min(high, value * BASE_OF_EFFECT_FACTOR)
         scale = min(math.log(high / low) / 4.0, PRIOR_SPREAD)
     else:
         scale = min((high - low) / 4.0, PRIOR_SPREAD * max(abs(value), 0.25 * (high - low)))

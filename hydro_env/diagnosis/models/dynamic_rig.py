@@ -126,7 +126,8 @@ class DynamicRig:
         return dict(values)
 
     def base(self, channel: int) -> list[str]:
-        return list(BASE)
+        # A spool that is given as without dry friction has none to adjust; what it has all the same is an effect.
+        return [n for n in BASE if n not in ("Fc", "Fs") or self.given(n, channel) > 0.0]
 
     def candidates(self) -> list[str]:
         both = len(self.channels) == 2

@@ -151,8 +151,8 @@ class _Sweeps:
         coil = " | ".join(f"(abs({name}) > 0.0)" for name in sizes) or "L < 0.0"
         asked = (*SPOOL, *LINE, "L", *sizes)
         lines = [*at.load(asked, " ".join(asked)), "dry = (Fc > 0.0) | (Fs > 0.0)"]
-        lines += ["s0 = s0 if dry else 0.0", "s1 = s1 if dry else 0.0"]
         lines += ["left = friction_left(Fc, Fs)", "Fs = friction_left(Fs, Fc)", "Fc = left"]
+        lines += ["soft = bristles_left(Fc, Fs) if dry else 0.0", "s0 = soft * s0", "s1 = soft * s1"]
         lines += [
             "force = greatest_force(alpha, R, k, x_max, u_rated)",
             "bristles = bristle_parts(h, force, m, Fc, Fs, s0, s1)",

@@ -213,9 +213,13 @@ def _spool_friction(p, y, dy):
     friction = p.s2 * v
     if max(coulomb, static) > 0.0:
         peak = math.exp(-((v / p.vs) ** 2))
-        z_rate = v - abs(v) * p.s0 / (coulomb + (static - coulomb) * peak) * z
+        # Less than 0.001 N comes with bristles that are as much softer; the lesser is no less than a 20th of the other.
+        least = min(0.001, max(coulomb, static) / 20.0)
+        coulomb, static = max(coulomb, least), max(static, least)
+        soft = min(1.0, min(coulomb, static) / 0.001)
+        z_rate = v - abs(v) * soft * p.s0 / (coulomb + (static - coulomb) * peak) * z
         dy[p.at_states + 3] = z_rate
-        friction = p.s0 * z + p.s1 * z_rate + p.s2 * v
+        friction = soft * (p.s0 * z + p.s1 * z_rate) + p.s2 * v
     if p.at_second_bristle >= 0:
         z = y[p.at_second_bristle]
         coulomb, static = p.spool_stiction__coulomb, p.spool_stiction__static
