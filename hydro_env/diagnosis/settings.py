@@ -11,7 +11,10 @@ from dataclasses import dataclass
 
 from ..errors import InputError, nearest
 
-__all__ = ["RULES", "Settings", "rule"]
+__all__ = ["FORM", "RULES", "Settings", "rule"]
+
+#: An effect may do this much more or less than its law says: less of a difference tells forms apart, not effects.
+FORM = 0.1
 
 #: What each rule does, by its name.
 RULES: dict[str, str] = {}

@@ -131,7 +131,8 @@ def base_unknown(parameter: Parameter, value: float, limited: bool = False) -> U
         low = max(low, value / 20.0)
         if limited:
             high = min(high, value * BASE_OF_EFFECT_FACTOR)
-        scale = min(math.log(high / low) / 4.0, PRIOR_SPREAD)
+        scale = math.log(high / low) / 4.0
+        scale = scale if limited else min(scale, PRIOR_SPREAD)
     else:
         scale = min((high - low) / 4.0, PRIOR_SPREAD * max(abs(value), 0.25 * (high - low)))
     return Unknown(parameter.name, parameter.unit, value, low, high, scale, log, True)
