@@ -196,7 +196,7 @@ def test_estimates_leave_a_local_minimum_of_friction(tmp_path: Path) -> None:
         return estimate
 
     assert not restart_friction(fit, [wrong(1.5)])  # so far off it may be an effect that is missing
-    found = wrong(0.4)
+    found = wrong(0.12)
     before = found.cost
     assert restart_friction(fit, [found]) == [found] and found.cost < before - 100.0
     assert not restart_friction(fit, [Estimate(0, [], np.zeros(0), simulated=found.simulated)])
