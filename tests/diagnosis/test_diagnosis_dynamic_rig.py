@@ -131,7 +131,7 @@ def test_valves_that_open_at_the_load_pressures_of_a_log_are_seen_at_first_look(
 def test_the_friction_of_the_spool_may_be_far_less_than_given_but_not_far_more(fit_log: Path) -> None:
     given = base_unknown(PARAMETERS["Fs"], 0.2, limited=True)
     assert given.high == pytest.approx(0.2 * 1.35) and given.low == pytest.approx(0.02)
-    assert given.scale > 0.5  # a prior as wide as that: factors of friction are nothing unusual
+    assert given.scale == 0.5  # factors of friction are nothing unusual
     parts = read_parts([fit_log], None)
     for friction, adjusted in ((0.002, {"Fc", "Fs"}), (0.0, set[str]())):
         model = load_model("servo").with_values({"Fc": friction, "Fs": friction})

@@ -21,8 +21,9 @@ RESTART_FRICTION = rule(
     "restart_friction", "restart with other spool friction where little but more than noise is left"
 )
 
-#: Base parameters that are drawn anew, and the spread of the draws on the scale of their priors.
-DRAWN, DRAW_SPREAD = ("Fc", "Fs", "vs"), 1.0
+#: Base parameters that are drawn anew, and the standard deviations of the factors: less than their priors', for a start has to be
+#: near enough to what is found from it.
+DRAWN = {"Fc": 0.15, "Fs": 0.15, "vs": 0.3}
 #: New starts, and iterations of each round, after which the better half goes on.
 STARTS, ROUND_ITERATIONS = 12, (2, 3, 4)
 #: A residual (`Fit.level`) up to which a local minimum may be the cause; what a missing effect leaves is larger.
@@ -58,7 +59,8 @@ def restart_friction(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
 def _with_other_friction(estimate: Estimate, drawn: Sequence[int], rng: np.random.Generator) -> Estimate:
     """The same with the friction of the spool drawn anew."""
     q = estimate.q.copy()
-    q[drawn] = DRAW_SPREAD * rng.standard_normal(len(drawn))
+    spread = np.array([DRAWN[estimate.unknowns[j].name] / estimate.unknowns[j].scale for j in drawn])
+    q[drawn] = spread * rng.standard_normal(len(drawn))
     twin = estimate.at(np.clip(q, *estimate.bounds))
     twin.columns = dict(estimate.columns)  # derivatives of before are good enough for the first step
     return twin

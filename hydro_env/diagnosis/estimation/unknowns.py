@@ -29,8 +29,9 @@ __all__ = [
     "effect_starts",
 ]
 
-#: Largest standard deviation of the prior of a base parameter, relative (or share of its range).
-PRIOR_SPREAD = 0.3
+#: Largest standard deviation of the prior of a base parameter, relative (or share of its range); and of friction, which dirt, wear
+#: and dither change by factors.
+PRIOR_SPREAD, FRICTION_SPREAD = 0.3, 0.5
 #: Base parameters that an effect of the catalogue adds to may be larger by this factor only: more has a name there.
 BASE_OF_EFFECT_FACTOR = 1.35
 
@@ -131,8 +132,7 @@ def base_unknown(parameter: Parameter, value: float, limited: bool = False) -> U
         low = max(low, value / 20.0)
         if limited:
             high = min(high, value * BASE_OF_EFFECT_FACTOR)
-        scale = math.log(high / low) / 4.0
-        scale = scale if limited else min(scale, PRIOR_SPREAD)
+        scale = min(math.log(high / low) / 4.0, FRICTION_SPREAD if limited else PRIOR_SPREAD)
     else:
         scale = min((high - low) / 4.0, PRIOR_SPREAD * max(abs(value), 0.25 * (high - low)))
     return Unknown(parameter.name, parameter.unit, value, low, high, scale, log, True)
