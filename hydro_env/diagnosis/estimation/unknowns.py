@@ -29,8 +29,8 @@ __all__ = [
     "effect_starts",
 ]
 
-#: Largest standard deviation of the prior of a base parameter, relative (or share of its range); and of friction, which dirt, wear
-#: and dither change by factors.
+#: Largest standard deviation of the prior of a base parameter, relative (or share of its range); and of friction, which dirt and
+#: wear change by factors.
 PRIOR_SPREAD, FRICTION_SPREAD = 0.3, 0.5
 #: Base parameters that an effect of the catalogue adds to may be larger by this factor only: more has a name there.
 BASE_OF_EFFECT_FACTOR = 1.35
