@@ -37,7 +37,7 @@ from .estimation import Estimate, Fit, intervals_of
 from .input.parts import Part
 from .models.base import BLOCK_S, UNITS, Request
 from .models.dynamic_rig import DynamicRig
-from .settings import FORM, Settings
+from .settings import Settings
 
 __all__ = [
     "SECONDS", "Design", "Operation", "Question", "Trial", "best_design", "commands_csv", "operation_of", "random_design",
@@ -50,6 +50,8 @@ PERIOD, SECONDS = 0.01, 12.0
 REST, PIECE, PIECES = 24, 192, 6
 #: Random experiments to begin with, and random pieces of which the best takes a place.
 FIRST, PIECES_TRIED = 16, 8
+#: An effect may do this much more or less than its law says: less of a difference tells forms apart, not effects.
+FORM = 0.1
 #: Where every experiment goes beyond the pressure limit, commands are taken smaller by this factor, so many times at most.
 SMALLER, TIMES_SMALLER = 0.6, 5
 

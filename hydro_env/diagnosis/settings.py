@@ -11,10 +11,7 @@ from dataclasses import dataclass
 
 from ..errors import InputError, nearest
 
-__all__ = ["FORM", "RULES", "Settings", "rule"]
-
-#: An effect may do this much more or less than its law says: less of a difference tells forms apart, not effects.
-FORM = 0.1
+__all__ = ["RULES", "Settings", "rule"]
 
 #: What each rule does, by its name.
 RULES: dict[str, str] = {}

@@ -38,7 +38,7 @@ from ..plant import BUILT_IN, CATALOGUE
 from ..practice.generate import PLAYED, make_practice
 from ..reading import read_json
 from .blind_trials.cases import BASE_ERROR
-from .blind_trials.judging import hidden_in, judge
+from .blind_trials.judging import SEALED_WITHIN, hidden_in, judge
 from .blind_trials.running import method
 from .blind_trials.tables import markdown
 
@@ -168,6 +168,8 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         "right effect named",
         "right, or listed with the named one",
         "names left, mean",
+        "held-out error, times the noise, geometric mean",
+        "within 1.3",
     ]
     cells = []
     for kind, what in (
@@ -177,9 +179,11 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
     ):
         answers = [r[kind] for r in own if r[kind]]
         names = [a["names"] for a in answers if a["names"]]
+        left = np.array([a["worst"] for a in answers])
         cells.append([
             what, f"{decided(own, kind)} of {len(own)}", sum(a["right"] for a in answers), sum(a["set"] for a in answers),
-            f"{np.mean(names):.1f}" if names else "-",
+            f"{np.mean(names):.1f}" if names else "-", f"{np.exp(np.mean(np.log(left))):.1f}" if answers else "-",
+            int(np.sum(left <= SEALED_WITHIN)),
         ])  # fmt: skip
     return "\n".join(markdown(head, cells)) + "\n"
 

@@ -5,7 +5,7 @@ import pytest
 
 from hydro_env.diagnosis.estimation import solve
 from hydro_env.diagnosis.stages.candidates import AT_EDGE, Accepted, Search, Selection, judge
-from hydro_env.diagnosis.stages.elimination import compare_competing, drop_remnants, drop_unneeded
+from hydro_env.diagnosis.stages.elimination import compare_competing, drop_unneeded
 from hydro_env.diagnosis.stages.naming import name_effects
 from hydro_env.diagnosis.stages.screening import screen
 from hydro_env.plant import CATALOGUE
@@ -72,40 +72,6 @@ def test_an_effect_that_led_known_parameters_out_of_a_bad_place_is_not_named(
     assert [c.effect for c in search.accepted] == (["line_loss"] if kept else [])
     assert search.present[0].effects() == (["line_loss"] if kept else [])
     assert fit.at_noise(search.present[0], 1.05) and len(search.candidates) == (0 if kept else 1)
-
-
-@pytest.mark.parametrize(
-    ("second", "share", "kept"),
-    [
-        (
-            "quadratic_drag",
-            0.05,
-            False,
-        ),  # declared alike, and within what the form of the first one's law leaves open
-        ("quadratic_drag", 0.3, True),
-        ("load_bias", 0.05, True),  # not alike
-    ],
-)
-def test_what_is_like_another_effect_and_within_its_form_is_dropped(
-    second: str, share: float, kept: bool
-) -> None:
-    names = ("line_loss", second)
-    typical = {n: CATALOGUE[n].parameters[0].typical for n in names}
-    keys = {n: f"{n}.{CATALOGUE[n].parameters[0].name}" for n in names}
-    curves = {keys["line_loss"]: np.sin(2.0 * TIME) / typical["line_loss"]}
-    curves[keys[second]] = share * np.cos(11.0 * TIME) / typical[second]
-    fit, base = logged(curves, {keys[n]: 0.8 * typical[n] for n in names}, ROWS)
-    one, other = (base.with_effect(n, {CATALOGUE[n].parameters[0].name: typical[n]}) for n in names)
-    both = one.with_effect(second, {CATALOGUE[second].parameters[0].name: typical[second]})
-    solve(fit, [one, other, both], 6)
-    search = Search(fit, {0: base}, screen(fit, {0: base}, fit.rig.candidates(), 4.0), 4.0, {0: both})
-    search.accepted = [
-        Accepted("line_loss", 0, 5000.0, 18.0, {}, other),
-        Accepted(second, 0, 50.0, 18.0, {}, one),
-    ]
-    drop_remnants(search)
-    assert search.present[0].effects() == [k.effect for k in search.accepted]
-    assert (second in search.present[0].effects()) == kept and "line_loss" in search.present[0].effects()
 
 
 @pytest.mark.parametrize(("beyond", "outcome"), [(1.005, "taken"), (1.6, AT_EDGE)])

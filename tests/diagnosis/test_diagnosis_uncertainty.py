@@ -190,13 +190,13 @@ def test_estimates_leave_a_local_minimum_of_friction(tmp_path: Path) -> None:
     fit, unknowns = _fit(rig), base_unknowns(rig, 0)
 
     def wrong(by: float) -> Estimate:
-        q = [{"Fc": by, "Fs": by, "vs": -by}.get(u.name, 0.0) for u in unknowns]
+        q = [{"Fc": by, "Fs": by, "vs": -2.0 * by}.get(u.name, 0.0) / u.scale for u in unknowns]
         estimate = Estimate(0, unknowns, np.array(q))
         fit.evaluate([estimate])
         return estimate
 
-    assert not restart_friction(fit, [wrong(1.5)])  # so far off it may be an effect that is missing
-    found = wrong(0.12)
+    assert not restart_friction(fit, [wrong(0.225)])  # so far off it may be an effect that is missing
+    found = wrong(0.06)
     before = found.cost
     assert restart_friction(fit, [found]) == [found] and found.cost < before - 100.0
     assert not restart_friction(fit, [Estimate(0, [], np.zeros(0), simulated=found.simulated)])

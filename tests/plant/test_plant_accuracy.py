@@ -177,8 +177,10 @@ def test_lines_of_a_tight_motor_that_reach_the_supply():
 STIFF = {
     "no friction": {"Fc": 0.0, "Fs": 0.0},
     "little friction": {"Fc": 0.001, "Fs": 0.001},
-    "hardly any friction": {"Fc": 1e-5, "Fs": 1e-5},
-    "hardly any static friction": {"Fc": 0.002, "Fs": 1e-4},
+    # Softer bristles in the plant, not in the reference.
+    "hardly any friction": {"Fc": 2e-4, "Fs": 2e-4},
+    "hardly any static friction": {"Fc": 0.002, "Fs": 2e-4},
+    "next to no friction": {"Fc": 1e-7, "Fs": 1e-7},
     "stiff bristles": {"s0": 3e6},
     "light spool": {"m": 0.04},
     "hard stop": {"k_stop": 1e7, "v_stop": 1e-3},

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ...plant import CATALOGUE
-from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, Fit, far_from_noise, solve
-from ..settings import FORM, rule
+from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, solve
+from ..settings import rule
 from .candidates import AFTER_ROUNDS, Accepted, Search, at_edge, is_neutral
 from .form_correction import attempts, refit_attempts
 from .screening import alike
 
-__all__ = ["compare_competing", "drop_not_missed", "drop_remnants", "drop_unneeded", "prefer_form"]
+__all__ = ["compare_competing", "drop_not_missed", "drop_unneeded", "prefer_form"]
 
 DROP_UNNEEDED = rule(
     "drop_unneeded", "drop an effect that the known parameters replace, from where it led them"
@@ -20,9 +18,6 @@ DROP_NOT_MISSED = rule(
     "drop_not_missed", "backward elimination: drop an effect that is not missed beside the others"
 )
 PREFER_FORM = rule("prefer_form", "drop an effect if another form of those beside it explains more")
-DROP_REMNANTS = rule(
-    "drop_remnants", "drop an effect that does no more than the form of another one like it leaves open"
-)
 COMPARE_COMPETING = rule("compare_competing", "put competing candidates in the place of what was accepted")
 
 #: Iterations of the refit without an effect, and of the refit of a competing candidate.
@@ -86,34 +81,6 @@ def prefer_form(search: Search) -> None:
         _drop(search, dropped, c, less)
         solve(long, [less], SETTLE_ITERATIONS)
         drop_not_missed(search)
-
-
-def drop_remnants(search: Search) -> None:
-    """Drops an effect whose signature is that of another one of its channel and that does less than the form of that one's law
-    leaves open (`FORM`)."""
-    fit = search.fit
-    if not fit.settings.uses(DROP_REMNANTS):
-        return
-    same = alike(search.screening)
-    for one in sorted(search.accepted, key=lambda a: a.gain):
-        c = one.channel
-        if c is None or one.without is None:
-            continue
-        near = {*same.get((one.effect, c), ()), *CATALOGUE[one.effect].indistinguishable_from}
-        own = _power(fit, one, c, search)
-        if any(own < FORM**2 * _power(fit, k, c, search) for k in search.on(c) if k.effect in near):
-            outcome, less = "no more than the form of another effect leaves open", one.without
-            search.record(one.effect, c, AFTER_ROUNDS, one.gain, outcome, search.present[c], one.needed)
-            _drop(search, one, c, less)
-            solve(fit.on(fit.rig.for_long_refits()), [less], SETTLE_ITERATIONS)
-
-
-def _power(fit: Fit, one: Accepted, c: int, search: Search) -> float:
-    """What an effect explains: the fall of the mean squares of all signals, in units of the noise."""
-    if one.without is None or one.without.channel != search.present[c].channel:
-        return 0.0
-    left, now = (fit.rms(p.simulated[c], c) for p in (one.without, search.present[c]))
-    return float(np.nansum([(left[k] ** 2 - now[k] ** 2) / fit.noise[c, k[1]] ** 2 for k in now]))
 
 
 def _drop(search: Search, dropped: Accepted, c: int, less: Estimate) -> None:

@@ -24,7 +24,7 @@ from ..estimation import (
 from ..settings import rule
 from ..state import State
 from .candidates import ACCEPTED, OUTDONE, VANISHED, WITHIN_REACH, Accepted, Search, Selection, judge, penalty
-from .elimination import compare_competing, drop_not_missed, drop_remnants, drop_unneeded, prefer_form
+from .elimination import compare_competing, drop_not_missed, drop_unneeded, prefer_form
 from .form_correction import attempts, refit_attempts
 from .refits import refit_found, short_refit
 from .rig_effects import rig_effect_leads, select_rig_effects
@@ -119,7 +119,6 @@ def select(search: Search) -> Selection:
         search.progress("can any of them be left out?")
         drop_not_missed(search)
         prefer_form(search)
-        drop_remnants(search)
     if search.accepted:
         search.progress("what else would do as well?")
         compare_competing(search)

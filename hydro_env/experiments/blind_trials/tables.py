@@ -86,11 +86,12 @@ def _coverage(rows: Sequence[Row]) -> list[str]:
         f"True values inside the published 95 % intervals: {share(*counts['base'])} of base parameters, "
         f"{share(*counts['effects'])} of parameters of correctly named effects. Most often outside: {often}."
     ]
-    if all("at_90" in c for c in known):
-        base, effects = (sum(c["at_90"][kind] for c in known) for kind in ("base", "effects"))
-        lines.append(
-            f"Inside intervals of 90 %: {share(base, counts['base'][1])} and {share(effects, counts['effects'][1])}."
-        )
+    sure = [r["covered"] for r in rows if "at_90" in r.get("covered", {}) and r["verdict"] != "unknown"]
+    if sure:
+        number = {kind: sum(c[kind][1] for c in sure) for kind in counts}
+        at_95 = " and ".join(share(sum(c[kind][0] for c in sure), number[kind]) for kind in counts)
+        at_90 = " and ".join(share(sum(c["at_90"][kind] for c in sure), number[kind]) for kind in counts)
+        lines.append(f"Where the verdict is not `unknown`: {at_95}; inside intervals of 90 %: {at_90}.")
     return lines
 
 

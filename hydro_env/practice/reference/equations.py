@@ -213,10 +213,10 @@ def _spool_friction(p, y, dy):
     friction = p.s2 * v
     if max(coulomb, static) > 0.0:
         peak = math.exp(-((v / p.vs) ** 2))
-        # Less than 0.001 N comes with bristles that are as much softer; the lesser is no less than a 20th of the other.
-        least = min(0.001, max(coulomb, static) / 20.0)
+        # What moves no spool, less than 0.1 mN, would be too stiff for the solver with bristles that do not soften.
+        least = min(1e-4, max(coulomb, static) / 20.0)
         coulomb, static = max(coulomb, least), max(static, least)
-        soft = min(1.0, min(coulomb, static) / 0.001)
+        soft = min(1.0, min(coulomb, static) / 1e-4)
         z_rate = v - abs(v) * soft * p.s0 / (coulomb + (static - coulomb) * peak) * z
         dy[p.at_states + 3] = z_rate
         friction = soft * (p.s0 * z + p.s1 * z_rate) + p.s2 * v
