@@ -1,7 +1,8 @@
 """Multistart: estimates that begin again from other values, because friction makes a cost with many local minima.
 
 A spool that sticks a moment longer or shorter changes the logs by a jump, so Gauss-Newton steps end in the local minimum in
-which they began. So the friction of the spool is drawn anew several times; all starts are improved side by side.
+which they began. So the friction of the spool is drawn anew several times, about the values as given and about
+those of the estimate in turn; all starts are improved side by side.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..settings import rule
-from .estimate import Estimate
+from .estimate import Estimate, Vector
 from .fit import Fit
 from .gauss_newton import solve
 
@@ -35,17 +36,20 @@ def far_from_noise(fit: Fit, estimate: Estimate) -> bool:
     return fit.level(estimate) > SMALL_LEVEL
 
 
-def restart_friction(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
-    """Improves those of `estimates` that are near the noise and not at it, in place; returns the ones that became better."""
+def restart_friction(fit: Fit, estimates: Sequence[Estimate], seed: int = 0) -> list[Estimate]:
+    """Improves those of `estimates` that are near the noise and not at it, in place; returns the ones that became better. Another
+    `seed` draws other starts."""
     if not fit.settings.uses(RESTART_FRICTION):
         return []
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     fields: list[tuple[Estimate, list[Estimate]]] = []
     for estimate in estimates:
         drawn = [j for j, u in enumerate(estimate.unknowns) if u.name in DRAWN]
         if not drawn or fit.at_noise(estimate) or far_from_noise(fit, estimate):
             continue
-        fields.append((estimate, [_with_other_friction(estimate, drawn, rng) for _ in range(STARTS)]))
+        centres = (np.zeros(len(estimate.q)), estimate.q)
+        starts = [_with_other_friction(estimate, drawn, centres[n % 2], rng) for n in range(STARTS)]
+        fields.append((estimate, starts))
     for iterations in ROUND_ITERATIONS:
         solve(fit, [p for _, starts in fields for p in starts], iterations)
         for _, starts in fields:
@@ -56,11 +60,13 @@ def restart_friction(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
     return [p for p, starts in fields if p.adopt(starts[0])]
 
 
-def _with_other_friction(estimate: Estimate, drawn: Sequence[int], rng: np.random.Generator) -> Estimate:
-    """The same with the friction of the spool drawn anew."""
+def _with_other_friction(
+    estimate: Estimate, drawn: Sequence[int], centre: Vector, rng: np.random.Generator
+) -> Estimate:
+    """The same with the friction of the spool drawn anew about `centre`."""
     q = estimate.q.copy()
     spread = np.array([DRAWN[estimate.unknowns[j].name] / estimate.unknowns[j].scale for j in drawn])
-    q[drawn] = spread * rng.standard_normal(len(drawn))
+    q[drawn] = centre[drawn] + spread * rng.standard_normal(len(drawn))
     twin = estimate.at(np.clip(q, *estimate.bounds))
     twin.columns = dict(estimate.columns)  # derivatives of before are good enough for the first step
     return twin

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from ..estimation import far_from_noise, settle
+from ..estimation import SETTLE_ITERATIONS, far_from_noise, restart_friction, settle, solve
+from ..settings import rule
 from ..state import State
 
 __all__ = ["run"]
+
+RESTART_FOUND = rule(
+    "restart_found", "restart what is reported with other spool friction where more than noise is left"
+)
+
+#: Most rounds of restarts.
+RESTARTS = 4
 
 
 def run(state: State) -> State:
@@ -13,8 +21,19 @@ def run(state: State) -> State:
 
     An estimate that stops a little early is far from the truth in what the logs know by ratios only, measured by its interval.
     What is far from the noise is left as it is: something is missing there, and its minimum is not where the truth is.
+
+    What leaves more than the noise begins anew with other friction of the spool before, as long as that helps: an effect was
+    found, and its form corrected, from where calibration had ended without it, which may be a local minimum.
     """
     coarse, fine = (state.fit.on(rig.for_long_refits()) for rig in (state.rig, state.fine))
     every = {id(p): p for p in state.shown.values()}.values()
-    settle(coarse, fine, [p for p in every if p.simulated and not far_from_noise(fine, p)])
+    near = [p for p in every if p.simulated and not far_from_noise(fine, p)]
+    if state.settings.uses(RESTART_FOUND) and state.rig.has_hidden_states:
+        coarse.evaluate(near)
+        left = near
+        for seed in range(RESTARTS):
+            left = [p for p in left if p.cost > coarse.cost_of_noise(p)]
+            left = restart_friction(coarse, left, seed)
+            solve(coarse, left, SETTLE_ITERATIONS)
+    settle(coarse, fine, near)
     return state
