@@ -52,6 +52,8 @@ REST, PIECE, PIECES = 24, 192, 6
 FIRST, PIECES_TRIED = 16, 8
 #: An effect may do this much more or less than its law says: less of a difference tells forms apart, not effects.
 FORM = 0.1
+#: Beside an estimate's `id`: the same without any effect.
+NO_EFFECT = "no effect"
 #: Where every experiment goes beyond the pressure limit, commands are taken smaller by this factor, so many times at most.
 SMALLER, TIMES_SMALLER = 0.6, 5
 
@@ -243,6 +245,8 @@ class Trial:
             (key, ""): [p.request(), *(p.request(q) for q in draws)]
             for key, (p, draws) in self._models.items()
         }
+        for o in self.operations.values():
+            requests[id(o.estimate), NO_EFFECT] = [_without_effects(o.estimate).request()]
         for question in self.questions:
             requests |= {(id(p), name): [p.without(name).request()] for name, p in question.models.items()}
         try:
@@ -266,7 +270,10 @@ class Trial:
                     tables.setdefault(c, []).append(np.nan_to_num(table))
             found[key] = {c: np.array(rows) for c, rows in tables.items()}
         answers = [self._answers(question, found) for question in self.questions]
-        left = {c: self._left(c, found[id(o.estimate), ""][c]) for c, o in self.operations.items()}
+        left = {
+            c: self._left(c, found[id(o.estimate), ""][c], found[id(o.estimate), NO_EFFECT][c][0])
+            for c, o in self.operations.items()
+        }
         return answers, left, allowed
 
     def _in_noise(self, models: Iterable[Estimate], channel: int, table: Array) -> Array:
@@ -288,14 +295,16 @@ class Trial:
             }
         return _Answers(question, of)
 
-    def _left(self, channel: int, rows: Array) -> Array:
+    def _left(self, channel: int, rows: Array, bare: Array) -> Array:
         """Mean squares (n,) by which the courses on the held-out logs would still be apart, in units of the noise; `rows`
-        (1 + draws, n, signals, T)."""
+        (1 + draws, n, signals, T), `bare` (n, signals, T) without any effect."""
         operation = self.operations[channel]
-        seen = self._in_noise([operation.estimate], channel, rows)[:, :, self.logged()]
+        both = np.concatenate([rows, bare[None]])
+        seen = self._in_noise([operation.estimate], channel, both)[:, :, self.logged()]
         left = np.empty(rows.shape[1])
         for n in range(left.size):
-            off = (seen[1:, n] - seen[0, n]).reshape(len(seen) - 1, -1) / np.sqrt(len(seen) - 1)
+            known = 1.0 / np.sqrt(1.0 + FORM**2 * _power(seen[0, n] - seen[-1, n]))
+            off = ((seen[1:-1, n] - seen[0, n]) * known).reshape(len(seen) - 2, -1) / np.sqrt(len(seen) - 2)
             left[n] = np.trace(np.linalg.solve(np.eye(len(off)) + off @ off.T, operation.apart))
         return left
 
@@ -307,11 +316,13 @@ class Trial:
     def scores(self, experiments: Array) -> Array:
         """How good experiments are for each channel (n, 2); -inf beyond the pressure limit.
 
-        The logarithm keeps a pair that is far apart already from outweighing one that is not."""
+        A pair that is as far apart as what is not known counts as separated, and more for nothing: what is the most extreme
+        is also the hardest to fit."""
         answers, left, allowed = self.run(experiments)
         found = np.zeros((len(experiments), 2))
         for each in answers:
-            score = sum(np.log1p(d * experiments.shape[1]) for d in each.apart(self.logged()).values())
+            squares = each.apart(self.logged()).values()
+            score = sum(np.log1p(d * experiments.shape[1]) - np.log1p(d) for d in squares)
             for c in (0, 1):
                 found[:, c] += score if each.question.concerns(c) else 0.0
         for c, mean_square in left.items():
@@ -327,6 +338,12 @@ def _most_pressure(model: PlantModel, channel: int, limits: Settings) -> float:
         model.value(f"{e}.supply_pressure", channel)
         for e in ("pressure_dependent_flow", "external_leakage", "anti_cavitation")
     )
+
+
+def _without_effects(estimate: Estimate) -> Estimate:
+    for effect, channel in estimate.placed_effects():
+        estimate = estimate.without(effect, channel if estimate.channel is None else estimate.channel)
+    return estimate
 
 
 def _part(experiment: Array, model: PlantModel, number: int) -> Part:
