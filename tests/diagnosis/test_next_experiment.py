@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis import Settings
+from hydro_env.diagnosis import Settings, experiment_design
 from hydro_env.diagnosis.estimation import Estimate, Fit, base_unknown, effect_unknowns
 from hydro_env.diagnosis.estimation.uncertainty import Intervals
 from hydro_env.diagnosis.experiment_design import (
     PERIOD,
     SECONDS,
+    Operation,
     Question,
     Trial,
     best_design,
@@ -73,6 +75,43 @@ def test_commands_part_two_models_better_than_random_ones(rig: DynamicRig) -> No
     tried = np.array([_experiment(*each) for each in ((found.command_V, found.load), *others)])
     scores = Trial(fit, asked).scores(tried)[:, 0]
     assert scores[0] > scores[1:].max()
+
+
+def test_what_is_apart_already_counts_no_more(rig: DynamicRig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten times the distance is worth next to nothing where two models are far apart, and much where they are not."""
+
+    def score(square: float) -> float:
+        answers = SimpleNamespace(question=Question(0, {}), apart=lambda _: {("a", "b"): np.array([square])})
+        monkeypatch.setattr(Trial, "run", lambda *_: ([answers], {}, np.ones((1, 2), bool)))
+        return float(Trial(Fit(rig, NOISE), []).scores(np.zeros((1, 1200, 2, 2)))[0, 0])
+
+    assert 0.0 < score(1e4) - score(1e2) < 0.02
+    assert score(1e-1) - score(1e-3) > 1.0 and score(0.0) == 0.0
+
+
+def test_the_form_of_an_effect_hides_what_a_log_says(
+    rig: DynamicRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An estimate with an effect is left more open by an experiment than if its law were exact; one without is not."""
+    fit = Fit(rig, NOISE)
+    tried = _experiment(*random_design(rig.model, fit.settings, np.random.default_rng(8)))[None]
+
+    def left(effect: str, form: float) -> float:
+        monkeypatch.setattr(experiment_design, "FORM", form)
+        estimate = _estimate(fit, effect, 1.0, 0.02) if effect else _base(fit)
+        trial = Trial(fit, [], {0: Operation(estimate, np.eye(8))})
+        return float(trial.run(tried)[1][0][0])
+
+    assert left("dead_zone", 0.1) > 1.05 * left("dead_zone", 0.0)
+    assert left("", 0.1) == left("", 0.0)
+
+
+def _base(fit: Fit) -> Estimate:
+    """A model without any effect, of which the logs leave the gain open."""
+    found = Estimate(0, [base_unknown(PARAMETERS["Kq"], fit.rig.model.value("Kq", 0))], np.zeros(1), "")
+    found.intervals = Intervals(*(np.zeros(1) for _ in range(3)), np.linspace(-0.05, 0.05, 8)[:, None])
+    found.simulated = {0: np.concatenate([s.filled for s in fit.rig.segments[0]])}
+    return found
 
 
 def test_the_commands_keep_to_the_limits(rig: DynamicRig) -> None:
