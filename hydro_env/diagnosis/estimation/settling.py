@@ -58,28 +58,36 @@ def _turns(fit: Fit, estimates: list[Estimate], reaches: Sequence[float]) -> lis
 
 def _secants(fit: Fit, estimates: Sequence[Estimate], reach: float) -> None:
     """Sets the derivatives of every estimate by secants along its principal axes, and moves it to the best point on them."""
-    points = [_points(p, fit.normal_equations(p)[0], reach) for p in estimates]
-    requests = [p.request(q) for p, own in zip(estimates, points, strict=True) for q in own]
+    moves = [_moves(p, fit.normal_equations(p)[0], reach) for p in estimates]
+    requests = [p.request(p.q + move) for p, (_, own) in zip(estimates, moves, strict=True) for move in own]
     results = iter(fit.rig.predict(requests))
-    for p, own in zip(estimates, points, strict=True):
+    for p, (axes, own) in zip(estimates, moves, strict=True):
         found = [next(results) for _ in own]
-        costs = [fit.cost(p, r, q) for r, q in zip(found, own, strict=True)]
+        costs = [fit.cost(p, r, p.q + move) for r, move in zip(found, own, strict=True)]
         good = np.flatnonzero(np.isfinite(costs))
-        moves = own[good] - p.q
-        # Along an axis that the bounds close on both sides nothing is learnt, and the derivative stays zero.
-        inverse = np.linalg.pinv(moves, rcond=1e-9)
+        # By axis the straight line through the estimate that fits its points best; the axes are at right angles.
+        along = own[good] @ axes
+        weights = along / np.maximum((along**2).sum(axis=0), 1e-30) @ axes.T
         for c in fit.channels_of(p):
-            changes = np.array([found[n][c] - p.simulated[c] for n in good])
-            p.columns = {**p.columns, c: (inverse @ changes).T}
-        best = int(np.argmin(costs))
-        if costs[best] < p.cost:
-            p.cost, p.q, p.simulated = costs[best], own[best], found[best]
+            changes = np.array([found[n][c] - p.simulated[c] for n in good]).reshape(good.size, -1)
+            p.columns = {**p.columns, c: (weights.T @ changes).T}
+        best = int(np.argmin(costs)) if len(own) else 0
+        if len(own) and costs[best] < p.cost:
+            p.cost, p.q, p.simulated = costs[best], p.q + own[best], found[best]
 
 
-def _points(estimate: Estimate, matrix: Vector, reach: float) -> Vector:
-    """Points (2 k, k) either way along the principal axes of the normal matrix (k, k), inside the bounds."""
+def _moves(estimate: Estimate, matrix: Vector, reach: float) -> tuple[Vector, Vector]:
+    """The principal axes of the normal matrix (k, k), as columns, and moves (up to 2 k, k) either way along each of them.
+
+    At a bound a move ends, without leaving its axis: clipped in one coordinate it would go along stiff axes as well, by many
+    standard deviations, and what these do would be taken for what it does.
+    """
     scale, axes = np.linalg.eigh(matrix)
     moves = axes * (reach / np.sqrt(np.maximum(scale, 1e-9 * scale[-1])))
     moves = moves * np.minimum(1.0, LONGEST / np.maximum(np.abs(moves).max(axis=0), 1e-30))
+    both = np.concatenate([moves.T, -moves.T])
     low, high = estimate.bounds
-    return np.asarray(np.clip(estimate.q + np.concatenate([moves.T, -moves.T]), low, high))
+    room = np.where(both > 0.0, np.maximum(high - estimate.q, 0.0), np.maximum(estimate.q - low, 0.0))
+    share = np.min(room / np.maximum(np.abs(both), 1e-30), axis=1)
+    inside = both * np.minimum(share, 1.0)[:, None]
+    return axes, inside[share > 0.0]
