@@ -17,7 +17,7 @@ from .estimate import Estimate, Vector
 from .fit import Fit
 from .gauss_newton import step_all
 
-__all__ = ["settle"]
+__all__ = ["moves_along_axes", "settle"]
 
 #: Reach of the secants in standard deviations, in turn; the last one is that of the covariance.
 REACHES = (10.0, 3.0, 1.0)
@@ -58,7 +58,7 @@ def _turns(fit: Fit, estimates: list[Estimate], reaches: Sequence[float]) -> lis
 
 def _secants(fit: Fit, estimates: Sequence[Estimate], reach: float) -> None:
     """Sets the derivatives of every estimate by secants along its principal axes, and moves it to the best point on them."""
-    moves = [_moves(p, fit.normal_equations(p)[0], reach) for p in estimates]
+    moves = [moves_along_axes(p, fit.normal_equations(p)[0], reach) for p in estimates]
     requests = [p.request(p.q + move) for p, (_, own) in zip(estimates, moves, strict=True) for move in own]
     results = iter(fit.rig.predict(requests))
     for p, (axes, own) in zip(estimates, moves, strict=True):
@@ -76,7 +76,7 @@ def _secants(fit: Fit, estimates: Sequence[Estimate], reach: float) -> None:
             p.cost, p.q, p.simulated = costs[best], p.q + own[best], found[best]
 
 
-def _moves(estimate: Estimate, matrix: Vector, reach: float) -> tuple[Vector, Vector]:
+def moves_along_axes(estimate: Estimate, matrix: Vector, reach: float) -> tuple[Vector, Vector]:
     """The principal axes of the normal matrix (k, k), as columns, and moves (up to 2 k, k) either way along each of them.
 
     At a bound a move ends, without leaving its axis: clipped in one coordinate it would go along stiff axes as well, by many
