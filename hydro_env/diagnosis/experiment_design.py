@@ -316,8 +316,7 @@ class Trial:
     def scores(self, experiments: Array) -> Array:
         """How good experiments are for each channel (n, 2); -inf beyond the pressure limit.
 
-        A pair that is as far apart as what is not known counts as separated, and more for nothing: what is the most extreme
-        is also the hardest to fit."""
+        A pair that is as far apart as what is not known counts as separated, and more for nothing."""
         answers, left, allowed = self.run(experiments)
         found = np.zeros((len(experiments), 2))
         for each in answers:
