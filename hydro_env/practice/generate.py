@@ -164,7 +164,7 @@ def make_practice(
     check_values(own.values, chosen)
     given = load_model(model)
     size_seed, base_seed, *run_seeds, form_seed = np.random.SeedSequence(own.seed).spawn(3 + len(RUNS))
-    hidden = choose(chosen, own.values, own.severity, own.duration, np.random.default_rng(size_seed))
+    hidden = choose(given, chosen, own.values, own.severity, own.duration, np.random.default_rng(size_seed))
     forms = own.forms if all(name in BUILT_IN for name in (*chosen, *given.declared)) else CATALOGUE_FORMS
     constants = draw(np.random.default_rng(form_seed)) if forms == "different" else None
     true, wrong = true_model(given, hidden, own.base_error, np.random.default_rng(base_seed))

@@ -161,9 +161,11 @@ def _draw(effect: Effect, severity: str, duration: float, rng: np.random.Generat
 
 
 def choose(
-    effects: Mapping[str, str], values: Mapping[str, float], severity: str, duration: float, rng: np.random.Generator
+    given: PlantModel, effects: Mapping[str, str], values: Mapping[str, float], severity: str, duration: float,
+    rng: np.random.Generator,
 ) -> tuple[Hidden, ...]:  # fmt: skip
-    """What is hidden: `effects` {name: channel} with drawn parameters, but for the `values` {effect.parameter: SI}.
+    """What is hidden in a rig like `given`: `effects` {name: channel} with drawn parameters, but for the `values`
+    {effect.parameter: SI}.
 
     InputError if an effect would be neutral.
     """
@@ -171,7 +173,8 @@ def choose(
     for name, channel in effects.items():
         explicit = {key.split(".", 1)[1]: v for key, v in values.items() if key.split(".", 1)[0] == name}
         # Everything is drawn, so that an explicit value changes no other one.
-        chosen = {**_draw(CATALOGUE[name], severity, duration, rng), **explicit}
+        rated = given.value("u_rated", 1 if channel == "2" else 0)
+        chosen = {**_draw(CATALOGUE[name].at_rated(rated), severity, duration, rng), **explicit}
         if CATALOGUE[name].is_neutral(chosen):
             raise InputError(
                 f"{name}: with these values nothing is hidden; a size away from the neutral one is needed"

@@ -27,7 +27,7 @@ from .gauss_newton import SETTLE_ITERATIONS, differentiate, solve
 from .growing_horizon import grow_horizon
 from .multistart import far_from_noise, restart_friction
 from .noise import effective_samples, noise_floor
-from .settling import settle
+from .settling import settle, settle_finally
 from .uncertainty import (
     CANNOT_BE_PREDICTED,
     courses_apart,
@@ -52,6 +52,6 @@ __all__ = [
     "base_unknown", "bases_of", "best_on_beginnings", "could_pay", "courses_apart", "differentiate", "effect_starts",
     "effect_unknowns", "effective_samples", "explained_share", "far_from_noise", "grow_horizon", "intervals_of",
     "joined", "less_taken", "limited_by_effects", "mostly_explained", "nearly_explained", "noise_floor", "noise_of",
-    "probability_of_gain", "restart_friction", "scaled", "settle", "solve", "unexplained",
-    "unpredictable",
+    "probability_of_gain", "restart_friction", "scaled", "settle", "settle_finally", "solve",
+    "unexplained", "unpredictable",
 ]  # fmt: skip

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from ...plant import CATALOGUE
+from ..models.base import RigModel, effect_in
 from .estimate import Estimate
 from .fit import Fit
 from .gauss_newton import solve
@@ -37,7 +37,7 @@ def best_on_beginnings(
     They come best first. They start from the estimate and from the known parameters as given, with every size and shape of the
     effect.
     """
-    fields = [_starts(p, c, own) for (c, p), own in zip(presents, names, strict=True)]
+    fields = [_starts(fit.rig, p, c, own) for (c, p), own in zip(presents, names, strict=True)]
     beginning = fit.on(beginning_of(fit.rig, STAGES[0][0]))
     beginning.evaluate([p for field in fields for p in field])
     fields = [_best_of_each(field, FIRST_STARTS) for field in fields]
@@ -49,11 +49,11 @@ def best_on_beginnings(
     return [[p.at(p.q.copy()) for p in _best_of_each(field, 1) if p.label][:KEPT] for field in fields]
 
 
-def _starts(present: Estimate, channel: int, names: Sequence[str]) -> list[Estimate]:
+def _starts(rig: RigModel, present: Estimate, channel: int, names: Sequence[str]) -> list[Estimate]:
     """Every start of every candidate; without a label those that have no further effect."""
     found = [present.at(present.q.copy(), ""), present.from_given().at(present.from_given().q, "")]
     for name in names:
-        for values in effect_starts(CATALOGUE[name], math.inf, whole=True):
+        for values in effect_starts(effect_in(rig, name, channel), math.inf, whole=True):
             one = present.with_effect(name, values, channel)
             found += [one, one.from_given()]
     return found

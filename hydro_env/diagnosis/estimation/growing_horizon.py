@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..models.base import RigModel, Segment, Segments, view
+from ..models.base import RigModel, Segment, Segments, effect_in, view
 from ..settings import rule
 from .estimate import Estimate
 from .fit import Fit
@@ -57,7 +57,7 @@ def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
     """The best of several starts, where the estimate is and where the known parameters were given, there with other values of the
     effects too, fitted to more and more of the logs; on the way by the noise that is `seen`."""
     given = estimate.from_given()
-    starts = [p.in_all_directions() for p in (estimate, given, *_elsewhere(given))]
+    starts = [p.in_all_directions() for p in (estimate, given, *_elsewhere(fit.rig, given))]
     seen.on(beginning_of(fit.rig, HORIZONS[0])).evaluate(starts[KEPT_STARTS:])
     starts[KEPT_STARTS:] = sorted(starts[KEPT_STARTS:], key=lambda p: p.cost)[: FIRST_STARTS - KEPT_STARTS]
     ahead, reached, good = [*HORIZONS], 0.0, starts
@@ -94,7 +94,7 @@ def _followed(fit: Fit, estimate: Estimate) -> bool:
     return fit.level(estimate) < LOST_LEVEL
 
 
-def _elsewhere(estimate: Estimate) -> list[Estimate]:
+def _elsewhere(rig: RigModel, estimate: Estimate) -> list[Estimate]:
     """The estimate with each of its effects at every size and shape that is worth a first simulation: from the wrong side of a
     turn no small step leads to the right one."""
     found = []
@@ -102,7 +102,7 @@ def _elsewhere(estimate: Estimate) -> list[Estimate]:
         if estimate.channel is None or CATALOGUE[effect].family:
             continue
         own = {u.parameter: j for j, u in enumerate(estimate.unknowns) if u.effect == effect}
-        for values in effect_starts(CATALOGUE[effect], math.inf, whole=True):
+        for values in effect_starts(effect_in(rig, effect, estimate.channel), math.inf, whole=True):
             q = estimate.q.copy()
             for name, value in values.items():
                 if name in own:

@@ -26,7 +26,7 @@ RESTART_FRICTION = rule(
 #: near enough to what is found from it.
 DRAWN = {"Fc": 0.15, "Fs": 0.15, "vs": 0.3}
 #: New starts, and iterations of each round, after which the better half goes on.
-STARTS, ROUND_ITERATIONS = 12, (2, 3, 4)
+STARTS, ROUND_ITERATIONS = 8, (2, 3, 4)
 #: A residual (`Fit.level`) up to which a local minimum may be the cause; what a missing effect leaves is larger.
 SMALL_LEVEL = 1.0
 
@@ -45,7 +45,7 @@ def restart_friction(fit: Fit, estimates: Sequence[Estimate], seed: int = 0) -> 
     fields: list[tuple[Estimate, list[Estimate]]] = []
     for estimate in estimates:
         drawn = [j for j, u in enumerate(estimate.unknowns) if u.name in DRAWN]
-        if not drawn or fit.at_noise(estimate) or far_from_noise(fit, estimate):
+        if not drawn or fit.is_white(estimate) or far_from_noise(fit, estimate):
             continue
         centres = (np.zeros(len(estimate.q)), estimate.q)
         starts = [_with_other_friction(estimate, drawn, centres[n % 2], rng) for n in range(STARTS)]
@@ -55,7 +55,7 @@ def restart_friction(fit: Fit, estimates: Sequence[Estimate], seed: int = 0) -> 
         for _, starts in fields:
             starts.sort(key=lambda p: p.cost)
             # Nothing better than the noise can be found.
-            keep = 1 if fit.at_noise(starts[0]) else max(2, len(starts) // 2)
+            keep = 1 if fit.is_white(starts[0]) else max(2, len(starts) // 2)
             del starts[keep:]
     return [p for p, starts in fields if p.adopt(starts[0])]
 

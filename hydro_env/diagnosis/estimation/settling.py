@@ -17,7 +17,7 @@ from .estimate import Estimate, Vector
 from .fit import Fit
 from .gauss_newton import step_all
 
-__all__ = ["moves_along_axes", "settle"]
+__all__ = ["moves_along_axes", "settle", "settle_finally"]
 
 #: Reach of the secants in standard deviations, in turn; the last one is that of the covariance.
 REACHES = (10.0, 3.0, 1.0)
@@ -27,24 +27,23 @@ TURNS, SETTLED = 5, 1.0
 LONGEST = 1.0
 
 
-def settle(coarse: Fit, fine: Fit, estimates: Sequence[Estimate]) -> None:
-    """Improves estimates that have `columns`, in place, and sets their `columns` on the scale of their standard deviations.
-
-    `coarse` and `fine` simulate the same logs. The former, which costs a third, goes through all reaches; the latter goes on from
-    there with the last one.
-    """
-    every = moved = [p for p in estimates if p.unknowns and p.columns]
-    for fit, reaches in ((coarse, REACHES), (fine, REACHES[-1:])):
-        fit.evaluate(every)
-        every = [p for p in every if np.isfinite(p.cost)]
-        moved = _turns(fit, every, reaches)
-    _secants(fine, moved, REACHES[-1])
+def settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
+    """Improves estimates that have `columns`, in place."""
+    _turns(fit, estimates, REACHES)
 
 
-def _turns(fit: Fit, estimates: list[Estimate], reaches: Sequence[float]) -> list[Estimate]:
+def settle_finally(fit: Fit, estimates: Sequence[Estimate]) -> None:
+    """Improves estimates that have settled with another substep, in place, and sets their `columns` on the scale of their
+    standard deviations."""
+    _secants(fit, _turns(fit, estimates, REACHES[-1:]), REACHES[-1])
+
+
+def _turns(fit: Fit, estimates: Sequence[Estimate], reaches: Sequence[float]) -> list[Estimate]:
     """Turns through the reaches, as long as they lower the cost; returns the estimates that have moved since their derivatives
     were taken."""
-    live = estimates
+    every = [p for p in estimates if p.unknowns and p.columns]
+    fit.evaluate(every)
+    every = live = [p for p in every if np.isfinite(p.cost)]
     taken_at: dict[int, Vector] = {}
     for _ in range(TURNS):
         before = [p.cost for p in live]
@@ -53,7 +52,7 @@ def _turns(fit: Fit, estimates: list[Estimate], reaches: Sequence[float]) -> lis
             _secants(fit, live, reach)
             step_all(fit, live)
         live = [p for p, cost in zip(live, before, strict=True) if cost - p.cost > SETTLED]
-    return [p for p in estimates if p.q is not taken_at[id(p)]]
+    return [p for p in every if p.q is not taken_at[id(p)]]
 
 
 def _secants(fit: Fit, estimates: Sequence[Estimate], reach: float) -> None:

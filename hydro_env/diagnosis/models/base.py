@@ -14,13 +14,13 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from ...plant import Parameter, PlantModel
+from ...plant import CATALOGUE, Effect, Parameter, PlantModel
 from ...units import BAR, LPM, MILLIMETRE, RPM
 from ..input.parts import Part
 
 __all__ = [
     "BLOCK_S", "LEVEL_FREE", "Request", "RigModel", "UNITS", "Joined", "Segment", "Segments",
-    "measured_segments", "view",
+    "effect_in", "measured_segments", "view",
 ]  # fmt: skip
 
 #: Rows of one log and signal that a fit looks at, at most; the proof looks at all of them.
@@ -181,6 +181,11 @@ def view(rig: Rig, **changes: Any) -> Rig:
     for name, value in changes.items():
         setattr(twin, name, value)
     return twin
+
+
+def effect_in(rig: RigModel, name: str, channel: int | None) -> Effect:
+    """An effect of the catalogue with the sizes that are usual in this rig's valve; `channel` as in `Request`."""
+    return CATALOGUE[name].at_rated(rig.model.value("u_rated", channel or 0))
 
 
 def measured_segments(

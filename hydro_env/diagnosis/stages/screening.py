@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...plant import CATALOGUE
+from ...plant import CATALOGUE, Effect
 from ..estimation import Estimate, Fit, could_pay, effect_starts, less_taken
-from ..models.base import Request
+from ..models.base import Request, effect_in
 from ..settings import rule
 from ..state import Estimates, State
 
@@ -104,12 +104,12 @@ def screen(
     """
     wanted: list[tuple[str, int | None, dict[str, float]]] = []
     for name in effects:
-        effect = CATALOGUE[name]
-        for channel in estimates if effect.scope == "channel" else (None,):
+        for channel in estimates if CATALOGUE[name].scope == "channel" else (None,):
+            effect = effect_in(fit.rig, name, channel)
             known = [k.start for k in earlier if (k.effect, k.channel) == (name, channel)]
             starts = effect_starts(effect, seconds)
             if channel in settled:
-                starts = [start for start in starts if _is_medium(name, start)] or starts
+                starts = [start for start in starts if _is_medium(effect, start)] or starts
             slow = effect.corner is not None and known
             wanted += [(name, channel, start) for start in (known if slow else starts)]
     results = fit.rig.predict([_request(estimates, *one) for one in wanted])
@@ -126,7 +126,7 @@ def screen(
             continue
         changes = {c: result[c] - estimates[c].simulated[c] for c in channels}
         gained = _gain(fit, {c: left[c](changes[c]) for c in channels}, errors, left)
-        medium = _is_medium(name, start)
+        medium = _is_medium(effect_in(fit.rig, name, channel), start)
         one = found.get((name, channel))
         if one is None or medium:
             signature = np.concatenate([noise[c](changes[c]) for c in channels])
@@ -216,10 +216,8 @@ def _request(estimates: Estimates, effect: str, channel: int | None, start: dict
     return Request(None, {**pairs, **{name: (value, value) for name, value in extra.items()}})
 
 
-def _is_medium(effect: str, start: dict[str, float]) -> bool:
-    return all(
-        start[p.name] == p.typical for p in CATALOGUE[effect].parameters if p.typical != p.nominal or p.starts
-    )
+def _is_medium(effect: Effect, start: dict[str, float]) -> bool:
+    return all(start[p.name] == p.typical for p in effect.parameters if p.typical != p.nominal or p.starts)
 
 
 def _weights(fit: Fit, estimate: Estimate, channel: int, deviations: dict[str, float]) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..estimation import SETTLE_ITERATIONS, far_from_noise, restart_friction, settle, solve
+from ..estimation import far_from_noise, restart_friction, settle, settle_finally
 from ..settings import rule
 from ..state import State
 
@@ -28,12 +28,10 @@ def run(state: State) -> State:
     coarse, fine = (state.fit.on(rig.for_long_refits()) for rig in (state.rig, state.fine))
     every = {id(p): p for p in state.shown.values()}.values()
     near = [p for p in every if p.simulated and not far_from_noise(fine, p)]
-    if state.settings.uses(RESTART_FOUND) and state.rig.has_hidden_states:
-        coarse.evaluate(near)
-        left = near
-        for seed in range(RESTARTS):
-            left = [p for p in left if p.cost > coarse.cost_of_noise(p)]
-            left = restart_friction(coarse, left, seed)
-            solve(coarse, left, SETTLE_ITERATIONS)
-    settle(coarse, fine, near)
+    settle(coarse, near)
+    left = near
+    for seed in range(RESTARTS if state.settings.uses(RESTART_FOUND) and state.rig.has_hidden_states else 0):
+        left = restart_friction(coarse, left, seed)
+        settle(coarse, left)
+    settle_finally(fine, near)
     return state

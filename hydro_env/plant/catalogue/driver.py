@@ -102,7 +102,7 @@ DRIVER_SATURATION = Effect(
             "voltage_limit",
             "V",
             inf,
-            low=20.0,
+            low=5.0,
             high=73.0,
             typical=45.0,
             note="limit of the driver's voltage",
