@@ -15,6 +15,7 @@ from hydro_env.diagnosis.estimation import (
     noise_of,
     restart_friction,
     settle,
+    settle_finally,
 )
 from hydro_env.diagnosis.estimation.settling import moves_along_axes
 from hydro_env.diagnosis.estimation.uncertainty import bootstrap, nearest_inside
@@ -103,7 +104,8 @@ def test_what_stops_beside_the_minimum_settles_there_with_its_own_spread() -> No
     )
     fit.evaluate([found])
     differentiate(fit, [found])
-    settle(fit, fit, [found])
+    settle(fit, [found])
+    settle_finally(fit, [found])
     spread = fit.spread(found)
     for name, true in zip(names, (0.3, 0.2), strict=True):
         j = [u.name for u in found.unknowns].index(name)

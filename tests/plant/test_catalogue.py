@@ -14,7 +14,16 @@ from hydro_env.diagnosis.estimation import effect_starts, effect_unknowns
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.report import wording
-from hydro_env.plant import CATALOGUE, Effect, Parameter, load_model, register, simulate, unregister
+from hydro_env.plant import (
+    CATALOGUE,
+    PARAMETERS,
+    Effect,
+    Parameter,
+    load_model,
+    register,
+    simulate,
+    unregister,
+)
 from hydro_env.plant.catalogue import separating_experiment
 from hydro_env.practice.generate import make_practice
 
@@ -107,6 +116,19 @@ def test_its_roles_decide_how_it_is_estimated() -> None:
     amount, drift = effect_unknowns(SWELLING, first[0])
     assert drift.log and drift.prior and not amount.prior
     assert SWELLING.is_neutral({"drift": 3.0}) and not SWELLING.is_neutral({"amount": 1e-3})
+
+
+def test_what_is_usual_in_volts_is_a_share_of_the_rated_command() -> None:
+    for name in ("driver_saturation", "input_hysteresis", "command_delay"):
+        effect, ten = CATALOGUE[name], CATALOGUE[name].at_rated(10.0)
+        share = 10.0 / PARAMETERS["u_rated"].nominal if effect.parameters[0].unit == "V" else 1.0
+        assert ten.parameters[0].typical == pytest.approx(share * effect.parameters[0].typical)
+        assert ten.parameters[0].nominal == effect.parameters[0].nominal
+    assert CATALOGUE["driver_saturation"].at_rated(np.inf) is CATALOGUE["driver_saturation"]
+    limits = [
+        row["voltage_limit"] for row in effect_starts(CATALOGUE["driver_saturation"].at_rated(10.0), 12.0)
+    ]
+    assert min(limits) < 4.0 and max(limits) < 10.0
 
 
 def test_an_effect_that_reads_the_other_flow_couples_the_channels(tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def test_any_model_survives_a_round_trip(
         ),
         ({"Km": -1.0}, "Km: -1 .* is 0 to 5e-09"),
         ({"shaft_backlash.inertia": 1e-6}, "0.0001 to 0.01 kg m2"),
-        ({"driver_saturation.voltage_limit": 10.0}, "20 to 73 V"),
+        ({"driver_saturation.voltage_limit": 0.01}, "0.1 to 1000 V"),
     ],
 )
 def test_what_is_not_simulated_correctly_is_refused_with_the_bound(values: dict, said: str) -> None:

@@ -177,6 +177,18 @@ def test_sizes_fill_the_range_of_a_severity(severity):
     assert 0.3 < np.mean(below) < 0.7
 
 
+@pytest.mark.parametrize("rated", [10.0, 24.0])
+def test_sizes_in_volts_are_shares_of_the_rated_command(rated):
+    paper = load_model("paper")
+    valve = paper.with_values({"u_rated": rated, "R": 100.0 * rated / paper.value("u_rated", 0)})
+    for name in ("driver_saturation", "input_hysteresis"):
+        ours, theirs = (
+            make_practice([name], model=m, runs=(), seed=4).hidden[0].parameters for m in (valve, paper)
+        )
+        share = rated / paper.value("u_rated", 0)
+        assert ours == pytest.approx({n: share * v for n, v in theirs.items()})
+
+
 def test_signs_and_shapes_are_drawn():
     rigs = [
         make_practice(["load_bias:1", "displacement_ripple:2", "viscosity_drift"], runs=(), seed=s)

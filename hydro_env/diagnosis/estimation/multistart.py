@@ -19,7 +19,7 @@ from .gauss_newton import solve
 __all__ = ["far_from_noise", "restart_friction"]
 
 RESTART_FRICTION = rule(
-    "restart_friction", "restart with other spool friction where little but more than noise is left"
+    "restart_friction", "restart with other spool friction where little but more than white noise is left"
 )
 
 #: Base parameters that are drawn anew, and the standard deviations of the factors: less than their priors', for a start has to be
@@ -37,8 +37,8 @@ def far_from_noise(fit: Fit, estimate: Estimate) -> bool:
 
 
 def restart_friction(fit: Fit, estimates: Sequence[Estimate], seed: int = 0) -> list[Estimate]:
-    """Improves those of `estimates` that are near the noise and not at it, in place; returns the ones that became better. Another
-    `seed` draws other starts."""
+    """Improves those of `estimates` that leave little but more than white noise, in place; returns the ones that became better.
+    Another `seed` draws other starts."""
     if not fit.settings.uses(RESTART_FRICTION):
         return []
     rng = np.random.default_rng(seed)
@@ -54,7 +54,7 @@ def restart_friction(fit: Fit, estimates: Sequence[Estimate], seed: int = 0) -> 
         solve(fit, [p for _, starts in fields for p in starts], iterations)
         for _, starts in fields:
             starts.sort(key=lambda p: p.cost)
-            # Nothing better than the noise can be found.
+            # Nothing better than white noise can be found.
             keep = 1 if fit.is_white(starts[0]) else max(2, len(starts) // 2)
             del starts[keep:]
     return [p for p, starts in fields if p.adopt(starts[0])]

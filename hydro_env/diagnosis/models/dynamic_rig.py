@@ -25,7 +25,8 @@ SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
 #: never longer than the second number, s. Preloaded springs are 0.02 rpm off then in a log of 12 s, at most 0.13. The proof has
 #: no such substeps: with 500 us, shafts that rattle for 12 s were 0.4 rpm off.
 PARTED_SUBSTEP, LONGEST_SUBSTEP = 100e-6, 1e-3
-#: Numbers of the fit and of the proof. Single precision moves a speed by a tenth of what the fit's substep does.
+#: Numbers of the fit and of the proof. Single precision moves a speed by a fifth of what the fit's substep does, and by more than
+#: the proof's does.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: By numbers: how many rigs go through the kernel together, and how long that takes. Up to one register of the processor
 #: instructions wait for each other's results, beyond it for room.

@@ -65,7 +65,7 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     """Adjusts the base parameters of every channel, with priors about the model as given.
 
     The coil comes first, by the current alone: nothing behind it acts back, so that no missing effect can pull it away.
-    What is not at the noise then begins anew with other friction of the spool.
+    What leaves little but more than white noise then begins anew with other friction of the spool.
     """
     rig, estimates = fit.rig, {}
     for channel in rig.channels:

@@ -84,14 +84,14 @@ class Accepted:
 
 @dataclass
 class Selection:
-    """The result: final estimates by channel (the same joint one for both where an effect of the rig was accepted). `corrected`
+    """The result: final estimates by channel (the same joint one for both where an effect of the rig was accepted). `attempted`
     are estimates with a correction of form that were refitted on the way."""
 
     estimates: Estimates
     accepted: list[Accepted]
     candidates: list[Candidate]
     placebo: Estimates
-    corrected: list[Estimate] = field(default_factory=list)
+    attempted: list[Estimate] = field(default_factory=list)
 
     def effects_by_channel(self) -> dict[int | None, list[str]]:
         """The accepted effects by channel, None for those of the whole rig."""
@@ -104,7 +104,7 @@ class Selection:
 @dataclass
 class Search:
     """A selection under way: `present` are the estimates so far, from `calibrated`; `corrected` are pairs of an estimate and the
-    same with a correction of form; the rest as in `Selection`."""
+    same with the best correction of form; the rest as in `Selection`."""
 
     fit: Fit
     calibrated: Estimates
@@ -116,6 +116,7 @@ class Search:
     candidates: list[Candidate] = field(default_factory=list)
     placebo: Estimates = field(default_factory=dict)
     corrected: list[tuple[Estimate, Estimate]] = field(default_factory=list)
+    attempted: list[Estimate] = field(default_factory=list)
 
     @property
     def names(self) -> list[str]:

@@ -84,7 +84,7 @@ def run(state: State) -> State:
     fit = state.fit.on(state.rig.for_long_refits())
     final, placebo, corrections = state.final, state.placebo, state.corrections
     if state.settings.uses(CORRECT_FORM):
-        named, begun = state.selection.effects_by_channel(), state.selection.corrected
+        named, begun = state.selection.effects_by_channel(), state.selection.attempted
         final, corrections = correct_all(fit, final, named, begun)
         placebo = correct_placebo(fit, placebo, final, corrections)
     refit_found(fit, [p for p in placebo.values() if not far_from_noise(fit, p)])
@@ -182,15 +182,15 @@ def attempts(fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None
 
 def refit_attempts(fit: Fit, tries: Sequence[Attempt], begun: Sequence[Estimate] = ()) -> None:
     """Improves what may become the best of all: the known parameters have moved to make up for the form, so they begin
-    where they are and where they were given. Those of a whole rig, whose simulations are slow, begin where they are; those that
-    were refitted before, which are among `begun`, where that led."""
+    where they are and where they were given. Those of a whole rig, whose simulations are slow, and those with a correction before
+    this one begin where they are; those that were refitted before, which are among `begun`, where that led."""
     estimates = [t.estimate for t in tries]
     again: dict[int, Estimate] = {}
     for p in estimates:
-        earlier = next((b for b in begun if _names(b) == _names(p)), None)
+        earlier = min((b for b in begun if _names(b) == _names(p)), key=lambda b: b.cost, default=None)
         if earlier is not None:
             p.q = earlier.q.copy()
-        elif p.channel is not None:
+        elif p.channel is not None and sum(map(is_correction, p.effects())) == 1:
             again[id(p)] = p.from_given().in_all_directions()
     every = [*estimates, *again.values()]
     solve(fit, every, TRY_ITERATIONS, races=[every])

@@ -122,8 +122,7 @@ def select(search: Search) -> Selection:
     if search.accepted:
         search.progress("what else would do as well?")
         compare_competing(search)
-    corrected = [better for own, better in search.corrected if better is not own]
-    return Selection(search.present, search.accepted, search.candidates, search.placebo, corrected)
+    return Selection(search.present, search.accepted, search.candidates, search.placebo, search.attempted)
 
 
 def _worth_another(search: Search, c: int) -> bool:
@@ -277,6 +276,7 @@ def _in_other_form(search: Search, estimate: Estimate) -> Estimate:
         better = best is not None and best.score < estimate.cost
         known = best.estimate if best is not None and better else estimate
         search.corrected.append((estimate, known))
+        search.attempted += [t.estimate for t in found]
     return known
 
 

@@ -9,7 +9,8 @@ from ..state import State
 __all__ = ["run"]
 
 RESTART_FOUND = rule(
-    "restart_found", "restart what is reported with other spool friction where more than noise is left"
+    "restart_found",
+    "restart what is reported with other spool friction where it leaves more than white noise",
 )
 
 #: Most rounds of restarts.
@@ -22,8 +23,8 @@ def run(state: State) -> State:
     An estimate that stops a little early is far from the truth in what the logs know by ratios only, measured by its interval.
     What is far from the noise is left as it is: something is missing there, and its minimum is not where the truth is.
 
-    What leaves more than the noise begins anew with other friction of the spool before, as long as that helps: an effect was
-    found, and its form corrected, from where calibration had ended without it, which may be a local minimum.
+    What leaves more than white noise by the fit's substeps begins anew with other friction of the spool, as long as that helps:
+    an effect was found, and its form corrected, from where calibration had ended without it, which may be a local minimum.
     """
     coarse, fine = (state.fit.on(rig.for_long_refits()) for rig in (state.rig, state.fine))
     every = {id(p): p for p in state.shown.values()}.values()
