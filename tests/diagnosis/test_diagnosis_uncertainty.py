@@ -118,20 +118,28 @@ def test_what_stops_beside_the_minimum_settles_there_with_its_own_spread() -> No
 
 
 @pytest.mark.parametrize("reach", [1.0, 10.0])
-def test_secants_keep_to_their_axes_and_to_the_bounds(reach: float) -> None:
-    """Along axes of which one is a thousand times as stiff as another, with one unknown at a bound and one just beside."""
-    unknowns = [base_unknown(PARAMETERS[n], PARAMETERS[n].nominal) for n in ("k", "Kq", "alpha", "J")]
-    estimate = Estimate(0, unknowns, np.zeros(4))
+@pytest.mark.parametrize("beside", [0.0, 1e-13, 1e-3])
+def test_secants_keep_to_their_axes_and_to_the_bounds(reach: float, beside: float) -> None:
+    """Along axes of which one is a thousand times as stiff as another, with three unknowns at their bounds or just beside."""
+    unknowns = [
+        base_unknown(PARAMETERS[n], PARAMETERS[n].nominal) for n in ("k", "Kq", "alpha", "J", "D", "B")
+    ]
+    estimate = Estimate(0, unknowns, np.zeros(6))
     low, high = estimate.bounds
-    estimate.q = np.array([high[0], low[1] + 1e-3, 0.3, 0.0])
-    turned, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((4, 4)))
-    axes, moves = moves_along_axes(estimate, turned * np.array([1e7, 1e4, 30.0, 10.0]) @ turned.T, reach)
-    np.testing.assert_allclose(np.abs(axes.T @ turned).max(axis=0), 1.0, rtol=1e-9)
+    estimate.q = np.array([high[0] - beside, low[1] + beside, 0.3, 0.0, -0.2, low[5] + beside])
+    turned, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((6, 6)))
+    matrix = turned * np.array([1e7, 1e4, 3e3, 300.0, 30.0, 10.0]) @ turned.T
+    axes, moves = moves_along_axes(estimate, matrix, reach)
+    np.testing.assert_allclose(axes.T @ axes, np.eye(6), atol=1e-9)
+    longest = np.zeros(6)
+    np.maximum.at(longest, np.abs(moves @ axes).argmax(axis=1), np.linalg.norm(moves, axis=1))
+    # On every axis at least one move is long enough to tell a change from rounding.
+    assert np.all(longest > 0.01 * reach / np.sqrt(np.diag(axes.T @ matrix @ axes)))
     along = np.abs(moves @ axes)
     length = np.linalg.norm(moves, axis=1)
     np.testing.assert_allclose(along.max(axis=1), length, rtol=1e-9)
     assert np.all(estimate.q + moves >= low - 1e-12) and np.all(estimate.q + moves <= high + 1e-12)
-    assert set(along.argmax(axis=1)) == {0, 1, 2, 3} and length.min() > 0.0
+    assert set(along.argmax(axis=1)) == set(range(6)) and length.min() > 0.0
 
 
 def test_a_replica_beyond_its_bounds_keeps_combinations_that_make_up_for_each_other() -> None:

@@ -76,17 +76,27 @@ def _secants(fit: Fit, estimates: Sequence[Estimate], reach: float) -> None:
 
 
 def moves_along_axes(estimate: Estimate, matrix: Vector, reach: float) -> tuple[Vector, Vector]:
-    """The principal axes of the normal matrix (k, k), as columns, and moves (up to 2 k, k) either way along each of them.
+    """Axes at right angles (k, k), as columns, and moves (up to 2 k, k) either way along each of them: the principal axes of
+    the normal matrix, and by itself each unknown that has a bound within `reach` of its own standard deviations.
 
     At a bound a move ends, without leaving its axis: clipped in one coordinate it would go along stiff axes as well, by many
-    standard deviations, and what these do would be taken for what it does.
+    standard deviations, and what these do would be taken for what it does. Two unknowns at their bounds would bar an axis either
+    way.
     """
-    scale, axes = np.linalg.eigh(matrix)
-    moves = axes * (reach / np.sqrt(np.maximum(scale, 1e-9 * scale[-1])))
+    low, high = estimate.bounds
+    below, above = np.maximum(estimate.q - low, 0.0), np.maximum(high - estimate.q, 0.0)
+    diagonal = np.diag(matrix)
+    length = reach / np.sqrt(np.maximum(diagonal, 1e-9 * diagonal.max()))
+    free = np.flatnonzero(np.minimum(below, above) >= length)
+    axes = np.eye(length.size)
+    if free.size:
+        inner = np.ix_(free, free)
+        scale, axes[inner] = np.linalg.eigh(matrix[inner])
+        length[free] = reach / np.sqrt(np.maximum(scale, 1e-9 * scale[-1]))
+    moves = axes * length
     moves = moves * np.minimum(1.0, LONGEST / np.maximum(np.abs(moves).max(axis=0), 1e-30))
     both = np.concatenate([moves.T, -moves.T])
-    low, high = estimate.bounds
-    room = np.where(both > 0.0, np.maximum(high - estimate.q, 0.0), np.maximum(estimate.q - low, 0.0))
+    room = np.where(both > 0.0, above, np.where(both < 0.0, below, np.inf))
     share = np.min(room / np.maximum(np.abs(both), 1e-30), axis=1)
     inside = both * np.minimum(share, 1.0)[:, None]
     return axes, inside[share > 0.0]
