@@ -7,7 +7,7 @@ import numpy as np
 
 from hydro_env.diagnosis.estimation import Estimate, Fit, base_unknown, solve
 from hydro_env.diagnosis.models.base import Request, Segment, Segments
-from hydro_env.plant import PARAMETERS
+from hydro_env.plant import PARAMETERS, PlantModel, load_model
 
 #: Noise of the speed, rad/s.
 NOISE = {(0, "speed"): 0.01}
@@ -28,6 +28,7 @@ class LinearRig:
     has_hidden_states: bool = True
     signals: int = 1
     segments: dict[int, Segments] = field(default_factory=dict)
+    model: PlantModel = field(default_factory=lambda: load_model("paper"))
 
     def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
         return [{0: np.tile(self.speed(dict(r.values)), self.signals)} for r in requests]  # type: ignore[arg-type]
