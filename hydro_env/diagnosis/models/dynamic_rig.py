@@ -18,15 +18,15 @@ from .base import Request, Segments, measured_segments, view
 
 __all__ = ["DynamicRig"]
 
-#: Longest substep of the fit and of the proof, s. With 200 us the speeds are off by less than 0.2 rpm; from 300 us on a spool
+#: Longest substep of the fit and of the proof, s. With 200 us the speeds are off by 0.2 rpm at most; from 300 us on a spool
 #: that meets its end stop may be lost.
 SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
 #: Where an effect has every substep taken in parts, the fit's substep is the longest of which these are at most so long, and
 #: never longer than the second number, s. Preloaded springs are 0.02 rpm off then in a log of 12 s, at most 0.13. The proof has
 #: no such substeps: with 500 us, shafts that rattle for 12 s were 0.4 rpm off.
 PARTED_SUBSTEP, LONGEST_SUBSTEP = 100e-6, 1e-3
-#: Numbers of the fit and of the proof. Single precision moves a speed by a fifth of what the fit's substep does, and by more than
-#: the proof's does.
+#: Numbers of the fit and of the proof. Single precision moves a speed by less than the fit's substep does, and by more than the
+#: proof's does.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: By numbers: how many rigs go through the kernel together, and how long that takes. Up to one register of the processor
 #: instructions wait for each other's results, beyond it for room.
