@@ -29,10 +29,7 @@ from hydro_env.diagnosis.estimation.growing_horizon import beginning_of
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request, Segment, Segments
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
-from hydro_env.diagnosis.settings import Settings
-from hydro_env.diagnosis.stages import settling
 from hydro_env.diagnosis.stages.calibration import as_given, base_unknowns, calibrate
-from hydro_env.diagnosis.state import State
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, simulate
 from hydro_env.practice.generate import make_practice
 
@@ -218,34 +215,6 @@ def test_every_size_and_shape_is_a_start_where_the_whole_list_is_wanted() -> Non
     few, many = effect_starts(eccentric, 12.0), effect_starts(eccentric, 12.0, whole=True)
     assert {row["amplitude"] for row in few} < {row["amplitude"] for row in many}
     assert {row["phase"] for row in few} == {row["phase"] for row in many}
-
-
-def test_what_is_reported_begins_anew_as_long_as_that_helps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    make_practice([], duration=3.0, rate=500.0, runs=("fit_2",)).write(tmp_path)
-    rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_2.csv"], None))
-    seeds: list[int] = []
-
-    def restarted(fit: Fit, estimates: list[Estimate], seed: int) -> list[Estimate]:
-        if estimates:
-            seeds.append(seed)
-        return estimates if seed < 1 else []
-
-    monkeypatch.setattr(settling, "restart_friction", restarted)
-    monkeypatch.setattr(settling, "settle", lambda *_: None)
-    monkeypatch.setattr(settling, "settle_finally", lambda *_: None)
-
-    def seeds_of(fit: Fit) -> list[int]:
-        seeds.clear()
-        estimate = Estimate(0, [u for u in base_unknowns(rig, 0) if u.name == "Fc"], np.zeros(1))
-        fit.evaluate([estimate])
-        settling.run(State(rig.model, fit, rig, rig, [], final={0: estimate}, verdict="effects"))
-        return seeds.copy()
-
-    fit = _fit(rig)
-    assert seeds_of(fit) == [0, 1]
-    assert seeds_of(replace(fit, settings=Settings(rules_off=["restart_found"]))) == []
 
 
 def test_only_what_is_not_white_begins_anew(tmp_path: Path) -> None:

@@ -36,12 +36,11 @@ def far_from_noise(fit: Fit, estimate: Estimate) -> bool:
     return fit.level(estimate) > SMALL_LEVEL
 
 
-def restart_friction(fit: Fit, estimates: Sequence[Estimate], seed: int = 0) -> list[Estimate]:
-    """Improves those of `estimates` that leave little but more than white noise, in place; returns the ones that became better.
-    Another `seed` draws other starts."""
+def restart_friction(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
+    """Improves those of `estimates` that leave little but more than white noise, in place; returns those that became better."""
     if not fit.settings.uses(RESTART_FRICTION):
         return []
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     fields: list[tuple[Estimate, list[Estimate]]] = []
     for estimate in estimates:
         drawn = [j for j, u in enumerate(estimate.unknowns) if u.name in DRAWN]

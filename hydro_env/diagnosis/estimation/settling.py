@@ -21,7 +21,7 @@ __all__ = ["moves_along_axes", "settle", "settle_finally"]
 
 #: Reach of the secants in standard deviations, in turn; the last one is that of the covariance.
 REACHES = (10.0, 3.0, 1.0)
-#: Most turns through them, and the fall of the cost in one below which an estimate has settled.
+#: Most turns through them, or steps, and the fall of the cost in one below which an estimate has settled.
 TURNS, SETTLED = 5, 1.0
 #: Longest reach in any coordinate of q.
 LONGEST = 1.0
@@ -29,30 +29,31 @@ LONGEST = 1.0
 
 def settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
     """Improves estimates that have `columns`, in place."""
-    _turns(fit, estimates, REACHES)
+    live = _ready(fit, estimates)
+    for _ in range(TURNS):
+        before = [p.cost for p in live]
+        for reach in REACHES if live else ():
+            _secants(fit, live, reach)
+            step_all(fit, live)
+        live = [p for p, cost in zip(live, before, strict=True) if cost - p.cost > SETTLED]
 
 
 def settle_finally(fit: Fit, estimates: Sequence[Estimate]) -> None:
     """Improves estimates that have settled with another substep, in place, and sets their `columns` on the scale of their
-    standard deviations."""
-    _secants(fit, _turns(fit, estimates, REACHES[-1:]), REACHES[-1])
-
-
-def _turns(fit: Fit, estimates: Sequence[Estimate], reaches: Sequence[float]) -> list[Estimate]:
-    """Turns through the reaches, as long as they lower the cost; returns the estimates that have moved since their derivatives
-    were taken."""
-    every = [p for p in estimates if p.unknowns and p.columns]
-    fit.evaluate(every)
-    every = live = [p for p in every if np.isfinite(p.cost)]
-    taken_at: dict[int, Vector] = {}
+    standard deviations. The way is short, so the derivatives that they bring along show it."""
+    every = live = _ready(fit, estimates)
     for _ in range(TURNS):
         before = [p.cost for p in live]
-        for reach in reaches if live else ():
-            taken_at.update((id(p), p.q) for p in live)
-            _secants(fit, live, reach)
-            step_all(fit, live)
+        step_all(fit, live)
         live = [p for p, cost in zip(live, before, strict=True) if cost - p.cost > SETTLED]
-    return [p for p in every if p.q is not taken_at[id(p)]]
+    _secants(fit, every, REACHES[-1])
+
+
+def _ready(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
+    """Those of the estimates that have `columns`, simulated."""
+    every = [p for p in estimates if p.unknowns and p.columns]
+    fit.evaluate(every)
+    return [p for p in every if np.isfinite(p.cost)]
 
 
 def _secants(fit: Fit, estimates: Sequence[Estimate], reach: float) -> None:

@@ -21,10 +21,10 @@ __all__ = ["DynamicRig"]
 #: Longest substep of the fit and of the proof, s. With 200 us the speeds are off by 0.2 rpm at most; from 300 us on a spool
 #: that meets its end stop may be lost.
 SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
-#: Where an effect has every substep taken in parts, the fit's substep is the longest of which these are at most so long, and
-#: never longer than the second number, s. Preloaded springs are 0.02 rpm off then in a log of 12 s, at most 0.13. The proof has
-#: no such substeps: with 500 us, shafts that rattle for 12 s were 0.4 rpm off.
-PARTED_SUBSTEP, LONGEST_SUBSTEP = 100e-6, 1e-3
+#: Where an effect has every substep taken in parts, the substep is the longest of which these are at most so long in the fit and
+#: in the proof, and never longer than the last number, s. Preloaded springs are 0.02 rpm off in the fit in a log of 12 s, at most
+#: 0.13, and 0.001 rpm in the proof, as shafts that rattle are where no later rebound hangs on an earlier one.
+PARTED_SUBSTEP, PARTED_PROOF, LONGEST_SUBSTEP = 100e-6, 20e-6, 1e-3
 #: Numbers of the fit and of the proof. Single precision moves a speed by less than the fit's substep does, and by more than the
 #: proof's does.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
@@ -224,12 +224,13 @@ class DynamicRig:
 
     def _step(self, request: Request) -> float:
         """The substep of a request, which does not depend on what is simulated beside it."""
-        if self.substep != SUBSTEP or (self.coupled and request.channel is not None):
+        part = {SUBSTEP: PARTED_SUBSTEP, PROOF_SUBSTEP: PARTED_PROOF}.get(self.substep)
+        if part is None or (self.coupled and request.channel is not None):
             return self.substep
         parts = [
             e.corner_parts for e in map(CATALOGUE.__getitem__, request.effects) if _all_parted(e, request)
         ]
-        longest = min(max(parts, default=0) * PARTED_SUBSTEP, LONGEST_SUBSTEP, self.period)
+        longest = min(max(parts, default=0) * part, LONGEST_SUBSTEP, self.period)
         return max(longest, self.substep)
 
     def close(self) -> None:

@@ -29,7 +29,6 @@ from ..models.base import RigModel, Segments, view
 from ..settings import rule
 from ..state import Estimates, State
 from .candidates import penalty_per_parameter
-from .refits import refit_found
 
 __all__ = [
     "Attempt", "Correction", "attempts", "changes", "correct", "correct_all", "correct_placebo", "is_correction",
@@ -78,7 +77,7 @@ class Attempt:
 
 
 def run(state: State) -> State:
-    """Corrects the form of what is named, and of the placebos as much, which are then refitted as what was found has been."""
+    """Corrects the form of what is named, and of the placebos as much."""
     if state.verdict != "effects":
         return state
     fit = state.fit.on(state.rig.for_long_refits())
@@ -87,7 +86,6 @@ def run(state: State) -> State:
         named, begun = state.selection.effects_by_channel(), state.selection.attempted
         final, corrections = correct_all(fit, final, named, begun)
         placebo = correct_placebo(fit, placebo, final, corrections)
-    refit_found(fit, [p for p in placebo.values() if not far_from_noise(fit, p)])
     return replace(state, final=final, placebo=placebo, corrections=corrections)
 
 
