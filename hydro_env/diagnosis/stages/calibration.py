@@ -12,6 +12,7 @@ from ..estimation import (
     Fit,
     Unknown,
     base_unknown,
+    far_from_noise,
     limited_by_effects,
     restart_friction,
     solve,
@@ -23,7 +24,8 @@ from ..state import Estimates, State
 __all__ = ["as_given", "base_unknowns", "calibrate", "run"]
 
 CALIBRATE_TWICE = rule(
-    "calibrate_twice", "calibrate also without the direction in which all forces on the spool scale"
+    "calibrate_twice",
+    "calibrate also without the direction in which all forces on the spool scale, where more than white noise is left",
 )
 COIL_FIRST = rule("coil_first", "estimate the coil by the current alone before everything else")
 
@@ -73,15 +75,21 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
         estimates[channel] = Estimate(channel, unknowns, np.zeros(len(unknowns)), "calibrated")
     if fit.settings.uses(COIL_FIRST):
         _coil_first(fit, estimates)
+    every = list(estimates.values())
     # Two ways, of which either may end in a local minimum of the spool's friction: with and without the forces scaled together.
     # Without what is missing the other directions would lead far away from where it is found.
     twice = rig.has_hidden_states and fit.settings.uses(CALIBRATE_TWICE)
-    apart = {c: replace(p, q=p.q.copy(), together=()) for c, p in estimates.items()} if twice else {}
-    solve(fit, [*estimates.values(), *apart.values()], iterations)
-    further = [estimates[c] for c, other in apart.items() if estimates[c].adopt(other)]
-    solve(fit, further, iterations // 3)
+    apart = [replace(p, q=p.q.copy(), together=()) for p in every if twice]
+    solve(fit, every, iterations)
+    both = [
+        (p, other)
+        for p, other in zip(every, apart, strict=False)
+        if not (fit.is_white(p) or far_from_noise(fit, p))
+    ]
+    solve(fit, [other for _, other in both], iterations)
+    solve(fit, [p for p, other in both if p.adopt(other)], iterations // 3)
     if rig.has_hidden_states:
-        solve(fit, restart_friction(fit, list(estimates.values())), iterations)
+        solve(fit, restart_friction(fit, every), iterations)
     return estimates
 
 
