@@ -102,7 +102,7 @@ def screen(
     be seen. Effects of the whole rig are screened on both channels together. Effects that are slow to simulate are screened
     only in the size that did best in an `earlier` screening, if there is one.
     """
-    wanted: list[tuple[str, int | None, dict[str, float]]] = []
+    wanted: list[tuple[str, int | None, dict[str, float], bool]] = []
     for name in effects:
         for channel in estimates if CATALOGUE[name].scope == "channel" else (None,):
             effect = effect_in(fit.rig, name, channel)
@@ -111,8 +111,8 @@ def screen(
             if channel in settled:
                 starts = [start for start in starts if _is_medium(effect, start)] or starts
             slow = effect.corner is not None and known
-            wanted += [(name, channel, start) for start in (known if slow else starts)]
-    results = fit.rig.predict([_request(estimates, *one) for one in wanted])
+            wanted += [(name, channel, s, _is_medium(effect, s)) for s in (known if slow else starts)]
+    results = fit.rig.predict([_request(estimates, name, c, start) for name, c, start, _ in wanted])
     left = {c: _Projector(fit, p, c, _deviations(fit, p, c)) for c, p in estimates.items()}
     noise = {
         c: _Projector(fit, p, c, {s.signal: fit.noise[c, s.signal] for s in fit.rig.segments[c]})
@@ -120,13 +120,12 @@ def screen(
     }
     errors = {c: left[c](_error(fit, p, c)) for c, p in estimates.items()}
     found: dict[tuple[str, int | None], Screening] = {}
-    for (name, channel, start), result in zip(wanted, results, strict=True):
+    for (name, channel, start, medium), result in zip(wanted, results, strict=True):
         channels = fit.rig.channels if channel is None else (channel,)
         if not all(np.isfinite(result[c]).all() for c in channels):
             continue
         changes = {c: result[c] - estimates[c].simulated[c] for c in channels}
         gained = _gain(fit, {c: left[c](changes[c]) for c in channels}, errors, left)
-        medium = _is_medium(effect_in(fit.rig, name, channel), start)
         one = found.get((name, channel))
         if one is None or medium:
             signature = np.concatenate([noise[c](changes[c]) for c in channels])
