@@ -29,24 +29,28 @@ LONGEST = 1.0
 
 def settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
     """Improves estimates that have `columns`, in place."""
-    live = _ready(fit, estimates)
-    for _ in range(TURNS):
-        before = [p.cost for p in live]
-        for reach in REACHES if live else ():
-            _secants(fit, live, reach)
-            step_all(fit, live)
-        live = [p for p, cost in zip(live, before, strict=True) if cost - p.cost > SETTLED]
+    _turns(fit, _ready(fit, estimates), REACHES)
 
 
 def settle_finally(fit: Fit, estimates: Sequence[Estimate]) -> None:
     """Improves estimates that have settled with another substep, in place, and sets their `columns` on the scale of their
-    standard deviations. The way is short, so the derivatives that they bring along show it."""
-    every = live = _ready(fit, estimates)
-    for _ in range(TURNS):
+    standard deviations. The way is mostly short, and the derivatives that they bring along show it."""
+    every = _ready(fit, estimates)
+    _turns(fit, every, ())
+    _turns(fit, every, REACHES[-1:])
+
+
+def _turns(fit: Fit, live: Sequence[Estimate], reaches: Sequence[float]) -> None:
+    """Turns as long as they lower the cost: secants and a step along them at each reach, without one along what is at hand."""
+    for _ in range(TURNS if live else 0):
         before = [p.cost for p in live]
-        step_all(fit, live)
+        for reach in reaches or (None,):
+            if reach is not None:
+                _secants(fit, live, reach)
+            step_all(fit, live)
         live = [p for p, cost in zip(live, before, strict=True) if cost - p.cost > SETTLED]
-    _secants(fit, every, REACHES[-1])
+        if not live:
+            return
 
 
 def _ready(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:

@@ -12,7 +12,6 @@ from ..estimation import (
     Fit,
     Unknown,
     base_unknown,
-    far_from_noise,
     limited_by_effects,
     restart_friction,
     solve,
@@ -81,11 +80,7 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     twice = rig.has_hidden_states and fit.settings.uses(CALIBRATE_TWICE)
     apart = [replace(p, q=p.q.copy(), together=()) for p in every if twice]
     solve(fit, every, iterations)
-    both = [
-        (p, other)
-        for p, other in zip(every, apart, strict=False)
-        if not (fit.is_white(p) or far_from_noise(fit, p))
-    ]
+    both = [(p, other) for p, other in zip(every, apart, strict=False) if not fit.is_white(p)]
     solve(fit, [other for _, other in both], iterations)
     solve(fit, [p for p, other in both if p.adopt(other)], iterations // 3)
     if rig.has_hidden_states:

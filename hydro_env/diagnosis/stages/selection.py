@@ -26,7 +26,7 @@ from ..state import State
 from .candidates import ACCEPTED, OUTDONE, VANISHED, WITHIN_REACH, Accepted, Search, Selection, judge, penalty
 from .elimination import compare_competing, drop_not_missed, drop_unneeded, prefer_form
 from .form_correction import attempts, refit_attempts
-from .refits import short_refit
+from .refits import refit_found, short_refit
 from .rig_effects import rig_effect_leads, select_rig_effects
 from .screening import Screening, screen
 
@@ -77,7 +77,7 @@ class Contest:
 
 
 def run(state: State) -> State:
-    """Selects effects, and estimates the noise again."""
+    """Selects effects, estimates the noise again, and refits what was accepted."""
     selection = select(
         Search(
             state.fit,
@@ -90,6 +90,10 @@ def run(state: State) -> State:
     )
     fit = state.fit.with_noise_seen_by(selection.estimates)
     fit.rescore([*selection.estimates.values(), *selection.placebo.values()])
+    changed = [
+        p for c, p in selection.estimates.items() if any(k.channel in (None, c) for k in selection.accepted)
+    ]
+    refit_found(fit, changed)
     return replace(state, fit=fit, selection=selection, final=selection.estimates, placebo=selection.placebo)
 
 
