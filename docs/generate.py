@@ -875,8 +875,8 @@ def diagnosis_short() -> str:
     named, both = sum(r["set"] for r in single), sum(r["both"] for r in pairs)
     return (
         f"In blind trials against an independent simulator, {named} of {len(single)} single effects and {both} of {len(pairs)} "
-        "pairs drawn at random were named, exactly or as one of effects that are declared indistinguishable, with "
-        f"{sum(r['alarm'] for r in none)} false alarms in {len(none)} rigs without a missing effect "
+        "pairs drawn at random were named, exactly or as one of effects that are declared indistinguishable, and a name was "
+        f"given, as a guess or as an answer, in {sum(r['alarm'] for r in none)} of {len(none)} rigs without a missing effect "
         "([all trials](docs/blind_trials.md))."
     )
 

@@ -1,1 +1,1 @@
-"""Practice rigs: an independent reference simulator and the logs that it makes with effects hidden in them."""
+"""Practice rigs: an independent reference simulator, another one with four edges and two lines, and logs with effects hidden."""
