@@ -7,8 +7,9 @@ sheet, sizes of what is hidden drawn from 0.8 to 1.25 times the given ones. The 
 writes from the data sheet: two servo valves with a spool loop of 80 Hz and a damping ratio of 0.8, rated flows 10 % off, 120 bar.
 Commands, loads, load pressures and speeds are logged at 1 kHz, for two logs to fit and one to be held out, 12 s each.
 
-What is right is stated for each case beforehand: one name or more, or verdicts. Elastic walls of hoses make a line softer, which
-is a bulk modulus; a vessel behind an orifice on one line alone, and a soft shaft, are no candidates, so `unknown` is right.
+What is right is stated for each case: one name or more, or verdicts. Elastic walls of hoses make a line softer, which is a bulk
+modulus. A vessel behind an orifice on one line alone, and a soft shaft without play, have no law in the catalogue, so `unknown`
+is right.
 
 Cases that DIR holds already are not run again. Writes four_edge_rigs.json and four_edge_rigs.md.
 """

@@ -1,4 +1,4 @@
-"""A second rig simulator, for strangers' rigs: valves with four edges, and lines that each have a pressure of their own.
+"""A second rig simulator: valves with four edges, and lines that each have a pressure of their own.
 
 The plant, and the reference simulator that checks it, know the load pressure alone: lines are alike, and the supply is shared by
 the two edges that are open. Simulators of fluid power (Hopsan, Simscape, AMESim) rather simulate what a machine has: every edge

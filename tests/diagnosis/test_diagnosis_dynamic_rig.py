@@ -9,7 +9,7 @@ from hydro_env.diagnosis import diagnose
 from hydro_env.diagnosis.estimation import base_unknown, effect_starts, effect_unknowns
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
-from hydro_env.diagnosis.models.dynamic_rig import SUBSTEP, DynamicRig
+from hydro_env.diagnosis.models.dynamic_rig import PROOF_SUBSTEP, SUBSTEP, DynamicRig
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, load_model
 from hydro_env.practice.generate import make_practice
 from hydro_env.units import RPM
@@ -92,6 +92,21 @@ def test_a_rig_takes_longer_substeps_only_where_both_channels_are_in_parts(fit_l
         speed = next(s for s in rig.segments[1] if s.signal == "speed")
         change = (coarse[1] - fine[1])[speed.place]
         assert np.sqrt(np.mean(change**2)) / RPM < 0.2
+
+
+@pytest.mark.parametrize(("name", "step"), [("spring_preload", 200e-6), ("shaft_backlash", 400e-6)])
+def test_the_proof_takes_longer_substeps_where_every_one_is_in_parts(
+    fit_log: Path, name: str, step: float
+) -> None:
+    parts = read_parts([fit_log], None)
+    one = Request(0, {f"{name}.{p.name}": p.typical for p in CATALOGUE[name].parameters if p.typical})
+    proof = DynamicRig(load_model("paper"), parts).with_parts(parts, True)
+    fine = DynamicRig(load_model("paper"), parts, every_row=True, substep=10e-6, dtype=np.float64)
+    assert proof._step(Request(0, {})) == PROOF_SUBSTEP
+    assert proof._step(one) == pytest.approx(step)
+    speed = next(s for s in proof.segments[0] if s.signal == "speed")
+    change = (proof.predict([one])[0][0] - fine.predict([one])[0][0])[speed.place]
+    assert np.sqrt(np.mean(change**2)) / RPM < 0.01
 
 
 def test_the_model_as_given_explains_a_rig_without_surprise(fit_log: Path) -> None:

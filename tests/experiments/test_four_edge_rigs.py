@@ -76,7 +76,6 @@ def test_a_run_goes_on_where_it_was_interrupted(tmp_path: Path, monkeypatch: pyt
         return SimpleNamespace(as_dict=lambda: _said("calibration"))
 
     monkeypatch.setattr(four_edge_rigs, "diagnose", diagnosed)
-    monkeypatch.setattr(four_edge_rigs, "SECONDS", 0.5)
     monkeypatch.setattr(four_edge_rigs, "logs", lambda name, seed: logs(name, seed, seconds=0.5))
     assert len(run(tmp_path, 1, ["nothing"], tmp_path)) == 1
     rows = run(tmp_path, 1, ["nothing", "overlap"], tmp_path)

@@ -9,7 +9,7 @@ transforms (Julier and Uhlmann 2004, doi:10.1109/JPROC.2003.823141).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -21,7 +21,7 @@ __all__ = ["moves_along_axes", "settle", "settle_finally"]
 
 #: Reach of the secants in standard deviations, in turn; the last one is that of the covariance.
 REACHES = (10.0, 3.0, 1.0)
-#: Most turns through them, or steps, and the fall of the cost in one below which an estimate has settled.
+#: Most turns, and the fall of the cost in one below which an estimate has settled.
 TURNS, SETTLED = 5, 1.0
 #: Longest reach in any coordinate of q.
 LONGEST = 1.0
@@ -29,28 +29,36 @@ LONGEST = 1.0
 
 def settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
     """Improves estimates that have `columns`, in place."""
-    _turns(fit, _ready(fit, estimates), REACHES)
+
+    def turn(live: Sequence[Estimate]) -> None:
+        for reach in REACHES:
+            _secants(fit, live, reach)
+            step_all(fit, live)
+
+    _while_it_pays(turn, _ready(fit, estimates))
 
 
 def settle_finally(fit: Fit, estimates: Sequence[Estimate]) -> None:
     """Improves estimates that have settled with another substep, in place, and sets their `columns` on the scale of their
     standard deviations. The way is mostly short, and the derivatives that they bring along show it."""
+
+    def turn(live: Sequence[Estimate]) -> None:
+        _secants(fit, live, REACHES[-1])
+        step_all(fit, live)
+
     every = _ready(fit, estimates)
-    _turns(fit, every, ())
-    _turns(fit, every, REACHES[-1:])
+    _while_it_pays(lambda live: step_all(fit, live), every)
+    _while_it_pays(turn, every)
 
 
-def _turns(fit: Fit, live: Sequence[Estimate], reaches: Sequence[float]) -> None:
-    """Turns as long as they lower the cost: secants and a step along them at each reach, without one along what is at hand."""
-    for _ in range(TURNS if live else 0):
-        before = [p.cost for p in live]
-        for reach in reaches or (None,):
-            if reach is not None:
-                _secants(fit, live, reach)
-            step_all(fit, live)
-        live = [p for p, cost in zip(live, before, strict=True) if cost - p.cost > SETTLED]
+def _while_it_pays(turn: Callable[[Sequence[Estimate]], None], live: Sequence[Estimate]) -> None:
+    """Turns, as long as they lower the cost of an estimate."""
+    for _ in range(TURNS):
         if not live:
             return
+        before = [p.cost for p in live]
+        turn(live)
+        live = [p for p, cost in zip(live, before, strict=True) if cost - p.cost > SETTLED]
 
 
 def _ready(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
