@@ -1,15 +1,20 @@
 """What becomes of a candidate, and what else would do as well in the place of an effect that was taken."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation import solve
+from hydro_env.diagnosis.estimation import Estimate, Fit, differentiate, solve
+from hydro_env.diagnosis.settings import Settings
+from hydro_env.diagnosis.stages import elimination
 from hydro_env.diagnosis.stages.candidates import AT_EDGE, Accepted, Search, Selection, judge
 from hydro_env.diagnosis.stages.elimination import compare_competing, drop_unneeded
 from hydro_env.diagnosis.stages.naming import name_effects
 from hydro_env.diagnosis.stages.screening import screen
+from hydro_env.diagnosis.stages.selection import select
 from hydro_env.plant import CATALOGUE
-from tests.linear_rig import logged, time_of
+from tests.linear_rig import NOISE, logged, time_of
 
 ROWS = 4000
 TIME = time_of(ROWS)
@@ -72,6 +77,42 @@ def test_an_effect_that_led_known_parameters_out_of_a_bad_place_is_not_named(
     assert [c.effect for c in search.accepted] == (["line_loss"] if kept else [])
     assert search.present[0].effects() == (["line_loss"] if kept else [])
     assert fit.at_noise(search.present[0], 1.05) and len(search.candidates) == (0 if kept else 1)
+
+
+def test_estimates_that_leave_white_noise_settle_before_they_are_compared(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    curve = np.cos(11.0 * TIME)
+    fit, without = logged({"line_loss.coefficient": curve}, {}, ROWS)
+    found = without.with_effect("line_loss", {"coefficient": 0.0})
+    solve(fit, [found], 6)
+    # Without the effect the fit stops a little early: more than the effect costs, and too little to be seen in the residual.
+    inertia = without.unknowns[0]
+    without.q[:] += 0.1 * NOISE[0, "speed"] / (inertia.value(1.0) / inertia.value(0.0) - 1.0)
+
+    def stops_at_once(fit: Fit, estimates: list[Estimate], *_: object, **__: object) -> None:
+        fit.evaluate(estimates)
+        differentiate(fit, estimates)
+
+    monkeypatch.setattr(elimination, "solve", stops_at_once)
+    fit.evaluate([without])
+    assert fit.is_white(without) and fit.gain(without, found) > 5.0
+    search = Search(fit, {0: without}, [], 4.0, {0: found})
+    search.accepted = [Accepted("line_loss", 0, 500.0, 5.0, {}, without)]
+    drop_unneeded(search)
+    assert not search.accepted and not search.present[0].effects()
+
+
+@pytest.mark.parametrize("form", [True, False])
+def test_a_size_at_the_edge_counts_where_another_form_leaves_nothing(form: bool) -> None:
+    name, bend = "flow_gain_nonlinearity", np.abs(np.sin(20.0 * TIME)) * np.sin(20.0 * TIME)
+    curves = {f"{name}.curvature": bend, "opening_shape.gain_3": bend if form else np.cos(11.0 * TIME)}
+    fit, base = logged(curves, {f"{name}.curvature": 1.6 * CATALOGUE[name].parameter("curvature").high}, ROWS)
+    fit = replace(fit, settings=Settings(rules_off=["compete_on_beginning", "grow_horizon"]))
+    screening = screen(fit, {0: base}, [name], 4.0)
+    found = select(Search(fit, {0: base}, screening, 4.0, {0: base}))
+    assert [k.effect for k in found.accepted] == ([name] if form else [])
+    assert found.candidates[0].outcome == ("taken" if form else AT_EDGE)
 
 
 @pytest.mark.parametrize(("beyond", "outcome"), [(1.005, "taken"), (1.6, AT_EDGE)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ...plant import CATALOGUE
-from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, solve
+from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, settle, solve
 from ..settings import rule
 from .candidates import AFTER_ROUNDS, Accepted, Search, at_edge, is_neutral
 from .form_correction import attempts, refit_attempts
@@ -105,16 +105,16 @@ def drop_unneeded(search: Search) -> None:
             continue
         if not far_from_noise(fit, one.without):
             starts.append((one, c, _without(search.present[c], one.without, one.effect)))
+    long = fit.on(fit.rig.for_long_refits())
     races = [[search.present[c], *own] for _, c, own in starts]
-    solve(
-        fit.on(fit.rig.for_long_refits()),
-        [p for *_, own in starts for p in own],
-        SETTLE_ITERATIONS,
-        races=races,
-    )
+    solve(long, [p for *_, own in starts for p in own], SETTLE_ITERATIONS, races=races)
     for one, c, own in starts:
         less = min(own, key=lambda p: p.cost)
         gain = fit.gain(less, search.present[c])
+        if gain >= one.needed and fit.is_white(less):
+            # White noise is all that either leaves, and how far each is from its minimum may be all that parts them.
+            settle(long, [less, search.present[c]])
+            gain = fit.gain(less, search.present[c])
         if gain < one.needed:
             outcome = "the known parameters do as well, from where it led them"
             search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, search.present[c], one.needed)

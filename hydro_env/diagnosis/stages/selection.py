@@ -18,12 +18,24 @@ from ..estimation import (
     best_on_beginnings,
     could_pay,
     grow_horizon,
+    nearly_explained,
     solve,
     unexplained,
 )
 from ..settings import rule
 from ..state import State
-from .candidates import ACCEPTED, OUTDONE, VANISHED, WITHIN_REACH, Accepted, Search, Selection, judge, penalty
+from .candidates import (
+    ACCEPTED,
+    AT_EDGE,
+    OUTDONE,
+    VANISHED,
+    WITHIN_REACH,
+    Accepted,
+    Search,
+    Selection,
+    judge,
+    penalty,
+)
 from .elimination import compare_competing, drop_not_missed, drop_unneeded, prefer_form
 from .form_correction import attempts, refit_attempts
 from .refits import refit_found, short_refit
@@ -281,6 +293,12 @@ def _in_other_form(search: Search, estimate: Estimate) -> Estimate:
     return known
 
 
+def _ends_in_other_form(search: Search, before: Estimate, after: Estimate) -> bool:
+    """Whether a correction of form explains next to all that is left: a size at the edge of its range is due to the form then."""
+    fit, better = search.fit, _in_other_form(search, after)
+    return all(nearly_explained(fit, before, better, c) for c in fit.channels_of(after))
+
+
 def _settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
     """Improves estimates as far as they go, in place."""
     long = fit.on(fit.rig.for_long_refits())
@@ -305,6 +323,8 @@ def _accept_best(search: Search, contest: Contest, number: int) -> bool:
     for place, r in enumerate(contest.refits):
         effect, gain = r.screened.effect, fit.gain(before, r.estimate)
         outcome = judge(fit, before, r.estimate, effect, gain, c)
+        if outcome == AT_EDGE and place == 0 and _ends_in_other_form(search, before, r.estimate):
+            outcome = ACCEPTED
         if place == 0:
             judged, accepted = outcome, outcome == ACCEPTED
             if accepted:
