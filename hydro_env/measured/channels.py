@@ -117,7 +117,7 @@ def _setpoint(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
         speed, setpoint = _clean(log.speed[:, channel], log.setpoint)
         if len(speed) < 20 or np.std(speed) == 0 or np.std(setpoint) == 0:
             continue
-        if np.corrcoef(speed, setpoint)[0, 1] < 0.5:
+        if np.corrcoef(speed, setpoint)[0, 1] < 0.9:  # it does not follow
             continue
         slope = float(np.std(speed) / np.std(setpoint))
         for factor, guess, unit in (

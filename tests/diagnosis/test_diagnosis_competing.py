@@ -8,7 +8,7 @@ import pytest
 from hydro_env.diagnosis.estimation import Estimate, Fit, differentiate, solve
 from hydro_env.diagnosis.settings import Settings
 from hydro_env.diagnosis.stages import elimination
-from hydro_env.diagnosis.stages.candidates import AT_EDGE, Accepted, Search, Selection, judge
+from hydro_env.diagnosis.stages.candidates import AT_EDGE, Accepted, Search, Selection, is_neutral, judge
 from hydro_env.diagnosis.stages.elimination import compare_competing, drop_unneeded
 from hydro_env.diagnosis.stages.naming import name_effects
 from hydro_env.diagnosis.stages.screening import screen
@@ -101,6 +101,22 @@ def test_estimates_that_leave_white_noise_settle_before_they_are_compared(
     search.accepted = [Accepted("line_loss", 0, 500.0, 5.0, {}, without)]
     drop_unneeded(search)
     assert not search.accepted and not search.present[0].effects()
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "value", "neutral"),
+    [
+        ("load_bias", "bias", 0.001, True),
+        ("load_bias", "bias", -0.1, False),
+        ("driver_saturation", "voltage_limit", 72.8, True),  # of 73 V at most
+        ("driver_saturation", "voltage_limit", 70.0, False),
+        ("flow_saturation", "opening_limit", 8.55e-4, True),
+    ],
+)
+def test_what_is_next_to_neutral_has_vanished(
+    effect: str, parameter: str, value: float, neutral: bool
+) -> None:
+    assert is_neutral(Estimate(0, [], np.zeros(0)).with_effect(effect, {parameter: value}), effect) == neutral
 
 
 @pytest.mark.parametrize("form", [True, False])

@@ -8,6 +8,7 @@ from hydro_env.diagnosis.models.base import Segment, Segments
 from hydro_env.diagnosis.stages.candidates import Accepted, Selection
 from hydro_env.diagnosis.stages.validation import Proof
 from hydro_env.diagnosis.stages.verdict import doubts
+from hydro_env.plant import CATALOGUE
 from tests.linear_rig import LinearRig, logged, time_of
 
 ROWS = 12000
@@ -21,11 +22,12 @@ def _doubts(
     share: float = 1.0,
     apart: float = 0.0,
     low: float = 0.09,
+    named: tuple[str, str, float, float] = ("load_bias", "bias", 0.1, 0.11),
 ) -> list[str]:
     """The doubts about a name with these errors of the speed, of which those of the fit logs are in a `share` of the time.
 
     `apart` is by how many times the noise the courses of a replica differ that the fit logs cannot part from the estimate;
-    `low` is the lower end of the interval of the effect's size, whose neutral value is 0.
+    `low` is the lower end of the interval of the effect's size; `named`: effect, parameter, value, the upper end.
     """
     rig = LinearRig({"load_bias.bias": np.ones(ROWS)}, TIME, has_hidden_states=has_hidden_states, signals=2)
     every = np.arange(ROWS)
@@ -36,11 +38,12 @@ def _doubts(
         Segment(0, 0, name, v * rng.standard_normal(ROWS), every, every >= 0, 1e-3, slice(n * ROWS, (n + 1) * ROWS))
         for n, (name, v) in enumerate(errors.items())
     )  # fmt: skip
-    found = Estimate(0, [], np.zeros(0)).with_effect("load_bias", {"bias": 0.1})
+    effect, parameter, value, high = named
+    found = Estimate(0, [], np.zeros(0)).with_effect(effect, {parameter: value})
     moved = found.q + apart / found.unknowns[-1].scale
-    ends = [np.array([found.unknowns[-1].q(value)]) for value in (low, 0.11)]
+    ends = [np.array([found.unknowns[-1].q(value)]) for value in (low, high)]
     found.intervals = Intervals(*ends, moved, moved[None])
-    selection = Selection({0: found}, [Accepted("load_bias", 0, 500.0, 18.0)], [], {})
+    selection = Selection({0: found}, [Accepted(effect, 0, 500.0, 18.0)], [], {})
     entries = [{"noise": 1.0, "placebo": 30.0, "before": 50.0, **e} for e in (fit, sealed)]
     pressure = {"noise": 1.0, "calibrated": 20.0, "after": 1.0, "placebo": 9.0, "before": 50.0}
     traces = {"after": {0: np.zeros(2 * ROWS)}}
@@ -53,6 +56,12 @@ def test_an_effect_whose_interval_holds_the_neutral_value_is_not_confirmed() -> 
     right = {"calibrated": 40.0, "after": 1.02}, {"calibrated": 38.0, "after": 1.05}
     assert not _doubts(*right, low=0.01)
     (doubt,) = _doubts(*right, low=-0.01)
+    assert "holds the neutral value" in doubt
+    # The upper end of the range of a limit stands for none.
+    highest = CATALOGUE["driver_saturation"].parameter("voltage_limit").high
+    limit = "driver_saturation", "voltage_limit", 60.0
+    assert not _doubts(*right, low=55.0, named=(*limit, 65.0))
+    (doubt,) = _doubts(*right, low=55.0, named=(*limit, 1.1 * highest))
     assert "holds the neutral value" in doubt
 
 

@@ -58,6 +58,17 @@ def test_a_noise_free_simulation_is_silent(tmp_path: Path) -> None:
     assert read_log(save(tmp_path, columns)).findings == ()
 
 
+def test_a_speed_that_moves_on_its_own_says_nothing_of_its_unit(tmp_path: Path) -> None:
+    """Valves driven in open loop, beside a set-point that moves a sixth as much: alike in part, and by chance."""
+    columns = clean()
+    speed = columns["speed_1_rpm"]
+    other = np.std(speed) * np.sin(0.01 * np.arange(len(speed)))
+    columns["setpoint_rpm"] = 0.14 * (speed + 1.2 * other)
+    assert 0.5 < np.corrcoef(speed, columns["setpoint_rpm"])[0, 1] < 0.9
+    assert 4.6 < np.std(speed) / np.std(columns["setpoint_rpm"]) < 8.0
+    assert not [f for f in read_log(save(tmp_path, columns)).findings if f.code == "unit"]
+
+
 def stuck(columns: Columns) -> None:
     columns["speed_1_rpm"][1100:1700] = columns["speed_1_rpm"][1100]
 

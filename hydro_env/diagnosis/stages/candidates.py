@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..estimation import Estimate, Fit, explained_share, nearly_explained
+from ..estimation import Estimate, Fit, Unknown, explained_share, nearly_explained
 from ..settings import rule
 from ..state import Estimates
 from .screening import Screening
 
 __all__ = [
     "ACCEPTED", "AT_EDGE", "OUTDONE", "VANISHED", "WITHIN_REACH", "Accepted", "Candidate", "Search", "Selection", "at_edge",
-    "is_neutral", "judge", "penalty", "penalty_per_parameter",
+    "carries_size", "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
 REJECT_SMALL_SHARE = rule(
@@ -199,16 +199,29 @@ def at_edge(estimate: Estimate, effect: str, channel: int | None = None) -> bool
     return False
 
 
+def carries_size(unknown: Unknown) -> bool:
+    """Whether a parameter of an effect carries its amount."""
+    return CATALOGUE[unknown.effect].parameter(unknown.parameter).carries_size
+
+
+def neutral_of(unknown: Unknown) -> float:
+    """Where an effect vanishes by this parameter. That of a limit is infinite: the upper end of its range stands for it."""
+    return min(CATALOGUE[unknown.effect].parameter(unknown.parameter).neutral, unknown.high)
+
+
 def is_neutral(estimate: Estimate, effect: str, channel: int | None = None) -> bool:
     """Whether the estimate of an effect is its neutral value; `channel` says whose, where the estimate is the rig's."""
-    values = {
-        u.parameter: u.value(q)
+    return all(
+        _is_neutral(u, float(q))
         for u, q in zip(estimate.unknowns, estimate.q, strict=True)
         if u.effect == effect and (channel is None or u.channel in (None, channel))
-    }
-    return all(
-        np.isfinite(p.nominal)
-        and abs(values[p.name] - p.nominal) < NEUTRAL_SHARE * abs(p.typical - p.nominal)
-        for p in CATALOGUE[effect].parameters
-        if p.typical is not None and p.typical != p.nominal
+    )
+
+
+def _is_neutral(unknown: Unknown, q: float) -> bool:
+    usual, neutral = CATALOGUE[unknown.effect].parameter(unknown.parameter).typical, neutral_of(unknown)
+    return (
+        usual is None
+        or usual == neutral
+        or abs(unknown.value(q) - neutral) < NEUTRAL_SHARE * abs(usual - neutral)
     )

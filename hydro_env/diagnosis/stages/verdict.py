@@ -16,7 +16,7 @@ from ..estimation import (
 )
 from ..settings import rule
 from ..state import Estimates, State
-from .candidates import Selection
+from .candidates import Selection, carries_size, neutral_of
 from .localisation import locate
 from .naming import effect_values
 from .validation import NAMED, Proof, proved
@@ -115,7 +115,7 @@ def doubts(
 
 def _may_be_absent(estimate: Estimate, effect: str, channel: int) -> bool:
     """Whether the intervals of all that gives an effect its size hold the neutral values."""
-    sizes = {p.name: p.neutral for p in CATALOGUE[effect].parameters if p.role == "size"}
+    sizes = {u.parameter: neutral_of(u) for u in estimate.unknowns if u.effect == effect and carries_size(u)}
     found = {name: v for name, v in effect_values(estimate, effect, channel).items() if name in sizes}
     return bool(found) and all(v.low <= sizes[name] <= v.high for name, v in found.items())
 
