@@ -12,7 +12,7 @@ from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns
-from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate, Search
+from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate, Search, Selection
 from hydro_env.diagnosis.stages.elimination import drop_not_missed, prefer_form
 from hydro_env.diagnosis.stages.form_correction import (
     correct,
@@ -23,6 +23,7 @@ from hydro_env.diagnosis.stages.form_correction import (
 from hydro_env.diagnosis.stages.rig_effects import drop_vanished
 from hydro_env.plant import CATALOGUE, load_model
 from hydro_env.practice.generate import make_practice
+from tests.linear_rig import logged, time_of
 
 SIZES = ("overlap_positive", "overlap_negative")
 
@@ -80,6 +81,44 @@ def test_what_another_form_explains_is_no_second_effect(tmp_path: Path, forms: s
     if not truth:  # what it is compared with has not the dropped effect in its place
         assert search.accepted[0].without is search.calibrated[0]
     assert all(k.outcome != ACCEPTED for k in search.candidates)
+
+
+def test_of_two_that_a_form_replaces_the_one_stays_that_explains_more_as_it_is() -> None:
+    """Corrections bend either law into the other: with one, the wrong law may even explain a little more."""
+    rows = 4000
+    first, second, third, little = (np.sin(w * time_of(rows)) for w in (60.0, 83.0, 111.0, 137.0))
+    curves = {
+        "flow_gain_nonlinearity.curvature": first,
+        "directional_gain.ratio": first + 2.0 * second + 0.02 * little,
+        "load_bias.bias": little,
+        "opening_shape.gain_2": second,
+        "opening_shape.gain_4": third,
+    }
+    # The first law, a quarter of one bend, 10 % of another, and a trace that only the second law has.
+    truth = {
+        "flow_gain_nonlinearity.curvature": 0.5,
+        "opening_shape.gain_2": 0.25,
+        "opening_shape.gain_4": 0.1,
+        "load_bias.bias": 0.01,
+    }
+    fit, base = logged(curves, truth, rows)
+    one = base.with_effect("flow_gain_nonlinearity", {"curvature": 0.5})
+    both = one.with_effect("directional_gain", {"ratio": 0.1})
+    other = base.with_effect("directional_gain", {"ratio": 0.1})
+    solve(fit, [one, other, both], 6)
+    search = Search(fit, {0: base}, [], 4.0, {0: both})
+    search.accepted = [
+        Accepted("flow_gain_nonlinearity", 0, 500.0, 18.0, {}, other),
+        Accepted("directional_gain", 0, 500.0, 18.0, {}, one),
+    ]
+    drop_not_missed(search)
+    assert len(search.accepted) == 2
+    prefer_form(search)
+    assert [k.effect for k in search.accepted] == ["flow_gain_nonlinearity"]
+    selection = Selection(search.present, search.accepted, [], {}, search.attempted)
+    best = selection.in_best_form(0)
+    assert best.effects() == ["flow_gain_nonlinearity", "opening_shape"]
+    assert fit.at_noise(best, 1.5) and not fit.at_noise(search.present[0], 5.0)
 
 
 def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None:

@@ -93,6 +93,15 @@ class Selection:
     placebo: Estimates
     attempted: list[Estimate] = field(default_factory=list)
 
+    def in_best_form(self, channel: int) -> Estimate:
+        """The estimate of a channel, with that correction of form that explains most of those that were refitted, if one does."""
+        found = self.estimates[channel]
+        names = [(u.name, u.channel) for u in found.unknowns]
+        forms = [
+            p for p in self.attempted if [(u.name, u.channel) for u in p.unknowns][: len(names)] == names
+        ]
+        return min([found, *forms], key=lambda p: p.cost)
+
     def effects_by_channel(self) -> dict[int | None, list[str]]:
         """The accepted effects by channel, None for those of the whole rig."""
         found: dict[int | None, list[str]] = {}

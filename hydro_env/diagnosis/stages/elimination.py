@@ -61,18 +61,21 @@ def prefer_form(search: Search) -> None:
     fit = search.fit
     long = fit.on(fit.rig.for_long_refits())
     while fit.rig.has_hidden_states and fit.settings.uses(PREFER_FORM):
-        tries: list[tuple[float, Accepted | None, int]] = []
+        replaced: list[tuple[Accepted, int]] = []
         for c in fit.rig.channels:
             for one in search.on(c):
                 if one.without is None or one.without.channel != search.present[c].channel:
                     continue
-                others = one.without.placed_effects()
-                found = attempts(fit, one.without, others)
+                found = attempts(fit, one.without, one.without.placed_effects())
                 refit_attempts(long, found)
-                tries += [(t.score - search.present[c].cost - one.needed, one, c) for t in found]
-        lead, dropped, c = min(tries, key=lambda t: t[0], default=(0.0, None, 0))
-        if dropped is None or dropped.without is None or lead >= 0.0:
+                search.attempted += [t.estimate for t in found]
+                if any(t.score < search.present[c].cost + one.needed for t in found):
+                    replaced.append((one, c))
+        if not replaced:
             return
+        # Corrections bend one law into another, so of two that replace each other the one stays that explains more as it is.
+        dropped, c = min(replaced, key=lambda r: r[0].gain - r[0].needed)
+        assert dropped.without is not None
         less, present = dropped.without, search.present[c]
         outcome = "another form of the others does better"
         search.record(

@@ -57,7 +57,7 @@ def decide(state: State) -> State:
 def _verdict(fit: Fit, given: Estimates, calibrated: Estimates, selection: Selection) -> str:
     left = any(unexplained(fit, selection.estimates[c], c) for c in fit.rig.channels)
     if selection.accepted:
-        found = selection.estimates
+        found = {c: selection.in_best_form(c) for c in fit.rig.channels}
         mostly = all(mostly_explained(fit, calibrated[c], found[c], c) for c in fit.rig.channels)
         return "effects" if mostly or not left else "unknown"
     if left:

@@ -49,7 +49,11 @@ def _rounded(opening, spool, rounding, turn, corner_positive, corner_negative):
 CORNER_SHAPE = correction(
     "corner_shape", "opening", "corners of the opening are rounded",
     (
-        amount("rounding", "m", 1e-5, "half the travel over which a corner is rounded", 0.0, SPOOL_TRAVEL),
+        # A radial clearance rounds an overlap by micrometres, round ports a saturation by a large part of the travel.
+        Parameter(
+            "rounding", "m", 0.0, 0.0, 3e-4, NO_PHYSICS, "half the travel over which a corner is rounded", 1e-5,
+            scaling=SPOOL_TRAVEL,
+        ),
         repeated("turn", "1", 1.0, -1.0, 1.0),
         repeated("corner_positive", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
         repeated("corner_negative", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
