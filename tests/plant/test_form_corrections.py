@@ -137,9 +137,24 @@ def test_the_second_bristle_takes_over_what_the_first_one_had_more() -> None:
     assert np.sqrt(np.mean((one - two) ** 2)) < 0.25 * np.sqrt(np.mean((one - none) ** 2))
 
 
-@pytest.mark.parametrize("name", ["bristle_shape", "override_shape"])
+@pytest.mark.parametrize("share", [0.0, 0.125, 0.25, 0.5, 1.0, 1.3])
+def test_a_leak_is_bent_between_an_eighth_and_half_the_supply(share: float) -> None:
+    effect, supply, conductance = CATALOGUE["leak_shape"], 8e6, 5e-12
+    gains = {"leak_0": 0.8, "leak_1": 0.5, "leak_2": 0.2}
+    at = {**gains, "conductance": conductance, "supply_pressure": supply}
+    gain = {0.0: 0.8, 0.125: 0.8, 0.25: 0.5, 0.5: 0.2, 1.0: 0.0, 1.3: 0.0}[share]
+    # Half of what leaves one line is load flow, as in the law of the leak.
+    more = 0.5 * gain * conductance * share * 0.5 * supply
+    assert effect.laws["leakage"](1e-6, 0.0, share - 1.0, **at) == pytest.approx(1e-6 + more, rel=1e-12)
+    # What the mean of both lines loses is the same oil.
+    (state,) = effect.states
+    rate = state.rate(share - 1.0, 0.0, 1.2e9, 2e-5, **at)
+    assert rate * supply / 2.0 == pytest.approx(-1.2e9 / 2e-5 * more / 2.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["bristle_shape", "override_shape", "leak_shape"])
 def test_no_end_of_a_correction_breaks_it(name: str) -> None:
-    """A bristle that takes more friction than there is, and a relief valve whose flow falls with the pressure."""
+    """A bristle that takes more friction than there is, a relief valve whose flow falls with the pressure, and any leak."""
     parameters = CATALOGUE[name].parameters
     corners = list(itertools.product(*((p.low, min(p.high, 1e9)) for p in parameters)))[:64]
     plant = Plant("paper", len(corners), effects=[name])

@@ -9,7 +9,7 @@ from ..parameters import MOTOR_SIZE, SUPPLY_PRESSURE, Parameter
 from ..vector_math import clip, sign, sqrt
 from .effect import Effect, State
 
-__all__ = ["EFFECTS"]
+__all__ = ["BOTH_LINES", "EFFECTS"]
 
 
 def _entrained_air(bulk_modulus, pressure, fraction):

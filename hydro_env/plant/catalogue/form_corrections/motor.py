@@ -7,6 +7,7 @@ from math import inf
 from ...parameters import MOTOR_SIZE, Parameter
 from ...vector_math import clip, cos, exp, sign, sin, tanh
 from ..effect import State
+from ..line import BOTH_LINES
 from .correction import NO_PHYSICS, amount, correction, repeated
 
 __all__ = ["EFFECTS"]
@@ -86,6 +87,52 @@ OVERRIDE_SHAPE = correction(
     ),
     {"leakage": _override},
     {"crossport_relief": {"relief_pressure": "relief_pressure", "conductance": "conductance"}},
+)  # fmt: skip
+
+
+def _leak_curve(leakage, pressure, mean_pressure, leak_0, leak_1, leak_2, conductance, supply_pressure):
+    # The leaking line's pressure over half the supply's, where the conductance is that of the leak.
+    share = 1.0 + mean_pressure + sign(conductance) * pressure / supply_pressure
+    share = share if share > 0.0 else 0.0
+    curve = leak_0 + (leak_1 - leak_0) * clip(share * 8.0 - 1.0, 0.0, 1.0)
+    curve = (
+        curve
+        + (leak_2 - leak_1) * clip(share * 4.0 - 1.0, 0.0, 1.0)
+        - leak_2 * clip(share * 2.0 - 1.0, 0.0, 1.0)
+    )
+    return leakage + 0.25 * conductance * supply_pressure * share * curve
+
+
+def _drained_by_curve(
+    mean_pressure, pressure, bulk_modulus, V, leak_0, leak_1, leak_2, conductance, supply_pressure
+):
+    share = 1.0 + mean_pressure + sign(conductance) * pressure / supply_pressure
+    share = share if share > 0.0 else 0.0
+    curve = leak_0 + (leak_1 - leak_0) * clip(share * 8.0 - 1.0, 0.0, 1.0)
+    curve = (
+        curve
+        + (leak_2 - leak_1) * clip(share * 4.0 - 1.0, 0.0, 1.0)
+        - leak_2 * clip(share * 2.0 - 1.0, 0.0, 1.0)
+    )
+    return -bulk_modulus / (4.0 * V) * abs(conductance) * share * curve
+
+
+LEAK_SHAPE = correction(
+    "leak_shape", "line", "the leak from a line as a curve over its pressure",
+    (
+        *(
+            Parameter(
+                f"leak_{n}", "1", 0.0, -0.8, 3.0, NO_PHYSICS, f"relative leak at {x} of half the supply pressure", 0.2
+            )
+            for n, x in enumerate(("1/8", "1/4", "1/2"))
+        ),
+        repeated("conductance", "m3/(s Pa)", 0.0, -1e-10, 1e-10, scaling=MOTOR_SIZE),
+        repeated("supply_pressure", "Pa", 1e7, 2e6, 35e6),
+    ),
+    {"leakage": _leak_curve},
+    {"external_leakage": {"conductance": "conductance", "supply_pressure": "supply_pressure"}},
+    states=(State("mean_pressure", _drained_by_curve),),
+    shares=BOTH_LINES,
 )  # fmt: skip
 
 
@@ -244,6 +291,7 @@ EFFECTS = (
     SUPPLY_SHAPE,
     SOFTNESS_SHAPE,
     OVERRIDE_SHAPE,
+    LEAK_SHAPE,
     TORQUE_SHAPE,
     REST_SHAPE,
     RIPPLE_SHAPE,
