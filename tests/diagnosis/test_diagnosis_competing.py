@@ -79,7 +79,7 @@ def test_an_effect_that_led_known_parameters_out_of_a_bad_place_is_not_named(
     assert fit.at_noise(search.present[0], 1.05) and len(search.candidates) == (0 if kept else 1)
 
 
-def test_estimates_that_leave_white_noise_settle_before_they_are_compared(
+def test_estimates_near_the_noise_settle_before_they_are_compared(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     curve = np.cos(11.0 * TIME)

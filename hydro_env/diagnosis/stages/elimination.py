@@ -114,8 +114,8 @@ def drop_unneeded(search: Search) -> None:
     for one, c, own in starts:
         less = min(own, key=lambda p: p.cost)
         gain = fit.gain(less, search.present[c])
-        if gain >= one.needed and fit.is_white(less):
-            # White noise is all that either leaves, and how far each is from its minimum may be all that parts them.
+        if gain >= one.needed:
+            # Little more than noise is left either way, and how far each is from its minimum may be all that parts them.
             settle(long, [less, search.present[c]])
             gain = fit.gain(less, search.present[c])
         if gain < one.needed:
