@@ -119,16 +119,18 @@ def test_what_is_next_to_neutral_has_vanished(
     assert is_neutral(Estimate(0, [], np.zeros(0)).with_effect(effect, {parameter: value}), effect) == neutral
 
 
-@pytest.mark.parametrize("form", [True, False])
-def test_a_size_at_the_edge_counts_where_another_form_leaves_nothing(form: bool) -> None:
+@pytest.mark.parametrize(("form", "corrected"), [(True, True), (False, True), (True, False)])
+def test_a_size_at_the_edge_counts_where_another_form_leaves_nothing(form: bool, corrected: bool) -> None:
+    """The model of a slow axis has no corrections of form."""
     name, bend = "flow_gain_nonlinearity", np.abs(np.sin(20.0 * TIME)) * np.sin(20.0 * TIME)
     curves = {f"{name}.curvature": bend, "opening_shape.gain_3": bend if form else np.cos(11.0 * TIME)}
     fit, base = logged(curves, {f"{name}.curvature": 1.6 * CATALOGUE[name].parameter("curvature").high}, ROWS)
     fit = replace(fit, settings=Settings(rules_off=["compete_on_beginning", "grow_horizon"]))
+    fit.rig.has_hidden_states = corrected
     screening = screen(fit, {0: base}, [name], 4.0)
     found = select(Search(fit, {0: base}, screening, 4.0, {0: base}))
-    assert [k.effect for k in found.accepted] == ([name] if form else [])
-    assert found.candidates[0].outcome == ("taken" if form else AT_EDGE)
+    assert [k.effect for k in found.accepted] == ([name] if form and corrected else [])
+    assert found.candidates[0].outcome == ("taken" if form and corrected else AT_EDGE)
 
 
 @pytest.mark.parametrize(("beyond", "outcome"), [(1.005, "taken"), (1.6, AT_EDGE)])

@@ -295,7 +295,10 @@ def _in_other_form(search: Search, estimate: Estimate) -> Estimate:
 
 def _ends_in_other_form(search: Search, before: Estimate, after: Estimate) -> bool:
     """Whether a correction of form explains next to all that is left: a size at the edge of its range is due to the form then."""
-    fit, better = search.fit, _in_other_form(search, after)
+    fit = search.fit
+    if not fit.rig.has_hidden_states:  # a model that has no corrections
+        return False
+    better = _in_other_form(search, after)
     return all(nearly_explained(fit, before, better, c) for c in fit.channels_of(after))
 
 
