@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,10 @@ def test_of_two_that_a_form_replaces_the_one_stays_that_explains_more_as_it_is()
     best = selection.in_best_form(0)
     assert best.effects() == ["flow_gain_nonlinearity", "opening_shape"]
     assert fit.at_noise(best, 1.5) and not fit.at_noise(search.present[0], 5.0)
+    # A form that was tried beside another effect says nothing of this one alone.
+    beside = with_correction(both, "directional_gain", "opening_shape")
+    beside.cost = best.cost - 1e4
+    assert replace(selection, attempted=[*search.attempted, beside]).in_best_form(0) is best
 
 
 def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...plant import CATALOGUE
+from ...plant.catalogue.form_corrections import FAMILY
 from ..estimation import Estimate, Fit, Unknown, explained_share, nearly_explained
 from ..settings import rule
 from ..state import Estimates
@@ -96,10 +97,7 @@ class Selection:
     def in_best_form(self, channel: int) -> Estimate:
         """The estimate of a channel, with that correction of form that explains most of those that were refitted, if one does."""
         found = self.estimates[channel]
-        names = [(u.name, u.channel) for u in found.unknowns]
-        forms = [
-            p for p in self.attempted if [(u.name, u.channel) for u in p.unknowns][: len(names)] == names
-        ]
+        forms = [p for p in self.attempted if _names_without_form(p) == _names_without_form(found)]
         return min([found, *forms], key=lambda p: p.cost)
 
     def effects_by_channel(self) -> dict[int | None, list[str]]:
@@ -158,6 +156,13 @@ class Search:
         found, needed = gains[effect], penalty(self.fit, effect)
         behind = {name: max(0.0, found - g) for name, g in gains.items() if name != effect}
         return {n: d for n, d in behind.items() if d < self.fit.settings.tied_share * found or d < needed}
+
+
+def _names_without_form(estimate: Estimate) -> list[tuple[str, int | None]]:
+    """The unknowns of an estimate, but those of corrections of form."""
+    return [
+        (u.name, u.channel) for u in estimate.unknowns if not u.effect or CATALOGUE[u.effect].family != FAMILY
+    ]
 
 
 def penalty_per_parameter(fit: Fit) -> float:

@@ -106,6 +106,7 @@ def _leak_curve(leakage, pressure, mean_pressure, leak_0, leak_1, leak_2, conduc
 def _drained_by_curve(
     mean_pressure, pressure, bulk_modulus, V, leak_0, leak_1, leak_2, conductance, supply_pressure
 ):
+    # The same oil, so the same curve: laws are pasted into the kernel and have no functions in common.
     share = 1.0 + mean_pressure + sign(conductance) * pressure / supply_pressure
     share = share if share > 0.0 else 0.0
     curve = leak_0 + (leak_1 - leak_0) * clip(share * 8.0 - 1.0, 0.0, 1.0)
