@@ -28,10 +28,10 @@ def rates(
     current_rate = (voltage - resistance * current - alpha * spool_speed) / L
 
     # Friction of the spool: LuGre, (9)-(11); (10) is printed without the factor z.
-    slip = abs(spool_speed) / vs
-    breakaway = Fc + (Fs - Fc) * bell(slip)
-    bristle_rate = spool_speed - s0 * abs(spool_speed) / breakaway * bristle
-    friction = s0 * bristle + s1 * bristle_rate + s2 * spool_speed
+    breakaway = Fc + (Fs - Fc) * bell(spool_speed / vs)
+    relaxation = s0 * bristle * abs(spool_speed) / breakaway
+    bristle_rate = spool_speed - relaxation
+    friction = s0 * bristle + (s1 + s2) * spool_speed - s1 * relaxation
 
     # End stops: a stiff spring that damps on the way in and never pulls (Hunt and Crossley 1975), so that a blow is
     # nearly plastic: the spool leaves no faster than v_stop.

@@ -42,12 +42,13 @@ def exp(x):
 def bell(x):
     """exp(-x^2), absolute error below 2e-6, below 1e-9 for |x| < 1.
 
-    A polynomial on -x^2/8, squared three times: cheaper than `exp`, since nobody needs many digits of the tail.
+    A polynomial for exp(-x^2/8), squared three times: cheaper than `exp`, since nobody needs many digits of the tail.
     """
     s = x * x
-    t = (s if s < 14.0 else 14.0) * -0.125
-    q = t * t
-    y = (1.0 + t) + q * ((0.5 + t * (1.0 / 6.0)) + q * ((1.0 / 24.0 + t * (1.0 / 120.0)) + q * (1.0 / 720.0)))
+    s = s if s < 14.0 else 14.0
+    q = s * s
+    tail = (1.0 / 98304.0 - s * (1.0 / 3932160.0)) + q * (1.0 / 188743680.0)
+    y = ((1.0 - s * 0.125) + q * (1.0 / 128.0 - s * (1.0 / 3072.0))) + q * q * tail
     y = y * y
     y = y * y
     return y * y

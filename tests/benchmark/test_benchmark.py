@@ -518,7 +518,7 @@ PINNED = {
     "compensated": (41.74, 8.90),
     "adaptive_flow": (39.99, 13.00),
     "probing_flow": (30.29, 5.56),
-    "bench_flow": (28.85, 4.39),
+    "bench_flow": (28.85, 4.10),
     "servo_pid": (24.45, 5.32),
     "oracle": (25.41, 0.84),
 }

@@ -6,10 +6,9 @@ own pace: a step has another length on every lane, and `pace` begins the next su
 the parameters and the length of a step settle. `refine` finds stiff channels; `look` gives the outputs, and `guard` puts
 lanes that have diverged to rest.
 
-What makes it fast: nothing is computed in every stage that `pace` can compute once; sums over earlier stages come before
-the rates they are added to, so that little waits for the friction's long chain of operations; the matrix W leaves out the
-falling slope of the Stribeck curve, which would cost work and, when steep, stability. Its arrow structure solves in some
-thirty operations.
+What makes it fast: nothing is computed in every stage that `pace` can compute once; the friction of the spool, a long chain of
+operations, is added last to what has been summed meanwhile (`latest`); the matrix W leaves out the falling slope of the Stribeck
+curve, which would cost work and, when steep, stability. Its arrow structure solves in some thirty operations.
 """
 
 from __future__ import annotations
@@ -24,6 +23,7 @@ from ..catalogue import Effect
 from ..stiffness import FINE_PARTS, LINE, MOST_FINER, SPOOL
 from .driver import NUMBERS
 from .integrator import METHOD, integral_coefficients
+from .latest import added_last
 from .layout import (
     DIVISORS,
     FACTORS,
@@ -57,7 +57,7 @@ _SOLUTION = [
     " * e_spool_speed",
     "u__current = (r__current - w_back * u__spool_speed) * e_current",
     "u__spool = (r__spool + u__spool_speed) * gh",
-    "u__bristle = (r__bristle + w_slope * u__spool_speed) * e_bristle",
+    "u__bristle = r__bristle * e_bristle + w_slope * u__spool_speed",
     "q__pressure = r__pressure + w_flow * u__spool",
     "u__speed = (r__speed + w_lift * q__pressure) * e_speed",
     "u__pressure = (q__pressure - w_pump * u__speed) * e_pressure",
@@ -195,28 +195,27 @@ class _Sweeps:
         lines += [f"{at.cell('wanted')} = {at.cell('fine')}", f"if {near}:"]
         return lines + ["    " + line for line in then]
 
-    def _solve(self, summed: bool) -> list[str]:
-        """(ig - W) u = r, where r is the rate plus, if `summed`, a combination of earlier stages."""
-        lines = [f"r__{n} = {f'sum__{n} + ' if summed else ''}{n}_rate" for n in self.at.staged]
-        return lines + _SOLUTION + [f"u__{n} = r__{n} * f__{n}" for n in self.at.own_states]
+    def _solve(self, lines: Iterable[str], summed: bool) -> list[str]:
+        """(ig - W) u = r after `lines` for rates and factors; r is the rate plus, if `summed`, a sum over earlier stages."""
+        sums = [f"r__{n} = {f'sum__{n} + ' if summed else ''}{n}_rate" for n in self.at.staged]
+        own = [f"u__{n} = r__{n} * f__{n}" for n in self.at.own_states]
+        return added_last([*lines, *sums, *_SOLUTION, *own], "relaxation", "u__spool_speed", shared=summed)
 
     def first_stage(self) -> list[str]:
         """Rates, matrix, its factors, and the solution u0, all in one sweep."""
         at, step = self.at, self.substep
         lines = at.load(at.states, step.rates_text + " ".join(at.states)) + self._inputs
         lines += [*at.load(["step", "ig"], "step ig"), f"gh = {METHOD.gamma!r} * step"]
-        used = [step.rates_text, *step.slopes, *step.factors]
-        lines += (
-            at.load(at.constants, "\n".join(used)) + step.rates + step.own_rates + step.slopes + step.factors
-        )
-        lines += [f"{at.cell('f__' + name)} = {name}" for name in FACTORS if name not in step.factor_rows]
+        made = step.rates + step.own_rates + step.slopes + step.factors
+        lines += at.load(at.constants, "\n".join(made))
         for name, adding in states_of(at.effects).items():
             decays = [call(e, s.name + "_decay", s.decay, s.given) for e, s in adding if s.decay is not None]
             slope = f"({' + '.join(['ig', *decays])})" if decays else "ig"
-            lines.append(f"f__{name} = 1.0 / {slope}")
-            lines.append(f"{at.cell('f__' + name)} = f__{name}")
+            made.append(f"f__{name} = 1.0 / {slope}")
+        lines += self._solve(made, summed=False)
+        lines += [f"{at.cell('f__' + name)} = {name}" for name in FACTORS if name not in step.factor_rows]
+        lines += [f"{at.cell('f__' + name)} = f__{name}" for name in at.own_states]
         lines += [f"{at.cell('next_flow')} = flow"] if self.exchanges_flows else []
-        lines += self._solve(summed=False)
         return lines + [f"{at.cell('u0__' + name)} = u__{name}" for name in at.staged]
 
     def later_stage(self, number: int) -> list[str]:
@@ -237,11 +236,11 @@ class _Sweeps:
             if number == 3 or uses(name, step.rates_text):
                 terms = "".join(f" + q{number}{j} * u{j}__{rate}" for j in range(number))
                 lines += [f"begin__{rate} = {at.cell(rate)}", f"begin__{name} = {at.cell(name)}"]
-                lines += [f"{name} = begin__{name} + p{number} * begin__{rate}{terms}"]
-        lines += self._inputs + at.load(at.constants, step.rates_text) + step.rates + step.own_rates
+                lines += [f"{name} = begin__{name} + step * (p{number} * begin__{rate}{terms})"]
+        lines += self._inputs + at.load(at.constants, step.rates_text)
         lines += [f"{name} = {at.cell(step.factor_rows.get(name, f'f__{name}'))}" for name in FACTORS]
         lines += [f"f__{name} = {at.cell('f__' + name)}" for name in at.own_states]
-        lines += self._solve(summed=True)
+        lines += self._solve(step.rates + step.own_rates, summed=True)
         if number < 3:
             return lines + [f"{at.cell(f'u{number}__{name}')} = u__{name}" for name in at.staged]
         return lines + self._end_of_step()
@@ -252,7 +251,7 @@ class _Sweeps:
         lines = [f"{name} = {name} + u__{name}" for name in at.staged]
         for name, rate in INTEGRAL.items():
             terms = "".join(f" + q4{j} * u{j}__{rate}" for j in range(3))
-            lines += [f"{name} = begin__{name} + p4 * begin__{rate}{terms} + q43 * u__{rate}"]
+            lines += [f"{name} = begin__{name} + step * (p4 * begin__{rate}{terms} + q43 * u__{rate})"]
         # A lane that has done all its substeps waits for the others.
         lines += at.load(["todo", "left", "time"], "todo left time")
         lines += ["going = todo > 0.0", "left = left - 1.0", "todo = todo - 1.0 if left <= 0.0 else todo"]
@@ -312,8 +311,8 @@ def _coefficients(stage: int) -> list[str]:
         lines.append(f"a{stage}{j} = {float(METHOD.a[stage, j])!r}")
         lines.append(f"c{stage}{j} = {float(METHOD.c[stage, j])!r} * ih")
     for i in (3, 4) if stage == 3 else (stage,):
-        lines += [f"p{i} = {float(p[i])!r} * step"]
-        lines += [f"q{i}{j} = {float(q[i, j])!r} * step" for j in range(min(i, 4))]
+        lines += [f"p{i} = {float(p[i])!r}"]
+        lines += [f"q{i}{j} = {float(q[i, j])!r}" for j in range(min(i, 4))]
     return lines
 
 

@@ -28,7 +28,7 @@ RECIPROCALS = tuple(f"per_{name}" for name in DIVISORS)
 #: Factors of the matrix that the stages share, see `statements.FACTORISATION`.
 FACTORS = (
     "e_current", "e_bristle", "e_spool_speed", "w_spool", "w_bristle", "w_current", "w_back", "w_slope", "e_speed",
-    "e_pressure", "w_flow", "w_pump", "w_lift",
+    "e_pressure", "w_flow", "w_pump", "w_lift", "u__spool_speed__share",
 )  # fmt: skip
 #: How a lane goes: substeps of the row to do; parts of this substep that are left; in how many parts it is taken, and the next
 #: one should be; the length of a part, s, its reciprocal, and that of gamma times it.

@@ -131,12 +131,11 @@ def _depends(quantity: str, effects: Iterable[Effect], argument: str) -> bool:
 def _slopes(effects: tuple[Effect, ...]) -> list[str]:
     """Statements for the entries of W that close a loop; by differences where an effect changes them."""
     lines = [
-        # LuGre, without the slope of the Stribeck curve
-        "bristle_decay = s0 * abs(spool_speed) / breakaway",
-        "decay_slope = sign(spool_speed) * s0 / breakaway",
-        "bristle_slope = clip(1.0 - decay_slope * bristle, 0.0, 2.0)",
-        "friction_bristle = s0 - s1 * bristle_decay",
-        "friction_slope = s1 * bristle_slope + s2 + C + (k_stop * past / v_stop if contact > 0.0 else 0.0)",
+        # LuGre without the slope of the Stribeck curve; the first three times the breakaway force
+        "sliding = s0 * abs(spool_speed)",
+        "bristle_slope = clip(breakaway - s0 * bristle * sign(spool_speed), 0.0, 2.0 * breakaway)",
+        "friction_bristle = s0 * breakaway - s1 * sliding",
+        "friction_slope = s2 + C + (k_stop * past / v_stop if contact > 0.0 else 0.0)",
         "stiffness = k + (k_stop * grip if contact > 0.0 else 0.0)",
     ]
     if _depends("force", effects, "spool"):
@@ -199,18 +198,23 @@ def _shaft_slope(effects: tuple[Effect, ...]) -> list[str]:
 
 
 #: The factors of W = ig - slopes, by elimination: current, spool and bristle into the spool speed, pressure into the speed.
+#: The division of the bristle is taken into the denominator of the spool speed, so that neither waits for the other.
 FACTORISATION = [
     "inertia = per_m",
     "e_current = 1.0 / (ig + resistance * per_L)",
-    "e_bristle = 1.0 / (ig + bristle_decay)",
+    "bristles = ig * breakaway + sliding",
+    "per_bristles = 1.0 / bristles",
+    "e_bristle = breakaway * per_bristles",
     "w_spool = stiffness * inertia * gh",
-    "w_bristle = friction_bristle * inertia * e_bristle",
+    "w_bristle = friction_bristle * inertia * per_bristles",
     "w_current = alpha * inertia * e_current",
     "w_back = alpha * per_L",
-    "w_slope = bristle_slope",
-    # A product of its own: whether it is settled beforehand or not, it is rounded before it is added.
+    "w_slope = bristle_slope * per_bristles",
+    # Products of their own: whether they are settled beforehand or not, they are rounded before they are added.
     "w_coil = w_current * w_back",
-    "e_spool_speed = 1.0 / (ig + positive(friction_slope * inertia + w_spool * gh + w_bristle * w_slope + w_coil))",
+    "w_sliding = (s0 + s1 * ig) * inertia",
+    "rest = ig + (friction_slope * inertia + w_spool * gh + w_coil)",
+    "e_spool_speed = bristles / (rest * bristles + w_sliding * bristle_slope)",
     "softness = bulk_modulus * per_V",
     "w_flow = softness * Kq",
     "w_pump = softness * displacement",
