@@ -22,7 +22,7 @@ def short_refit(fit: Fit, estimates: Sequence[Estimate]) -> None:
 
     Where simulating costs next to nothing all derivatives are fresh and there are more steps.
     """
-    fit.evaluate(estimates)
+    fit.evaluate([p for p in estimates if not p.simulated])
     if fit.rig.simulation_is_cheap:
         differentiate(fit, estimates)
         solve(fit, estimates, CHEAP_ITERATIONS)

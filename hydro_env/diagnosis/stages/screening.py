@@ -9,7 +9,7 @@ zone, play or stiction has no useful derivative at zero.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -43,7 +43,8 @@ class Screening:
 
     `gain` is the expected fall of the deviance, `visible` the squared length of the signature of medium size in noise
     units after projection, by channel; `signature` that projected signature, normalised, all channels one after the other.
-    `unprojected` is the squared length before projection, `change` (n,) the unweighted signature (one channel only).
+    `unprojected` is the squared length before projection, `change` (n,) the unweighted signature (one channel only). `request` is
+    the simulation at `start`, and `simulated` its samples by channel.
     """
 
     effect: str
@@ -54,6 +55,14 @@ class Screening:
     signature: np.ndarray
     unprojected: float = 0.0
     change: np.ndarray | None = None
+    request: Request | None = None
+    simulated: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def begin(self, fit: Fit, estimate: Estimate) -> None:
+        """Spares an estimate that begins where the screening has been its first simulation."""
+        if estimate.request() == self.request:
+            estimate.simulated = self.simulated
+            estimate.cost = fit.cost(estimate, self.simulated, estimate.q)
 
     @property
     def hidden(self) -> bool:
@@ -112,7 +121,8 @@ def screen(
                 starts = [start for start in starts if _is_medium(effect, start)] or starts
             slow = effect.corner is not None and known
             wanted += [(name, channel, s, _is_medium(effect, s)) for s in (known if slow else starts)]
-    results = fit.rig.predict([_request(estimates, name, c, start) for name, c, start, _ in wanted])
+    requests = [_request(estimates, name, c, start) for name, c, start, _ in wanted]
+    results = fit.rig.predict(requests)
     left = {c: _Projector(fit, p, c, _deviations(fit, p, c)) for c, p in estimates.items()}
     noise = {
         c: _Projector(fit, p, c, {s.signal: fit.noise[c, s.signal] for s in fit.rig.segments[c]})
@@ -120,7 +130,7 @@ def screen(
     }
     errors = {c: left[c](_error(fit, p, c)) for c, p in estimates.items()}
     found: dict[tuple[str, int | None], Screening] = {}
-    for (name, channel, start, medium), result in zip(wanted, results, strict=True):
+    for (name, channel, start, medium), request, result in zip(wanted, requests, results, strict=True):
         channels = fit.rig.channels if channel is None else (channel,)
         if not all(np.isfinite(result[c]).all() for c in channels):
             continue
@@ -137,8 +147,8 @@ def screen(
             one.visible, one.signature = size, direction
             one.unprojected = sum(float(np.sum((changes[c] * noise[c].weights) ** 2)) for c in channels)
             one.change = changes[channel] if channel is not None else None
-        if gained > one.gain:
-            one.gain, one.start = gained, start
+        if one.request is None or gained > one.gain:
+            one.gain, one.start, one.request, one.simulated = gained, start, request, result
     return sorted(found.values(), key=lambda k: -k.gain)
 
 

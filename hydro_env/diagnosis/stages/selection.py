@@ -229,6 +229,8 @@ def _short_refits(
                 refits.append(Refit(c, one, search.present[c].extended(one.effect, one.start, c)))
             else:
                 search.record(one.effect, c, number, one.gain, "explains too little at first look")
+    for r in refits:
+        r.screened.begin(search.fit, r.estimate)
     if refits:
         short_refit(search.fit, [r.estimate for r in refits])
     return refits
