@@ -19,9 +19,9 @@ from hydro_env.errors import InputError, InputWarning, shown
 
 __all__ = ["main", "run", "spread"]
 
-GARBAGE = 50_000
+GARBAGE = 1_000_000
 """Objects that are made before Python looks for cyclic garbage, 700 by default. Imports, Numba and fits make many that stay: of
-seven seconds of a diagnosis' main thread that search took half a one. The most memory in use is the same."""
+a diagnosis that search took a tenth, with 50 thousand a twentieth. The most memory in use is the same."""
 EXTRAS = {
     "plotly": "report",
     "jinja2": "report",
