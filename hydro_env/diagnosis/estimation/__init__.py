@@ -23,7 +23,7 @@ from .explained import (
     unexplained,
 )
 from .fit import Fit, Noise, noise_of
-from .gauss_newton import SETTLE_ITERATIONS, differentiate, solve
+from .gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
 from .growing_horizon import grow_horizon
 from .multistart import far_from_noise, restart_friction
 from .noise import effective_samples, noise_floor
@@ -52,6 +52,6 @@ __all__ = [
     "base_unknown", "bases_of", "best_on_beginnings", "could_pay", "courses_apart", "differentiate", "effect_starts",
     "effect_unknowns", "effective_samples", "explained_share", "far_from_noise", "grow_horizon", "intervals_of",
     "joined", "less_taken", "limited_by_effects", "mostly_explained", "nearly_explained", "noise_floor", "noise_of",
-    "probability_of_gain", "restart_friction", "scaled", "settle", "settle_finally", "solve",
+    "probability_of_gain", "restart_friction", "scaled", "settle", "settle_finally", "solve", "step_all",
     "unexplained", "unpredictable",
 ]  # fmt: skip

@@ -25,6 +25,8 @@ Noise = dict[tuple[int, str], float]
 FEWEST = 8
 #: Standard deviations of the test for white noise (`Fit.is_white`) from which on it fails.
 WHITE = 3.0
+#: Rows of derivatives that stay in the processor's cache: their products take half as long as those of all rows.
+CACHED = 2048
 
 
 def noise_of(rig: RigModel, estimates: dict[int, Estimate]) -> Noise:
@@ -216,12 +218,14 @@ class Fit:
         prior = np.array([1.0 if u.prior else 0.0 for u in estimate.unknowns])
         matrix, side = np.diag(prior), -prior * estimate.q
         for channel in self.channels_of(estimate):
-            simulated = estimate.simulated[channel]
-            weights = self.weights(simulated, channel)
-            columns = estimate.columns[channel].T * weights
-            measured = self.rig.segments[channel].joined.filled
-            matrix += columns @ columns.T
-            side += columns @ ((measured - simulated) * weights)
+            simulated, columns = estimate.simulated[channel], estimate.columns[channel]
+            weights = self.weights(simulated, channel) ** 2
+            error = self.rig.segments[channel].joined.filled - simulated
+            for first in range(0, error.size, CACHED):
+                rows = slice(first, first + CACHED)
+                weighted = columns[rows].T * weights[rows]
+                matrix += weighted @ columns[rows]
+                side += weighted @ error[rows]
         return matrix.reshape(prior.size, prior.size), side
 
     def normal_equations_by_stretch(self, estimate: Estimate, stretch_s: float) -> tuple[Vector, Vector]:

@@ -70,12 +70,12 @@ def solve(
         live = [p for p in live if stalled[id(p)] < len(DIFFERENCE_STEPS) and id(p) not in out]
 
 
-def step_all(fit: Fit, live: Sequence[Estimate]) -> None:
+def step_all(fit: Fit, live: Sequence[Estimate], factors: Sequence[float] = STEP_FACTORS) -> None:
     """One Gauss-Newton step of every estimate, the best of its multiples."""
     trials = []
     for p in live:
         step, (low, high) = _bounded_step(p, *fit.normal_equations(p)), p.bounds
-        trials += [(p, np.clip(p.q + factor * step, low, high)) for factor in STEP_FACTORS]
+        trials += [(p, np.clip(p.q + factor * step, low, high)) for factor in factors]
     results = fit.rig.predict([p.request(q) for p, q in trials])
     for (estimate, q), result in zip(trials, results, strict=True):
         cost = fit.cost(estimate, result, q)

@@ -87,6 +87,7 @@ class DynamicRig:
         self._logs: dict[float, list[int]] = {}
         for number in sorted(range(len(parts)), key=lambda n: -len(parts[n].log)):
             self._logs.setdefault(parts[number].log.period, []).append(number)
+        self._pairs: dict[str, np.ndarray] = {}
         self._kept_inputs: dict[tuple[tuple[int, int, int, int], ...], np.ndarray] = {}
         #: A plant of the model for each effects, substep, number of rigs and block, of which every batch takes a copy: to make
         #: one takes longer than to copy it.
@@ -268,7 +269,7 @@ class DynamicRig:
                     plays[lane, side] = requests[n].channel
         if (plays != [0, 1]).any():
             names |= self._unequal
-        values = {name: np.array(self.model.pair(name))[plays] for name in names}
+        values = {name: self._pair(name)[plays] for name in names}
         # Which side of which lane shows a channel of a request.
         shown: list[tuple[int, int, int, int]] = []
         for lane, (_, rig) in enumerate(batch.lanes):
@@ -287,6 +288,12 @@ class DynamicRig:
                     results[n][channel][segment.place] = segment.levelled(signal[: segment.rows.size])
         if self.progress is not None:
             self.progress(len({n for lane, _, n, _ in shown if batch.lanes[lane][0] == 0}))
+
+    def _pair(self, name: str) -> np.ndarray:
+        """The values (2,) of a parameter in the model as given."""
+        if name not in self._pairs:
+            self._pairs[name] = np.array(self.model.pair(name))
+        return self._pairs[name]
 
     def _seen(self, request: Request) -> tuple[int, ...]:
         return self.channels if request.channel is None else (request.channel,)
