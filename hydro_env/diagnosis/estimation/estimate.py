@@ -120,8 +120,9 @@ class Estimate:
     def extended(self, effect: str, start: dict[str, float], on: int | None = None) -> Estimate:
         """An effect more, with the derivatives taken along; those of the new parameters are zero."""
         twin = self.with_effect(effect, start, on)
-        added = len(twin.unknowns) - len(self.unknowns)
-        twin.columns = {c: np.hstack([m, np.zeros((m.shape[0], added))]) for c, m in self.columns.items()}
+        for c, known in self.columns.items():
+            twin.columns[c] = np.zeros((known.shape[0], len(twin.unknowns)), order="F")  # column by column, as they come
+            twin.columns[c][:, : known.shape[1]] = known
         return twin
 
     def without(self, effect: str, on: int | None = None) -> Estimate:
