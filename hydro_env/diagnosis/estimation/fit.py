@@ -26,7 +26,7 @@ FEWEST = 8
 #: Standard deviations of the test for white noise (`Fit.is_white`) from which on it fails.
 WHITE = 3.0
 #: Rows of derivatives that stay in the processor's cache: their products take half as long as those of all rows.
-CACHED = 2048
+CACHED = 4096
 
 
 def noise_of(rig: RigModel, estimates: dict[int, Estimate]) -> Noise:
