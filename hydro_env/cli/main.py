@@ -21,7 +21,7 @@ __all__ = ["main", "run", "spread"]
 
 GARBAGE = 1_000_000
 """Objects that are made before Python looks for cyclic garbage, 700 by default. Imports, Numba and fits make many that stay: of
-a diagnosis that search took a tenth, with 50 thousand a twentieth. The most memory in use is the same."""
+a diagnosis that search took a tenth, with 50 thousand a twentieth. The most memory in use is the same, a demo's a tenth more."""
 EXTRAS = {
     "plotly": "report",
     "jinja2": "report",

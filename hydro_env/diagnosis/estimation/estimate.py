@@ -121,10 +121,9 @@ class Estimate:
         """An effect more, with the derivatives taken along; those of the new parameters are zero."""
         twin = self.with_effect(effect, start, on)
         for c, known in self.columns.items():
-            twin.columns[c] = np.zeros(
-                (known.shape[0], len(twin.unknowns)), order="F"
-            )  # column by column, as they come
-            twin.columns[c][:, : known.shape[1]] = known
+            # They lie in memory column by column, as they come.
+            own = twin.columns[c] = np.zeros((known.shape[0], len(twin.unknowns)), order="F")
+            own[:, : known.shape[1]] = known
         return twin
 
     def without(self, effect: str, on: int | None = None) -> Estimate:

@@ -11,6 +11,8 @@ import ast
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from .layout import uses
+
 __all__ = ["added_last"]
 
 
@@ -28,8 +30,8 @@ class _NotLinear(Exception):
 def added_last(lines: Sequence[str], late: str, goal: str, shared: bool = False) -> list[str]:
     """Assignments, in which `goal` gets what it owes to `late` as one product at its end.
 
-    Those between the two that depend on `late` are there as `name__early`, without it, and `name__share`, its factor. Their sum
-    follows `goal`, or comes before what is not linear. `shared`: the factor of `goal` is there already.
+    Those between the two that depend on `late` are there as `name__early`, without it, and `name__share`, its factor. Where a
+    later line uses one, its sum follows `goal`, or comes before what is not linear. `shared`: the factor of `goal` is known.
     """
     targets = [line.split(" = ", 1)[0] for line in lines]
     first, last = targets.index(late) + 1, targets.index(goal) + 1
@@ -54,7 +56,9 @@ def added_last(lines: Sequence[str], late: str, goal: str, shared: bool = False)
         known[target] = _Split(
             ast.Name(f"{target}__early", ast.Load()), ast.Name(f"{target}__share", ast.Load())
         )
-    return [*found, *_sums(known, late), *lines[last:]]
+    rest = "\n".join(lines[last:])
+    used = {name: own for name, own in known.items() if name == goal or uses(name, rest)}
+    return [*found, *_sums(used, late), *lines[last:]]
 
 
 def _sums(known: dict[str, _Split], late: str) -> list[str]:

@@ -25,7 +25,7 @@ INTEGRAL = {"angle": "speed"}
 #: Base parameters that are divided by: their reciprocals are rows of their own, since a division costs ten products.
 DIVISORS = ("L", "m", "V", "J", "vs", "v_stop")
 RECIPROCALS = tuple(f"per_{name}" for name in DIVISORS)
-#: Factors of the matrix that the stages share, see `statements.FACTORISATION`.
+#: Factors that the stages share: of the matrix, see `statements.FACTORISATION`, and of what is added last, see `latest`.
 FACTORS = (
     "e_current", "e_bristle", "e_spool_speed", "w_spool", "w_bristle", "w_current", "w_back", "w_slope", "e_speed",
     "e_pressure", "w_flow", "w_pump", "w_lift", "u__spool_speed__share",
