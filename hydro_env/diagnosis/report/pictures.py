@@ -138,9 +138,8 @@ def bars(found: Diagnosis) -> Any:
     labels = [f"{s.name} {s.channel + 1}" for s in signals]
     left = 0.2 + LETTER * max(map(len, labels))
     drawing, (axis,) = figure(1, height=0.8 * len(signals) + 0.9, left=left)
-    formed = bool(found.state.corrections)
-    names = ("before", "calibrated", "placebo", *((NAMED,) if formed else ()), "after")
-    said = {NAMED: "effects only", "after": "after, with shape correction" if formed else "after"}
+    names = ("before", "calibrated", "placebo", *((NAMED,) if found.state.corrections else ()), "after")
+    said = {NAMED: "effects only"}  # as in the table above the picture
     step = 0.8 / len(names)
     rows = np.arange(len(signals))[::-1]
     over_noise = {n: [s.errors[n] / max(s.errors["noise"], 1e-30) for s in signals] for n in names}
