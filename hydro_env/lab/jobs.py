@@ -104,11 +104,12 @@ class Jobs:
         process.wait()
         listener.join()
         try:
-            self.latest = self._ended(job, work, said)
+            ended = self._ended(job, work, said)
         except OSError as problem:
-            self.latest = replace(job, state="failed", problem=f"{self._out}: {problem.strerror}")
-        finally:
-            shutil.rmtree(work, ignore_errors=True)
+            ended = replace(job, state="failed", problem=f"{self._out}: {problem.strerror}")
+        # Nothing may be left of the work when the end is told.
+        shutil.rmtree(work, ignore_errors=True)
+        self.latest = ended
 
     def _ended(self, job: Job, work: Path, said: list[str]) -> Job:
         if self._cancelled:
