@@ -130,18 +130,19 @@ def test_the_delay_line_is_as_long_as_the_models_delay() -> None:
 
 
 # --- the integrator ---------------------------------------------------------------------------------------------------
-def test_the_method_meets_its_order_conditions_with_any_matrix() -> None:
-    """Hairer and Wanner II, IV.7: order 3 of a Rosenbrock method whose matrix is not the Jacobian."""
+def test_the_method_meets_its_order_conditions() -> None:
+    """Hairer and Wanner II, IV.7: order 3 with the Jacobian as the matrix, order 2 with any matrix, L-stable."""
     alpha, gamma, b = METHOD.alpha, METHOD.Gamma, METHOD.b
-    a, g = alpha.sum(axis=1), gamma.sum(axis=1)
+    a, g, every = alpha.sum(axis=1), gamma.sum(axis=1), alpha + gamma
     assert b.sum() == pytest.approx(1, abs=1e-13)
     assert b @ a == pytest.approx(1 / 2, abs=1e-13)
+    assert b @ g == pytest.approx(0, abs=1e-13)
     assert b @ a**2 == pytest.approx(1 / 3, abs=1e-13)
-    assert b @ alpha @ a == pytest.approx(1 / 6, abs=1e-13)
-    for zero in (b @ g, b @ alpha @ g, b @ gamma @ a, b @ gamma @ g):
-        assert zero == pytest.approx(0, abs=1e-13)
-    # Stiffly accurate: the last stage is the result.
-    assert np.allclose(alpha[3] + gamma[3], b)
+    assert b @ every @ every.sum(axis=1) == pytest.approx(1 / 6, abs=1e-13)
+    # What is left of a decay that is infinitely fast.
+    assert 1 - b @ np.linalg.solve(every, np.ones(3)) == pytest.approx(0, abs=1e-13)
+    # The kernel computes the rates of the last two stages once.
+    assert np.array_equal(alpha[1], alpha[2])
 
 
 def test_the_error_falls_with_the_third_power_of_the_step() -> None:
@@ -155,8 +156,8 @@ def test_the_error_falls_with_the_third_power_of_the_step() -> None:
         )
         return np.array([out["speed"][-1, 0, 0], out["pressure"][-1, 0, 0] / 1e5])
 
-    exact = final(1e-5)
-    errors = [np.abs(final(h) - exact) for h in (2.5e-4, 1.25e-4, 6.25e-5)]
+    exact = final(5e-6)
+    errors = [np.abs(final(h) - exact) for h in (1.25e-4, 6.25e-5, 3.125e-5)]
     slopes = np.log2(errors[0] / errors[1]), np.log2(errors[1] / errors[2])
     assert min(slope.min() for slope in slopes) > 2.6, (errors, slopes)
 
@@ -175,7 +176,8 @@ def crowd(substep: float, names: list[str], **base: float) -> Plant:
 
 
 def test_the_order_holds_with_every_effect() -> None:
-    """On a smooth motion, as above; where an effect has a kink that the motion passes, or is late by a substep, less."""
+    """On a smooth motion, as above: 2 where the matrix is not the Jacobian; where an effect has a kink that the motion passes, or is
+    late by a substep, less."""
     first_order = (
         "supply_droop",
         "viscosity_drift",
@@ -196,7 +198,7 @@ def test_the_order_holds_with_every_effect() -> None:
         if name in first_order:
             assert order > 0.8 and error < 5e-3, (name, order, error)
         else:
-            assert error < 1e-5 and (order > 2.0 or name in kinks), (name, order, error)
+            assert error < 5e-4 and (order > 1.8 or name in kinks), (name, order, error)
 
 
 @pytest.mark.parametrize("kind", ["steps", pytest.param("sine", marks=pytest.mark.slow), "random"])

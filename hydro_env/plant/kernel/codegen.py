@@ -1,14 +1,14 @@
 """Writes the module of a kernel: the sweeps over the lanes of a block, which `driver` calls.
 
 A sweep is one loop over all lanes. `begin` makes the first stage of a step and the factors of its matrix, `finish` the other
-three, and `ask` says in how many parts a lane wants its next substep. Lanes are independent of each other, so each goes at its
+two, and `ask` says in how many parts a lane wants its next substep. Lanes are independent of each other, so each goes at its
 own pace: a step has another length on every lane, and `pace` begins the next substep where one is done. It computes once what
 the parameters and the length of a step settle. `refine` finds stiff channels; `look` gives the outputs, and `guard` puts
 lanes that have diverged to rest.
 
 What makes it fast: nothing is computed in every stage that `pace` can compute once; the friction of the spool, a long chain of
-operations, is added last to what has been summed meanwhile (`latest`); the matrix W leaves out the falling slope of the Stribeck
-curve, which would cost work and, when steep, stability. Its arrow structure solves in some thirty operations.
+operations, is added last to what has been summed meanwhile (`latest`); two of the three stages share their rates; the arrow
+structure of the matrix W solves in some thirty operations.
 """
 
 from __future__ import annotations
@@ -195,11 +195,17 @@ class _Sweeps:
         lines += [f"{at.cell('wanted')} = {at.cell('fine')}", f"if {near}:"]
         return lines + ["    " + line for line in then]
 
-    def _solve(self, lines: Iterable[str], summed: bool) -> list[str]:
-        """(ig - W) u = r after `lines` for rates and factors; r is the rate plus, if `summed`, a sum over earlier stages."""
+    @property
+    def _solution(self) -> list[str]:
+        """The solution of (ig - W) u = r."""
+        return [*_SOLUTION, *(f"u__{name} = r__{name} * f__{name}" for name in self.at.own_states)]
+
+    def _solve(self, lines: Iterable[str], summed: bool, then: Iterable[str] = ()) -> list[str]:
+        """`lines` for rates and factors, the solution for r, and what comes `then`; r is the rate plus, if `summed`, a sum over
+        earlier stages."""
         sums = [f"r__{n} = {f'sum__{n} + ' if summed else ''}{n}_rate" for n in self.at.staged]
-        own = [f"u__{n} = r__{n} * f__{n}" for n in self.at.own_states]
-        return added_last([*lines, *sums, *_SOLUTION, *own], "relaxation", "u__spool_speed", shared=summed)
+        lines = [*lines, *sums, *self._solution, *then]
+        return added_last(lines, "relaxation", "u__spool_speed", shared=summed)
 
     def first_stage(self) -> list[str]:
         """Rates, matrix, its factors, and the solution u0, all in one sweep."""
@@ -218,40 +224,37 @@ class _Sweeps:
         lines += [f"{at.cell('next_flow')} = flow"] if self.exchanges_flows else []
         return lines + [f"{at.cell('u0__' + name)} = u__{name}" for name in at.staged]
 
-    def later_stage(self, number: int) -> list[str]:
-        """Stage 1, 2 or 3: rates at the stage, and its solution; the last one moves the states."""
+    def later_stages(self) -> list[str]:
+        """The second and third stage, which share their rates; the states move."""
         at, step = self.at, self.substep
         lines = [
             *at.load(["step", "ih", "ig"], "step ih ig"),
             f"gh = {METHOD.gamma!r} * step",
-            *_coefficients(number),
+            *_coefficients(),
         ]
         for name in at.staged:
-            for j in range(number):
-                lines.append(f"u{j}__{name} = {at.cell(f'u{j}__{name}')}")
-            terms = "".join(f" + a{number}{j} * u{j}__{name}" for j in range(number))
-            lines += [f"{name} = {at.cell(name)}{terms}"]
-            lines += [f"sum__{name} = " + " + ".join(f"c{number}{j} * u{j}__{name}" for j in range(number))]
+            lines += [f"begin__{name} = {at.cell(name)}", f"u0__{name} = {at.cell(f'u0__{name}')}"]
+            lines += [f"{name} = begin__{name} + a10 * u0__{name}", f"sum__{name} = c10 * u0__{name}"]
         for name, rate in INTEGRAL.items():
-            if number == 3 or uses(name, step.rates_text):
-                terms = "".join(f" + q{number}{j} * u{j}__{rate}" for j in range(number))
-                lines += [f"begin__{rate} = {at.cell(rate)}", f"begin__{name} = {at.cell(name)}"]
-                lines += [f"{name} = begin__{name} + step * (p{number} * begin__{rate}{terms})"]
+            moved = f"p1 * begin__{rate} + q10 * u0__{rate}"
+            lines += [f"begin__{name} = {at.cell(name)}", f"{name} = begin__{name} + step * ({moved})"]
         lines += self._inputs + at.load(at.constants, step.rates_text)
         lines += [f"{name} = {at.cell(step.factor_rows.get(name, f'f__{name}'))}" for name in FACTORS]
         lines += [f"f__{name} = {at.cell('f__' + name)}" for name in at.own_states]
-        lines += self._solve(step.rates + step.own_rates, summed=True)
-        if number < 3:
-            return lines + [f"{at.cell(f'u{number}__{name}')} = u__{name}" for name in at.staged]
-        return lines + self._end_of_step()
+        third = [f"u1__{name} = u__{name}" for name in at.staged]
+        third += [f"r__{name} = d0 * u0__{name} + d1 * u1__{name}" for name in at.staged]
+        third += self._solution
+        return self._solve(
+            [*lines, *step.rates, *step.own_rates], summed=True, then=[*third, *self._end_of_step()]
+        )
 
     def _end_of_step(self) -> list[str]:
-        at = self.at
-        # Stiffly accurate: the step ends where the last stage stands, plus its u.
-        lines = [f"{name} = {name} + u__{name}" for name in at.staged]
+        at, lines = self.at, []
+        for name in at.staged:
+            lines += [f"{name} = begin__{name} + m0 * u0__{name} + m1 * u1__{name} + u__{name}"]
         for name, rate in INTEGRAL.items():
-            terms = "".join(f" + q4{j} * u{j}__{rate}" for j in range(3))
-            lines += [f"{name} = begin__{name} + step * (p4 * begin__{rate}{terms} + q43 * u__{rate})"]
+            moved = f"p3 * begin__{rate} + q30 * u0__{rate} + q31 * u1__{rate} + q32 * u__{rate}"
+            lines += [f"{name} = begin__{name} + step * ({moved})"]
         # A lane that has done all its substeps waits for the others.
         lines += at.load(["todo", "left", "time"], "todo left time")
         lines += ["going = todo > 0.0", "left = left - 1.0", "todo = todo - 1.0 if left <= 0.0 else todo"]
@@ -303,17 +306,17 @@ def _bends(effects: Iterable[Effect]) -> list[_Bend]:
     return bends
 
 
-def _coefficients(stage: int) -> list[str]:
-    """The tableau of a stage (1, 2 or 3), and of the end after the last one, for a step of `step` s, ih = 1 / step."""
-    p, q = integral_coefficients(METHOD)
-    lines = []
-    for j in range(stage):
-        lines.append(f"a{stage}{j} = {float(METHOD.a[stage, j])!r}")
-        lines.append(f"c{stage}{j} = {float(METHOD.c[stage, j])!r} * ih")
-    for i in (3, 4) if stage == 3 else (stage,):
-        lines += [f"p{i} = {float(p[i])!r}"]
-        lines += [f"q{i}{j} = {float(q[i, j])!r}" for j in range(min(i, 4))]
-    return lines
+def _coefficients() -> list[str]:
+    """The tableau, for a step of `step` s, ih = 1 / step.
+
+    As it has the rates of the second stage, u of the third is that of the second plus the solution for a sum of earlier u. The
+    step needs it times m[2], which is in `d0` and `d1` at once."""
+    a, c, m, (p, q) = METHOD.a, METHOD.c, METHOD.m, integral_coefficients(METHOD)
+    found = {"a10": a[1, 0], "m0": m[0], "m1": m[1] + m[2], "p1": p[1], "q10": q[1, 0]}
+    found |= {"p3": p[3], "q30": q[3, 0], "q31": q[3, 1] + q[3, 2], "q32": q[3, 2] / m[2]}
+    lines = [f"{name} = {float(value)!r}" for name, value in found.items()]
+    rates = {"c10": c[1, 0], "d0": m[2] * (c[2, 0] - c[1, 0]), "d1": m[2] * c[2, 1]}
+    return lines + [f"{name} = {float(value)!r} * ih" for name, value in rates.items()]
 
 
 def _indent(lines: Iterable[str], depth: int = 1) -> str:
@@ -372,7 +375,7 @@ def module_text(effects: tuple[Effect, ...], half: int) -> Module:
         rated=at["u_rated"], todo=at["todo"], left=at["left"], refine=_sweep(sweeps.refine()),
         together=_indent(together.splitlines()),
         pace=_sweep(sweeps.pace()), ask=_sweep(sweeps.ask()), first=_sweep(sweeps.first_stage()),
-        second=_sweep(sweeps.later_stage(1)), third=_sweep(sweeps.later_stage(2)), fourth=_sweep(sweeps.later_stage(3)),
+        later=_sweep(sweeps.later_stages()),
         watch=_sweep(sweeps.look()), guard=_sweep(sweeps.guard()), exchange=_indent(exchange.splitlines()),
         additions=_additions(layout), **_delay_line(layout),
     )  # fmt: skip

@@ -124,7 +124,7 @@ def layout_of(effects: tuple[Effect, ...], half: int) -> Layout:
     names = [
         *kept,
         *(f"f__{name}" for name in (*FACTORS, *own_states)),
-        *(f"u{stage}__{name}" for stage in range(3) for name in bare.staged),
+        *(f"u0__{name}" for name in bare.staged),
         "applied", "next_flow", "other_flow",
         *RECIPROCALS,
         "fine", "together", "late", *PACE,

@@ -131,9 +131,12 @@ def _depends(quantity: str, effects: Iterable[Effect], argument: str) -> bool:
 def _slopes(effects: tuple[Effect, ...]) -> list[str]:
     """Statements for the entries of W that close a loop; by differences where an effect changes them."""
     lines = [
-        # LuGre without the slope of the Stribeck curve; the first three times the breakaway force
+        # LuGre, the first three times the breakaway force. How that falls counts as with bristles that are bent as far as they
+        # go, and up to half of it: a method that foresees a steeper fall is not stable.
         "sliding = s0 * abs(spool_speed)",
-        "bristle_slope = clip(breakaway - s0 * bristle * sign(spool_speed), 0.0, 2.0 * breakaway)",
+        "falling = 2.0 * (breakaway - Fc) * (spool_speed * per_vs) * (spool_speed * per_vs)",
+        "bending = breakaway - s0 * bristle * sign(spool_speed) - falling",
+        "bristle_slope = clip(bending, -0.5 * breakaway, 2.0 * breakaway)",
         "friction_bristle = s0 * breakaway - s1 * sliding",
         "friction_slope = s2 + C + (k_stop * past / v_stop if contact > 0.0 else 0.0)",
         "stiffness = k + (k_stop * grip if contact > 0.0 else 0.0)",
@@ -142,7 +145,18 @@ def _slopes(effects: tuple[Effect, ...]) -> list[str]:
         lines += ["spool__d = spool + 1e-7", "force__d = alpha * current"]
         lines += chain("force", effects, {"force": "force__d", "spool": "spool__d"})
         lines += ["stiffness = stiffness + positive((force - force__d) * 1e7)"]
-    return lines + _leakage_slope(effects) + _shaft_slope(effects)
+    return lines + _flow_slope(effects) + _leakage_slope(effects) + _filling(effects) + _shaft_slope(effects)
+
+
+def _flow_slope(effects: tuple[Effect, ...]) -> list[str]:
+    """How fast flow grows as the valve opens."""
+    lines = ["flow_slope = Kq * sqrt(drive if drive > 0.0 else 0.0)"]
+    if any("opening" in effect.laws for effect in effects):
+        lines += ["further = spool + 1e-7", "opening__d = further"]
+        lines += chain("opening", effects, {"opening": "opening__d", "spool": "further"})
+        # Only what the effects add, so that a neutral one changes no bit.
+        lines += ["flow_slope = flow_slope * (1.0 + ((opening__d - further) - (opening - spool)) * 1e7)"]
+    return lines
 
 
 def _leakage_slope(effects: tuple[Effect, ...]) -> list[str]:
@@ -167,6 +181,18 @@ def _leakage_slope(effects: tuple[Effect, ...]) -> list[str]:
             "leakage_slope = leakage_slope + positive((flow - flow__d) * 1e-3)",
         ]
     return lines
+
+
+def _filling(effects: tuple[Effect, ...]) -> list[str]:
+    """How fast the rate of the pressure grows with it, as a fluid gets stiffer."""
+    if not _depends("bulk_modulus", effects, "pressure"):
+        return ["filling = 0.0"]
+    return [
+        "bulk_modulus__d = beta",
+        *chain("bulk_modulus", effects, {"bulk_modulus": "bulk_modulus__d", "pressure": "pressure__d"}),
+        "filling = pressure_rate * ((bulk_modulus__d - bulk_modulus) / bulk_modulus) * 1e-3",
+        "filling = filling if filling < 0.5 * ig else 0.5 * ig",
+    ]
 
 
 def drive_around(effects: Iterable[Effect]) -> list[str]:
@@ -216,9 +242,9 @@ FACTORISATION = [
     "rest = ig + (friction_slope * inertia + w_spool * gh + w_coil)",
     "e_spool_speed = bristles / (rest * bristles + w_sliding * bristle_slope)",
     "softness = bulk_modulus * per_V",
-    "w_flow = softness * Kq",
+    "w_flow = softness * flow_slope",
     "w_pump = softness * displacement",
-    "e_pressure = 1.0 / (ig + softness * leakage_slope)",
+    "e_pressure = 1.0 / (ig + softness * leakage_slope - filling)",
     "w_lift = displacement * per_J * e_pressure",
     "e_speed = 1.0 / (ig + shaft_slope * per_J + w_lift * w_pump)",
 ]

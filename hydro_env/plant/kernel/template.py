@@ -90,13 +90,11 @@ def begin(cells, h):
 
 
 def finish(cells, h) -> bool:
-    """The other three stages; the states move. In how many parts the next substep of h seconds should be taken.
+    """The other two stages; the states move. In how many parts the next substep of h seconds should be taken.
 
     Whether there are lanes with substeps to do.
     """
     more = False
-{second}
-{third}
-{fourth}
+{later}
     return more
 '''
