@@ -176,8 +176,8 @@ def crowd(substep: float, names: list[str], **base: float) -> Plant:
 
 
 def test_the_order_holds_with_every_effect() -> None:
-    """On a smooth motion, as above: 2 where the matrix is not the Jacobian; where an effect has a kink that the motion passes, or is
-    late by a substep, less."""
+    """On a smooth motion, as above: 2 where the matrix is not the Jacobian; where an effect has a kink that the motion passes, or
+    is late by a substep, less."""
     first_order = (
         "supply_droop",
         "viscosity_drift",

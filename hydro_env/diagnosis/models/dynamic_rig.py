@@ -18,9 +18,9 @@ from .base import Request, Segments, measured_segments, view
 
 __all__ = ["DynamicRig"]
 
-#: Longest substep of the fit and of the proof, s. With 200 us the speeds are off by 0.2 rpm at most; from 300 us on a spool
-#: that meets its end stop may be lost.
-SUBSTEP, PROOF_SUBSTEP = 200e-6, 100e-6
+#: Longest substep of the fit and of the proof, s. With 250 us the speeds of the presets are off by 0.3 rpm at most, under steps of
+#: full range and bang-bang commands.
+SUBSTEP, PROOF_SUBSTEP = 250e-6, 100e-6
 #: Where an effect has every substep taken in parts, the substep is the longest of which these are at most so long in the fit and
 #: in the proof, and never longer than the last number, s. Preloaded springs are 0.02 rpm off in the fit in a log of 12 s, at most
 #: 0.13. The proof takes 200 us for them and 400 us for a backlash, which is below 0.01 rpm in 3 s (a test); a shaft that rattles
@@ -29,15 +29,14 @@ PARTED_SUBSTEP, PARTED_PROOF, LONGEST_SUBSTEP = 100e-6, 20e-6, 1e-3
 #: Numbers of the fit and of the proof. Single precision moves a speed by less than the fit's substep does, and by more than the
 #: proof's does.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
-#: By numbers: how many rigs go through the kernel together, and how long that takes. Up to one register of the processor
-#: instructions wait for each other's results, beyond it for room.
+#: By numbers: how many rigs go through the kernel together, and how long that takes. Wider blocks take as long as several.
 BLOCKS: dict[type[np.floating[Any]], dict[int, float]] = {
-    np.float32: {4: 0.77, 8: 1.0, 16: 1.7},
-    np.float64: {4: 0.6, 8: 1.0},
+    np.float32: {4: 0.7, 8: 1.0},
+    np.float64: {4: 0.5, 8: 1.0},
 }
 #: What an effect that is compiled in adds to the time of a kernel without any.
 EFFECT_SHARE = 0.06
-#: Bytes of inputs of batches that are kept at most. Those of sixteen lanes of 12 s at 1 kHz take 6 MB.
+#: Bytes of inputs of batches that are kept at most. Those of eight lanes of 12 s at 1 kHz take 3 MB.
 MOST_INPUTS = 100_000_000
 #: Base parameters that calibration may adjust. V is left out (never separated from beta), u_rated and x_max are settings.
 BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
