@@ -6,9 +6,8 @@ own pace: a step has another length on every lane, and `pace` begins the next su
 the parameters and the length of a step settle. `refine` finds stiff channels; `look` gives the outputs, and `guard` puts
 lanes that have diverged to rest.
 
-What makes it fast: nothing is computed in every stage that `pace` can compute once; the friction of the spool, a long chain of
-operations, is added last to what has been summed meanwhile (`latest`); two of the three stages share their rates; the arrow
-structure of the matrix W solves in some thirty operations.
+What makes it fast: nothing is computed in every stage that `pace` can compute once; two of the three stages share their rates;
+the arrow structure of the matrix W solves in some thirty operations.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from ..catalogue import Effect
 from ..stiffness import FINE_PARTS, LINE, MOST_FINER, SPOOL
 from .driver import NUMBERS
 from .integrator import METHOD, integral_coefficients
-from .latest import added_last
 from .layout import (
     DIVISORS,
     FACTORS,
@@ -200,12 +198,10 @@ class _Sweeps:
         """The solution of (ig - W) u = r."""
         return [*_SOLUTION, *(f"u__{name} = r__{name} * f__{name}" for name in self.at.own_states)]
 
-    def _solve(self, lines: Iterable[str], summed: bool, then: Iterable[str] = ()) -> list[str]:
-        """`lines` for rates and factors, the solution for r, and what comes `then`; r is the rate plus, if `summed`, a sum over
-        earlier stages."""
+    def _solve(self, lines: Iterable[str], summed: bool) -> list[str]:
+        """`lines` for rates and factors, and the solution for r: the rate plus, if `summed`, a sum over earlier stages."""
         sums = [f"r__{n} = {f'sum__{n} + ' if summed else ''}{n}_rate" for n in self.at.staged]
-        lines = [*lines, *sums, *self._solution, *then]
-        return added_last(lines, "relaxation", "u__spool_speed", shared=summed)
+        return [*lines, *sums, *self._solution]
 
     def first_stage(self) -> list[str]:
         """Rates, matrix, its factors, and the solution u0, all in one sweep."""
@@ -241,12 +237,10 @@ class _Sweeps:
         lines += self._inputs + at.load(at.constants, step.rates_text)
         lines += [f"{name} = {at.cell(step.factor_rows.get(name, f'f__{name}'))}" for name in FACTORS]
         lines += [f"f__{name} = {at.cell('f__' + name)}" for name in at.own_states]
-        third = [f"u1__{name} = u__{name}" for name in at.staged]
-        third += [f"r__{name} = d0 * u0__{name} + d1 * u1__{name}" for name in at.staged]
-        third += self._solution
-        return self._solve(
-            [*lines, *step.rates, *step.own_rates], summed=True, then=[*third, *self._end_of_step()]
-        )
+        lines = self._solve([*lines, *step.rates, *step.own_rates], summed=True)
+        lines += [f"u1__{name} = u__{name}" for name in at.staged]
+        lines += [f"r__{name} = d0 * u0__{name} + d1 * u1__{name}" for name in at.staged]
+        return [*lines, *self._solution, *self._end_of_step()]
 
     def _end_of_step(self) -> list[str]:
         at, lines = self.at, []

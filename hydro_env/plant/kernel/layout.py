@@ -25,10 +25,10 @@ INTEGRAL = {"angle": "speed"}
 #: Base parameters that are divided by: their reciprocals are rows of their own, since a division costs ten products.
 DIVISORS = ("L", "m", "V", "J", "vs", "v_stop")
 RECIPROCALS = tuple(f"per_{name}" for name in DIVISORS)
-#: Factors that the stages share: of the matrix, see `statements.FACTORISATION`, and of what is added last, see `latest`.
+#: Factors of the matrix, which the stages share, see `statements.FACTORISATION`.
 FACTORS = (
     "e_current", "e_bristle", "e_spool_speed", "w_spool", "w_bristle", "w_current", "w_back", "w_slope", "e_speed",
-    "e_pressure", "w_flow", "w_pump", "w_lift", "u__spool_speed__share",
+    "e_pressure", "w_flow", "w_pump", "w_lift",
 )  # fmt: skip
 #: How a lane goes: substeps of the row to do; parts of this substep that are left; in how many parts it is taken, and the next
 #: one should be; the length of a part, s, its reciprocal, and that of gamma times it.
