@@ -32,7 +32,7 @@ DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: By numbers: how many rigs go through the kernel together, and how long that takes. Wider blocks take as long as several.
 BLOCKS: dict[type[np.floating[Any]], dict[int, float]] = {
     np.float32: {4: 0.7, 8: 1.0},
-    np.float64: {4: 0.5, 8: 1.0},
+    np.float64: {4: 1.0},
 }
 #: What an effect that is compiled in adds to the time of a kernel without any.
 EFFECT_SHARE = 0.06
