@@ -9,8 +9,8 @@ from hydro_env.diagnosis import diagnose
 from hydro_env.diagnosis.estimation import base_unknown, effect_starts, effect_unknowns
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
-from hydro_env.diagnosis.models.dynamic_rig import PROOF_SUBSTEP, SUBSTEP, DynamicRig
-from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, load_model
+from hydro_env.diagnosis.models.dynamic_rig import DTYPE, PROOF_SUBSTEP, SUBSTEP, DynamicRig
+from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Plant, load_model
 from hydro_env.practice.generate import make_practice
 from hydro_env.units import RPM
 
@@ -107,6 +107,20 @@ def test_the_proof_takes_longer_substeps_where_every_one_is_in_parts(
     speed = next(s for s in proof.segments[0] if s.signal == "speed")
     change = (proof.predict([one])[0][0] - fine.predict([one])[0][0])[speed.place]
     assert np.sqrt(np.mean(change**2)) / RPM < 0.01
+
+
+@pytest.mark.parametrize("name", ["paper_dead_zone", "rig", "servo", "valve_1", "valve_2"])
+def test_the_substep_of_the_fit_follows_presets_under_hard_commands(name: str) -> None:
+    """Steps, and full range one way or the other, every 10 ms, as in the logs of the fastest practice runs."""
+    model, rng = load_model(name), np.random.default_rng(0)
+    steps = np.repeat(rng.uniform(-0.6, 0.6, (5, 2)), 30, axis=0)
+    share = np.concatenate([steps, rng.choice([-1.0, 1.0], (150, 2))])
+    commands = np.repeat(share * model.value("u_rated", 0), 10, axis=0)
+    coarse, fine = (
+        Plant(model, 1, substep=h, dtype=d).run(commands, None, 1e-3, ("speed",))["speed"]
+        for h, d in ((SUBSTEP, DTYPE), (20e-6, np.float64))
+    )
+    assert np.abs(coarse - fine).max() / RPM < 0.4
 
 
 def test_the_model_as_given_explains_a_rig_without_surprise(fit_log: Path) -> None:

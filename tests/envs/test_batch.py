@@ -237,7 +237,8 @@ def test_spaces_and_metadata():
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_angles_in_single_precision_are_the_integrals_of_the_speeds(mode):
-    """Also behind the end of an episode. Summed up in seven digits they were degrees off after some seconds."""
+    """Also behind the end of an episode. Summed up in seven digits they were degrees off after some seconds; what is left is what
+    seven digits make of the speeds."""
     far = {"duration": 4.0, "setpoint_rpm": [[0.0, 600.0]]}
     envs = [
         make(3, scenario=far, mismatch="val", dtype=d, autoreset_mode=mode) for d in ("float64", "float32")

@@ -182,7 +182,16 @@ def test_the_order_holds_with_every_effect() -> None:
         "supply_droop",
         "viscosity_drift",
     )  # they see the other channel, or the time, of the last substep
-    kinks = ("flow_saturation", "shaft_backlash", "flow_force")
+    kinks = ("flow_saturation", "flow_force")
+    # How their states (of the ripple the angle, of the leakage the speed) act on others is not in the matrix.
+    second_order = (
+        "magnetic_hysteresis",
+        "line_volume",
+        "displacement_ripple",
+        "shaft_backlash",
+        "sensor_lag",
+        "speed_dependent_leakage",
+    )
     names = ["base", *BUILT_IN]
     time = np.arange(200) * 1e-3
     commands = (12.0 * np.sin(8.0 * time) + 150.0 * time)[:, None] * [1.0, 0.8]
@@ -197,8 +206,10 @@ def test_the_order_holds_with_every_effect() -> None:
     for name, order, error in zip(names, np.log2(coarse / fine), fine, strict=True):
         if name in first_order:
             assert order > 0.8 and error < 5e-3, (name, order, error)
+        elif name in second_order:
+            assert error < 5e-4 and order > 1.8, (name, order, error)
         else:
-            assert error < 5e-4 and (order > 1.8 or name in kinks), (name, order, error)
+            assert error < 1e-5 and (order > 2.0 or name in kinks), (name, order, error)
 
 
 @pytest.mark.parametrize("kind", ["steps", pytest.param("sine", marks=pytest.mark.slow), "random"])

@@ -18,8 +18,8 @@ from .base import Request, Segments, measured_segments, view
 
 __all__ = ["DynamicRig"]
 
-#: Longest substep of the fit and of the proof, s. With 250 us the speeds of the presets are off by 0.3 rpm at most, under steps
-#: of full range and bang-bang commands.
+#: Longest substep of the fit and of the proof, s. With 250 us the speeds of the presets are off by less than 0.4 rpm, under
+#: steps and commands of full range (a test).
 SUBSTEP, PROOF_SUBSTEP = 250e-6, 100e-6
 #: Where an effect has every substep taken in parts, the substep is the longest of which these are at most so long in the fit and
 #: in the proof, and never longer than the last number, s. Preloaded springs are 0.02 rpm off in the fit in a log of 12 s, at most

@@ -11,7 +11,8 @@ machine_code  compiles them and keeps what was compiled
 driver      the loop over substeps around the sweeps, one for all kernels
 
 Method: three stages of the family of ROS3w (see `integrator`), with a matrix W that holds the stiff loops of a channel (coil,
-spool, bristle; pressure, speed), what effects add to these as far as it damps, and every effect's own decay.
+spool, bristle; pressure, speed) as the effects shape them, and every effect's own decay. It leaves out how the states of an
+effect act on others, and the steepest fall of the spool's friction.
 
 Layout: the loop over substeps is outside and the loops over lanes inside. Nothing is fused or reordered by the compiler: the
 text names each `fma` itself, so every lane gets the same bits whatever its neighbours, its place, the width of the block

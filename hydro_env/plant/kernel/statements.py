@@ -132,11 +132,11 @@ def _slopes(effects: tuple[Effect, ...]) -> list[str]:
     """Statements for the entries of W that close a loop; by differences where an effect changes them."""
     lines = [
         # LuGre, the first three times the breakaway force. How that falls counts as with bristles that are bent as far as they
-        # go, and up to half of it: a method that foresees a steeper fall is not stable.
+        # go, and not beyond a bound: with a steep fall in its matrix the method is not stable.
         "sliding = s0 * abs(spool_speed)",
         "falling = 2.0 * (breakaway - Fc) * (spool_speed * per_vs) * (spool_speed * per_vs)",
         "bending = breakaway - s0 * bristle * sign(spool_speed) - falling",
-        "bristle_slope = clip(bending, -0.5 * breakaway, 2.0 * breakaway)",
+        "bristle_slope = clip(bending, -0.3 * breakaway, 2.0 * breakaway)",
         "friction_bristle = s0 * breakaway - s1 * sliding",
         "friction_slope = s2 + C + (k_stop * past / v_stop if contact > 0.0 else 0.0)",
         "stiffness = k + (k_stop * grip if contact > 0.0 else 0.0)",
@@ -191,7 +191,6 @@ def _filling(effects: tuple[Effect, ...]) -> list[str]:
         "bulk_modulus__d = beta",
         *chain("bulk_modulus", effects, {"bulk_modulus": "bulk_modulus__d", "pressure": "pressure__d"}),
         "filling = pressure_rate * ((bulk_modulus__d - bulk_modulus) / bulk_modulus) * 1e-3",
-        "filling = filling if filling < 0.5 * ig else 0.5 * ig",
     ]
 
 
