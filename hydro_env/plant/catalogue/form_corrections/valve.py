@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 
 from ...parameters import SPOOL_FORCE, SPOOL_TRAVEL, Parameter
-from ...vector_math import bell, clip, sign
+from ...vector_math import bell, clip, sign, tanh
 from ..effect import State
 from ..force import MAGNETIC_HYSTERESIS
 from .correction import NO_PHYSICS, amount, correction, repeated, taken
@@ -100,6 +100,22 @@ OPENING_SHAPE = correction(
 
 
 # --- force on the spool -----------------------------------------------------------------------------------------------
+def _preload_over(force, spool, travel, preload):
+    # The catalogue's preload takes hold over 20 um.
+    return force - preload * (tanh(spool / travel) - tanh(spool * 5e4))
+
+
+PRELOAD_SHAPE = correction(
+    "preload_shape", "force", "preload takes hold over less or more travel",
+    (
+        Parameter("travel", "m", 2e-5, 1e-6, 1e-4, NO_PHYSICS, "travel over which the preload takes hold", 5e-6, log=True),
+        repeated("preload", "N", 0.0, 0.0, 6.0, scaling=SPOOL_FORCE),
+    ),
+    {"force": _preload_over},
+    {"spring_preload": {"preload": "preload"}},
+)  # fmt: skip
+
+
 def _centring(force, spool, force_1, force_2, force_3, force_4, force_5):
     x = abs(spool)
     curve = force_1 * clip(x * 2e5, 0.0, 1.0)
@@ -242,4 +258,4 @@ BRISTLE_SHAPE = correction(
 
 
 #: In the order in which they act.
-EFFECTS = (KNEE_SHAPE, CORNER_SHAPE, OPENING_SHAPE, CENTRING_SHAPE, STOP_SHAPE, BRISTLE_SHAPE)
+EFFECTS = (KNEE_SHAPE, CORNER_SHAPE, OPENING_SHAPE, PRELOAD_SHAPE, CENTRING_SHAPE, STOP_SHAPE, BRISTLE_SHAPE)
