@@ -233,6 +233,7 @@ def _spool_friction(p, y, dy):
             plastic = 1.0
             if abs(z) < limit:
                 plastic = 0.5 - 0.5 * math.cos(math.pi * (abs(z) / limit - elastic) / (1.0 - elastic))
+                plastic **= p.form_bristle_yield
         z_rate = v - plastic * abs(v) * z / limit
         dy[p.at_second_bristle] = z_rate
         friction += stiffness * z + p.form_bristle_damping * p.s1 * z_rate

@@ -147,6 +147,14 @@ _LATER = (
         False,
         "power of the pressure in its flow: 0.5 at full lift, 1 while it lifts further",
     ),
+    (
+        "bristle_yield",
+        "1",
+        0.5,
+        2.0,
+        True,
+        "power of the course from elastic to plastic of the second bristle: gives way early or late",
+    ),
 )
 #: Every constant but the stops.
 CONSTANTS = tuple(FormConstant(*row) for row in (*_ROWS, *_LATER))

@@ -108,7 +108,7 @@ def _preload_over(force, spool, travel, preload):
 PRELOAD_SHAPE = correction(
     "preload_shape", "force", "preload takes hold over less or more travel",
     (
-        Parameter("travel", "m", 2e-5, 1e-6, 1e-4, NO_PHYSICS, "travel over which the preload takes hold", 5e-6, log=True),
+        Parameter("travel", "m", 2e-5, 1e-6, 2e-4, NO_PHYSICS, "travel over which the preload takes hold", 1e-5, log=True),
         repeated("preload", "N", 0.0, 0.0, 6.0, scaling=SPOOL_FORCE),
     ),
     {"force": _preload_over},
@@ -196,50 +196,60 @@ STOP_SHAPE = correction(
 
 
 # No stiffer than the weaker friction allows over 0.2 um of travel: no substep follows less, nor does anyone see it.
-def _second_bristle(force, spool_speed, bristle_2, coulomb, static, firm, damping, stiffness, vs, s0, s1):
+def _second_bristle(
+    force, spool_speed, bristle_2, coulomb, static, firm, damping, stiffness, stribeck, vs, s0, s1
+):
     most = (coulomb if coulomb < static else static) / (2e-7 * s0)
     stiff = most if most < stiffness else stiffness
-    slip = abs(spool_speed) / vs
+    slip = abs(spool_speed) / (vs * stribeck)
     level = coulomb + (static - coulomb) * bell(slip)
     level = level if level > 1e-6 else 1e-6
     share = abs(bristle_2) * s0 * stiff / level
     share = share if share < 1.0 else 1.0
-    squared = share * share
-    give = 1.0 - firm + (firm * squared * squared * squared if bristle_2 * spool_speed > 0.0 else 0.0)
+    over = clip((share - firm) / (1.0 - firm), 0.0, 1.0)
+    give = over * over * (3.0 - 2.0 * over) if bristle_2 * spool_speed > 0.0 else 0.0
     rate = spool_speed - give * abs(spool_speed) * s0 * stiff / level * bristle_2
     damped = damping if stiff == stiffness else damping * stiff / stiffness
     held = s0 * stiff * bristle_2 + damped * s1 * rate
     return force - (held if coulomb + static > 0.0 else 0.0)
 
 
-def _bristle_rate(bristle_2, spool_speed, coulomb, static, firm, stiffness, vs, s0):
+def _bristle_rate(bristle_2, spool_speed, coulomb, static, firm, stiffness, stribeck, vs, s0):
     most = (coulomb if coulomb < static else static) / (2e-7 * s0)
     stiff = most if most < stiffness else stiffness
-    slip = abs(spool_speed) / vs
+    slip = abs(spool_speed) / (vs * stribeck)
     level = coulomb + (static - coulomb) * bell(slip)
     level = level if level > 1e-6 else 1e-6
     share = abs(bristle_2) * s0 * stiff / level
     share = share if share < 1.0 else 1.0
-    squared = share * share
-    give = 1.0 - firm + (firm * squared * squared * squared if bristle_2 * spool_speed > 0.0 else 0.0)
+    over = clip((share - firm) / (1.0 - firm), 0.0, 1.0)
+    give = over * over * (3.0 - 2.0 * over) if bristle_2 * spool_speed > 0.0 else 0.0
     return spool_speed - give * abs(spool_speed) * s0 * stiff / level * bristle_2
 
 
-def _bristle_decay(spool_speed, coulomb, static, stiffness, vs, s0):
+def _bristle_decay(spool_speed, coulomb, static, stiffness, stribeck, vs, s0):
     most = (coulomb if coulomb < static else static) / (2e-7 * s0)
     stiff = most if most < stiffness else stiffness
-    slip = abs(spool_speed) / vs
+    slip = abs(spool_speed) / (vs * stribeck)
     level = coulomb + (static - coulomb) * bell(slip)
     return abs(spool_speed) * s0 * stiff / (level if level > 1e-6 else 1e-6)
+
+
+def _bristle_corner(coulomb, static):
+    # Everywhere: the spool crosses the micrometres between two limits of its bristles within a substep.
+    return coulomb + static > 0.0
 
 
 BRISTLE_SHAPE = correction(
     "bristle_shape", "force", "what friction the spool has more is held by a second bristle, which gives way late",
     (
-        amount("damping", "1", 0.5, "damping of the second bristle over the first one's", 0.0),
-        Parameter("firm", "1", 0.5, 0.0, 1.0, NO_PHYSICS, "0: creeps like the first one, 1: holds until near its limit", 0.5),
+        amount("damping", "1", 1.0, "damping of the second bristle over the first one's", 0.0),
+        Parameter("firm", "1", 0.5, 0.0, 0.95, NO_PHYSICS, "share of its limit from which on the second bristle gives way", 0.5),
         Parameter(
             "stiffness", "1", 1.0, 0.2, 5.0, NO_PHYSICS, "stiffness of the second bristle over the first one's", 1.0, log=True
+        ),
+        Parameter(
+            "stribeck", "1", 1.0, 0.2, 5.0, NO_PHYSICS, "Stribeck speed of the second bristle over the first one's", 1.0, log=True
         ),
         repeated("coulomb", "N", 0.0, 0.0, 2.0, scaling=SPOOL_FORCE),
         repeated("static", "N", 0.0, 0.0, 3.0, scaling=SPOOL_FORCE),
@@ -253,6 +263,7 @@ BRISTLE_SHAPE = correction(
         }
     },
     (State("bristle_2", _bristle_rate, _bristle_decay),),
+    corner=_bristle_corner,
     adds_to={"Fc": "coulomb_taken", "Fs": "static_taken"},
 )  # fmt: skip
 
