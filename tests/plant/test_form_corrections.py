@@ -19,6 +19,7 @@ COMMAND = np.column_stack([40.0 * np.sin(9.0 * TIME), 25.0 * np.sign(np.sin(7.0 
 
 #: One kernel for all runs here: what is compiled in and neutral changes nothing.
 ALL = (*SHAPES, *CORRECTIONS)
+PLAYS = ("input_hysteresis", "play_shape")
 
 
 def _run(model: object, effects: tuple[str, ...] = ALL) -> dict[str, np.ndarray]:
@@ -152,6 +153,24 @@ def test_the_second_bristle_holds_up_to_a_share_of_its_limit_and_gives_way_at_it
         assert rates == pytest.approx([1.0, 1.0, 1.0 - 0.5 * 0.8, 0.0], abs=2e-3)
         # On the way back it is elastic at once.
         assert state.rate(-limit / 5e4, speed, stribeck=stribeck, **at) == speed
+
+
+def test_three_plays_make_a_loop_of_the_same_mean_width_that_opens_little_by_little() -> None:
+    time = np.arange(2000) * 1e-3
+    ramps = np.column_stack([40.0 * np.interp(time, [0.0, 0.5, 1.5, 2.0], [0.0, 1.0, -1.0, 0.0])] * 2)
+    still = {"R": 1e3, "input_hysteresis.width": 6.0}
+    shape = {"play_shape.width": 6.0, "play_shape.spread": 0.5}
+    one, three = (
+        simulate(load_model("paper").with_values(v), ramps, None, 1e-3, record=("current",), effects=PLAYS)[
+            "current"
+        ]
+        for v in (still, {**still, **shape})
+    )
+    volts = 1e3 * (three - one)[:, 0, 0]
+    # As wide as the one play where all have turned, and between the first and the last that turn less wide or wider.
+    assert np.abs(volts[[400, 900, 1400]]).max() < 0.02
+    assert volts[500:600].min() == pytest.approx(-0.25 * 0.5 * 6.0, abs=0.03)
+    assert volts[500:600].max() < 0.02
 
 
 @pytest.mark.parametrize("travel", [1.5e-6, 6e-6, 6e-5])

@@ -6,6 +6,7 @@ from math import inf
 
 from ...parameters import SPOOL_FORCE, SPOOL_TRAVEL, Parameter
 from ...vector_math import bell, clip, sign, tanh
+from ..driver import INPUT_HYSTERESIS
 from ..effect import State
 from ..force import MAGNETIC_HYSTERESIS
 from .correction import NO_PHYSICS, amount, correction, repeated, taken
@@ -33,6 +34,44 @@ KNEE_SHAPE = correction(
     ),
     {"voltage": _knee},
     {"driver_saturation": {"voltage_limit": "voltage_limit"}},
+)  # fmt: skip
+
+
+# The play of the catalogue's law, half of which two other plays replace.
+(_PLAY,) = INPUT_HYSTERESIS.states
+
+
+def _three_plays(voltage, command, as_before, narrow, wide, spread, width):
+    half = 0.5 * width
+    less = half * (1.0 - spread)
+    more = half * (1.0 + spread)
+    held = 0.5 * (clip(command - narrow, -less, less) + clip(command - wide, -more, more))
+    return voltage + (0.5 * (clip(command - as_before, -half, half) - held) if spread > 0.0 else 0.0)
+
+
+def _spread_rate(play, command, part, spread, width):
+    half = 0.5 * width * (1.0 + part * spread)
+    gap = command - play
+    return (gap - clip(gap, -half, half)) / 1e-4
+
+
+def _spread_decay(play, command, part, spread, width):
+    return (1.0 if abs(command - play) > 0.5 * width * (1.0 + part * spread) else 0.0) / 1e-4
+
+
+PLAY_SHAPE = correction(
+    "play_shape", "driver", "a quarter of the command passes a narrower play, a quarter a wider one",
+    (
+        Parameter("spread", "1", 0.0, 0.0, 1.0, NO_PHYSICS, "by how much these plays are narrower and wider", 0.4),
+        repeated("width", "V", 0.0, 0.0, 1e3),
+    ),
+    {"voltage": _three_plays},
+    {"input_hysteresis": {"width": "width"}},
+    (
+        State("as_before", _PLAY.rate, _PLAY.decay, {"follower": "as_before"}),
+        State("narrow", _spread_rate, _spread_decay, {"play": "narrow", "part": -1.0}),
+        State("wide", _spread_rate, _spread_decay, {"play": "wide", "part": 1.0}),
+    ),
 )  # fmt: skip
 
 
@@ -269,4 +308,13 @@ BRISTLE_SHAPE = correction(
 
 
 #: In the order in which they act.
-EFFECTS = (KNEE_SHAPE, CORNER_SHAPE, OPENING_SHAPE, PRELOAD_SHAPE, CENTRING_SHAPE, STOP_SHAPE, BRISTLE_SHAPE)
+EFFECTS = (
+    PLAY_SHAPE,
+    KNEE_SHAPE,
+    CORNER_SHAPE,
+    OPENING_SHAPE,
+    PRELOAD_SHAPE,
+    CENTRING_SHAPE,
+    STOP_SHAPE,
+    BRISTLE_SHAPE,
+)
