@@ -141,7 +141,7 @@ OPENING_SHAPE = correction(
 # --- force on the spool -----------------------------------------------------------------------------------------------
 def _preload_over(force, spool, travel, preload):
     # The catalogue's preload takes hold over 20 um.
-    return force - preload * (tanh(spool / travel) - tanh(spool * 5e4))
+    return force - preload * (tanh(spool * (2e-5 / travel) * 5e4) - tanh(spool * 5e4))
 
 
 PRELOAD_SHAPE = correction(
