@@ -140,7 +140,7 @@ OPENING_SHAPE = correction(
 
 # --- force on the spool -----------------------------------------------------------------------------------------------
 def _preload_over(force, spool, travel, preload):
-    # The catalogue's preload takes hold over 20 um.
+    # The catalogue's preload takes hold over 20 um; with that travel nothing changes, to the last bit.
     return force - preload * (tanh(spool * (2e-5 / travel) * 5e4) - tanh(spool * 5e4))
 
 
