@@ -103,6 +103,12 @@ def _paste(function: Callable[..., Any], name: str) -> str:
         raise ValueError(
             f"law {function.__name__!r} must be a plain function (def), not a lambda or decorated"
         )
+    written = compile(source, "<law>", "exec", dont_inherit=True).co_consts[0]
+    if (written.co_code, written.co_names) != (function.__code__.co_code, function.__code__.co_names):
+        # The text would be kept on disk under the identity of the law that is loaded.
+        raise ValueError(
+            f"the file of law {function.__name__!r} was changed since it was loaded; start Python again"
+        )
     text = re.sub(r"^def \w+\(", f"def {name}(", source)
     vector_ir.check(ast.parse(source).body[0], HELPERS)  # type: ignore[arg-type]
     return fused(text)
