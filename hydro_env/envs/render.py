@@ -11,6 +11,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import to_install
+
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
@@ -48,7 +50,7 @@ class Recorder:
             import PIL.Image  # noqa: F401
         except ImportError as problem:
             raise gymnasium.error.DependencyNotInstalled(
-                "pictures need Pillow: pip install 'hydro_env[render]'"
+                f"pictures need Pillow: {to_install('render')}"
             ) from problem
         self._width = width
         self._past = np.full((num_rigs, SHOWN, _KEPT), np.nan)
@@ -104,7 +106,7 @@ class Window:
             import pygame
         except ImportError as problem:
             raise gymnasium.error.DependencyNotInstalled(
-                "a window needs pygame: pip install 'hydro_env[render]'"
+                f"a window needs pygame: {to_install('render')}"
             ) from problem
         self._pygame, self._title = pygame, title
         self._screen: Any = None
