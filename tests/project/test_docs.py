@@ -44,6 +44,21 @@ def test_generated_parts(page: Path) -> None:
     assert text == GENERATE["filled"](text), "out of date: run `python docs/generate.py`"
 
 
+def test_an_extra_is_installed_from_the_sources(page: Path) -> None:
+    """The package is on no index: whoever reads of an extra finds the line that works in a checkout, or the page that has it."""
+    text = re.sub(r"<!-- generated:.*?<!-- end -->", "", page.read_text(encoding="utf-8"), flags=re.S)
+    if page.parent.name == "docs" or re.search(r"extra\b[^.\n]{0,40} `\w+`", text) is None:
+        return
+    assert "install -c constraints.txt" in text or "extras.md" in text
+
+
+def test_nothing_says_to_install_from_an_index() -> None:
+    files = [path for folder in ("hydro_env", "agents", "docs") for path in (ROOT / folder).rglob("*.*")]
+    for path in [*files, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]:
+        if path.suffix in (".py", ".md", ".ipynb", ".html", ".js", ".yml", ".yaml"):
+            assert not re.search(r"install ['\"]?hydro_env\b", path.read_text(encoding="utf-8")), path
+
+
 def test_links_lead_somewhere(page: Path) -> None:
     text = re.sub(r"```.*?```|`[^`]*`", "", page.read_text(encoding="utf-8"), flags=re.S)
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
