@@ -44,15 +44,7 @@ from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, parameter_
 from .parameters import PARAMETERS
 from .substep_check import followed
 
-__all__ = [
-    "is_usual",
-    "load_model",
-    "preset_names",
-    "preset_summary",
-    "read_model",
-    "sources_of",
-    "values_set_by",
-]
+__all__ = ["load_model", "preset_names", "preset_summary", "read_model", "sources_of", "values_set_by"]
 
 _CHANNELS = ("both", "channel_1", "channel_2")
 #: Files that may build on each other: a model on its base or valve, that one on its own, ...
@@ -92,7 +84,12 @@ class _Draft:
         value, p = _number(given, where), parameter_of(name)
         if wrong := out_of_range(value, p):
             raise InputError(f"{where}: {wrong}")
-        if name in PARAMETERS and not is_usual(name, value):
+        if (
+            value != 0.0
+            and not p.low <= value <= p.high
+            and name in PARAMETERS
+            and value not in _shipped(name)
+        ):
             self.unusual[name] = f"{name} {value:g} (usual {p.low:g} to {with_unit(p.high, p)})"
         self.put(name, side, value)
 
@@ -269,12 +266,6 @@ def preset_names() -> list[str]:
     return sorted(
         entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")
     )
-
-
-def is_usual(name: str, value: float) -> bool:
-    """Whether a value (SI) is neutral, zero, plausible, or one of a preset's."""
-    p = parameter_of(name)
-    return value in (0.0, p.neutral) or p.low <= value <= p.high or value in _shipped(name)
 
 
 @cache

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, InputWarning, shown, suggestion
 from ..plant import CATALOGUE, Parameter, PlantModel, parameter_of
 from ..plant.accepted import with_unit
-from ..plant.model_files import is_usual, values_set_by
+from ..plant.model_files import values_set_by
 from ..reading import parse_yaml, read_yaml
 from ..streams import Streams
 
@@ -455,7 +455,7 @@ def _unusual(name: str, given: Range) -> str:
     """What is beyond what the catalogue holds plausible, "" if nothing is; on the plant that the range is meant for."""
     p, ends = parameter_of(name), (min(given.low), max(given.high))
     size = 1.0 if given.meant_for is None else given.meant_for / p.nominal
-    if all(is_usual(name, end / size) for end in ends):
+    if all(end in (0.0, p.neutral) or size * p.low <= end <= size * p.high for end in ends):
         return ""
     found = f"{ends[0]:g}" if ends[0] == ends[1] else f"{ends[0]:g} to {ends[1]:g}"
     return f"{name} {found} (usual {size * p.low:g} to {with_unit(size * p.high, p)})"

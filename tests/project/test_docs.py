@@ -59,6 +59,39 @@ def test_nothing_says_to_install_from_an_index() -> None:
             assert not re.search(r"install ['\"]?hydro_env\b", path.read_text(encoding="utf-8")), path
 
 
+#: Texts that are about the paper's rig, whatever rig is driven.
+ABOUT_THE_PAPER = (
+    "reproduce",
+    "paper_gap",
+    "paper_calibration",
+    "demo",
+    "parameters",
+    "paper",
+    "paper_dead_zone",
+    "valve_1",
+)
+
+
+def test_no_text_presupposes_the_papers_valves() -> None:
+    """What is shown for any rig does not state the rated voltage, current or flow of one."""
+    numbers = re.compile(
+        r"\b73(&nbsp;| )?V\b|\b730 ?mA|rated flow (of both valves|is 49 l/min)|V on the paper's valves"
+    )
+    for path in (
+        path for path in (ROOT / "hydro_env").rglob("*") if path.suffix in (".py", ".html", ".js", ".yaml")
+    ):
+        if path.stem not in ABOUT_THE_PAPER:
+            text = re.sub(r"^\s*#.*$", "", path.read_text(encoding="utf-8"), flags=re.M)
+            assert not numbers.search(text), path
+    for name in (
+        "howto/score_a_controller.md",
+        "howto/use_the_lab.md",
+        "howto/measure_valves.md",
+        "reference/environment.md",
+    ):
+        assert not numbers.search((DOCS / name).read_text(encoding="utf-8")), name
+
+
 def test_links_lead_somewhere(page: Path) -> None:
     text = re.sub(r"```.*?```|`[^`]*`", "", page.read_text(encoding="utf-8"), flags=re.S)
     for target in re.findall(r"\]\(([^)\s]+)\)", text):

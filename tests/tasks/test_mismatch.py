@@ -182,7 +182,10 @@ def test_what_is_usual_on_the_plant_that_it_is_meant_for_does_not_warn():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         load_mismatch(
-            {"R": {"uniform": [28.0, 34.0], "meant_for": 31.2}, "Km": {"uniform": [1e-10, 4e-10]}, "Fc": 0.0}
+            {
+                "R": {"uniform": [28.0, 34.0], "meant_for": 31.2},
+                "Km": {"uniform": [1e-10, 4e-10]},
+            }
         )
         load_mismatch({"base": "faulted", "R": {"uniform": [95, 105]}})
     with pytest.warns(InputWarning, match="R 28 to 34"):
