@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import re
 import runpy
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from hydro_env.envs.batch import OPTIONS, HydraulicSyncVectorEnv
 from hydro_env.experiments.paper_rig import SETPOINT_STEPS, run_paper
 from hydro_env.plant import load_model
 
@@ -50,6 +52,13 @@ def test_an_extra_is_installed_from_the_sources(page: Path) -> None:
     if page.parent.name == "docs" or re.search(r"extra\b[^.\n]{0,40} `\w+`", text) is None:
         return
     assert "install -c constraints.txt" in text or "extras.md" in text
+
+
+def test_the_environments_page_names_every_argument() -> None:
+    text = (DOCS / "reference" / "environment.md").read_text(encoding="utf-8")
+    arguments = [*inspect.signature(HydraulicSyncVectorEnv.__init__).parameters][1:]
+    for name in (*arguments, *OPTIONS, "final_obs", "base", "meant_for"):
+        assert re.search(rf"\b{name}\b", text), name
 
 
 def test_nothing_says_to_install_from_an_index() -> None:
