@@ -185,7 +185,7 @@ class RigPage:
         settings, reach = session.settings, session.reach
         self._hand.clear()
         with self._hand:
-            most = f"{_short(reach.speed_rpm)} rpm without load, {_short(reach.torque_Nm)} N m at standstill"
+            most = f"{_short(reach.speed_rpm)} rpm without load, {_short(reach.torque_Nm)} N\u00a0m at standstill"
             rated = " and ".join(f"{each:g}" for each in dict.fromkeys(reach.rated_V))
             ui.label(f"The rig reaches {most}, with {rated} V at the valves.").classes("lab-soft")
             self._by_hand(
