@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from hydro_env.errors import InputError, run_command
+from hydro_env.errors import InputError, run_command, to_install
 from hydro_env.limits import SEEDS, Limits
 from hydro_env.reading import read_yaml
 from hydro_env.training.config import ENV_ID, read_config
@@ -54,7 +54,7 @@ def search(config: Path, out: Path, *, trials: int, steps: int, seed: int = 0) -
     try:
         import optuna
     except ImportError:
-        raise InputError("the search needs Optuna: pip install 'hydro_env[search]'") from None
+        raise InputError(f"the search needs Optuna: {to_install('search')}") from None
     data = read_yaml(config, "a training file in YAML")
     data[ENV_ID]["n_timesteps"] = steps
     data["training"]["evaluate_every"] = max(1, steps // 8)

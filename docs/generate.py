@@ -40,7 +40,7 @@ from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.mpc.flow_controller import FlowSettings
 from hydro_env.diagnosis import RULES, STAGES, Settings
-from hydro_env.envs import HydraulicSyncEnv, Reward
+from hydro_env.envs import HydraulicSyncEnv, HydraulicSyncVectorEnv, Reward
 from hydro_env.envs.observation import LIMIT, NOISE, OBSERVATION, SCALES
 from hydro_env.envs.step_kernels import COLUMNS
 from hydro_env.experiments import blind_trials, naming_benchmark
@@ -390,8 +390,15 @@ def _first_line(thing: Any) -> str:
 
 
 def environment() -> str:
-    """The docstring of the environment, one level of headings down."""
-    return inspect.cleandoc(HydraulicSyncEnv.__doc__ or "")
+    """The docstring of the environment from `info` on; the page has the rest as tables."""
+    text = inspect.cleandoc(HydraulicSyncEnv.__doc__ or "")
+    return text[text.index("## Info") :].replace("## ", "### ")
+
+
+def batch() -> str:
+    """What the docstring of the batch lists."""
+    text = inspect.cleandoc(HydraulicSyncVectorEnv.__doc__ or "")
+    return text[text.index("\n* ") + 1 :]
 
 
 def observation() -> str:
@@ -885,7 +892,7 @@ PARTS: dict[str, Callable[[], str]] = {
     made.__name__: made
     for made in (
         parameters, presets, preset_values, effects, twins, form_corrections, severities, sensors, form_constants, losses,
-        controllers, gains, law_settings, searches, splits, faults, scenarios, metrics, suites, environment, packages,
+        controllers, gains, law_settings, searches, splits, faults, scenarios, metrics, suites, environment, batch, packages,
         observation, reward, episodes, splits_short, threshold,
         diagnosis_stages,
         diagnosis_rules,

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from hydro_env import __version__
 from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.errors import InputError, place_of, suggestion
+from hydro_env.errors import InputError, place_of, suggestion, to_install
 from hydro_env.plant import load_model, preset_names
 from hydro_env.tasks import OWN, SPLITS, load_scenario
 
@@ -118,7 +118,7 @@ def check(tasks: Sequence[Task], out: Path) -> None:
     """InputError where a package or a name is unknown, or a data set of the same id is in `out` already."""
     for package in ("minari", "h5py", "PIL"):
         if find_spec(package) is None:
-            raise InputError(f"data sets need {package}: pip install 'hydro_env[dataset]'")
+            raise InputError(f"data sets need {package}: {to_install('dataset')}")
     ids = [task.id for task in tasks]
     for task in tasks:
         if task.split not in (*SPLITS, OWN):

@@ -8,7 +8,16 @@ from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from pathlib import Path
 
-__all__ = ["InputError", "InputWarning", "nearest", "place_of", "run_command", "shown", "suggestion"]
+__all__ = [
+    "InputError",
+    "InputWarning",
+    "nearest",
+    "place_of",
+    "run_command",
+    "shown",
+    "suggestion",
+    "to_install",
+]
 
 #: Similarity (`difflib.SequenceMatcher.ratio`) from which on a name counts as a misspelling of another.
 SIMILAR = 0.5
@@ -78,6 +87,11 @@ def suggestion(word: object, known: Iterable[str]) -> str:
     names = list(known)
     near = nearest(word, names)
     return f"did you mean {near!r}?" if near else f"known are {', '.join(names)}"
+
+
+def to_install(extra: str) -> str:
+    """How to install an extra of this package, which is on no index: from its sources."""
+    return f"in the folder of hydro_env's sources, pip install -c constraints.txt '.[{extra}]'"
 
 
 def run_command(work: Callable[[], None]) -> None:

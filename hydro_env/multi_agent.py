@@ -20,12 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 from .envs import OBSERVATION, HydraulicSyncEnv
 from .envs.batch import OPTIONS
 from .envs.observation import ERRORS, LIMIT
-from .errors import InputWarning, shown, suggestion
+from .errors import InputWarning, shown, suggestion, to_install
 
 try:
     from pettingzoo import ParallelEnv
 except ImportError as problem:
-    raise ImportError("hydro_env.multi_agent needs PettingZoo: pip install 'hydro_env[multi]'") from problem
+    raise ImportError(f"hydro_env.multi_agent needs PettingZoo: {to_install('multi')}") from problem
 
 __all__ = ["AGENTS", "HydraulicSyncParallelEnv"]
 

@@ -44,7 +44,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, to_install
 from hydro_env.files import write_bytes
 from hydro_env.pickles import distrust, seal, unseal
 
@@ -414,7 +414,7 @@ def _cluster() -> tuple[Any, bool]:
     try:
         import ray
     except ImportError:
-        raise InputError("engine ray: this needs ray: pip install 'hydro_env[ray]'") from None
+        raise InputError(f"engine ray: this needs ray: {to_install('ray')}") from None
     if ray.is_initialized():
         return ray, False
     address = os.environ.get("RAY_ADDRESS") or "auto"

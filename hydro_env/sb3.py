@@ -17,11 +17,12 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from .envs.batch import HydraulicSyncVectorEnv
+from .errors import to_install
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as problem:
-    raise ImportError("hydro_env.sb3 needs Stable-Baselines3: pip install 'hydro_env[agents]'") from problem
+    raise ImportError(f"hydro_env.sb3 needs Stable-Baselines3: {to_install('agents')}") from problem
 
 __all__ = ["HydraulicSyncVecEnv"]
 

@@ -282,7 +282,7 @@ def test_missing_extra_is_named(run: Run, tmp_path: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(hide, "run", missing)
     status, _, err = run("hide", "dead_zone", "--out", "out")
-    assert status == 2 and "hydro_env[report]" in err and is_one_line(err)
+    assert status == 2 and "'.[report]'" in err and is_one_line(err)
     assert listing(tmp_path) == []
 
 

@@ -225,7 +225,7 @@ def test_unknown_engine():
 
 def test_ray_that_is_not_there(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(InputError, match=r"pip install 'hydro_env\[ray\]'") as caught:
+    with pytest.raises(InputError, match=r"'\.\[ray\]'") as caught:
         run([1], numbers, engine="ray", progress=False)
     assert "\n" not in str(caught.value)
 

@@ -57,7 +57,7 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "hydro-env diagnose --inspect monday.csv --out look",
         "hydro-env diagnose monday.csv --sealed tuesday.csv --mapping look/mapping.yaml --model my_rig.yaml --out found",
     ),
-    "lab": ("hydro-env lab", "hydro-env lab --no-browser --port 8200 --out lab"),
+    "lab": ("hydro-env lab", "hydro-env lab --plant my_rig.yaml --controller gains/gains.json"),
     "close-loop": ("hydro-env close-loop --seeds 1 --out loop",),
     "export": (
         "hydro-env export fmu --model my_rig.yaml --out fmu",

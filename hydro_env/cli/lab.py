@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hydro_env.cli.options import EffectFiles, number
+from hydro_env.cli.options import EffectFiles, Plant, number
 from hydro_env.limits import Limits
 
 Port = Annotated[
@@ -16,10 +16,17 @@ Port = Annotated[
 ]
 
 
+Controller = Annotated[
+    str, typer.Option(help="Controller that begins: a name, gains.json, policy.npz or file.py:Class.")
+]
+
+
 def lab(
     out: Annotated[
         Path, typer.Option("--out", help="Folder for logs and reports; created when needed.")
     ] = Path("lab"),
+    plant: Plant = "paper_dead_zone",
+    controller: Controller = "pid_tuned",
     port: Port = 8137,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Whether to open the page.")] = True,
     effect_files: EffectFiles = None,
@@ -29,7 +36,10 @@ def lab(
     Change controller, valves and effects while it runs, record logs and diagnose them. Ctrl-C ends it.
     """
     from hydro_env.lab import server
+    from hydro_env.lab.session import Settings
     from hydro_env.plant import load_effects
+    from hydro_env.tasks import default_mismatch
 
     load_effects(effect_files or [])
-    server.run(out, port=port, browser=browser)
+    split = default_mismatch(plant, "test_interp")
+    server.run(out, Settings(preset=plant, split=split, controller=controller), port=port, browser=browser)

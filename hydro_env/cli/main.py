@@ -15,7 +15,7 @@ from typing import Any, NoReturn, TextIO
 import typer
 
 from hydro_env.cli.app import app
-from hydro_env.errors import InputError, InputWarning, shown
+from hydro_env.errors import InputError, InputWarning, shown, to_install
 
 __all__ = ["main", "run", "spread"]
 
@@ -133,7 +133,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         extra = EXTRAS.get((problem.name or "").partition(".")[0])
         if extra is None:
             raise
-        return _fail(f"this needs {problem.name}: pip install 'hydro_env[{extra}]'")
+        return _fail(f"this needs {problem.name}: {to_install(extra)}")
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
         return _fail(f"{where}{problem.strerror or problem}")

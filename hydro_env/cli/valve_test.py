@@ -14,7 +14,7 @@ Valves = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[VALVE]...",
-        help="Presets or model files (paper:2: channel 2), files of measured curves. Default: the paper's.",
+        help="Presets or model files (paper:2: channel 2), files of measured curves. Default: the presets valve_1, ...",
     ),
 ]
 Signal = Annotated[str, typer.Option(help="Signal axis of modelled valves: current or command.")]

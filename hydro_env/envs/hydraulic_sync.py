@@ -37,9 +37,9 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     ## Action space
 
-    `Box(-1, 1, (2,), float32)`: the commands of valve 1 and valve 2 as fractions of the rated command (73 V), held over
-    the control period. Values beyond are clipped; values that are not finite raise a ValueError. With `increment` they are
-    changes of the commands, in fractions of that increment.
+    `Box(-1, 1, (2,), float32)`: the commands of valve 1 and valve 2 as fractions of the rated command (`u_rated` of the
+    plant), held over the control period. Values beyond are clipped; values that are not finite raise a ValueError. With
+    `increment` they are changes of the commands, in fractions of that increment.
 
     ## Observation space
 

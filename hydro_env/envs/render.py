@@ -5,11 +5,14 @@ Needs the extra `render`.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
+
+from ..errors import to_install
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
@@ -25,7 +28,7 @@ SHOWN = 300
 ACROSS, DOWN = 32, 24
 #: It is drawn this many times larger, then reduced, so that lines are smooth.
 FINER = 2
-#: Range of the axis of the speeds, rpm.
+#: Range of the axis of the speeds, rpm; faster rigs have a multiple of it.
 MOST_RPM = 800.0
 
 _WHITE, _GRID, _BLACK = "#ffffff", "#d8dade", "#303030"
@@ -48,7 +51,7 @@ class Recorder:
             import PIL.Image  # noqa: F401
         except ImportError as problem:
             raise gymnasium.error.DependencyNotInstalled(
-                "pictures need Pillow: pip install 'hydro_env[render]'"
+                f"pictures need Pillow: {to_install('render')}"
             ) from problem
         self._width = width
         self._past = np.full((num_rigs, SHOWN, _KEPT), np.nan)
@@ -90,7 +93,9 @@ class Recorder:
         time = end + period * np.arange(1 - SHOWN, 1)
         speeds = [(past[:, _SETPOINT], _BLACK), *zip(past[:, _SPEED].T, _COLOURS, strict=True)]
         commands = list(zip(past[:, _COMMAND].T, _COLOURS, strict=True))
-        page.axes((10.9, 16.6), "speed, rpm", time, MOST_RPM, 400.0, speeds)
+        fastest = float(np.nanmax(np.abs([values for values, _ in speeds]), initial=1.0))
+        most = MOST_RPM * math.ceil(fastest / MOST_RPM)
+        page.axes((10.9, 16.6), "speed, rpm", time, most, 0.5 * most, speeds)
         page.axes((18.6, 21.8), "command, V", time, rated, rated, commands)
         page.times(23.0, time)
         return np.array(image.reduce(FINER))
@@ -104,7 +109,7 @@ class Window:
             import pygame
         except ImportError as problem:
             raise gymnasium.error.DependencyNotInstalled(
-                "a window needs pygame: pip install 'hydro_env[render]'"
+                f"a window needs pygame: {to_install('render')}"
             ) from problem
         self._pygame, self._title = pygame, title
         self._screen: Any = None

@@ -43,7 +43,7 @@ typedef struct {name}_state {{
 
 /* Before the first sample, and to begin anew. */
 void {name}_reset({name}_state *s);
-/* Once every {period} s: both commands, as fractions of the rated command ({rated} V on the paper's valves), in [-1, 1]. */
+/* Once every {period} s: both commands, as fractions of the rated command of your valves, in [-1, 1]. */
 void {name}_step({name}_state *s, const double measured[{measured}], double command[2]);
 
 #endif
@@ -59,8 +59,8 @@ class CCode:
     source: str
 
 
-def c_code(program: Program, version: str, about: str, rated: float) -> CCode:
-    """The C of a program. `about`: a sentence on the controller; `rated`: the rated command, V."""
+def c_code(program: Program, version: str, about: str) -> CCode:
+    """The C of a program. `about`: a sentence on the controller."""
     name = re.sub(r"\W", "_", program.name)
     name = f"_{name}" if name[0].isdigit() else name
     translator = Translator()
@@ -74,7 +74,7 @@ def c_code(program: Program, version: str, about: str, rated: float) -> CCode:
     state = "".join(f"    {KINDS[each.kind]} {each.name}[{each.size}];\n" for each in program.state)
     header = _HEADER.format(
         name=name, guard=name.upper(), period=repr(program.period), about=about, version=version, measured=9,
-        state=state, rated=f"{rated:g}",
+        state=state,
     )  # fmt: skip
     reset = "".join(
         f"    for (i = 0; i < {each.size}; i++) s->{each.name}[i] = 0;\n" for each in program.state

@@ -13,7 +13,7 @@ from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
 from hydro_env.errors import InputError
 from hydro_env.files import write_json, write_text
-from hydro_env.plant import PARAMETERS, Plant, load_model
+from hydro_env.plant import Plant, load_model
 
 from .c_code import c_code
 from .structured_text import structured_text
@@ -22,8 +22,6 @@ from .tracing import Program, trace
 from .translate import TranslationError
 
 __all__ = ["c_files", "onnx_file", "program_of", "st_file"]
-
-RATED = PARAMETERS["u_rated"].nominal
 
 
 def program_of(spec: str, period: float, plant: str = "paper_dead_zone", single: bool = False) -> Program:
@@ -68,7 +66,7 @@ def _about(spec: str) -> str:
 def c_files(spec: str, folder: Path, period: float, plant: str, single: bool) -> dict[str, Any]:
     """Writes NAME.h, NAME.c and export.json; what the latter holds."""
     program = program_of(spec, period, plant, single)
-    code = c_code(program, __version__, _about(spec), RATED)
+    code = c_code(program, __version__, _about(spec))
     write_text(folder / f"{code.name}.h", code.header)
     write_text(folder / f"{code.name}.c", code.source)
     return _noted(folder, "c", spec, program, [f"{code.name}.h", f"{code.name}.c"])
@@ -78,7 +76,7 @@ def st_file(spec: str, folder: Path, period: float, plant: str, single: bool) ->
     """Writes NAME.st and export.json; what the latter holds. InputError for one that calls compiled functions."""
     program = program_of(spec, period, plant, single)
     try:
-        text = structured_text(program, __version__, _about(spec), RATED)
+        text = structured_text(program, __version__, _about(spec))
     except TraceError as problem:
         raise InputError(f"controller {spec!r} cannot be exported: {problem}") from None
     name = f"{program.name}.st"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isinf
 
 from hydro_env.lab.rig import effects_offered
@@ -100,10 +100,23 @@ def with_unit(value: float, p: Parameter) -> str:
     return f"{value / size:.3g} {unit}".strip()
 
 
-def sliders(effect: Effect) -> list[Slider]:
-    """The sliders of an effect: one for each parameter and channel, or one for both where it is the rig's."""
+def sliders(effect: Effect, rated_V: tuple[float, float]) -> list[Slider]:
+    """The sliders of an effect: one for each parameter and channel, or one for both where it is the rig's.
+
+    Bounds in volts are those of valves with these rated commands."""
     channels: tuple[int | None, ...] = (None,) if effect.scope == "rig" else (0, 1)
-    return [Slider(effect.name, p, channel) for p in effect.parameters for channel in channels]
+    own = {channel: effect.at_rated(rated_V[channel or 0]) for channel in channels}
+    return [
+        Slider(effect.name, _possible(own[channel].parameter(p.name)), channel)
+        for p in effect.parameters
+        for channel in channels
+    ]
+
+
+def _possible(p: Parameter) -> Parameter:
+    """The parameter within what a model accepts."""
+    low, high = p.possible
+    return replace(p, low=max(p.low, low), high=min(p.high, high))
 
 
 def effects_by_port() -> dict[str, list[Effect]]:

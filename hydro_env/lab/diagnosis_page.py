@@ -13,14 +13,12 @@ from hydro_env.lab.page import section
 from hydro_env.lab.session import Session
 from hydro_env.lab.uploads import Upload, Uploads
 from hydro_env.lab.worker import Worker
-from hydro_env.plant.model_files import preset_names
 
 __all__ = ["DiagnosisPage"]
 
 #: Seconds between two looks at the diagnosis.
 LOOK = 0.3
 ROLES = {"fit": "to fit", "held_out": "held out", "": "not used"}
-YAML_ROLES = {"mapping": "mapping", "model": "model", "": "not used"}
 LABEL = "Logs (CSV, Parquet, MAT, MDF4, TDMS), mapping or model (YAML): drop files here, or choose"
 VERDICTS = {
     "none": "the model explains the logs",
@@ -50,7 +48,9 @@ class DiagnosisPage:
             )
             self._files = ui.element("div").classes("w-full")
             ui.label("With no log held out, the last third of the last log is.").classes("lab-soft")
-            self._model = ui.select(preset_names(), value=preset, label="model to diagnose").classes("w-full")
+            self._model = ui.select(
+                self._uploads.rigs(preset), value=preset, label="model to diagnose"
+            ).classes("w-full")
             with ui.element("div").classes("lab-row"):
                 self._start = ui.button("Diagnose", on_click=lambda: self._begin("diagnose"))
                 self._look_at = quiet_button("Look at the log", lambda: self._begin("inspect"))
@@ -72,18 +72,22 @@ class DiagnosisPage:
         self._problem.text = text.removeprefix("hydro-env lab: ")
 
     def _list(self) -> None:
-        self._listed = [(str(upload.path), upload.role) for upload in self._uploads.files]
+        """Lists the files anew; a model that has come is the one to diagnose, and one that has gone no longer is."""
+        listed = self._uploads.listed
+        new = [path for path, role in listed if role == "model" and (path, role) not in self._listed]
+        self._listed = listed
+        rigs = self._uploads.rigs(self._worker.seen.session.settings.preset)
+        kept = self._model.value if self._model.value in rigs else next(iter(rigs))
+        self._model.set_options(rigs, value=new[-1] if new else kept)
         self._files.clear()
         with self._files:
             for upload in self._uploads.files:
                 self._list_one(upload)
 
     def _list_one(self, upload: Upload) -> None:
-        roles = YAML_ROLES if upload.path.suffix in (".yaml", ".yml") else ROLES
-
         def choose(event: Any) -> None:
             upload.role = event.value
-            self._listed = [(str(each.path), each.role) for each in self._uploads.files]
+            self._listed = self._uploads.listed
 
         def remove() -> None:
             self._uploads.remove(upload)
@@ -92,9 +96,11 @@ class DiagnosisPage:
         with ui.element("div").classes("lab-file"):
             with ui.element("span"):
                 ui.label(upload.name)
-            ui.select(roles, value=upload.role, on_change=choose).props["aria-label"] = (
-                f"use of {upload.name}"
-            )
+            if upload.role in ROLES:
+                use = ui.select(ROLES, value=upload.role, on_change=choose)
+                use.props["aria-label"] = f"use of {upload.name}"
+            else:
+                ui.label(upload.role)
             quiet_button("Remove", remove, f"remove {upload.name}")
 
     # --- the diagnosis --------------------------------------------------------------------------------------------
@@ -102,18 +108,20 @@ class DiagnosisPage:
         self._problem.text = ""
         try:
             fit, mappings = self._uploads.with_role("fit"), self._uploads.with_role("mapping")
-            models = self._uploads.with_role("model")
             if not fit:
                 raise InputError("no log to fit; drop one in, or record one")
-            model = str(models[-1]) if models else str(self._model.value)
             self._jobs.start(
-                what, fit, self._uploads.with_role("held_out"), model, mappings[-1] if mappings else None
+                what,
+                fit,
+                self._uploads.with_role("held_out"),
+                str(self._model.value),
+                mappings[-1] if mappings else None,
             )
         except InputError as problem:
             self._problem.text = str(problem)
 
     def _refresh(self) -> None:
-        if [(str(upload.path), upload.role) for upload in self._uploads.files] != self._listed:
+        if self._uploads.listed != self._listed:
             self._list()
         recording = self._worker.seen.session.recorded is not None
         self._record.text = "Stop recording" if recording else "Record a log, from rest"

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hydro_env.errors import InputError, InputWarning
+from hydro_env.errors import InputError, InputWarning, to_install
 
 __all__ = ["main"]
 
@@ -94,7 +94,7 @@ def main() -> None:
     except InputError as problem:
         say(error=str(problem))
     except ModuleNotFoundError as problem:
-        say(error=f"this needs {problem.name}: pip install 'hydro_env[measured,report]'")
+        say(error=f"this needs {problem.name}: {to_install('measured,report')}")
     except OSError as problem:
         say(error=str(InputError(f"{problem.filename or 'a file'}: {problem.strerror or problem}")))
 

@@ -9,6 +9,7 @@ from functools import partial
 from html import escape
 from importlib.resources import files
 from itertools import groupby
+from math import floor, log10
 from typing import Any
 
 from nicegui import ui
@@ -16,11 +17,11 @@ from nicegui import ui
 from hydro_env.controllers import CONTROLLERS
 from hydro_env.lab.adjust import Slider, effects_by_port, sliders
 from hydro_env.lab.elements import Motors, Plots, SlidingNumber, quiet_button
-from hydro_env.lab.session import LOADS, MANUAL, SETPOINTS, Session
+from hydro_env.lab.session import MANUAL, Session
+from hydro_env.lab.uploads import Uploads
 from hydro_env.lab.worker import Seen, Worker
 from hydro_env.plant.catalogue import Effect
-from hydro_env.plant.model_files import preset_names
-from hydro_env.tasks import NAMED_PAIRS, OWN, SCENARIOS, SPLITS
+from hydro_env.tasks import NAMED_PAIRS, OWN, SCENARIOS, SPLITS, default_mismatch
 
 __all__ = ["RigPage", "section"]
 
@@ -28,8 +29,6 @@ __all__ = ["RigPage", "section"]
 PICTURE, SENTENCE = 0.1, 5.0
 #: Speeds of time that may be chosen.
 TEMPOS = {0.1: "0.1 ×", 0.25: "0.25 ×", 0.5: "0.5 ×", 1.0: "real time", 2.0: "2 ×", 5.0: "5 ×"}
-#: Steps of the sliders of set-point, rpm, and of loads, in a N m.
-RPM_STEP, LOAD_STEPS = 10, 50
 
 
 @contextmanager
@@ -55,11 +54,24 @@ class _Follower:
                 self._element.value = now
 
 
+def step_to(most: float) -> float:
+    """A step of 1, 10, 100, 0.1 ... with 50 to 500 of them to an end of a slider."""
+    return float(10.0 ** floor(log10(most / 50.0)))
+
+
+def _short(value: float) -> str:
+    """Three digits."""
+    return f"{float(f'{value:.3g}'):g}"
+
+
 class RigPage:
     """What one browser sees of the rig; all browsers see the same rig."""
 
-    def __init__(self, worker: Worker) -> None:
-        self._worker = worker
+    def __init__(self, worker: Worker, uploads: Uploads) -> None:
+        self._worker, self._uploads = worker, uploads
+        self._ports: list[tuple[Any, Any, list[Effect]]] = []
+        self._preset: Any = None
+        self._shown_preset = worker.seen.session.settings.preset
         self._spoken = 0.0
         self._effects: list[tuple[Slider, SlidingNumber]] = []
         self._followers: list[_Follower] = []
@@ -99,11 +111,13 @@ class RigPage:
         self._motors.show(seen)
         self._plots.show(seen)
         session, now = seen.session, seen.session.now
+        self._follow_rig(session.settings.preset)
         self._pause.text = "Pause" if seen.running else "Go on"
         for follower in self._followers:
             follower.follow(seen)
         self._problem.text = seen.refused or session.problem
-        self._about.text, self._note.text = CONTROLLERS[session.settings.controller].summary, session.note
+        entry = CONTROLLERS.get(session.settings.controller)
+        self._about.text, self._note.text = "" if entry is None else entry.summary, session.note
         going = f"{seen.reached:.2g} × real time" if seen.running else "paused"
         log = "" if session.recorded is None else f", recording: {session.recorded:.0f} s"
         loads = " and ".join(f"{load:.2f}" for load in session.load_Nm)
@@ -114,6 +128,20 @@ class RigPage:
             self._sentence.text = (
                 f"difference {now['difference_rpm']:.0f} rpm, {speeds}" if self._aloud.value else ""
             )
+
+    def _follow_rig(self, preset: str) -> None:
+        """Offers the rigs that there are, and after another one was chosen the sliders that suit it."""
+        rigs = self._uploads.rigs(preset)
+        if rigs != self._preset.options:
+            self._preset.set_options(rigs, value=preset)
+        if preset != self._shown_preset:
+            self._shown_preset = preset
+            self._show_hand()
+            self._effects.clear()
+            for part, holder, effects in self._ports:
+                holder.clear()
+                if part.value:
+                    self._fill(holder, effects)
 
     # --- what may be chosen ---------------------------------------------------------------------------------------
     def show_time(self) -> None:
@@ -130,8 +158,8 @@ class RigPage:
 
     def show_controller(self) -> None:
         """The controller, and what drives it."""
-        settings = self._worker.seen.session.settings
-        names = {name: name for name, entry in CONTROLLERS.items() if entry.available}
+        chosen = self._worker.seen.session.settings.controller
+        names = {chosen: chosen} | {name: name for name, entry in CONTROLLERS.items() if entry.available}
         with section("Controller"):
             self._select(
                 names, "controller", lambda seen: seen.session.settings.controller,
@@ -140,41 +168,80 @@ class RigPage:
             self._about = ui.label()
             self._note = ui.label().classes("lab-soft")
         with section("Course"):
-            self._show_course(settings)
+            names = {
+                MANUAL: "by hand",
+                **{name: f"{name}: {each.summary}" for name, each in SCENARIOS.items()},
+            }
+            self._select(
+                names, "set-point", lambda seen: seen.session.settings.scenario,
+                lambda name: self.ask(lambda session: session.choose_scenario(name)),
+            )  # fmt: skip
+            self._hand = ui.element("div").classes("w-full")
+            self._show_hand()
 
-    def _show_course(self, settings: Any) -> None:
-        names = {MANUAL: "by hand", **{name: f"{name}: {each.summary}" for name, each in SCENARIOS.items()}}
-        self._select(
-            names, "set-point", lambda seen: seen.session.settings.scenario,
-            lambda name: self.ask(lambda session: session.choose_scenario(name)),
-        )  # fmt: skip
-        SlidingNumber(
-            "set-point by hand", (int(SETPOINTS.low), int(SETPOINTS.high)), RPM_STEP, round(settings.setpoint_rpm),
-            lambda position: f"{position} rpm",
-            lambda position: self.ask(lambda session: session.set_setpoint(float(position))),
-        )  # fmt: skip
-        with ui.element("div").classes("lab-pair"):
-            for channel in (0, 1):
-                self._show_load(channel, settings.load_Nm[channel])
+    def _show_hand(self) -> None:
+        """What is set by hand: as far as the rig goes."""
+        session = self._worker.seen.session
+        settings, reach = session.settings, session.reach
+        self._hand.clear()
+        with self._hand:
+            most = f"{_short(reach.speed_rpm)} rpm without load, {_short(reach.torque_Nm)} N\u00a0m at standstill"
+            rated = " and ".join(f"{each:g}" for each in dict.fromkeys(reach.rated_V))
+            ui.label(f"The rig reaches {most}, with {rated} V at the valves.").classes("lab-soft")
+            self._by_hand(
+                "set-point by hand", reach.speed_rpm, settings.setpoint_rpm, "rpm", Session.set_setpoint
+            )
+            with ui.element("div").classes("lab-pair"):
+                for channel in (0, 1):
+                    self._show_load(channel)
 
-    def _show_load(self, channel: int, load: float) -> None:
+    def _show_load(self, channel: int) -> None:
+        session = self._worker.seen.session
+        self._by_hand(
+            f"load on motor {channel + 1}", session.reach.torque_Nm, session.settings.load_Nm[channel], "N m",
+            lambda session, torque: session.set_load(channel, torque),
+        )  # fmt: skip
+
+    def _by_hand(
+        self, label: str, most: float, now: float, unit: str, change: Callable[[Session, float], None]
+    ) -> None:
+        """A slider from `-most` to `most` in round steps."""
+        step = step_to(most)
+        ends = floor(most / step)
+
+        def value(position: int) -> float:
+            return round(position * step, 9)
+
         SlidingNumber(
-            f"load on motor {channel + 1}", (round(LOADS.low * LOAD_STEPS), round(LOADS.high * LOAD_STEPS)), 1,
-            round(load * LOAD_STEPS), lambda position: f"{position / LOAD_STEPS:.2f} N m",
-            lambda position: self.ask(lambda session: session.set_load(channel, position / LOAD_STEPS)),
+            label, (-ends, ends), 1, round(now / step), lambda position: f"{value(position):g} {unit}",
+            lambda position: self.ask(lambda session: change(session, value(position))),
         )  # fmt: skip
 
     def show_valves(self) -> None:
-        """Preset, split and number of the pair."""
+        """Rig, split and number of the pair."""
         settings = self._worker.seen.session.settings
-        splits = {OWN: "own: the preset's pair"} | {name: name for name in (*SPLITS, *NAMED_PAIRS)}
+        splits = {OWN: "own: the rig's pair"} | {name: name for name in (*SPLITS, *NAMED_PAIRS)}
+
+        split: Any
+        number: Any
 
         def chosen(_: Any) -> None:
-            pair = str(preset.value), str(split.value), int(number.value or 0)
-            self.ask(lambda session: session.choose_valves(*pair))
+            pair = str(split.value), int(number.value or 0)
+            self.ask(lambda session: session.choose_valves(session.settings.preset, *pair))
+
+        def another(preset: Any) -> None:
+            # A model file that has valves of its own is driven with them.
+            self.ask(
+                lambda session: session.choose_valves(
+                    preset, default_mismatch(preset, session.settings.split), session.settings.number
+                )
+            )
 
         with section("Valves"):
-            preset = self._select(preset_names(), "preset", lambda seen: seen.session.settings.preset, chosen)
+            rigs = self._uploads.rigs(settings.preset)
+            self._preset = self._select(
+                rigs, "preset or model", lambda seen: seen.session.settings.preset, another
+            )
             with ui.element("div").classes("lab-row"):
                 split = self._select(
                     splits, "split of pairs", lambda seen: seen.session.settings.split, chosen
@@ -194,16 +261,20 @@ class RigPage:
                 with ui.expansion(f"{port} ({len(effects)})").classes("w-full") as part:
                     holder = ui.element("div")
                 part.on_value_change(partial(self._open, holder, effects))
+                self._ports.append((part, holder, effects))
         ui.timer(0.5, self._follow_effects)
 
     def _open(self, holder: Any, effects: list[Effect], event: Any) -> None:
-        if not event.value or holder.default_slot.children:
-            return
+        if event.value and not holder.default_slot.children:
+            self._fill(holder, effects)
+
+    def _fill(self, holder: Any, effects: list[Effect]) -> None:
+        rated = self._worker.seen.session.reach.rated_V
         with holder:
             for effect in effects:
                 ui.html(f"<h3>{escape(effect.title)}</h3>", sanitize=False, tag="div")
                 ui.label(effect.summary).classes("lab-soft")
-                for name, pair in groupby(sliders(effect), key=lambda slider: slider.parameter.name):
+                for name, pair in groupby(sliders(effect, rated), key=lambda slider: slider.parameter.name):
                     title = effect.parameter(name).title
                     ui.label(title)
                     with ui.element("div").classes("lab-pair"):

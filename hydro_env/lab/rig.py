@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from hydro_env.envs.observation import FRAME, LIMIT, SCALES, noise_levels
 from hydro_env.envs.step_kernels import SIGNALS, TRUE, look
-from hydro_env.plant import CATALOGUE, Plant, load_model
+from hydro_env.plant import CATALOGUE, Plant, PlantModel, load_model
 from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
 from hydro_env.tasks import draw_pairs
 from hydro_env.tasks.mismatch import OWN, SENSOR_PARAMETERS, own_values
-from hydro_env.units import RPM
+from hydro_env.units import BAR, RPM
 
-__all__ = ["PERIOD", "LiveRig", "Reading", "effects_offered"]
+__all__ = ["PERIOD", "LiveRig", "Reach", "Reading", "effects_offered"]
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +36,32 @@ _ROW = np.zeros(1, np.int64)
 def effects_offered() -> list[str]:
     """Names of the effects that a rig may have: the package's and the user's own, without corrections of form."""
     return [name for name, effect in CATALOGUE.items() if effect.family != FORMS]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What the valves of a rig do at their rated commands."""
+
+    rated_V: tuple[float, float]
+    speed_rpm: float
+    """Without load, of the weaker channel."""
+    torque_Nm: float
+    """At standstill, of the weaker channel; of a motor without leakage that at the supply pressure, or at 350 bar."""
+
+
+def reach_of(model: PlantModel) -> Reach:
+    """The reach of a rig from its base parameters: Kq x = D w + Km dp, D dp = B w + torque."""
+    speeds, torques = [], []
+    for c in (0, 1):
+        D, B, Km, Kq, alpha, R, k = (
+            model.value(name, c) for name in ("D", "B", "Km", "Kq", "alpha", "R", "k")
+        )
+        voltage = min(model.value("u_rated", c), model.value("driver_saturation.voltage_limit", c))
+        flow = Kq * min(alpha * voltage / (R * k), model.value("x_max", c))
+        speeds.append(flow / (D + Km * B / D) / RPM)
+        supply = min(model.value("pressure_dependent_flow.supply_pressure", c), 350.0 * BAR)
+        torques.append(D * min(flow / Km if Km > 0.0 else inf, supply))
+    return Reach(model.pair("u_rated"), min(speeds), min(torques))
 
 
 @dataclass(frozen=True)
@@ -63,6 +90,7 @@ class LiveRig:
     def __init__(self, plant: str = "paper_dead_zone", *, noise: float = 1.0, seed: int = 0) -> None:
         self.preset = plant
         self.model = load_model(plant)
+        self.reach = reach_of(self.model)
         self._offered = effects_offered()
         self.plant = Plant(self.model, 1, effects=self._offered)
         self._levels = noise_levels(noise)

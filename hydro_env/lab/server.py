@@ -24,8 +24,8 @@ from hydro_env.lab.diagnosis_page import DiagnosisPage
 from hydro_env.lab.guard import Guard
 from hydro_env.lab.jobs import Jobs
 from hydro_env.lab.page import RigPage, style
-from hydro_env.lab.session import Session
-from hydro_env.lab.uploads import Uploads
+from hydro_env.lab.session import Session, Settings
+from hydro_env.lab.uploads import YAML_ENDINGS, Uploads
 from hydro_env.lab.worker import Worker
 
 __all__ = ["Lab", "application", "run"]
@@ -42,7 +42,11 @@ class Lab:
     def __init__(self, out: Path, session: Session | None = None) -> None:
         self.out = out
         self.uploads, self.jobs = Uploads(), Jobs(out)
-        self.worker = Worker(session or Session(), self._keep_log)
+        session = session or Session()
+        self.worker = Worker(session, self._keep_log)
+        if Path(session.settings.preset).suffix in YAML_ENDINGS:
+            path = Path(session.settings.preset)
+            self.uploads.add(path, path.name, "model")
 
     def _keep_log(self, text: str) -> None:
         self.out.mkdir(parents=True, exist_ok=True)
@@ -63,7 +67,10 @@ class Lab:
         ui.page_title(TITLE)
         ui.add_css(style())
         ui.colors(primary="#0b62a8")
-        rig, diagnosis = RigPage(self.worker), DiagnosisPage(self.worker, self.uploads, self.jobs)
+        rig, diagnosis = (
+            RigPage(self.worker, self.uploads),
+            DiagnosisPage(self.worker, self.uploads, self.jobs),
+        )
         with ui.element("main").classes("lab"):
             with ui.element("header"):
                 ui.html(f"<h1>{TITLE}</h1>", sanitize=False, tag="div")
@@ -137,10 +144,11 @@ def _listening(port: int) -> Iterator[socket.socket]:
         yield listener
 
 
-def run(out: Path, *, port: int = 8137, browser: bool = True) -> None:
-    """Serves the page until Ctrl-C, or until the terminal or the system ends it. `port` 0 takes any that is free.
+def run(out: Path, settings: Settings | None = None, *, port: int = 8137, browser: bool = True) -> None:
+    """Serves the page until Ctrl-C, or until the terminal or the system ends it. `settings` are what it begins with; `port` 0
+    takes any that is free.
 
-    InputError if the port is taken, or `out` cannot be written.
+    InputError if the port is taken, `out` cannot be written, or the settings name what is not there.
     """
     there = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not (there.is_dir() and os.access(there, os.W_OK)):
@@ -154,7 +162,7 @@ def run(out: Path, *, port: int = 8137, browser: bool = True) -> None:
             if browser:
                 webbrowser.open(address)
 
-        lab = Lab(out)
+        lab = Lab(out, Session(settings))
         served: Any = application(lab, port, key, ready)
         for name in ("SIGTERM", "SIGHUP"):
             if hasattr(signal, name):

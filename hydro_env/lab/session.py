@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.benchmark.report import NEEDS
-from hydro_env.controllers import make_controller
+from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.errors import InputError
 from hydro_env.lab.recording import LONGEST, Recording
-from hydro_env.lab.rig import PERIOD, LiveRig, Reading
+from hydro_env.lab.rig import PERIOD, LiveRig, Reach, Reading
 from hydro_env.limits import Limits
-from hydro_env.tasks import NOMINAL_TORQUE, Reference, load_scenario
+from hydro_env.tasks import Reference, load_scenario
 from hydro_env.units import RPM
 
-__all__ = ["CASES", "COLUMNS", "LOADS", "MANUAL", "SETPOINTS", "SHOWN", "Session", "Settings", "Snapshot"]
+__all__ = ["CASES", "COLUMNS", "MANUAL", "SHOWN", "Session", "Settings", "Snapshot"]
 
 Floats = NDArray[np.float64]
 
@@ -38,19 +38,17 @@ COLUMNS = (
     "command_2_V",
 )
 
-#: Set-points by hand: as far as the scenarios go.
-SETPOINTS = Limits(-600.0, 600.0, unit="rpm")
-#: Loads by hand, N m: up to twice the nominal one.
-LOADS = Limits(-2.0 * NOMINAL_TORQUE, 2.0 * NOMINAL_TORQUE, unit="N m")
+#: Preset for which the shipped controllers were tuned, but for those that name another one.
+TUNED_FOR = "paper_dead_zone"
 #: Numbers of pairs of valves.
 CASES = Limits(0, 2**31 - 1, whole=True)
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What was chosen: the preset, pair of valves, controller and course, and what is set by hand."""
+    """What was chosen: the rig (a preset or a model file), pair of valves, controller and course, and what is set by hand."""
 
-    preset: str = "paper_dead_zone"
+    preset: str = TUNED_FOR
     split: str = "test_interp"
     number: int = 0
     controller: str = "pid_tuned"
@@ -71,6 +69,8 @@ class Snapshot:
     """In force, those of the scenario included."""
     effects: dict[str, tuple[float, float]]
     """Every parameter of the effects offered, as it is on both channels, SI."""
+    reach: Reach
+    """Of the rig, and so of what is set by hand."""
     note: str
     """What is to be known of the controller, "" for nothing."""
     problem: str
@@ -114,13 +114,14 @@ class Session:
 
     # --- what may be chosen ---------------------------------------------------------------------------------------
     def choose_valves(self, preset: str, split: str, number: int) -> None:
-        """Puts in another pair of valves; effects that were set by hand stay. with another preset the rig begins anew, at rest
-        and without them."""
+        """Puts in another pair of valves; effects that were set by hand are kept. Another preset or model file starts a rig at
+        rest, with nothing set by hand."""
         number = CASES.check(number, "pair")
         if preset == self.settings.preset:
             self._rig.take_pair(split, number)
         else:
             self._rig = self._made(preset, split, number)
+            self.settings = replace(self.settings, setpoint_rpm=0.0, load_Nm=(0.0, 0.0))
             self.reset()
         self.settings = replace(self.settings, preset=preset, split=split, number=number)
         self._rig_changed()
@@ -145,14 +146,17 @@ class Session:
 
     def set_setpoint(self, rpm: float) -> None:
         """The set-point by hand, which is followed from now on."""
-        self.settings = replace(self.settings, setpoint_rpm=SETPOINTS.check(rpm, "set-point"))
+        most = self._rig.reach.speed_rpm
+        self.settings = replace(
+            self.settings, setpoint_rpm=Limits(-most, most, unit="rpm").check(rpm, "set-point")
+        )
         if self.settings.scenario != MANUAL:
             self.choose_scenario(MANUAL)
 
     def set_load(self, channel: int, torque: float) -> None:
         """A load in N m on motor 0 or 1, added to that of the scenario."""
-        loads = list(self.settings.load_Nm)
-        loads[channel] = LOADS.check(torque, f"load {channel + 1}")
+        loads, most = list(self.settings.load_Nm), self._rig.reach.torque_Nm
+        loads[channel] = Limits(-most, most, unit="N m").check(torque, f"load {channel + 1}")
         self.settings = replace(self.settings, load_Nm=(loads[0], loads[1]))
         self._loads_changed()
 
@@ -230,6 +234,7 @@ class Session:
             self._past,
             (float(load[0]), float(load[1])),
             self._effects,
+            self._rig.reach,
             self._note(),
             self.problem,
             None if self._recording is None else self._recording.seconds,
@@ -300,6 +305,8 @@ class Session:
         if known := NEEDS.get(self._needs, self._needs):
             notes.append(f"knows {known}")
         own = getattr(self._controller, "plant", None)
+        if own is None and self.settings.controller in CONTROLLERS and self._needs != "everything":
+            own = TUNED_FOR
         if own is not None and own != self.settings.preset:
             notes.append(f"made for the preset {own}")
         return "; ".join(notes)

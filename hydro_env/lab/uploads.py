@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import tempfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from hydro_env.errors import InputError, shown
+from hydro_env.measured.mapping import SCHEMA as MAPPING
+from hydro_env.plant.model import SCHEMA as MODEL
+from hydro_env.plant.model_files import preset_names
+from hydro_env.reading import read_yaml
 
 __all__ = ["LOG_ENDINGS", "MOST_BYTES", "MOST_FILES", "Upload", "Uploads"]
 
@@ -18,6 +23,8 @@ MOST_FILES = 20
 #: Endings of the files that `measured` reads, and of mappings and models.
 LOG_ENDINGS = (".csv", ".txt", ".csv.gz", ".parquet", ".mat", ".mf4", ".mdf", ".tdms")
 YAML_ENDINGS = (".yaml", ".yml")
+#: What a YAML file is, by its `schema`.
+ROLES = {MODEL: "model", MAPPING: "mapping"}
 
 
 @dataclass
@@ -30,7 +37,7 @@ class Upload:
 
 
 class Uploads:
-    """The files of a page. Nothing is read here, only stored."""
+    """The files of a page. Of what arrives only the schema of a YAML file is read here."""
 
     def __init__(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="hydro_env_lab_")
@@ -38,7 +45,8 @@ class Uploads:
         self.files: list[Upload] = []
 
     async def receive(self, name: str, chunks: AsyncIterator[bytes]) -> Upload:
-        """Stores what arrives as a file of this name. InputError for an ending that nothing reads, and for too much."""
+        """Stores what arrives as a file of this name. InputError for an ending that nothing reads, a YAML file that is neither a
+        model nor a mapping, and for too much."""
         ending = ending_of(name)
         if len(self.files) >= MOST_FILES:
             raise InputError(f"there are {MOST_FILES} files already; remove some first")
@@ -55,10 +63,10 @@ class Uploads:
                             f"{name}: larger than {MOST_BYTES // 2**20} MiB; export a shorter part"
                         )
                     file.write(chunk)
+            role = "fit" if ending in LOG_ENDINGS else await asyncio.to_thread(role_of, path, name)
         except BaseException:
             path.unlink(missing_ok=True)
             raise
-        role = "fit" if ending in LOG_ENDINGS else "mapping" if "mapping" in name.lower() else "model"
         return self.add(path, str(InputError(Path(name).name)), role)
 
     def add(self, path: Path, name: str, role: str) -> Upload:
@@ -83,10 +91,33 @@ class Uploads:
         """The files of a role, in their order."""
         return [upload.path for upload in self.files if upload.role == role]
 
+    @property
+    def listed(self) -> list[tuple[str, str]]:
+        """Path and role of each file."""
+        return [(str(each.path), each.role) for each in self.files]
+
+    def rigs(self, chosen: str) -> dict[str, str]:
+        """What can be driven and diagnosed, with its name: presets, models that are here, and what is chosen."""
+        models = {str(each.path): each.name for each in self.files if each.role == "model"}
+        return {chosen: Path(chosen).name} | {name: name for name in preset_names()} | models
+
     def close(self) -> None:
         """Deletes all that was uploaded."""
         self.files.clear()
         self._folder.cleanup()
+
+
+def role_of(path: Path, name: str) -> str:
+    """What a YAML file says that it is: "model" or "mapping". InputError, which calls it by `name`, if it is neither."""
+    try:
+        data = read_yaml(path, "a model or a mapping in YAML")
+    except InputError as problem:
+        raise InputError(str(problem).replace(str(path), name)) from None
+    schema = data.get("schema") if isinstance(data, Mapping) else None
+    if not isinstance(schema, str) or schema not in ROLES:
+        known = " or ".join(f"`schema: {each}` for a {role}" for each, role in ROLES.items())
+        raise InputError(f"{name}: schema is {shown(schema)}, expected {known}")
+    return ROLES[schema]
 
 
 def ending_of(name: str) -> str:

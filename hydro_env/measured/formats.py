@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, to_install
 from hydro_env.measured.csv_file import CsvStyle, read_csv
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.mat5_structure import check_structure
@@ -147,9 +147,7 @@ def _library(name: str, path: Path) -> Any:
         return importlib.import_module(name)
     except ImportError:
         package = name.split(".")[0]
-        raise InputError(
-            f"{path}: reading {path.suffix} needs {package}; install the extra: pip install 'hydro_env[measured]'"
-        ) from None
+        raise InputError(f"{path}: reading {path.suffix} needs {package}: {to_install('measured')}") from None
 
 
 @contextmanager

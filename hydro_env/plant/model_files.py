@@ -4,7 +4,7 @@
     name: my rig
     base: paper                       # optional: start from a preset
     substep: 5.0e-5                   # optional: longest step of the integrator, s
-    both: {J: 0.0031}                 # base parameters of both channels
+    both: {J: 0.0031, V: 1.0e-4}      # base parameters of both channels; V is half the volume of one line, valve to motor
     channel_1: {Kq: 0.476}            # of one channel
     channel_2: {valve: valve_2}       # the valve of a preset or model file: its coil, spool and edges, with their effects
     effects:

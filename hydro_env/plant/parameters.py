@@ -188,7 +188,7 @@ _ROWS = (
         low=2e-5,
         high=1e-3,
         log=True,
-        note="volume under pressure; results hardly depend on it",
+        note="half the oil volume of one line, from valve to motor; results hardly depend on it",
         source="assumed: the paper gives no value",
     ),
     # --- valve: equations (5), (6), (8), Table II --------------------------------------------------------------

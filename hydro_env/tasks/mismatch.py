@@ -1,18 +1,23 @@
 """How the two valves of a rig differ: splits, distributions and named pairs, and the drawing of pairs from them.
 
-A mismatch is a named split or pair of `splits.yaml`, a YAML file, or a mapping from parameters to what they are:
+A mismatch is a named split or pair of `splits.yaml`, a YAML file, or a mapping from parameters to what they are: a number,
+one for each of the two valves, or a range from which each valve is drawn by itself.
 
     {"Kq": {"loguniform": [0.31, 0.476]}, "dead_zone.overlap_positive": [70e-6, 0.0], "R": 100.0}
+
+With `base` it is a split or pair of `splits.yaml` with these parameters changed or added: {"base": "train", "R": 100.0}.
 
 A range may name the plant it is meant for, {"R": {"uniform": [90, 110], "meant_for": 100}}: on a plant whose own R is
 31.2 Ohm it then is 28.1 to 34.3 Ohm.
 
 Parameters are those of the plant ("Kq", "dead_zone.overlap_positive", ...) and of the speed sensors, see
-`SENSOR_PARAMETERS`; values are SI.
+`SENSOR_PARAMETERS`; values are SI. A value that no component has is refused; one that is unusual for such a rig gives a
+warning (`InputWarning`).
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -24,8 +29,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, shown, suggestion
+from ..errors import InputError, InputWarning, shown, suggestion
 from ..plant import CATALOGUE, Parameter, PlantModel, parameter_of
+from ..plant.accepted import with_unit
 from ..plant.model_files import values_set_by
 from ..reading import parse_yaml, read_yaml
 from ..streams import Streams
@@ -266,7 +272,7 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
     if source is None or isinstance(source, Mismatch):
         return source
     if isinstance(source, Mapping):
-        return _read_split("mismatch", {"parameters": dict(source)}, "mismatch", {})
+        return _read_own("mismatch", source, "mismatch")
     named = {**SPLITS, **NAMED_PAIRS}
     if not isinstance(source, str | Path):
         raise InputError(
@@ -282,8 +288,7 @@ def load_mismatch(source: str | Path | Mapping[str, Any] | Mismatch | None) -> M
         data = read_yaml(path, "a mismatch in YAML")
         if not isinstance(data, dict):
             raise InputError(f"{path}: expected `parameter: value` lines")
-        plain = data if "parameters" in data else {"parameters": data}
-        return _read_split(path.stem, plain, str(path), SPLITS)
+        return _read_own(path.stem, data, str(path))
     raise InputError(
         f"unknown mismatch {shown(text)}: {suggestion(text, [*named, OWN])}, or the path of a YAML file"
     )
@@ -299,6 +304,32 @@ def _check_keys(data: Mapping[Any, Any], known: Sequence[str], where: str) -> No
     for key in data:
         if key not in known:
             raise InputError(f"{where}: unknown key {shown(key)}: {suggestion(key, known)}")
+
+
+def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
+    """A mismatch of the user's: the keys of a split, or parameters alone, and perhaps `base` beside them."""
+    own = dict(data)
+    base = own.pop("base", None)
+    if "parameters" not in own:
+        own = {"parameters": own}
+    given = own["parameters"]
+    if base is not None:
+        if not isinstance(base, str) or base not in _SHIPPED:
+            hint = suggestion(base, _SHIPPED)
+            raise InputError(f"{where}: base: unknown split or pair {shown(base)}: {hint}")
+        inherited = _SHIPPED[base]["parameters"]
+        own = {**_SHIPPED[base], **own}
+        own["parameters"] = {**inherited, **given} if isinstance(given, Mapping) else given
+    mismatch = _read_split(name, own, where, SPLITS)
+    parts = {key: mismatch.ranges[key] for key in given if key not in SENSOR_PARAMETERS}
+    if unusual := [text for key, each in parts.items() if (text := _unusual(key, each))]:
+        told = f"{where}: unusual for such a rig: {', '.join(unusual)}"
+        warnings.warn(
+            f"{told}; a range for another plant says by `meant_for` for which value",
+            InputWarning,
+            stacklevel=3,
+        )
+    return mismatch
 
 
 def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[str, Mismatch]) -> Mismatch:
@@ -420,6 +451,16 @@ def _check_bounds(name: str, pair: tuple[float, float], at: str) -> None:
         raise InputError(f"{at}: {problem}") from None
 
 
+def _unusual(name: str, given: Range) -> str:
+    """What is beyond what the catalogue holds plausible, "" if nothing is; on the plant that the range is meant for."""
+    p, ends = parameter_of(name), (min(given.low), max(given.high))
+    size = 1.0 if given.meant_for is None else given.meant_for / p.nominal
+    if all(end in (0.0, p.neutral) or size * p.low <= end <= size * p.high for end in ends):
+        return ""
+    found = f"{ends[0]:g}" if ends[0] == ends[1] else f"{ends[0]:g} to {ends[1]:g}"
+    return f"{name} {found} (usual {size * p.low:g} to {with_unit(size * p.high, p)})"
+
+
 @cache
 def _rig_parameters() -> frozenset[str]:
     return frozenset(
@@ -427,17 +468,16 @@ def _rig_parameters() -> frozenset[str]:
     )
 
 
-def _read_package() -> tuple[dict[str, Mismatch], dict[str, Mismatch]]:
+def _read_package() -> tuple[dict[str, Any], dict[str, Mismatch], dict[str, Mismatch]]:
     text = (resources.files(__package__) / "splits.yaml").read_text(encoding="utf-8")
     data = parse_yaml(text, "splits.yaml")
-    splits: dict[str, Mismatch] = {}
-    for name, what in data["splits"].items():
-        splits[name] = _read_split(name, what, f"splits.yaml: {name}", splits)
-    pairs: dict[str, Mismatch] = {}
-    for name, what in data["pairs"].items():
-        pairs[name] = _read_split(name, {"parameters": what}, f"splits.yaml: {name}", {})
-    return splits, pairs
+    shipped = data["splits"] | {name: {"parameters": what} for name, what in data["pairs"].items()}
+    read: dict[str, Mismatch] = {}
+    for name, what in shipped.items():
+        read[name] = _read_split(name, what, f"splits.yaml: {name}", read)
+    splits = {name: read[name] for name in data["splits"]}
+    return shipped, splits, {name: read[name] for name in data["pairs"]}
 
 
-#: The named splits and the named pairs of `splits.yaml`.
-SPLITS, NAMED_PAIRS = _read_package()
+#: The content of `splits.yaml` by name, and its named splits and pairs.
+_SHIPPED, SPLITS, NAMED_PAIRS = _read_package()

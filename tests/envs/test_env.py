@@ -394,10 +394,10 @@ def test_a_window_shows_the_pictures_in_real_time(monkeypatch):
 
 def test_pictures_without_the_extra_say_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "PIL", None)
-    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r"hydro_env\[render\]"):
+    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r"'\.\[render\]"):
         make(render_mode="rgb_array")
     monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r"hydro_env\[render\]"):
+    with pytest.raises(gymnasium.error.DependencyNotInstalled, match=r"'\.\[render\]"):
         make(render_mode="human")
 
 

@@ -32,6 +32,15 @@ def check(slider: Slider) -> None:
     assert slider.value(10**6) == values[-1]
 
 
+@pytest.mark.parametrize("rated", [1.0, 10.0, 24.0, 200.0, inf])
+def test_bounds_in_volts_are_those_of_the_valves(rated: float) -> None:
+    for effect in map(CATALOGUE.__getitem__, BUILT_IN):
+        for slider in sliders(effect, (rated, rated)):
+            check(slider)
+    (limit, _) = sliders(CATALOGUE["driver_saturation"], (10.0, 24.0))
+    assert limit.parameter.high == 10.0
+
+
 def test_every_effect_has_its_port_and_rigs_have_one_slider() -> None:
     ports = effects_by_port()
     assert [port for port in PORTS if port in ports] == list(ports)
@@ -40,7 +49,7 @@ def test_every_effect_has_its_port_and_rigs_have_one_slider() -> None:
         == {*effects_offered()}
         == {*BUILT_IN}
     )
-    assert [slider.channel for slider in sliders(CATALOGUE["supply_droop"])] == [None, None]
+    assert [slider.channel for slider in sliders(CATALOGUE["supply_droop"], (73.0, 73.0))] == [None, None]
 
 
 @pytest.mark.parametrize(

@@ -104,19 +104,35 @@ def test_uploads_get_plain_names_in_one_folder_and_go_away() -> None:
         "a b@0:1.CSV",
         "x\n.csv",
         "log.csv.gz",
-        "my_mapping.yaml",
-        "rig.yml",
     ):
         asyncio.run(store.receive(name, pieces(b"1", b"2")))
     folder = store.files[0].path.parent
-    assert {file.path.parent for file in store.files} == {folder} and len(list(folder.iterdir())) == 6
+    assert {file.path.parent for file in store.files} == {folder} and len(list(folder.iterdir())) == 4
     assert all(set(file.path.name) <= set("abcdefghijklmnopqrstuvwxyz_0123456789.") for file in store.files)
     assert all(file.name.isprintable() for file in store.files)
-    assert [file.role for file in store.files] == ["fit", "fit", "fit", "fit", "mapping", "model"]
+    assert [file.role for file in store.files] == ["fit"] * 4
     store.remove(store.files[0])
-    assert len(list(folder.iterdir())) == 5 and len(store.with_role("fit")) == 3
+    assert len(list(folder.iterdir())) == 3 and len(store.with_role("fit")) == 3
     store.close()
     assert not folder.exists()
+
+
+def test_a_yaml_file_is_what_its_schema_says() -> None:
+    store = Uploads()
+    for name, schema in (("my_mapping.yaml", b"model"), ("rig_model.yml", b"mapping")):
+        asyncio.run(store.receive(name, pieces(b"schema: hydro_env/", schema, b"/1\n")))
+    assert [file.role for file in store.files] == ["model", "mapping"]
+    assert store.rigs("rig")[str(store.files[0].path)] == "my_mapping.yaml"
+    for content, told in (
+        (b"J: 1\n", "schema is None"),
+        (b"schema: [1]\n", "a mapping"),
+        (b"a: [\n", "plain.yaml line"),
+    ):
+        with pytest.raises(InputError, match=told) as caught:
+            asyncio.run(store.receive("plain.yaml", pieces(content)))
+        assert str(caught.value).startswith("plain.yaml")
+    assert len(list(store.files[0].path.parent.iterdir())) == 2
+    store.close()
 
 
 def test_uploads_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -69,12 +69,12 @@ def test_choices_reach_the_session(tmp_path: Path) -> None:
         choices = {each.props["label"]: each for each in user.find(ui.select).elements}
         choices["controller"].value = "gru"
         await until(lab, lambda seen: seen.session.settings.controller == "gru")
-        move(slider(user, "set-point by hand"), 250)
+        move(slider(user, "set-point by hand"), 25)
         await until(lab, lambda seen: abs(seen.session.now["speed_1_rpm"] - 250.0) < 20.0)
         await until(lab, lambda seen: choices["set-point"].value == "manual")
-        move(slider(user, "load on motor 2"), 20)
+        move(slider(user, "load on motor 2"), 40)
         await until(lab, lambda seen: seen.session.load_Nm == (0.0, 0.4))
-        choices["preset"].value = "servo"
+        choices["preset or model"].value = "servo"
         await until(lab, lambda seen: seen.session.settings.preset == "servo")
         choices["speed of time"].value = 5.0
         await until(lab, lambda seen: seen.tempo == 5.0)
@@ -83,6 +83,44 @@ def test_choices_reach_the_session(tmp_path: Path) -> None:
         await user.should_see("paused")
         user.find("Reset").click()
         await until(lab, lambda seen: seen.session.time == 0.0)
+
+    on_the_page(lab, steps)
+
+
+def test_a_model_of_ones_own_is_driven_and_the_sliders_suit_it(tmp_path: Path) -> None:
+    lab, path = Lab(tmp_path / "out"), tmp_path / "mine.yaml"
+    path.write_text(
+        "schema: hydro_env/model/1\nbase: paper\nboth: {D: 7.96e-6, R: 5.0, alpha: 8.0, u_rated: 10.0, Kq: 0.7}\n"
+        "effects: {pressure_dependent_flow: {both: {supply_pressure: 120.0e+5}}}\n"
+        "sources: {D: sheet, R: sheet, alpha: sheet, Kq: sheet}\n"
+    )
+
+    async def steps(user: User) -> None:
+        (driver,) = [each for each in user.find(ui.expansion).elements if each.text.startswith("driver")]
+        driver.value = True
+        await asyncio.sleep(0.1)
+        lab.uploads.add(path, "mine.yaml", "model")
+        (rig,) = [each for each in user.find(ui.select).elements if each.props["label"] == "preset or model"]
+        (model,) = [
+            each for each in user.find(ui.select).elements if each.props["label"] == "model to diagnose"
+        ]
+        for _ in range(200):
+            if str(path) in rig.options and model.value == str(path):
+                break
+            await asyncio.sleep(0.02)
+        rig.value = str(path)
+        await until(lab, lambda seen: seen.session.settings.preset == str(path))
+        assert lab.worker.seen.session.settings.split == "own"
+        await user.should_see("with 10 V at the valves", retries=50)
+        hand, limit = (
+            slider(user, "set-point by hand"),
+            slider(user, "channel 1", "limit of the driver's voltage"),
+        )
+        assert (hand.props["most"], hand.props["text"]) == (78, "0 rpm")
+        move(limit, 1)
+        assert limit.props["text"] == "10 V"
+        move(hand, 30)
+        await until(lab, lambda seen: seen.session.now["setpoint_rpm"] == 300.0)
 
     on_the_page(lab, steps)
 

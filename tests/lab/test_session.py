@@ -12,6 +12,7 @@ from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError
 from hydro_env.lab import recording
+from hydro_env.lab.rig import LiveRig
 from hydro_env.lab.session import COLUMNS, MANUAL, Session, Settings
 from hydro_env.measured import read_log
 from hydro_env.plant import Plant
@@ -140,6 +141,27 @@ def test_another_preset_begins_at_rest() -> None:
     assert run(session, 1.5)[-1, 2] > 500.0
 
 
+def test_a_rig_goes_as_far_as_its_reach_says(tmp_path: Path) -> None:
+    """At the rated command, without load, and against the torque that stops it."""
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        "schema: hydro_env/model/1\nbase: paper\nboth: {D: 8.0e-6, R: 5.0, alpha: 8.0, u_rated: 10.0, Km: 1.0e-10, J: 0.005}\n"
+        "channel_2: {Kq: 0.2}\nsources: {D: sheet, R: sheet, alpha: sheet}\n"
+    )
+    for preset in ("paper", str(path)):
+        rig = LiveRig(preset, noise=0.0)
+        for load, wanted in ((0.0, rig.reach.speed_rpm), (rig.reach.torque_Nm, 0.0)):
+            rig.reset()
+            for _ in range(300):
+                rig.hold([1.0, 1.0], [load, load])
+            assert min(rig.sense(0.0).speed_rpm) == pytest.approx(wanted, abs=0.02 * rig.reach.speed_rpm)
+    session = Session(Settings(preset=str(path), split="own"))
+    assert "paper_dead_zone" in session.snapshot().note
+    session.set_load(0, session.snapshot().reach.torque_Nm)
+    session.choose_valves("rig", "own", 0)
+    assert session.settings.load_Nm == (0.0, 0.0)
+
+
 @pytest.mark.parametrize(
     ("change", "word"),
     [
@@ -148,6 +170,7 @@ def test_another_preset_begins_at_rest() -> None:
         (lambda s: s.choose_valves("paper_dead_zone", "test_interp", 10**6), "test_interp"),
         (lambda s: s.choose_valves("nowhere", "own", 0), "unknown plant"),
         (lambda s: s.set_setpoint(float("nan")), "set-point"),
+        (lambda s: s.set_setpoint(1500.0), "set-point is 1500.0, expected a number from -139"),
         (lambda s: s.set_load(0, 1e9), "load 1"),
         (lambda s: s.set_effect("dead_zone.x", 0, 0.0), "no parameter"),
     ],

@@ -364,7 +364,7 @@ def test_a_missing_library_names_the_extra(tmp_path: Path, monkeypatch: pytest.M
     import sys
 
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(InputError, match=r"install the extra: pip install 'hydro_env\[measured\]'"):
+    with pytest.raises(InputError, match=r"'\.\[measured\]'"):
         read_log(write(tmp_path, b"PAR1", "log.parquet"))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import re
 import runpy
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from hydro_env.envs.batch import OPTIONS, HydraulicSyncVectorEnv
 from hydro_env.experiments.paper_rig import SETPOINT_STEPS, run_paper
 from hydro_env.plant import load_model
 
@@ -42,6 +44,61 @@ def anchors(text: str) -> set[str]:
 def test_generated_parts(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert text == GENERATE["filled"](text), "out of date: run `python docs/generate.py`"
+
+
+def test_an_extra_is_installed_from_the_sources(page: Path) -> None:
+    """The package is on no index: whoever reads of an extra finds the line that works in a checkout, or the page that has it."""
+    text = re.sub(r"<!-- generated:.*?<!-- end -->", "", page.read_text(encoding="utf-8"), flags=re.S)
+    if page.parent.name == "docs" or re.search(r"extra\b[^.\n]{0,40} `\w+`", text) is None:
+        return
+    assert "install -c constraints.txt" in text or "extras.md" in text
+
+
+def test_the_environments_page_names_every_argument() -> None:
+    text = (DOCS / "reference" / "environment.md").read_text(encoding="utf-8")
+    arguments = [*inspect.signature(HydraulicSyncVectorEnv.__init__).parameters][1:]
+    for name in (*arguments, *OPTIONS, "final_obs", "base", "meant_for"):
+        assert re.search(rf"\b{name}\b", text), name
+
+
+def test_nothing_says_to_install_from_an_index() -> None:
+    files = [path for folder in ("hydro_env", "agents", "docs") for path in (ROOT / folder).rglob("*.*")]
+    for path in [*files, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]:
+        if path.suffix in (".py", ".md", ".ipynb", ".html", ".js", ".yml", ".yaml"):
+            assert not re.search(r"install ['\"]?hydro_env\b", path.read_text(encoding="utf-8")), path
+
+
+#: Texts that are about the paper's rig, whatever rig is driven.
+ABOUT_THE_PAPER = (
+    "reproduce",
+    "paper_gap",
+    "paper_calibration",
+    "demo",
+    "parameters",
+    "paper",
+    "paper_dead_zone",
+    "valve_1",
+)
+
+
+def test_no_text_presupposes_the_papers_valves() -> None:
+    """What is shown for any rig does not state the rated voltage, current or flow of one."""
+    numbers = re.compile(
+        r"\b73(&nbsp;| )?V\b|\b730 ?mA|rated flow (of both valves|is 49 l/min)|V on the paper's valves"
+    )
+    for path in (
+        path for path in (ROOT / "hydro_env").rglob("*") if path.suffix in (".py", ".html", ".js", ".yaml")
+    ):
+        if path.stem not in ABOUT_THE_PAPER:
+            text = re.sub(r"^\s*#.*$", "", path.read_text(encoding="utf-8"), flags=re.M)
+            assert not numbers.search(text), path
+    for name in (
+        "howto/score_a_controller.md",
+        "howto/use_the_lab.md",
+        "howto/measure_valves.md",
+        "reference/environment.md",
+    ):
+        assert not numbers.search((DOCS / name).read_text(encoding="utf-8")), name
 
 
 def test_links_lead_somewhere(page: Path) -> None:

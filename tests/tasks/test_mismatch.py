@@ -1,10 +1,12 @@
 """Splits, distributions and pairs: ranges as published, fixed cases, disjoint splits, clear refusals."""
 
+import warnings
+
 import numpy as np
 import pytest
 import yaml
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, InputWarning
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, preset_names
 from hydro_env.tasks import SCENARIOS
 from hydro_env.tasks.mismatch import NAMED_PAIRS, SENSOR_PARAMETERS, SPLITS, draw_pairs, load_mismatch
@@ -141,6 +143,55 @@ def test_mapping_and_file(tmp_path):
         np.testing.assert_array_equal(same, values[name])
 
 
+def test_a_split_is_extended(tmp_path):
+    """What is not named stays as it is, number by number."""
+    of_base = draw_pairs("train", 20).values
+    more = {
+        "base": "train",
+        "R": {"uniform": [95, 105]},
+        "magnetic_hysteresis.amplitude": {"uniform": [0.0, 0.1]},
+    }
+    values = draw_pairs(more, 20).values
+    assert values.keys() - of_base.keys() == {"magnetic_hysteresis.amplitude"}
+    for name in of_base.keys() - {"R"}:
+        np.testing.assert_array_equal(values[name], of_base[name])
+    assert ((values["R"] >= 95) & (values["R"] <= 105)).all() and np.ptp(values["R"]) > 5
+    path = tmp_path / "mine.yaml"
+    path.write_text("base: test_interp\ncases: 3\nparameters: {R: 100}\n")
+    mine = load_mismatch(path)
+    assert mine.cases == 3
+    np.testing.assert_array_equal(draw_pairs(mine, 3).values["Kq"], draw_pairs("test_interp", 3).values["Kq"])
+
+
+def test_what_is_unusual_warns_once():
+    source = {"Kq": {"uniform": [0.3, 2.0]}, "R": [100.0, 300.0], "command_delay.delay": 0.5, "Fs": 0.2}
+    with pytest.warns(InputWarning) as caught:
+        load_mismatch(source)
+    (told,) = [str(each.message) for each in caught]
+    for part in (
+        "mismatch: ",
+        "Kq 0.3 to 2 (usual 0.15 to 0.75 m2/s)",
+        "R 100 to 300 (usual 80 to 125 Ohm)",
+        "delay 0.5",
+    ):
+        assert part in told
+    assert "Fs" not in told and "\n" not in told
+
+
+def test_what_is_usual_on_the_plant_that_it_is_meant_for_does_not_warn():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_mismatch(
+            {
+                "R": {"uniform": [28.0, 34.0], "meant_for": 31.2},
+                "Km": {"uniform": [1e-10, 4e-10]},
+            }
+        )
+        load_mismatch({"base": "faulted", "R": {"uniform": [95, 105]}})
+    with pytest.warns(InputWarning, match="R 28 to 34"):
+        load_mismatch({"R": {"uniform": [28.0, 34.0]}})
+
+
 def test_rig_effects_are_shared():
     values = draw_pairs({"supply_droop.relative_drop": {"uniform": [0.1, 0.5]}}, 5).values[
         "supply_droop.relative_drop"
@@ -167,6 +218,8 @@ def test_rig_effects_are_shared():
         ({"J": -1.0}, "out of range"),
         ({"Fc": {"uniform": [0.1, 0.3], "at_most": "Fs"}}, "not among the parameters above"),
         ({"supply_droop.relative_drop": [0.1, 0.2]}, "share"),
+        ({"base": "trian"}, "base: .*did you mean 'train'"),
+        ({"base": "train", "Fs": {"uniform": [0.05, 0.4]}}, "Fs may be lower"),
     ],
 )
 def test_refused(source, told):

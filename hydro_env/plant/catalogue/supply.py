@@ -17,7 +17,7 @@ def _lower_lines(mean_line_pressure, droop):
 
 
 def _droop_rate(droop, own_flow, other_flow, relative_drop, time_constant):
-    # 8.1778e-4 m3/s (49 l/min): two nominal valves at the rated command. It is the supply's own, the same for both channels.
+    # 8.1778e-4 m3/s (49 l/min) is the flow of two nominal valves at the rated command; a fixed one, whatever the valves.
     return (relative_drop * (abs(own_flow) + abs(other_flow)) / 8.1778e-4 - droop) / time_constant
 
 
@@ -42,7 +42,7 @@ SUPPLY_DROOP = Effect(
             low=0.0,
             high=0.9,
             typical=0.5,
-            note="relative drop at rated flow of both valves; rated flow is 49 l/min for two nominal valves",
+            note="relative drop at 49 l/min of both valves together; in proportion at other flows",
             source="assumed",
         ),
         Parameter(
