@@ -148,6 +148,8 @@ def given_unknown(name: str, p: Parameter, value: float) -> Unknown:
     if p.role == "order":  # a number of teeth or pistons is known
         return Unknown(name, p.unit, value, value, value, 1e-6, False, True)
     low, high = min(p.low, value), max(p.high, value)
+    if math.isinf(high):
+        high = 20.0 * max(abs(value), abs(low))
     if p.role == "size":
         low, high = min(low, p.neutral), max(high, p.neutral)
     spread = FRICTION_SPREAD if p.carries_size else PRIOR_SPREAD

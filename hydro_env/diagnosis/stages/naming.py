@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...plant import CATALOGUE, PlantModel, parameter_of
-from ..estimation import Estimate, Fit, probability_of_gain
+from ..estimation import Estimate, Fit, Unknown, probability_of_gain
 from ..models.base import RigModel
 from ..state import Estimates, State
 from .candidates import Accepted, Selection
@@ -253,11 +253,18 @@ def at_bounds(estimates: Estimates) -> list[str]:
         for u, q in zip(estimate.unknowns, estimate.q, strict=True):
             if u.effect and (q == 0.0 or is_correction(u.effect)):
                 continue
-            if "." in u.parameter and u.value(float(q)) == parameter_of(u.parameter).neutral:
+            if "." in u.parameter and _nearest_end(u, float(q)) == parameter_of(u.parameter).neutral:
                 continue  # a given effect that is absent
             if u.channel in (None, c) and u.at_bound(float(q)) and u.high > u.low:
                 found.append(f"{u.name} of channel {c + 1} ({u.value(float(q)):.3g} {u.unit})")
     return found
+
+
+def _nearest_end(unknown: Unknown, q: float) -> float:
+    """The end of an unknown's range that is nearest; infinite where that end of a limit stands for no limit."""
+    if unknown.value(q) < 0.5 * (unknown.low + unknown.high):
+        return unknown.low
+    return math.inf if parameter_of(unknown.parameter).role == "limit" else unknown.high
 
 
 def estimated_model(rig: RigModel, estimates: Estimates, name: str) -> PlantModel:
