@@ -33,6 +33,8 @@ COIL_FIRST = rule("coil_first", "estimate the coil by the current alone before e
 COIL = ("R", "L")
 #: Iterations of the calibration, and of the coil alone.
 ITERATIONS, COIL_ITERATIONS = 18, 6
+#: So many unknowns are determined in these iterations: the known parameters of a channel.
+FEW = 20
 #: Factor on the noise of signals that are not to count.
 IGNORED = 1e6
 
@@ -83,6 +85,8 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     if rig.coupled and len(estimates) == 2:
         estimates = dict.fromkeys(estimates, _of_rig(estimates))
     every = list({id(p): p for p in estimates.values()}.values())
+    # Given effects and rigs that are estimated as a whole have more unknowns, which take more steps.
+    iterations *= max(1, *(len(p.unknowns) // FEW for p in every))
     # Two ways, of which either may end in a local minimum of the spool's friction: with and without the forces scaled together.
     # Without what is missing the other directions would lead far away from where it is found.
     twice = rig.has_hidden_states and fit.settings.uses(CALIBRATE_TWICE)
