@@ -26,6 +26,7 @@ class LinearRig:
     channels: tuple[int, ...] = (0,)
     simulation_is_cheap: bool = False
     has_hidden_states: bool = True
+    coupled: bool = False
     signals: int = 1
     segments: dict[int, Segments] = field(default_factory=dict)
     model: PlantModel = field(default_factory=lambda: load_model("paper"))
@@ -39,6 +40,9 @@ class LinearRig:
 
     def for_long_refits(self) -> "LinearRig":
         return self
+
+    def has(self, effect: str, channel: int | None) -> bool:
+        return False
 
     def candidates(self) -> list[str]:
         return list(dict.fromkeys(name.split(".")[0] for name in self.curves))

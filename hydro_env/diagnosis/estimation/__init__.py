@@ -42,6 +42,7 @@ from .unknowns import (
     bases_of,
     effect_starts,
     effect_unknowns,
+    given_unknown,
     less_taken,
     limited_by_effects,
     scaled,
@@ -50,7 +51,7 @@ from .unknowns import (
 __all__ = [
     "CANNOT_BE_PREDICTED", "SCALED_TOGETHER", "SETTLE_ITERATIONS", "Estimate", "Fit", "Noise", "Unknown", "Vector",
     "base_unknown", "bases_of", "best_on_beginnings", "could_pay", "courses_apart", "differentiate", "effect_starts",
-    "effect_unknowns", "effective_samples", "explained_share", "far_from_noise", "grow_horizon", "intervals_of",
+    "effect_unknowns", "effective_samples", "explained_share", "far_from_noise", "given_unknown", "grow_horizon", "intervals_of",
     "joined", "less_taken", "limited_by_effects", "mostly_explained", "nearly_explained", "noise_floor", "noise_of",
     "probability_of_gain", "restart_friction", "scaled", "settle", "settle_finally", "solve", "step_all",
     "unexplained", "unpredictable",

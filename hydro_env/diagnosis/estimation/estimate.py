@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import nan
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...plant import CATALOGUE, parameter_of
+from ...plant import CATALOGUE
 from ..models.base import Request
 from .unknowns import SCALED_TOGETHER, Unknown, effect_unknowns, less_taken
 
@@ -49,9 +50,8 @@ class Estimate:
         pairs: dict[str, list[float]] = {}
         for u, v in zip(self.unknowns, q, strict=True):
             value = u.value(v)
-            # What is estimated for one channel alone is an effect that the other one does not have.
-            other = parameter_of(u.name).nominal if u.effect else value
-            pair = pairs.setdefault(u.name, [other, other])
+            # What is estimated for one channel alone is on the other one as given.
+            pair = pairs.setdefault(u.name, [nan, nan])
             for c in (0, 1) if u.channel is None else (u.channel,):
                 pair[c] = value
         sides = [self._with_followers({name: pair[c] for name, pair in pairs.items()}) for c in (0, 1)]
@@ -130,7 +130,9 @@ class Estimate:
         """An effect less, at the same values of everything else; `on` as in `with_effect`."""
         alone = on if self.channel is None else None
         keep = [j for j, u in enumerate(self.unknowns) if (u.effect, u.channel) != (effect, alone)]
-        return Estimate(self.channel, [self.unknowns[j] for j in keep], self.q[keep], f"without {effect}")
+        follow = {n: s for n, s in self.follow.items() if effect not in (_effect_of(n), _effect_of(s))}
+        unknowns, label = [self.unknowns[j] for j in keep], f"without {effect}"
+        return Estimate(self.channel, unknowns, self.q[keep], label, follow=follow)
 
     def adopt(self, other: Estimate) -> bool:
         """Takes over the values of `other`, of the same unknowns, if it explains the logs better; whether it does."""
@@ -138,6 +140,11 @@ class Estimate:
             return False
         self.q, self.cost, self.simulated, self.columns = other.q, other.cost, other.simulated, other.columns
         return True
+
+
+def _effect_of(name: str | float) -> str:
+    """The effect of a parameter, with or without a minus."""
+    return str(name).removeprefix("-").split(".")[0]
 
 
 def joined(estimates: dict[int, Estimate]) -> Estimate:
@@ -148,7 +155,9 @@ def joined(estimates: dict[int, Estimate]) -> Estimate:
     # What a channel's estimate holds is that channel's own, also beside the other one.
     unknowns = [replace(u, channel=c) for c, p in estimates.items() for u in p.unknowns]
     q = np.concatenate([p.q for p in estimates.values()])
-    whole = Estimate(None, unknowns, q, "rig", simulated={c: p.simulated[c] for c, p in estimates.items()})
+    follow = {name: source for p in estimates.values() for name, source in p.follow.items()}
+    simulated = {c: p.simulated[c] for c, p in estimates.items()}
+    whole = Estimate(None, unknowns, q, "rig", simulated=simulated, follow=follow)
     place = 0
     for c, p in estimates.items():
         matrix = np.zeros((p.simulated[c].size, len(unknowns)), order="F")

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter
+from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, parameter_of
 from ...plant.parameters import SCALINGS
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "limited_by_effects",
     "scaled",
     "effect_starts",
+    "given_unknown",
 ]
 
 #: Largest standard deviation of the prior of a base parameter, relative (or share of its range); and of friction, which dirt and
@@ -138,6 +139,27 @@ def base_unknown(parameter: Parameter, value: float, limited: bool = False) -> U
     return Unknown(parameter.name, parameter.unit, value, low, high, scale, log, True)
 
 
+def given_unknown(name: str, p: Parameter, value: float) -> Unknown:
+    """A parameter of an effect that the model as given has, named "EFFECT.PARAMETER", about its value there.
+
+    Its range reaches to neutral, so that calibration can find that the effect is absent. Sizes change by dirt and wear, like
+    friction. An angle at the beginning of a log is not known beforehand.
+    """
+    if p.role == "order":  # a number of teeth or pistons is known
+        return Unknown(name, p.unit, value, value, value, 1e-6, False, True)
+    low, high = min(p.low, value), max(p.high, value)
+    if math.isinf(high):
+        high = 20.0 * max(abs(value), abs(low))
+    if p.role == "size":
+        low, high = min(low, p.neutral), max(high, p.neutral)
+    spread = FRICTION_SPREAD if p.carries_size else PRIOR_SPREAD
+    if low > 0.0 and (p.log or p.role == "limit"):
+        return Unknown(name, p.unit, value, low, high, min(spread, math.log(high / low) / 4.0), True, True)
+    usual = abs(p.typical - p.neutral) if p.carries_size else high - low
+    scale = 0.15 * (high - low) if p.role == "phase" else spread * max(abs(value), 0.25 * usual)
+    return Unknown(name, p.unit, value, low, high, min(scale, (high - low) / 4.0), False, p.role != "phase")
+
+
 def effect_starts(effect: Effect, seconds: float, whole: bool = False) -> list[dict[str, float]]:
     """Values of the effect's parameters worth a first look: sizes together, small to large, with every shape.
 
@@ -208,15 +230,8 @@ def scaled(unknowns: Sequence[Unknown], q: np.ndarray, j: int, size: float) -> n
     factor = own.value(float(q[j]) + size) / own.value(float(q[j]))
     change = np.zeros(len(unknowns))
     for n, u in enumerate(unknowns):
-        power = _power(u, own.name) if u.channel in (None, own.channel) else 0.0
+        power = parameter_of(u.name).scaling.get(own.name, 0.0) if u.channel in (None, own.channel) else 0.0
         if power:
             value = u.value(float(q[n]))
             change[n] = u.q(value * factor**power) - q[n]
     return change
-
-
-def _power(unknown: Unknown, direction: str) -> float:
-    """The power of the common factor of a direction that an unknown has, 0 for one that is no part of it."""
-    if not unknown.effect:
-        return SCALED_TOGETHER[direction].get(unknown.parameter, 0.0)
-    return CATALOGUE[unknown.effect].parameter(unknown.parameter).scaling.get(direction, 0.0)

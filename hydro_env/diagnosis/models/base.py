@@ -10,17 +10,19 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import isfinite
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from ...plant import CATALOGUE, Effect, Parameter, PlantModel
+from ...plant.catalogue.form_corrections import follows
 from ...units import BAR, LPM, MILLIMETRE, RPM
 from ..input.parts import Part
 
 __all__ = [
     "BLOCK_S", "LEVEL_FREE", "Request", "RigModel", "UNITS", "Joined", "Segment", "Segments",
-    "effect_in", "measured_segments", "view",
+    "effect_in", "given_effects", "given_parameters", "given_repeats", "measured_segments", "view",
 ]  # fmt: skip
 
 #: Rows of one log and signal that a fit looks at, at most; the proof looks at all of them.
@@ -42,7 +44,8 @@ LEVEL_FREE = ("mean_line_pressure",)
 
 @dataclass(frozen=True)
 class Request:
-    """One simulation that is wanted: parameter values of `channel` (0, 1), or of the whole rig (None: pairs)."""
+    """One simulation that is wanted: parameter values of `channel` (0, 1), or of the whole rig (None: pairs). In a pair, NaN is
+    the value of the model as given."""
 
     channel: int | None
     values: Mapping[str, float | tuple[float, float]]
@@ -135,7 +138,8 @@ class RigModel(Protocol):
     """A model of the rig with the logs it is fitted to.
 
     `simulation_is_cheap`: every candidate may be refitted as far as it goes. `has_hidden_states`: friction and inertia make local
-    minima, the parameters are those of a machine, and what is left of a signal can be its noise.
+    minima, the parameters are those of a machine, and what is left of a signal can be its noise. `coupled`: the model has an
+    effect of the whole rig, by which both channels act on each other, so they are estimated together.
     """
 
     model: PlantModel
@@ -146,12 +150,16 @@ class RigModel(Protocol):
     own: dict[str, Parameter]
     simulation_is_cheap: bool
     has_hidden_states: bool
+    coupled: bool
 
     def base(self, channel: int) -> list[str]:
-        """Names of the parameters that calibration may adjust."""
+        """Names of the parameters that calibration may adjust, with those of effects that the model as given has there."""
 
     def candidates(self) -> list[str]:
-        """Effects of the catalogue that this model can have."""
+        """Effects of the catalogue that this model can have, on one channel at least, beside those that are given."""
+
+    def has(self, effect: str, channel: int | None) -> bool:
+        """Whether the model as given has an effect on a channel (None: on any)."""
 
     def given(self, name: str, channel: int) -> float:
         """The value of a parameter in the model as given."""
@@ -181,6 +189,31 @@ def view(rig: Rig, **changes: Any) -> Rig:
     for name, value in changes.items():
         setattr(twin, name, value)
     return twin
+
+
+def given_effects(rig: RigModel, channel: int) -> list[Effect]:
+    """The effects that the model as given has on a channel and logs can adjust: one of the whole rig acts by the flows of both
+    channels, so both must be logged."""
+    own = (CATALOGUE[e] for e in rig.model.declared if rig.has(e, channel))
+    return [e for e in own if e.scope == "channel" or len(rig.channels) == 2]
+
+
+def given_parameters(rig: RigModel, channel: int) -> list[str]:
+    """The parameters of given effects on a channel, as "EFFECT.PARAMETER". A limit that is absent is not adjusted, and what a
+    correction of form repeats follows its effect."""
+    repeated = given_repeats(rig, channel)
+    names = (f"{e.name}.{p.name}" for e in given_effects(rig, channel) for p in e.parameters)
+    return [n for n in names if n not in repeated and isfinite(rig.given(n, channel))]
+
+
+def given_repeats(rig: RigModel, channel: int) -> dict[str, str | float]:
+    """What the corrections of form that the model as given has on a channel repeat, see `form_corrections.follows`."""
+    found: dict[str, str | float] = {}
+    for effect in given_effects(rig, channel):
+        corrected = next((e for e in effect.corrects if rig.has(e, channel)), None)
+        if corrected is not None:
+            found |= follows(effect.name, corrected)
+    return found
 
 
 def effect_in(rig: RigModel, name: str, channel: int | None) -> Effect:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from heapq import heapreplace
-from math import gcd
+from math import gcd, isnan
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, Plant, PlantModel
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY
 from ..input.parts import Part
-from .base import Request, Segments, measured_segments, view
+from .base import Request, Segments, given_parameters, measured_segments, view
 
 __all__ = ["DynamicRig"]
 
@@ -95,6 +95,8 @@ class DynamicRig:
         # The plant's kernel lets other threads of this process run beside it.
         self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
         self.coupled = any(CATALOGUE[e].scope == "rig" for e in model.declared)
+        #: Effects that every simulation has, whatever is asked for.
+        self._declared = frozenset(model.declared)
         names = [*PARAMETERS, *(f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters)]
         self._unequal = {name for name in names if model.value(name, 0) != model.value(name, 1)}
         self.simulation_is_cheap, self.has_hidden_states = False, True
@@ -129,7 +131,8 @@ class DynamicRig:
 
     def base(self, channel: int) -> list[str]:
         # A spool that is given as without dry friction has none to adjust; what it has all the same is an effect.
-        return [n for n in BASE if n not in ("Fc", "Fs") or self.given(n, channel) > 0.0]
+        own = [n for n in BASE if n not in ("Fc", "Fs") or self.given(n, channel) > 0.0]
+        return own + given_parameters(self, channel)
 
     def candidates(self) -> list[str]:
         both = len(self.channels) == 2
@@ -138,15 +141,14 @@ class DynamicRig:
             for e in CATALOGUE.values()
             if (both or not e.couples_channels)
             and e.name not in self.without
-            and not self._present(e.name)
+            and not all(self.has(e.name, c) for c in (self.channels if e.scope == "channel" else (None,)))
             and e.family != FAMILY
             and (not e.family or e.name in self.model.declared)
         ]
 
-    def _present(self, effect: str) -> bool:
-        """Whether the model as given has the effect already: its parameters are then calibrated, not discovered."""
-        acts = self.model.effects.get(effect)
-        return acts is not None and any(not CATALOGUE[effect].is_neutral(acts[c]) for c in self.channels)
+    def has(self, effect: str, channel: int | None) -> bool:
+        acts, channels = self.model.effects.get(effect), self.channels if channel is None else (channel,)
+        return acts is not None and any(not CATALOGUE[effect].is_neutral(acts[c]) for c in channels)
 
     def given(self, name: str, channel: int) -> float:
         return self.model.value(name, channel)
@@ -177,7 +179,10 @@ class DynamicRig:
         ):
             return [request]
         pairs = {name: np.broadcast_to(value, 2).tolist() for name, value in request.values.items()}
-        return [Request(c, {name: pair[c] for name, pair in pairs.items()}) for c in self.channels]
+        return [
+            Request(c, {name: pair[c] for name, pair in pairs.items() if not isnan(pair[c])})
+            for c in self.channels
+        ]
 
     def _predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
         results = [{c: np.empty(self.segments[c][-1].place.stop) for c in self._seen(r)} for r in requests]
@@ -214,6 +219,7 @@ class DynamicRig:
         So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for those of
         the leakage, one for each other one, and one for it and those it is combined with. Long refits are many of few effects:
         there is one kernel for these and all corrections of their form."""
+        effects = effects - self._declared
         if self._of_few(effects):
             forms = {name for effect in effects for name in CORRECTIONS.get(effect, {})}
             return tuple(n for n in CATALOGUE if n in effects or n in forms)
@@ -276,7 +282,7 @@ class DynamicRig:
                 request = requests[n]
                 own = slice(None) if request.channel is None else request.channel if self.coupled else side
                 for name, value in request.values.items():
-                    values[name][lane, own] = value
+                    values[name][lane, own] = np.where(np.isnan(value), values[name][lane, own], value)
                 shown += [(lane, c if self._whole(request) else side, n, c) for c in self._seen(request)]
         every, out = self._simulate(batch, values, plays)
         for lane, side, n, channel in shown:

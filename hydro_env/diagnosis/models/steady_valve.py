@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from math import isnan, nan
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ import numpy as np
 from ...plant import CATALOGUE, PARAMETERS, Parameter, PlantModel
 from ..input.parts import Part, filled
 from .array_laws import apply_laws, argument, elementwise
-from .base import Request, Segments, measured_segments
+from .base import Request, Segments, given_parameters, measured_segments
 
 __all__ = ["SteadyValve"]
 
@@ -63,7 +64,7 @@ class SteadyValve:
                 "Kq", kq.unit, kq.nominal, min(widest), max(widest), "least squares", kq.note, log=True
             ),
         }
-        self.simulation_is_cheap, self.has_hidden_states = True, False
+        self.simulation_is_cheap, self.has_hidden_states, self.coupled = True, False, False
         self.notes: list[str] = [
             "steady-valve model: the flow gain as given is set by least squares on the fit logs, the lag stands for all dynamics"
         ]
@@ -94,15 +95,22 @@ class SteadyValve:
         return {**values, "Kq": (one, two)}
 
     def base(self, channel: int) -> list[str]:
-        return ["Kq", "lag"]
+        return ["Kq", "lag", *given_parameters(self, channel)]
 
     def candidates(self) -> list[str]:
+        usable = [n for n in self._supported() if n not in self.without]
+        return [n for n in usable if not all(self.has(n, c) for c in self.channels)]
+
+    def _supported(self) -> list[str]:
+        """The effects that this model and its logs can have."""
         pressure = all(part.log.has("pressure", c) for part in self.parts for c in self.channels)
-        return [
-            n
-            for n in SUPPORTED
-            if n in CATALOGUE and n not in self.without and (pressure or not CATALOGUE[n].reads("pressure"))
-        ]
+        return [n for n in SUPPORTED if n in CATALOGUE and (pressure or not CATALOGUE[n].reads("pressure"))]
+
+    def has(self, effect: str, channel: int | None) -> bool:
+        acts, channels = self.model.effects.get(effect), self.channels if channel is None else (channel,)
+        if acts is None or effect not in self._supported():
+            return False
+        return any(not CATALOGUE[effect].is_neutral(acts[c]) for c in channels)
 
     def given(self, name: str, channel: int) -> float:
         if name == "Kq":
@@ -128,13 +136,13 @@ class SteadyValve:
         groups: dict[tuple[int, frozenset[str]], list[int]] = {}
         for number, request in enumerate(requests):
             for channel in self.channels if request.channel is None else (request.channel,):
-                groups.setdefault((channel, request.effects), []).append(number)
+                effects = request.effects.union(e for e in self.model.declared if self.has(e, channel))
+                groups.setdefault((channel, effects), []).append(number)
         for (channel, effects), numbers in groups.items():
+            own = (f"{e}.{p.name}" for e in effects for p in CATALOGUE[e].parameters)
             values = {
-                name: np.array(
-                    [[_of(requests[n].values.get(name, self.given(name, channel)), channel)] for n in numbers]
-                )
-                for name in {*("Kq", "lag"), *(k for n in numbers for k in requests[n].values)}
+                name: np.array([[self._value(requests[n], name, channel)] for n in numbers])
+                for name in {"Kq", "lag", *own, *(k for n in numbers for k in requests[n].values)}
             }
             ordered = [n for n in CATALOGUE if n in effects]
             speeds = [self._speed(part, channel, values, ordered) for part in self.parts]
@@ -146,6 +154,12 @@ class SteadyValve:
         if self.progress is not None:
             self.progress(len(requests))
         return results
+
+    def _value(self, request: Request, name: str, channel: int) -> float:
+        """The value of a parameter that is asked for, or the given one."""
+        value = request.values.get(name, nan)
+        value = value[channel] if isinstance(value, tuple) else value
+        return self.given(name, channel) if isnan(value) else value
 
     def _speed(
         self, part: Part, channel: int, values: dict[str, np.ndarray], effects: list[str]
@@ -175,10 +189,6 @@ class SteadyValve:
         speed = known["Kq"] * known["opening"] * np.sqrt(np.maximum(drive, 0.0)) / self.displacement[channel]
         speed = _lagged(np.broadcast_to(speed, (values["Kq"].shape[0], len(log))), values["lag"], period)
         return apply_laws("measured_speed", speed, effects, known)
-
-
-def _of(value: float | tuple[float, float], channel: int) -> float:
-    return value[channel] if isinstance(value, tuple) else value
 
 
 def _delayed(command: np.ndarray, delay: np.ndarray, period: float) -> np.ndarray:

@@ -121,6 +121,9 @@ def interval(entry: Interval) -> str:
 
 def known(symbol: str, c: int, value: float, model: PlantModel) -> str:
     """A base parameter of channel c in words; of a flow gain also the flow that full command would give."""
+    effect, _, own = symbol.rpartition(".")
+    if effect:
+        return f"{title(effect)}: {parameter(effect, own)}"
     text = PARAMETERS[symbol].title if symbol in PARAMETERS else _OWN.get(symbol, plain(symbol))
     if symbol == "Kq":
         stroke = (

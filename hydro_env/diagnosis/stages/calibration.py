@@ -6,17 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...plant import parameter_of
+from ...plant import CATALOGUE, parameter_of
 from ..estimation import (
     Estimate,
     Fit,
     Unknown,
     base_unknown,
+    given_unknown,
     limited_by_effects,
     restart_friction,
     solve,
 )
-from ..models.base import RigModel
+from ..models.base import RigModel, effect_in, given_repeats
 from ..settings import rule
 from ..state import Estimates, State
 
@@ -32,6 +33,8 @@ COIL_FIRST = rule("coil_first", "estimate the coil by the current alone before e
 COIL = ("R", "L")
 #: Iterations of the calibration, and of the coil alone.
 ITERATIONS, COIL_ITERATIONS = 18, 6
+#: So many unknowns are determined in these iterations: the known parameters of a channel.
+FEW = 20
 #: Factor on the noise of signals that are not to count.
 IGNORED = 1e6
 
@@ -49,9 +52,14 @@ def base_unknowns(rig: RigModel, channel: int) -> list[Unknown]:
     limited = limited_by_effects()
     found = []
     for name in rig.base(channel):
-        parameter = rig.own[name] if name in rig.own else parameter_of(name)
-        unknown = base_unknown(parameter, rig.given(name, channel), name in limited)
-        found.append(replace(unknown, channel=channel))
+        value, (effect, _, own) = rig.given(name, channel), name.rpartition(".")
+        if effect:
+            unknown = given_unknown(name, effect_in(rig, effect, channel).parameter(own), value)
+        else:
+            parameter = rig.own[name] if name in rig.own else parameter_of(name)
+            unknown = base_unknown(parameter, value, name in limited)
+        of_rig = effect and CATALOGUE[effect].scope == "rig"
+        found.append(replace(unknown, channel=None if of_rig else channel))
     return found
 
 
@@ -70,11 +78,15 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     """
     rig, estimates = fit.rig, {}
     for channel in rig.channels:
-        unknowns = base_unknowns(rig, channel)
-        estimates[channel] = Estimate(channel, unknowns, np.zeros(len(unknowns)), "calibrated")
+        unknowns, follow = base_unknowns(rig, channel), given_repeats(rig, channel)
+        estimates[channel] = Estimate(channel, unknowns, np.zeros(len(unknowns)), "calibrated", follow=follow)
     if fit.settings.uses(COIL_FIRST):
         _coil_first(fit, estimates)
-    every = list(estimates.values())
+    if rig.coupled and len(estimates) == 2:
+        estimates = dict.fromkeys(estimates, _of_rig(estimates))
+    every = list({id(p): p for p in estimates.values()}.values())
+    # Given effects and rigs that are estimated as a whole have more unknowns, which take more steps.
+    iterations *= max(1, *(len(p.unknowns) // FEW for p in every))
     # Two ways, of which either may end in a local minimum of the spool's friction: with and without the forces scaled together.
     # Without what is missing the other directions would lead far away from where it is found.
     twice = rig.has_hidden_states and fit.settings.uses(CALIBRATE_TWICE)
@@ -86,6 +98,15 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     if rig.has_hidden_states:
         solve(fit, restart_friction(fit, every), iterations)
     return estimates
+
+
+def _of_rig(estimates: Estimates) -> Estimate:
+    """The estimates of both channels as one, in which what the channels share is there once."""
+    both = [(u, v) for p in estimates.values() for u, v in zip(p.unknowns, p.q, strict=True)]
+    own = {(u.name, u.channel): (u, v) for u, v in both}
+    follow = {name: source for p in estimates.values() for name, source in p.follow.items()}
+    unknowns, q = [u for u, _ in own.values()], np.array([v for _, v in own.values()])
+    return Estimate(None, unknowns, q, "calibrated", follow=follow)
 
 
 def _coil_first(fit: Fit, estimates: Estimates) -> None:

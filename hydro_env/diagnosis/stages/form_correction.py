@@ -25,7 +25,7 @@ from ..estimation import (
     grow_horizon,
     solve,
 )
-from ..models.base import RigModel, Segments, view
+from ..models.base import RigModel, Segments, given_effects, view
 from ..settings import rule
 from ..state import Estimates, State
 from .candidates import penalty_per_parameter
@@ -77,8 +77,8 @@ class Attempt:
 
 
 def run(state: State) -> State:
-    """Corrects the form of what is named, and of the placebos as much."""
-    if state.verdict != "effects":
+    """Corrects the form of what is named or given, and of the placebos as much."""
+    if state.verdict not in ("effects", "calibration"):
         return state
     fit = state.fit.on(state.rig.for_long_refits())
     final, placebo, corrections = state.final, state.placebo, state.corrections
@@ -163,8 +163,16 @@ def correct(
     return estimate, kept
 
 
+def given_on(fit: Fit, estimate: Estimate) -> list[tuple[str, int | None]]:
+    """The effects that the model as given has on the channels of an estimate, each with its channel, None for the whole rig."""
+    both = ((e, c) for c in fit.channels_of(estimate) for e in given_effects(fit.rig, c))
+    every = ((e.name, None if e.scope == "rig" else c) for e, c in both if not is_correction(e.name))
+    return list(dict.fromkeys(every))
+
+
 def attempts(fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]]) -> list[Attempt]:
-    """The estimate with each correction of its effects `named` (with their channels), not yet refitted."""
+    """The estimate with each correction of its effects `named` (with their channels) and of given ones, not yet refitted."""
+    named = [*named, *given_on(fit, estimate)]
     return [
         Attempt(
             effect,
@@ -175,6 +183,7 @@ def attempts(fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None
         )
         for effect, channel in dict.fromkeys(named)
         for correction in CORRECTIONS.get(effect, {})
+        if not fit.rig.has(correction, channel)
     ]
 
 
@@ -210,7 +219,7 @@ def correct_all(
     for one in {id(p): p for p in estimates.values()}.values():
         c = one.channel
         names = [(n, channel) for channel, own in named.items() if c is None or channel == c for n in own]
-        if not fit.rig.has_hidden_states or not named or fit.at_noise(one):
+        if not fit.rig.has_hidden_states or not (names or given_on(fit, one)) or fit.at_noise(one):
             continue
         better, kept = correct(fit, one, names, begun)
         found.update(dict.fromkeys(fit.channels_of(one), better))
@@ -277,7 +286,7 @@ def _effects_only(estimate: Estimate) -> Estimate:
         return estimate.at(estimate.q.copy())
     own = [j for j, u in enumerate(estimate.unknowns) if u.effect]
     given = {u.name: u.value(v) for u, v in zip(estimate.unknowns, estimate.q, strict=True) if not u.effect}
-    unknowns, follow = [estimate.unknowns[j] for j in own], {**estimate.follow, **given}
+    unknowns, follow = [estimate.unknowns[j] for j in own], {**given, **estimate.follow}
     return Estimate(estimate.channel, unknowns, estimate.q[own], estimate.label, follow=follow)
 
 

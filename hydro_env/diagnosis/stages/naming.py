@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...plant import CATALOGUE, PlantModel, parameter_of
-from ..estimation import Estimate, Fit, probability_of_gain
+from ..estimation import Estimate, Fit, Unknown, probability_of_gain
 from ..models.base import RigModel
 from ..state import Estimates, State
 from .candidates import Accepted, Selection
@@ -16,8 +16,8 @@ from .form_correction import is_correction
 from .screening import Screening, alike
 
 __all__ = [
-    "Interval", "KnownParameter", "NamedEffect", "at_bounds", "effect_values", "estimated_model", "known_parameters",
-    "name_effects", "run", "widened_by_form",
+    "Interval", "KnownParameter", "NamedEffect", "absent_effects", "at_bounds", "effect_values", "estimated_model",
+    "known_parameters", "name_effects", "run", "widened_by_form",
 ]  # fmt: skip
 
 #: Values of the two channels that differ by less (relative) are one effect of both.
@@ -221,13 +221,29 @@ def _interval(estimate: Estimate, j: int) -> Interval:
 
 
 def known_parameters(rig: RigModel, estimates: Estimates) -> list[KnownParameter]:
-    """The base parameters of every channel."""
-    return [
-        KnownParameter(u.name, c, rig.given(u.name, c), _interval(estimate, j), (u.value(-1.0), u.value(1.0)))
-        for c, estimate in estimates.items()
-        for j, u in enumerate(estimate.unknowns)
-        if u.channel in (None, c) and not u.effect
-    ]
+    """The base parameters of every channel, with those of effects that the model as given has."""
+    found = []
+    for c, estimate in estimates.items():
+        for j, u in enumerate(estimate.unknowns):
+            if u.channel in (None, c) and not u.effect:
+                value, usual = _interval(estimate, j), (u.value(-1.0), u.value(1.0))
+                effect, _, own = u.name.rpartition(".")
+                value = widened_by_form(effect, own, value, value) if effect else value
+                found.append(KnownParameter(u.name, c, rig.given(u.name, c), value, usual))
+    return found
+
+
+def absent_effects(rig: RigModel, estimates: Estimates) -> list[tuple[str, int]]:
+    """The effects that the model as given has on a channel and the logs do not show: the intervals of all that carries the size
+    hold the neutral values, and one excludes the given value."""
+    sizes: dict[tuple[str, int], list[tuple[bool, bool]]] = {}
+    for p in known_parameters(rig, estimates):
+        effect, _, own = p.symbol.rpartition(".")
+        if effect and (parameter := CATALOGUE[effect].parameter(own)).carries_size:
+            neutral = min(parameter.neutral, max(parameter.high, p.nominal))
+            holds = p.estimate.low <= neutral <= p.estimate.high
+            sizes.setdefault((effect, p.channel), []).append((holds, p.moved))
+    return [key for key, own in sizes.items() if all(h for h, _ in own) and any(m for _, m in own)]
 
 
 def at_bounds(estimates: Estimates) -> list[str]:
@@ -237,9 +253,18 @@ def at_bounds(estimates: Estimates) -> list[str]:
         for u, q in zip(estimate.unknowns, estimate.q, strict=True):
             if u.effect and (q == 0.0 or is_correction(u.effect)):
                 continue
+            if "." in u.parameter and _nearest_end(u, float(q)) == parameter_of(u.parameter).neutral:
+                continue  # a given effect that is absent
             if u.channel in (None, c) and u.at_bound(float(q)) and u.high > u.low:
                 found.append(f"{u.name} of channel {c + 1} ({u.value(float(q)):.3g} {u.unit})")
     return found
+
+
+def _nearest_end(unknown: Unknown, q: float) -> float:
+    """The end of an unknown's range that is nearest; infinite where that end of a limit stands for no limit."""
+    if unknown.value(q) < 0.5 * (unknown.low + unknown.high):
+        return unknown.low
+    return math.inf if parameter_of(unknown.parameter).role == "limit" else unknown.high
 
 
 def estimated_model(rig: RigModel, estimates: Estimates, name: str) -> PlantModel:

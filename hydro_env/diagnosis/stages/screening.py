@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from math import nan
 
 import numpy as np
 
@@ -114,6 +115,8 @@ def screen(
     wanted: list[tuple[str, int | None, dict[str, float], bool]] = []
     for name in effects:
         for channel in estimates if CATALOGUE[name].scope == "channel" else (None,):
+            if fit.rig.has(name, channel):
+                continue
             effect = effect_in(fit.rig, name, channel)
             known = [k.start for k in earlier if (k.effect, k.channel) == (name, channel)]
             starts = effect_starts(effect, seconds)
@@ -166,15 +169,11 @@ def absorb(fit: Fit, estimates: Estimates, screening: Sequence[Screening]) -> No
     for k in screening:
         if k.channel is not None and k.change is not None and k.visible > VISIBLE:
             base = estimates[k.channel]
-            live.append(_Absorption(k, base, *solvers[k.channel], base.q, k.change, k.change))
+            live.append(_Absorption(k, k.channel, base, *solvers[k.channel], base.q, k.change, k.change))
     for number in range(MOST_STEPS):
         requests = [a.step() for a in live]
         results = fit.rig.predict(requests)
-        live = [
-            a
-            for a, result in zip(live, results, strict=True)
-            if a.goes_on(result[a.base.channel or 0], number)
-        ]
+        live = [a for a, result in zip(live, results, strict=True) if a.goes_on(result[a.channel], number)]
 
 
 @dataclass
@@ -182,6 +181,7 @@ class _Absorption:
     """Calibration towards the logs of a rig that has an effect: `rest` is what is left of the `change` that it makes."""
 
     of: Screening
+    channel: int
     base: Estimate
     weights: np.ndarray
     columns: np.ndarray
@@ -199,8 +199,7 @@ class _Absorption:
 
     def goes_on(self, simulated: np.ndarray, number: int) -> bool:
         """Counts what is left now; whether another step is worth it."""
-        assert self.base.channel is not None
-        self.rest = self.change + self.base.simulated[self.base.channel] - simulated
+        self.rest = self.change + self.base.simulated[self.channel] - simulated
         if not np.isfinite(self.rest).all():
             return False
         weighted = self.rest * self.weights
@@ -217,11 +216,8 @@ def _request(estimates: Estimates, effect: str, channel: int | None, start: dict
     if channel is not None:
         values = estimates[channel].values(channel)
         return Request(channel, {**values, **less_taken(values, effect, start), **extra})
-    pairs: dict[str, tuple[float, float]] = {}
     sides = [estimates[c].values(c) if c in estimates else {} for c in (0, 1)]
-    for name in {*sides[0], *sides[1]}:
-        pair = [side.get(name) for side in sides]
-        pairs[name] = tuple(v if v is not None else next(w for w in pair if w is not None) for v in pair)  # type: ignore[assignment]
+    pairs = {name: (sides[0].get(name, nan), sides[1].get(name, nan)) for name in {*sides[0], *sides[1]}}
     return Request(None, {**pairs, **{name: (value, value) for name, value in extra.items()}})
 
 

@@ -37,7 +37,7 @@ from .candidates import (
     penalty,
 )
 from .elimination import compare_competing, drop_not_missed, drop_unneeded, prefer_form
-from .form_correction import attempts, refit_attempts
+from .form_correction import attempts, given_on, refit_attempts
 from .refits import refit_found, short_refit
 from .rig_effects import rig_effect_leads, select_rig_effects
 from .screening import Screening, screen
@@ -111,20 +111,20 @@ def run(state: State) -> State:
 
 def select(search: Search) -> Selection:
     """Selects effects for every channel and for the rig, starting from the calibrated estimates and their screening."""
-    fit, calibrated = search.fit, search.calibrated
-    first = [c for c in fit.rig.channels if could_pay(fit, calibrated[c], c)]
+    fit = search.fit
+    first = [c for c in fit.rig.channels if _worth_another(search, c)]
     of_channels = [k for k in search.screening if k.channel is not None]
     whole = len(fit.rig.channels) == 2 and any(k.channel is None for k in search.screening)
     if whole and rig_effect_leads(search):
         search.progress("effects of the whole rig")
         select_rig_effects(search)
         _set_placebos(search, first, of_channels)
-    if not search.of_rig:
+    if not _has_rig_effect(search):
         _forward(search, first, of_channels)
         if whole:
             search.progress("effects of the whole rig")
             select_rig_effects(search)
-    if search.of_rig:
+    if _has_rig_effect(search):
         _forward_beside_rig_effect(search)
     if fit.rig.has_hidden_states:
         drop_unneeded(search)
@@ -138,12 +138,16 @@ def select(search: Search) -> Selection:
     return Selection(search.present, search.accepted, search.candidates, search.placebo, search.attempted)
 
 
+def _has_rig_effect(search: Search) -> bool:
+    return any(k.channel is None for k in search.accepted)
+
+
 def _worth_another(search: Search, c: int) -> bool:
     """Whether a channel has a residual left that is worth looking into and is no matter of the form of what was accepted."""
     fit, present = search.fit, search.present[c]
     if not could_pay(fit, present, c):
         return False
-    if not fit.rig.has_hidden_states or not present.effects():
+    if not fit.rig.has_hidden_states or not (present.effects() or given_on(fit, present)):
         return True
     return could_pay(fit, _in_other_form(search, present), c)
 
@@ -159,7 +163,9 @@ def _forward(search: Search, channels: list[int], screening: Sequence[Screening]
             here = {c: search.present[c] for c in channels}
             screening = screen(search.fit, here, search.names, search.seconds, search.screening)
         search.progress(f"round {number}: refitting candidates")
-        accepted = _round(search, channels, screening, number)
+        # Channels that are estimated together take turns: what one of them gets changes the model of both.
+        turns = [[c] for c in channels] if search.of_rig else [channels]
+        accepted = [c for turn in turns for c in _round(search, turn, screening, number)]
         channels = [c for c in accepted if _worth_another(search, c)]
 
 
@@ -182,7 +188,7 @@ def _set_placebos(search: Search, channels: Sequence[int], screening: Sequence[S
     if not search.of_rig:
         return
     best = {k.channel: k for k in reversed(screening)}
-    search.placebo = {c: search.calibrated[c].extended(best[c].effect, best[c].start) for c in channels}
+    search.placebo = {c: search.calibrated[c].extended(best[c].effect, best[c].start, c) for c in channels}
     placebos = list(search.placebo.values())
     short_refit(search.fit, placebos)
     solve(search.fit.on(search.fit.rig.for_long_refits()), placebos, SETTLE_ITERATIONS)
@@ -263,7 +269,8 @@ def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
     for k in left:
         here = {n for n, c in search.present[k.channel].placed_effects() if c in (None, k.channel)}
         new = [n for n in search.names if n not in here]
-        names.append([n for n in new if screened[n, k.channel].shows])
+        seen = [screened.get((n, k.channel)) for n in new]
+        names.append([one.effect for one in seen if one is not None and one.shows])
     presents = [(k.channel, search.present[k.channel]) for k in left]
     found = best_on_beginnings(fit, presents, names) if left else []
     # The others race among themselves, since the best so far has been refitted for longer; then the best of them is, too.

@@ -56,11 +56,11 @@ def decide(state: State) -> State:
 
 def _verdict(fit: Fit, given: Estimates, calibrated: Estimates, selection: Selection) -> str:
     left = any(unexplained(fit, selection.estimates[c], c) for c in fit.rig.channels)
+    found = {c: selection.in_best_form(c) for c in fit.rig.channels}
     if selection.accepted:
-        found = {c: selection.in_best_form(c) for c in fit.rig.channels}
         mostly = all(mostly_explained(fit, calibrated[c], found[c], c) for c in fit.rig.channels)
         return "effects" if mostly or not left else "unknown"
-    if left:
+    if any(unexplained(fit, found[c], c) for c in fit.rig.channels):
         return "unknown"
     better = any(_better(fit, given[c], calibrated[c], c) for c in fit.rig.channels)
     return "calibration" if better else "none"
@@ -70,7 +70,8 @@ def _better(fit: Fit, given: Estimate, calibrated: Estimate, channel: int) -> bo
     """Whether calibration explains more than its number of parameters would by chance."""
     old, new = (fit.rms(p.simulated[channel], channel) for p in (given, calibrated))
     visible = any(old[k] > CALIBRATION_VISIBLE * max(new[k], fit.noise[channel, k[1]]) for k in old)
-    return visible and fit.gain(given, calibrated) > CALIBRATION_GAIN * len(calibrated.unknowns)
+    moved = sum(u.channel in (None, channel) for u in calibrated.unknowns)
+    return visible and fit.gain(given, calibrated, (channel,)) > CALIBRATION_GAIN * moved
 
 
 # --- from the held-out logs -----------------------------------------------------------------------------------------------

@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from ...measured.finding import SPELLING
+from ...plant import CATALOGUE
 from ..estimation import unpredictable
 from ..state import State
-from .naming import at_bounds
+from .naming import absent_effects, at_bounds
 from .screening import hidden_by_calibration
 from .validation import signal_key
 
@@ -22,6 +23,10 @@ def run(state: State) -> State:
     """Collects the warnings, the weightiest first."""
     found = [f"none of the named effects is confirmed: {'; '.join(state.doubts)}"] if state.doubts else []
     found += [f.text for f in state.findings]
+    found += [
+        f"the model as given has a {CATALOGUE[effect].title} on channel {c + 1} that these logs do not show"
+        for effect, c in absent_effects(state.rig, state.shown)
+    ]
     found += _about_logs_and_fit(state)
     if state.verdict == "unknown":
         found.append(
