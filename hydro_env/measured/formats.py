@@ -29,7 +29,8 @@ from hydro_env.errors import InputError, to_install
 from hydro_env.measured.csv_file import CsvStyle, read_csv
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.mat5_structure import check_structure
-from hydro_env.measured.table import MOST_VALUES, Table, check_file, check_size
+from hydro_env.measured.table import MOST_VALUES, Table, check_size
+from hydro_env.reading import check_file
 
 __all__ = ["is_binary", "read_table"]
 
@@ -48,7 +49,7 @@ def read_table(path: Path, choose: Choose, style: CsvStyle | None = None) -> Tab
 
     `InputError` names the file and what would be right, of CSV also row and column.
     """
-    check_file(path)
+    check_file(path, "a log")
     try:
         return read_binary(path, choose) if is_binary(path) else read_csv(path, choose, style)
     except OSError as error:

@@ -7,7 +7,6 @@ formats of `hydro_env.measured`. What is missing from the file is said by `Colum
 from __future__ import annotations
 
 import gzip
-import os
 import re
 import zlib
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ from hydro_env.errors import InputError, suggestion
 from hydro_env.measured.csv_file import CsvStyle
 from hydro_env.measured.formats import is_binary, read_table
 from hydro_env.measured.table import Table
+from hydro_env.reading import check_file
 from hydro_env.units import Unit, to_si, unit
 from hydro_env.valve_bench.curve import Curve, Floats, branches_of
 
@@ -87,9 +87,7 @@ class _Choice:
 def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | None = None) -> Curve:
     """Reads a measured curve. InputError, naming file, row or column, for whatever cannot be used."""
     path, columns = Path(path), columns or Columns()
-    if not os.path.isfile(path):
-        what = "not a file" if os.path.exists(path) else "no such file, and no preset of that name"
-        raise InputError(f"{path}: {what}")
+    check_file(path, "a measured curve, a model or a preset")
     choice = _Choice(path, columns)
     suffixed = not is_binary(path) and _has_suffixes(path)
     table = read_table(path, choice, CsvStyle(si_suffixes=suffixed, header=None))
