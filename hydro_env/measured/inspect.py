@@ -19,7 +19,6 @@ import yaml
 
 from ..errors import InputError
 from ..units import UNITS, unit
-from .csv_file import CsvStyle
 from .formats import read_table
 from .gate import LARGEST
 from .log import RigLog
@@ -77,7 +76,7 @@ def _columns(path: Path, notes: list[str]) -> tuple[dict[str, np.ndarray], dict[
         def choose(names: tuple[str, ...]) -> tuple[str, ...]:
             return tuple(n for n in names if n) if wanted is None else wanted
 
-        return read_table(path, choose, CsvStyle(header=None))
+        return read_table(path, choose)
 
     try:
         table = read(None)
@@ -91,7 +90,7 @@ def _columns(path: Path, notes: list[str]) -> tuple[dict[str, np.ndarray], dict[
             return found[:0]
 
         try:
-            read_table(path, remember, CsvStyle(header=None))
+            read_table(path, remember)
         except InputError:
             if not names:
                 raise error from None

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError, nearest, suggestion
+from hydro_env.errors import InputError, nearest
 from hydro_env.files import replacing
 from hydro_env.measured.csv_file import CsvStyle
 from hydro_env.measured.finding import Finding
@@ -48,11 +48,6 @@ def read_log(path: str | Path, mapping: Mapping | str | Path | None = None) -> R
 
     def choose(names: tuple[str, ...]) -> tuple[str, ...]:
         chosen[:] = [mapping or contract_mapping(names, path)]  # a second reading may see another header
-        for column in chosen[0].columns():
-            if column not in names:
-                raise InputError(
-                    f"{path}: column {column!r} that the mapping names is not in the header; {suggestion(column, names)}"
-                )
         return chosen[0].columns()
 
     table = read_table(path, choose, CsvStyle(**mapping.table.model_dump()) if mapping else None)

@@ -350,10 +350,15 @@ def contract_mapping(names: tuple[str, ...], path: Path) -> Mapping:
 
 def _missing(path: Path, column: str, names: tuple[str, ...]) -> InputError:
     known = set(contract_columns())
+    if names and all(name.isdecimal() for name in names):
+        raise InputError(
+            f"{path}: holds numbers where the header should be; add the line of column names, or say in a mapping file what the "
+            "columns are, by their numbers"
+        )
     near = nearest(column, (name for name in names if name not in known))
     hint = f"rename {near!r}, or " if near else ""
     shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
     return InputError(
-        f"{path}: row 1: required column {column!r} is missing (found: {shown}); "
+        f"{path}: the required column {column!r} is missing (found: {shown}); "
         f"{hint}describe this log in a mapping file"
     )
