@@ -21,6 +21,7 @@ SPELLING = frozenset(
         "epoch_time",
         "unknown_column",
         "coarse",
+        "from_position",
     }
 )
 

@@ -15,7 +15,7 @@ from hydro_env.errors import InputError, suggestion
 from hydro_env.measured.csv_file import CsvStyle
 from hydro_env.measured.finding import SPELLING
 from hydro_env.measured.formats import ENDINGS, read_table
-from hydro_env.measured.names import bracketed, ending
+from hydro_env.measured.names import named_unit
 from hydro_env.measured.table import Table
 from hydro_env.reading import check_file
 from hydro_env.units import Unit, to_si, unit
@@ -185,7 +185,7 @@ def _timed(curve: Curve, columns: Columns, time: Floats | None) -> Curve:
 
 def _in_header(column: str) -> str | None:
     """The unit that a column's name gives: `Current (mA)`, `flow [l/min]`, `flow_lpm`."""
-    found = bracketed(column) or ending(column)
+    found, _ = named_unit(column)
     return found.name if found else None
 
 
