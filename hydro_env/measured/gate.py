@@ -39,6 +39,7 @@ LARGEST = (
 )
 _RESOLUTION_S = 1e-6  # clocks are read to the microsecond, and no rig is recorded faster
 _SHORTEST_S, _LONGEST_S = 1e-4, 0.5  # between the rows of usual logs of such rigs
+_FASTEST_S = 4e-5  # faster than 25 kHz only oscilloscopes record
 _SETTLE_S = 1.0  # after a gap the state of a simulation is a guess for so long
 Spoilt = dict[tuple[str, int], np.ndarray]
 
@@ -101,9 +102,11 @@ def check_clock(
             "its right unit in a mapping"
         )
     rows = table.lines if keep is None else table.lines[keep]
-    findings.extend(_rate(steps, time, rows, column))
-    if unit == "s":
-        findings.extend(_longer_unit(column, time))
+    longer = list(_longer_unit(column, time)) if unit == "s" else []
+    findings.extend(
+        each for each in _rate(steps, time, rows, column) if each.code != "time_unit" or not longer
+    )
+    findings.extend(longer)
     return time, keep
 
 
@@ -117,10 +120,10 @@ def _longer_unit(column: str, time: np.ndarray) -> Iterator[Finding]:
         if _SHORTEST_S <= other < _LONGEST_S and _is_chosen(other):
             yield Finding(
                 "time_unit",
-                f"rows come every {period:.3g} s ({1.0 / period:,.0f} a second): is {column!r} in {longer}, a row every {other:.3g} s?",
+                f"rows come every {period:.3g} s ({1.0 / period:,.0f} a second): is {column!r} in {longer}, every {other:.3g} s?",
                 f"give the right unit in a mapping (`time: {{column: ..., unit: {longer}}}`)",
                 column=column,
-                sure=period < _SHORTEST_S / 2.0,
+                sure=period < _FASTEST_S,
                 fix={"time": {"unit": longer}},
             )
             return
@@ -188,7 +191,7 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str) ->
             sure=True,
             fix={"time": {"unit": "ms"}},
         )
-    elif median < _SHORTEST_S / 2.0:
+    elif median < _FASTEST_S:
         message = (
             f"rows come every {median:.3g} s ({1.0 / median:,.0f} a second): is the unit of {column!r} right?"
         )

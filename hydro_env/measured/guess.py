@@ -25,6 +25,8 @@ _RIG = ("time", "supply", "temperature", "setpoint")
 #: What a unit says where the name says nothing.
 _ALONE = {quantity: signal for signal in reversed(QUANTITIES) for quantity in QUANTITIES[signal]
           if signal not in ("setpoint", "spool", "supply", "pressure_a", "pressure_b")}  # fmt: skip
+#: Meanings with which a unit alone says nothing more.
+_DECIDED = {"demanded", "order", "source", "tank", "foreign"}
 _SIDES = {"left": 1, "links": 1, "l": 1, "main": 1, "right": 2, "rechts": 2, "r": 2, "jib": 2}
 
 
@@ -85,18 +87,21 @@ def guesses(columns: list[Column]) -> Iterator[Guess]:
             ((signal, _score(column, signal), "") for signal in QUANTITIES), key=lambda each: each[1]
         )
         unit, sure = column.unit
-        if score <= 0.0 and unit and sure and column.meant <= {"unknown", "valve"}:
+        silent = column.meant <= {"unknown", "valve"} or "symbol" in column.meant
+        if score <= 0.0 and unit and sure and silent and not column.meant & _DECIDED:
             signal, score, doubt = _ALONE.get(unit.quantity, ""), 0.5, "nothing but its unit says so"
-        if score > 0.0 and signal and (signal != "time" or column.rises):
+        if score > 0.0 and signal and (signal != "time" or column.rises or not doubt):
             yield Guess(column, signal, 0 if signal in _RIG else _channel(column.label, zero), score, doubt)
 
 
 def _score(column: Column, signal: str) -> float:
     """What speaks for it: words 2, symbols and what is merely likely 1, a unit that fits 2; one that does not rules it out."""
     named = _named(column, signal)
-    if named <= 0.0 or (signal == "time" and not column.rises):
-        return 0.0
     unit, sure = column.unit
+    if signal == "time" and not column.rises:
+        named = 0.0 if "symbol" in column.meant and not unit else named - 0.5
+    if named <= 0.0:
+        return 0.0
     if unit is None:
         return named
     if signal == "command" and unit.quantity == "current":  # of a valve with its own amplifier
@@ -165,5 +170,7 @@ def by_behaviour(columns: list[Column]) -> list[Guess]:
 
 
 def _unrest(column: Column) -> float:
-    """The share of noise in a signal: its differences of the second order beside itself."""
-    return float(np.std(np.diff(column.finite, 2)) / np.std(column.finite)) if len(column.finite) > 2 else 0.0
+    """The share of noise in a signal: its differences of the second order beside itself, steps left aside."""
+    if len(column.finite) < 3:
+        return 0.0
+    return float(np.median(np.abs(np.diff(column.finite, 2))) / np.std(column.finite))

@@ -98,13 +98,14 @@ def propose(path: str | Path, begun: Table[str, Any] | None = None) -> Proposal:
 
 def _columns(path: Path, style: CsvStyle, notes: list[str]) -> list[Column]:
     """Every column of numbers of a file; `notes` gets the reasons why others are not read."""
-    names: list[str] = []
+    names: dict[str, str] = {}  # what a column is called, and the header's name of it
     left: set[str] = set()
 
     def choose(found: tuple[str, ...]) -> list[str]:
-        names[:] = [
-            name if found.count(name) == 1 else str(place) for place, name in enumerate(found, 1) if name
-        ]
+        names.clear()
+        for place, name in enumerate(found, 1):
+            if name:
+                names[name if found.count(name) == 1 else str(place)] = name
         return [name for name in names if name not in left]
 
     while True:
@@ -121,21 +122,23 @@ def _columns(path: Path, style: CsvStyle, notes: list[str]) -> list[Column]:
             notes.append(f"{bad!r}: left out; {said}")
     for values in table.columns.values():  # what is larger is no measurement, and reading will say so
         values[np.abs(values) > LARGEST] = np.nan
-    begin = os.path.commonprefix(list(table.columns))  # noqa: RUF071 (character by character is meant)
+    begin = os.path.commonprefix(list(names.values()))  # noqa: RUF071 (character by character is meant)
     shared = 1 + max(begin.rfind("."), begin.rfind("/"))  # the structure or the group of a binary file
     return [
-        Column(name, values, unit_of(table.units.get(name, "")), name[shared:])
+        Column(name, values, unit_of(table.units.get(names[name], "")), names[name][shared:])
         for name, values in table.columns.items()
     ]
 
 
 def _fill(draft: _Draft, columns: list[Column]) -> None:
     """Puts the most likely column of each signal into the draft."""
-    nameless = all(column.name.isdecimal() for column in columns)
+    nameless = all(column.label.isdecimal() for column in columns)
     found = by_behaviour(columns) if nameless else sorted(guesses(columns), key=lambda guess: -guess.score)
     for column in columns:
         if all(column is not guess.column for guess in found):
+            known = ", ".join(sorted(column.meant - {"unknown", "symbol", "valve"}))
             why = "constant" if column.is_constant else "no name" if nameless else "not recognised"
+            why = f"{known}, nothing that a mapping has" if known and why == "not recognised" else why
             draft.notes.append(f"{column.name!r}: {why}, left out")
     channels: dict[int, dict[str, Any]] = {1: {}, 2: {}}
     positions: list[Guess] = []
@@ -224,7 +227,7 @@ def _source(guess: Guess) -> tuple[dict[str, Any], str, str]:
     else:
         source["unit"], why = _unit_by_size(column, signal), "unit guessed from the size of the numbers"
     doubts = []
-    if source["unit"] == "rev":
+    if source["unit"] == "rev" and not unit:
         source["scale"] = 1e-3
         doubts.append("scale is a guess: the revolutions per count")
     if source["unit"] == "":  # in none of the units of a command
