@@ -1,5 +1,6 @@
-"""Reading YAML and JSON: every such file of the project is read here, and nothing else parses either. `check_file` looks at a
-user's file of any kind before it is opened.
+"""Reading YAML and JSON: every such file of the project is read here, and nothing else parses either.
+
+`check_file` looks at a user's file of any kind before it is opened.
 
 What is read comes from strangers, too. So it is plain data (tables with text keys, lists, text, numbers, truth values, null)
 of a bounded size, depth and number of values, and whatever is wrong is one `InputError` that names file and line:

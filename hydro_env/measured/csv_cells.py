@@ -148,7 +148,7 @@ class Cells:
 
     def _wrong_width(self, row: list[str], line: int) -> InputError:
         hint = "a cell is missing, or the recording was cut off here"
-        if row and not is_value(row[0], True) and seconds(row[0]) is None:
+        if row and not is_value(row[0].replace(",", "."), True) and seconds(row[0]) is None:
             hint = f"does another recording begin here, with {shown(row[0])}? Save it to a file of its own"
         if len(row) > self.dialect.width and self.dialect.delimiter == ",":
             hint = "decimal commas need another delimiter: write 0.5, or separate the columns by ';'"

@@ -102,11 +102,7 @@ def check_clock(
             "its right unit in a mapping"
         )
     rows = table.lines if keep is None else table.lines[keep]
-    longer = list(_longer_unit(column, time)) if unit == "s" else []
-    findings.extend(
-        each for each in _rate(steps, time, rows, column) if each.code != "time_unit" or not longer
-    )
-    findings.extend(longer)
+    findings.extend(_rate(steps, time, rows, column, unit))
     return time, keep
 
 
@@ -149,7 +145,7 @@ def check_numbers(table: Table, column: str, values: np.ndarray) -> None:
         )
 
 
-def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str) -> Iterator[Finding]:
+def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, unit: str) -> Iterator[Finding]:
     median = float(np.median(steps))
     gaps = np.flatnonzero(steps > 1.75 * median)
     jumps = np.flatnonzero(steps > jump_size(time))
@@ -182,7 +178,9 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str) ->
         )
         hint = f"put on an even grid of {median:.3g} s: commands held, measurements interpolated"
         yield Finding("uneven_sampling", message, hint, column=column)
-    if median >= _LONGEST_S:
+    if longer := list(_longer_unit(column, time)) if unit == "s" else []:
+        yield from longer
+    elif median >= _LONGEST_S:
         yield Finding(
             "time_unit",
             f"rows come every {median:.6g} s: is {column!r} in ms?",

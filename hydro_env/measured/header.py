@@ -146,7 +146,7 @@ def _above(
         names = None if apart else names
     if names is None:
         return Header(_numbered(shape.filled), delimiter, {}, top), None, None
-    header = _named(lines[names].cells, delimiter, top)
+    header = _named(lines[names].cells, delimiter, top, shape.filled)
     if _with_comment(header.names, shape.width):
         header = replace(header, names=header.names[:-1], open_end=True)
     below = {name: said[place] for place, name in enumerate(header.names) if place in said}
@@ -219,9 +219,9 @@ def _kind(cell: str) -> str:
     return "value" if comma or is_value(cell, True) or seconds(cell) is not None else "text"
 
 
-def _named(cells: Sequence[str], delimiter: str, first: int) -> Header:
+def _named(cells: Sequence[str], delimiter: str, first: int, filled: int = 0) -> Header:
     names = tuple(cells)
-    while names and not names[-1]:
+    while len(names) > filled and not names[-1]:
         names = names[:-1]
     units = {name: unit.name for name in names if (unit := bracketed(name))}
     return Header(names, delimiter, units, first)

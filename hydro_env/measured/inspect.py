@@ -104,8 +104,7 @@ def _columns(path: Path, style: CsvStyle, notes: list[str]) -> list[Column]:
     def choose(found: tuple[str, ...]) -> list[str]:
         names.clear()
         for place, name in enumerate(found, 1):
-            if name:
-                names[name if found.count(name) == 1 else str(place)] = name
+            names[name if name and found.count(name) == 1 else str(place)] = name
         return [name for name in names if name not in left]
 
     while True:

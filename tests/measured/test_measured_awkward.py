@@ -303,6 +303,12 @@ def test_a_column_that_stands_twice_is_called_by_its_number(tmp_path: Path) -> N
     assert len(read_log(path, looked_at(path))) == ROWS
 
 
+def test_a_column_without_a_name_is_no_error(tmp_path: Path) -> None:
+    path = write(tmp_path, "log.csv", "title\nt [s];u [V];n [rpm];\n" + table(";", TIME, COMMAND, SPEED, OIL))
+    log = read_log(path, looked_at(path))
+    np.testing.assert_allclose(log.speed[:, 0], SPEED * RPM)
+
+
 # --- the clock
 
 
