@@ -153,6 +153,9 @@ def test_own_gains_are_tuned_and_the_file_drives(capsys: pytest.CaptureFixture[s
     }.items():
         assert cli.run(["tune", "--controller", law, *budget, "--out", "out"]) == 2
         assert words in capsys.readouterr().err.splitlines()[-1]
+    Path("leaves.py").write_text(MINE.replace("return measured.no_such_signal", "raise SystemExit"))
+    assert cli.run(["tune", "--controller", "leaves.py:Broken", *budget, "--out", "out"]) == 2
+    assert f"leaves.py line {LINE}: sys.exit" in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("kind", ["PPO", "SAC"])
