@@ -41,7 +41,7 @@ class Header:
 
 @dataclass(frozen=True)
 class _Line:
-    """The cells of a line without blanks around them, none if all are empty; whether it was written as a comment."""
+    """The cells of a line without blanks around them, none without letter or digit; whether it was written as a comment."""
 
     cells: list[str]
     comment: bool
@@ -56,7 +56,8 @@ class _Line:
             cells = [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter), [])]
         except csv.Error:
             cells = [text.strip()]
-        return cls(cells if any(cells) else [], mark is not None)
+        # Lines of dashes or stars say nothing.
+        return cls(cells if any(c.isalnum() for c in text) else [], mark is not None)
 
 
 @dataclass(frozen=True)
@@ -158,7 +159,7 @@ def _plain(lines: Sequence[_Line]) -> tuple[_Shape | None, int]:
     for first in range(1, min(3, len(lines))):
         shape = _shape(lines[first : first + 1])
         # Of a line of key and value at most half are numbers.
-        if shape and 2 * len(shape.numeric) > shape.width and shape.is_names(lines[0]):
+        if shape and 2 * len(shape.numeric) > shape.filled and shape.is_names(lines[0]):
             return shape, first
         if not _units(lines[first]):
             break
@@ -204,7 +205,7 @@ def _delimiter(lines: Sequence[str]) -> str:
         for mark in () if scores else _MARKS:
             shape = find([_Line.of(line, mark) for line in some])
             if shape and shape.width > 1:
-                scores[mark] = len(shape.numeric) - 0.5 * (shape.width - len(shape.numeric))
+                scores[mark] = len(shape.numeric) - 0.5 * (shape.filled - len(shape.numeric))
     if not scores and full:
         scores = {mark: full[0].count(mark) for mark in _MARKS[:-1] if mark in full[0]}
     if scores:

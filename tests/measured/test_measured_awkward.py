@@ -72,6 +72,7 @@ FILES: dict[str, Callable[[], str]] = {
     "logger.csv": lambda: LOGGER + "\n" + PLAIN + UNITS + BODY,
     "logger_close.csv": lambda: LOGGER + GERMAN + BODY,
     "logger_colon.txt": lambda: "Device: X\nRate: 100 Hz\n\nNote: a, b; c\n" + GERMAN + BODY,
+    "ruled.csv": lambda: "***;***\n" + PLAIN + UNITS + "-----;-----;-----;-----;-----;-----\n" + BODY,
     "groups.csv": lambda: "Lauf 3\n;Ventil;Motor;Leitung;Leitung;Tank\n" + PLAIN + UNITS + BODY,
     "comments.txt": lambda: "# run 3\n# t_s u_V n_rpm p_a_bar p_b_bar oil_degC\n" + table(" ", *VALUES.values()),
     "quoted.csv": lambda: '"Run 3, with oil"\n"of, Monday"\n' + '"t [s]","u [V]","n [rpm]","p_A [bar]","p_B [bar]","Oil [degC]"\n'
@@ -351,6 +352,9 @@ def test_a_measured_curve_below_a_preamble(tmp_path: Path) -> None:
             "I (mA)\tQ (l/min)", table("\t", signal, 2.0 * signal))  # fmt: skip
         columns = Columns(signal_unit="mA", flow_unit="l/min")
         curves.append(read_curve(write(tmp_path, name, text + body), columns))
+    gaps = "Current (mA) - 0\tFlow (l/min) - 0\tCurrent (mA) - 1\tFlow (l/min) - 1\tCurrent (mA) - 2\tFlow (l/min) - 2\t\n"
+    body = table("\t", signal, 2.0 * signal, end="\t\t\t\t\t\n")
+    curves.append(read_curve(write(tmp_path, "plots.txt", gaps + body)))
     for curve in curves[1:]:
         np.testing.assert_allclose(curve.signal, curves[0].signal)
         np.testing.assert_allclose(curve.flow, curves[0].flow)
