@@ -19,7 +19,6 @@ environment's. An FMU has valves of its own, so there is nothing to draw: the sp
 from __future__ import annotations
 
 import hashlib
-import os
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -32,7 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.plant import Plant, PlantModel
-from hydro_env.reading import read_yaml
+from hydro_env.reading import check_file, read_yaml
 from hydro_env.units import UNITS, unit
 
 __all__ = ["FmuModel", "FmuRigs", "is_fmu", "load_fmu"]
@@ -86,8 +85,7 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
 
     InputError for a file that is not trusted, no FMU for co-simulation, or lacks a variable; ModuleNotFoundError without FMPy.
     """
-    if not os.path.isfile(file):
-        raise InputError(f"{file}: no such FMU")
+    check_file(file, "an FMU")
     if not trust:
         raise InputError(
             f"{file}: is a program, so that using it runs code from the file; with --trust it is used"

@@ -1,5 +1,7 @@
 """Reading YAML and JSON: every such file of the project is read here, and nothing else parses either.
 
+`check_file` looks at a user's file of any kind before it is opened.
+
 What is read comes from strangers, too. So it is plain data (tables with text keys, lists, text, numbers, truth values, null)
 of a bounded size, depth and number of values, and whatever is wrong is one `InputError` that names file and line:
 
@@ -14,7 +16,9 @@ of a bounded size, depth and number of values, and whatever is wrong is one `Inp
 from __future__ import annotations
 
 import json
+import os
 import re
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +29,7 @@ from hydro_env.errors import InputError, shown
 __all__ = [
     "MOST_BYTES_OF_RESULTS",
     "MOST_BYTES_OF_YAML",
+    "check_file",
     "parse_json",
     "parse_yaml",
     "read_json",
@@ -47,16 +52,32 @@ DIGITS = 40
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
+def check_file(path: str | Path, what: str) -> None:
+    """InputError that says that `what` is expected ("a model in YAML") unless `path` is a plain file that may be read: a pipe
+    or a device may never end."""
+    try:
+        mode = os.stat(path).st_mode
+        if stat.S_ISREG(mode):
+            with open(path, "rb"):
+                return
+        problem = "a folder" if stat.S_ISDIR(mode) else "a pipe or a device, not a plain file"
+    except (FileNotFoundError, NotADirectoryError):
+        problem = "no such file"
+    except OSError as error:
+        problem = f"cannot be read ({error.strerror})"
+    except ValueError as error:  # a zero byte in the name
+        problem = f"no path of a file ({error})"
+    raise InputError(f"{path}: {problem}; expected {what}")
+
+
 def read_text(path: str | Path, what: str, *, most: int = MOST_BYTES) -> str:
     """The text of a UTF-8 file. InputError that says that `what` is expected ("a model in YAML") for anything else."""
+    check_file(path, what)
     try:
         with Path(path).open("rb") as file:
             data = file.read(most + 1)
-    except FileNotFoundError:
-        raise InputError(f"{path}: cannot be read (no such file); expected {what}") from None
-    except (OSError, ValueError) as problem:  # ValueError: a path with a NUL
-        reason = getattr(problem, "strerror", None) or problem
-        raise InputError(f"{path}: cannot be read ({reason}); expected {what}") from None
+    except OSError as problem:
+        raise InputError(f"{path}: cannot be read ({problem.strerror}); expected {what}") from None
     if len(data) > most:
         raise InputError(f"{path}: larger than {most / 2**20:g} MiB; expected {what}")
     try:

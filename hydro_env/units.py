@@ -60,6 +60,7 @@ UNITS: dict[str, Unit] = _table(
     ("Hz", "angular speed", REVOLUTION),
     ("rad", "angle", 1.0),
     ("deg", "angle", DEGREE),
+    ("rev", "angle", REVOLUTION),
     ("m/s", "linear speed", 1.0),
     ("mm/s", "linear speed", MILLIMETRE),
     ("m/min", "linear speed", 1.0 / 60.0),

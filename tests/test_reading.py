@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +14,13 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hydro_env.controllers import make_controller
 from hydro_env.errors import InputError
+from hydro_env.measured import load_mapping, read_log
+from hydro_env.plant import load_effects, load_model
+from hydro_env.practice.played import plans_of
 from hydro_env.reading import DEPTH, MOST_BYTES_OF_YAML, parse_json, parse_yaml, read_yaml
+from hydro_env.valve_bench import read_curve
 
 LETTERS = st.characters(exclude_categories=["Cs", "Cc"])
 LEAVES = (
@@ -105,9 +113,45 @@ def test_another_encoding_is_named(tmp_path: Path, encoding: str) -> None:
 
 def test_a_large_or_endless_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "x.yaml").write_bytes(b"#" * (MOST_BYTES_OF_YAML + 1))
-    for path in (tmp_path / "x.yaml", Path("/dev/zero")):
-        with pytest.raises(InputError, match="larger than"):
-            read_yaml(path, "a model")
+    with pytest.raises(InputError, match="larger than"):
+        read_yaml(tmp_path / "x.yaml", "a model")
+    with pytest.raises(InputError, match="/dev/zero: a pipe or a device"):
+        read_yaml("/dev/zero", "a model")
+
+
+@pytest.fixture
+def in_time() -> Iterator[None]:
+    """Ends a test that waits for a pipe for ever."""
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+
+
+@pytest.mark.usefixtures("in_time")
+@pytest.mark.parametrize(
+    ("ending", "read"),
+    [
+        ("yaml", load_model),
+        ("yaml", lambda path: load_model({"schema": "hydro_env/model/1", "base": path})),
+        ("yaml", load_mapping),
+        ("csv", read_log),
+        ("parquet", read_log),
+        ("py", lambda path: load_effects([path])),
+        ("py", lambda path: make_controller(f"{path}:Mine")),
+        ("json", make_controller),
+        ("npz", make_controller),
+        ("zip", lambda path: make_controller(path, trust=True)),
+        ("csv", read_curve),
+        ("csv", lambda path: plans_of(path, (73.0, 73.0), 0.01)),
+    ],
+)
+def test_a_pipe_or_a_folder_is_refused(tmp_path: Path, ending: str, read: Callable[[str], object]) -> None:
+    pipe, folder = tmp_path / f"pipe.{ending}", tmp_path / f"folder.{ending}"
+    os.mkfifo(pipe)
+    folder.mkdir()
+    for path, said in ((pipe, "a pipe or a device"), (folder, "a folder")):
+        with pytest.raises(InputError, match=f"{path.name}.*: {said}"):
+            read(str(path))
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from typing import Any, NoReturn, TextIO
 import typer
 
 from hydro_env.cli.app import app
-from hydro_env.errors import InputError, InputWarning, shown, to_install
+from hydro_env.errors import InputError, InputWarning, place_of, shown, to_install
 
 __all__ = ["main", "run", "spread"]
 
@@ -137,6 +137,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
         return _fail(f"{where}{problem.strerror or problem}")
+    except SystemExit as problem:  # nothing of ours: code of the user's
+        return _fail(f"{place_of(problem)}: sys.exit({problem.code!r}) where it should only return")
     except Exception as problem:
         usage = getattr(problem, "format_message", None)  # typer's own errors: an unknown option, ...
         if usage is None:

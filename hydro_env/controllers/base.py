@@ -92,7 +92,7 @@ class Controller:
     sent: Floats
     """The command in force, (num_rigs, 2)."""
 
-    def __init__(self, name: str | None = None, **gains: Any) -> None:
+    def __init__(self, name: str | None = None, /, **gains: Any) -> None:
         self.name = name or type(self).__name__
         known = [gain.name for gain in self.GAINS]
         optional = {gain.name: gain.default for gain in self.GAINS if gain.default is not None}
@@ -113,7 +113,7 @@ class Controller:
         """Gains for control periods (s): `reset` takes those whose period is nearest in ratio to its own."""
         self._sets = {float(p): type(self)(self.name, **each).gains for p, each in sets.items()}
 
-    def with_gains(self, **changed: Any) -> Controller:
+    def with_gains(self, /, **changed: Any) -> Controller:
         """The same controller with single gains changed, at whatever control period."""
         again = type(self)(self.name, **{**self.gains, **changed})
         again.plant = self.plant

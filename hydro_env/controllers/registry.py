@@ -189,7 +189,7 @@ def _from_gains(path: Path, name: str, trust: bool = False) -> Controller:
         )
     try:
         law = law_of(_beside(path, found.controller))
-        controller = law(found.name or name, **found.gains)
+        controller: Controller = _made(lambda: law(found.name or name, **found.gains), found.controller)
         controller.for_periods(found.by_period())
         controller.plant = found.plant or None
         return controller
@@ -216,16 +216,20 @@ def _from_policy(path: Path, name: str) -> Any:
 
 def _from_python(text: str, overrides: dict[str, Any]) -> Any:
     made = loaded(text)
+    controller = checked(_made(lambda: made(**overrides), text) if callable(made) else made, text)
+    if not isinstance(getattr(controller, "name", None), str):
+        controller.name = text.rpartition(":")[2]
+    return controller
+
+
+def _made(make: Callable[[], Any], text: str) -> Any:
+    """What `make` makes with code that may be the user's, called `text`. InputError if that fails in any way."""
     try:
-        controller = made(**overrides) if callable(made) else made
+        return make()
     except InputError:
         raise
-    except Exception as problem:
+    except (Exception, SystemExit) as problem:
         place = f" ({place_of(problem)})" if place_of(problem) else ""
         raise InputError(
             f"{text}: could not be made: {type(problem).__name__}: {problem}{place}"
         ) from problem
-    checked(controller, text)
-    if not isinstance(getattr(controller, "name", None), str):
-        controller.name = text.rpartition(":")[2]
-    return controller

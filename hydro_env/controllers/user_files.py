@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
-import os
 import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from hydro_env.errors import InputError, place_of, suggestion
+from hydro_env.reading import check_file
 
 __all__ = ["checked", "controllers_in", "loaded"]
 
@@ -55,13 +55,15 @@ def _drives(kind: type) -> bool:
 def _import(where: str) -> ModuleType:
     try:
         return importlib.import_module(where)
-    except Exception as problem:  # a user's module may fail in any way, and not every text is the name of one
+    except (
+        Exception,
+        SystemExit,
+    ) as problem:  # a user's module may fail in any way, and not every text is the name of one
         raise InputError(f"{where}: cannot be imported ({type(problem).__name__}: {problem})") from None
 
 
 def _load_file(path: Path) -> ModuleType:
-    if not os.path.isfile(path):
-        raise InputError(f"{path}: no such file")
+    check_file(path, "a Python file with a controller")
     # Files of one name in two folders are two modules.
     digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
     spec = importlib.util.spec_from_file_location(f"hydro_env_user_{path.stem}_{digest}", path)
@@ -71,7 +73,7 @@ def _load_file(path: Path) -> ModuleType:
     try:
         # From the source itself: Python's cache takes a file of the same size that was written in the same second for the same.
         exec(compile(path.read_bytes(), str(path), "exec"), module.__dict__)
-    except Exception as problem:
+    except (Exception, SystemExit) as problem:
         where = place_of(problem) or str(path)
         raise InputError(f"{where}: {type(problem).__name__}: {problem}") from problem
     return module

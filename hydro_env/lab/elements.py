@@ -10,8 +10,9 @@ from nicegui import ui
 from nicegui.element import Element
 
 from hydro_env.lab.session import COLUMNS, SHOWN
-from hydro_env.lab.uploads import LOG_ENDINGS, MOST_BYTES, YAML_ENDINGS
+from hydro_env.lab.uploads import MOST_BYTES, YAML_ENDINGS
 from hydro_env.lab.worker import Seen
+from hydro_env.measured.formats import ENDINGS
 from hydro_env.pages import COLOURS
 from hydro_env.units import RPM
 
@@ -96,7 +97,7 @@ class Drop(Element, component="drop.js"):
 
     def __init__(self, label: str, sent: Callable[[], None], refused: Callable[[str], None]) -> None:
         super().__init__()
-        accepted = ",".join((*LOG_ENDINGS, ".gz", *YAML_ENDINGS))
+        accepted = ",".join((*ENDINGS, ".gz", *YAML_ENDINGS))
         self._props |= {"label": label, "accept": accepted, "most": MOST_BYTES}
         self.on("sent", lambda: sent())
         self.on("refused", lambda event: refused(str(event.args)))

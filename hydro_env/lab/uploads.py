@@ -10,18 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hydro_env.errors import InputError, shown
+from hydro_env.measured.formats import ENDINGS
 from hydro_env.measured.mapping import SCHEMA as MAPPING
 from hydro_env.plant.model import SCHEMA as MODEL
 from hydro_env.plant.model_files import preset_names
 from hydro_env.reading import read_yaml
 
-__all__ = ["LOG_ENDINGS", "MOST_BYTES", "MOST_FILES", "Upload", "Uploads"]
+__all__ = ["MOST_BYTES", "MOST_FILES", "Upload", "Uploads"]
 
 #: Bytes of a file, and files at a time.
 MOST_BYTES = 256 * 2**20
 MOST_FILES = 20
-#: Endings of the files that `measured` reads, and of mappings and models.
-LOG_ENDINGS = (".csv", ".txt", ".csv.gz", ".parquet", ".mat", ".mf4", ".mdf", ".tdms")
+#: Endings of mappings and models.
 YAML_ENDINGS = (".yaml", ".yml")
 #: What a YAML file is, by its `schema`.
 ROLES = {MODEL: "model", MAPPING: "mapping"}
@@ -63,7 +63,7 @@ class Uploads:
                             f"{name}: larger than {MOST_BYTES // 2**20} MiB; export a shorter part"
                         )
                     file.write(chunk)
-            role = "fit" if ending in LOG_ENDINGS else await asyncio.to_thread(role_of, path, name)
+            role = "fit" if ending in ENDINGS else await asyncio.to_thread(role_of, path, name)
         except BaseException:
             path.unlink(missing_ok=True)
             raise
@@ -122,9 +122,7 @@ def role_of(path: Path, name: str) -> str:
 
 def ending_of(name: str) -> str:
     """The ending of a file's name, in lower case. InputError for one that nothing reads."""
-    for ending in sorted((*LOG_ENDINGS, *YAML_ENDINGS), key=len, reverse=True):
+    for ending in sorted((*ENDINGS, *YAML_ENDINGS), key=len, reverse=True):
         if name.lower().endswith(ending):
             return ending
-    raise InputError(
-        f"{shown(name)}: expected a log ({', '.join(LOG_ENDINGS)}), or a mapping or model in YAML"
-    )
+    raise InputError(f"{shown(name)}: expected a log ({', '.join(ENDINGS)}), or a mapping or model in YAML")

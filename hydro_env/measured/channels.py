@@ -15,7 +15,7 @@ from hydro_env.units import BAR, RPM
 if TYPE_CHECKING:
     from hydro_env.measured.log import RigLog
 
-__all__ = ["check_channels", "check_lines", "check_sizes"]
+__all__ = ["check_channels", "check_lines", "check_sizes", "follow"]
 
 _RATED = (
     420 * BAR
@@ -213,8 +213,8 @@ def check_channels(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
             yield from _sign(log, channel, source)
     if log.channels != (0, 1):
         return
-    own = [_follow(log.command_V[:, c], log.speed[:, c], log.period) ** 2 for c in (0, 1)]
-    crossed = [_follow(log.command_V[:, 1 - c], log.speed[:, c], log.period) ** 2 for c in (0, 1)]
+    own = [follow(log.command_V[:, c], log.speed[:, c], log.period) ** 2 for c in (0, 1)]
+    crossed = [follow(log.command_V[:, 1 - c], log.speed[:, c], log.period) ** 2 for c in (0, 1)]
     if all(crossed[c] > own[c] + 0.1 for c in (0, 1)):
         message = (
             f"each speed follows the other channel's command (correlation {min(crossed) ** 0.5:.2f} or better) "
@@ -255,8 +255,8 @@ def _sign(log: RigLog, channel: int, source: ChannelMapping) -> Iterator[Finding
     command = log.command_V[:, channel]
     current = None
     if log.current is not None and source.current is not None and log.has("current", channel):
-        current = _follow(command, log.current[:, channel], log.period)
-    speed = _follow(command, log.speed[:, channel], log.period)
+        current = follow(command, log.current[:, channel], log.period)
+    speed = follow(command, log.speed[:, channel], log.period)
     if speed < -0.4 and current is not None and current < -0.8:
         # Both at once: it is the command that is upside down.
         message = f"current and speed of channel {channel + 1} fall when its command rises (correlation {speed:.2f})"
@@ -295,7 +295,7 @@ def _correlation(first: np.ndarray, second: np.ndarray) -> float:
     return float(first @ second) / size**0.5 if size > 0.0 else 0.0
 
 
-def _follow(command: np.ndarray, values: np.ndarray, period: float) -> float:
+def follow(command: np.ndarray, values: np.ndarray, period: float) -> float:
     """The correlation of a signal (T,) with a command (T,) at the shortest lag (0 to 0.5 s) at which it is near its
     strongest: of a fast sine the next extreme has the other sign. 0 where undefined."""
     lags = np.unique(np.round(np.linspace(0.0, 0.5, 26) / period).astype(int))

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, shown
 from hydro_env.measured.finding import Finding
 
 __all__ = ["MISSING", "SI_SUFFIX", "Cells", "Dialect", "is_number", "is_value", "seconds"]
@@ -33,18 +33,22 @@ MISSING = frozenset({"", "nan", "na", "n/a", "null", "none", "-", "#n/a"})
 #: Characters that the careful reader reads in the time that it takes to import Arrow.
 _LONG = 1 << 19
 _HOURS = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
+_DAYS = re.compile(
+    r"(?P<y>\d{4})(?P<s>[-/.])(?P<m>\d\d?)(?P=s)(?P<d>\d\d?)|(?P<d2>\d\d?)\.(?P<m2>\d\d?)\.(?P<y2>\d{4})"
+)
 
 
 @dataclass(frozen=True)
 class Dialect:
     """How the rows are written: `width` cells, separated by `delimiter` (of `blanks`, any run separates). `decimal` is the
-    decimal mark, None if it is to be recognised; with `si_suffixes` 25.1m is 0.0251."""
+    decimal mark, None if it is to be recognised; with `si_suffixes` 25.1m is 0.0251. More cells are passed over if `open_end`."""
 
     width: int
     delimiter: str
     blanks: bool = False
     decimal: str | None = None
     si_suffixes: bool = False
+    open_end: bool = False
 
 
 class Cells:
@@ -123,7 +127,7 @@ class Cells:
             if not any(cell.strip() for cell in row):
                 continue
             line = start + rows.line_num - 1
-            if len(row) < width or any(row[width:]):
+            if len(row) < width or (any(row[width:]) and not self.dialect.open_end):
                 raise self._wrong_width(row, line)
             kept.append(line)
             values.extend(
@@ -144,6 +148,8 @@ class Cells:
 
     def _wrong_width(self, row: list[str], line: int) -> InputError:
         hint = "a cell is missing, or the recording was cut off here"
+        if row and not is_value(row[0].replace(",", "."), True) and seconds(row[0]) is None:
+            hint = f"does another recording begin here, with {shown(row[0])}? Save it to a file of its own"
         if len(row) > self.dialect.width and self.dialect.delimiter == ",":
             hint = "decimal commas need another delimiter: write 0.5, or separate the columns by ';'"
         return InputError(
@@ -175,9 +181,12 @@ class Cells:
                 self.findings.append(Finding("time_stamps", message, column=name, row=line))
             return stamp
         if self.dialect.si_suffixes and _has_suffix(text):
+            if not any(f.code == "si_suffixes" for f in self.findings):
+                message = f"numbers carry suffixes ({text!r} in row {line}), read so"
+                self.findings.append(Finding("si_suffixes", message, column=name, row=line))
             return float(text[:-1]) * SI_SUFFIX[text[-1]]
         raise InputError(
-            f"{self.path}: row {line}, column {name!r}: {text!r} is not a number; {self._hint(text)}"
+            f"{self.path}: row {line}, column {name!r}: {text!r} is not a number; {self._hint(text, name)}"
         )
 
     def _has_decimal_comma(self, text: str) -> bool:
@@ -185,7 +194,7 @@ class Cells:
         possible = self.decimal_comma or (self.dialect.decimal is None and self.dialect.delimiter != ",")
         return possible and text.count(",") == 1 and "." not in text and is_number(text.replace(",", "."))
 
-    def _hint(self, text: str) -> str:
+    def _hint(self, text: str, name: str) -> str:
         """What would be right instead of a cell that cannot be understood."""
         if self.decimal_comma and is_number(text):
             return "decimal commas are used elsewhere in the file; write all numbers alike"
@@ -195,6 +204,8 @@ class Cells:
             return "for suffixes such as m and k say `si_suffixes: true` under `table` in the mapping"
         if ":" in text:
             return "time stamps are seconds as a plain number, hh:mm:ss.sss, or yyyy-mm-dd hh:mm:ss.sss"
+        if name == self.wanted[0]:
+            return "write a number; if another recording begins here, save it to a file of its own"
         return "write a number, or leave the cell empty where nothing was measured"
 
 
@@ -209,19 +220,19 @@ def _numbers(chunk: Any) -> np.ndarray:
 
 
 def seconds(text: str) -> float | None:
-    """The seconds of a time of day (since midnight) or of a date and time in ISO 8601 (since 1970), or None."""
-    match = _HOURS.fullmatch(text)
-    if match:
-        return _of_hours(match)
-    if text[4:5] != "-" or text[7:8] != "-":
+    """The seconds of a time of day (since midnight) or of a date and time (since 1970), or None: 2024-01-02T12:30:01.5 as in ISO
+    8601, with / or . for -, or 2.1.2024 12:30:01,5."""
+    day, _, time = text.strip().replace("T", " ").rpartition(" ")
+    match, date = _HOURS.fullmatch(time.rstrip("Z")), _DAYS.fullmatch(day.strip())
+    if not match or (day and not date):
         return None
-    day, _, time = text.replace("T", " ").partition(" ")
-    match = _HOURS.fullmatch(time.rstrip("Z"))
+    if not date:
+        return _of_hours(match)
+    year, month, of_month = date.group("y", "m", "d") if date["y"] else date.group("y2", "m2", "d2")
     try:
-        midnight = datetime.fromisoformat(day).replace(tzinfo=UTC).timestamp()
+        return datetime(int(year), int(month), int(of_month), tzinfo=UTC).timestamp() + _of_hours(match)
     except ValueError:
         return None
-    return midnight + _of_hours(match) if match else None
 
 
 def _of_hours(match: re.Match[str]) -> float:

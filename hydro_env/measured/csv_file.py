@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import csv
 import gzip
-import re
+import io
 import zlib
 from array import array
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,10 +19,10 @@ from typing import IO
 import numpy as np
 
 from hydro_env.errors import InputError, suggestion
-from hydro_env.measured.csv_cells import MISSING, Cells, Dialect, is_number, is_value, seconds
+from hydro_env.measured.csv_cells import Cells, Dialect
 from hydro_env.measured.finding import Finding
+from hydro_env.measured.header import find_header
 from hydro_env.measured.table import Table, check_size
-from hydro_env.units import unit
 
 __all__ = ["CsvStyle", "read_csv"]
 
@@ -38,28 +37,13 @@ Choose = Callable[[tuple[str, ...]], Sequence[str]]
 
 @dataclass(frozen=True)
 class CsvStyle:
-    """How a CSV file is written; None is recognised from the file.
-
-    Without a `header` the columns are called "1", "2", ...; None takes a first line of nothing but numbers for data.
-    """
+    """How a CSV file is written; None is recognised from the file."""
 
     delimiter: str | None = None
     decimal: str | None = None
     encoding: str | None = None
     skip_rows: int = 0
     si_suffixes: bool = False
-    header: bool | None = True
-
-
-@dataclass
-class _Header:
-    """The column names, the delimiter that was recognised (" ": any run of blanks), the text of the first lines of data that
-    were read already, and the number of their first line."""
-
-    names: tuple[str, ...]
-    delimiter: str
-    text: str
-    line: int
 
 
 def read_csv(path: Path, choose: Choose, style: CsvStyle | None = None) -> Table:
@@ -127,68 +111,53 @@ def _encoding(path: Path, given: str | None) -> tuple[str, list[Finding]]:
 
 
 def _read(path: Path, file: IO[str], choose: Choose, style: CsvStyle, findings: list[Finding]) -> Table:
-    header = _header(path, file, style, findings)
-    names = header.names
+    lines, number = _begin(path, file, style.skip_rows)
+    header = find_header(path, lines, number, style.delimiter, findings)
+    names, blanks = header.names, header.delimiter == " "
     wanted = list(dict.fromkeys(choose(names)))
-    times = Counter(names)
-    for name in wanted:
-        if not times[name]:
-            raise InputError(f"{path}: column {name!r} is not in the header; {suggestion(name, names)}")
-        if times[name] > 1:
-            found = [str(i + 1) for i, other in enumerate(names) if other == name]
-            raise InputError(
-                f"{path}: column {name!r} appears {len(found)} times (columns {', '.join(found)}); keep one of them"
-            )
-    units = _units_in_names(names) | _units_row(path, file, header, style.si_suffixes, findings)
-    blanks = header.delimiter == " "
     dialect = Dialect(
-        len(names), "\t" if blanks else header.delimiter, blanks, style.decimal, style.si_suffixes
+        len(names),
+        "\t" if blanks else header.delimiter,
+        blanks,
+        style.decimal,
+        style.si_suffixes,
+        header.open_end,
     )
-    cells = Cells(path, dialect, wanted, [names.index(name) for name in wanted], findings)
-    columns, lines = _numbers(path, cells, _blocks(path, file, header))
-    return Table(path, names, columns, lines, findings, units)
+    cells = Cells(path, dialect, wanted, [_place(path, names, name) for name in wanted], findings)
+    rest, first = "".join(lines[header.first :]), number + header.first
+    columns, rows = _numbers(path, cells, _blocks(path, file, rest, first))
+    return Table(path, names, columns, rows, findings, header.units)
 
 
-def _header(path: Path, file: IO[str], style: CsvStyle, findings: list[Finding]) -> _Header:
-    """Reads up to the first line of data: `sep=` line, column names, delimiter."""
-    line, first = 1, _line(path, file, 1)
-    while first and (line <= style.skip_rows or not first.strip()):
-        line += 1
-        first = _line(path, file, line)
-    first = first.lstrip("\ufeff")
-    delimiter = style.delimiter
-    if delimiter is None and first.lower().startswith("sep="):
-        delimiter = first.strip("\r\n")[4:] or ","
-        if len(delimiter) > 1 and delimiter.strip():  # a blank or tab may be the separator itself
-            delimiter = delimiter.strip()
-        line += 1
-        first = _line(path, file, line)
-    elif delimiter is None:
-        delimiter = _delimiter(first)
-        if delimiter != ",":
-            shown = {"\t": "tab", " ": "blanks"}.get(delimiter, delimiter)
-            findings.append(
-                Finding("delimiter", f"columns are separated by {shown!r}, read so", "write commas")
-            )
-    if len(delimiter) != 1 or delimiter in '"\r\n' or delimiter.isalnum():
+def _place(path: Path, names: Sequence[str], wanted: str) -> int:
+    """The place of a column, by its name or, where the header has no such name, by its number from 1."""
+    found = [place for place, name in enumerate(names) if name == wanted]
+    if len(found) > 1:
+        shown = ", ".join(str(place + 1) for place in found)
         raise InputError(
-            f"{path}: columns cannot be separated by {delimiter!r}; one mark is right, such as ; in `sep=;` or in the mapping"
+            f"{path}: column {wanted!r} appears {len(found)} times (columns {shown}); keep one of them, or call it by its number"
         )
-    if delimiter == " ":  # a unit in brackets belongs to the name before it
-        cells = _cells_of(re.sub(r"\s+(?=[(\[])", "", first), delimiter)
-    else:
-        cells = _cells_of(first, delimiter)
-    names = tuple(name.strip() for name in cells)
-    while names and not names[-1]:
-        names = names[:-1]
-    numbers_only = bool(names) and all(is_value(name, style.si_suffixes) for name in names)
-    if style.header is False or (style.header is None and numbers_only):
-        return _Header(tuple(str(place + 1) for place in range(len(names))), delimiter, first, line)
-    if names and all(is_number(name) for name in names):
-        raise InputError(
-            f"{path}: row {line} holds numbers where the header should be; add the line of column names"
-        )
-    return _Header(names, delimiter, _line(path, file, line + 1), line + 1)
+    if found:
+        return found[0]
+    if wanted.isdecimal() and 1 <= int(wanted) <= len(names):
+        return int(wanted) - 1
+    raise InputError(f"{path}: column {wanted!r} is not in the header; {suggestion(wanted, names)}")
+
+
+def _begin(path: Path, file: IO[str], skip: int) -> tuple[list[str], int]:
+    """The first lines that are not to be skipped nor all empty, and the number of the first of them."""
+    number = 1
+    while number <= skip and _line(path, file, number):
+        number += 1
+    while text := file.read(_FIRST_BLOCK) + file.readline(_LONGEST_LINE + 1):
+        lines = list(io.StringIO(text.removeprefix("\ufeff"), newline=""))
+        for place, line in enumerate(lines):
+            if len(line) > _LONGEST_LINE:
+                raise _too_long(path, number + place)
+        if not text.isspace():
+            return lines, number
+        number += len(lines)
+    return [], number
 
 
 def _line(path: Path, file: IO[str], number: int) -> str:
@@ -205,65 +174,9 @@ def _too_long(path: Path, number: int) -> InputError:
     )
 
 
-def _cells_of(line: str, delimiter: str) -> list[str]:
-    if delimiter == " ":
-        line, delimiter = "\t".join(line.split()), "\t"
-    return next(csv.reader([line], delimiter=delimiter), [])
-
-
-def _delimiter(header: str) -> str:
-    counts = {mark: header.count(mark) for mark in ("\t", ";", ",", "|")}
-    best = max(counts, key=lambda mark: counts[mark])
-    if counts[best]:
-        return best
-    return " " if len(header.split()) > 1 else ","
-
-
-def _units_row(
-    path: Path, file: IO[str], header: _Header, si_suffixes: bool, findings: list[Finding]
-) -> dict[str, str]:
-    """Units by column where the line after the names is a row of units, which is then passed over."""
-    try:
-        cells = [cell.strip().strip("[]()") for cell in _cells_of(header.text, header.delimiter)]
-    except csv.Error:
-        return {}
-    if len(cells) < len(header.names):
-        return {}
-    if any(is_value(cell, si_suffixes) or seconds(cell) is not None for cell in cells):
-        return {}
-    units = {
-        name: cell
-        for name, cell in zip(header.names, cells, strict=False)
-        if cell and cell.lower() not in MISSING and _is_unit(cell)
-    }
-    if len(units) < 2:
-        return {}
-    findings.append(Finding("units_row", f"row {header.line} holds units, read so", row=header.line))
-    header.text, header.line = _line(path, file, header.line + 1), header.line + 1
-    return units
-
-
-def _units_in_names(names: tuple[str, ...]) -> dict[str, str]:
-    """`p1 [kPa]` gives kPa."""
-    found = {}
-    for name in names:
-        match = re.search(r"[\[(]([^\])]*)[\])]\s*$", name)
-        if match and match[1].strip() and not is_number(match[1]) and _is_unit(match[1].strip()):
-            found[name] = match[1].strip()
-    return found
-
-
-def _is_unit(text: str) -> bool:
-    try:
-        unit(text)
-    except InputError:
-        return False
-    return True
-
-
-def _blocks(path: Path, file: IO[str], header: _Header) -> Iterator[tuple[str, int]]:
-    """Whole lines of data and the number of the first of them."""
-    text, line = header.text + file.read(_FIRST_BLOCK), header.line
+def _blocks(path: Path, file: IO[str], text: str, line: int) -> Iterator[tuple[str, int]]:
+    """Whole lines of data, at first `text`, and the number of the first of them."""
+    text = text or file.read(_BLOCK)
     while text:
         text += file.readline(_LONGEST_LINE + 1)
         start = 0

@@ -13,11 +13,15 @@ SPELLING = frozenset(
         "delimiter",
         "decimal_comma",
         "encoding",
+        "no_names",
+        "preamble",
+        "si_suffixes",
         "units_row",
         "time_stamps",
         "epoch_time",
         "unknown_column",
         "coarse",
+        "from_position",
     }
 )
 

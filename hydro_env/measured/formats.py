@@ -25,13 +25,14 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError, to_install
+from hydro_env.errors import InputError, suggestion, to_install
 from hydro_env.measured.csv_file import CsvStyle, read_csv
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.mat5_structure import check_structure
-from hydro_env.measured.table import MOST_VALUES, Table, check_file, check_size
+from hydro_env.measured.table import MOST_VALUES, Table, check_size
+from hydro_env.reading import check_file
 
-__all__ = ["is_binary", "read_table"]
+__all__ = ["ENDINGS", "is_binary", "read_table"]
 
 Choose = Callable[[tuple[str, ...]], Sequence[str]]
 #: The columns of an open file by name, each a function that reads it.
@@ -48,7 +49,7 @@ def read_table(path: Path, choose: Choose, style: CsvStyle | None = None) -> Tab
 
     `InputError` names the file and what would be right, of CSV also row and column.
     """
-    check_file(path)
+    check_file(path, "a log")
     try:
         return read_binary(path, choose) if is_binary(path) else read_csv(path, choose, style)
     except OSError as error:
@@ -75,6 +76,10 @@ def read_binary(path: Path, choose: Choose) -> Table:
                 if not names:
                     raise ValueError("no columns")
                 for name in choose(names):
+                    if name not in available:
+                        raise InputError(
+                            f"{path}: column {name!r} is not in the file; {suggestion(name, names)}"
+                        )
                     columns[name] = _numbers(path, name, available[name]())
                     check_size(path, len(columns[name]) * len(columns))
         except (InputError, MemoryError):
@@ -84,13 +89,14 @@ def read_binary(path: Path, choose: Choose) -> Table:
             raise InputError(
                 f"{path}: not readable as {what} ({reason}); export it again or save it as CSV"
             ) from None
-    lengths = {name: len(values) for name, values in columns.items()}
-    if len(set(lengths.values())) > 1:
-        shown = ", ".join(f"{name!r} {count}" for name, count in lengths.items())
-        raise InputError(
-            f"{path}: columns of different lengths ({shown}); put all signals on one clock before exporting"
-        )
-    count = next(iter(lengths.values()), 0)
+    longest = max(columns, key=lambda name: len(columns[name]), default="")
+    count = len(columns[longest]) if columns else 0
+    for name, values in columns.items():
+        if len(values) < count:
+            raise InputError(
+                f"{path}: column {name!r} holds {len(values)} values, {longest!r} {count}; put all signals on one clock before "
+                "exporting"
+            )
     if count == 0:
         raise InputError(f"{path}: no rows; a log needs at least two samples")
     findings = [
@@ -363,3 +369,6 @@ BINARY: dict[str, tuple[Callable[[Path, dict[str, str]], AbstractContextManager[
     ".mdf": (_mdf, "MDF"),
     ".tdms": (_tdms, "TDMS"),
 }
+_TEXT = (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm")
+#: How the names of files end that are read here; any other ending is taken for text.
+ENDINGS = (*_TEXT, *(f"{ending}.gz" for ending in _TEXT), *BINARY)

@@ -38,6 +38,8 @@ LARGEST = (
     1e18  # in SI; the squares of larger ones leave the range of single precision, in which logs are fitted
 )
 _RESOLUTION_S = 1e-6  # clocks are read to the microsecond, and no rig is recorded faster
+_SHORTEST_S, _LONGEST_S = 1e-4, 0.5  # between the rows of usual logs of such rigs
+_FASTEST_S = 4e-5  # faster than 25 kHz only oscilloscopes record
 _SETTLE_S = 1.0  # after a gap the state of a simulation is a guess for so long
 Spoilt = dict[tuple[str, int], np.ndarray]
 
@@ -100,8 +102,36 @@ def check_clock(
             "its right unit in a mapping"
         )
     rows = table.lines if keep is None else table.lines[keep]
-    findings.extend(_rate(steps, time, rows, column))
+    findings.extend(_rate(steps, time, rows, column, unit))
     return time, keep
+
+
+def _longer_unit(column: str, time: np.ndarray) -> Iterator[Finding]:
+    """A clock whose rate nobody would choose in seconds, and whose period everybody would in minutes or hours."""
+    period = float(time[-1] - time[0]) / (len(time) - 1)
+    if _is_chosen(period):
+        return
+    for longer in ("min", "h"):
+        other = to_si(period, longer)
+        if _SHORTEST_S <= other < _LONGEST_S and _is_chosen(other):
+            yield Finding(
+                "time_unit",
+                f"rows come every {period:.3g} s ({1.0 / period:,.0f} a second): is {column!r} in {longer}, every {other:.3g} s?",
+                f"give the right unit in a mapping (`time: {{column: ..., unit: {longer}}}`)",
+                column=column,
+                sure=period < _FASTEST_S,
+                fix={"time": {"unit": longer}},
+            )
+            return
+
+
+def _is_chosen(period: float) -> bool:
+    """Whether a period, s, or its rate is a number that recorders are set to: 1, 2, 2.5, 4, 5, 8 and tens of it, or 75 rows a
+    second doubled some times."""
+    doublings = np.log2(1.0 / (75.0 * period))
+    digits = period / 10.0 ** np.floor(np.log10(period))
+    usual = np.array([1.0, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0])
+    return bool(abs(doublings - round(doublings)) < 0.005 or (np.abs(digits / usual - 1.0) < 0.003).any())
 
 
 def check_numbers(table: Table, column: str, values: np.ndarray) -> None:
@@ -115,7 +145,7 @@ def check_numbers(table: Table, column: str, values: np.ndarray) -> None:
         )
 
 
-def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str) -> Iterator[Finding]:
+def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, unit: str) -> Iterator[Finding]:
     median = float(np.median(steps))
     gaps = np.flatnonzero(steps > 1.75 * median)
     jumps = np.flatnonzero(steps > jump_size(time))
@@ -148,7 +178,9 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str) ->
         )
         hint = f"put on an even grid of {median:.3g} s: commands held, measurements interpolated"
         yield Finding("uneven_sampling", message, hint, column=column)
-    if median >= 0.5:
+    if longer := list(_longer_unit(column, time)) if unit == "s" else []:
+        yield from longer
+    elif median >= _LONGEST_S:
         yield Finding(
             "time_unit",
             f"rows come every {median:.6g} s: is {column!r} in ms?",
@@ -157,10 +189,11 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str) ->
             sure=True,
             fix={"time": {"unit": "ms"}},
         )
-    elif median < 1e-5:
-        yield Finding(
-            "time_unit", f"rows come every {median:.3g} s; is the unit of {column!r} right?", column=column
+    elif median < _FASTEST_S:
+        message = (
+            f"rows come every {median:.3g} s ({1.0 / median:,.0f} a second): is the unit of {column!r} right?"
         )
+        yield Finding("time_unit", message, column=column)
 
 
 def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> tuple[list[Finding], Spoilt]:

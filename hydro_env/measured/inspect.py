@@ -1,63 +1,50 @@
 """A first mapping for a foreign log: which column is likely to be what, in which unit, and what would then be read.
 
-`propose` goes by names ("Drehzahl_1 [1/min]", "p_A2_bar", "cmd left"), by the units that the file gives and, where it gives
-none, by magnitudes; every guess says why it was made. What the data gate then finds surely wrong (a sign, a unit, motors
-exchanged) is corrected in the proposal and said. The text is a mapping file to be read by a person and corrected, not to be
-trusted.
+`propose` makes a mapping file of the guesses of `measured.guess`. Every column stands in it with the reason; what only a person
+can know is marked "to be decided". What the data gate then finds surely wrong (a sign, a unit, motors exchanged) is corrected
+in the proposal and said, and a column that spoils the reading is left out.
 """
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping as Table
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from pydantic import ValidationError
 
 from ..errors import InputError
-from ..units import UNITS, unit
+from ..units import UNITS
 from .csv_file import CsvStyle
 from .formats import read_table
 from .gate import LARGEST
+from .guess import QUANTITIES, Column, Guess, by_behaviour, guesses
 from .log import RigLog
 from .log_files import read_log
-from .mapping import Mapping, contract_columns, contract_mapping, load_mapping
+from .mapping import (
+    CHANNEL_SIGNALS,
+    RIG_SIGNALS,
+    Mapping,
+    contract_columns,
+    contract_mapping,
+    explain,
+    load_begun,
+)
+from .names import unit_of, words
 
 __all__ = ["Proposal", "propose", "shown"]
 
-#: Words of a column's name, by signal; the first signal that has one wins.
-_WORDS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("time", ("time", "zeit", "timestamp", "t", "clock", "temps")),
-    ("supply", ("ps", "supply", "psupply", "psys", "versorgung", "pumpe", "pump")),
-    ("temperature", ("temp", "temperature", "temperatur", "toil", "oel", "degc")),
-    ("setpoint", ("setpoint", "ref", "reference", "soll", "sollwert", "solldrehzahl", "desired", "target", "nref")),
-    ("command", ("cmd", "command", "u", "volt", "voltage", "spannung", "stell", "stellgroesse", "valve", "ventil", "drive")),
-    ("current", ("i", "current", "strom", "coil", "amp", "ampere")),
-    ("spool", ("spool", "schieber", "xv", "lvdt")),
-    ("load", ("load", "torque", "moment", "last", "lastmoment", "drehmoment", "m", "tau", "force", "kraft")),
-    ("flow", ("flow", "q", "durchfluss", "volumenstrom")),
-    ("pressure", ("p", "pressure", "druck", "dp", "pl", "pa", "pb", "differenzdruck")),
-    ("speed", ("speed", "rpm", "n", "vel", "velocity", "drehzahl", "omega", "w", "v", "xdot", "geschwindigkeit")),
-)  # fmt: skip
-_QUANTITIES = {
-    "time": ("time",), "supply": ("pressure",), "temperature": ("temperature",), "setpoint": ("angular speed", "linear speed"),
-    "command": ("voltage", "fraction"), "current": ("current",), "spool": ("length",), "load": ("torque", "force"),
-    "flow": ("flow",), "pressure": ("pressure",), "speed": ("angular speed", "linear speed"),
-    "pressure_a": ("pressure",), "pressure_b": ("pressure",),
-}  # fmt: skip
-_RIG = ("time", "supply", "temperature", "setpoint")
-_SIDES = {"1": 1, "2": 2, "left": 1, "right": 2, "links": 1, "rechts": 2, "l": 1, "r": 2, "main": 1, "jib": 2}
 _SHOWN = {
     "angular speed": "rpm", "linear speed": "mm/s", "pressure": "bar", "voltage": "V", "current": "A", "length": "mm",
     "torque": "N m", "force": "N", "flow": "l/min", "temperature": "degC", "time": "s",
 }  # fmt: skip
-
-_PLAIN = {
-    ord(a): b for a, b in (("ö", "oe"), ("ü", "ue"), ("ä", "ae"), ("Ö", "Oe"), ("Ü", "Ue"), ("Ä", "Ae"))
-}
+_CHANNELS = ("channel_1", "channel_2")
+_NEEDED = {"command": "V", "speed": "rpm"}
 
 
 @dataclass(frozen=True)
@@ -70,76 +57,224 @@ class Proposal:
     problem: str
 
 
-def _columns(path: Path, notes: list[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Every column of numbers of a file, and the units that the file gives; `notes` gets the reasons why others are not read."""
+@dataclass
+class _Draft:
+    """A mapping file in the making: its content, why it is so, and what is to be decided."""
 
-    def read(wanted: tuple[str, ...] | None) -> Any:
-        def choose(names: tuple[str, ...]) -> tuple[str, ...]:
-            return tuple(n for n in names if n) if wanted is None else wanted
+    content: dict[str, Any]
+    notes: list[str] = field(default_factory=list)
+    open: list[str] = field(default_factory=list)
 
-        return read_table(path, choose, CsvStyle(header=None))
+    def proposal(self, log: RigLog | None, problem: str) -> Proposal:
+        notes = (*self.notes, *(f"to be decided: {each}" for each in self.open))
+        lines = ["A guess from names, units and numbers; check it.", *notes]
+        text = "".join(f"# {' '.join(line.split())}\n" for line in lines)
+        return Proposal(
+            text + yaml.safe_dump(self.content, sort_keys=False, allow_unicode=True), notes, log, problem
+        )
 
-    try:
-        table = read(None)
-        return table.columns, table.units
-    except InputError as error:
-        names: tuple[str, ...] = ()
 
-        def remember(found: tuple[str, ...]) -> tuple[str, ...]:
-            nonlocal names
-            names = found
-            return found[:0]
-
+def propose(path: str | Path, begun: Table[str, Any] | None = None) -> Proposal:
+    """Looks at a log and proposes a mapping that keeps what `begun`, the content of a mapping file, says already. InputError
+    if the log cannot be read at all."""
+    path, begun = Path(path), begun or {}
+    draft = _Draft({"schema": "hydro_env/mapping/1", "name": re.sub(r"\W+", "_", path.name.split(".")[0])})
+    columns = _columns(path, CsvStyle(**begun.get("table", {})), draft.notes)
+    names = tuple(column.name for column in columns)
+    if "time_s" in names and sum(name in contract_columns() for name in names) >= 3:
+        draft.notes.append("the header is the rig log's own: no mapping is needed")
         try:
-            read_table(path, remember, CsvStyle(header=None))
-        except InputError:
-            if not names:
-                raise error from None
-        columns, units = {}, {}
-        for name in names:  # some columns are text, or on another clock
-            try:
-                table = read((name,))
-            except InputError as reason:
-                notes.append(f"{name!r}: left out; {str(reason).removeprefix(f'{path}: ')}")
-                continue
-            columns[name], units = table.columns[name], table.units
-        longest = max((len(v) for v in columns.values()), default=0)
-        return {n: v for n, v in columns.items() if len(v) == longest}, units
+            own = contract_mapping(names, path).model_dump(
+                by_alias=True, exclude_defaults=True, exclude_none=True
+            )
+        except InputError as error:
+            return Proposal("", tuple(draft.notes), None, str(error))
+        draft.content |= own
+    else:
+        _fill(draft, columns)
+    draft.content |= begun
+    return _tried(path, draft)
 
 
-def _words(name: str) -> list[str]:
-    """`motorSpeed_1 [1/min]` -> motor, speed, 1, without what stands in brackets."""
-    bare = re.sub(r"[\[(].*?[\])]", " ", name)
-    bare = re.sub(r"([a-zäöü])([A-Z])", r"\1 \2", bare)
-    bare = re.sub(r"([A-Za-zäöü])(\d)", r"\1 \2", bare)
-    plain = bare.translate(_PLAIN)
-    return [w.lower() for w in re.split(r"[^0-9A-Za-z]+", plain) if w]
+def _columns(path: Path, style: CsvStyle, notes: list[str]) -> list[Column]:
+    """Every column of numbers of a file; `notes` gets the reasons why others are not read."""
+    names: dict[str, str] = {}  # what a column is called, and the header's name of it
+    left: set[str] = set()
 
+    def choose(found: tuple[str, ...]) -> list[str]:
+        names.clear()
+        for place, name in enumerate(found, 1):
+            names[name if name and found.count(name) == 1 else str(place)] = name
+        return [name for name in names if name not in left]
 
-def _unit_of(name: str, quantities: tuple[str, ...]) -> str | None:
-    """The unit that a name gives, in brackets or as its last word."""
-    texts = re.findall(r"[\[(](.*?)[\])]", name) + re.split(r"[_\s]", name)[1:][::-1]
-    for text in texts:
+    while True:
         try:
-            found = unit(text.strip())
-        except InputError:
+            table = read_table(path, choose, style)
+            break
+        except InputError as error:  # text, or on another clock
+            said = str(error).removeprefix(f"{path}: ")
+            named = [name for name in names if name not in left and repr(name) in said]
+            if not named:
+                raise
+            bad = min(named, key=lambda name: said.index(repr(name)))
+            left.add(bad)
+            notes.append(f"{bad!r}: left out; {said}")
+    for values in table.columns.values():  # what is larger is no measurement, and reading will say so
+        values[np.abs(values) > LARGEST] = np.nan
+    begin = os.path.commonprefix(list(names.values()))  # noqa: RUF071 (character by character is meant)
+    shared = 1 + max(begin.rfind("."), begin.rfind("/"))  # the structure or the group of a binary file
+    return [
+        Column(name, values, unit_of(table.units.get(names[name], "")), names[name][shared:])
+        for name, values in table.columns.items()
+    ]
+
+
+def _fill(draft: _Draft, columns: list[Column]) -> None:
+    """Puts the most likely column of each signal into the draft."""
+    nameless = all(column.label.isdecimal() for column in columns)
+    found = by_behaviour(columns) if nameless else sorted(guesses(columns), key=lambda guess: -guess.score)
+    for column in columns:
+        if all(column is not guess.column for guess in found):
+            known = ", ".join(sorted(column.meant - {"unknown", "symbol", "valve"}))
+            why = "constant" if column.is_constant else "no name" if nameless else "not recognised"
+            why = f"{known}, nothing that a mapping has" if known and why == "not recognised" else why
+            draft.notes.append(f"{column.name!r}: {why}, left out")
+    channels: dict[int, dict[str, Any]] = {1: {}, 2: {}}
+    positions: list[Guess] = []
+    for guess in found:
+        if guess.channel > 2:
+            draft.notes.append(
+                f"{guess.column.name!r}: {guess.signal} of channel {guess.channel}, left out; a log has two"
+            )
+        elif guess.signal == "position":
+            positions.append(guess)
+        else:
+            _put(draft, channels.get(guess.channel, draft.content), guess)
+    for guess in positions:
+        if "speed" in channels[guess.channel]:
+            draft.notes.append(f"{guess.column.name!r}: a position, left out; there is a speed")
+        else:
+            _put(draft, channels[guess.channel], guess)
+    if "time" not in draft.content:
+        draft.content["time"] = {"sample_rate": 1000}
+        draft.open.append("time.sample_rate: no clock was found; put the rows per second")
+    _finish(draft, channels, columns, found)
+
+
+def _put(draft: _Draft, target: dict[str, Any], guess: Guess) -> None:
+    """Puts a guess into its channel or the rig, unless a better one is there."""
+    name, signal = guess.column.name, "speed" if guess.signal == "position" else guess.signal
+    where = f"channel {guess.channel}" if guess.channel else "the rig"
+    place = f"channel_{guess.channel}.{signal}" if guess.channel else signal
+    source, why, doubt = _source(guess)
+    first = target.setdefault(signal, source)
+    if first is source:
+        what = "position, whose slope is the speed," if guess.signal == "position" else signal
+        draft.notes.append(f"{name!r}: {what} of {where} in {source['unit']} ({why})")
+        draft.open += [
+            f"{place}: {each}" for each in (doubt, guess.doubt and f"{name!r}? {guess.doubt}") if each
+        ]
+    elif (
+        signal == "pressure" and "minus" not in first and (_port(first["column"]), _port(name)) == ("a", "b")
+    ):
+        first["minus"] = source
+        draft.notes.append(
+            f"{name!r}: the other port's pressure, subtracted from {first['column']!r}; unequal areas need a scale"
+        )
+    else:
+        draft.notes.append(f"{name!r}: looks like another {signal} of {where}, left out")
+
+
+def _finish(
+    draft: _Draft, channels: dict[int, dict[str, Any]], columns: list[Column], found: list[Guess]
+) -> None:
+    """Puts the channels into the draft: those with a command and a speed, or, where there is none, what there is with marks for
+    what is lacking."""
+    whole = [number for number, channel in channels.items() if channel.keys() >= _NEEDED.keys()]
+    begun = [number for number, channel in channels.items() if channel.keys() & _NEEDED.keys()] or [1]
+    free = [repr(column.name) for column in columns if all(column is not guess.column for guess in found)]
+    for number, channel in channels.items():
+        lacking = [signal for signal in _NEEDED if signal not in channel]
+        if number not in (whole or begun):
+            if channel:
+                draft.notes.append(f"channel {number}: no {' and '.join(lacking)} found, left out")
             continue
-        if text.strip() and found.quantity in quantities and not text.strip().isdigit():
-            return found.name
-    return None
+        for signal in lacking:
+            channel[signal] = {"column": "?", "unit": _NEEDED[signal]}
+            others = f"; not used: {', '.join(free[:20])}" if free else ""
+            draft.open.append(
+                f"channel_{number}.{signal}: no column looks like it; put its name and its unit in place of ?{others}"
+            )
+        if UNITS[channel["speed"]["unit"]].quantity in ("linear speed", "length"):
+            channel["actuator"] = "cylinder"
+            draft.notes.append(
+                f"channel {number}: it moves along a line, so taken for a cylinder; add its displacement (piston area)"
+            )
+        elif "minus" in channel.get("pressure", {}):
+            # The sides of a motor are alike, so the load pressure follows from both lines.
+            channel["pressure_b"] = channel["pressure"].pop("minus")
+            channel["pressure_a"] = channel.pop("pressure")
+        draft.content[f"channel_{number}"] = channel
 
 
-def _guessed_unit(signal: str, values: np.ndarray) -> str:
-    """The unit in which the magnitudes make sense."""
-    finite = np.abs(values[np.isfinite(values)])
-    size = float(np.quantile(finite, 0.99)) if finite.size else 0.0
+def _source(guess: Guess) -> tuple[dict[str, Any], str, str]:
+    """Column and unit of a signal, where the unit is from, and what of it is to be decided."""
+    column, signal, unit = guess.column, guess.signal, guess.column.unit[0]
+    source: dict[str, Any] = {"column": column.name}
+    if unit and unit.quantity in QUANTITIES[signal]:
+        source["unit"], why = unit.name, "unit from the file"
+    else:
+        source["unit"], why = _unit_by_size(column, signal), "unit guessed from the size of the numbers"
+    doubts = []
+    if source["unit"] == "rev" and not unit:
+        source["scale"] = 1e-3
+        doubts.append("scale is a guess: the revolutions per count")
+    if source["unit"] == "":  # in none of the units of a command
+        largest = float(np.max(np.abs(column.finite)))
+        source |= {"unit": "fraction", "scale": float(f"{1.0 / largest:.4g}")}
+        why = "taken as a share of its largest value"
+        doubts.append(f"scale is a guess: 1 over the value at full command, here {largest:.6g}")
+    if UNITS[source["unit"]].quantity == "fraction":
+        source["full_scale"] = 10.0
+        doubts.append("full_scale is a guess: the volts at 100 %")
+    return source, why, "; ".join(doubts)
+
+
+def _unit_by_size(column: Column, signal: str) -> str:
+    """The unit in which the magnitudes make sense, "" for a command that no unit suits."""
+    size = float(np.quantile(np.abs(column.finite), 0.99))
     if signal == "time":
-        step = float(np.median(np.diff(values[np.isfinite(values)]))) if values.size > 2 else 0.0
+        step = float(np.median(np.diff(column.finite)))
         return "us" if step >= 500.0 else "ms" if step >= 0.9 else "s"
+    if signal == "position":
+        if "counts" in column.meant:
+            return "rev"
+        if set(words(column.label)) & {
+            "weg",
+            "kolbenweg",
+            "stroke",
+            "hub",
+            "piston",
+            "kolben",
+            "cyl",
+            "zylinder",
+            "cylinder",
+        }:
+            return "mm" if size > 3.0 else "m"
+        return "deg" if size > 7.0 else "rad"
     if signal in ("pressure", "supply"):
         return "Pa" if size > 5e4 else "kPa" if size > 1500.0 else "bar" if size > 1.0 else "MPa"
     if signal == "command":
-        return "fraction" if size <= 1.05 else "V" if size <= 80.0 else "percent" if size <= 101.0 else "mV"
+        known = column.unit[0] is None
+        return (
+            ""
+            if not known or size > 101.0
+            else "fraction"
+            if size <= 1.05
+            else "V"
+            if size <= 80.0
+            else "percent"
+        )
     if signal in ("speed", "setpoint"):
         return "rpm" if size > 5.0 else "m/s" if size < 1.0 else "rad/s"
     if signal == "flow":
@@ -149,128 +284,69 @@ def _guessed_unit(signal: str, values: np.ndarray) -> str:
     return {"spool": "mm", "load": "N m", "temperature": "degC"}[signal]
 
 
-def _signal_of(name: str) -> str | None:
-    words = _words(name)
-    for signal, known in _WORDS:
-        if any(w in known for w in words):
-            return signal
-    joined = " ".join(words)
-    for signal, known in _WORDS:
-        if any(len(k) > 3 and k in joined for k in known):
-            return signal
-    return None
+def _port(name: str) -> str:
+    """The port (a, b) that a pressure's name gives, or nothing."""
+    return next((word[-1] for word in words(name) if word in ("a", "b", "pa", "pb")), "")
 
 
-def propose(path: str | Path) -> Proposal:
-    """Looks at a log and proposes a mapping. InputError if it cannot be read at all."""
-    path = Path(path)
-    notes: list[str] = []
-    columns, units = _columns(path, notes)
-    for values in columns.values():  # what is larger is no measurement, and reading will say so
-        values[np.abs(values) > LARGEST] = np.nan
-    if {"time_s"} <= set(columns) and sum(n in contract_columns() for n in columns) >= 3:
-        try:
-            mapping = contract_mapping(tuple(columns), path)
-        except InputError as error:
-            return Proposal("", (*notes, "the header is the rig log's own"), None, str(error))
-        content = mapping.model_dump(by_alias=True, exclude_defaults=True, exclude_none=True)
-        content = {"schema": content.pop("schema_", None) or content.pop("schema"), **content}
-        return _tried(path, content, [*notes, "the header is the rig log's own: no mapping is needed"])
-    return _tried(path, _guessed(path, columns, units, notes), notes)
-
-
-def _guessed(
-    path: Path, columns: Table[str, np.ndarray], units: Table[str, str], notes: list[str]
-) -> dict[str, Any]:
-    """The content of a mapping file by names, units and magnitudes; `notes` are added to."""
-    content: dict[str, Any] = {
-        "schema": "hydro_env/mapping/1",
-        "name": re.sub(r"\W+", "_", path.name.split(".")[0]),
-    }
-    channels: dict[int, dict[str, Any]] = {1: {}, 2: {}}
-    for name, values in columns.items():
-        signal = _signal_of(name)
-        if signal is None:
-            notes.append(f"{name!r}: not recognised, left out")
-            continue
-        if not np.isfinite(values).any() or np.ptp(values[np.isfinite(values)]) == 0.0:
-            notes.append(f"{name!r}: constant, left out")
-            continue
-        if signal in _RIG:
-            where, target = "the rig", content
-        else:
-            number = next((_SIDES[w] for w in _words(name) if w in _SIDES), 1)
-            where, target = f"channel {number}", channels[number]
-        source, why = _source(name, values, signal, units.get(name))
-        first = target.setdefault(signal, source)
-        if first is source:
-            notes.append(f"{name!r}: {signal} of {where} in {source['unit']} ({why})")
-        elif (
-            signal == "pressure"
-            and "minus" not in first
-            and (_port(name), _port(first["column"])) == ("b", "a")
-        ):
-            first["minus"] = source
-            notes.append(
-                f"{name!r}: the other port's pressure, subtracted from {first['column']!r}; unequal areas need a scale"
-            )
-        else:
-            notes.append(f"{name!r}: looks like another {signal} of {where}, left out")
-    if "time" not in content:
-        content["time"] = {"sample_rate": 1000}
-        notes.append("no clock found: 1000 rows per second is a placeholder, put the true rate")
-    for number, channel in channels.items():
-        speed = channel.get("speed")
-        if isinstance(speed, dict) and UNITS[str(speed["unit"])].quantity == "linear speed":
-            channel["actuator"] = "cylinder"
-            notes.append(
-                f"channel {number}: a linear speed, so taken for a cylinder; add its displacement (piston area)"
-            )
-        pressure = channel.get("pressure", {})
-        if "actuator" not in channel and "minus" in pressure:
-            # The sides of a motor are alike, so the load pressure follows from both lines.
-            channel["pressure_b"] = pressure.pop("minus")
-            channel["pressure_a"] = channel.pop("pressure")
-        if "command" in channel and "speed" in channel:
-            content[f"channel_{number}"] = channel
-        elif channel:
-            lacking = " and ".join(s for s in ("command", "speed") if s not in channel)
-            notes.append(f"channel {number}: no {lacking} found, left out")
-    return content
-
-
-def _source(name: str, values: np.ndarray, signal: str, said: str | None) -> tuple[dict[str, Any], str]:
-    """Column and unit of a signal, and where the unit is from; `said` is the unit that the file gives."""
-    given = (_known(said, _QUANTITIES[signal]) if said else None) or _unit_of(name, _QUANTITIES[signal])
-    chosen = given or _guessed_unit(signal, values)
-    source: dict[str, Any] = {"column": name, "unit": chosen}
-    why = "unit from the file" if given else "unit guessed from the size of the numbers"
-    if UNITS[chosen].quantity == "fraction":
-        source["full_scale"] = 10.0
-        why += "; full_scale is a guess: the volts at 100 %"
-    return source, why
-
-
-def _tried(path: Path, content: dict[str, Any], notes: list[str]) -> Proposal:
-    """The proposal with what it reads; what the gate finds surely wrong is corrected once."""
-    if not any(f"channel_{n}" in content for n in (1, 2)):
-        reason = "no channel with a command and a speed was found; name them by hand"
-        return Proposal(_as_text(content), tuple(notes), None, reason)
-    log: RigLog | None = None
-    problem = ""
-    for attempt in (1, 2):
+def _tried(path: Path, draft: _Draft) -> Proposal:
+    """The proposal with what it reads. What the gate finds surely wrong is corrected once; columns that cannot be read as what
+    they are taken for are left out."""
+    content, corrected = draft.content, False
+    if any(
+        channel.get(signal, {}).get("column") == "?" for channel in _channels(content) for signal in _NEEDED
+    ):
+        return draft.proposal(None, "no channel with a command and a speed was found; name them by hand")
+    while True:
         try:
             log = read_log(path, Mapping.model_validate(content))
-        except (InputError, ValueError) as error:
-            problem = str(error).splitlines()[0]
-            break
-        fixes = [f for f in log.findings if f.sure and f.fix]
-        if attempt == 2 or not fixes:
-            break
+        except (InputError, ValidationError) as error:
+            line = explain(error) if isinstance(error, ValidationError) else str(error)
+            line = line.removeprefix(f"{path}: ")
+            if not _left_out(draft, line):
+                return draft.proposal(None, line)
+            continue
+        fixes = [finding for finding in log.findings if finding.sure and finding.fix]
+        if corrected or not fixes:
+            return draft.proposal(log, "")
+        corrected = True
         for finding in fixes:
             _merge(content, finding.fix or {})
-            notes.append(f"corrected in the proposal: {finding.text}")
-    return Proposal(_as_text(content), tuple(notes), log, problem)
+            draft.notes.append(f"corrected in the proposal: {finding.text}")
+
+
+def _left_out(draft: _Draft, problem: str) -> bool:
+    """Whether a column could be left out that the problem names, and that is not needed."""
+    content = draft.content
+    optional = [(content, signal) for signal in RIG_SIGNALS]
+    optional += [
+        (channel, each) for channel in _channels(content) for each in CHANNEL_SIGNALS if each not in _NEEDED
+    ]
+
+    def spoils(source: dict[str, Any]) -> bool:
+        parts = (source, source.get("minus", {}))
+        return any(repr(part["column"]) in problem for part in parts if "column" in part)
+
+    for target, signal in optional:
+        if signal in target and (spoils(target[signal]) or f"{signal} of a " in problem):
+            draft.notes.append(f"{target.pop(signal)['column']!r}: left out; {problem}")
+            return True
+    if spoils(content["time"]):
+        draft.notes.append(f"{content['time']['column']!r}: left out; {problem}")
+        draft.open.append("time.sample_rate: the clock cannot be used; put the rows per second")
+        content["time"] = {"sample_rate": 1000}
+        return True
+    both = [key for key in _CHANNELS if key in content]
+    bad = [key for key in both if any(spoils(content[key][signal]) for signal in _NEEDED)]
+    if len(both) < 2 or len(bad) != 1:
+        return False
+    del content[bad[0]]
+    draft.notes.append(f"channel {bad[0][-1]}: left out; {problem}")
+    return True
+
+
+def _channels(content: dict[str, Any]) -> list[dict[str, Any]]:
+    return [content[key] for key in _CHANNELS if key in content]
 
 
 def _merge(content: dict[str, Any], fix: Table[str, Any]) -> None:
@@ -281,32 +357,13 @@ def _merge(content: dict[str, Any], fix: Table[str, Any]) -> None:
             content[key] = value
 
 
-def _as_text(content: dict[str, Any]) -> str:
-    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
-
-
-def _port(name: str) -> str:
-    """The port (a, b) that a pressure's name gives, or nothing."""
-    for word in _words(name):
-        if word in ("a", "b", "pa", "pb"):
-            return word[-1]
-    return ""
-
-
-def _known(text: str, quantities: tuple[str, ...]) -> str | None:
-    try:
-        found = unit(text)
-    except InputError:
-        return None
-    return found.name if found.quantity in quantities else None
-
-
 def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str]:
-    """What would be read of a log, as text for a terminal, and the proposed mapping file ("" where one was given)."""
-    if mapping is not None:
-        proposal = Proposal("", (f"read with {mapping}",), read_log(path, load_mapping(mapping)), "")
+    """What would be read of a log, as text for a terminal, and the proposed mapping file ("" where a whole one was given)."""
+    begun = load_begun(mapping) if mapping is not None else {}
+    if isinstance(begun, Mapping):
+        proposal = Proposal("", (f"read with {mapping}",), read_log(path, begun), "")
     else:
-        proposal = propose(path)
+        proposal = propose(path, begun)
     lines = [str(path), *(f"  {note}" for note in proposal.notes)]
     log = proposal.log
     if log is None:
@@ -338,6 +395,6 @@ def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str
 
 
 def _shown_unit(signal: str, log: RigLog, channel: int | None) -> str:
-    quantities = _QUANTITIES[signal]
+    quantities = QUANTITIES[signal]
     linear = log.kinds[log.channels[0] if channel is None else channel] == "cylinder"
     return _SHOWN[quantities[1] if linear and len(quantities) == 2 and signal != "command" else quantities[0]]

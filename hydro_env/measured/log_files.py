@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError, nearest, suggestion
+from hydro_env.errors import InputError, nearest
 from hydro_env.files import replacing
 from hydro_env.measured.csv_file import CsvStyle
 from hydro_env.measured.finding import Finding
@@ -29,9 +29,10 @@ from hydro_env.measured.mapping import (
     contract_mapping,
     load_mapping,
 )
+from hydro_env.measured.positions import slope
 from hydro_env.measured.samples import MEASURED
 from hydro_env.measured.table import Table, digest
-from hydro_env.units import from_si
+from hydro_env.units import from_si, unit
 
 __all__ = ["read_log", "write_log"]
 
@@ -48,11 +49,6 @@ def read_log(path: str | Path, mapping: Mapping | str | Path | None = None) -> R
 
     def choose(names: tuple[str, ...]) -> tuple[str, ...]:
         chosen[:] = [mapping or contract_mapping(names, path)]  # a second reading may see another header
-        for column in chosen[0].columns():
-            if column not in names:
-                raise InputError(
-                    f"{path}: column {column!r} that the mapping names is not in the header; {suggestion(column, names)}"
-                )
         return chosen[0].columns()
 
     table = read_table(path, choose, CsvStyle(**mapping.table.model_dump()) if mapping else None)
@@ -83,6 +79,12 @@ def _from_table(table: Table, mapping: Mapping) -> RigLog:
     else:
         time_s, keep = check_clock(table, mapping.time.column, mapping.time.unit, findings)
     signals = _signals(table, mapping, keep, findings)
+    for channel, source in enumerate(each.speed if each else None for each in mapping.channels):
+        if source and unit(source.unit).quantity in ("angle", "length"):
+            speed = signals["speed"]
+            assert speed is not None
+            speed[:, channel], finding = slope(speed[:, channel], time_s, source, channel + 1)
+            findings.append(finding)
     table.columns.clear()  # an hour of them is half the memory
     rows = table.lines if keep is None else table.lines[keep]
     start = _hold(mapping, signals, rows, findings)

@@ -16,8 +16,9 @@ A mapping says for each signal which column holds it, in which unit, and with wh
       pressure: {column: pA, unit: bar, minus: {column: pB, unit: bar, scale: 0.61}}      # load pressure
       pressure_a: {column: pA, unit: bar}     # optional: both lines, above the tank's; a drives in the positive direction
       pressure_b: {column: pB, unit: bar}     # with both and no load pressure, that of a motor is a - b
-      speed: {column: v, unit: mm/s, sign: -1}
+      speed: {column: v, unit: mm/s, sign: -1}               # a unit of position (deg, rev, mm): its slope is the speed
 
+A column without a name, or with one that stands there twice, is called by its number: "1" is the first.
 A cylinder is treated as a motor whose displacement is its piston area: its speed is in m/s, its load a force in N,
 its displacement in m2; everything else is the same. A model that a diagnosis writes keeps the displacement of the
 model that was given, with a flow gain `Kq` that makes its rad/s the m/s of the log. A channel that is not named is absent.
@@ -42,7 +43,10 @@ __all__ = [
     "ChannelMapping",
     "Mapping",
     "Source",
+    "contract_columns",
     "contract_mapping",
+    "explain",
+    "load_begun",
     "load_mapping",
 ]
 
@@ -66,6 +70,8 @@ _QUANTITY = {
         "displacement": "area",
     },
 }
+#: A speed may be given as the position whose slope it is.
+_POSITION = {"motor": "angle", "cylinder": "length"}
 _COMMON = {
     "command": "voltage", "current": "current", "pressure": "pressure", "spool": "length", "flow": "flow",
     "supply": "pressure", "temperature": "temperature", "pressure_a": "pressure", "pressure_b": "pressure",
@@ -214,15 +220,16 @@ class ChannelMapping(_Strict):
 
 def _check_unit(signal: str, source: Source, actuator: str) -> None:
     wanted = _QUANTITY[actuator].get(signal) or _COMMON[signal]
+    position = _POSITION[actuator] if signal == "speed" else ""
     for part in (source, source.minus):
         if part is None:
             continue
         quantity = unit(part.unit).quantity
         if quantity == "fraction" and signal in ("command", "current", "spool"):
             continue
-        if quantity != wanted:
+        if quantity not in (wanted, position):
             other = "cylinder" if actuator == "motor" else "motor"
-            fits_other = quantity == _QUANTITY[other].get(signal)
+            fits_other = quantity in (_QUANTITY[other].get(signal), _POSITION[other] if position else "")
             hint = f", or say `actuator: {other}`" if fits_other else ""
             raise ValueError(
                 f"{signal} of a {actuator}: {part.unit} is a unit of {quantity}; use {_EXAMPLE[wanted]}{hint}"
@@ -273,7 +280,27 @@ class Mapping(_Strict):
 
 def load_mapping(path: str | Path) -> Mapping:
     """Reads a mapping file; `InputError` with one line naming file and key for anything that is wrong."""
-    path = Path(path)
+    return _validated(path, _read(path))
+
+
+def load_begun(path: str | Path) -> Mapping | dict[str, Any]:
+    """A whole mapping file as a mapping; the content of one that lacks the time or every channel. InputError as above."""
+    data = _read(path)
+    lacking = {key: value for key, value in _BLANK.items() if key not in data}
+    if "channel_2" in data:
+        lacking.pop("channel_1", None)
+    whole = _validated(path, data | lacking)
+    return data if lacking else whole
+
+
+#: Stands in for what is not yet said of a log.
+_BLANK: dict[str, Any] = {
+    "time": {"sample_rate": 1000},
+    "channel_1": {"command": {"column": "?", "unit": "V"}, "speed": {"column": "?", "unit": "rpm"}},
+}
+
+
+def _read(path: str | Path) -> dict[str, Any]:
     data = read_yaml(path, "a mapping in YAML")
     if not isinstance(data, dict):
         raise InputError(f"{path}: a mapping is a YAML table that starts with `schema: {SCHEMA}`")
@@ -281,13 +308,17 @@ def load_mapping(path: str | Path) -> Mapping:
         raise InputError(
             f"{path}: schema is {shown(data.get('schema'))}; a mapping file says `schema: {SCHEMA}`"
         )
+    return data
+
+
+def _validated(path: str | Path, data: dict[str, Any]) -> Mapping:
     try:
         return Mapping.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{path}: {_explain(error)}") from None
+        raise InputError(f"{path}: {explain(error)}") from None
 
 
-def _explain(error: ValidationError) -> str:
+def explain(error: ValidationError) -> str:
     """The first complaint as one line: key, what is wrong, what would be right."""
     # An unknown key often makes a required one missing, and is then the better explanation.
     first = min(error.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
@@ -350,10 +381,15 @@ def contract_mapping(names: tuple[str, ...], path: Path) -> Mapping:
 
 def _missing(path: Path, column: str, names: tuple[str, ...]) -> InputError:
     known = set(contract_columns())
+    if names and all(name.isdecimal() for name in names):
+        raise InputError(
+            f"{path}: holds numbers where the header should be; add the line of column names, or say in a mapping file what the "
+            "columns are, by their numbers"
+        )
     near = nearest(column, (name for name in names if name not in known))
     hint = f"rename {near!r}, or " if near else ""
     shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
     return InputError(
-        f"{path}: row 1: required column {column!r} is missing (found: {shown}); "
+        f"{path}: the required column {column!r} is missing (found: {shown}); "
         f"{hint}describe this log in a mapping file"
     )

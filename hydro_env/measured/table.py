@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,7 +11,7 @@ import numpy as np
 from hydro_env.errors import InputError
 from hydro_env.measured.finding import Finding
 
-__all__ = ["MOST_VALUES", "Table", "check_file", "check_size", "digest"]
+__all__ = ["MOST_VALUES", "Table", "check_size", "digest"]
 
 #: Numbers that a log may hold: ten signals for a day at 1 kHz, 7 GB. A file that claims or unpacks to more is refused before
 #: it fills the memory.
@@ -35,23 +33,6 @@ class Table:
     def row(self, index: int) -> int:
         """The line of the file that holds sample `index` (the header is line 1)."""
         return int(self.lines[index])
-
-
-def check_file(path: Path) -> None:
-    """InputError unless `path` names a plain file that may be read: a pipe or a device would never end."""
-    try:
-        mode = os.stat(path).st_mode
-        if stat.S_ISREG(mode):
-            with open(path, "rb"):
-                return
-    except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"{path}: no such file; give the path of a log") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a log") from None
-    except ValueError as error:  # a zero byte in the name
-        raise InputError(f"{str(path)!r}: no path of a file ({error}); give the path of a log") from None
-    what = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe, not a plain file"
-    raise InputError(f"{path}: this is {what}; give the path of a log")
 
 
 def check_size(path: Path, values: int) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..reading import check_file
 from .manoeuvres import Plan
 
 __all__ = ["LONGEST", "plans_of"]
@@ -58,6 +59,7 @@ def plans_of(path: str | Path, rated_V: tuple[float, float], period: float) -> l
 def _columns(path: Path) -> dict[str, NDArray[np.float64]]:
     """The columns that are understood; row numbers in messages count the header as row 1."""
     known = ("time_s", *_COMMANDS, *_LOADS)
+    check_file(path, "a CSV file of commands")
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.DictReader(file))

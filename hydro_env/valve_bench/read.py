@@ -6,10 +6,6 @@ formats of `hydro_env.measured`. What is missing from the file is said by `Colum
 
 from __future__ import annotations
 
-import gzip
-import os
-import re
-import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,8 +13,11 @@ import numpy as np
 
 from hydro_env.errors import InputError, suggestion
 from hydro_env.measured.csv_file import CsvStyle
-from hydro_env.measured.formats import is_binary, read_table
+from hydro_env.measured.finding import SPELLING
+from hydro_env.measured.formats import ENDINGS, read_table
+from hydro_env.measured.names import named_unit
 from hydro_env.measured.table import Table
+from hydro_env.reading import check_file
 from hydro_env.units import Unit, to_si, unit
 from hydro_env.valve_bench.curve import Curve, Floats, branches_of
 
@@ -28,8 +27,6 @@ __all__ = ["Columns", "read_curve"]
 QUANTITIES = {"current": "A", "voltage": "V", "fraction": "1", "length": "m"}
 #: Most rows of a file that may lack a number.
 HOLES = 0.5
-#: Letters of a file that are looked through for the way its numbers are written, and of a row.
-HEAD, MOST_LETTERS = 2**18, 2**16
 
 
 @dataclass(frozen=True)
@@ -87,13 +84,11 @@ class _Choice:
 def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | None = None) -> Curve:
     """Reads a measured curve. InputError, naming file, row or column, for whatever cannot be used."""
     path, columns = Path(path), columns or Columns()
-    if not os.path.isfile(path):
-        what = "not a file" if os.path.exists(path) else "no such file, and no preset of that name"
-        raise InputError(f"{path}: {what}")
+    check_file(path, "a measured curve, a model or a preset")
     choice = _Choice(path, columns)
-    suffixed = not is_binary(path) and _has_suffixes(path)
-    table = read_table(path, choice, CsvStyle(si_suffixes=suffixed, header=None))
-    findings = [f"{path.name}: {each.message}" for each in table.findings if each.code != "delimiter"]
+    table = read_table(path, choice, CsvStyle(si_suffixes=True))
+    suffixed = any(each.code == "si_suffixes" for each in table.findings)
+    findings = [f"{path.name}: {each.message}" for each in table.findings if each.code not in SPELLING]
     values = {role: table.columns[column] for role, column in choice.found.items()}
     whole = np.all([np.isfinite(each) for each in values.values()], axis=0)
     if not whole.all():
@@ -138,10 +133,9 @@ def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | 
 
 
 def _short(path: Path) -> str:
-    name = path.name
-    for ending in (".gz", ".txt", ".csv", ".dat", ".tsv", ".parquet", ".mat", ".mf4", ".tdms"):
-        name = name.removesuffix(ending)
-    return name
+    return path.name.removesuffix(
+        max((each for each in ENDINGS if path.name.endswith(each)), key=len, default="")
+    )
 
 
 def _times(
@@ -190,15 +184,9 @@ def _timed(curve: Curve, columns: Columns, time: Floats | None) -> Curve:
 
 
 def _in_header(column: str) -> str | None:
-    """The unit that a column's name ends with: `Current (mA)`, `flow [l/min]`, `flow_lpm`."""
-    bracketed = re.findall(r"[(\[]([^)\]]*)[)\]]", column)
-    for text in [*bracketed, column.rpartition("_")[2] if "_" in column else ""]:
-        try:
-            if text.strip():
-                return unit(text.strip()).name
-        except InputError:
-            continue
-    return None
+    """The unit that a column's name gives: `Current (mA)`, `flow [l/min]`, `flow_lpm`."""
+    found, _ = named_unit(column)
+    return found.name if found else None
 
 
 def _unit(
@@ -223,19 +211,3 @@ def _unit(
             f"count once or twice; say which by --{role}-unit, {name[1:]} if 1m means 1 {name}"
         )
     return known
-
-
-def _has_suffixes(path: Path) -> bool:
-    """Whether numbers in the first lines are written with suffixes such as 25.1m. InputError for a line that is too long."""
-    opener = gzip.open if path.suffix == ".gz" else open
-    try:
-        with opener(path, "rt", errors="replace") as file:  # type: ignore[operator]
-            head = file.read(HEAD).splitlines()
-    except (OSError, EOFError, zlib.error):
-        return False  # said properly by the reader
-    for number, line in enumerate(head, 1):
-        if len(line) > MOST_LETTERS:
-            raise InputError(
-                f"{path}: row {number} has more than {MOST_LETTERS} letters; a curve has a few numbers in a row"
-            )
-    return any(re.search(r"(?:^|[\s,;])[-+]?\d+(?:\.\d*)?[munkM](?:$|[\s,;])", line) for line in head)

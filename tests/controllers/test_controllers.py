@@ -375,6 +375,13 @@ def test_unknown_names_are_answered_with_the_nearest():
             '{"schema": "hydro_env/gains/1", "controller": "pid", "gains": {"Kp": NaN, "Ti": 1, "Td": 0}}',
             "NaN",
         ),
+        *(
+            (
+                f'{{"schema": "hydro_env/gains/1", "controller": "pid", "gains": {{"{key}": 1}}}}',
+                f"gain '{key}'",
+            )
+            for key in ("self", "name", "model")
+        ),
     ],
 )
 def test_bad_gains_files_are_named(tmp_path, text, message):

@@ -94,6 +94,29 @@ def test_a_file_stands_for_all_controllers_in_it_and_volts_are_named(
         make_controller("mine.py")
 
 
+@pytest.mark.parametrize("where", ["", "class Mine:\n    def __init__(self):\n        "])
+def test_a_file_that_ends_the_program_is_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str], where: str
+) -> None:
+    (folder / "mine.py").write_text(f"import sys\n{where}sys.exit()\n")
+    assert cli.run(["benchmark", "mine.py:Mine", *QUICK, "--out", "out"]) == 2
+    error = capsys.readouterr().err.splitlines()
+    assert "SystemExit" in error[-1] and "mine.py line" in error[-1] and not Path("out").exists()
+
+
+def test_gains_of_an_own_law_that_cannot_be_made_are_one_line(folder: Path) -> None:
+    (folder / "mine.py").write_text(
+        MINE + "\n\nclass Own(Mine):\n    def __init__(self, name, **gains):\n        1 / 0\n"
+    )
+    (folder / "gains.json").write_text(
+        '{"schema": "hydro_env/gains/1", "controller": "mine.py:Own", "gains": {"self": 1}}'
+    )
+    with pytest.raises(InputError, match=r"gains\.json: mine\.py:Own: could not be made: TypeError"):
+        make_controller("gains.json", trust=True)
+    with pytest.raises(InputError, match=r"mine\.py:Own: could not be made: TypeError"):
+        make_controller("mine.py:Own:self=1")
+
+
 @pytest.mark.usefixtures("folder")
 def test_when_all_fail_the_command_fails(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.run(["benchmark", "mine.py:Broken", *QUICK, "--out", "out"]) == 2
@@ -130,6 +153,9 @@ def test_own_gains_are_tuned_and_the_file_drives(capsys: pytest.CaptureFixture[s
     }.items():
         assert cli.run(["tune", "--controller", law, *budget, "--out", "out"]) == 2
         assert words in capsys.readouterr().err.splitlines()[-1]
+    Path("leaves.py").write_text(MINE.replace("return measured.no_such_signal", "raise SystemExit"))
+    assert cli.run(["tune", "--controller", "leaves.py:Broken", *budget, "--out", "out"]) == 2
+    assert f"leaves.py line {LINE}: sys.exit" in capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.mark.parametrize("kind", ["PPO", "SAC"])
@@ -153,7 +179,7 @@ def test_other_archives_are_refused(folder: Path) -> None:
     (folder / "agent.zip").write_text("no archive")
     with pytest.raises(InputError, match="Stable-Baselines3 saves"):
         make_controller("agent.zip", trust=True)
-    with pytest.raises(InputError, match="no such agent"):
+    with pytest.raises(InputError, match="no such file; expected an agent"):
         make_controller("other.zip", trust=True)
 
 

@@ -130,7 +130,7 @@ def test_bad_mapping(units: list[Path], tmp_path: Path, mapping: str, says: str)
     ("arguments", "says"),
     [
         (["--plant", "there.fmu"], "runs code from the file; with --trust"),
-        (["--plant", "gone.fmu", "--trust"], "no such FMU"),
+        (["--plant", "gone.fmu", "--trust"], "no such file; expected an FMU"),
         (["--plant", "text.fmu", "--trust"], "no FMU that FMPy can read"),
         (["--plant", "there.fmu", "--trust", "--split", "train"], "only own is right"),
         (["--plant", "paper", "--mapping", "mapping.yaml"], "goes with an FMU"),

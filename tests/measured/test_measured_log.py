@@ -252,9 +252,7 @@ def test_a_wrong_mapping_is_named(tmp_path: Path, old: str, new: str, expected: 
 
 def test_a_column_that_is_not_there_is_named(tmp_path: Path) -> None:
     mapping = write(tmp_path, FOREIGN, "map.yaml")
-    with pytest.raises(
-        InputError, match="column 'Ps' that the mapping names is not in the header; did you mean 'Pss'"
-    ):
+    with pytest.raises(InputError, match="column 'Ps' is not in the header; did you mean 'Pss'"):
         read_log(write(tmp_path, "v,t,U,A,B,Pss\n1,0,50,10,1000,20\n2,10,0,11,1000,20\n"), mapping)
 
 

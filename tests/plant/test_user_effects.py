@@ -75,7 +75,8 @@ def test_the_command_line_loads_it(file: Path, tmp_path: Path) -> None:
         ("", "registers no effect"),
         ("1 / 0", "ZeroDivisionError"),
         ("x = (", "SyntaxError"),
-        (None, "not a Python file"),
+        ("import sys\nsys.exit()", "line 2: SystemExit"),
+        (None, "no such file; expected a Python file"),
     ],
 )
 def test_a_wrong_file_is_one_line(

@@ -70,7 +70,7 @@ class ModelInverse(Controller):
         ),
     )
 
-    def __init__(self, name: str | None = None, *, model: PlantModel, **gains: Any) -> None:
+    def __init__(self, name: str | None = None, /, *, model: PlantModel, **gains: Any) -> None:
         super().__init__(name, **gains)
         self.model = model
         self._motor = {key: np.array(model.pair(key)) for key in ("D", "Km", "J", "B", "k", "m")}

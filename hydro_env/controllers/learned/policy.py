@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import io
 import math
-import os
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 
 from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError, shown, suggestion
-from hydro_env.reading import parse_json
+from hydro_env.reading import check_file, parse_json
 
 __all__ = ["RECURRENT_SCHEMA", "SCHEMA", "Network", "NumpyPolicy", "read_policy"]
 
@@ -149,8 +148,7 @@ def _product(hidden: Floats, weight: Floats) -> Floats:
 def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
     """The network and the metadata of a policy file. InputError names what is wrong with it."""
     path = Path(path)
-    if not os.path.isfile(path):
-        raise InputError(f"{path}: no such policy file")
+    check_file(path, "a policy file")
     try:
         arrays = _arrays(path)
     except (

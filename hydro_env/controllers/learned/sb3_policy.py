@@ -18,6 +18,7 @@ from hydro_env.controllers.base import Floats
 from hydro_env.envs.batch import INCREMENT
 from hydro_env.envs.observation import OBSERVATION, with_errors
 from hydro_env.errors import InputError
+from hydro_env.reading import check_file
 
 __all__ = ["Sb3Policy"]
 
@@ -82,8 +83,7 @@ class Sb3Policy:
 
 def _kind_of_policy(path: Path) -> str:
     """The module of the agent's policy class, read without unpickling anything."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such agent")
+    check_file(path, "an agent of Stable-Baselines3")
     try:
         with zipfile.ZipFile(path) as archive:
             return str(json.loads(archive.read("data"))["policy_class"]["__module__"])

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ...errors import InputError, place_of
+from ...reading import check_file
 from ..kernel import compile_kernel
 from .effect import CATALOGUE
 from .law_checks import check_laws
@@ -34,10 +35,10 @@ def load_effects(paths: Iterable[str | Path]) -> tuple[str, ...]:
 
 
 def _run(file: Path, shown: str) -> tuple[str, ...]:
-    if not os.path.isfile(file) or file.suffix != ".py":
-        raise InputError(
-            f"{shown}: not a Python file with effects; one that calls hydro_env.plant.register is right"
-        )
+    what = "a Python file (.py) that calls hydro_env.plant.register"
+    check_file(shown, what)
+    if file.suffix != ".py":
+        raise InputError(f"{shown}: not a Python file with effects; expected {what}")
     before = set(CATALOGUE)
     module_name = f"hydro_env_user_{file.stem}"
     specification = importlib.util.spec_from_file_location(module_name, file)
@@ -52,7 +53,7 @@ def _run(file: Path, shown: str) -> tuple[str, ...]:
         for name in names:
             check_laws(CATALOGUE[name])
         compile_kernel(names)
-    except Exception as problem:  # a user's file may fail in any way
+    except (Exception, SystemExit) as problem:  # a user's file may fail in any way
         for name in [name for name in CATALOGUE if name not in before]:
             del CATALOGUE[name]
         kind = "" if isinstance(problem, ValueError) else f"{type(problem).__name__}: "
