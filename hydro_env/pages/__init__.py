@@ -78,7 +78,7 @@ def beside_results(page: Path) -> Iterator[None]:
     except OSError:
         raise
     except Exception as problem:
-        hint = " (pip install 'hydro_env[report]')" if isinstance(problem, ModuleNotFoundError) else ""
+        hint = " (it comes with the extra `report`)" if isinstance(problem, ModuleNotFoundError) else ""
         why = f"{page.name} could not be made: {type(problem).__name__}: {problem}{hint}; the results beside it are complete"
         warnings.warn(InputWarning(" ".join(why.split())), stacklevel=3)
         if page.suffix == ".html":
