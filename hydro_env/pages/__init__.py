@@ -23,7 +23,7 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
-from hydro_env.errors import InputWarning
+from hydro_env.errors import InputWarning, to_install
 from hydro_env.files import write_bytes, write_text
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def beside_results(page: Path) -> Iterator[None]:
     except OSError:
         raise
     except Exception as problem:
-        hint = " (it comes with the extra `report`)" if isinstance(problem, ModuleNotFoundError) else ""
+        hint = f" ({to_install('report')})" if isinstance(problem, ModuleNotFoundError) else ""
         why = f"{page.name} could not be made: {type(problem).__name__}: {problem}{hint}; the results beside it are complete"
         warnings.warn(InputWarning(" ".join(why.split())), stacklevel=3)
         if page.suffix == ".html":
