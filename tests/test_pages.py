@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from jinja2 import UndefinedError
 
-from hydro_env.pages import figure, fill, png, render, svg
+from hydro_env.errors import InputWarning
+from hydro_env.pages import beside_results, figure, fill, png, render, svg
 
 
 @pytest.fixture
@@ -29,6 +30,16 @@ def test_page_escapes_and_loads_nothing(template: Path) -> None:
     # Names of XML namespaces are no addresses that are loaded.
     assert not re.search(r"(src|href)\s*=\s*[\"']?(https?:)?//", page.replace("xlink:href", ""))
     assert "@import" not in page and "url(http" not in page
+
+
+def test_only_a_full_disk_is_more_than_a_missing_page(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    told = "page.html could not be made: KeyError: 'a <b>'"
+    with pytest.warns(InputWarning, match=told), beside_results(page):
+        raise KeyError("a <b>")
+    assert "a &lt;b&gt;" in page.read_text()
+    with pytest.raises(OSError, match="full"), beside_results(page):
+        raise OSError("full")
 
 
 def test_a_value_that_is_missing_is_an_error(template: Path) -> None:

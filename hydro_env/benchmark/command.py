@@ -30,6 +30,7 @@ from hydro_env.controllers.user_files import controllers_in
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError, place_of, shown
 from hydro_env.files import write_json, write_text
+from hydro_env.pages import beside_results
 from hydro_env.parallel import Failure, Store, check_engine
 from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import load_model
@@ -187,7 +188,8 @@ def run(
     scores = _scores(done, chosen, conditions)
     if out is not None:
         write_json(Path(out) / "scores.json", scores)
-        write_text(Path(out) / "scores.html", scores_page(scores, _traces(done, conditions.control_period)))
+        with beside_results(page := Path(out) / "scores.html"):
+            write_text(page, scores_page(scores, _traces(done, conditions.control_period)))
     return scores
 
 

@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from ..files import write_json, write_text
-from ..pages import import_in_background
+from ..pages import beside_results, import_in_background
 from .result import Diagnosis
 from .settings import Settings
 from .stages.next_experiment import FILE as NEXT_EXPERIMENT
@@ -46,20 +46,22 @@ def run(
         bar.set_description("writing the report")
         write(found, Path(out))
     if not quiet:
-        print(found.summary())
+        with beside_results(Path("the summary")):
+            print(found.summary())
     return found
 
 
 def write(found: Diagnosis, folder: Path) -> None:
-    """Writes diagnosis.json, report.html, model.yaml and, where names are open, next_experiment.csv to a folder, which is made if
-    needed."""
+    """Writes diagnosis.json, model.yaml, where names are open next_experiment.csv, and report.html to a folder, which is made if
+    needed. A page that fails costs only the page."""
     folder.mkdir(parents=True, exist_ok=True)
-    found.report(folder / "report.html")
     write_json(folder / "diagnosis.json", found.as_dict())
     commands = found.state.next_experiment.csv() if found.state.next_experiment else None
     if commands is not None:
         write_text(folder / NEXT_EXPERIMENT, commands)
     found.model.to_yaml(folder / "model.yaml", source="diagnosis of logs")
+    with beside_results(folder / "report.html"):
+        found.report(folder / "report.html")
 
 
 def _cores() -> int:

@@ -335,7 +335,7 @@ def _most_pressure(model: PlantModel, channel: int, limits: Settings) -> float:
         return limits.pressure_limit
     return min(
         model.value(f"{e}.supply_pressure", channel)
-        for e in ("pressure_dependent_flow", "external_leakage", "anti_cavitation")
+        for e in ("pressure_dependent_flow", "external_leakage", "case_drain", "anti_cavitation")
     )
 
 

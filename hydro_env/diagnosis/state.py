@@ -38,6 +38,8 @@ class State:
     `fit` is the model of the rig with the logs to fit and their noise, `fine` the same with the accuracy of the proof, `held_out`
     the model with the logs that take no part in the fit. Estimates: `given` the model as given, `calibrated` with known
     parameters adjusted, `final` what was found, with corrections of form, `placebo` the best wrong effect instead.
+    `undetermined` says why the fit logs do not determine the known parameters, `elsewhere` why the held-out logs seem to be of
+    another rig or state.
     """
 
     model: PlantModel
@@ -61,6 +63,8 @@ class State:
     on_fit: Proof = None  # type: ignore[assignment]
     on_held_out: Proof = None  # type: ignore[assignment]
     doubts: list[str] = field(default_factory=list)
+    undetermined: list[str] = field(default_factory=list)
+    elsewhere: list[str] = field(default_factory=list)
     effects: list[NamedEffect] = field(default_factory=list)
     next_experiment: NextExperiment | None = None
     warnings: list[str] = field(default_factory=list)

@@ -28,6 +28,7 @@ from hydro_env.experiments import close_loop_tuning as tuning
 from hydro_env.experiments.close_loop_summary import METRICS, SOURCES, collect, table
 from hydro_env.experiments.truth_drive import drive
 from hydro_env.files import write_json, write_text
+from hydro_env.pages import beside_results
 from hydro_env.parallel import Failure, Store
 from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import PlantModel
@@ -345,9 +346,10 @@ def write(out: Path, data: Mapping[str, Any], pictures: bool = True) -> None:
     write_json(out / "traces.json", traces, indent=None)
     write_text(out / "close_loop.md", table(data) + "\n")
     if pictures:
-        from hydro_env.experiments.close_loop_picture import draw
+        with beside_results(path := out / "close_loop.png"):
+            from hydro_env.experiments.close_loop_picture import draw
 
-        draw(data, out / "close_loop.png")
+            draw(data, path)
 
 
 def read(folder: Path) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from hydro_env.diagnosis import command as diagnosis
 from hydro_env.experiments import reproduce
 from hydro_env.experiments.shaft_animation import animation, record
 from hydro_env.files import write_json, write_text
-from hydro_env.pages import COLOURS, figure, legend, png, render, svg
+from hydro_env.pages import COLOURS, beside_results, figure, legend, png, render, svg
 from hydro_env.practice import command as hide
 from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
 
@@ -87,8 +87,6 @@ def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
         board = _board(_scored(_folder(out, "benchmark"), seed, jobs))
     with clock.part("diagnosis"):
         finding = _diagnosis(_folder(out, "practice"), _folder(out, "diagnosis"), seed)
-    png(paper["drawing"], out / "demo.png")
-    write_text(out / "index.html", page(paper, board, finding, clock.parts))
     result = {
         "schema": "hydro_env/demo/1",
         "paper": paper["numbers"],
@@ -97,6 +95,9 @@ def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
         "seconds": {part["name"]: part["seconds"] for part in clock.parts},
     }
     write_json(out / "demo.json", result)
+    with beside_results(out / "index.html"):
+        png(paper["drawing"], out / "demo.png")
+        write_text(out / "index.html", page(paper, board, finding, clock.parts))
     return result
 
 

@@ -23,6 +23,7 @@ from hydro_env.experiments.paper_calibration import (
 )
 from hydro_env.experiments.paper_rig import LOAD_STEP, SETPOINT_STEPS, Traces, equal_again_after, run_paper
 from hydro_env.files import write_json, write_text
+from hydro_env.pages import beside_results, png
 from hydro_env.plant import Plant, PlantModel, load_model
 from hydro_env.units import LPM
 
@@ -125,17 +126,12 @@ def run(out: str | Path, *, pictures: bool = True) -> dict[str, Any]:
     result = reproduce()
     result.model.to_yaml(out / "paper_dead_zone.yaml")
     write_text(out / "traces.csv", _table(result))
-    if pictures:
-        from hydro_env.pages import png
-
-        for name, drawing in (
-            ("figure_2", draw_valves(result)),
-            ("figure_7", draw_steps(result)),
-            ("figure_8", draw_load(result)),
-        ):
-            png(drawing, out / f"{name}.png")
     numbers = result.numbers
     write_json(out / "reproduce.json", numbers)
+    if pictures:
+        for name, draw in (("figure_2", draw_valves), ("figure_7", draw_steps), ("figure_8", draw_load)):
+            with beside_results(path := out / f"{name}.png"):
+                png(draw(result), path)
     return numbers
 
 

@@ -19,6 +19,7 @@ from hydro_env.errors import InputError
 from hydro_env.experiments.valve_pairs import Valve, synchronisation
 from hydro_env.experiments.valve_test_page import gain_of, page
 from hydro_env.files import write_json, write_text
+from hydro_env.pages import beside_results
 from hydro_env.plant import load_model, preset_names
 from hydro_env.units import LPM
 from hydro_env.valve_bench.alike import most_alike
@@ -110,9 +111,10 @@ def run(
         "findings": findings,
     }
     write_text(out / "curves.csv", _table(tested))
-    if settings.pictures:
-        _draw(out, tested, data)
     write_json(out / "valve_test.json", data)
+    if settings.pictures:
+        with beside_results(out / "valve_test.html"):
+            _draw(out, tested, data)
     return data
 
 

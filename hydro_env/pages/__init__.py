@@ -9,10 +9,13 @@ each place of a template is filled once. All but `fill` needs the extra `report`
 
 from __future__ import annotations
 
+import html
 import io
 import json
 import re
-from contextlib import suppress
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -20,12 +23,23 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
-from hydro_env.files import write_bytes
+from hydro_env.errors import InputWarning, to_install
+from hydro_env.files import write_bytes, write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["COLOURS", "figure", "fill", "import_in_background", "legend", "png", "render", "svg"]
+__all__ = [
+    "COLOURS",
+    "beside_results",
+    "figure",
+    "fill",
+    "import_in_background",
+    "legend",
+    "png",
+    "render",
+    "svg",
+]
 
 COLOURS = ("#2b83ba", "#e07b39", "#3f9b5f", "#a35aa8", "#8a8f98", "#c5a100")
 """Line colours that can be told apart on white and on dark, also by most colour-blind eyes."""
@@ -50,6 +64,25 @@ RC: Any = {
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.4,
 }
+
+
+@contextmanager
+def beside_results(page: Path) -> Iterator[None]:
+    """Makes a page or picture beside results that are written already: what fails in the block costs only that.
+
+    An `InputWarning` says so, and so does a page, in the place of one that an earlier run may have left. A full disk is an
+    error as anywhere.
+    """
+    try:
+        yield
+    except OSError:
+        raise
+    except Exception as problem:
+        hint = f" ({to_install('report')})" if isinstance(problem, ModuleNotFoundError) else ""
+        why = f"{page.name} could not be made: {type(problem).__name__}: {problem}{hint}; the results beside it are complete"
+        warnings.warn(InputWarning(" ".join(why.split())), stacklevel=3)
+        if page.suffix == ".html":
+            write_text(page, f'<!doctype html><meta charset="utf-8"><p>{html.escape(why)}</p>\n')
 
 
 def import_in_background() -> None:

@@ -73,30 +73,32 @@ def _mapping(value: object, where: str) -> dict[Any, Any]:
 @dataclass
 class _Draft:
     """A model while its file is read: the values by name, one for each channel, and the effects that were named; by the name
-    of a value what is unusual about it."""
+    of a base parameter the value that the file itself gives, and its channel."""
 
     values: dict[str, list[float]]
     declared: list[str]
-    unusual: dict[str, str] = field(default_factory=dict)
+    given: dict[str, tuple[float, int]] = field(default_factory=dict)
 
     def take(self, name: str, side: str, given: object, where: str) -> None:
         """Sets a value that the file gives on one side. InputError if it is no number, or none that a component can have."""
         value, p = _number(given, where), parameter_of(name)
         if wrong := out_of_range(value, p):
             raise InputError(f"{where}: {wrong}")
-        if (
-            value != 0.0
-            and not p.low <= value <= p.high
-            and name in PARAMETERS
-            and value not in _shipped(name)
-        ):
-            self.unusual[name] = f"{name} {value:g} (usual {p.low:g} to {with_unit(p.high, p)})"
+        if name in PARAMETERS and value != 0.0 and value not in _shipped(name):
+            self.given[name] = value, _SIDES[side][0]
         self.put(name, side, value)
 
     def put(self, name: str, side: str, value: float) -> None:
         """Sets a value on one side; the other channel keeps its own, or gets the nominal one."""
         for channel in _SIDES[side]:
             self.values.setdefault(name, [parameter_of(name).nominal] * 2)[channel] = value
+
+    def unusual(self, name: str) -> str:
+        """What is unusual of a value that the file gives on a rig with its displacement; "" if nothing is."""
+        p, (value, channel) = PARAMETERS[name], self.given[name]
+        D = PARAMETERS["D"]
+        low, high = p.plausible(1.0 if p is D else self.values.get("D", [D.nominal] * 2)[channel] / D.nominal)
+        return "" if low <= value <= high else f"{name} {value:g} (usual {low:g} to {with_unit(high, p)})"
 
     def put_valve(self, valve: PlantModel, side: str) -> None:
         """Gives a side the valve of another model's channel 1; effects that it lacks become neutral there."""
@@ -130,7 +132,7 @@ def _from_dict(data: object, where: str, above: tuple[str, ...] = ()) -> PlantMo
     _read_effects(_mapping(data.get("effects", {}), f"{where}: effects"), draft, where)
     sources = _mapping(data.get("sources", {}), f"{where}: sources")
     _check_sources(sources, where)
-    if unusual := [text for name, text in draft.unusual.items() if name not in sources]:
+    if unusual := [text for name in draft.given if name not in sources and (text := draft.unusual(name))]:
         told = f"{where}: unusual for such a rig: {', '.join(unusual)}; if that is meant, say under `sources` where it is from"
         warnings.warn(told, InputWarning, stacklevel=2)
     try:

@@ -38,6 +38,10 @@ SPOOL_FORCE = {"k": 1.0}
 SPOOL_TRAVEL = {"Kq": -1.0}
 MOTOR_SIZE = {"D": 1.0}
 
+#: Base parameters that a rig of similar machines has in proportion to the displacement: with it come inertia, losses, and the
+#: volume and the flow to fill it. The fluid, the coil and the spool need not be others.
+GROWS = ("D", "J", "B", "Km", "V", "Kq")
+
 #: What a parameter is in the law of its effect, see `Parameter`.
 ROLES = ("size", "limit", "shape", "phase", "order", "time_constant")
 
@@ -115,6 +119,12 @@ class Parameter:
     def carries_size(self) -> bool:
         """Whether the parameter carries the amount of its effect, so that the effect vanishes at its neutral value."""
         return self.role in ("size", "limit")
+
+    def plausible(self, size: float) -> tuple[float, float]:
+        """The plausible bounds of a base parameter on a rig whose motor has `size` times the displacement of the table's: those
+        of what `GROWS` with it are so many times the table's."""
+        factor = size if self.name in GROWS else 1.0
+        return factor * self.low, factor * self.high
 
     @property
     def title(self) -> str:

@@ -20,7 +20,7 @@ from ..plant.sensors import NOISE
 from ..units import BAR, LPM, MILLIMETRE, RPM
 from .manoeuvres import Plan, plans
 from .reference import ReferenceRig
-from .reference.forms import Constants
+from .reference.forms import OF_BOTH_LINES, Constants
 
 __all__ = ["CATALOGUE_FORMS", "CONTROL_PERIOD", "RECORDABLE", "SENSORS", "Recorder", "Sensor", "log_text"]
 
@@ -189,9 +189,11 @@ class Recorder:
     def _level(self) -> Array:
         """What the simulator's mean line pressure is above, (2,) in Pa: half the supply's where the model has none."""
         without = np.isinf(self.true.pair("pressure_dependent_flow.supply_pressure"))
-        leaks = np.array(self.true.pair("external_leakage.conductance")) != 0.0
-        supplies = (self.true.pair(f"{e}.supply_pressure") for e in ("external_leakage", "anti_cavitation"))
-        return np.where(without, 0.5 * np.where(leaks, *supplies), 0.0)
+        supply = np.array(self.true.pair(f"{OF_BOTH_LINES[-1]}.supply_pressure"))
+        for name in OF_BOTH_LINES[-2::-1]:
+            acts = np.array(self.true.pair(f"{name}.conductance")) != 0.0
+            supply = np.where(acts, self.true.pair(f"{name}.supply_pressure"), supply)
+        return np.where(without, 0.5 * supply, 0.0)
 
     def _drive(
         self, value: Array, closed: NDArray[np.bool_], load: Array, speed_error: Array, period: float, samples: int

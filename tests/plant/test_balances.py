@@ -144,6 +144,9 @@ class Books:
         middle, leak = mean * self["external_leakage.supply_pressure"], self["external_leakage.conductance"]
         of_line = np.maximum(middle + 0.5 * np.sign(leak) * pressure, 0.0)
         flow = flow + 0.5 * leak * of_line
+        drained, drain = mean * self["case_drain.supply_pressure"], self["case_drain.conductance"]
+        a, b = (np.maximum(drained + 0.5 * way * pressure, 0.0) for way in (1.0, -1.0))
+        flow = flow + 0.5 * drain * (a - b)
         below = self["anti_cavitation.opening_pressure"] - mean * self["anti_cavitation.supply_pressure"]
         a, b = (np.maximum(below - 0.5 * way * pressure, 0.0) for way in (1.0, -1.0))
         flow = flow - 0.5 * self["anti_cavitation.conductance"] * (a - b)

@@ -412,6 +412,24 @@ def test_a_leak_takes_flow_from_its_own_line(rigs: Callable[..., Plant]) -> None
     assert abs(plant.speed[0, 0]) < 0.1
 
 
+@defines("case_drain")
+def test_a_case_drain_takes_flow_from_both_lines_alike(rigs: Callable[..., Plant]) -> None:
+    drain, supply = 4e-12, 100e5
+    plant = rigs(case_drain__conductance=[drain, 0.0], case_drain__supply_pressure=supply)
+    means = []
+    for sign in (1.0, -1.0):
+        plant.reset()
+        hold(plant, sign * 60.0, 0.5 * sign)
+        missing = (plant.flow - plant.get("D") * plant.speed - plant.get("Km") * plant.pressure)[:2, 0]
+        # Half of what leaves either line: of the difference of the two, and no more than that.
+        assert missing[0] == pytest.approx(0.5 * drain * plant.pressure[0, 0], rel=1e-4)
+        assert missing[1] == pytest.approx(0.0, abs=1e-12)
+        means.append(plant.get("lines__mean_pressure")[0, 0])
+    assert means[0] == pytest.approx(means[1], rel=1e-6) and -0.2 < means[0] < 0.0
+    plant = hold(rigs(case_drain__conductance=[drain, 0.0]), 0.0, 0.0, 5.0)
+    assert plant.get("lines__mean_pressure")[0, 0] == pytest.approx(-1.0, abs=1e-3)
+
+
 @defines("anti_cavitation")
 def test_check_valves_fill_the_line_that_a_driven_motor_empties(rigs: Callable[..., Plant]) -> None:
     """An overrunning load turns the motor at a closed valve, from rest."""

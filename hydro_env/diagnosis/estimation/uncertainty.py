@@ -9,7 +9,7 @@ maximum likelihood; Oliver, He and Reynolds 1996).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -34,12 +34,14 @@ DRAWS, CANNOT_BE_PREDICTED = 8, 5.0
 @dataclass(frozen=True)
 class Intervals:
     """`low` and `high` (k,) hold 95 % of the replicas' estimates of q; `without` (k,) is the largest move of q when one
-    manoeuvre is left out. `draws` (DRAWS, k) are some of the replicas' estimates."""
+    manoeuvre is left out. `draws` (DRAWS, k) are some of the replicas' estimates. `learned` (k,) is the share of the variance
+    of each prior that the logs take away."""
 
     low: np.ndarray
     high: np.ndarray
     without: np.ndarray
     draws: np.ndarray
+    learned: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
@@ -49,7 +51,8 @@ def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
     matrices, sides = fit.normal_equations_by_stretch(estimate, STRETCH_S)
     moves = bootstrap(matrices, sides, prior, estimate.q, np.random.default_rng(fit.settings.seed))
     low, high = np.quantile(moves, [0.025, 0.975], axis=0)
-    spread = 1.96 * fit.spread(estimate)
+    deviation = fit.spread(estimate)
+    spread = 1.96 * deviation
     low = np.clip(estimate.q + np.minimum(low, -spread), *bounds)
     high = np.clip(estimate.q + np.maximum(high, spread), *bounds)
     whole, right = matrices.sum(axis=0) + prior, sides.sum(axis=0) - prior @ estimate.q
@@ -61,7 +64,8 @@ def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
         matrix, side = whole - matrices[gone].sum(axis=0), right - sides[gone].sum(axis=0)
         without = np.maximum(without, np.abs(np.linalg.lstsq(matrix, side, rcond=None)[0] - start))
     draws = np.array([nearest_inside(whole, move, estimate.q, bounds) for move in moves[:DRAWS]])
-    return Intervals(low, high, without, draws.reshape(DRAWS, size))
+    learned = 1.0 - np.minimum(deviation, 1.0) ** 2
+    return Intervals(low, high, without, draws.reshape(DRAWS, size), learned)
 
 
 def nearest_inside(

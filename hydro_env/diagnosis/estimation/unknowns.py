@@ -99,6 +99,11 @@ class Unknown:
         """Bounds of q."""
         return self.q(self.low), self.q(self.high)
 
+    @cached_property
+    def usual(self) -> tuple[float, float]:
+        """The plausible values within one scale of the centre."""
+        return max(self.value(-1.0), self.low), min(self.value(1.0), self.high)
+
     def at_bound(self, q: float) -> bool:
         """Whether the estimate sits at the end of what is plausible."""
         low, high = self.bounds
@@ -110,24 +115,25 @@ def limited_by_effects() -> set[str]:
     return {name for effect in CATALOGUE.values() for name in effect.adds_to}
 
 
-def _plausible(parameter: Parameter, value: float) -> tuple[float, float]:
-    """The plausible range of a base parameter; where the given value lies outside, widened about it by as much either way."""
-    low, high = parameter.low, parameter.high
-    if low <= value <= high or value <= 0.0:
-        return min(low, value), max(high, value)
-    if parameter.log:
-        factor = math.sqrt(high / low)
-        wide = min(low, value / factor), max(high, value * factor)
-    else:
-        half = 0.5 * (high - low)
-        wide = min(low, value - half), max(high, value + half)
+def _plausible(parameter: Parameter, value: float, size: float) -> tuple[float, float]:
+    """The plausible range of a base parameter, given as `value`, on a rig whose motor is `size` times that of the table.
+
+    `PARAMETERS` has the ranges of one machine, `Parameter.plausible` those of one of another size. A given value outside is
+    plausible all the same (a flywheel, another coil): the range then lies about it, as wide as in the table. So no range rests
+    on a value of a machine of another size, and 0 is plausible where it is given or the table has it.
+    """
+    low, high = parameter.plausible(size)
+    if value > 0.0 and not low <= value <= high:
+        wide = math.sqrt(high / low) if low > 0.0 else parameter.high / parameter.nominal
+        low, high = (value / wide if low > 0.0 else 0.0), value * wide
     least, most = parameter.possible
-    return max(wide[0], min(least, value)), min(wide[1], max(most, value))
+    return min(max(low, least), value), max(min(high, most), value)
 
 
-def base_unknown(parameter: Parameter, value: float, limited: bool = False) -> Unknown:
-    """A base parameter about the value `value` of the model as given."""
-    low, high = _plausible(parameter, value)
+def base_unknown(parameter: Parameter, value: float, limited: bool = False, size: float = 1.0) -> Unknown:
+    """A base parameter about the value `value` of the model as given; `size` as in `_plausible`, `limited` for one that an effect
+    adds to."""
+    low, high = _plausible(parameter, value, size)
     log = parameter.log and value > 0.0
     if log:
         low = max(low, value / 20.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from heapq import heapreplace
 from math import gcd, isnan
 from typing import Any
@@ -36,7 +37,7 @@ BLOCKS: dict[type[np.floating[Any]], dict[int, float]] = {
 }
 #: What an effect that is compiled in adds to the time of a kernel without any.
 EFFECT_SHARE = 0.06
-#: Bytes of inputs of batches that are kept at most. Those of eight lanes of 12 s at 1 kHz take 3 MB.
+#: Bytes of inputs of batches that are kept, about. Those of eight lanes of 12 s at 1 kHz take 3 MB.
 MOST_INPUTS = 100_000_000
 #: Base parameters that calibration may adjust. V is left out (never separated from beta), u_rated and x_max are settings.
 BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
@@ -87,7 +88,9 @@ class DynamicRig:
         for number in sorted(range(len(parts)), key=lambda n: -len(parts[n].log)):
             self._logs.setdefault(parts[number].log.period, []).append(number)
         self._pairs: dict[str, np.ndarray] = {}
-        self._kept_inputs: dict[tuple[tuple[int, int, int, int], ...], np.ndarray] = {}
+        rows, most = max(len(part.log) for part in parts), max(BLOCKS[dtype])
+        # The same lanes are asked for again and again, by several threads.
+        self._inputs = lru_cache(MOST_INPUTS // (32 * rows * most))(partial(_inputs, tuple(parts)))
         #: A plant of the model for each effects, substep, number of rigs and block, of which every batch takes a copy: to make
         #: one takes longer than to copy it.
         self._plants: dict[tuple[tuple[str, ...], float, int, int], Plant] = {}
@@ -308,12 +311,8 @@ class DynamicRig:
     ) -> tuple[int, dict[str, np.ndarray]]:
         """`plays` (lanes, 2): the channel whose command and load each side has. Returns each how many-th row is there, and the
         signals (rows, lanes, 2)."""
-        inputs = self._inputs(
-            [
-                (log, len(self.parts[log].log), *sides)
-                for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True)
-            ]
-        )
+        lanes = tuple((log, *sides) for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True))
+        inputs = self._inputs(lanes if len(set(lanes)) > 1 else lanes[:1])
         logs = {log for log, _ in batch.lanes}
         every = gcd(*(s.step for own in self.segments.values() for s in own if s.log in logs)) or 1
         with np.errstate(all="ignore"):
@@ -336,26 +335,18 @@ class DynamicRig:
             )
         return self._plants[key].copy()
 
-    def _inputs(self, lanes: list[tuple[int, int, int, int]]) -> np.ndarray:
-        """Commands and loads (2, rows, lanes, 2) of lanes: each the first so many rows of a log, and the channel that each side
-        plays; one lane for all if they are alike. Some are kept: the same lanes are asked for again and again."""
-        key = tuple(lanes) if len(set(lanes)) > 1 else (lanes[0],)
-        found = self._kept_inputs.get(key)
-        if found is None:
-            found = np.zeros(
-                (2, max(rows for _, rows, *_ in key), len(key), 2)
-            )  # a lane whose log has ended is at rest
-            for kind in dict.fromkeys(key):
-                log, rows, *sides = kind
-                given, alike = self.parts[log].log, [n for n, other in enumerate(key) if other == kind]
-                found[0, :rows, alike] = np.nan_to_num(given.command_V[:, sides])
-                if given.load is not None:
-                    found[1, :rows, alike] = np.nan_to_num(given.load[:, sides])
-            if sum(kept.nbytes for kept in self._kept_inputs.values()) + found.nbytes > MOST_INPUTS:
-                self._kept_inputs.clear()
-            if found.nbytes <= MOST_INPUTS:
-                self._kept_inputs[key] = found
-        return found
+
+def _inputs(parts: Sequence[Part], lanes: Sequence[tuple[int, int, int]]) -> np.ndarray:
+    """Commands and loads (2, rows, lanes, 2) of lanes: each the number of a log, and the channel that each side plays."""
+    logs = [parts[number].log for number, *_ in lanes]
+    found = np.zeros((2, max(map(len, logs)), len(lanes), 2))  # a lane whose log has ended is at rest
+    for kind in dict.fromkeys(lanes):
+        log, sides = parts[kind[0]].log, kind[1:]
+        alike = [n for n, other in enumerate(lanes) if other == kind]
+        found[0, : len(log), alike] = np.nan_to_num(log.command_V[:, sides])
+        if log.load is not None:
+            found[1, : len(log), alike] = np.nan_to_num(log.load[:, sides])
+    return found
 
 
 def _block(count: int, widths: Mapping[int, float]) -> int:

@@ -15,8 +15,10 @@ LEAST_FRICTION = 1e-6
 def shaft_speed(
     pressure: np.ndarray, load: np.ndarray, period: float, *, displacement: float, inertia: float, friction: float
 ) -> np.ndarray:  # fmt: skip
-    """Speed (T,) in rad/s of J dw/dt = D p - B w - load from rest; pressure (Pa) and load (N m) are held for a `period`."""
+    """Speed (T,) in rad/s of J dw/dt = D p - B w - load from rest. The load (N m) is held for a `period`; between two samples of
+    the pressure (Pa) stands their mean, as held it would come half a period late."""
     friction = max(friction, LEAST_FRICTION)
     keep = float(np.exp(-period * friction / inertia))
-    torque = np.concatenate([[0.0], (displacement * pressure - load)[:-1]])
+    between = 0.5 * (pressure[1:] + pressure[:-1])
+    torque = np.concatenate([[0.0], displacement * between - load[:-1]])
     return one_pole((1.0 - keep) / friction * torque, keep)

@@ -97,17 +97,34 @@ def sentence(found: Diagnosis) -> str:
         if s != head and max(s.errors["after"], s.errors["before"]) > AT_NOISE * s.errors["noise"]
     )
     if found.verdict == "none":
-        return f"Nothing is missing: the model as given explains the logs. {error}; {noise}.{other}"
+        enough = "Nothing is missing: the model as given explains the logs."
+        return f"{_doubtful(found) or enough} {error}; {noise}.{other}"
     if found.verdict == "calibration":
-        return (
-            "Calibration is enough: with known parameters adjusted inside their plausible ranges, the model explains the logs. "
-            f"{error}, {entry['before']:.3g} before; {noise}.{other}"
-        )
+        ranges = "known parameters adjusted inside their plausible ranges"
+        enough = f"Calibration is enough: with {ranges}, the model explains the logs."
+        return f"{_doubtful(found) or enough} {error}, {entry['before']:.3g} before; {noise}.{other}"
     before = f"{entry['before']:.3g} as given, {entry['calibrated']:.3g} after calibration alone; {noise}"
     lacks = _lacks(found) if found.verdict == "effects" else _unknown(found)
     if found.best_guess:
         lacks = f"Something is missing; what it is, is not proven. {_guess(found)}"
-    return f"{lacks} {error}: {before}.{other}"
+    return f"{_doubtful(found)} {lacks} {error}: {before}.{other}".strip()
+
+
+def _doubtful(found: Diagnosis) -> str:
+    """What speaks against the logs themselves, before anything is concluded from them, or nothing."""
+    state, explains = found.state, found.verdict in ("none", "calibration")
+    texts = []
+    if state.undetermined:
+        texts.append(f"These logs do not determine the known parameters: {words.listed(state.undetermined)}.")
+    if state.elsewhere:
+        texts.append(
+            f"The held-out logs seem to be of another rig or state: {words.listed(state.elsewhere[:2])}."
+        )
+    left = max(_speeds(found), key=lambda e: e.above_noise).above_noise
+    if explains and (texts or left > AT_NOISE):
+        by = "The model as given" if found.verdict == "none" else "Calibration"
+        texts.append(f"{by} explains the fit logs{'' if left > AT_NOISE else ', as other values would'}.")
+    return " ".join(texts)
 
 
 def _guess(found: Diagnosis) -> str:
@@ -161,6 +178,10 @@ _NEXT = {
     "effects": "Check the named effects on the rig, for example with a valve test. Then use the improved model.",
     "best guess": "Take the named effects as the first thing to look at, not as an answer: check them on the rig or record the "
     "next experiment. The improved model is closer than the one given, but not right.",
+    "undetermined": "Record logs whose commands go through the range in steps and ramps, and diagnose again. Do not use the "
+    "calibrated values.",
+    "elsewhere": "Make sure that all logs are of the same rig, valves and temperature, or fit the held-out logs by themselves "
+    "and compare the known parameters. Until then nothing is proven.",
     "unknown": "Record the next experiment, and look at the equation and the regime that hold most of the residual. Do not "
     "rely on the improved model there: it has only what was explained.",
 }
@@ -168,7 +189,9 @@ _NEXT = {
 
 def next_step(found: Diagnosis) -> str:
     """What the verdict asks for."""
-    return _NEXT["best guess" if found.best_guess else found.verdict]
+    state = found.state
+    doubt = "undetermined" if state.undetermined else "elsewhere" if state.elsewhere else ""
+    return _NEXT[doubt or ("best guess" if found.best_guess else found.verdict)]
 
 
 def log_names(found: Diagnosis) -> str:
@@ -182,7 +205,7 @@ def left_over(found: Diagnosis) -> str:
     """What the final model leaves on the held-out logs of the speed that is worst: slow (physics) or fast (noise); or nothing."""
     worst = max(_speeds(found), key=lambda e: e.above_noise)
     after, noise, unit, c = worst.errors["after"], worst.errors["noise"], worst.unit, worst.channel
-    if after < AT_NOISE * noise:
+    if after < AT_NOISE * noise or found.state.undetermined:
         return ""
     share = _slow_share(found.state.on_held_out, c)
     if share is None:
@@ -196,6 +219,8 @@ def left_over(found: Diagnosis) -> str:
         fast = float(np.sqrt(max(after**2 * (1.0 - share) - noise**2, 0.0)))
         more = f", with short events of {fast:.2g} {unit} in it" if fast > noise else ""
         return f"{text}; the rest is as fast as noise is{more}."
+    if found.verdict in ("none", "calibration"):
+        return f"{text}: the held-out logs show something there that the fit logs do not."
     return f"{text}: something is still missing there, or the effect has another functional form than the catalogue's."
 
 
@@ -276,9 +301,12 @@ def comment(found: Diagnosis, p: KnownParameter) -> str:
         return "not given: estimated from these logs alone"
     if not p.unusual:
         return ""
-    down, up = (100.0 * (end / p.nominal - 1.0) for end in p.usual)
-    return (
-        f"moved by {100.0 * p.change:+.0f} %, more than the {down:+.0f} to {up:+.0f} % to which such a value is usually known: "
+    if p.nominal:
+        down, up = (100.0 * (end / p.nominal - 1.0) for end in p.usual)
+        text = f"moved by {p.moved_by()}, more than the {down:+.0f} to {up:+.0f} % to which such a value is usually known: "
+    else:
+        text = f"given as 0, and more than {words.number(p.usual[1])} {p.estimate.unit} is unusual then: "
+    return text + (
         "check it on the rig or in its data sheet; otherwise it may stand in for an effect that is missing"
     )
 

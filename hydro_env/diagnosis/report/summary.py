@@ -136,9 +136,7 @@ def _known(found: Diagnosis) -> str:
         return "  known parameters: no interval excludes the given value"
     own = found.state.rig.own  # of a reduced model: its nominal values stand for nothing
     text = ", ".join(
-        f"{p.name} = {words.interval(p.estimate)}"
-        if p.symbol in own
-        else f"{p.name} {100.0 * p.change:+.0f} %"
+        f"{p.name} = {words.interval(p.estimate)}" if p.symbol in own else f"{p.name} {p.moved_by()}"
         for p in rows[:6]
     )
     more = f" and {len(rows) - 6} more" if len(rows) > 6 else ""

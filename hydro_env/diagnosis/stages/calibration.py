@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...plant import CATALOGUE, parameter_of
+from ...plant import CATALOGUE, PARAMETERS, parameter_of
 from ..estimation import (
     Estimate,
     Fit,
@@ -49,7 +49,7 @@ def run(state: State) -> State:
 
 def base_unknowns(rig: RigModel, channel: int) -> list[Unknown]:
     """The parameters that calibration may adjust, about their values in the model as given."""
-    limited = limited_by_effects()
+    limited, size = limited_by_effects(), rig.given("D", channel) / PARAMETERS["D"].nominal
     found = []
     for name in rig.base(channel):
         value, (effect, _, own) = rig.given(name, channel), name.rpartition(".")
@@ -57,7 +57,7 @@ def base_unknowns(rig: RigModel, channel: int) -> list[Unknown]:
             unknown = given_unknown(name, effect_in(rig, effect, channel).parameter(own), value)
         else:
             parameter = rig.own[name] if name in rig.own else parameter_of(name)
-            unknown = base_unknown(parameter, value, name in limited)
+            unknown = base_unknown(parameter, value, name in limited, size)
         of_rig = effect and CATALOGUE[effect].scope == "rig"
         found.append(replace(unknown, channel=None if of_rig else channel))
     return found

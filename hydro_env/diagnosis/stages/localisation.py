@@ -1,7 +1,8 @@
 """Localisation: every component replayed with measured neighbours, and the conditions under which it errs.
 
 coil         measured current against the simulated one (only the command acts on it)
-shaft        measured speed against the shaft driven by the measured pressure and the logged load
+shaft        measured speed against the shaft driven by the measured pressure and the logged load, with the displacement, inertia
+             and friction that explain it best: those of the calibrated model make up for what is missing elsewhere
 valve_flow   flow that the measured speed and pressure need against the flow that the model's valve gives
 
 A component whose own replay errs by more than its noise owns part of the residual. Only what the logs hold can be replayed; with
@@ -16,8 +17,9 @@ import numpy as np
 
 from ...units import BAR, RPM
 from ..estimation import Estimate, effective_samples, noise_floor
-from ..input.parts import Part, filled
-from ..models.base import RigModel, Segment
+from ..estimation.box import minimum_in_box
+from ..input.parts import filled
+from ..models.base import RigModel
 from ..models.filters import local_parabola, one_pole
 from ..models.shaft import shaft_speed
 from ..state import Estimates, State
@@ -25,6 +27,8 @@ from ..state import Estimates, State
 __all__ = ["Location", "Shape", "locate", "run", "shape"]
 
 _FLOW = ("command, V", "flow over displacement, rpm", RPM)
+#: Base parameters of the shaft.
+_SHAFT = ("D", "J", "B")
 #: An equation errs if its mean square error is above so many times the noise's; from what share of all equations it is listed.
 ERRS, LISTED = 1.1, 0.02
 #: A regime is named if its mean square error is so many times that of all, and it holds neither next to nothing nor nearly all.
@@ -105,15 +109,19 @@ def locate(rig: RigModel, estimates: Estimates) -> list[Location]:
 def _replays(rig: RigModel, estimate: Estimate, channel: int) -> list[_Replay]:
     """Replays of the components over all fit logs, one behind the other."""
     by_equation: dict[str, list[_Replay]] = {}
+    shafts = _shafts(rig, channel) if rig.has_hidden_states else {}
+    best = _best_shaft(estimate, rig, channel, list(shafts.values()))
     for number in range(len(rig.parts)):
-        for replay in _replays_of_log(rig, estimate, channel, number):
+        for replay in _replays_of_log(rig, estimate, channel, number, shafts.get(number), best):
             replay.log[:] = number
             by_equation.setdefault(replay.equation, []).append(replay)
     return [_joined(replays) for replays in by_equation.values()]
 
 
-def _replays_of_log(rig: RigModel, estimate: Estimate, channel: int, number: int) -> list[_Replay]:
-    """What can be replayed of the signals of one log."""
+def _replays_of_log(
+    rig: RigModel, estimate: Estimate, channel: int, number: int, shaft: _Shaft | None, best: dict[str, float]
+) -> list[_Replay]:
+    """What can be replayed of the signals of one log; the shaft with the values `best`."""
     part = rig.parts[number]
     mine = {s.signal: s for s in rig.segments[channel] if s.log == number}
     speed = mine["speed"]
@@ -132,11 +140,14 @@ def _replays_of_log(rig: RigModel, estimate: Estimate, channel: int, number: int
         error = mine["mean_line_pressure"].measured - simulated["mean_line_pressure"]
         units = ("command, V", "mean line pressure, bar", BAR)
         found.append(_replay("lines", error, period, time, {**openings, **speeds}, used, command, units))
-    if "pressure" in mine and rig.has_hidden_states:
+    if shaft is not None:
+        units = ("speed, rpm", "speed lost or gained within a second, rpm", RPM)
+        error = shaft.error(best)
+        found.append(_replay("shaft", error, period, time, speeds, shaft.used, shaft.speed / RPM, units))
         value = estimate.values(channel)
-        numbers = {n: value.get(n, rig.model.value(n, channel)) for n in ("J", "B", "D", "Km", "V", "beta")}
-        pressure = mine["pressure"].measured
-        found += _hydraulic(part, speed, pressure, simulated, numbers, speeds, openings, command)
+        numbers = {n: value.get(n, rig.model.value(n, channel)) for n in ("D", "Km", "V", "beta")}
+        missing = _missing_flow(shaft, simulated, numbers)
+        found.append(_replay("valve_flow", missing, period, time, openings, shaft.used, command, _FLOW))
     else:
         name = "valve and motor" if rig.has_hidden_states else "valve_flow"
         motor = rig.parts[0].log.kinds[channel] == "motor"
@@ -166,25 +177,74 @@ def _speeds(speed: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def _hydraulic(
-    part: Part, segment: Segment, pressure: np.ndarray, simulated: dict[str, np.ndarray], numbers: dict[str, float],
-    speeds: dict[str, np.ndarray], openings: dict[str, np.ndarray], command: np.ndarray,
-) -> list[_Replay]:  # fmt: skip
-    """Shaft from the measured pressure; valve from the flow that measured speed and pressure need."""
-    h, used, time = segment.period, segment.used, part.log.time_s[segment.rows]
-    used = used & np.isfinite(pressure)
-    speed, pressure = filled(segment.measured), filled(pressure)
-    load = np.zeros(speed.size)
-    if part.log.load is not None and part.log.has("load", segment.channel):
-        load = np.nan_to_num(part.log.load[segment.rows, segment.channel])
-    own = {"displacement": numbers["D"], "inertia": numbers["J"], "friction": numbers["B"]}
-    replayed = shaft_speed(pressure, load, h, **own)
-    # Only what the shaft loses against measurement within a second counts: errors do not pile up.
-    forget = float(np.exp(-h / 1.0))
-    error = one_pole((1.0 + forget) / 2.0 * np.diff(speed - replayed, prepend=0.0), forget)
-    shaft = ("speed, rpm", "speed lost or gained within a second, rpm", RPM)
-    found = [_replay("shaft", error, h, time, speeds, used, speed / RPM, shaft)]
+@dataclass
+class _Shaft:
+    """What drives a shaft in one log, and how it turned: pressure (n,), load (n,) and speed (n,), SI, every `period`."""
 
+    pressure: np.ndarray
+    load: np.ndarray
+    speed: np.ndarray
+    used: np.ndarray
+    period: float
+
+    def error(self, numbers: dict[str, float]) -> np.ndarray:
+        """What the shaft loses or gains against measurement within a second (n,), so that errors do not pile up."""
+        own = {"displacement": numbers["D"], "inertia": numbers["J"], "friction": numbers["B"]}
+        replayed = shaft_speed(self.pressure, self.load, self.period, **own)
+        forget = float(np.exp(-self.period / 1.0))
+        return one_pole((1.0 + forget) / 2.0 * np.diff(self.speed - replayed, prepend=0.0), forget)
+
+
+def _shafts(rig: RigModel, channel: int) -> dict[int, _Shaft]:
+    """The shaft of a channel in the logs that hold speed and pressure, by the number of the log."""
+    found = {}
+    for number, part in enumerate(rig.parts):
+        mine = {s.signal: s for s in rig.segments[channel] if s.log == number}
+        if "pressure" in mine:
+            speed, pressure = mine["speed"], mine["pressure"].measured
+            load = np.zeros(speed.rows.size)
+            if part.log.load is not None and part.log.has("load", channel):
+                load = np.nan_to_num(part.log.load[speed.rows, channel])
+            used = speed.used & np.isfinite(pressure)
+            found[number] = _Shaft(filled(pressure), load, filled(speed.measured), used, speed.period)
+    return found
+
+
+def _best_shaft(
+    estimate: Estimate, rig: RigModel, channel: int, shafts: list[_Shaft], turns: int = 6
+) -> dict[str, float]:
+    """Displacement, inertia and friction that explain the shaft alone best, inside their plausible ranges and with their priors:
+    Gauss-Newton steps from the calibrated ones."""
+    every = {u.name: (u, q) for u, q in zip(estimate.unknowns, estimate.q, strict=True)}
+    own = [every[n][0] for n in _SHAFT if n in every]
+    given = {n: rig.model.value(n, channel) for n in _SHAFT}
+    q = np.array([every[u.name][1] for u in own])
+    low, high = np.array([u.bounds for u in own]).reshape(-1, 2).T
+    noise = [max(noise_floor(s.error(given), s.used, s.period), 1e-12) for s in shafts]
+
+    def values(q: np.ndarray) -> dict[str, float]:
+        return given | {u.name: u.value(x) for u, x in zip(own, q, strict=True)}
+
+    def misfit(q: np.ndarray) -> np.ndarray:
+        errors = [s.error(values(q))[s.used] / n for s, n in zip(shafts, noise, strict=True)]
+        return np.concatenate([q, *errors])
+
+    for _ in range(turns if own and shafts else 0):
+        now, step = misfit(q), 0.05
+        away = np.where(q + step > high, -step, step)
+        slopes = np.array(
+            [(misfit(q + a * e) - now) / a for a, e in zip(away, np.eye(q.size), strict=True)]
+        ).T
+        moved = q + minimum_in_box(slopes.T @ slopes, -slopes.T @ now, low - q, high - q)
+        if not np.sum(misfit(moved) ** 2) < np.sum(now**2):
+            break
+        q = moved
+    return values(q)
+
+
+def _missing_flow(shaft: _Shaft, simulated: dict[str, np.ndarray], numbers: dict[str, float]) -> np.ndarray:
+    """The flow over displacement (n,) that measured speed and pressure need, less what the model's valve gives."""
+    h = shaft.period
     width = max(5, 2 * round(0.01 / h) + 1)
 
     def flow(w: np.ndarray, dp: np.ndarray) -> np.ndarray:
@@ -192,9 +252,8 @@ def _hydraulic(
         squeezed = numbers["V"] / numbers["beta"] * slope
         return numbers["D"] * local_parabola(w, width, h)[0] + numbers["Km"] * level + squeezed
 
-    missing = flow(speed, pressure) - flow(simulated["speed"], simulated["pressure"])
-    found.append(_replay("valve_flow", missing / numbers["D"], h, time, openings, used, command, _FLOW))
-    return found
+    missing: np.ndarray = flow(shaft.speed, shaft.pressure) - flow(simulated["speed"], simulated["pressure"])
+    return missing / numbers["D"]
 
 
 def _replay(

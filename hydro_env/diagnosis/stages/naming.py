@@ -64,8 +64,13 @@ class KnownParameter:
 
     @property
     def change(self) -> float:
-        """The relative change."""
-        return self.estimate.value / self.nominal - 1.0 if self.nominal else 0.0
+        """The relative change; infinite from 0."""
+        away = self.estimate.value - self.nominal
+        return away / self.nominal if self.nominal else math.copysign(math.inf, away) if away else 0.0
+
+    def moved_by(self, digits: int = 0) -> str:
+        """The change in words: "+12 %", or "from 0"."""
+        return f"{100.0 * self.change:+.{digits}f} %" if math.isfinite(self.change) else "from 0"
 
     @property
     def moved(self) -> bool:
@@ -129,7 +134,8 @@ def name_effects(
         channels = () if one.channel is None else (one.channel,)
         probability = _probability(fit, one, competitors, selection.estimates[c])
         bare, values = (effect_values(p[c], one.effect, c) for p in (selection.estimates, final))
-        values = {name: widened_by_form(one.effect, name, v, bare[name]) for name, v in values.items()}
+        row = row_of(fit.rig, c)
+        values = {name: widened_by_form(one.effect, name, v, bare[name], row) for name, v in values.items()}
         found.append(NamedEffect(one.effect, channels, round(probability, 3), competitors, values))
     return _merged(found)
 
@@ -191,10 +197,11 @@ def effect_values(estimate: Estimate, effect: str, channel: int) -> dict[str, In
     }
 
 
-def widened_by_form(effect: str, name: str, found: Interval, bare: Interval) -> Interval:
+def widened_by_form(effect: str, name: str, found: Interval, bare: Interval, row: float = 0.0) -> Interval:
     """The value of an effect's parameter with the interval widened by what the law's form leaves open, see `SIZE_BY_FORM`.
 
-    `bare` is its value without corrections of form.
+    `bare` is its value without corrections of form; `row` the time from row to row of the logs, s. A time is known to half of
+    that at best: a filter that is calculated once a row, y += (1 - exp(-row / T)) (x - y), is late by T - row / 2.
     """
     parameter = CATALOGUE[effect].parameter(name)
     share = {"size": SIZE_BY_FORM, "limit": SIZE_BY_FORM}.get(parameter.role, SHAPE_BY_FORM)
@@ -202,8 +209,9 @@ def widened_by_form(effect: str, name: str, found: Interval, bare: Interval) -> 
     # An angle or a number of strokes has no law whose form could differ.
     law = 0.0 if parameter.role in ("phase", "order") else share * away
     form = TWO_SIDED_95 * max(law, abs(found.value - bare.value))
-    low = found.value - math.hypot(found.value - found.low, form)
-    high = found.value + math.hypot(found.high - found.value, form)
+    sampled = 0.5 * row if parameter.unit == "s" else 0.0
+    low = found.value - math.hypot(found.value - found.low, form, sampled)
+    high = found.value + math.hypot(found.high - found.value, form, sampled)
     low, high = max(low, min(found.low, parameter.low)), min(high, max(found.high, parameter.high))
     return replace(found, low=low, high=high)
 
@@ -226,10 +234,9 @@ def known_parameters(rig: RigModel, estimates: Estimates) -> list[KnownParameter
     for c, estimate in estimates.items():
         for j, u in enumerate(estimate.unknowns):
             if u.channel in (None, c) and not u.effect:
-                value, usual = _interval(estimate, j), (u.value(-1.0), u.value(1.0))
-                effect, _, own = u.name.rpartition(".")
-                value = widened_by_form(effect, own, value, value) if effect else value
-                found.append(KnownParameter(u.name, c, rig.given(u.name, c), value, usual))
+                value, (effect, _, own) = _interval(estimate, j), u.name.rpartition(".")
+                value = widened_by_form(effect, own, value, value, row_of(rig, c)) if effect else value
+                found.append(KnownParameter(u.name, c, rig.given(u.name, c), value, u.usual))
     return found
 
 
@@ -246,12 +253,17 @@ def absent_effects(rig: RigModel, estimates: Estimates) -> list[tuple[str, int]]
     return [key for key, own in sizes.items() if all(h for h, _ in own) and any(m for _, m in own)]
 
 
+def row_of(rig: RigModel, channel: int) -> float:
+    """The longest time from row to row of the logs of a channel, s."""
+    return max(s.period / s.step for s in rig.segments[channel])
+
+
 def at_bounds(estimates: Estimates) -> list[str]:
     """Estimates at the end of their plausible range, by "J of channel 1"."""
     found = []
     for c, estimate in estimates.items():
         for u, q in zip(estimate.unknowns, estimate.q, strict=True):
-            if u.effect and (q == 0.0 or is_correction(u.effect)):
+            if q == 0.0 or (u.effect and is_correction(u.effect)):  # as given, or no physics
                 continue
             if "." in u.parameter and _nearest_end(u, float(q)) == parameter_of(u.parameter).neutral:
                 continue  # a given effect that is absent

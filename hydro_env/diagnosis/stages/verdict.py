@@ -15,7 +15,7 @@ from ..estimation import (
     unexplained,
 )
 from ..settings import rule
-from ..state import Estimates, State
+from ..state import PROVEN, Estimates, State
 from .candidates import Selection, carries_size, neutral_of
 from .localisation import locate
 from .naming import effect_values
@@ -76,8 +76,12 @@ def _better(fit: Fit, given: Estimate, calibrated: Estimate, channel: int) -> bo
 
 # --- from the held-out logs -----------------------------------------------------------------------------------------------
 def confirm(state: State) -> State:
-    """The verdict by the held-out logs: names that are doubted are not confirmed, and not corrected either."""
-    if state.verdict != "effects":
+    """The verdict by the held-out logs: names that are doubted are not confirmed, and not corrected either.
+
+    Held-out logs that seem to be of another rig or state judge nothing.
+    """
+    state = replace(state, elsewhere=list(_elsewhere(state)))
+    if state.verdict != "effects" or state.elsewhere:
         return state
     found = doubts(
         state.fit, state.fit.on(state.held_out), state.selection, state.final, state.on_fit, state.on_held_out
@@ -89,6 +93,30 @@ def confirm(state: State) -> State:
         corrections=[], locations=state.locations or locate(state.rig, state.calibrated),
     )  # fmt: skip
     return proved(bare)
+
+
+def _elsewhere(state: State) -> Iterator[str]:
+    """What of the held-out logs is not as in the fit logs, which the same model explains to the noise.
+
+    The coil comes first: nothing but the command acts on its current, so that one that is off means another coil or temperature.
+    Other signals say so only where nothing is named: an effect may fit the logs that it was chosen by.
+    """
+    if not state.rig.has_hidden_states or state.undetermined:
+        return
+    every, held_out = state.verdict in ("none", "calibration"), state.fit.on(state.held_out)
+    for (c, signal), there in sorted(
+        state.on_held_out.errors.items(), key=lambda item: item[0][1] != "current"
+    ):
+        here = state.on_fit.errors[c, signal]
+        times, before = (e["after"] / max(e["noise"], 1e-30) for e in (there, here))
+        if not (every or signal == "current") or times < PROVEN or before > ABOVE_NOISE:
+            continue
+        if courses_apart(held_out, state.final[c], c).get(signal, 0.0) < times:
+            worse = (
+                ", worse than by the model as given" if there["after"] > ABOVE_NOISE * there["before"] else ""
+            )
+            name = "coil current" if signal == "current" else signal.replace("_", " ")
+            yield f"the {name} of channel {c + 1} is left {times:.2g} times its noise there{worse}"
 
 
 def doubts(

@@ -21,7 +21,12 @@ SHORT_LOGS = 4.0
 
 def run(state: State) -> State:
     """Collects the warnings, the weightiest first."""
-    found = [f"none of the named effects is confirmed: {'; '.join(state.doubts)}"] if state.doubts else []
+    found = []
+    if state.undetermined:
+        found.append(f"these logs do not determine the known parameters: {'; '.join(state.undetermined)}")
+    if state.elsewhere:
+        found.append(f"the held-out logs seem to be of another rig or state: {'; '.join(state.elsewhere)}")
+    found += [f"none of the named effects is confirmed: {'; '.join(state.doubts)}"] if state.doubts else []
     found += [f.text for f in state.findings]
     found += [
         f"the model as given has a {CATALOGUE[effect].title} on channel {c + 1} that these logs do not show"

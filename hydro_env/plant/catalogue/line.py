@@ -431,6 +431,56 @@ LINE_VOLUME = Effect(
 
 
 #: In the order in which they act.
+def _case_drain(leakage, pressure, mean_pressure, conductance, supply_pressure):
+    middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
+    a = middle + 0.5 * pressure
+    b = middle - 0.5 * pressure
+    return leakage + 0.5 * conductance * ((a if a > 0.0 else 0.0) - (b if b > 0.0 else 0.0))
+
+
+def _drained_alike(mean_pressure, pressure, bulk_modulus, V, conductance, supply_pressure):
+    middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
+    a = middle + 0.5 * pressure
+    b = middle - 0.5 * pressure
+    both = (a if a > 0.0 else 0.0) + (b if b > 0.0 else 0.0)
+    return -bulk_modulus / (2.0 * V * supply_pressure) * conductance * both
+
+
+def _drained_alike_decay(bulk_modulus, V, conductance):
+    return bulk_modulus / (2.0 * V) * conductance
+
+
+CASE_DRAIN = Effect(
+    name="case_drain",
+    port="line",
+    title="a case drain of both lines",
+    summary="both lines lose oil to the tank through the motor's case, each in proportion to its own pressure",
+    signature="like internal leakage, and both lines stand below the middle of the supply, in either direction alike",
+    source="external leakage of a motor, Merritt 1967, ch. 4; mean pressure of the lines, ch. 5 and 6",
+    parameters=(
+        Parameter(
+            "conductance",
+            "m3/(s Pa)",
+            0.0,
+            low=0.0,
+            high=1e-10,
+            typical=4e-12,
+            scaling=MOTOR_SIZE,
+            note="conductance of the drain from either line",
+            source="assumed: 4 % of the rated flow at half of 100 bar",
+        ),
+        SUPPLY_PRESSURE,
+    ),
+    laws={"leakage": _case_drain},
+    states=(State("mean_pressure", _drained_alike, _drained_alike_decay),),
+    shares=BOTH_LINES,
+    corner=_drained_corner,
+    separated_by={
+        "external_leakage": "record the pressure of each line, in both directions: a case drain lowers both alike"
+    },
+)
+
+
 EFFECTS = (
     ENTRAINED_AIR,
     LINE_LOSS,
@@ -438,4 +488,5 @@ EFFECTS = (
     EXTERNAL_LEAKAGE,
     ANTI_CAVITATION,
     LINE_VOLUME,
+    CASE_DRAIN,
 )

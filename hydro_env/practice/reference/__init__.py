@@ -25,6 +25,7 @@ every practice rig draws for itself:
     line_loss, quadratic_drag  q abs(q)                          q sqrt(q^2 + small^2), laminar at low flow
     crossport_relief           kink, one lag                     rounded, slower to close, conductance grows with pressure
     external_leakage           laminar                           with a power of the pressure
+    case_drain                 laminar                           with a power of the pressure
     anti_cavitation            straight from its opening on      the poppet lifts first, then a power of the pressure
     line_volume                laminar throttle                  with a power of the pressure drop
     motor_coulomb_friction     tanh with Stribeck peak           LuGre bristle on the shaft

@@ -146,10 +146,14 @@ def _outflows(p, pressure, mean):
     """Flows from both lines to the tank, m3/s, less what they draw from it."""
     middle = 0.5 * p.lines_supply * (1.0 + mean)
     a, b = middle + 0.5 * pressure, middle - 0.5 * pressure
-    leak, check = p.external_leakage__conductance, p.anti_cavitation__conductance
+    leak, check, drain = (
+        p.external_leakage__conductance,
+        p.anti_cavitation__conductance,
+        p.case_drain__conductance,
+    )
     return (
-        max(leak, 0.0) * _leak(p, a) - check * _make_up(p, a),
-        max(-leak, 0.0) * _leak(p, b) - check * _make_up(p, b),
+        (max(leak, 0.0) + drain) * _leak(p, a) - check * _make_up(p, a),
+        (max(-leak, 0.0) + drain) * _leak(p, b) - check * _make_up(p, b),
     )
 
 

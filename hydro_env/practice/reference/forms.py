@@ -16,11 +16,24 @@ import numpy as np
 
 from ...errors import InputError
 
-__all__ = ["CONSTANTS", "MIDDLE", "PLAYS", "STOPS", "Constants", "FormConstant", "checked", "draw", "units"]
+__all__ = [
+    "CONSTANTS",
+    "MIDDLE",
+    "OF_BOTH_LINES",
+    "PLAYS",
+    "STOPS",
+    "Constants",
+    "FormConstant",
+    "checked",
+    "draw",
+    "units",
+]
 
 #: Constants of a rig: numbers by name, and of the loop's stops `stop_travels` and `stop_shares`, (STOPS,) each.
 Constants = Mapping[str, float | tuple[float, ...]]
 
+#: Effects that move the mean pressure of both lines; the supply pressure is that of the first of them that acts.
+OF_BOTH_LINES = ("external_leakage", "anti_cavitation", "case_drain")
 #: Stop operators of the magnetic loop, and play operators of the valve's input.
 STOPS, PLAYS = 6, 3
 #: Greatest slope of the loop at a turn, over amplitude / width: from 2 on, a loop as narrow as `width` allows would have

@@ -13,7 +13,7 @@ from ...plant.catalogue.losses import FAMILY
 from ...plant.model import PlantModel
 from ...plant.parameters import PARAMETERS
 from .equations import rates
-from .forms import CONSTANTS, PLAYS, STOPS, Constants
+from .forms import CONSTANTS, OF_BOTH_LINES, PLAYS, STOPS, Constants
 
 __all__ = ["STATES", "Group"]
 
@@ -96,9 +96,9 @@ class Group:
                 p["at_loop"] = place(*([1.0] * (STOPS if different else 1)))
             if p["input_hysteresis__width"] != 0.0:
                 p["at_play"] = place(*([1.0] * (PLAYS if different else 1)))
-            leaks = p["external_leakage__conductance"] != 0.0
-            p["lines_supply"] = p[f"{'external_leakage' if leaks else 'anti_cavitation'}__supply_pressure"]
-            if leaks or p["anti_cavitation__conductance"] > 0.0:
+            first = next((name for name in OF_BOTH_LINES if p[f"{name}__conductance"] != 0.0), "")
+            if first:
+                p["lines_supply"] = p[f"{first}__supply_pressure"]
                 p["at_mean"] = place(0.1)
             if p["line_volume__conductance"] > 0.0:
                 p["at_side"] = place(1e5)
