@@ -140,7 +140,7 @@ def _probability(fit: Fit, one: Accepted, competitors: Sequence[str], estimate: 
     declared = CATALOGUE[one.effect].indistinguishable_from
     behind = [0.0 if n in declared else one.competing.get(n, 0.0) for n in competitors]
     half = 0.5 * fit.settings.temper
-    weight = 1.0 + sum(math.exp(-half * deficit) for deficit in behind)
+    weight = 1.0 + sum(math.exp(-half * deficit) for deficit in (*behind, one.rival))
     likely = 1.0 / (1.0 + math.exp(-half * (one.gain - one.needed)))
     if one.without is not None and one.without.channel == estimate.channel:
         likely = min(likely, probability_of_gain(fit, one.without, estimate, one.needed))
