@@ -108,7 +108,7 @@ class NamedEffect:
 
 
 def run(state: State) -> State:
-    """Names the effects that were found; less likely are those of a verdict `unknown` and those that leave something (`_trust`)."""
+    """Names the effects that were found; less likely are those of a verdict `unknown` and those that leave something."""
     found = name_effects(state.fit, state.selection, state.screening, state.final)
     trusted = [replace(n, probability=round(_trust(state, n) * n.probability, 3)) for n in found]
     return replace(state, effects=trusted)
