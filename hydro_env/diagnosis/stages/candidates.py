@@ -73,7 +73,8 @@ class Candidate:
 @dataclass
 class Accepted:
     """An effect that was accepted, its gain over leaving it out (`without`), and the candidates that did nearly as well in its
-    place, by name with how far their deviance is behind."""
+    place, by name with how far their deviance is behind. `rival` is how far the best other set of effects is behind, with what
+    both must pay for, where such a set without this effect was fitted."""
 
     effect: str
     channel: int | None
@@ -81,6 +82,7 @@ class Accepted:
     needed: float
     competing: dict[str, float] = field(default_factory=dict)
     without: Estimate | None = None
+    rival: float = np.inf
 
 
 @dataclass
@@ -138,6 +140,17 @@ class Search:
     def of_rig(self) -> bool:
         """Whether the present estimate is one of the whole rig."""
         return any(p.channel is None for p in self.present.values())
+
+    @property
+    def needed(self) -> float:
+        """What all accepted effects must pay for."""
+        return sum(k.needed for k in self.accepted)
+
+    def afresh(self) -> Search:
+        """The search for another set of effects, from the calibrated estimates."""
+        return Search(
+            self.fit, self.calibrated, self.screening, self.seconds, dict(self.calibrated), self.progress
+        )
 
     def put(self, channel: int, estimate: Estimate) -> None:
         """Makes an estimate the present one: of its channel, or of both where it is the rig's."""

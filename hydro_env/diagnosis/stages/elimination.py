@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ...plant import CATALOGUE
-from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, settle, solve
+from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, joined, settle, solve
 from ..settings import rule
 from .candidates import AFTER_ROUNDS, Accepted, Search, at_edge, is_neutral
 from .form_correction import attempts, refit_attempts
@@ -20,8 +20,8 @@ DROP_NOT_MISSED = rule(
 PREFER_FORM = rule("prefer_form", "drop an effect if another form of those beside it explains more")
 COMPARE_COMPETING = rule("compare_competing", "put competing candidates in the place of what was accepted")
 
-#: Iterations of the refit without an effect, and of the refit of a competing candidate.
-WITHOUT_ITERATIONS, COMPETING_ITERATIONS = 3, 5
+#: Iterations of the refit of a competing candidate.
+COMPETING_ITERATIONS = 5
 #: Competing candidates that are refitted again at most, by what they gained and by their signature.
 MOST_BY_GAIN, MOST_BY_SIGNATURE = 4, 2
 #: A competing candidate takes the place of what was accepted if it gains more by so many times the penalty.
@@ -29,22 +29,24 @@ CLEARLY_BETTER = 0.5
 
 
 def drop_not_missed(search: Search) -> None:
-    """Refits without each effect in turn and drops those that are not missed, the least missed one first."""
+    """Refits without each effect in turn, as long as that can still reach what all of them explain, and drops those that are not
+    missed, the least missed one first."""
     fit = search.fit
     while fit.settings.uses(DROP_NOT_MISSED):
         without: list[tuple[Accepted, int, Estimate]] = []
         for one in search.accepted:
-            c = one.channel
-            if c is None or len(search.present[c].effects()) < 2:
-                continue
+            c = fit.rig.channels[0] if one.channel is None else one.channel
             present = search.present[c]
-            less = present.without(one.effect, c)
+            if len(present.placed_effects()) < 2:
+                continue
+            less = present.without(one.effect, one.channel)
             keep = [j for j, u in enumerate(present.unknowns) if u in less.unknowns]
             less.columns = {k: present.columns[k][:, keep] for k in fit.channels_of(less)}
             without.append((one, c, less))
         if not without:
             return
-        solve(fit.on(fit.rig.for_long_refits()), [p for *_, p in without], WITHOUT_ITERATIONS)
+        races = [[search.present[c], less] for _, c, less in without]
+        solve(fit.on(fit.rig.for_long_refits()), [p for *_, p in without], SETTLE_ITERATIONS, races=races)
         for one, c, less in without:
             one.gain, one.without = fit.gain(less, search.present[c]), less
         one, c, less = min(without, key=lambda entry: entry[0].gain - entry[0].needed)
@@ -52,7 +54,7 @@ def drop_not_missed(search: Search) -> None:
             return
         _drop(search, one, c, less)
         outcome = "not missed once the others are there"
-        search.record(one.effect, c, AFTER_ROUNDS, one.gain, outcome, less, one.needed)
+        search.record(one.effect, one.channel, AFTER_ROUNDS, one.gain, outcome, less, one.needed)
 
 
 def prefer_form(search: Search) -> None:
@@ -91,9 +93,9 @@ def _drop(search: Search, dropped: Accepted, c: int, less: Estimate) -> None:
     model is the estimate without it: the last one still had the other effect."""
     search.accepted.remove(dropped)
     search.put(c, less)
-    left = search.on(c)
+    left = [k for k in search.accepted if (k.effect, k.channel) in less.placed_effects()]
     if len(left) == 1:
-        left[0].without = search.calibrated[c]
+        left[0].without = joined(search.calibrated) if less.channel is None else search.calibrated[c]
 
 
 def drop_unneeded(search: Search) -> None:

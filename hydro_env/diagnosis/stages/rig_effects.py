@@ -1,15 +1,12 @@
-"""Effects of the whole rig, beside the calibrated channels and beside what the channels have accepted."""
+"""Effects of the whole rig, beside what the channels have."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 from ..estimation import SETTLE_ITERATIONS, Estimate, joined, solve
 from .candidates import (
     ACCEPTED,
     AFTER_ROUNDS,
     OUTDONE,
-    WITHIN_REACH,
     Accepted,
     Candidate,
     Search,
@@ -21,9 +18,6 @@ from .refits import short_refit
 from .screening import Screening
 
 __all__ = ["drop_vanished", "rig_effect_leads", "select_rig_effects"]
-
-#: Iterations of the joint refit, which is slow.
-ITERATIONS = 2
 
 
 def rig_effect_leads(search: Search) -> bool:
@@ -39,45 +33,36 @@ def rig_effect_leads(search: Search) -> bool:
 
 
 def select_rig_effects(search: Search) -> None:
-    """Accepts the effect of the rig that explains most, if it explains more than what the channels found separately."""
-    fit = search.fit
-    base, full = joined(search.calibrated), joined(search.present)
-    tries: list[tuple[Screening, Estimate, Estimate, list[Accepted]]] = []
+    """Accepts the effect of the rig that explains most beside what the channels have, each refitted as far as it goes."""
+    fit, before = search.fit, joined(search.present)
+    tries: list[tuple[Screening, Estimate]] = []
     for one in (k for k in search.screening if k.channel is None):
-        if one.gain <= penalty(fit, one.effect):
+        if one.gain > penalty(fit, one.effect):
+            tries.append((one, before.extended(one.effect, one.start)))
+        else:
             search.record(one.effect, None, 1, one.gain, "explains too little at first look")
-            continue
-        tries.append((one, base.extended(one.effect, one.start), base, []))
-        if search.accepted:
-            tries.append((one, full.extended(one.effect, one.start), full, search.accepted))
     if not tries:
         return
-    short_refit(fit, [p for _, p, _, _ in tries])
-    # What has not come near by then is not refitted in full, as on a channel.
-    falls = [base.cost - p.cost for p in (full, *(p for _, p, _, _ in tries))]
-    near = [p for _, p, _, _ in tries if base.cost - p.cost > WITHIN_REACH * max(falls)]
-    solve(fit, near, ITERATIONS)
-
-    def score(estimate: Estimate, names: Sequence[str]) -> float:
-        return fit.gain(base, estimate, fit.rig.channels) - sum(penalty(fit, n) for n in names)
-
-    best, best_score, accepted = full, score(full, [k.effect for k in search.accepted]), search.accepted
-    for one, estimate, before, kept in tries:
+    estimates = [p for _, p in tries]
+    short_refit(fit, estimates)
+    solve(fit, estimates, SETTLE_ITERATIONS, races=[estimates])
+    tries.sort(key=lambda t: t[1].cost + penalty(fit, t[0].effect))
+    for place, (one, estimate) in enumerate(tries):
         gain = fit.gain(before, estimate)
-        reached = score(estimate, [k.effect for k in kept] + [one.effect])
         outcome = judge(fit, before, estimate, one.effect, gain)
-        if outcome == ACCEPTED and reached > best_score:
-            best, best_score = estimate, reached
-            accepted = [*kept, Accepted(one.effect, None, gain, penalty(fit, one.effect), {}, before)]
-        search.record(one.effect, None, 1, gain, OUTDONE if outcome == ACCEPTED else outcome, estimate)
-    if best is full:
-        return
-    solve(fit, [best], SETTLE_ITERATIONS)
-    for candidate in search.candidates:
-        if candidate.estimate is best:
-            candidate.outcome = ACCEPTED
-    search.present = dict.fromkeys(fit.rig.channels, best)
-    search.accepted = drop_vanished(best, accepted, search.candidates)
+        if outcome == ACCEPTED and place:
+            outcome = OUTDONE
+        search.record(one.effect, None, 1, gain, outcome, estimate)
+        if outcome == ACCEPTED:
+            found = Accepted(one.effect, None, gain, penalty(fit, one.effect), {}, before)
+            every = [*search.accepted, found]
+            search.accepted = drop_vanished(estimate, every, search.candidates)
+            left = estimate
+            for k in (k for k in every if k not in search.accepted):
+                left = left.without(k.effect, k.channel)
+            if left is not estimate:
+                solve(fit, [left], SETTLE_ITERATIONS)
+            search.present = dict.fromkeys(fit.rig.channels, left)
 
 
 def drop_vanished(

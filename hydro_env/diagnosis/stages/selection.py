@@ -2,8 +2,8 @@
 
 For each channel: a screening of all candidates beside the present estimate, short refits of the promising ones (base
 parameters move along frozen derivatives), full joint refits of the best, and the winner is accepted if the deviance falls
-by more than the penalty (`candidates.penalty`). The deviance counts independent samples (`Fit.gain`). Effects of the whole rig
-compete last, against what the channels found separately.
+by more than the penalty (`candidates.penalty`). The deviance counts independent samples (`Fit.gain`). A set of local effects is
+compared with one that has an effect of the whole rig.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from ..estimation import (
     best_on_beginnings,
     could_pay,
     grow_horizon,
+    joined,
     nearly_explained,
     solve,
     unexplained,
@@ -42,11 +43,14 @@ from .refits import refit_found, short_refit
 from .rig_effects import rig_effect_leads, select_rig_effects
 from .screening import Screening, screen
 
-__all__ = ["run", "select"]
+__all__ = ["better_set", "run", "select"]
 
 COMPETE_ON_BEGINNING = rule(
     "compete_on_beginning",
     "compare all candidates on the beginning of the logs where the best one leaves something",
+)
+COMPARE_SETS = rule(
+    "compare_sets", "compare a set of local effects with one that has an effect of the whole rig"
 )
 
 #: Short refits and full refits in the first round, and in later ones, where the screening is beside a better model.
@@ -110,28 +114,21 @@ def run(state: State) -> State:
 
 
 def select(search: Search) -> Selection:
-    """Selects effects for every channel and for the rig, starting from the calibrated estimates and their screening."""
+    """Selects effects for every channel and for the rig, starting from the calibrated estimates and their screening.
+
+    What acts on both channels is searched for in two ways: first on each channel, or first on the rig, whichever promises more.
+    Several local effects imitate one of the rig, and the other way round, so the other way is gone as well where another set
+    may do better, and the sets are compared.
+    """
     fit = search.fit
-    first = [c for c in fit.rig.channels if _worth_another(search, c)]
-    of_channels = [k for k in search.screening if k.channel is not None]
     whole = len(fit.rig.channels) == 2 and any(k.channel is None for k in search.screening)
-    if whole and rig_effect_leads(search):
-        search.progress("effects of the whole rig")
-        select_rig_effects(search)
-        _set_placebos(search, first, of_channels)
-    if not _has_rig_effect(search):
-        _forward(search, first, of_channels)
-        if whole:
-            search.progress("effects of the whole rig")
-            select_rig_effects(search)
-    if _has_rig_effect(search):
-        _forward_beside_rig_effect(search)
-    if fit.rig.has_hidden_states:
-        drop_unneeded(search)
-    if any(len(p.effects()) > 1 for p in search.present.values()):
-        search.progress("can any of them be left out?")
-        drop_not_missed(search)
-        prefer_form(search)
+    leads = whole and rig_effect_leads(search)
+    _search(search, leads)
+    compared = fit.settings.uses(COMPARE_SETS) or not search.accepted
+    if whole and compared and _may_be_outdone(search, leads):
+        other = search.afresh()
+        _search(other, not leads)
+        search = better_set(search, other)
     if search.accepted:
         search.progress("what else would do as well?")
         compare_competing(search)
@@ -140,6 +137,64 @@ def select(search: Search) -> Selection:
 
 def _has_rig_effect(search: Search) -> bool:
     return any(k.channel is None for k in search.accepted)
+
+
+def _search(search: Search, rig_first: bool) -> None:
+    """Searches for a set of effects: first for one of the rig and then beside it on the channels, or the other way round."""
+    fit = search.fit
+    first = [c for c in fit.rig.channels if _worth_another(search, c)]
+    of_channels = [k for k in search.screening if k.channel is not None]
+    if not rig_first:
+        _forward(search, first, of_channels)
+    if len(fit.rig.channels) == 2:
+        search.progress("effects of the whole rig")
+        select_rig_effects(search)
+    if _has_rig_effect(search):
+        if rig_first:
+            _set_placebos(search, first, of_channels)
+        _forward_beside_rig_effect(search)
+    if fit.rig.has_hidden_states:
+        drop_unneeded(search)
+    if any(len(p.placed_effects()) > 1 for p in search.present.values()):
+        search.progress("can any of them be left out?")
+        drop_not_missed(search)
+        prefer_form(search)
+
+
+def _may_be_outdone(search: Search, rig_first: bool) -> bool:
+    """Whether the other way may lead to a set of effects that does better: a smaller one, or one that explains what this one
+    leaves."""
+    if not search.accepted:
+        return rig_first
+    several = not rig_first and len(search.accepted) > 1
+    return several or any(_worth_another(search, c) for c in search.fit.rig.channels)
+
+
+def better_set(search: Search, other: Search) -> Search:
+    """The search whose set of effects explains more, with what the effects of each must pay for.
+
+    Both go as far as they can first. The one that is left knows how far the other one is behind (`Accepted.rival`).
+    """
+    fit = search.fit
+    if not other.accepted:
+        return search
+    _settle(fit, [*{id(p): p for s in (search, other) for p in s.present.values()}.values()])
+    pairs = sorted(((joined(s.present), s) for s in (search, other)), key=lambda pair: pair[0].cost)
+    (more, best), (less, rest) = pairs
+    # In the samples that are independent beside the one that explains more.
+    ahead = fit.gain(less, more, fit.rig.channels) - best.needed + rest.needed
+    if ahead < 0.0:
+        best, rest = rest, best
+    names = {(k.effect, k.channel) for k in rest.accepted}
+    for k in best.accepted:
+        if (k.effect, k.channel) not in names:
+            k.rival = abs(ahead)
+    for candidate in rest.candidates:
+        if candidate.accepted:
+            candidate.outcome = OUTDONE
+    best.candidates += rest.candidates
+    best.placebo = best.placebo or rest.placebo
+    return best
 
 
 def _worth_another(search: Search, c: int) -> bool:

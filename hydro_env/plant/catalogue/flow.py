@@ -32,7 +32,7 @@ PRESSURE_DEPENDENT_FLOW = Effect(
             "supply_pressure",
             "Pa",
             inf,
-            low=20e5,
+            low=5e5,
             high=350e5,
             typical=100e5,
             log=True,

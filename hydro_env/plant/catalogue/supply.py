@@ -49,7 +49,7 @@ SUPPLY_DROOP = Effect(
             "time_constant",
             "s",
             0.1,
-            low=0.01,
+            low=0.002,
             high=5.0,
             log=True,
             role="time_constant",

@@ -35,7 +35,7 @@ SUPPLY_SHAPE = correction(
     (
         amount("delay", "s", 0.02, "time constant of the second lag", 0.0),
         repeated("relative_drop", "1", 0.0, 0.0, 0.9),
-        repeated("time_constant", "s", 0.1, 0.01, 5.0),
+        repeated("time_constant", "s", 0.1, 0.002, 5.0),
     ),
     {"drive": _late_drive},
     {"supply_droop": {"relative_drop": "relative_drop", "time_constant": "time_constant"}},
