@@ -22,7 +22,9 @@ __all__ = ["MEASURED", "check_samples"]
 MEASURED = ("current", "pressure", "speed", "spool", "flow", "pressure_a", "pressure_b")
 _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
 _MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse
-_SPIKE = 0.1  # a spike stands out of the rows around it by this share of the signal's swing
+_SPIKE = 0.1  # a spike of a pressure or a current stands out of the rows around it by this share of the signal's swing
+_SPIKE_NEAR = 6.0  # ... by so many times what four of five rows nearby are off at most, some eight standard deviations of noise
+_SPIKE_NOISE = 8.0  # ... by so many of the signal's median steps, again eight standard deviations
 _SPIKE_PERIOD = 2e-3  # s, in slower logs only speeds are searched for spikes
 _BURST_S = 0.5  # windows in which a disturbance is looked for
 _BURST_RATIO = 6.0  # the fast part of a disturbed signal stands out of its usual one by more
@@ -95,39 +97,45 @@ def _coarse(finite: np.ndarray, place: dict[str, Any]) -> Iterator[Finding]:
 def _spikes(
     log: RigLog, values: np.ndarray, signal: str, channel: int, rows: np.ndarray, place: dict[str, Any]
 ) -> Iterator[tuple[Finding, np.ndarray]]:
-    """A row or two far from all rows around them, while nothing asks for it: a dropped bit or a loose plug.
+    """Up to three rows far from all rows around them: a dropped bit or a loose plug.
 
-    Inertia lets no speed do that at any rate; a pressure or a current may for ten milliseconds, so that these are looked at
-    in fast logs only.
+    Far is beyond the noise, and beyond what the machine does. A shaft has inertia: there and back again takes twice the steepest
+    change that the speed shows anywhere, without its spikes; in a slow log, or of another signal, nothing may ask for it either.
+    A pressure or a current may do that for ten milliseconds, so that these are looked at in fast logs only.
     """
-    if len(values) < 50 or (signal != "speed" and log.period > _SPIKE_PERIOD):
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < 50 or (signal != "speed" and log.period > _SPIKE_PERIOD):
         return
-    finite = values[np.isfinite(values)]
-    swing = float(np.quantile(finite, 0.99) - np.quantile(finite, 0.01))
-    least = max(_SPIKE * swing, 1e-12)
-    if 3.0 * np.abs(np.diff(finite)).max() <= least:  # the median of seven rows is at most three rows away
-        return
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, 3, mode="edge"), 7)
-    off = np.abs(values - np.partition(windows, 3, axis=1)[:, 3])
-    far = off > least
+    here = values[known]
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(here, 4, mode="edge"), 9), axis=1)
+    off = np.abs(here - usual)
+    # The noise and the steps around, of which spikes are too few to move a quantile.
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(off, 20, mode="reflect"), 41)
+    near = np.concatenate([np.quantile(part, 0.8, axis=1) for part in np.array_split(around, 1 + len(off) // 20_000)])
+    steps = np.abs(np.diff(here))
+    least = max(_SPIKE_NOISE * float(np.quantile(steps, 0.5)), 4.0 * float(np.min(steps[steps > 0.0], initial=np.inf)))
+    far = off > np.maximum(_SPIKE_NEAR * near, least)
     if not far.any():
         return
-    calm = np.where(far | ~np.isfinite(off), 0.0, off)
+    change = np.abs(usual[3:] - usual[:-3])
+    reach = 2.0 * float(change.max())
+    if signal != "speed":
+        reach = max(reach, _SPIKE * float(np.ptp(usual)))
     starts, lengths = _runs(far.astype(float))
     bad = np.zeros(len(values), bool)
     for start, length in zip(starts, lengths, strict=True):
         before, after = start - 1, start + length
-        if not far[start] or length > 2 or before < 0 or after >= len(values):
+        if not far[start] or length > 3 or before < 0 or after >= len(here):
             continue
-        back = abs(values[after] - values[before]) < 0.25 * off[start]
-        quick = signal == "speed" and log.period <= _SPIKE_PERIOD
-        if (
-            back
-            # The largest deviation of the rows around: a signal that shakes has no spikes.
-            and off[start] > 10.0 * calm[max(start - 20, 0) : start + 21].max()
-            and (quick or _command_near(log, channel, start, 20) < 0.05)
-        ):
-            bad[start:after] = True
+        stands_out = np.abs(here[start:after] - 0.5 * (here[before] + here[after])).min()
+        nearby = 3.0 * float(change[max(before - 10, 0) : after + 10].max(initial=0.0))
+        back = abs(here[after] - here[before]) < 0.25 * stands_out + nearby / 6.0
+        if signal == "speed":
+            possible = _command_near(log, channel, int(known[start]), 20) >= 0.05 and stands_out <= min(reach, nearby)
+        else:
+            possible = stands_out <= reach or _command_near(log, channel, int(known[start]), 20) >= 0.05
+        if back and not possible:
+            bad[known[start:after]] = True
     if bad.any():
         first = int(np.flatnonzero(bad)[0])
         message = (

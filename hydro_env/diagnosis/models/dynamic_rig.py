@@ -85,7 +85,7 @@ class DynamicRig:
         #: Numbers of the logs by their period, s, the longest first: logs of about the same length run side by side.
         self._logs: dict[float, list[int]] = {}
         for number in sorted(range(len(parts)), key=lambda n: -len(parts[n].log)):
-            self._logs.setdefault(parts[number].log.period, []).append(number)
+            self._logs.setdefault(parts[number].log.period / parts[number].finer, []).append(number)
         self._pairs: dict[str, np.ndarray] = {}
         self._kept_inputs: dict[tuple[tuple[int, int, int, int], ...], np.ndarray] = {}
         #: A plant of the model for each effects, substep, number of rigs and block, of which every batch takes a copy: to make
@@ -198,7 +198,7 @@ class DynamicRig:
             rigs = self._pack([(n, requests[n]) for n in numbers])
             for period, logs in self._logs.items():
                 lanes = [(log, rig) for log in logs for rig in rigs]
-                rows = max(len(self.parts[log].log) for log in logs)
+                rows = max(len(self.parts[log].log) * self.parts[log].finer for log in logs)
                 weight = rows * period / step * parts * (1.0 + EFFECT_SHARE * len(effects))
                 for start in range(0, len(lanes), max(widths)):
                     own = lanes[start : start + max(widths)]
@@ -288,9 +288,8 @@ class DynamicRig:
         for lane, side, n, channel in shown:
             for segment in self.segments[channel]:
                 if segment.log == batch.lanes[lane][0]:
-                    # A slice of every so many-th row: to pick rows one by one takes eight times as long.
-                    signal = out[_RECORDED[segment.signal]][:: segment.step // every, lane, side]
-                    results[n][channel][segment.place] = segment.levelled(signal[: segment.rows.size])
+                    signal = segment.taken(out[_RECORDED[segment.signal]][:, lane, side], every)
+                    results[n][channel][segment.place] = segment.levelled(signal)
         if self.progress is not None:
             self.progress(len({n for lane, _, n, _ in shown if batch.lanes[lane][0] == 0}))
 
@@ -310,12 +309,13 @@ class DynamicRig:
         signals (rows, lanes, 2)."""
         inputs = self._inputs(
             [
-                (log, len(self.parts[log].log), *sides)
+                (log, len(self.parts[log].log) * self.parts[log].finer, *sides)
                 for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True)
             ]
         )
         logs = {log for log, _ in batch.lanes}
-        every = gcd(*(s.step for own in self.segments.values() for s in own if s.log in logs)) or 1
+        own = [s for segments in self.segments.values() for s in segments if s.log in logs]
+        every = gcd(*(s.step if s.late is None else 1 for s in own)) or 1
         with np.errstate(all="ignore"):
             plant = self._plant(batch)
             plant.set_values(values)
@@ -347,7 +347,11 @@ class DynamicRig:
             )  # a lane whose log has ended is at rest
             for kind in dict.fromkeys(key):
                 log, rows, *sides = kind
-                given, alike = self.parts[log].log, [n for n, other in enumerate(key) if other == kind]
+                alike = [n for n, other in enumerate(key) if other == kind]
+                given, finer = self.parts[log].log, self.parts[log].held
+                if finer is not None:
+                    found[:, :rows, alike] = finer[:, :, None, sides]
+                    continue
                 found[0, :rows, alike] = np.nan_to_num(given.command_V[:, sides])
                 if given.load is not None:
                     found[1, :rows, alike] = np.nan_to_num(given.load[:, sides])
