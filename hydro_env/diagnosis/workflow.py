@@ -104,12 +104,9 @@ def diagnose(
     say(doing)
     parts, held_out = read_logs(fit, sealed, mapping, accept)
     rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
-    if any(part.uneven is not None for part in (*parts, *held_out)):
-        others = rig.with_parts(held_out, True)
-        parts, held_out = row_times.with_known_times(rig, parts), row_times.with_known_times(others, held_out)
-        rig.close()
-        others.close()
-        rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
+    parts, held_out = row_times.settled(rig, parts), row_times.settled(rig, held_out)
+    rig.close()
+    rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
     # Where the dynamics are simulated, the proof takes shorter substeps than the fit.
     fine = rig.with_parts(parts, False) if rig.has_hidden_states else rig
     others = rig.with_parts(held_out, True)

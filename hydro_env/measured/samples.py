@@ -17,7 +17,7 @@ from hydro_env.units import BAR, LPM, MILLIMETRE, RPM
 if TYPE_CHECKING:
     from hydro_env.measured.log import RigLog
 
-__all__ = ["MEASURED", "check_samples"]
+__all__ = ["MEASURED", "check_samples", "standing_out"]
 
 MEASURED = ("current", "pressure", "speed", "spool", "flow", "pressure_a", "pressure_b")
 _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
@@ -66,6 +66,13 @@ def check_samples(
         return findings, spoilt
     if signal not in MEASURED:
         return findings, spoilt
+    command = log.command_V[:, channel]
+    driven = log.has("command", channel) and np.nanmax(command) > np.nanmin(command)
+    if signal != "speed" and driven and len(finite) > 500 and _is_white(finite):
+        message = f"{column!r} shows nothing but noise about {_cell(float(finite.mean()), place)} while the command moves"
+        hint = "the sensor does not measure: taken as absent"
+        spoilt[:] = True
+        return [*findings, Finding("constant", message, hint, **place)], spoilt
     for finding, bad in _spikes(log, values, signal, channel, rows, place):
         findings.append(finding)
         spoilt |= bad
@@ -104,38 +111,18 @@ def _spikes(
     A pressure or a current may do that for ten milliseconds, so that these are looked at in fast logs only.
     """
     known = np.flatnonzero(np.isfinite(values))
-    if len(known) < 50 or (signal != "speed" and log.period > _SPIKE_PERIOD):
+    if signal != "speed" and log.period > _SPIKE_PERIOD:
         return
-    here = values[known]
-    usual = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(here, 4, mode="edge"), 9), axis=1)
-    off = np.abs(here - usual)
-    # The noise and the steps around, of which spikes are too few to move a quantile.
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(off, 20, mode="reflect"), 41)
-    near = np.concatenate([np.quantile(part, 0.8, axis=1) for part in np.array_split(around, 1 + len(off) // 20_000)])
-    steps = np.abs(np.diff(here))
-    least = max(_SPIKE_NOISE * float(np.quantile(steps, 0.5)), 4.0 * float(np.min(steps[steps > 0.0], initial=np.inf)))
-    far = off > np.maximum(_SPIKE_NEAR * near, least)
-    if not far.any():
-        return
-    change = np.abs(usual[3:] - usual[:-3])
-    reach = 2.0 * float(change.max())
-    if signal != "speed":
-        reach = max(reach, _SPIKE * float(np.ptp(usual)))
-    starts, lengths = _runs(far.astype(float))
+    found, reach = standing_out(values[known])
     bad = np.zeros(len(values), bool)
-    for start, length in zip(starts, lengths, strict=True):
-        before, after = start - 1, start + length
-        if not far[start] or length > 3 or before < 0 or after >= len(here):
-            continue
-        stands_out = np.abs(here[start:after] - 0.5 * (here[before] + here[after])).min()
-        nearby = 3.0 * float(change[max(before - 10, 0) : after + 10].max(initial=0.0))
-        back = abs(here[after] - here[before]) < 0.25 * stands_out + nearby / 6.0
+    for start, end, height, nearby in found:
+        asked = _command_near(log, channel, int(known[start]), 20) >= 0.05
         if signal == "speed":
-            possible = _command_near(log, channel, int(known[start]), 20) >= 0.05 and stands_out <= min(reach, nearby)
+            possible = min(reach, 3.0 * nearby) if asked else nearby
         else:
-            possible = stands_out <= reach or _command_near(log, channel, int(known[start]), 20) >= 0.05
-        if back and not possible:
-            bad[known[start:after]] = True
+            possible = np.inf if asked else max(reach, _SPIKE * float(np.ptp(values[known])))
+        if height > possible:
+            bad[known[start:end]] = True
     if bad.any():
         first = int(np.flatnonzero(bad)[0])
         message = (
@@ -144,6 +131,39 @@ def _spikes(
         )
         hint = f"no machine moves so; a loose plug or a lost bit: {_LEFT_OUT}"
         yield Finding("spikes", message, hint, row=int(rows[first]), **place), bad
+
+
+def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]], float]:
+    """Up to three rows of a signal (n,) without holes that stand out of those around them by more than the noise: the first, the
+    row behind the last, by how much, and the largest change within three rows nearby. Then twice the largest change anywhere."""
+    if len(values) < 50:
+        return [], 0.0
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1)
+    off = np.abs(values - usual)
+    steps = np.abs(np.diff(values))
+    least = max(
+        _SPIKE_NOISE * float(np.median(steps)), 4.0 * float(np.min(steps[steps > 0.0], initial=np.inf))
+    )
+    change = np.abs(usual[3:] - usual[:-3])
+    reach = 2.0 * float(change.max())
+    if not (off > least).any():
+        return [], reach
+    # What is usual nearby: spikes are too few to move a quantile.
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(off, 20, mode="reflect"), 41)
+    far = off > least
+    far[far] = off[far] > _SPIKE_NEAR * np.quantile(around[far], 0.8, axis=1)
+    starts, lengths = _runs(far.astype(float))
+    found = []
+    for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):
+        end = start + length
+        if not far[start] or length > 3 or start == 0 or end == len(values):
+            continue
+        height = float(np.abs(values[start:end] - 0.5 * (values[start - 1] + values[end])).min())
+        nearby = float(change[max(start - 11, 0) : end + 10].max(initial=0.0))
+        back = abs(values[end] - values[start - 1]) < 0.25 * height + 0.5 * nearby
+        if back and height > least:
+            found.append((start, end, height, nearby))
+    return found, reach
 
 
 def _command_near(log: RigLog, channel: int, row: int, rows: int) -> float:
@@ -239,6 +259,12 @@ def _load_at_limit(
         )
         hint = "the true load is larger there and is taken as logged; widen the sensor's range"
         yield Finding("clipped", message, hint, row=int(rows[first]), **place)
+
+
+def _is_white(values: np.ndarray) -> bool:
+    """Whether a signal is white noise alone: its steps are as large as of independent rows (von Neumann 1941,
+    doi:10.1214/aoms/1177731677)."""
+    return float(np.mean(np.diff(values) ** 2)) > 1.9 * float(np.var(values))
 
 
 def _is_noisy(values: np.ndarray) -> bool:
