@@ -141,8 +141,8 @@ class RigLog:
     def held(
         self, values: np.ndarray, lead: float | np.ndarray = 0.0, even: bool = False, finer: int = 1
     ) -> np.ndarray:
-        """The mean of a signal (T,) or (T, 2) that is held, within each of `finer` parts of every step of the grid that `resample`
-        makes with `lead` and `even`."""
+        """The mean of a signal (T,) or (T, 2) that is held, within each of `finer` parts of every step of the grid that
+        `resample` makes with `lead` and `even`."""
         if values.ndim == 2:
             return np.column_stack([self.held(column, lead, even, finer) for column in values.T])
         number, _, count = self._numbered()
@@ -160,7 +160,8 @@ class RigLog:
         check_size(Path(self.name), int(min(span / period, 1e18)) * (1 + 2 * len(self.signals)))
         number = (self.time_s - self.time_s[0]) / period
         # Rows lie about the grid, not behind it: its phase is the mean of theirs on the circle.
-        phase = float(np.angle(np.mean(np.exp(2j * np.pi * number)))) / (2.0 * np.pi)
+        phase = _phase(number)
+        phase = 0.0 if abs(phase) < 1e-6 else phase  # rounding
         number -= phase
         return number, float(self.time_s[0]) + period * phase, int(np.floor(number[-1] + 0.5)) + 1
 
@@ -175,6 +176,11 @@ class RigLog:
         return replace(self, **changed)
 
 
+def _phase(number: np.ndarray) -> float:
+    """What rows (T,), in steps of a grid, are behind it on the average, from -0.5 to 0.5."""
+    return float(np.angle(np.mean(np.exp(2j * np.pi * number)))) / (2.0 * np.pi)
+
+
 def _period(time_s: np.ndarray) -> float:
     """The mean step if rows come evenly, else the step of the even grid about which they lie, with some missing."""
     steps = np.diff(time_s)
@@ -183,11 +189,12 @@ def _period(time_s: np.ndarray) -> float:
     if abs(mean - median) < 1e-4 * median:
         period = mean
     elif float(np.quantile(np.abs(steps - median), 0.9)) < median:
+        period = float(time_s[-1] - time_s[0]) / max(float(np.round(steps / median).sum()), 1.0)
         # The longer the stretch, the better the period, by which the rows of the next one are numbered.
-        rows = 16
+        rows = 64
         while rows < 2 * len(time_s):
             time = time_s[:rows] - time_s[0]
-            number = np.round(time / period)
+            number = np.round(time / period - _phase(time / period))
             apart = number - number.mean()
             period = float(apart @ time / max(float(apart @ apart), 1.0))
             rows *= 2

@@ -119,7 +119,9 @@ def _from_table(table: Table, mapping: Mapping) -> RigLog:
         raise InputError(f"{table.path}: no two rows hold a command; a log needs at least two samples")
     findings += check_units(table, mapping)
     found, spoilt = check_log(log, mapping, rows[start:end])
-    return _with_load_pressure(replace(_without(log, spoilt, unknown[start:end]), findings=(*findings, *found)))
+    return _with_load_pressure(
+        replace(_without(log, spoilt, unknown[start:end]), findings=(*findings, *found))
+    )
 
 
 def _signals(

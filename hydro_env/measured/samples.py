@@ -17,17 +17,18 @@ from hydro_env.units import BAR, LPM, MILLIMETRE, RPM
 if TYPE_CHECKING:
     from hydro_env.measured.log import RigLog
 
-__all__ = ["MEASURED", "check_samples", "standing_out"]
+__all__ = ["MEASURED", "SPIKE", "check_samples", "standing_out", "swing"]
 
 MEASURED = ("current", "pressure", "speed", "spool", "flow", "pressure_a", "pressure_b")
 _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
 _MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse
-_SPIKE = 0.1  # a spike of a pressure or a current stands out of the rows around it by this share of the signal's swing
+SPIKE = 0.1  # a spike that the machine could do, but for no reason, stands out by this share of the signal's swing
 _SPIKE_NEAR = 6.0  # ... by so many times what four of five rows nearby are off at most, some eight standard deviations of noise
 _SPIKE_NOISE = 8.0  # ... by so many of the signal's median steps, again eight standard deviations
 _SPIKE_PERIOD = 2e-3  # s, in slower logs only speeds are searched for spikes
 _BURST_S = 0.5  # windows in which a disturbance is looked for
 _BURST_RATIO = 6.0  # the fast part of a disturbed signal stands out of its usual one by more
+_MOVES = 0.05  # a speed moves if no cubic explains this share of its standard deviation within a window
 _LEFT_OUT = "left out of every comparison"
 
 
@@ -82,6 +83,10 @@ def check_samples(
         for finding, bad in check(log, values, channel, rows, starts, lengths, place):
             findings.append(finding)
             spoilt |= bad
+    if signal == "pressure":
+        for finding, bad in _silent(log, values, channel, rows, place):
+            findings.append(finding)
+            spoilt |= bad
     if signal == "speed":
         for finding, bad in _disturbed(log, np.where(spoilt, np.nan, values), channel, rows, place):
             findings.append(finding)
@@ -92,13 +97,20 @@ def check_samples(
 def _coarse(finite: np.ndarray, place: dict[str, Any]) -> Iterator[Finding]:
     """Few levels over many rows: the steps of the converter show. A clean signal has nearly as many values as rows."""
     some = finite[:: 1 + len(finite) // 10_000]  # as many levels in a part settle it without sorting an hour
-    if len(finite) <= 500 or len(np.unique(some)) >= _MANY_STEPS:
+    span = float(np.ptp(finite))
+    # Values that differ by rounding alone are one level.
+    if len(finite) <= 500 or len(np.unique(np.round(some / span, 9))) >= _MANY_STEPS:
         return
-    levels = np.unique(finite)
-    step, span = float(np.min(np.diff(levels))), float(levels[-1] - levels[0])
-    if len(levels) < _MANY_STEPS and len(levels) < len(finite) / 10 and step > 1e-9 * span:
-        message = f"{place['column']!r} has only {len(levels)} different values (step {step / span:.2%} of its range)"
-        yield Finding("coarse", message, "record with finer resolution where possible", **place)
+    levels = np.unique(np.round(finite / span, 9))
+    step = float(np.min(np.diff(levels)))
+    if len(levels) < _MANY_STEPS and len(levels) < len(finite) / 10:
+        message = (
+            f"{place['column']!r} has only {len(levels)} different values (step {step:.2%} of its range)"
+        )
+        hint = "record with finer resolution where possible"
+        if place["signal"] == "speed":
+            hint += "; encoder counts within a window are also half a window late, which a diagnosis may call sensor lag"
+        yield Finding("coarse", message, hint, **place)
 
 
 def _spikes(
@@ -115,12 +127,14 @@ def _spikes(
         return
     found, reach = standing_out(values[known])
     bad = np.zeros(len(values), bool)
+    least = SPIKE * swing(values[known])
     for start, end, height, nearby in found:
         asked = _command_near(log, channel, int(known[start]), 20) >= 0.05
         if signal == "speed":
-            possible = min(reach, 3.0 * nearby) if asked else nearby
+            # A shaft that sticks and slips may stir for a row or two.
+            possible = min(reach, max(least, 3.0 * nearby if asked else nearby))
         else:
-            possible = np.inf if asked else max(reach, _SPIKE * float(np.ptp(values[known])))
+            possible = np.inf if asked else max(reach, least)
         if height > possible:
             bad[known[start:end]] = True
     if bad.any():
@@ -131,6 +145,12 @@ def _spikes(
         )
         hint = f"no machine moves so; a loose plug or a lost bit: {_LEFT_OUT}"
         yield Finding("spikes", message, hint, row=int(rows[first]), **place), bad
+
+
+def swing(values: np.ndarray) -> float:
+    """The range of a signal (n,) without the outermost hundredths."""
+    low, high = np.quantile(values, (0.01, 0.99)) if len(values) else (0.0, 0.0)
+    return float(high - low)
 
 
 def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]], float]:
@@ -233,6 +253,32 @@ def _stuck(
             message += f", and more such stretches: {bad.sum() * log.period:.3g} s in all"
         hint = f"a stuck sensor or a frozen recorder: {_LEFT_OUT}"
         yield Finding("stuck", message, hint, row=int(rows[first]), **place), bad
+
+
+def _silent(
+    log: RigLog, values: np.ndarray, channel: int, rows: np.ndarray, place: dict[str, Any]
+) -> Iterator[tuple[Finding, np.ndarray]]:
+    """Stretches of a pressure that are white noise while the shaft changes its speed to and fro: that takes torque."""
+    width = round(2.0 * _BURST_S / log.period)
+    if width < 50 or len(values) < 3 * width:
+        return
+    count = len(values) // width
+    pieces = values[: count * width].reshape(count, width)
+    speed = log.speed[:, channel]
+    turns = np.sqrt(np.mean(_fast(speed, width) ** 2, axis=1)) > _MOVES * np.nanstd(speed)
+    size = np.var(pieces, axis=1)
+    white = np.mean(np.diff(pieces, axis=1) ** 2, axis=1) > 1.6 * size
+    quiet = white & (size < 0.01 * np.nanvar(values))
+    if not np.any(quiet & turns):
+        return
+    bad = np.zeros(len(values), bool)
+    bad[: count * width] = np.repeat(quiet & turns, width)
+    first = int(np.argmax(bad))
+    message = (
+        f"{place['column']!r} shows nothing but noise for {bad.sum() * log.period:.3g} s, first from {log.time_s[first]:.6g} s "
+        f"(row {rows[first]}), while the speed changes to and fro"
+    )
+    yield Finding("stuck", message, f"a stuck sensor: {_LEFT_OUT}", row=int(rows[first]), **place), bad
 
 
 def _load_at_limit(

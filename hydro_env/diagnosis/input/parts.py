@@ -26,8 +26,8 @@ __all__ = ["Part", "filled", "overlap", "read_parts", "timed"]
 
 #: The windows of a log of which no part is named.
 ALL = [(-np.inf, np.inf)]
-#: Commands of uneven logs are held on a grid of about this step, s, within which the mean of a command does what the command does.
-FINE_S = 1e-3
+#: Commands of uneven logs are held on a grid of about this step, s: within it the mean of a command does what the command does.
+FINE_S = 2.5e-4
 
 
 @dataclass(frozen=True)

@@ -88,16 +88,15 @@ class Segment:
         return np.nan_to_num(self.measured)
 
     def taken(self, simulated: np.ndarray, every: int = 1) -> np.ndarray:
-        """The samples (n,) at the times of the rows, of a simulation of every so many-th row, or of every one with `finer` points a
-        row if rows are late."""
+        """The samples (n,) at the times of the rows, of a simulation of every so many-th row; if rows are late, of one
+        with `finer` points a row."""
         if self.late is None:
             # A slice: to pick rows one by one takes eight times as long.
             return simulated[:: self.step // every][: self.rows.size]
+        # From the points before: the command of a row acts only after its measurement.
         place = self.finer * (self.rows + self.late)
-        point = np.clip(np.round(place).astype(int), 1, simulated.size - 2)
-        off = place - point
-        before, now, after = (simulated[point + n] for n in (-1, 0, 1))
-        return now + 0.5 * off * (after - before + off * (after - 2.0 * now + before))
+        point = np.clip(np.floor(place + 1e-6).astype(int), 1, simulated.size - 1)
+        return simulated[point] + (place - point) * (simulated[point] - simulated[point - 1])
 
     def levelled(self, simulated: np.ndarray) -> np.ndarray:
         """The simulation (n,), moved to the level of the measurement if the level of this signal means nothing."""

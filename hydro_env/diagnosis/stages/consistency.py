@@ -244,7 +244,9 @@ def _beyond_rated(rig: RigModel) -> Iterator[Finding]:
         if peak > _BEYOND * rated:
             column = rig.parts[0].log.read_as.get(f"command_{channel + 1}", ("", ""))[0]
             what = f"{column!r}" if column else f"the command of channel {channel + 1}"
-            message = f"{what} reaches {peak:.4g} V, the model's valve is full open at {rated:.4g} V (`u_rated`)"
+            message = (
+                f"{what} reaches {peak:.4g} V, the model's valve is full open at {rated:.4g} V (`u_rated`)"
+            )
             if peak <= 1.05 * 100.0:
                 message += ": is it in percent?"
             hint = "give `unit: percent` and `full_scale` for the commands in a mapping, or the right `u_rated` in the model"

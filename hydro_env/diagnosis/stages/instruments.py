@@ -20,8 +20,8 @@ STANDS_OUT, ORDERS, LEAST = 5.0, (0.61, 0.77, 1.29, 1.43), 0.002
 SLOW = 0.1
 #: Lags are read in windows of this length, up to this lag, s.
 WINDOW_S, LONGEST_S = 2.0, 0.1
-#: Clocks run apart if the lag rises by so many s in a log, along a line that misses it by at most this share of the rise (RMS), and
-#: at rates that differ by at most this share between signals, channels and logs.
+#: Clocks run apart if the lag rises by so many s in a log, along a line that misses it by at most this share of the rise (RMS),
+#: and at rates that differ by at most this share between signals, channels and logs.
 RISE_S, OFF_LINE, DIFFERENT = 0.01, 0.2, 0.3
 
 
@@ -40,7 +40,16 @@ def eccentric(rig: RigModel) -> Iterator[Finding]:
             driven = shaft_speed(filled(log.pressure[:, channel]), load, log.period, **shaft)
             used = part.inside & np.isfinite(log.speed[:, channel])
             used &= np.abs(speed) > SLOW * np.abs(speed).max()
-            rest.append((speed - driven)[used])
+            # What is slower than the shaft turns is the model's error.
+            width = (
+                round(2.0 * np.pi / max(float(np.median(np.abs(speed[used]))), 1e-9) / log.period)
+                if used.any()
+                else 0
+            )
+            if not 3 <= width < len(log):
+                continue
+            error = speed - driven
+            rest.append((error - np.convolve(error, np.full(width, 1.0 / width), "same"))[used])
             turn.append(np.cumsum(speed)[used] * log.period)
             size.append(speed[used])
         error, angle, speed = (np.concatenate(each) for each in (rest, turn, size))
@@ -49,10 +58,12 @@ def eccentric(rig: RigModel) -> Iterator[Finding]:
         lines = [abs(2.0 * np.mean(error / speed * np.exp(-1j * order * angle))) for order in (1.0, *ORDERS)]
         if lines[0] > max(STANDS_OUT * max(lines[1:]), LEAST):
             message = (
-                f"the speed of channel {channel + 1} rises and falls by {lines[0]:.1%} once per turn, which its pressure does not "
-                "show: its encoder is eccentric, the shaft does not turn so"
+                f"the speed of channel {channel + 1} rises and falls by {lines[0]:.1%} once per turn, which its pressure does "
+                "not show: its encoder is eccentric, the shaft does not turn so"
             )
-            yield Finding("eccentric", message, "centre the encoder, or average over whole turns", "speed", channel + 1)
+            yield Finding(
+                "eccentric", message, "centre the encoder, or average over whole turns", "speed", channel + 1
+            )
 
 
 def runs_apart(rig: RigModel, given: Estimates) -> Iterator[Finding]:
@@ -69,9 +80,8 @@ def runs_apart(rig: RigModel, given: Estimates) -> Iterator[Finding]:
         return
     typical = float(np.median(rates))
     if np.ptp(rates) < DIFFERENT * abs(typical):
-        message = f"the measurements fall behind the commands by {1e3 * typical:.3g} ms more every second, in all signals alike"
-        if typical < 0.0:
-            message = f"the measurements run ahead of the commands by {-1e3 * typical:.3g} ms more every second, in all signals alike"
+        how = "fall behind" if typical > 0.0 else "run ahead of"
+        message = f"the measurements {how} the commands by {1e3 * abs(typical):.3g} ms more every second, in all signals alike"
         hint = f"two devices whose clocks differ by {abs(typical):.2%}: record both with one clock, or scale the time of one"
         yield Finding("clock_drift", message, hint, sure=True)
 
@@ -85,7 +95,9 @@ def _rate(s: Segment, simulated: np.ndarray) -> float | None:
         if np.isnan(seen).mean() > 0.1:
             continue
         seen = filled(seen) - np.nanmean(seen)
-        many = np.lib.stride_tricks.sliding_window_view(simulated[start - reach : start + width + reach], width)
+        many = np.lib.stride_tricks.sliding_window_view(
+            simulated[start - reach : start + width + reach], width
+        )
         many = many - many.mean(axis=1, keepdims=True)
         like = many @ seen / np.sqrt(np.maximum((many * many).sum(axis=1) * (seen @ seen), 1e-30))
         best = int(np.argmax(like))

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...measured.samples import standing_out
+from ...measured.samples import SPIKE, standing_out, swing
 from ..estimation import noise_floor
 from ..input.parts import Part, timed
 from ..models.base import Request, RigModel, Segment
@@ -35,7 +35,7 @@ def settled(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
 
 
 def _with_known_times(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
-    """The parts of `rig`, those of uneven logs with their likeliest times; rows that depend too much on them have no measurement."""
+    """The parts of `rig`, those of uneven logs with their likeliest times, without measurements that depend too much on them."""
     if all(part.uneven is None for part in parts):
         return list(parts)
 
@@ -68,8 +68,8 @@ def _with_known_times(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
 
 
 def _without_spikes(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
-    """The parts without the spikes that the gate could not distinguish from motion, where it found others in the log: the model as
-    given takes the motion out."""
+    """The parts without the spikes that the gate could not distinguish from motion, where it found others in the log: the model
+    as given takes the motion out."""
     parts = list(parts)
     spiked = [any(f.code == "spikes" for f in part.log.findings) for part in parts]
     if not any(spiked):
@@ -79,9 +79,9 @@ def _without_spikes(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
         if s.signal != "speed" or not spiked[s.log] or values is None:
             continue
         known = np.flatnonzero(s.used)
-        values = values.copy()
+        values, least = values.copy(), 0.5 * SPIKE * swing(values[known, s.channel])
         for start, end, height, nearby in standing_out((s.filled - shown)[known])[0]:
-            if height > nearby:
+            if height > max(nearby, least):
                 values[known[start:end], s.channel] = np.nan
         parts[s.log] = replace(parts[s.log], log=replace(parts[s.log].log, speed=values))
     return parts
@@ -111,21 +111,27 @@ def _counted(part: Part, segments: list[Segment], apart: list[np.ndarray], note:
         noise = noise_floor(s.measured, s.used, s.period)
         # What swings passes zero on its way: the largest difference nearby tells.
         width = 2 * max(1, round(NEAR_S / s.period)) + 1
-        near = np.lib.stride_tricks.sliding_window_view(np.pad(np.abs(difference), width // 2), width).max(axis=1)
+        near = np.lib.stride_tricks.sliding_window_view(np.pad(np.abs(difference), width // 2), width).max(
+            axis=1
+        )
         far = near > APART * noise
         values = values.copy()
         values[far, s.channel] = np.nan
-        log = replace(log, **{s.signal: values})
+        log = replace(log, **{s.signal: values})  # type: ignore[arg-type]
         left.append(float(np.mean(~far)))
     lost = 1.0 - min(left, default=1.0)
     if lost > 0.005:
-        note += ("; " if note else "") + f"up to {lost:.0%} of the rows do not count, as it is unknown since when their commands act"
-    return replace(part, log=log, note="; ".join(t for t in (part.note, f"{part.log.name}: {note}" if note else "") if t))
+        note += (
+            "; " if note else ""
+        ) + f"up to {lost:.0%} of the rows do not count, as it is unknown since when commands act"
+    return replace(
+        part, log=log, note="; ".join(t for t in (part.note, f"{part.log.name}: {note}" if note else "") if t)
+    )
 
 
 def _read(part: Part, lead: str, even: bool) -> Part:
-    """The part with commands that begin as late as they may ("held"), a "row" or "half row" earlier, or, where rows are "missing",
-    with the first of these or half as early ("half missing")."""
+    """The part with commands that begin as late as they may ("held"), a "row" or "half row" earlier, or, where rows are
+    "missing", with the first of these or half as early ("half missing")."""
     if part.uneven is None:
         return part
     log = part.uneven
