@@ -167,7 +167,7 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, un
             "gap",
             f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} in {column!r}; the longest lasts {steps[at]:.6g} s after "
             f"{time[at]:.6g} s (before row {rows[at + 1]}; rows every {median:.6g} s)",
-            "the last command is taken as held through it; the gap counts for nothing"
+            "the gap counts for nothing, nor what depends on the time at which its commands changed"
             + (f", nor does the {SETTLE_S:g} s after it" if steps[at] > long_gap(median) else ""),
             column=column,
             row=int(rows[at + 1]),
