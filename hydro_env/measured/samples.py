@@ -29,6 +29,7 @@ _SPIKE_PERIOD = 2e-3  # s, in slower logs only speeds are searched for spikes
 _BURST_S = 0.5  # windows in which a disturbance is looked for
 _BURST_RATIO = 6.0  # the fast part of a disturbed signal stands out of its usual one by more
 _MOVES = 0.05  # a speed moves if no cubic explains this share of its standard deviation within a window
+_SILENT_S = 3.0  # a pressure that is stuck in its noise is so for at least this long in all
 _LEFT_OUT = "left out of every comparison"
 
 
@@ -269,7 +270,8 @@ def _silent(
     size = np.var(pieces, axis=1)
     white = np.mean(np.diff(pieces, axis=1) ** 2, axis=1) > 1.6 * size
     quiet = white & (size < 0.01 * np.nanvar(values))
-    if not np.any(quiet & turns):
+    # Of exchanged pressures one may rest for a while: they are for the model to tell.
+    if np.sum(quiet & turns) * width * log.period < _SILENT_S:
         return
     bad = np.zeros(len(values), bool)
     bad[: count * width] = np.repeat(quiet & turns, width)

@@ -23,8 +23,8 @@ def _recorded(
     folder: Path, rate: int, *, missing: float = 0.0, jitter: float = 0.0, acts: str = "since the row",
     stamps: float = 0.0, spikes: float = 0.0,
 ) -> Path:  # fmt: skip
-    """12 s of the model at rows that are missing or jitter (shares of a step). Commands act since the row that shows them, or since
-    a multiple of 10 ms; `stamps`: only the time stamps jitter."""
+    """12 s of the model at rows that are missing or jitter (shares of a step). Commands act since the row that shows them, or at
+    once; `stamps`: only the time stamps jitter."""
     rng, fine = np.random.default_rng(11), 5000
     rows = np.arange(0, 12 * fine, fine // rate)
     rows = rows[rng.random(len(rows)) >= missing]

@@ -68,9 +68,9 @@ class Segment:
     rows: np.ndarray
     inside: np.ndarray
     period: float
+    place: slice = field(default_factory=lambda: slice(0, 0))
     late: np.ndarray | None = None
     finer: int = 1
-    place: slice = field(default_factory=lambda: slice(0, 0))
 
     @property
     def step(self) -> int:
@@ -258,8 +258,8 @@ def measured_segments(
                     rows,
                     part.inside[rows],
                     part.log.period * step,
-                    None if part.log.late is None else part.log.late[rows] / part.log.period,
-                    part.finer,
+                    late=None if part.log.late is None else part.log.late[rows] / part.log.period,
+                    finer=part.finer,
                 )
                 segment.place = slice(place, place + rows.size)
                 place += rows.size
