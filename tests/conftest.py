@@ -29,6 +29,7 @@ LONG = (
     "test_diagnosis_multistart.py",
     "test_diagnosis_report.py",
     "test_diagnosis_robust.py",
+    "test_diagnosis_row_times.py",
     "test_diagnosis_workflow.py",
     "test_effects.py::test_behind_a_gap_the_load_waits_until_the_gap_is_closed",
     "test_effects.py::test_relief_valves_open_higher_than_they_reseat_and_in_their_own_time",

@@ -35,6 +35,7 @@ from .stages import (
     localisation,
     naming,
     next_experiment,
+    row_times,
     screening,
     selection,
     settling,
@@ -102,6 +103,9 @@ def diagnose(
 
     say(doing)
     parts, held_out = read_logs(fit, sealed, mapping, accept)
+    rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
+    parts, held_out = row_times.settled(rig, parts), row_times.settled(rig, held_out)
+    rig.close()
     rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
     # Where the dynamics are simulated, the proof takes shorter substeps than the fit.
     fine = rig.with_parts(parts, False) if rig.has_hidden_states else rig

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LARGEST",
+    "SETTLE_S",
     "Spoilt",
     "after_gaps",
     "check_clock",
@@ -32,6 +33,7 @@ __all__ = [
     "check_numbers",
     "check_units",
     "jump_size",
+    "long_gap",
 ]
 
 LARGEST = (
@@ -40,7 +42,7 @@ LARGEST = (
 _RESOLUTION_S = 1e-6  # clocks are read to the microsecond, and no rig is recorded faster
 _SHORTEST_S, _LONGEST_S = 1e-4, 0.5  # between the rows of usual logs of such rigs
 _FASTEST_S = 4e-5  # faster than 25 kHz only oscilloscopes record
-_SETTLE_S = 1.0  # after a gap the state of a simulation is a guess for so long
+SETTLE_S = 1.0  # after a gap the state of a simulation is a guess for so long
 Spoilt = dict[tuple[str, int], np.ndarray]
 
 
@@ -165,8 +167,8 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, un
             "gap",
             f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} in {column!r}; the longest lasts {steps[at]:.6g} s after "
             f"{time[at]:.6g} s (before row {rows[at + 1]}; rows every {median:.6g} s)",
-            "the last command is taken as held through it; the gap counts for nothing"
-            + (f", nor does the {_SETTLE_S:g} s after it" if steps[at] > _long_gap(median) else ""),
+            "the gap counts for nothing, nor what depends on the time at which its commands changed"
+            + (f", nor does the {SETTLE_S:g} s after it" if steps[at] > long_gap(median) else ""),
             column=column,
             row=int(rows[at + 1]),
         )
@@ -176,7 +178,7 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, un
         message = (
             f"rows are unevenly spaced: steps {steps.min():.6g} to {steps.max():.6g} s, median {median:.6g} s"
         )
-        hint = f"put on an even grid of {median:.3g} s: commands held, measurements interpolated"
+        hint = "commands are held from their own times on, and the model is compared at the times of the rows"
         yield Finding("uneven_sampling", message, hint, column=column)
     if longer := list(_longer_unit(column, time)) if unit == "s" else []:
         yield from longer
@@ -245,15 +247,16 @@ def jump_size(time: np.ndarray) -> float:
     return max(10.0, 100.0 * float(np.median(np.diff(time))))
 
 
-def _long_gap(period: float) -> float:
+def long_gap(period: float) -> float:
+    """Steps longer than this, s, are long beside the usual period: a simulation does not know the state behind them."""
     return max(10.0 * period, 0.05)
 
 
 def after_gaps(time: np.ndarray) -> np.ndarray:
-    """The rows (T,) that follow a gap of more than ten rows by less than _SETTLE_S."""
+    """The rows (T,) that follow a gap of more than ten rows by less than SETTLE_S."""
     steps = np.diff(time)
-    ends = np.flatnonzero(steps > _long_gap(float(np.median(steps)))) + 1
+    ends = np.flatnonzero(steps > long_gap(float(np.median(steps)))) + 1
     near = np.zeros(len(time), bool)
     for end in ends:
-        near[end : np.searchsorted(time, time[end] + _SETTLE_S)] = True
+        near[end : np.searchsorted(time, time[end] + SETTLE_S)] = True
     return near

@@ -30,6 +30,7 @@ class RigLog:
 
     Channel signals are (T, 2), column 0 = channel 1; a channel that is not in the log is NaN there, a signal that no
     channel has is None. `setpoint`, `supply`, `temperature` are (T,) or None. Single missing samples are NaN.
+    `late` (T,), if there: how much later than `time_s` the measurements of a row were taken, see `resample`.
     Units: s, V, A, Pa, m, m3/s, K; a motor's speed is rad/s and its load N m, a cylinder's m/s and N (`kinds`).
     """
 
@@ -46,6 +47,7 @@ class RigLog:
     setpoint: np.ndarray | None = None
     supply: np.ndarray | None = None
     temperature: np.ndarray | None = None
+    late: np.ndarray | None = None
     name: str = ""
     sha256: str = ""
     kinds: tuple[str, str] = ("motor", "motor")
@@ -112,38 +114,61 @@ class RigLog:
         """The first so many rows."""
         return self._with_rows(lambda values, _: values[:rows])
 
-    def resample(self, period: float) -> RigLog:
-        """The log on an even grid of `period` s: commands, loads and set-points held, measurements interpolated, and
-        NaN inside gaps (steps of more than 1.75 median ones).
+    def resample(self, lead: float | np.ndarray = 0.0, even: bool = False) -> RigLog:
+        """The log on an even grid of its own period. Commands, loads and set-points are the mean of what is held within each
+        step, so that they act from their own times on. Measurements stay as they are: those of the row nearest to a grid point,
+        NaN if none is within half a step, and `late` says how much later than `time_s` they were taken.
 
-        No filter is applied: noise above the new rate folds back. InputError where the grid would have more rows than any log.
+        `lead`, of all rows or by row (T,): commands begin by this share of the step to the row before earlier. `even`: rows are
+        taken as on the grid, their time stamps as uneven. InputError where the grid would have more rows than any log.
         """
-        if not period > 0.0:
-            raise ValueError("the period must be positive")
-        span = self.time_s[-1] - self.time_s[0]
-        check_size(Path(self.name), int(min(span / period, 1e18)) * (1 + 2 * len(self.signals)))
-        grid = self.time_s[0] + period * np.arange(int(np.floor(span / period + 1e-6)) + 1)
-        # A grid point that misses a row by rounding alone must see that row's command.
-        held = np.searchsorted(self.time_s, grid + 1e-6 * period, side="right") - 1
-        steps = np.diff(self.time_s)
-        wide = np.append(steps > 1.75 * float(np.median(steps)), False)
-        gap = wide[held] & (grid > self.time_s[held] + 1e-6 * period)
+        number, start, count = self._numbered()
+        grid = np.arange(count)
+        at = np.clip(np.searchsorted(number, grid), 1, len(number) - 1)
+        near = np.where(grid - number[at - 1] <= number[at] - grid, at - 1, at)
+        late = number[near] - grid
+        known = np.abs(late) <= 0.5 + 1e-6
 
         def put(values: np.ndarray, signal: str) -> np.ndarray:
             if signal == "time":
-                return grid
+                return start + self.period * grid
             if signal in HELD:
-                return values[held]
-            if values.ndim == 1:
-                return np.interp(grid, self.time_s, values)
-            columns = np.column_stack([np.interp(grid, self.time_s, column) for column in values.T])
-            columns[gap] = np.nan
-            return columns
+                return self.held(values, lead, even)
+            return np.where(known if values.ndim == 1 else known[:, None], values[near], np.nan)
 
-        return self._with_rows(put)
+        return replace(self._with_rows(put), late=np.where(known & (not even), late * self.period, 0.0))
+
+    def held(
+        self, values: np.ndarray, lead: float | np.ndarray = 0.0, even: bool = False, finer: int = 1
+    ) -> np.ndarray:
+        """The mean of a signal (T,) or (T, 2) that is held, within each of `finer` parts of every step of the grid that
+        `resample` makes with `lead` and `even`."""
+        if values.ndim == 2:
+            return np.column_stack([self.held(column, lead, even, finer) for column in values.T])
+        number, _, count = self._numbered()
+        if even:
+            number = np.round(number)
+        starts = number - lead * np.diff(number, prepend=number[0])
+        knots = np.concatenate([[min(starts[0], 0.0)], starts, [max(starts[-1], count) + 1.0]])
+        sums = np.concatenate([[0.0], np.cumsum(np.diff(knots) * np.concatenate([values[:1], values]))])
+        return finer * np.diff(np.interp(np.arange(count * finer + 1) / finer, knots, sums))
+
+    def _numbered(self) -> tuple[np.ndarray, float, int]:
+        """Where the rows are on an even grid, in steps (T,), and the first time and number of points of that grid."""
+        period = self.period
+        span = self.time_s[-1] - self.time_s[0]
+        check_size(Path(self.name), int(min(span / period, 1e18)) * (1 + 2 * len(self.signals)))
+        number = (self.time_s - self.time_s[0]) / period
+        # Rows lie about the grid, not behind it: its phase is the mean of theirs on the circle.
+        phase = _phase(number)
+        phase = 0.0 if abs(phase) < 1e-6 else phase  # rounding
+        number -= phase
+        return number, float(self.time_s[0]) + period * phase, int(np.floor(number[-1] + 0.5)) + 1
 
     def _with_rows(self, put: Any) -> RigLog:
         changed: dict[str, Any] = {"time_s": put(self.time_s, "time")}
+        if self.late is not None:
+            changed["late"] = put(self.late, "late")
         for signal in (*CHANNEL_SIGNALS, *RIG_SIGNALS):
             values = self.get(signal)
             if values is not None:
@@ -151,11 +176,30 @@ class RigLog:
         return replace(self, **changed)
 
 
+def _phase(number: np.ndarray) -> float:
+    """What rows (T,), in steps of a grid, are behind it on the average, from -0.5 to 0.5."""
+    return float(np.angle(np.mean(np.exp(2j * np.pi * number)))) / (2.0 * np.pi)
+
+
 def _period(time_s: np.ndarray) -> float:
+    """The mean step if rows come evenly, else the step of the even grid about which they lie, with some missing."""
     steps = np.diff(time_s)
-    median = float(np.median(steps))
+    median = period = float(np.median(steps))
     mean = float(time_s[-1] - time_s[0]) / len(steps)
-    period = mean if abs(mean - median) < 0.01 * median else median
+    if abs(mean - median) < 1e-4 * median:
+        period = mean
+    elif float(np.quantile(np.abs(steps - median), 0.9)) < median:
+        period = float(time_s[-1] - time_s[0]) / max(float(np.round(steps / median).sum()), 1.0)
+        # The longer the stretch, the better the period, by which the rows of the next one are numbered.
+        rows = 64
+        while rows < 2 * len(time_s):
+            time = time_s[:rows] - time_s[0]
+            number = np.round(time / period - _phase(time / period))
+            apart = number - number.mean()
+            period = float(apart @ time / max(float(apart @ apart), 1.0))
+            rows *= 2
+        if abs(period - median) > 0.05 * median:
+            period = median
     # Time stamps carry rounding; a period that is a whole number of microseconds but for that is meant to be one.
     whole = round(period * 1e6) / 1e6
     return whole if whole > 0 and abs(whole - period) <= 1e-6 * period else period

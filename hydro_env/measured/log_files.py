@@ -15,7 +15,16 @@ from hydro_env.files import replacing
 from hydro_env.measured.csv_file import CsvStyle
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.formats import read_table
-from hydro_env.measured.gate import Spoilt, after_gaps, check_clock, check_log, check_numbers, check_units
+from hydro_env.measured.gate import (
+    SETTLE_S,
+    Spoilt,
+    after_gaps,
+    check_clock,
+    check_log,
+    check_numbers,
+    check_units,
+    long_gap,
+)
 from hydro_env.measured.log import HELD, RigLog, field_of
 from hydro_env.measured.mapping import (
     CHANNEL_SIGNALS,
@@ -87,9 +96,9 @@ def _from_table(table: Table, mapping: Mapping) -> RigLog:
             findings.append(finding)
     table.columns.clear()  # an hour of them is half the memory
     rows = table.lines if keep is None else table.lines[keep]
-    start = _hold(mapping, signals, rows, findings)
+    start, end, unknown = _hold(mapping, signals, time_s, rows, findings)
     log = RigLog(
-        time_s=time_s[start:],
+        time_s=time_s[start:end],
         name=table.path.name,
         sha256=digest(table.path),
         kinds=tuple(channel.actuator if channel else "motor" for channel in mapping.channels),  # type: ignore[arg-type]
@@ -104,13 +113,15 @@ def _from_table(table: Table, mapping: Mapping) -> RigLog:
             for signal in CHANNEL_SIGNALS
             if (source := getattr(channel, signal)) is not None
         },
-        **{name: None if values is None else values[start:] for name, values in signals.items()},  # type: ignore[arg-type]
+        **{name: None if values is None else values[start:end] for name, values in signals.items()},  # type: ignore[arg-type]
     )
     if len(log) < 2:
         raise InputError(f"{table.path}: no two rows hold a command; a log needs at least two samples")
     findings += check_units(table, mapping)
-    found, spoilt = check_log(log, mapping, rows[start:])
-    return _with_load_pressure(replace(_without(log, spoilt), findings=(*findings, *found)))
+    found, spoilt = check_log(log, mapping, rows[start:end])
+    return _with_load_pressure(
+        replace(_without(log, spoilt, unknown[start:end]), findings=(*findings, *found))
+    )
 
 
 def _signals(
@@ -162,11 +173,16 @@ def _si(table: Table, part: Part) -> np.ndarray:
 
 
 def _hold(
-    mapping: Mapping, signals: dict[str, np.ndarray | None], rows: np.ndarray, findings: list[Finding]
-) -> int:
-    """Fills holes of commands, loads and set-points (in place) with the last value; the first row in which all commands
-    are known. A load before its first value is zero, and a set-point its first value."""
-    start = 0
+    mapping: Mapping, signals: dict[str, np.ndarray | None], time_s: np.ndarray, rows: np.ndarray,
+    findings: list[Finding],
+) -> tuple[int, int, np.ndarray]:  # fmt: skip
+    """Fills holes of commands, loads and set-points (in place) with the last value. A load before its first value is zero, and a
+    set-point its first value.
+
+    Returns the first row in which all commands are known, the row behind the last, and the rows (T,) within long holes of a
+    command, or soon behind them: what the valve was told there is not known.
+    """
+    begin, end, unknown = 0, len(rows), np.zeros(len(rows), bool)
     for signal in HELD:
         values = signals.get(field_of(signal))
         if values is None:
@@ -182,20 +198,48 @@ def _hold(
             first = int(np.argmax(known))
             one[:] = np.where(last >= 0, one[np.maximum(last, 0)], 0.0 if signal == "load" else one[first])
             hint = "the value before is held"
-            if signal == "command" and first > 0:
-                start = max(start, first)
-                hint += f", and the log begins with row {rows[first]}, the first that holds one"
+            if signal == "command":
+                final, long = _unknown(time_s, known)
+                unknown |= long
+                if long[first:final].any():
+                    hint += "; long holes, and the second after each, count for nothing"
+                if first > 0:
+                    begin = max(begin, first)
+                    hint += f", and the log begins with row {rows[first]}, the first that holds one"
+                if final < len(one):
+                    end = min(end, final)
+                    hint += f", and the log ends with row {rows[final - 1]}: no command follows"
             hole = int(np.argmax(~known))
             message = f"{np.sum(~known)} of {len(one)} cells of {column!r} hold no value, the first in row {rows[hole]}"
             place = {"channel": None if channel is None else channel + 1, "column": column}
             findings.append(Finding("missing_values", message, hint, signal, row=int(rows[hole]), **place))  # type: ignore[arg-type]
-    return start
+    return begin, end, unknown
 
 
-def _without(log: RigLog, spoilt: Spoilt) -> RigLog:
-    """The log with NaN in place of spoilt samples, and of what follows a long gap unless that were most of the log."""
+def _unknown(time_s: np.ndarray, known: np.ndarray) -> tuple[int, np.ndarray]:
+    """The row behind the last whose command is `known` (T,) or may be held, and the rows (T,) in long holes and after them.
+
+    A recorder may write each command once only: a hole is long beside the time from one command to the next.
+    """
+    at = np.flatnonzero(known)
+    steps = np.diff(time_s[at])
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    found = np.zeros(len(known), bool)
+    for n in np.flatnonzero(steps > long_gap(usual)):
+        # Also what follows: the state is a guess for so long.
+        found[at[n] + 1 : np.searchsorted(time_s, time_s[at[n + 1]] + SETTLE_S)] = True
+    end = int(at[-1]) + 1
+    if time_s[-1] - time_s[at[-1]] <= long_gap(usual):
+        end = len(known)
+    return end, found
+
+
+def _without(log: RigLog, spoilt: Spoilt, unknown: np.ndarray) -> RigLog:
+    """The log with NaN in place of spoilt samples, of rows (T,) whose commands are `unknown`, and of what follows a long gap
+    unless that were most of the log."""
     late = after_gaps(log.time_s)
     late &= late.mean() < 0.5
+    late |= unknown
     changed: dict[str, np.ndarray | None] = {}
     for signal in MEASURED:
         values = log.get(signal)

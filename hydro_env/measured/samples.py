@@ -17,15 +17,19 @@ from hydro_env.units import BAR, LPM, MILLIMETRE, RPM
 if TYPE_CHECKING:
     from hydro_env.measured.log import RigLog
 
-__all__ = ["MEASURED", "check_samples"]
+__all__ = ["MEASURED", "SPIKE", "check_samples", "standing_out", "swing"]
 
 MEASURED = ("current", "pressure", "speed", "spool", "flow", "pressure_a", "pressure_b")
 _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
 _MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse
-_SPIKE = 0.1  # a spike stands out of the rows around it by this share of the signal's swing
+SPIKE = 0.1  # a spike that the machine could do, but for no reason, stands out by this share of the signal's swing
+_SPIKE_NEAR = 6.0  # ... by so many times what four of five rows nearby are off at most, some eight standard deviations of noise
+_SPIKE_NOISE = 8.0  # ... by so many of the signal's median steps, again eight standard deviations
 _SPIKE_PERIOD = 2e-3  # s, in slower logs only speeds are searched for spikes
 _BURST_S = 0.5  # windows in which a disturbance is looked for
 _BURST_RATIO = 6.0  # the fast part of a disturbed signal stands out of its usual one by more
+_MOVES = 0.05  # a speed moves if no cubic explains this share of its standard deviation within a window
+_SILENT_S = 3.0  # a pressure that is stuck in its noise is so for at least this long in all
 _LEFT_OUT = "left out of every comparison"
 
 
@@ -64,6 +68,13 @@ def check_samples(
         return findings, spoilt
     if signal not in MEASURED:
         return findings, spoilt
+    command = log.command_V[:, channel]
+    driven = log.has("command", channel) and np.nanmax(command) > np.nanmin(command)
+    if signal != "speed" and driven and len(finite) > 500 and _is_white(finite):
+        message = f"{column!r} shows nothing but noise about {_cell(float(finite.mean()), place)} while the command moves"
+        hint = "the sensor does not measure: taken as absent"
+        spoilt[:] = True
+        return [*findings, Finding("constant", message, hint, **place)], spoilt
     for finding, bad in _spikes(log, values, signal, channel, rows, place):
         findings.append(finding)
         spoilt |= bad
@@ -71,6 +82,10 @@ def check_samples(
     starts, lengths = _runs(values)
     for check in (_stuck, _clipped):
         for finding, bad in check(log, values, channel, rows, starts, lengths, place):
+            findings.append(finding)
+            spoilt |= bad
+    if signal == "pressure":
+        for finding, bad in _silent(log, values, channel, rows, place):
             findings.append(finding)
             spoilt |= bad
     if signal == "speed":
@@ -83,51 +98,46 @@ def check_samples(
 def _coarse(finite: np.ndarray, place: dict[str, Any]) -> Iterator[Finding]:
     """Few levels over many rows: the steps of the converter show. A clean signal has nearly as many values as rows."""
     some = finite[:: 1 + len(finite) // 10_000]  # as many levels in a part settle it without sorting an hour
-    if len(finite) <= 500 or len(np.unique(some)) >= _MANY_STEPS:
+    span = float(np.ptp(finite))
+    # Values that differ by rounding alone are one level.
+    if len(finite) <= 500 or len(np.unique(np.round(some / span, 9))) >= _MANY_STEPS:
         return
-    levels = np.unique(finite)
-    step, span = float(np.min(np.diff(levels))), float(levels[-1] - levels[0])
-    if len(levels) < _MANY_STEPS and len(levels) < len(finite) / 10 and step > 1e-9 * span:
-        message = f"{place['column']!r} has only {len(levels)} different values (step {step / span:.2%} of its range)"
-        yield Finding("coarse", message, "record with finer resolution where possible", **place)
+    levels = np.unique(np.round(finite / span, 9))
+    step = float(np.min(np.diff(levels)))
+    if len(levels) < _MANY_STEPS and len(levels) < len(finite) / 10:
+        message = (
+            f"{place['column']!r} has only {len(levels)} different values (step {step:.2%} of its range)"
+        )
+        hint = "record with finer resolution where possible"
+        if place["signal"] == "speed":
+            hint += "; encoder counts within a window are also half a window late, which a diagnosis may call sensor lag"
+        yield Finding("coarse", message, hint, **place)
 
 
 def _spikes(
     log: RigLog, values: np.ndarray, signal: str, channel: int, rows: np.ndarray, place: dict[str, Any]
 ) -> Iterator[tuple[Finding, np.ndarray]]:
-    """A row or two far from all rows around them, while nothing asks for it: a dropped bit or a loose plug.
+    """Up to three rows far from all rows around them: a dropped bit or a loose plug.
 
-    Inertia lets no speed do that at any rate; a pressure or a current may for ten milliseconds, so that these are looked at
-    in fast logs only.
+    Far is beyond the noise, and beyond what the machine does. A shaft has inertia: there and back again takes twice the steepest
+    change that the speed shows anywhere, without its spikes; in a slow log, or of another signal, nothing may ask for it either.
+    A pressure or a current may do that for ten milliseconds, so that these are looked at in fast logs only.
     """
-    if len(values) < 50 or (signal != "speed" and log.period > _SPIKE_PERIOD):
+    known = np.flatnonzero(np.isfinite(values))
+    if signal != "speed" and log.period > _SPIKE_PERIOD:
         return
-    finite = values[np.isfinite(values)]
-    swing = float(np.quantile(finite, 0.99) - np.quantile(finite, 0.01))
-    least = max(_SPIKE * swing, 1e-12)
-    if 3.0 * np.abs(np.diff(finite)).max() <= least:  # the median of seven rows is at most three rows away
-        return
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, 3, mode="edge"), 7)
-    off = np.abs(values - np.partition(windows, 3, axis=1)[:, 3])
-    far = off > least
-    if not far.any():
-        return
-    calm = np.where(far | ~np.isfinite(off), 0.0, off)
-    starts, lengths = _runs(far.astype(float))
+    found, reach = standing_out(values[known])
     bad = np.zeros(len(values), bool)
-    for start, length in zip(starts, lengths, strict=True):
-        before, after = start - 1, start + length
-        if not far[start] or length > 2 or before < 0 or after >= len(values):
-            continue
-        back = abs(values[after] - values[before]) < 0.25 * off[start]
-        quick = signal == "speed" and log.period <= _SPIKE_PERIOD
-        if (
-            back
-            # The largest deviation of the rows around: a signal that shakes has no spikes.
-            and off[start] > 10.0 * calm[max(start - 20, 0) : start + 21].max()
-            and (quick or _command_near(log, channel, start, 20) < 0.05)
-        ):
-            bad[start:after] = True
+    least = SPIKE * swing(values[known])
+    for start, end, height, nearby in found:
+        asked = _command_near(log, channel, int(known[start]), 20) >= 0.05
+        if signal == "speed":
+            # A shaft that sticks and slips may stir for a row or two.
+            possible = min(reach, max(least, 3.0 * nearby if asked else nearby))
+        else:
+            possible = np.inf if asked else max(reach, least)
+        if height > possible:
+            bad[known[start:end]] = True
     if bad.any():
         first = int(np.flatnonzero(bad)[0])
         message = (
@@ -136,6 +146,45 @@ def _spikes(
         )
         hint = f"no machine moves so; a loose plug or a lost bit: {_LEFT_OUT}"
         yield Finding("spikes", message, hint, row=int(rows[first]), **place), bad
+
+
+def swing(values: np.ndarray) -> float:
+    """The range of a signal (n,) without the outermost hundredths."""
+    low, high = np.quantile(values, (0.01, 0.99)) if len(values) else (0.0, 0.0)
+    return float(high - low)
+
+
+def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]], float]:
+    """Up to three rows of a signal (n,) without holes that stand out of those around them by more than the noise: the first, the
+    row behind the last, by how much, and the largest change within three rows nearby. Then twice the largest change anywhere."""
+    if len(values) < 50:
+        return [], 0.0
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(values, 4, mode="edge"), 9), axis=1)
+    off = np.abs(values - usual)
+    steps = np.abs(np.diff(values))
+    least = max(
+        _SPIKE_NOISE * float(np.median(steps)), 4.0 * float(np.min(steps[steps > 0.0], initial=np.inf))
+    )
+    change = np.abs(usual[3:] - usual[:-3])
+    reach = 2.0 * float(change.max())
+    if not (off > least).any():
+        return [], reach
+    # What is usual nearby: spikes are too few to move a quantile.
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(off, 20, mode="reflect"), 41)
+    far = off > least
+    far[far] = off[far] > _SPIKE_NEAR * np.quantile(around[far], 0.8, axis=1)
+    starts, lengths = _runs(far.astype(float))
+    found = []
+    for start, length in zip(starts.tolist(), lengths.tolist(), strict=True):
+        end = start + length
+        if not far[start] or length > 3 or start == 0 or end == len(values):
+            continue
+        height = float(np.abs(values[start:end] - 0.5 * (values[start - 1] + values[end])).min())
+        nearby = float(change[max(start - 11, 0) : end + 10].max(initial=0.0))
+        back = abs(values[end] - values[start - 1]) < 0.25 * height + 0.5 * nearby
+        if back and height > least:
+            found.append((start, end, height, nearby))
+    return found, reach
 
 
 def _command_near(log: RigLog, channel: int, row: int, rows: int) -> float:
@@ -207,6 +256,33 @@ def _stuck(
         yield Finding("stuck", message, hint, row=int(rows[first]), **place), bad
 
 
+def _silent(
+    log: RigLog, values: np.ndarray, channel: int, rows: np.ndarray, place: dict[str, Any]
+) -> Iterator[tuple[Finding, np.ndarray]]:
+    """Stretches of a pressure that are white noise while the shaft changes its speed to and fro: that takes torque."""
+    width = round(2.0 * _BURST_S / log.period)
+    if width < 50 or len(values) < 3 * width:
+        return
+    count = len(values) // width
+    pieces = values[: count * width].reshape(count, width)
+    speed = log.speed[:, channel]
+    turns = np.sqrt(np.mean(_fast(speed, width) ** 2, axis=1)) > _MOVES * np.nanstd(speed)
+    size = np.var(pieces, axis=1)
+    white = np.mean(np.diff(pieces, axis=1) ** 2, axis=1) > 1.6 * size
+    quiet = white & (size < 0.01 * np.nanvar(values))
+    # Of exchanged pressures one may rest for a while: they are for the model to tell.
+    if np.sum(quiet & turns) * width * log.period < _SILENT_S:
+        return
+    bad = np.zeros(len(values), bool)
+    bad[: count * width] = np.repeat(quiet & turns, width)
+    first = int(np.argmax(bad))
+    message = (
+        f"{place['column']!r} shows nothing but noise for {bad.sum() * log.period:.3g} s, first from {log.time_s[first]:.6g} s "
+        f"(row {rows[first]}), while the speed changes to and fro"
+    )
+    yield Finding("stuck", message, f"a stuck sensor: {_LEFT_OUT}", row=int(rows[first]), **place), bad
+
+
 def _load_at_limit(
     log: RigLog, values: np.ndarray, rows: np.ndarray, place: dict[str, Any]
 ) -> Iterator[Finding]:
@@ -231,6 +307,12 @@ def _load_at_limit(
         )
         hint = "the true load is larger there and is taken as logged; widen the sensor's range"
         yield Finding("clipped", message, hint, row=int(rows[first]), **place)
+
+
+def _is_white(values: np.ndarray) -> bool:
+    """Whether a signal is white noise alone: its steps are as large as of independent rows (von Neumann 1941,
+    doi:10.1214/aoms/1177731677)."""
+    return float(np.mean(np.diff(values) ** 2)) > 1.9 * float(np.var(values))
 
 
 def _is_noisy(values: np.ndarray) -> bool:

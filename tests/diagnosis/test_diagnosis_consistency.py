@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -49,3 +50,64 @@ def test_pressures_in_another_unit_are_a_mistake(tmp_path: Path, drag: float) ->
     found = _findings(tmp_path, drag, unit=0.1)
     assert [f.signal for f in found if f.sure] == ["pressure", "pressure"]
     assert all("MPa" in f.message for f in found if f.sure)
+
+
+def _healthy(folder: Path, change: Callable[[dict[str, np.ndarray]], None]) -> list[Finding]:
+    """Findings about 12 s of the model itself at 500 Hz, with noise, after a change of the recording."""
+    rng, time = np.random.default_rng(8), np.arange(6000) * 0.002
+    steps = np.repeat(rng.uniform(-50.0, 50.0, (24, 2)), 250, axis=0)
+    seen = simulate("paper", steps, None, 0.002, record=("speed", "pressure"))
+    columns = {"time_s": time}
+    for c in (0, 1):
+        columns[f"command_{c + 1}_V"] = steps[:, c]
+        columns[f"speed_{c + 1}_rpm"] = seen["speed"][:, 0, c] / RPM + rng.normal(size=6000)
+        columns[f"pressure_{c + 1}_bar"] = seen["pressure"][:, 0, c] / BAR + 0.05 * rng.normal(size=6000)
+    change(columns)
+    path = folder / "log.csv"
+    np.savetxt(
+        path, np.column_stack(list(columns.values())), "%.9g", ",", header=",".join(columns), comments=""
+    )
+    rig = DynamicRig(load_model("paper"), read_parts([path], None))
+    return implausible(
+        rig, as_given(Fit(rig, {(c, s.signal): 1e-9 for c in (0, 1) for s in rig.segments[c]}))
+    )
+
+
+def _as_recorded(columns: dict[str, np.ndarray]) -> None:
+    pass
+
+
+def _off_centre(columns: dict[str, np.ndarray]) -> None:
+    speed = columns["speed_1_rpm"]
+    columns["speed_1_rpm"] = speed * (
+        1.0 + 0.01 * np.cos(2.0 * np.pi * np.cumsum(speed) * 0.002 / 60.0 + 1.0)
+    )
+
+
+def _clocks_apart(columns: dict[str, np.ndarray]) -> None:
+    time = columns["time_s"]
+    for name in columns:
+        if name.startswith(("speed", "pressure")):
+            columns[name] = np.interp(0.995 * time, time, columns[name])
+
+
+def _in_percent(columns: dict[str, np.ndarray]) -> None:
+    for c in (1, 2):
+        columns[f"command_{c}_V"] = columns[f"command_{c}_V"] * 100.0 / 50.0
+
+
+@pytest.mark.parametrize(
+    ("change", "codes", "words"),
+    [
+        (_as_recorded, [], ""),
+        (_off_centre, ["eccentric"], "speed of channel 1 rises and falls by 0."),
+        (_clocks_apart, ["clock_drift"], "fall behind the commands by 5"),
+        (_in_percent, ["unit", "unit"], "`u_rated`): is it in percent?"),
+    ],
+)
+def test_instruments_that_are_wrong_are_named(
+    tmp_path: Path, change: Callable[[dict[str, np.ndarray]], None], codes: list[str], words: str
+) -> None:
+    found = _healthy(tmp_path, change)
+    assert [f.code for f in found] == codes
+    assert all(words in f.message for f in found[:1]), found[0].message

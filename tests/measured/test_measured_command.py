@@ -431,8 +431,8 @@ def percent_commands(columns: Columns) -> Columns:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (gap, ["1 gap in 'time_s'", "0.402 s after 1.999 s", "row 2002", "held through it"]),
-        (uneven, ["unevenly spaced", "put on an even grid of"]),
+        (gap, ["1 gap in 'time_s'", "0.402 s after 1.999 s", "row 2002", "counts for nothing"]),
+        (uneven, ["unevenly spaced", "commands are held from their own times on"]),
         (duplicate_rows, ["715 rows are copies of the row before", "row 3", "dropped"]),
         (stuck_speed, ["'speed_1_rpm' repeats the value", "for 0.8 s from 2.1 s", "row 2102", "left out"]),
         (dead_speed, ["'speed_1_rpm' repeats the value 0 rpm for 0.8 s", "left out of every comparison"]),

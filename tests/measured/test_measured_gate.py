@@ -286,3 +286,93 @@ def test_line_pressures_that_cannot_be_are_named(
     assert len(found) == 1 and "\n" not in found[0].text
     assert all(word in found[0].text for word in words), found[0].text
     assert found[0].sure == (found[0].code == "line_pressure")
+
+
+def spiky(rng: np.random.Generator, rate: int, share: float) -> tuple[Columns, np.ndarray]:
+    """A shaft that follows steps of its command with 0.1 s, with noise of 1 rpm; in some rows 220 to 600 rpm off."""
+    rows = 12 * rate
+    columns: Columns = {"time_s": np.arange(rows) / rate}
+    command = np.repeat(rng.uniform(-60.0, 60.0, rows // rate + 1), rate)[:rows]
+    speed = np.zeros(rows)
+    for n in range(rows - 1):
+        speed[n + 1] = speed[n] + (10.0 * command[n] - speed[n]) / (0.1 * rate)
+    bad = rng.random(rows) < share
+    speed += rng.normal(size=rows) + bad * rng.choice([-1.0, 1.0], rows) * rng.uniform(220.0, 600.0, rows)
+    columns |= {"command_1_V": command, "speed_1_rpm": speed}
+    return columns, bad
+
+
+@pytest.mark.parametrize(("rate", "found"), [(1000, 1.0), (200, 0.9)])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_spikes_are_judged_by_the_noise_and_by_what_the_shaft_does(
+    tmp_path: Path, rate: int, found: float, seed: int
+) -> None:
+    """One row in a hundred: all that no shaft does are left out, and nothing else."""
+    columns, bad = spiky(np.random.default_rng(seed), rate, 0.01)
+    log = read_log(save(tmp_path, columns))
+    left_out = np.isnan(log.speed[:, 0])
+    assert not (left_out & ~bad).any()
+    assert (
+        left_out.sum() >= found * bad.sum() - 1
+    )  # three in a row, or the first or last row, are not known from motion
+    assert [f.code for f in log.findings] == ["spikes"] and f"{left_out.sum()} rows" in log.findings[
+        0
+    ].message
+
+
+@pytest.mark.parametrize("rate", [1000, 100])
+@pytest.mark.parametrize("noise", [0.0, 0.1, 1.0, 10.0])
+def test_steps_of_a_shaft_are_no_spikes(tmp_path: Path, rate: int, noise: float) -> None:
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        columns, _ = spiky(rng, rate, 0.0)
+        columns["speed_1_rpm"] += (noise - 1.0) * rng.normal(size=len(columns["time_s"]))
+        assert not [f for f in read_log(save(tmp_path, columns)).findings if f.code == "spikes"]
+
+
+def test_a_sensor_that_shows_noise_alone_is_absent(tmp_path: Path) -> None:
+    columns = clean()
+    columns["current_1_A"] = 0.2 + 2e-3 * np.random.default_rng(6).normal(size=3000)
+    log = read_log(save(tmp_path, columns))
+    assert [(f.code, f.column) for f in log.findings] == [("constant", "current_1_A")]
+    assert "nothing but noise" in log.findings[0].message and not log.has("current", 0)
+
+
+def test_a_pressure_sensor_that_sticks_in_its_own_noise(tmp_path: Path) -> None:
+    """From 1 s on it shows 5 bar and the noise of its converter, while the shaft goes on to turn to and fro."""
+    columns = clean(6000)
+    columns["pressure_1_bar"][1000:] = 5.0 + 0.05 * np.random.default_rng(7).normal(size=5000)
+    log = read_log(save(tmp_path, columns))
+    assert [(f.code, f.column) for f in log.findings] == [("stuck", "pressure_1_bar")]
+    assert log.pressure is not None and np.isnan(log.pressure[1000:, 0]).all()
+    assert np.isfinite(log.pressure[:1000, 0]).all() and log.has("pressure", 1)
+
+
+def test_a_blank_end_of_a_command_is_cut(tmp_path: Path) -> None:
+    columns = clean()
+    columns["command_1_V"][1200:] = np.nan
+    log = read_log(save(tmp_path, columns))
+    assert len(log) == 1200 and "ends with row 1201" in log.findings[0].text
+    columns = clean()
+    columns["command_1_V"][600:900] = np.nan
+    log = read_log(save(tmp_path, columns))
+    assert len(log) == 3000 and np.isnan(log.speed[600:1900]).all() and np.isfinite(log.speed[1901:]).all()
+    assert "count for nothing" in log.findings[0].text
+
+
+def test_commands_that_are_written_once_are_held(tmp_path: Path) -> None:
+    """A controller of 50 Hz beside sensors of 1 kHz: its command stands in every twentieth row."""
+    columns = clean()
+    command = columns["command_1_V"].copy()
+    columns["command_1_V"][np.arange(3000) % 20 > 0] = np.nan
+    log = read_log(save(tmp_path, columns))
+    assert len(log) == 3000 and np.isfinite(log.speed).all()
+    np.testing.assert_allclose(log.command_V[:, 0], np.repeat(command[::20], 20))
+
+
+def test_counts_of_an_encoder_are_called_coarse(tmp_path: Path) -> None:
+    columns = clean()
+    turns = np.floor(500.0 * np.cumsum(columns["speed_1_rpm"]) * 1e-3 / 60.0)
+    columns["speed_1_rpm"] = (turns - np.concatenate([np.zeros(10), turns[:-10]])) / 500.0 / 0.01 * 60.0
+    found = read_log(save(tmp_path, columns)).findings
+    assert [f.code for f in found] == ["coarse"] and "half a window late" in found[0].text

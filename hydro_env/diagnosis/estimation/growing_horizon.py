@@ -114,10 +114,7 @@ def _elsewhere(rig: RigModel, estimate: Estimate) -> list[Estimate]:
 def beginning_of(rig: RigModel, share: float) -> RigModel:
     """The model with only this share of each log, from its beginning, of which it also simulates no more."""
     rows = [max(2, math.ceil(share * len(part.log))) for part in rig.parts]
-    parts = [
-        replace(part, log=part.log.first(n), inside=part.inside[:n])
-        for part, n in zip(rig.parts, rows, strict=True)
-    ]
+    parts = [part.first(n) for part, n in zip(rig.parts, rows, strict=True)]
     return view(rig, parts=parts, segments={c: _first(own, rows) for c, own in rig.segments.items()})
 
 
@@ -126,7 +123,8 @@ def _first(segments: Sequence[Segment], rows: Sequence[int]) -> Segments:
     place, found = 0, Segments()
     for s in segments:
         n = int(np.searchsorted(s.rows, rows[s.log]))
-        cut = replace(s, measured=s.measured[:n], rows=s.rows[:n], inside=s.inside[:n])
+        late = None if s.late is None else s.late[:n]
+        cut = replace(s, measured=s.measured[:n], rows=s.rows[:n], inside=s.inside[:n], late=late)
         cut.place = slice(place, place + n)
         place += n
         found.append(cut)

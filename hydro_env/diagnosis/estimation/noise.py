@@ -6,6 +6,9 @@ import numpy as np
 
 __all__ = ["effective_samples", "noise_floor"]
 
+#: A window counts if this share of its rows is there.
+FULL = 0.75
+
 
 def noise_floor(residual: np.ndarray, inside: np.ndarray, period: float, window_s: float = 0.15) -> float:
     """Standard deviation of what no smooth curve explains: a low quantile over short windows about their own parabola.
@@ -21,10 +24,13 @@ def noise_floor(residual: np.ndarray, inside: np.ndarray, period: float, window_
     basis, _ = np.linalg.qr(np.column_stack([np.ones(width), t, t * t]))
     found = []
     for start in starts:
-        if good[start : start + width].all():
-            piece = residual[start : start + width]
-            rest = piece - basis @ (basis.T @ piece)
-            found.append(rest @ rest / (width - 3))
+        here = good[start : start + width]
+        if here.mean() >= FULL:
+            # Rows that are missing are left out of the parabola, too.
+            piece = residual[start : start + width][here]
+            own = basis if here.all() else np.linalg.qr(basis[here])[0]
+            rest = piece - own @ (own.T @ piece)
+            found.append(rest @ rest / (piece.size - 3))
     # Windows without any noise are standstill or a computed signal; they say nothing of the rest.
     found = [value for value in found if value > 1e-9 * max(found)]
     if len(found) >= 5:

@@ -22,21 +22,35 @@ from ...measured import Mapping, RigLog, load_mapping, read_log
 from ...measured.gate import jump_size
 from .windows import LONG_S, WARM_S, choose, rest_starts
 
-__all__ = ["Part", "filled", "overlap", "read_parts"]
+__all__ = ["Part", "filled", "overlap", "read_parts", "timed"]
 
 #: The windows of a log of which no part is named.
 ALL = [(-np.inf, np.inf)]
+#: Commands of uneven logs are held on a grid of about this step, s: within it the mean of a command does what the command does.
+FINE_S = 2.5e-4
 
 
 @dataclass(frozen=True)
 class Part:
     """A run on an even grid, cut at the end of the last window; `inside` (T,) marks the rows that count; `note` says what was
-    chosen for the user."""
+    chosen for the user. If the rows of the log were unevenly spaced, `uneven` is the log as it was recorded, and `held`
+    (2, n T, 2) commands and loads on a grid that is n times finer, so that they act from their own times on."""
 
     label: str
     log: RigLog
     inside: np.ndarray
     note: str = ""
+    uneven: RigLog | None = None
+    held: np.ndarray | None = None
+
+    @property
+    def finer(self) -> int:
+        return 1 if self.held is None else self.held.shape[1] // len(self.log)
+
+    def first(self, rows: int) -> Part:
+        """The part with its first so many rows only."""
+        held = None if self.held is None else self.held[:, : rows * self.finer]
+        return replace(self, log=self.log.first(rows), inside=self.inside[:rows], held=held)
 
     @property
     def seconds(self) -> float:
@@ -57,12 +71,12 @@ def read_parts(
     for word in words:
         if isinstance(word, RigLog):
             log = _named(word)
-            parts += _parts(log.name, _even(_usable(log.name, log, ALL, accept)), ALL)
+            parts += _parts(log.name, _usable(log.name, log, ALL, accept), ALL)
             continue
         path, windows = _split(str(word))
         if path not in read:
             read[path] = read_log(path, mapping)
-        parts += _parts(str(word), _even(_usable(path, read[path], windows, accept)), windows)
+        parts += _parts(str(word), _usable(path, read[path], windows, accept), windows)
     return parts
 
 
@@ -76,8 +90,35 @@ def _named(log: RigLog) -> RigLog:
     return replace(log, name=log.name or f"log {content.hexdigest()[:8]}", sha256=content.hexdigest())
 
 
-def _parts(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[Part]:
-    """One run, or several of a long log."""
+def _parts(word: str, recorded: RigLog, windows: list[tuple[float, float]]) -> list[Part]:
+    """One run, or several of a long log, on an even grid."""
+    if recorded.uniform:
+        return _runs(word, recorded, windows)
+    return [timed(replace(part, uneven=recorded)) for part in _runs(word, recorded.resample(), windows)]
+
+
+def timed(part: Part, lead: float | np.ndarray = 0.0, even: bool = False) -> Part:
+    """A part of an uneven log with its rows and commands at other times, see `RigLog.resample`."""
+    recorded = part.uneven
+    assert recorded is not None
+    period = part.log.period
+    again = recorded.resample(lead, even)
+    first = round((part.log.time_s[0] - again.time_s[0]) / period)
+    rows = slice(first, first + len(part.log))
+    finer = max(1, round(period / FINE_S))
+    load = np.zeros(recorded.command_V.shape) if recorded.load is None else recorded.load
+    held = [
+        recorded.held(np.nan_to_num(values), lead, even, finer)[rows.start * finer : rows.stop * finer]
+        for values in (recorded.command_V, load)
+    ]
+    log = replace(
+        part.log, command_V=again.command_V[rows], load=None if again.load is None else again.load[rows],
+        late=None if again.late is None else again.late[rows],
+    )  # fmt: skip
+    return replace(part, log=log, held=np.array(held))
+
+
+def _runs(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[Part]:
     ends = [min(end, float(log.time_s[-1]) + log.period) for _, end in windows]
     if max(ends) - log.time_s[0] <= LONG_S:
         return [_cut(word, log, windows)]
@@ -145,10 +186,6 @@ def _usable(path: str, log: RigLog, windows: list[tuple[float, float]], accept: 
         way_out = "" if finding.code == "clock_jump" else f"; if it is right, --accept {finding.code}"
         raise InputError(f"{path}: {place}{finding.text}{way_out}")
     return log
-
-
-def _even(log: RigLog) -> RigLog:
-    return log if log.uniform else log.resample(log.period)
 
 
 def _cut(word: str, log: RigLog, windows: list[tuple[float, float]]) -> Part:

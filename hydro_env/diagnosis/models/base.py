@@ -58,7 +58,8 @@ class Request:
 
 @dataclass
 class Segment:
-    """One signal of one channel in one log: the measured samples (n,), and which rows of the simulation they are."""
+    """One signal of one channel in one log: the measured samples (n,), which rows of the log they are, and how many rows later
+    they were taken (None: none); the simulation has `finer` points a row."""
 
     log: int
     channel: int
@@ -68,6 +69,8 @@ class Segment:
     inside: np.ndarray
     period: float
     place: slice = field(default_factory=lambda: slice(0, 0))
+    late: np.ndarray | None = None
+    finer: int = 1
 
     @property
     def step(self) -> int:
@@ -83,6 +86,17 @@ class Segment:
     def filled(self) -> np.ndarray:
         """The measured samples (n,), 0 where there is none."""
         return np.nan_to_num(self.measured)
+
+    def taken(self, simulated: np.ndarray, every: int = 1) -> np.ndarray:
+        """The samples (n,) at the times of the rows, of a simulation of every so many-th row; if rows are late, of one
+        with `finer` points a row."""
+        if self.late is None:
+            # A slice: to pick rows one by one takes eight times as long.
+            return simulated[:: self.step // every][: self.rows.size]
+        # From the points before: the command of a row acts only after its measurement.
+        place = self.finer * (self.rows + self.late)
+        point = np.clip(np.floor(place + 1e-6).astype(int), 1, simulated.size - 1)
+        return simulated[point] + (place - point) * (simulated[point] - simulated[point - 1])
 
     def levelled(self, simulated: np.ndarray) -> np.ndarray:
         """The simulation (n,), moved to the level of the measurement if the level of this signal means nothing."""
@@ -244,6 +258,8 @@ def measured_segments(
                     rows,
                     part.inside[rows],
                     part.log.period * step,
+                    late=None if part.log.late is None else part.log.late[rows] / part.log.period,
+                    finer=part.finer,
                 )
                 segment.place = slice(place, place + rows.size)
                 place += rows.size

@@ -86,9 +86,9 @@ class DynamicRig:
         #: Numbers of the logs by their period, s, the longest first: logs of about the same length run side by side.
         self._logs: dict[float, list[int]] = {}
         for number in sorted(range(len(parts)), key=lambda n: -len(parts[n].log)):
-            self._logs.setdefault(parts[number].log.period, []).append(number)
+            self._logs.setdefault(parts[number].log.period / parts[number].finer, []).append(number)
         self._pairs: dict[str, np.ndarray] = {}
-        rows, most = max(len(part.log) for part in parts), max(BLOCKS[dtype])
+        rows, most = max(len(part.log) * part.finer for part in parts), max(BLOCKS[dtype])
         # The same lanes are asked for again and again, by several threads.
         self._inputs = lru_cache(MOST_INPUTS // (32 * rows * most))(partial(_inputs, tuple(parts)))
         #: A plant of the model for each effects, substep, number of rigs and block, of which every batch takes a copy: to make
@@ -201,7 +201,7 @@ class DynamicRig:
             rigs = self._pack([(n, requests[n]) for n in numbers])
             for period, logs in self._logs.items():
                 lanes = [(log, rig) for log in logs for rig in rigs]
-                rows = max(len(self.parts[log].log) for log in logs)
+                rows = max(len(self.parts[log].log) * self.parts[log].finer for log in logs)
                 weight = rows * period / step * parts * (1.0 + EFFECT_SHARE * len(effects))
                 for start in range(0, len(lanes), max(widths)):
                     own = lanes[start : start + max(widths)]
@@ -291,9 +291,8 @@ class DynamicRig:
         for lane, side, n, channel in shown:
             for segment in self.segments[channel]:
                 if segment.log == batch.lanes[lane][0]:
-                    # A slice of every so many-th row: to pick rows one by one takes eight times as long.
-                    signal = out[_RECORDED[segment.signal]][:: segment.step // every, lane, side]
-                    results[n][channel][segment.place] = segment.levelled(signal[: segment.rows.size])
+                    signal = segment.taken(out[_RECORDED[segment.signal]][:, lane, side], every)
+                    results[n][channel][segment.place] = segment.levelled(signal)
         if self.progress is not None:
             self.progress(len({n for lane, _, n, _ in shown if batch.lanes[lane][0] == 0}))
 
@@ -311,10 +310,14 @@ class DynamicRig:
     ) -> tuple[int, dict[str, np.ndarray]]:
         """`plays` (lanes, 2): the channel whose command and load each side has. Returns each how many-th row is there, and the
         signals (rows, lanes, 2)."""
-        lanes = tuple((log, *sides) for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True))
+        lanes = tuple(
+            (log, len(self.parts[log].log) * self.parts[log].finer, *sides)
+            for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True)
+        )
         inputs = self._inputs(lanes if len(set(lanes)) > 1 else lanes[:1])
         logs = {log for log, _ in batch.lanes}
-        every = gcd(*(s.step for own in self.segments.values() for s in own if s.log in logs)) or 1
+        own = [s for segments in self.segments.values() for s in segments if s.log in logs]
+        every = gcd(*(s.step if s.late is None else 1 for s in own)) or 1
         with np.errstate(all="ignore"):
             plant = self._plant(batch)
             plant.set_values(values)
@@ -336,16 +339,21 @@ class DynamicRig:
         return self._plants[key].copy()
 
 
-def _inputs(parts: Sequence[Part], lanes: Sequence[tuple[int, int, int]]) -> np.ndarray:
-    """Commands and loads (2, rows, lanes, 2) of lanes: each the number of a log, and the channel that each side plays."""
-    logs = [parts[number].log for number, *_ in lanes]
-    found = np.zeros((2, max(map(len, logs)), len(lanes), 2))  # a lane whose log has ended is at rest
+def _inputs(parts: Sequence[Part], lanes: Sequence[tuple[int, int, int, int]]) -> np.ndarray:
+    """Commands and loads (2, rows, lanes, 2) of lanes: each the number of a log, its first so many rows, and the channel that each
+    side plays."""
+    found = np.zeros(
+        (2, max(rows for _, rows, *_ in lanes), len(lanes), 2)
+    )  # a lane whose log has ended is at rest
     for kind in dict.fromkeys(lanes):
-        log, sides = parts[kind[0]].log, kind[1:]
-        alike = [n for n, other in enumerate(lanes) if other == kind]
-        found[0, : len(log), alike] = np.nan_to_num(log.command_V[:, sides])
-        if log.load is not None:
-            found[1, : len(log), alike] = np.nan_to_num(log.load[:, sides])
+        number, rows, *sides = kind
+        part, alike = parts[number], [n for n, other in enumerate(lanes) if other == kind]
+        if part.held is not None:
+            found[:, :rows, alike] = part.held[:, :rows, None, sides]
+            continue
+        found[0, :rows, alike] = np.nan_to_num(part.log.command_V[:rows, sides])
+        if part.log.load is not None:
+            found[1, :rows, alike] = np.nan_to_num(part.log.load[:rows, sides])
     return found
 
 

@@ -23,6 +23,7 @@ from ..models.base import LEVEL_FREE, RigModel
 from ..models.shaft import shaft_speed
 from ..state import Estimates, State
 from .calibration import as_given
+from .instruments import eccentric, runs_apart
 
 __all__ = ["implausible", "run", "stop_if_sure"]
 
@@ -37,6 +38,8 @@ _SURE, _NEAR = 1.3, 1.7
 _FITS = 0.6
 #: A missing effect changes a signal by less than this factor.
 _EFFECTS = 3.0
+#: A command may be above the rated one by an offset and by noise.
+_BEYOND = 1.05
 #: A supply pressure that is further off than this factor is worth a warning.
 _SUPPLY = 1.2
 _HINT = "give the right unit in a mapping, or a model of this machine"
@@ -51,6 +54,9 @@ def run(state: State) -> State:
     given = as_given(Fit(rig, none, state.settings))
     findings = implausible(rig, given)
     stop_if_sure(findings, ", ".join(p.label for p in rig.parts), state.accept)
+    if rig.has_hidden_states:
+        beyond = _beyond_rated(state.held_out)
+        stop_if_sure(list(beyond), ", ".join(p.label for p in state.held_out.parts), state.accept)
     return replace(state, given=given, findings=findings, fit=replace(state.fit, noise=noise_of(rig, given)))
 
 
@@ -75,10 +81,10 @@ def implausible(rig: RigModel, given: Estimates) -> list[Finding]:
     found += _units(rig, likes)
     found += _load(rig)
     found += _supply(rig)
-    found += _command(rig, given)
+    found += [*_command(rig, given)] or [*_beyond_rated(rig)]
     if rig.channels == (0, 1):
         found += _exchanged(rig, given)
-    return found
+    return [*found, *eccentric(rig), *runs_apart(rig, given)]
 
 
 def _compared(rig: RigModel, channel: int) -> list[str]:
@@ -228,6 +234,23 @@ def _command(rig: RigModel, given: Estimates) -> Iterator[Finding]:
             message = f"the currents are {ratios[0]:.3g} times what the commands give: are these in {meant}?"
             hint = "give `unit: percent` or `unit: fraction` and `full_scale` for the commands in a mapping"
             yield Finding("unit", message, hint, "command", sure=True)
+
+
+def _beyond_rated(rig: RigModel) -> Iterator[Finding]:
+    """Commands that the model's valve cannot be given: they are in another unit, or the model is of another valve."""
+    for channel in rig.channels:
+        rated = rig.model.value("u_rated", channel)
+        peak = max(float(np.nanmax(np.abs(p.log.command_V[:, channel]), initial=0.0)) for p in rig.parts)
+        if peak > _BEYOND * rated:
+            column = rig.parts[0].log.read_as.get(f"command_{channel + 1}", ("", ""))[0]
+            what = f"{column!r}" if column else f"the command of channel {channel + 1}"
+            message = (
+                f"{what} reaches {peak:.4g} V, the model's valve is full open at {rated:.4g} V (`u_rated`)"
+            )
+            if peak <= 1.05 * 100.0:
+                message += ": is it in percent?"
+            hint = "give `unit: percent` and `full_scale` for the commands in a mapping, or the right `u_rated` in the model"
+            yield Finding("unit", message, hint, "command", channel + 1, sure=True)
 
 
 def _exchanged(rig: RigModel, given: Estimates) -> Iterator[Finding]:

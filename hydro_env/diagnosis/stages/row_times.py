@@ -1,0 +1,152 @@
+"""When the rows of an unevenly spaced log were taken, and since when their commands act.
+
+A command is held from its row on; but a row may be missing, or the recorder may run beside the controller, so that a command acts
+since some time after the row before. And it may be the time stamps that are uneven, not the rows. What is right is judged by
+regression: the model as given is simulated with each reading of the times, and the steps of its residual are compared with the
+steps of the differences between these simulations. From row to row nothing else that is wrong in a model looks like them. Rows
+of which the measurement is not known to its noise because of the times do not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...measured.samples import SPIKE, standing_out, swing
+from ..estimation import noise_floor
+from ..input.parts import Part, timed
+from ..models.base import Request, RigModel, Segment
+
+__all__ = ["settled"]
+
+#: A reading of the times is preferred to the one as logged if this share of its difference is in the residual.
+EVEN, AHEAD = 0.5, 0.25
+#: Stamps that are off an even grid by less than this share of a step (RMS) are even.
+ROUNDED = 0.02
+#: Rows that two readings put further apart than this share of the noise, or others so near to them, s, do not count.
+APART, NEAR_S = 0.5, 0.05
+
+
+def settled(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
+    """The parts with only those measurements of which place in time and truth are known, as far as the model of the rig tells."""
+    return _without_spikes(rig, _with_known_times(rig, parts)) if rig.has_hidden_states else list(parts)
+
+
+def _with_known_times(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
+    """The parts of `rig`, those of uneven logs with their likeliest times, without measurements that depend too much on them."""
+    if all(part.uneven is None for part in parts):
+        return list(parts)
+
+    def shown(lead: str, even: bool = False) -> list[np.ndarray]:
+        return _simulated(rig, [_read(part, lead, even) for part in parts])[1]
+
+    segments, logged = _simulated(rig, parts)
+    offs = [part.log.late / part.log.period for part in parts if part.log.late is not None]
+    even = any(np.sqrt(np.mean(off**2)) > ROUNDED for off in offs)
+    readings = [shown("held", even=True)] if even else []
+    ahead = shown("row")
+    *by_stamps, by_commands = _shares(segments, logged, [*readings, ahead])
+    lead, note = "half missing", ""
+    even = even and by_stamps[0] > EVEN
+    if even:
+        note = "its time stamps are uneven, not its rows: these are taken as even"
+    elif by_commands > AHEAD:
+        lead = "half row"
+        note = "its commands act since before the rows that show them: taken as half a row earlier"
+    late = ahead if lead == "half row" else shown("missing", even)
+    early = readings[0] if even else logged
+    found = []
+    for number, part in enumerate(parts):
+        if part.uneven is not None:
+            own = [n for n, s in enumerate(segments) if s.log == number]
+            one = _read(part, lead, even)
+            part = _counted(one, [segments[n] for n in own], [late[n] - early[n] for n in own], note)
+        found.append(part)
+    return found
+
+
+def _without_spikes(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
+    """The parts without the spikes that the gate could not distinguish from motion, where it found others in the log: the model
+    as given takes the motion out."""
+    parts = list(parts)
+    spiked = [any(f.code == "spikes" for f in part.log.findings) for part in parts]
+    if not any(spiked):
+        return parts
+    for s, shown in zip(*_simulated(rig, parts), strict=True):
+        values = parts[s.log].log.get(s.signal)
+        if s.signal != "speed" or not spiked[s.log] or values is None:
+            continue
+        known = np.flatnonzero(s.used)
+        values, least = values.copy(), 0.5 * SPIKE * swing(values[known, s.channel])
+        for start, end, height, nearby in standing_out((s.filled - shown)[known])[0]:
+            if height > max(nearby, least):
+                values[known[start:end], s.channel] = np.nan
+        parts[s.log] = replace(parts[s.log], log=replace(parts[s.log].log, speed=values))
+    return parts
+
+
+def _shares(segments: list[Segment], logged: list[np.ndarray], others: list[list[np.ndarray]]) -> np.ndarray:
+    """The shares of the differences of `others` from `logged` that the residual of `logged` holds, by least squares of the steps
+    from row to row."""
+    matrix, side = np.zeros((len(others), len(others))), np.zeros(len(others))
+    for s, now, *readings in zip(segments, logged, *others, strict=True):
+        both = s.used[1:] & s.used[:-1]
+        residual = np.diff(s.filled - now)[both]
+        columns = np.column_stack([np.diff(reading - now)[both] for reading in readings])
+        size = max(1.5 * float(np.median(np.abs(residual))), 1e-12) if residual.size else np.inf
+        matrix += columns.T @ columns / size**2
+        side += columns.T @ residual / size**2
+    return np.linalg.lstsq(matrix, side)[0]
+
+
+def _counted(part: Part, segments: list[Segment], apart: list[np.ndarray], note: str) -> Part:
+    """The part without the measurements (NaN) that two readings of the times put `apart` by more than their noise."""
+    log, left = part.log, []
+    for s, difference in zip(segments, apart, strict=True):
+        values = log.get(s.signal)
+        if values is None:  # made of other signals
+            continue
+        noise = noise_floor(s.measured, s.used, s.period)
+        # What swings passes zero on its way: the largest difference nearby tells.
+        width = 2 * max(1, round(NEAR_S / s.period)) + 1
+        near = np.lib.stride_tricks.sliding_window_view(np.pad(np.abs(difference), width // 2), width).max(
+            axis=1
+        )
+        far = near > APART * noise
+        values = values.copy()
+        values[far, s.channel] = np.nan
+        log = replace(log, **{s.signal: values})  # type: ignore[arg-type]
+        left.append(float(np.mean(~far)))
+    lost = 1.0 - min(left, default=1.0)
+    if lost > 0.005:
+        note += (
+            "; " if note else ""
+        ) + f"up to {lost:.0%} of the rows do not count, as it is unknown since when commands act"
+    return replace(
+        part, log=log, note="; ".join(t for t in (part.note, f"{part.log.name}: {note}" if note else "") if t)
+    )
+
+
+def _read(part: Part, lead: str, even: bool) -> Part:
+    """The part with commands that begin as late as they may ("held"), a "row" or "half row" earlier, or, where rows are
+    "missing", with the first of these or half as early ("half missing")."""
+    if part.uneven is None:
+        return part
+    log = part.uneven
+    steps = np.diff(np.round((log.time_s - part.log.time_s[0]) / log.period), prepend=-1.0)
+    # The command before missing rows is held for one step at least.
+    missing = np.maximum(1.0 - 1.0 / np.maximum(steps, 1.0), 0.0)
+    missing[0] = 0.0
+    leads = {"held": 0.0, "row": 1.0, "half row": 0.5, "missing": missing, "half missing": 0.5 * missing}
+    return timed(part, leads[lead], even)
+
+
+def _simulated(rig: RigModel, parts: Sequence[Part]) -> tuple[list[Segment], list[np.ndarray]]:
+    """All segments, of every row, and what the model as given shows there."""
+    other = rig.with_parts(list(parts), True)
+    shown = other.predict([Request(c, {}) for c in rig.channels])
+    other.close()
+    both = [(s, shown[n][c][s.place]) for n, c in enumerate(rig.channels) for s in other.segments[c]]
+    return [s for s, _ in both], [values for _, values in both]
