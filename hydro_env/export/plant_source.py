@@ -16,7 +16,7 @@ from hydro_env.plant.catalogue import CATALOGUE
 from hydro_env.plant.kernel import driver
 from hydro_env.plant.kernel.driver import SWEEPS
 
-from .translate import HELPERS, Arr, Fun, Num, Translator, Tup, Value, literal, plain_functions
+from .translate import Arr, Fun, Num, Translator, Tup, Value, literal, plain_functions
 
 __all__ = ["PlantSource", "plant_source"]
 
@@ -61,9 +61,6 @@ int plant_set(plant *p, unsigned place, double value);
 """
 
 _BODY = """\
-#include "plant.h"
-{helpers}
-{functions}
 static const double initial[PLANT_CELLS] = {{
     {initial}}};
 
@@ -72,9 +69,7 @@ static const char settable[PLANT_CELLS / 2] = {{
     {settable}}};
 
 void plant_look(plant *p) {{
-    int nothing = 0;
-    double none = 0.0;
-    {look}(p->memory, p->room, p->delayed, p->head, p->command, p->load, 1, {substep}, {stiff_at} * {substep}, &nothing, &none);
+    {look};
 }}
 
 void plant_rest(plant *p) {{
@@ -94,12 +89,12 @@ void plant_start(plant *p) {{
 }}
 
 int plant_step(plant *p, double period) {{
-    int nothing = 0, substeps;
-    double none = 0.0, h, wanted = ceil(period / {substep} - 1e-9);
+    int substeps;
+    double h, wanted = ceil(period / {substep} - 1e-9);
     if (!(period > 0.0) || !(wanted < 1e8){refused}) return 0;
     substeps = wanted < 1.0 ? 1 : (int)wanted;
     h = period / substeps;
-    {step}(p->memory, p->room, p->delayed, p->head, p->command, p->load, substeps, h, {stiff_at} * h, &nothing, &none);
+    {step};
     p->head = (p->head + substeps) % PLANT_SLOTS;
     return 1;
 }}
@@ -143,23 +138,25 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
         )
     )
 
-    def advance(rows: int) -> str:
-        """The C function that runs through so many rows of commands."""
-        values: list[Value] = [
-            at, Arr.of("double", "memory", (kept * lanes,)), Arr.of("double", "cells", (total * lanes,)),
-            Arr.of("double", "ring", (1, slots, lanes)), Num("int", "head"),
-            Arr.of("double", "commands", (rows, 1, 2)), Arr.of("double", "loads", (1, 1, 2)), Num("int", "substeps"),
-            Num("double", "h"), Num("double", "looked_at"), Arr.of("int", "record", (0,)), Num("int", "1", 1),
-            Arr.of("double", "out", (0, 1, 1, 2)),
-        ]  # fmt: skip
-        return translator.call(driver.advance, values).name
+    substep, stiff_at = literal(plant.substep, "double"), literal(float(plant.model.finer), "double")
 
-    step, look = advance(1), advance(0)
+    def advance(rows: int, substeps: str, h: str) -> str:
+        """The call in C that runs through so many rows of commands."""
+        values: list[Value] = [
+            at, Arr.of("double", "p->memory", (kept * lanes,)), Arr.of("double", "p->room", (total * lanes,)),
+            Arr.of("double", "p->delayed", (1, slots, lanes)), Num("int", "p->head"),
+            Arr.of("double", "p->command", (rows, 1, 2)), Arr.of("double", "p->load", (1, 1, 2)), Num("int", substeps),
+            Num("double", h), Num("double", f"{stiff_at} * {h}"), Arr.of("int", "(int *)0", (0,)), Num("int", "1", 1),
+            Arr.of("double", "(double *)0", (0, 1, 1, 2)),
+        ]  # fmt: skip
+        called = translator.call(driver.advance, values)
+        return f"{called.name}({', '.join(called.handed)})"
+
+    step, look = advance(1, "substeps", "h"), advance(0, "1", substep)
     own = [f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters]
     parameters = (*PARAMETERS, *own)
     shared = {name for name in own if CATALOGUE[name.split(".")[0]].scope == "rig"}
     states = [name for name, row in kernel.rows.items() if row < kernel.rows["time"]]
-    substep, stiff_at = literal(plant.substep, "double"), literal(float(plant.model.finer), "double")
     initial = plant.memory.reshape(-1).tolist()
     by_row = {row: 2 if name in shared else 1 for name, row in kernel.rows.items() if name in parameters}
     delay = ", or shorter than a substep: commands are delayed" if kernel.has_delay else ""
@@ -167,12 +164,11 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
         name=model.name.replace("*/", "* /"), version=version, effects=", ".join(model.declared) or "none", kept=kept * lanes,
         total=total * lanes, slots=slots, substep=substep, delay=delay,
     )  # fmt: skip
-    body = _BODY.format(
-        helpers=HELPERS, functions=translator.text, step=step, look=look, substep=substep, stiff_at=stiff_at,
-        moving=2 * (kernel.rows["load"] + 1),
+    body = '#include "plant.h"\n' + translator.source(_BODY.format(
+        step=step, look=look, substep=substep, moving=2 * (kernel.rows["load"] + 1),
         initial=_table(literal(x, "double") for x in initial), settable=_table(str(by_row.get(n, 0)) for n in range(kept)),
         refused=f" || period < {substep} * (1.0 - 1e-9)" if kernel.has_delay else "",
-    )  # fmt: skip
+    ))  # fmt: skip
     places = {name: 2 * row for name, row in kernel.rows.items()}
     return PlantSource(
         plant.model,

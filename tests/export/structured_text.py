@@ -142,8 +142,13 @@ class Block:
             test, kind = self.expression()
             assert kind == "BOOL", test
             self.take("THEN")
-            lines = [f"{indent}if {test}:", *self.statements(("ELSE", "END_IF"), depth + 1)]
-            if self.next() == "ELSE":
+            lines = [f"{indent}if {test}:", *self.statements(("ELSIF", "ELSE", "END_IF"), depth + 1)]
+            ended = self.next()
+            if ended == "ELSIF":  # an IF inside of ELSE that takes the common end
+                self.at -= 1
+                self.words[self.at] = "IF"
+                return [*lines, f"{indent}else:", *self.statement(depth + 1)]
+            if ended == "ELSE":
                 lines += [f"{indent}else:", *self.statements(("END_IF",), depth + 1)]
                 self.next()
             self.take(";")
