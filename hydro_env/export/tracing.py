@@ -182,14 +182,14 @@ def _frozen(value: Any, seen: dict[int, int]) -> Any:
 
 
 @contextmanager
-def _symbolic() -> Iterator[None]:
-    """Controllers' modules with the stand-ins in place."""
+def _symbolic(own: set[str]) -> Iterator[None]:
+    """Controllers' modules, and those named in `own`, with the stand-ins in place."""
     stand_in, kernels = _Numpy(), Kernels()
     changed: list[tuple[dict[str, Any], str, Any]] = []
     recorders: dict[int, _Recorder] = {}
     try:
         for name, module in list(sys.modules.items()):
-            if not name.startswith(_TRACED):
+            if not name.startswith(_TRACED) and name not in own:
                 continue
             space = vars(module)
             for key, value in list(space.items()):
@@ -229,7 +229,7 @@ def _leaves(value: Any, path: str, found: dict[str, Any], seen: set[int]) -> Non
     elif isinstance(value, list | tuple):
         for n, each in enumerate(value):
             _leaves(each, f"{path}.{n}", found, seen)
-    elif type(value).__module__.startswith("hydro_env."):
+    else:
         _leaves(getattr(value, "__dict__", {}), path, found, seen)
 
 
@@ -269,7 +269,8 @@ def trace(controller: Any, period: float, name: str) -> Program:
     Meanwhile no other thread may use a controller: their modules hold the stand-ins.
     """
     program = Program(name, period)
-    with _TRACING, _symbolic():
+    own = {kind.__module__ for kind in type(controller).__mro__} - {"builtins"}
+    with _TRACING, _symbolic(own):
         forget()
         controller.reset(1, period)
         _commands(_sample(controller), program.first)
@@ -338,7 +339,7 @@ def _as_state(
         path, array = paths[0], arrays[paths[0]]
         name = _c_name(path)
         while name in names.values():
-            name += "_"
+            name += "2"
         plain: Any = array.view(np.ndarray)
         for n, place in enumerate(np.ndindex(plain.shape)):
             here = {(each, n) for each in paths}

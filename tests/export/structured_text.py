@@ -89,6 +89,8 @@ class Block:
     # --- declarations ---
     def section(self) -> None:
         kind = self.next()
+        if kind not in ("VAR_INPUT", "VAR_OUTPUT", "VAR"):
+            raise SyntaxError(f"{kind}: matiec does not translate its arrays")
         if kind == "VAR" and self.peek() == "CONSTANT":
             self.next()
         while self.peek() != "END_VAR":
@@ -99,6 +101,8 @@ class Block:
                 self.take("ARRAY", "[", "0", "..")
                 size = int(self.next()) + 1
                 self.take("]", "OF")
+            if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", name):
+                raise SyntaxError(f"{name} is no identifier")
             own = self.next()
             initial: list[float] = []
             if self.peek() == ":=":
