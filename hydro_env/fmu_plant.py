@@ -65,6 +65,8 @@ class FmuModel(PlantModel):
     file: str = ""
     links: Mapping[tuple[str, int], Link] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
+    dtype = "float64"
+    """What an FMU computes in."""
 
     def to_dict(self) -> dict[str, Any]:
         """What tells it from others, the FMU's content included."""
@@ -75,8 +77,10 @@ class FmuModel(PlantModel):
     def make_plant(self, num_rigs: int, dtype: DTypeLike = np.float64, **options: Any) -> FmuRigs:
         """Rigs of this kind; the other options of a `Plant` mean nothing here. InputError if the FMU cannot be loaded, and for
         another dtype."""
-        if np.dtype(dtype) != np.float64:
-            raise InputError(f"{self.name}: an FMU reckons in double precision; dtype float64 is right")
+        if np.dtype(dtype) != self.dtype:
+            raise InputError(
+                f"{self.name}: an FMU computes in float64; dtype {np.dtype(dtype)} is not possible"
+            )
         return FmuRigs(self, num_rigs)
 
 
@@ -114,15 +118,13 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
                 raise InputError(
                     f"{mapping or file}: {name} of channel {channel + 1} is missing; name its variable in --mapping"
                 )
-    own = [rated, rated]
-    if rated is None:
-        own = [start.get(name, getattr(variables.get(name), "start", None)) for name in _RATED]
-    if None in own or not all(map(float, own)):
+    own: list[Any] = [start.get(name, getattr(variables.get(name), "start", None)) for name in _RATED]
+    one, two = own if rated is None else (rated, rated)
+    if one is None or two is None:
         raise InputError(
-            f"{mapping or file}: rated is missing or 0; the value of the command variables at full command belongs into --mapping"
+            f"{mapping or file}: rated is missing: the value of the command variables at full command"
         )
-    values = {"u_rated": (float(own[0]), float(own[1]))}
-    model = PlantModel(Path(file).stem, values)
+    model = PlantModel(Path(file).stem, {"u_rated": (float(one), float(two))})
     return FmuModel(model.name, model.values, (), model.substep, file=str(file), links=links, start=start)
 
 
