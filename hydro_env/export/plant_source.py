@@ -12,9 +12,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from hydro_env.plant import PARAMETERS, Plant, PlantModel
+from hydro_env.plant.accepted import accepted
 from hydro_env.plant.catalogue import CATALOGUE
 from hydro_env.plant.kernel import driver
 from hydro_env.plant.kernel.driver import SWEEPS
+from hydro_env.plant.model import parameter_of
 
 from .translate import Arr, Fun, Num, Translator, Tup, Value, literal, plain_functions
 
@@ -54,7 +56,7 @@ void plant_look(plant *p);
 /* Goes on by `period` seconds in the fewest equal substeps that are not longer than {substep} s; 0 where that is refused:
    a period that is not positive or has more than 1e8 substeps{delay}. */
 int plant_step(plant *p, double period);
-/* Sets a signal or parameter by its place in `memory`; 0 if it is none that may be set. */
+/* Sets a parameter by its place in `memory`; 0 if there is none, or if the model does not accept the value. */
 int plant_set(plant *p, unsigned place, double value);
 
 #endif
@@ -64,8 +66,12 @@ _BODY = """\
 static const double initial[PLANT_CELLS] = {{
     {initial}}};
 
-/* 0: a signal, 1: a parameter of a channel, 2: one that both channels share */
-static const char settable[PLANT_CELLS / 2] = {{
+/* How many channels a parameter belongs to by itself (0: a signal, 1, or 2 that share it), and its neutral, least and greatest
+   value. */
+static const struct {{
+    int channels;
+    double neutral, least, greatest;
+}} settable[PLANT_CELLS / 2] = {{
     {settable}}};
 
 void plant_look(plant *p) {{
@@ -100,9 +106,11 @@ int plant_step(plant *p, double period) {{
 }}
 
 int plant_set(plant *p, unsigned place, double value) {{
-    if (place >= PLANT_CELLS || !settable[place / 2] || value != value) return 0;
+    unsigned n = place / 2;
+    if (place >= PLANT_CELLS || !settable[n].channels) return 0;
+    if (value != settable[n].neutral && !(settable[n].least <= value && value <= settable[n].greatest)) return 0;
     p->memory[place] = value;
-    if (settable[place / 2] == 2) p->memory[place ^ 1u] = value;
+    if (settable[n].channels == 2) p->memory[place ^ 1u] = value;
     return 1;
 }}
 """
@@ -111,14 +119,15 @@ int plant_set(plant *p, unsigned place, double value) {{
 @dataclass(frozen=True)
 class PlantSource:
     """`header` and `body` are plant.h and plant.c. `places` numbers the cell of channel 1 of every signal and parameter;
-    channel 2 is the next one. `outputs` names the signals, `shared` the parameters that belong to the rig as a whole."""
+    channel 2 is the next one. `outputs` names the signals, `parameters` has the range of each parameter, `shared` those that
+    belong to the rig as a whole."""
 
     model: PlantModel
     header: str
     body: str
     places: dict[str, int]
     outputs: tuple[str, ...]
-    parameters: tuple[str, ...]
+    parameters: dict[str, tuple[float, float]]
     shared: frozenset[str]
     has_delay: bool
 
@@ -158,7 +167,11 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
     shared = {name for name in own if CATALOGUE[name.split(".")[0]].scope == "rig"}
     states = [name for name, row in kernel.rows.items() if row < kernel.rows["time"]]
     initial = plant.memory.reshape(-1).tolist()
-    by_row = {row: 2 if name in shared else 1 for name, row in kernel.rows.items() if name in parameters}
+    ranges = {name: parameter_of(name).possible for name in parameters}
+    for effect in map(CATALOGUE.__getitem__, model.declared):
+        if effect.delays_command:  # no longer than the line
+            ranges[f"{effect.name}.{effect.delays_command}"] = 0.0, (slots - 2) * plant.substep
+    by_row = {kernel.rows[name]: _accepted(name, ends, name in shared) for name, ends in ranges.items()}
     delay = ", or shorter than a substep: commands are delayed" if kernel.has_delay else ""
     header = _HEADER.format(
         name=model.name.replace("*/", "* /"), version=version, effects=", ".join(model.declared) or "none", kept=kept * lanes,
@@ -166,7 +179,8 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
     )  # fmt: skip
     body = '#include "plant.h"\n' + translator.source(_BODY.format(
         step=step, look=look, substep=substep, moving=2 * (kernel.rows["load"] + 1),
-        initial=_table(literal(x, "double") for x in initial), settable=_table(str(by_row.get(n, 0)) for n in range(kept)),
+        initial=_table(literal(x, "double") for x in initial),
+        settable=",\n    ".join(by_row.get(n, "{0, 0, 0, 0}") for n in range(kept)),
         refused=f" || period < {substep} * (1.0 - 1e-9)" if kernel.has_delay else "",
     ))  # fmt: skip
     places = {name: 2 * row for name, row in kernel.rows.items()}
@@ -176,10 +190,16 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
         body,
         places,
         (*states, *_OUTPUTS),
-        parameters,
+        ranges,
         frozenset(shared),
         kernel.has_delay,
     )
+
+
+def _accepted(name: str, ends: tuple[float, float], shared: bool) -> str:
+    """A row of the table `settable`."""
+    numbers = ", ".join(literal(x, "double") for x in (parameter_of(name).neutral, *accepted(ends)))
+    return f"{{{1 + shared}, {numbers}}}"
 
 
 def _table(numbers: Iterable[str]) -> str:

@@ -18,6 +18,7 @@ import pytest
 from hydro_env.cli import main
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
+from hydro_env.controllers.tuning.gains import GainsFile, write_gains
 from hydro_env.envs.observation import OBSERVATION, SCALES
 from hydro_env.export.compiler import find_compiler
 from hydro_env.export.controllers import c_files, program_of, st_file
@@ -276,6 +277,47 @@ def test_gains_and_period_of_ones_own(tmp_path: Path) -> None:
     expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train", 0.005)
     got = episode(InC(tmp_path, "cross_coupled", "-O2"), "setpoint_steps", "paper_dead_zone", "train", 0.005)
     assert np.array_equal(got, expected)
+
+
+OWN_LAW = """\
+import numpy as np
+from hydro_env.controllers.base import Controller, Gain
+
+class Mine(Controller):
+    GAINS = (Gain("Kp", "1", 0.01, 1.0), Gain("Ki", "1/s", 0.01, 10.0))
+
+    def start(self, measured):
+        self.total = np.zeros_like(measured.speed)
+
+    def command(self, measured):
+        error = (measured.setpoint[:, None] - measured.speed) / 60.0
+        self.total = np.clip(self.total + error * self.period, -1.0, 1.0)
+        return self.gains["Kp"] * error + self.gains["Ki"] * self.total
+"""
+
+
+@needs_compiler
+@pytest.mark.parametrize("law", ["cross_coupled", "law.py:Mine"])
+def test_a_gains_file_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, law: str) -> None:
+    """Of a shipped law or of one's own, by the command; the file's name may have any letters."""
+    monkeypatch.chdir(tmp_path)
+    Path("law.py").write_text(OWN_LAW)
+    gains = (
+        {"Kp": 0.3, "Ki": 0.5}
+        if law.endswith("Mine")
+        else {**make_controller("cross_coupled").gains, "Kp": 0.04}
+    )
+    write_gains("größe_1.json", GainsFile(law, {key: float(value) for key, value in gains.items()}))
+    trust = ["--trust"] if law.endswith("Mine") else []
+    for kind in ("c", "st"):
+        with pytest.raises(SystemExit) as ended:
+            main(["export", kind, "größe_1.json", *trust, "--out", kind])
+        assert ended.value.code == 0
+    controller = make_controller("größe_1.json", trust=True)
+    controller.reset(1, PERIOD)
+    expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train")
+    for act in (InC(Path("c").resolve(), "gro_e_1", "-O2"), InText(Path("st"), "gro_e_1")):
+        assert np.array_equal(episode(act, "setpoint_steps", "paper_dead_zone", "train"), expected)
 
 
 @needs_compiler
