@@ -163,14 +163,10 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
 
     step, look = advance(1, "substeps", "h"), advance(0, "1", substep)
     own = [f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters]
-    parameters = (*PARAMETERS, *own)
     shared = {name for name in own if CATALOGUE[name.split(".")[0]].scope == "rig"}
     states = [name for name, row in kernel.rows.items() if row < kernel.rows["time"]]
     initial = plant.memory.reshape(-1).tolist()
-    ranges = {name: parameter_of(name).possible for name in parameters}
-    for effect in map(CATALOGUE.__getitem__, model.declared):
-        if effect.delays_command:  # no longer than the line
-            ranges[f"{effect.name}.{effect.delays_command}"] = 0.0, (slots - 2) * plant.substep
+    ranges = _ranges(plant, (*PARAMETERS, *own))
     by_row = {kernel.rows[name]: _accepted(name, ends, name in shared) for name, ends in ranges.items()}
     delay = ", or shorter than a substep: commands are delayed" if kernel.has_delay else ""
     header = _HEADER.format(
@@ -194,6 +190,15 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
         frozenset(shared),
         kernel.has_delay,
     )
+
+
+def _ranges(plant: Plant, parameters: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """The values that each parameter may have; a delay is no longer than the line."""
+    ranges = {name: parameter_of(name).possible for name in parameters}
+    for effect in map(CATALOGUE.__getitem__, plant.model.declared):
+        if effect.delays_command:
+            ranges[f"{effect.name}.{effect.delays_command}"] = 0.0, (plant.delay_slots - 2) * plant.substep
+    return ranges
 
 
 def _accepted(name: str, ends: tuple[float, float], shared: bool) -> str:
