@@ -4,7 +4,7 @@ An FMU is a program: `load_fmu` asks that its origin be trusted. FMI 2.0 and 3.0
 mapping file says which variables are meant, unless they have the names of `hydro-env export fmu`:
 
     schema: hydro_env/fmu_mapping/1
-    rated: 10                                # value of the command variables at full command
+    rated: 10                                # value of the command variables at full command, unless the FMU has u_rated
     start: {supply.p: 1.0e+7}                # optional: parameters of the FMU
     channel_1:
       command: {variable: valve1.u}
@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.plant import Plant, PlantModel
@@ -45,6 +45,8 @@ _SIGNALS = {
     "pressure": ("Pa", False), "current": ("A", False), "angle": ("rad", False),
 }  # fmt: skip
 _NEEDED = ("command", "speed")
+#: What an exported rig calls its rated commands.
+_RATED = ("channel_1.u_rated", "channel_2.u_rated")
 _NO_ROWS = np.zeros(0, np.int64)
 
 
@@ -63,6 +65,8 @@ class FmuModel(PlantModel):
     file: str = ""
     links: Mapping[tuple[str, int], Link] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
+    dtype = "float64"
+    """What an FMU computes in."""
 
     def to_dict(self) -> dict[str, Any]:
         """What tells it from others, the FMU's content included."""
@@ -70,8 +74,13 @@ class FmuModel(PlantModel):
         links = {f"{name}_{c + 1}": [link.variable, link.factor] for (name, c), link in self.links.items()}
         return {**super().to_dict(), "fmu": digest, "links": links, "start": dict(self.start)}
 
-    def make_plant(self, num_rigs: int) -> FmuRigs:
-        """Rigs of this kind. InputError if the FMU cannot be loaded."""
+    def make_plant(self, num_rigs: int, dtype: DTypeLike = np.float64, **options: Any) -> FmuRigs:
+        """Rigs of this kind; the other options of a `Plant` mean nothing here. InputError if the FMU cannot be loaded, and for
+        another dtype."""
+        if np.dtype(dtype) != self.dtype:
+            raise InputError(
+                f"{self.name}: an FMU computes in float64; dtype {np.dtype(dtype)} is not possible"
+            )
         return FmuRigs(self, num_rigs)
 
 
@@ -91,7 +100,7 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
             f"{file}: is a program, so that using it runs code from the file; with --trust it is used"
         )
     description = _description(str(file))
-    rated, start, links = (73.0, {}, _own_names(description)) if mapping is None else _read(Path(mapping))
+    rated, start, links = (None, {}, _own_names(description)) if mapping is None else _read(Path(mapping))
     variables = {v.name: v for v in description.modelVariables}
     for (name, channel), link in links.items():
         _check(
@@ -109,7 +118,13 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
                 raise InputError(
                     f"{mapping or file}: {name} of channel {channel + 1} is missing; name its variable in --mapping"
                 )
-    model = PlantModel(Path(file).stem, {"u_rated": (rated, rated)})
+    own: list[Any] = [start.get(name, getattr(variables.get(name), "start", None)) for name in _RATED]
+    one, two = own if rated is None else (rated, rated)
+    if one is None or two is None:
+        raise InputError(
+            f"{mapping or file}: rated is missing: the value of the command variables at full command"
+        )
+    model = PlantModel(Path(file).stem, {"u_rated": (float(one), float(two))})
     return FmuModel(model.name, model.values, (), model.substep, file=str(file), links=links, start=start)
 
 
@@ -135,7 +150,7 @@ def _own_names(description: Any) -> dict[tuple[str, int], Link]:
     return {key: Link(name) for key, name in names.items() if name in there}
 
 
-def _read(path: Path) -> tuple[float, dict[str, float], dict[tuple[str, int], Link]]:
+def _read(path: Path) -> tuple[float | None, dict[str, float], dict[tuple[str, int], Link]]:
     """Rated command, start values and links of a mapping file."""
     data = read_yaml(path, "a mapping of an FMU in YAML")
     known = ("schema", "rated", "start", "channel_1", "channel_2")
@@ -159,7 +174,8 @@ def _read(path: Path) -> tuple[float, dict[str, float], dict[tuple[str, int], Li
                 )
             links[name, channel] = _link(f"{path}: channel_{channel + 1}: {name}", name, entry)
     values = {str(key): _number(f"{path}: start: {key}", value) for key, value in start.items()}
-    return _number(f"{path}: rated", data.get("rated", 73.0)), values, links
+    rated = _number(f"{path}: rated", data["rated"]) if "rated" in data else None
+    return rated, values, links
 
 
 def _number(where: str, value: Any) -> float:
@@ -327,8 +343,8 @@ class FmuRigs(Plant):
         if lost:
             memory[: self.row_of("time")] = 0.0
 
-    def copy(self) -> Plant:
-        """InputError: the FMU need not be able to copy itself."""
+    def __getstate__(self) -> dict[str, Any]:
+        """InputError for whatever copies or pickles the rigs: the FMU need not be able to copy itself."""
         raise InputError(
             f"{self.model.name}: a foreign FMU cannot be put on the valve bench or copied; a controller that goes by"
             " measurements is right"

@@ -122,6 +122,11 @@ class Conditions:
     seed: int = 0
     limit: float = LIMIT
 
+    @property
+    def dtype(self) -> str:
+        """Of the plant; one that is no model of ours has its own."""
+        return str(getattr(self.plant, "dtype", DTYPE))
+
     def check(self, suite: Suite) -> None:
         """InputError for what every controller would fail by: a plant, a control period or a seed that cannot be."""
         if self.seed < 0:
@@ -289,7 +294,7 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
         scenario=cell.scenario,
         control_period=conditions.control_period,
         limit=conditions.limit,
-        dtype=DTYPE,
+        dtype=DTYPE if own else conditions.dtype,
     )
     metrics = done.metrics(METRICS)
     for name, values in metrics.items():
@@ -358,7 +363,7 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
         "plant": label,
         "seed": conditions.seed,
         "control_period_s": conditions.control_period,
-        "dtype": DTYPE,
+        "dtype": conditions.dtype,
         "splits": suite.splits,
         "drawn_over": drawn,
         "controllers": names,

@@ -24,7 +24,7 @@ Controller = Annotated[
     str,
     typer.Argument(
         metavar="CONTROLLER",
-        help="A shipped controller, a gains file (.json) or a policy (.npz), with gains if wanted (NAME:Kp=0.2).",
+        help="A shipped controller, a gains file (.json), a policy (.npz) or file.py:Class, with gains if wanted (NAME:Kp=0.2).",
     ),
 ]
 Bench = Annotated[
@@ -36,6 +36,9 @@ Bench = Annotated[
 Period = Annotated[
     float,
     number("--control-period", within=Limits(1e-4, 1.0, unit="s"), help="Control period that is built in."),
+]
+Trust = Annotated[
+    bool, typer.Option("--trust", help="Use gains (.json) of a law in a Python file, which is run.")
 ]
 Single = Annotated[bool, typer.Option("--single", help="Networks in single precision: smaller and faster.")]
 
@@ -69,6 +72,7 @@ def c(
     control_period: Period = 0.01,
     plant: Bench = "paper_dead_zone",
     single: Single = False,
+    trust: Trust = False,
 ) -> None:
     """Export a controller as C99.
 
@@ -77,7 +81,7 @@ def c(
     with writing(out) as folder:
         from hydro_env.export.controllers import c_files
 
-        c_files(controller, folder, control_period, plant, single)
+        c_files(controller, folder, control_period, plant, single, trust)
 
 
 @export.command(cls=HelpfulCommand)
@@ -87,6 +91,7 @@ def st(
     control_period: Period = 0.01,
     plant: Bench = "paper_dead_zone",
     single: Single = False,
+    trust: Trust = False,
 ) -> None:
     """Export a controller as Structured Text.
 
@@ -95,7 +100,7 @@ def st(
     with writing(out) as folder:
         from hydro_env.export.controllers import st_file
 
-        st_file(controller, folder, control_period, plant, single)
+        st_file(controller, folder, control_period, plant, single, trust)
 
 
 @export.command(cls=HelpfulCommand)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.estimation.nominal import SPOOL_RATE
+from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.controllers.input_shaping import three_taps
 from hydro_env.envs.observation import Measurements, decode
 from hydro_env.errors import InputError, suggestion
@@ -80,6 +81,8 @@ class Controller:
             valve bench beforehand; "parameters": the true valves; "everything": the loads to come as well. All but
             the first get `prepare` called with a copy of the plant, the last one `foresee` too. The leaderboard lists it.
         plant: the plant the controller belongs to where that is another one than the plant under test.
+
+    `guard` watches what `act` is given (`hydro_env.controllers.input_guard`); its `fault` (num_rigs,) tells of absent inputs.
     """
 
     GAINS: ClassVar[tuple[Gain, ...]] = ()
@@ -106,6 +109,7 @@ class Controller:
         self.gains: dict[str, Floats] = {key: np.asarray(value, dtype=float) for key, value in gains.items()}
         self._sets: dict[float, dict[str, Floats]] = {}
         self.period = 0.0
+        self.guard = InputGuard(0, 1.0)
         self._started = False
         self._num_rigs = 0
 
@@ -131,9 +135,11 @@ class Controller:
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode. `control_period` in s."""
         self.period, self._num_rigs, self._started = float(control_period), int(num_rigs), False
+        self.guard = InputGuard(self._num_rigs, self.period)
         if self._sets:
             self.gains = self._sets[min(self._sets, key=lambda known: abs(log(known / self.period)))]
 
+    @guarded
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
         measured = decode(np.asarray(observation))

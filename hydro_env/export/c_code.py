@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from hydro_env.controllers.input_guard import HOLD, MOST, held_samples
+
 from .kernels import Kernels
 from .schedule import Call, Fill, Let, Loop, Matrix, Schedule, Slice, Step
 from .symbols import Expr, MaskedRows
-from .tracing import Program
-from .translate import HELPERS, KINDS, Translator, bare, literal
+from .tracing import MEASURED, Program
+from .translate import KINDS, Translator, bare, identifier, literal, without_unread
 
 __all__ = ["CCode", "c_code"]
 
@@ -37,16 +38,59 @@ _HEADER = """\
    7, 8 commands in force, as fractions of the rated command */
 enum {{ {guard}_MEASURED = {measured} }};
 
+/* A value that is not finite counts as absent: NaN says so. Its last good value stands in for so many samples ({hold:g} s). */
+#ifndef {guard}_HOLD
+#define {guard}_HOLD {samples}
+#endif
+
 typedef struct {name}_state {{
-    int started;
+    int fault; /* 1: an input has been absent for longer, or was never there; commands are zero, and what is below waits */
+    int started, missed[{measured}];
+    double input[{measured}];
 {state}}} {name}_state;
 
 /* Before the first sample, and to begin anew. */
 void {name}_reset({name}_state *s);
-/* Once every {period} s: both commands, as fractions of the rated command of your valves, in [-1, 1]. */
-void {name}_step({name}_state *s, const double measured[{measured}], double command[2]);
+/* Once every {period} s: both commands, as fractions of the rated command of your valves, in [-1, 1].
+   Returns `fault`. */
+int {name}_step({name}_state *s, const double measured[{measured}], double command[2]);
 
 #endif
+"""
+#: The rule of `hydro_env.controllers.input_guard`.
+_STEP = """\
+#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
+#error "compile without -ffast-math, which cannot tell that an input is NaN"
+#endif
+
+void {name}_reset({name}_state *s) {{
+    int i;
+    s->fault = s->started = 0;
+    for (i = 0; i < {measured}; i++) s->missed[i] = {guard}_HOLD + 1;
+{resets}}}
+
+int {name}_step({name}_state *s, const double measured[{measured}], double command[2]) {{
+    int i;
+    s->fault = 0;
+    for (i = 0; i < {measured}; i++) {{
+        if (fabs(measured[i]) <= {most}) {{
+            s->input[i] = measured[i];
+            s->missed[i] = 0;
+        }} else if (s->missed[i] <= {guard}_HOLD) {{
+            s->missed[i]++;
+        }}
+        if (s->missed[i] > {guard}_HOLD) s->fault = 1;
+    }}
+    if (s->fault) {{
+        command[0] = command[1] = 0.0;
+    }} else if (s->started) {{
+        next_sample(s, s->input, command);
+    }} else {{
+        first_sample(s, s->input, command);
+        s->started = 1;
+    }}
+    return s->fault;
+}}
 """
 
 
@@ -61,33 +105,25 @@ class CCode:
 
 def c_code(program: Program, version: str, about: str) -> CCode:
     """The C of a program. `about`: a sentence on the controller."""
-    name = re.sub(r"\W", "_", program.name)
-    name = f"_{name}" if name[0].isdigit() else name
+    name = identifier(program.name)
     translator = Translator()
     kernels = Kernels(translator)
     bodies = []
     for which, assignments in (("first", program.first), ("next", program.next)):
         schedule = Schedule(assignments, kernels)
-        lines = _Writer(schedule, translator).lines()
+        lines = without_unread(_Writer(schedule, translator).lines())
         head = f"static void {which}_sample({name}_state *s, const double *measured, double *command) {{"
         bodies.append("\n".join([head, *("    " + line for line in lines), "}", ""]))
     state = "".join(f"    {KINDS[each.kind]} {each.name}[{each.size}];\n" for each in program.state)
     header = _HEADER.format(
-        name=name, guard=name.upper(), period=repr(program.period), about=about, version=version, measured=9,
-        state=state,
+        name=name, guard=name.upper(), period=repr(program.period), about=about, version=version,
+        measured=len(MEASURED), hold=HOLD, samples=held_samples(program.period), state=state,
     )  # fmt: skip
-    reset = "".join(
-        f"    for (i = 0; i < {each.size}; i++) s->{each.name}[i] = 0;\n" for each in program.state
+    resets = [f"    for (i = 0; i < {each.size}; i++) s->{each.name}[i] = 0;\n" for each in program.state]
+    end = _STEP.format(
+        name=name, guard=name.upper(), measured=len(MEASURED), resets="".join(resets), most=MOST
     )
-    counter = "    int i;\n" if reset else ""
-    end = (
-        f"void {name}_reset({name}_state *s) {{\n{counter}    s->started = 0;\n{reset}}}\n\n"
-        f"void {name}_step({name}_state *s, const double measured[9], double command[2]) {{\n"
-        "    if (s->started) {\n        next_sample(s, measured, command);\n    } else {\n"
-        "        first_sample(s, measured, command);\n        s->started = 1;\n    }\n}\n"
-    )
-    parts = [f'#include "{name}.h"\n', HELPERS, translator.text, *bodies, end]
-    return CCode(name, header, "\n".join(part for part in parts if part))
+    return CCode(name, header, f'#include "{name}.h"\n' + translator.source(*bodies, end))
 
 
 class _Writer:
@@ -142,21 +178,14 @@ class _Writer:
 
     def _filled(self, name: str, elements: list[Expr]) -> list[str]:
         """name[n] = element n, neighbours that lie side by side in a loop."""
-        lines, n = [], 0
-        while n < len(elements):
-            count = 1
-            while (
-                n + count < len(elements) and self.schedule.slice_of(elements[n : n + count + 1]) is not None
-            ):
-                count += 1
-            found = self.schedule.slice_of(elements[n : n + count]) if count >= 4 else None
+        lines = []
+        for n, count, found in self.schedule.runs(elements):
             if found is not None:
                 lines.append(
                     f"for (i = 0; i < {count}; i++) {name}[{_sum(n, 'i')}] = {self._at(found, 'i')};"
                 )
             else:
-                lines += [f"{name}[{n + k}] = {bare(self.text(elements[n + k]))};" for k in range(count)]
-            n += count
+                lines.append(f"{name}[{n}] = {bare(self.text(elements[n]))};")
         return lines
 
     def _matrix(self, name: str, kind: str, matrix: np.ndarray, operand: Slice) -> list[str]:
@@ -173,37 +202,28 @@ class _Writer:
         ]
 
     def _call(self, step: Call) -> list[str]:
-        lines, pointers = [], []
-        for name, kind, content, here in zip(
-            step.names, step.kinds, step.contents, step.in_place, strict=True
-        ):
-            if here and isinstance(content, Slice):
-                place = f"s->{content.array}" if content.kept else content.array
+        lines, handed = [], []
+        for n, (name, kind, size) in enumerate(zip(step.names, step.kinds, step.sizes, strict=True)):
+            content = step.contents[n]
+            if n not in step.how.handed:
+                continue
+            if step.in_place[n] and isinstance(content, Slice):
                 lines.append(
-                    f"{KINDS[kind]} *const {name} = {place}{f' + {content.start}' if content.start else ''};"
+                    f"{KINDS[kind]} *const {name} = &{self._at(replace(content, start=0), str(content.start))};"
                 )
             elif isinstance(content, Slice):
-                size = self._size(step, name)
                 lines.append(f"{KINDS[kind]} {name}[{size}];")
                 lines.append(f"for (i = 0; i < {size}; i++) {name}[i] = {self._at(content, 'i')};")
             else:
-                lines += [f"{KINDS[kind]} {name}[{len(content)}];", *self._filled(name, content)]
-            pointers.append(name)
-        handed = []
+                lines += [f"{KINDS[kind]} {name}[{size}];", *self._filled(name, content)]
         for each in step.how.handed:
             if isinstance(each, int):
-                handed.append(pointers[each])
+                handed.append(step.names[each])
             elif isinstance(each, Expr):
                 handed.append(bare(self.text(each)))
-            elif isinstance(each, MaskedRows):
-                handed += ["(int[]){0}"]
-                mask = self.text(each.mask)
             else:
-                handed.append(mask if each.startswith("rows") else each)
+                handed.append("(int[]){0}" if isinstance(each, MaskedRows) else each)
         return [*lines, f"{step.how.name}({', '.join(handed)});"]
-
-    def _size(self, step: Call, name: str) -> int:
-        return step.sizes[step.names.index(name)]
 
     # --- expressions --------------------------------------------------------------------------------------------------
     def _at(self, place: Slice, index: str) -> str:

@@ -11,7 +11,7 @@ from hydro_env import __version__
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, place_of
 from hydro_env.files import write_json, write_text
 from hydro_env.plant import Plant, load_model
 
@@ -19,34 +19,41 @@ from .c_code import c_code
 from .structured_text import structured_text
 from .symbols import TraceError
 from .tracing import Program, trace
-from .translate import TranslationError
+from .translate import TranslationError, identifier
 
 __all__ = ["c_files", "onnx_file", "program_of", "st_file"]
 
 
-def program_of(spec: str, period: float, plant: str = "paper_dead_zone", single: bool = False) -> Program:
+def program_of(
+    spec: str, period: float, plant: str = "paper_dead_zone", single: bool = False, trust: bool = False
+) -> Program:
     """What a controller does with its samples. `plant`: the rig whose valves are put on the bench for one that needs it;
-    `single`: a network in single precision, as it runs in Python unless asked otherwise.
+    `single`: a network in single precision, as it runs in Python unless asked otherwise; `trust`: as for `make_controller`.
 
     InputError for a name that nobody knows, a controller that needs the true plant, and one that cannot be followed.
     """
-    controller = _controller(spec, plant, single)
+    controller = _controller(spec, plant, single, trust)
     try:
         return trace(controller, period, controller.name.partition(":")[0])
     except (TraceError, TranslationError) as problem:
         raise InputError(f"controller {spec!r} cannot be exported: {problem}") from None
+    except Exception as problem:  # of a user's own law, which may do with symbols what only numbers can do
+        place = f" ({place_of(problem)})" if place_of(problem) else ""
+        raise InputError(
+            f"controller {spec!r} cannot be exported: {type(problem).__name__}: {problem}{place}"
+        ) from problem
 
 
-def _controller(spec: str, plant: str, single: bool) -> Any:
-    controller = make_controller(spec)
+def _controller(spec: str, plant: str, single: bool, trust: bool) -> Any:
+    controller = make_controller(spec, trust=trust)
     if isinstance(controller, NumpyPolicy):
         entry = CONTROLLERS.get(split_gains(spec)[0])
         path = entry.file if entry is not None and entry.file is not None else Path(spec)
         return NumpyPolicy(path, controller.name, np.float32 if single else np.float64)
-    if not isinstance(controller, Controller) or not type(controller).__module__.startswith("hydro_env."):
+    if not isinstance(controller, Controller):
         raise InputError(
-            f"controller {spec!r} cannot be exported: shipped controllers, gains files (.json) of their laws and policies (.npz)"
-            " can be"
+            f"controller {spec!r} cannot be exported: shipped controllers, gains files (.json), policies (.npz) and subclasses of"
+            " Controller can be"
         )
     if controller.needs in ("parameters", "everything"):
         raise InputError(
@@ -63,23 +70,27 @@ def _about(spec: str) -> str:
     return f"In short: {entry.summary}." if entry is not None else "From a file of its user."
 
 
-def c_files(spec: str, folder: Path, period: float, plant: str, single: bool) -> dict[str, Any]:
+def c_files(
+    spec: str, folder: Path, period: float, plant: str, single: bool, trust: bool = False
+) -> dict[str, Any]:
     """Writes NAME.h, NAME.c and export.json; what the latter holds."""
-    program = program_of(spec, period, plant, single)
+    program = program_of(spec, period, plant, single, trust)
     code = c_code(program, __version__, _about(spec))
     write_text(folder / f"{code.name}.h", code.header)
     write_text(folder / f"{code.name}.c", code.source)
     return _noted(folder, "c", spec, program, [f"{code.name}.h", f"{code.name}.c"])
 
 
-def st_file(spec: str, folder: Path, period: float, plant: str, single: bool) -> dict[str, Any]:
+def st_file(
+    spec: str, folder: Path, period: float, plant: str, single: bool, trust: bool = False
+) -> dict[str, Any]:
     """Writes NAME.st and export.json; what the latter holds. InputError for one that calls compiled functions."""
-    program = program_of(spec, period, plant, single)
+    program = program_of(spec, period, plant, single, trust)
     try:
         text = structured_text(program, __version__, _about(spec))
     except TraceError as problem:
         raise InputError(f"controller {spec!r} cannot be exported: {problem}") from None
-    name = f"{program.name}.st"
+    name = f"{identifier(program.name)}.st"
     write_text(folder / name, text)
     return _noted(folder, "st", spec, program, [name])
 

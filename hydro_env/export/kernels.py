@@ -48,7 +48,7 @@ class Kernels:
             return Arr(*_contiguous(argument, mark), root=mark)
         if isinstance(argument, MaskedRows):
             marks[mark] = argument
-            marks[f"{mark}_count"] = f"rows{len(marks)}"
+            marks[f"{mark}_count"] = argument.mask
             return Arr("int", mark, (f"{mark}_count",), (1,), root=mark)
         if isinstance(argument, Expr):
             if argument.op == "const":

@@ -12,11 +12,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from hydro_env.plant import PARAMETERS, Plant, PlantModel
+from hydro_env.plant.accepted import accepted
 from hydro_env.plant.catalogue import CATALOGUE
 from hydro_env.plant.kernel import driver
 from hydro_env.plant.kernel.driver import SWEEPS
+from hydro_env.plant.model import parameter_of
 
-from .translate import HELPERS, Arr, Fun, Num, Translator, Tup, Value, literal, plain_functions
+from .translate import Arr, Fun, Num, Translator, Tup, Value, literal, plain_functions
 
 __all__ = ["PlantSource", "plant_source"]
 
@@ -54,27 +56,26 @@ void plant_look(plant *p);
 /* Goes on by `period` seconds in the fewest equal substeps that are not longer than {substep} s; 0 where that is refused:
    a period that is not positive or has more than 1e8 substeps{delay}. */
 int plant_step(plant *p, double period);
-/* Sets a signal or parameter by its place in `memory`; 0 if it is none that may be set. */
+/* Sets a parameter by its place in `memory`; 0 if there is none, or if the model does not accept the value. */
 int plant_set(plant *p, unsigned place, double value);
 
 #endif
 """
 
 _BODY = """\
-#include "plant.h"
-{helpers}
-{functions}
 static const double initial[PLANT_CELLS] = {{
     {initial}}};
 
-/* 0: a signal, 1: a parameter of a channel, 2: one that both channels share */
-static const char settable[PLANT_CELLS / 2] = {{
+/* How many channels a parameter belongs to by itself (0: a signal, 1, or 2 that share it), and its neutral, least and greatest
+   value. */
+static const struct {{
+    int channels;
+    double neutral, least, greatest;
+}} settable[PLANT_CELLS / 2] = {{
     {settable}}};
 
 void plant_look(plant *p) {{
-    int nothing = 0;
-    double none = 0.0;
-    {look}(p->memory, p->room, p->delayed, p->head, p->command, p->load, 1, {substep}, {stiff_at} * {substep}, &nothing, &none);
+    {look};
 }}
 
 void plant_rest(plant *p) {{
@@ -94,20 +95,22 @@ void plant_start(plant *p) {{
 }}
 
 int plant_step(plant *p, double period) {{
-    int nothing = 0, substeps;
-    double none = 0.0, h, wanted = ceil(period / {substep} - 1e-9);
+    int substeps;
+    double h, wanted = ceil(period / {substep} - 1e-9);
     if (!(period > 0.0) || !(wanted < 1e8){refused}) return 0;
     substeps = wanted < 1.0 ? 1 : (int)wanted;
     h = period / substeps;
-    {step}(p->memory, p->room, p->delayed, p->head, p->command, p->load, substeps, h, {stiff_at} * h, &nothing, &none);
+    {step};
     p->head = (p->head + substeps) % PLANT_SLOTS;
     return 1;
 }}
 
 int plant_set(plant *p, unsigned place, double value) {{
-    if (place >= PLANT_CELLS || !settable[place / 2] || value != value) return 0;
+    unsigned n = place / 2;
+    if (place >= PLANT_CELLS || !settable[n].channels) return 0;
+    if (value != settable[n].neutral && !(settable[n].least <= value && value <= settable[n].greatest)) return 0;
     p->memory[place] = value;
-    if (settable[place / 2] == 2) p->memory[place ^ 1u] = value;
+    if (settable[n].channels == 2) p->memory[place ^ 1u] = value;
     return 1;
 }}
 """
@@ -116,14 +119,15 @@ int plant_set(plant *p, unsigned place, double value) {{
 @dataclass(frozen=True)
 class PlantSource:
     """`header` and `body` are plant.h and plant.c. `places` numbers the cell of channel 1 of every signal and parameter;
-    channel 2 is the next one. `outputs` names the signals, `shared` the parameters that belong to the rig as a whole."""
+    channel 2 is the next one. `outputs` names the signals, `parameters` has the range of each parameter, `shared` those that
+    belong to the rig as a whole."""
 
     model: PlantModel
     header: str
     body: str
     places: dict[str, int]
     outputs: tuple[str, ...]
-    parameters: tuple[str, ...]
+    parameters: dict[str, tuple[float, float]]
     shared: frozenset[str]
     has_delay: bool
 
@@ -143,36 +147,38 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
         )
     )
 
-    def advance(rows: int) -> str:
-        """The C function that runs through so many rows of commands."""
-        values: list[Value] = [
-            at, Arr.of("double", "memory", (kept * lanes,)), Arr.of("double", "cells", (total * lanes,)),
-            Arr.of("double", "ring", (1, slots, lanes)), Num("int", "head"),
-            Arr.of("double", "commands", (rows, 1, 2)), Arr.of("double", "loads", (1, 1, 2)), Num("int", "substeps"),
-            Num("double", "h"), Num("double", "looked_at"), Arr.of("int", "record", (0,)), Num("int", "1", 1),
-            Arr.of("double", "out", (0, 1, 1, 2)),
-        ]  # fmt: skip
-        return translator.call(driver.advance, values).name
+    substep, stiff_at = literal(plant.substep, "double"), literal(float(plant.model.finer), "double")
 
-    step, look = advance(1), advance(0)
+    def advance(rows: int, substeps: str, h: str) -> str:
+        """The call in C that runs through so many rows of commands."""
+        values: list[Value] = [
+            at, Arr.of("double", "p->memory", (kept * lanes,)), Arr.of("double", "p->room", (total * lanes,)),
+            Arr.of("double", "p->delayed", (1, slots, lanes)), Num("int", "p->head"),
+            Arr.of("double", "p->command", (rows, 1, 2)), Arr.of("double", "p->load", (1, 1, 2)), Num("int", substeps),
+            Num("double", h), Num("double", f"{stiff_at} * {h}"), Arr.of("int", "(int *)0", (0,)), Num("int", "1", 1),
+            Arr.of("double", "(double *)0", (0, 1, 1, 2)),
+        ]  # fmt: skip
+        called = translator.call(driver.advance, values)
+        return f"{called.name}({', '.join(called.handed)})"
+
+    step, look = advance(1, "substeps", "h"), advance(0, "1", substep)
     own = [f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters]
-    parameters = (*PARAMETERS, *own)
     shared = {name for name in own if CATALOGUE[name.split(".")[0]].scope == "rig"}
     states = [name for name, row in kernel.rows.items() if row < kernel.rows["time"]]
-    substep, stiff_at = literal(plant.substep, "double"), literal(float(plant.model.finer), "double")
     initial = plant.memory.reshape(-1).tolist()
-    by_row = {row: 2 if name in shared else 1 for name, row in kernel.rows.items() if name in parameters}
+    ranges = _ranges(plant, (*PARAMETERS, *own))
+    by_row = {kernel.rows[name]: _accepted(name, ends, name in shared) for name, ends in ranges.items()}
     delay = ", or shorter than a substep: commands are delayed" if kernel.has_delay else ""
     header = _HEADER.format(
         name=model.name.replace("*/", "* /"), version=version, effects=", ".join(model.declared) or "none", kept=kept * lanes,
         total=total * lanes, slots=slots, substep=substep, delay=delay,
     )  # fmt: skip
-    body = _BODY.format(
-        helpers=HELPERS, functions=translator.text, step=step, look=look, substep=substep, stiff_at=stiff_at,
-        moving=2 * (kernel.rows["load"] + 1),
-        initial=_table(literal(x, "double") for x in initial), settable=_table(str(by_row.get(n, 0)) for n in range(kept)),
+    body = '#include "plant.h"\n' + translator.source(_BODY.format(
+        step=step, look=look, substep=substep, moving=2 * (kernel.rows["load"] + 1),
+        initial=_table(literal(x, "double") for x in initial),
+        settable=",\n    ".join(by_row.get(n, "{0, 0, 0, 0}") for n in range(kept)),
         refused=f" || period < {substep} * (1.0 - 1e-9)" if kernel.has_delay else "",
-    )  # fmt: skip
+    ))  # fmt: skip
     places = {name: 2 * row for name, row in kernel.rows.items()}
     return PlantSource(
         plant.model,
@@ -180,10 +186,25 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
         body,
         places,
         (*states, *_OUTPUTS),
-        parameters,
+        ranges,
         frozenset(shared),
         kernel.has_delay,
     )
+
+
+def _ranges(plant: Plant, parameters: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """The values that each parameter may have; a delay is no longer than the line."""
+    ranges = {name: parameter_of(name).possible for name in parameters}
+    for effect in map(CATALOGUE.__getitem__, plant.model.declared):
+        if effect.delays_command:
+            ranges[f"{effect.name}.{effect.delays_command}"] = 0.0, (plant.delay_slots - 2) * plant.substep
+    return ranges
+
+
+def _accepted(name: str, ends: tuple[float, float], shared: bool) -> str:
+    """A row of the table `settable`."""
+    numbers = ", ".join(literal(x, "double") for x in (parameter_of(name).neutral, *accepted(ends)))
+    return f"{{{1 + shared}, {numbers}}}"
 
 
 def _table(numbers: Iterable[str]) -> str:

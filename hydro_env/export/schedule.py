@@ -7,7 +7,7 @@ loops over arrays, whose operands are read in place where they lie side by side 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -160,6 +160,14 @@ class Schedule:
             ):
                 return Slice(self.array_of(source), start)
         return None
+
+    def runs(self, elements: list[Expr]) -> Iterator[tuple[int, int, Slice | None]]:
+        """Elements as (first, count, where so many lie side by side; None for a single one)."""
+        n = 0
+        while n < len(elements):
+            count = self._longest(elements[n:])
+            yield n, count, self.slice_of(elements[n : n + count]) if count > 1 else None
+            n += count
 
     def array_of(self, source: Block | Items) -> str:
         """The variable of a block, or of an array that a call leaves behind."""

@@ -14,16 +14,20 @@ from __future__ import annotations
 import ast
 import inspect
 import math
+import re
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import unicodedata
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
 
 __all__ = [
-    "HELPERS", "KINDS", "Arr", "Num", "Rec", "TranslationError", "Translator", "Value", "bare", "constant_of", "literal",
-    "plain_functions",
+    "KINDS", "Arr", "Num", "Rec", "TranslationError", "Translator", "Value", "bare", "constant_of", "identifier", "literal",
+    "plain_functions", "without_unread",
 ]  # fmt: skip
 
 #: C types of kinds of numbers, from the narrowest to the widest.
@@ -37,24 +41,24 @@ _MATH = {
     name: name for name in ("sqrt", "floor", "exp", "tanh", "cos", "sin", "fma", "hypot", "expm1", "log")
 }
 
-#: What a translated file begins with: Python's `%` and `//` of whole numbers, its `min` and `max`.
-HELPERS = """\
-#include <math.h>
-
-static inline int py_mod(int a, int b) { int r = a % b; return r != 0 && (r < 0) != (b < 0) ? r + b : r; }
-static inline int py_div(int a, int b) { return (a - py_mod(a, b)) / b; }
-static inline int py_min_int(int a, int b) { return b < a ? b : a; }
-static inline int py_max_int(int a, int b) { return b > a ? b : a; }
-static inline double py_sign(double a) { return (double)((a > 0.0) - (a < 0.0)); }
-static inline int py_argmin(const double *a, int n) {
+#: Python's `%` and `//` of whole numbers, its `min` and `max`, and the like, in C.
+_HELPERS = (
+    "static inline int py_mod(int a, int b) { int r = a % b; return r != 0 && (r < 0) != (b < 0) ? r + b : r; }\n",
+    "static inline int py_div(int a, int b) { return (a - py_mod(a, b)) / b; }\n",
+    "static inline int py_min_int(int a, int b) { return b < a ? b : a; }\n",
+    "static inline int py_max_int(int a, int b) { return b > a ? b : a; }\n",
+    "static inline double py_sign(double a) { return (double)((a > 0.0) - (a < 0.0)); }\n",
+    """static inline int py_argmin(const double *a, int n) {
     int i, found = 0;
     for (i = 1; i < n; i++)
         if (a[i] < a[found]) found = i;
     return found;
 }
-static inline double py_min(double a, double b) { return b < a ? b : a; }
-static inline double py_max(double a, double b) { return b > a ? b : a; }
-"""
+""",
+    "static inline double py_min(double a, double b) { return b < a ? b : a; }\n",
+    "static inline double py_max(double a, double b) { return b > a ? b : a; }\n",
+)
+_ASSIGNED = re.compile(r"\s*(?:(?:const )?(?:double|float|int) (?:\*const )?)?(\w+) = (.*);")
 
 
 class TranslationError(TypeError):
@@ -220,9 +224,9 @@ def _pairs(inner: Iterable[Value], outer: Iterable[Value]) -> Iterator[tuple[Arr
 
 @dataclass
 class Translator:
-    """Collects C functions and tables; `text` is all of them, callees first."""
+    """Collects C functions and tables."""
 
-    functions: dict[Any, tuple[str, Value | None, set[str]]] = field(default_factory=dict)
+    functions: dict[Any, tuple[str, Value | None, set[str], list[bool]]] = field(default_factory=dict)
     bodies: list[str] = field(default_factory=list)
     tables: dict[Any, str] = field(default_factory=dict)
     _names: dict[str, int] = field(default_factory=dict)
@@ -231,9 +235,15 @@ class Translator:
         """Names that C has already and a translated function must not get."""
         self._names |= dict.fromkeys(names, 1)
 
-    @property
-    def text(self) -> str:
-        return "\n".join([*self.tables.values(), *self.bodies])
+    def source(self, *users: str) -> str:
+        """`users`, text in C, below the tables and functions that they need, callees first."""
+        parts, words = list(users), set(_words(users))
+        for text in reversed([*_HELPERS, *self.tables.values(), *self.bodies]):
+            name = re.search(r"\w+(?=[\[(])", text)
+            if name is not None and name[0] in words:
+                parts.insert(0, text)
+                words.update(_words([text]))
+        return "\n".join(["#include <math.h>\n", *parts])
 
     def unused(self, name: str) -> str:
         """A name that no other function or table of the file has."""
@@ -270,17 +280,22 @@ class Translator:
         if key not in self.functions:
             body = _Body(self, python, node, names)
             lines = body.translate()
+            words = set(_words(lines))
+            kept = [each in words for _, each in given]
             name = self.unused(python.__name__.strip("_"))
             outs = body.outputs
-            parameters = [f"{kind}{each}" for kind, each in given] + [f"{KINDS[k]} *{n}" for k, n in outs]
+            parameters = [f"{kind}{each}" for kind, each in compress(given, kept)] + [
+                f"{KINDS[k]} *{n}" for k, n in outs
+            ]
             returned = body.result
             kind = KINDS[returned.kind] if isinstance(returned, Num) else "void"
             head = f"static {kind} {name}({', '.join(parameters) or 'void'})"
             self.bodies.append("\n".join([head + " {", *("    " + line for line in lines), "}", ""]))
-            self.functions[key] = name, returned, body.written
-        name, returned, written = self.functions[key]
+            self.functions[key] = name, returned, body.written, kept
+        name, returned, written, kept = self.functions[key]
         roots = {inner.root: outer.root for inner, outer in _pairs(names.values(), values)}
-        return Called(name, returned, handed, frozenset(written), frozenset(roots[each] for each in written))
+        changed = frozenset(roots[each] for each in written)
+        return Called(name, returned, list(compress(handed, kept)), frozenset(written), changed)
 
     def _node(self, function: Any) -> ast.FunctionDef:
         known = getattr(function, "__syntax__", None)
@@ -330,7 +345,13 @@ class _Body:
                     self._assign(name, value, lines)  # a variable of the function's own
             self.block(self.node.body, lines)
             if before == self.kinds:
-                return [f"{kind}{name};" for name, kind in self.declared.items()] + lines
+                changing = {name for name, _, written, _ in self.whole.functions.values() if written}
+                lines = without_unread(lines, changing)
+                words = set(_words(lines))
+                declared = [
+                    (name, kind) for name, kind in self.declared.items() if name.split("[")[0] in words
+                ]
+                return [f"{kind}{name};" for name, kind in declared] + lines
 
     @property
     def _stored(self) -> set[str]:
@@ -899,6 +920,32 @@ def bare(code: str) -> str:
         if depth == 0 and n < len(code) - 1:
             return code
     return code[1:-1]
+
+
+def _words(texts: Iterable[str]) -> list[str]:
+    return re.findall(r"\w+", "\n".join(texts))
+
+
+def without_unread(lines: list[str], changing: Collection[str] = ()) -> list[str]:
+    """Lines of C without assignments to variables that nothing reads, unless they call a function that is `changing` arrays."""
+    while True:
+        stores = [_ASSIGNED.fullmatch(line) for line in lines]
+        reads = Counter(_words(lines))
+        reads.subtract(store[1] for store in stores if store)
+        kept = [
+            line for line, store in zip(lines, stores, strict=True)
+            if not store or reads[store[1]] or not set(_words([store[2]])).isdisjoint(changing)
+        ]  # fmt: skip
+        if len(kept) == len(lines):
+            return lines
+        lines = kept
+
+
+def identifier(text: str) -> str:
+    """A name of a user's as C, IEC 61131-3 and FMI know names: ASCII, and no underscores at its ends or side by side."""
+    plain = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+    name = re.sub(r"[^0-9A-Za-z]+", "_", plain).strip("_")
+    return name if name[:1].isalpha() else f"x_{name}".rstrip("_")
 
 
 def _loaded(target: ast.expr) -> ast.expr:

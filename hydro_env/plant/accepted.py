@@ -25,7 +25,7 @@ from .stiffness import (
 if TYPE_CHECKING:
     from .model import PlantModel
 
-__all__ = ["check_spool", "inside", "out_of_range", "with_unit"]
+__all__ = ["accepted", "check_spool", "inside", "out_of_range", "with_unit"]
 
 #: A stiff channel takes a substep in at most 64 parts, of which the last third is a reserve.
 _MOST_PARTS = 40.0
@@ -46,11 +46,16 @@ def out_of_range(value: float, p: Parameter) -> str:
     return f"{with_unit(value, p)} is out of range; {p.title} is {ends}"
 
 
+def accepted(ends: tuple[float, float]) -> tuple[float, float]:
+    """A range with room for rounding at its ends."""
+    room = _AT_END * max((abs(end) for end in ends if math.isfinite(end)), default=0.0)
+    return ends[0] - room, ends[1] + room
+
+
 def inside(value: float, ends: tuple[float, float]) -> bool:
     """Whether a value is in a range, as far as rounding goes."""
-    low, high = ends
-    room = _AT_END * max((abs(end) for end in ends if math.isfinite(end)), default=0.0)
-    return low - room <= value <= high + room
+    low, high = accepted(ends)
+    return low <= value <= high
 
 
 def check_spool(model: PlantModel, channel: int, where: str) -> None:

@@ -497,9 +497,9 @@ class PlantOptions(TypedDict, total=False):
 
 
 def make_plant(model: PlantModel, num_rigs: int, **options: Unpack[PlantOptions]) -> Plant:
-    """Rigs of a model. A model of something else that is driven like a rig makes its own, `make_plant(num_rigs)`."""
+    """Rigs of a model. A model of something else that is driven like a rig makes its own, `make_plant(num_rigs, **options)`."""
     own = getattr(model, "make_plant", None)
-    made: Plant = Plant(model, num_rigs, **options) if own is None else own(num_rigs)
+    made: Plant = Plant(model, num_rigs, **options) if own is None else own(num_rigs, **options)
     return made
 
 

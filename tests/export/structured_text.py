@@ -89,6 +89,8 @@ class Block:
     # --- declarations ---
     def section(self) -> None:
         kind = self.next()
+        if kind not in ("VAR_INPUT", "VAR_OUTPUT", "VAR"):
+            raise SyntaxError(f"{kind}: matiec does not translate its arrays")
         if kind == "VAR" and self.peek() == "CONSTANT":
             self.next()
         while self.peek() != "END_VAR":
@@ -99,6 +101,8 @@ class Block:
                 self.take("ARRAY", "[", "0", "..")
                 size = int(self.next()) + 1
                 self.take("]", "OF")
+            if not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*", name):
+                raise SyntaxError(f"{name} is no identifier")
             own = self.next()
             initial: list[float] = []
             if self.peek() == ":=":
@@ -142,8 +146,13 @@ class Block:
             test, kind = self.expression()
             assert kind == "BOOL", test
             self.take("THEN")
-            lines = [f"{indent}if {test}:", *self.statements(("ELSE", "END_IF"), depth + 1)]
-            if self.next() == "ELSE":
+            lines = [f"{indent}if {test}:", *self.statements(("ELSIF", "ELSE", "END_IF"), depth + 1)]
+            ended = self.next()
+            if ended == "ELSIF":  # an IF inside of ELSE that takes the common end
+                self.at -= 1
+                self.words[self.at] = "IF"
+                return [*lines, f"{indent}else:", *self.statement(depth + 1)]
+            if ended == "ELSE":
                 lines += [f"{indent}else:", *self.statements(("END_IF",), depth + 1)]
                 self.next()
             self.take(";")

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import inspect
+import os
+import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +18,7 @@ import pytest
 from hydro_env.cli import main
 from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
+from hydro_env.controllers.tuning.gains import GainsFile, write_gains
 from hydro_env.envs.observation import OBSERVATION, SCALES
 from hydro_env.export.compiler import find_compiler
 from hydro_env.export.controllers import c_files, program_of, st_file
@@ -63,56 +67,41 @@ def in_python(name: str) -> Any:
     return controller
 
 
-def in_c(folder: Path, name: str, flag: str) -> Act:
-    """`NAME_step` of the compiled source."""
-    library = folder / f"{name}{flag}.so"
-    compiler = find_compiler()
-    assert compiler is not None
-    warnings = [
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "-Wno-unused-function",
-        "-Wno-unused-parameter",
-        "-Wno-unused-variable",
-    ]
-    command = [
-        *compiler,
-        "-std=c99",
-        flag,
-        *warnings,
-        "-shared",
-        "-fPIC",
-        str(folder / f"{name}.c"),
-        "-o",
-        str(library),
-        "-lm",
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[:2000]
-    loaded = ctypes.CDLL(str(library))
-    step, state = getattr(loaded, f"{name}_step"), ctypes.create_string_buffer(1 << 16)
-    getattr(loaded, f"{name}_reset")(state)
+class InC:
+    """`NAME_step` of the compiled source; `fault` is what it returned last."""
 
-    def act(observation: np.ndarray) -> np.ndarray:
-        measured, command = observation[0].astype(float) * SCALES, np.zeros(2)
-        step(state, measured.ctypes.data_as(ctypes.c_void_p), command.ctypes.data_as(ctypes.c_void_p))
+    def __init__(self, folder: Path, name: str, flag: str) -> None:
+        library, compiler = folder / f"{name}{flag}.so", find_compiler()
+        assert compiler is not None
+        strict = [*compiler, "-std=c99", flag, "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
+        command = [*strict, str(folder / f"{name}.c"), "-o", str(library), "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0 and not done.stderr, done.stderr[:2000]
+        loaded = ctypes.CDLL(str(library))
+        self.state, self.fault = ctypes.create_string_buffer(1 << 16), 0
+        self.step = getattr(loaded, f"{name}_step")
+        getattr(loaded, f"{name}_reset")(self.state)
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        return self.of_measured(observation[0].astype(float) * SCALES)
+
+    def of_measured(self, measured: np.ndarray) -> np.ndarray:
+        command, pointer = np.full(2, np.nan), ctypes.c_void_p
+        self.fault = self.step(self.state, measured.ctypes.data_as(pointer), command.ctypes.data_as(pointer))
         return command[None]
 
-    return act
 
+class InText:
+    """The function block, interpreted; `fault` is its output."""
 
-def in_text(folder: Path, name: str) -> Act:
-    """The function block, interpreted."""
-    block, fresh = Block((folder / f"{name}.st").read_text()), [True]
+    def __init__(self, folder: Path, name: str) -> None:
+        self.block, self.fault = Block((folder / f"{name}.st").read_text()), False
 
-    def act(observation: np.ndarray) -> np.ndarray:
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
         measured = dict(zip(OBSERVATION, (observation[0].astype(float) * SCALES).tolist(), strict=True))
-        values = block(**measured, reset=fresh[0])
-        fresh[0] = False
+        values = self.block(**measured)
+        self.fault = values["fault"]
         return np.array([[values["next_command_1"], values["next_command_2"]]])
-
-    return act
 
 
 def rig_of(name: str) -> tuple[str, str | None]:
@@ -129,7 +118,7 @@ def compare_c(folder: Path, name: str, scenario: str, mismatch: str | None = "")
     controller.reset(1, PERIOD)
     expected = episode(controller.act, scenario, plant, mismatch)
     for flag in ("-O0", "-O2"):
-        got = episode(in_c(folder, name, flag), scenario, plant, mismatch)
+        got = episode(InC(folder, name, flag), scenario, plant, mismatch)
         assert np.abs(got - expected).max() < 1e-12
 
 
@@ -162,8 +151,121 @@ def test_structured_text_equals_python(tmp_path: Path, name: str) -> None:
     controller = in_python(name)
     controller.reset(1, PERIOD)
     expected = episode(controller.act, "setpoint_steps", plant, mismatch)
-    got = episode(in_text(tmp_path, name), "setpoint_steps", plant, mismatch)
+    got = episode(InText(tmp_path, name), "setpoint_steps", plant, mismatch)
     assert np.abs(got - expected).max() < 1e-12
+
+
+HELD = 5  # samples, of 10 ms each
+
+
+def with_gaps() -> np.ndarray:
+    """Observations (T, 9), absent at first, then each input and all of them for one sample and about as long as they are held."""
+    random = np.random.default_rng(4)
+    gaps = [(slice(None), 1)]
+    for which in [*range(9), slice(None)]:
+        gaps += [(which, length) for length in (1, HELD - 1, HELD, HELD + 1, 3 * HELD)]
+    rows: list[np.ndarray] = []
+    for n, (which, length) in enumerate(gaps):
+        part = random.uniform(-0.5, 0.5, (length + 3, 9)).astype(np.float32)
+        part[:length, which] = (np.nan, np.inf, -np.inf)[n % 3]
+        rows += [*part]
+    return np.array(rows)
+
+
+def by_the_rule(name: str, rows: np.ndarray) -> tuple[np.ndarray, list[bool]]:
+    """Commands (T, 2) and faults: what the controller itself does with each input as it was up to five samples ago, and nothing
+    where there is none."""
+    controller = in_python(name)
+    controller.reset(1, PERIOD)
+    act = inspect.unwrap(type(controller).act)
+    commands, faults = np.zeros((len(rows), 2)), []
+    for t in range(len(rows)):
+        recent = rows[max(0, t - HELD) : t + 1].T
+        known = [column[np.isfinite(column)] for column in recent]
+        faults.append(not all(each.size for each in known))
+        if not faults[-1]:
+            commands[t] = act(controller, np.array([[each[-1] for each in known]]))[0]
+    return commands, faults
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", [*CLASSICAL, *LAWS, *NETWORKS])
+def test_absent_inputs(tmp_path: Path, name: str) -> None:
+    """Held, then no command and a fault, and the state as it was; in Python, C and Structured Text."""
+    rows = with_gaps()
+    expected, faults = by_the_rule(name, rows)
+    assert np.isfinite(expected).all() and sum(faults) == 111 and np.ptp(expected) > 0.1
+    controller = in_python(name)
+    controller.reset(1, PERIOD)
+    c_files(name, tmp_path, PERIOD, "paper_dead_zone", single=False)
+    acts: list[Any] = [InC(tmp_path, name, "-O2")]
+    if name in (*IN_TEXT, "ppo"):
+        st_file(name, tmp_path, PERIOD, "paper_dead_zone", single=False)
+        acts.append(InText(tmp_path, name))
+    for row, command, fault in zip(rows, expected, faults, strict=True):
+        assert np.array_equal(controller.act(row[None])[0], command) and controller.guard.fault == [fault]
+        for act in acts:
+            assert np.abs(act(row[None])[0] - command).max() < 1e-12 and act.fault == fault
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", [*CLASSICAL, "probing_flow", "gru"])
+def test_no_input_makes_a_command_that_is_none(tmp_path: Path, name: str) -> None:
+    c_files(name, tmp_path, PERIOD, "paper_dead_zone", single=False)
+    act, random = InC(tmp_path, name, "-O2"), np.random.default_rng(6)
+    extremes = [
+        1e308,
+        -1e308,
+        1e299,
+        -1e299,
+        1e9,
+        -1e9,
+        np.inf,
+        -np.inf,
+        np.nan,
+        0.0,
+        -0.0,
+        5e-324,
+        1.0,
+        -1.0,
+    ]
+    sizes = np.r_[[12.0] * 8, np.ones(6)]
+    for row in random.choice(extremes, (1500, 9), p=sizes / sizes.sum()):
+        command = act.of_measured(np.where(random.random(9) < 0.5, row, random.uniform(-50.0, 50.0, 9)))
+        assert np.abs(command).max() <= 1.0
+
+
+def test_a_batch_loses_only_the_rigs_whose_inputs_are_gone() -> None:
+    rows = with_gaps()[:, None, :].repeat(2, axis=1)
+    rows[:, 1] = np.where(np.isfinite(rows[:, 1]), rows[:, 1], 0.0)
+    controller, alone = make_controller("cross_coupled"), make_controller("cross_coupled")
+    controller.reset(2, PERIOD)
+    alone.reset(1, PERIOD)
+    for row in rows:
+        sent = controller.act(row)
+        assert np.array_equal(sent[1:], alone.act(row[1:]))
+        assert not sent[0].any() or not controller.guard.fault[0]
+
+
+@needs_compiler
+@pytest.mark.skipif(shutil.which("iec2c") is None, reason="no matiec")
+@pytest.mark.parametrize("name", [*IN_TEXT, "ppo", "sac", "gru"])
+def test_matiec_compiles_the_block(tmp_path: Path, name: str) -> None:
+    """To C by iec2c, whose library lies beside it or at $MATIEC_LIB, and on by the C compiler."""
+    st_file(name, tmp_path, PERIOD, "paper_dead_zone", single=False)
+    program, compiler = shutil.which("iec2c"), find_compiler()
+    assert program is not None and compiler is not None
+    library = os.environ.get("MATIEC_LIB", str(Path(program).resolve().parent / "lib"))
+    (tmp_path / "all.c").write_text(
+        '#include "iec_std_lib.h"\nextern unsigned long long common_ticktime__;\n'
+        '#include "accessor.h"\n#include "POUS.h"\n#include "POUS.c"\n'
+    )
+    for command in (
+        [program, "-I", library, "-T", str(tmp_path), f"{name}.st"],
+        [*compiler, "-w", "-I", f"{library}/C", "-c", "all.c", "-o", "all.o"],
+    ):
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, (done.stdout + done.stderr)[:2000]
 
 
 @needs_compiler
@@ -173,8 +275,49 @@ def test_gains_and_period_of_ones_own(tmp_path: Path) -> None:
     controller = make_controller(spec)
     controller.reset(1, 0.005)
     expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train", 0.005)
-    got = episode(in_c(tmp_path, "cross_coupled", "-O2"), "setpoint_steps", "paper_dead_zone", "train", 0.005)
+    got = episode(InC(tmp_path, "cross_coupled", "-O2"), "setpoint_steps", "paper_dead_zone", "train", 0.005)
     assert np.array_equal(got, expected)
+
+
+OWN_LAW = """\
+import numpy as np
+from hydro_env.controllers.base import Controller, Gain
+
+class Mine(Controller):
+    GAINS = (Gain("Kp", "1", 0.01, 1.0), Gain("Ki", "1/s", 0.01, 10.0))
+
+    def start(self, measured):
+        self.total = np.zeros_like(measured.speed)
+
+    def command(self, measured):
+        error = (measured.setpoint[:, None] - measured.speed) / 60.0
+        self.total = np.clip(self.total + error * self.period, -1.0, 1.0)
+        return self.gains["Kp"] * error + self.gains["Ki"] * self.total
+"""
+
+
+@needs_compiler
+@pytest.mark.parametrize("law", ["cross_coupled", "law.py:Mine"])
+def test_a_gains_file_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, law: str) -> None:
+    """Of a shipped law or of one's own, by the command; the file's name may have any letters."""
+    monkeypatch.chdir(tmp_path)
+    Path("law.py").write_text(OWN_LAW)
+    gains = (
+        {"Kp": 0.3, "Ki": 0.5}
+        if law.endswith("Mine")
+        else {**make_controller("cross_coupled").gains, "Kp": 0.04}
+    )
+    write_gains("größe_1.json", GainsFile(law, {key: float(value) for key, value in gains.items()}))
+    trust = ["--trust"] if law.endswith("Mine") else []
+    for kind in ("c", "st"):
+        with pytest.raises(SystemExit) as ended:
+            main(["export", kind, "größe_1.json", *trust, "--out", kind])
+        assert ended.value.code == 0
+    controller = make_controller("größe_1.json", trust=True)
+    controller.reset(1, PERIOD)
+    expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train")
+    for act in (InC(Path("c").resolve(), "gro_e_1", "-O2"), InText(Path("st"), "gro_e_1")):
+        assert np.array_equal(episode(act, "setpoint_steps", "paper_dead_zone", "train"), expected)
 
 
 @needs_compiler
@@ -192,7 +335,7 @@ def test_a_feed_forward_policy_with_history(tmp_path: Path, activation: str) -> 
     controller = in_python(str(path))
     controller.reset(1, PERIOD)
     expected = episode(controller.act, "setpoint_steps", "paper_dead_zone", "train")
-    for act in (in_c(tmp_path, "mine", "-O2"), in_text(tmp_path, "mine")):
+    for act in (InC(tmp_path, "mine", "-O2"), InText(tmp_path, "mine")):
         assert np.abs(episode(act, "setpoint_steps", "paper_dead_zone", "train") - expected).max() < 1e-12
 
 
@@ -200,7 +343,7 @@ def test_a_feed_forward_policy_with_history(tmp_path: Path, activation: str) -> 
 def test_single_precision_agrees_sample_by_sample(tmp_path: Path) -> None:
     """In closed loop stiction turns the last bit of a float into another course, so both see the same measurements."""
     c_files("gru", tmp_path, PERIOD, "paper_dead_zone", single=True)
-    controller, act = make_controller("gru"), in_c(tmp_path, "gru", "-O2")
+    controller, act = make_controller("gru"), InC(tmp_path, "gru", "-O2")
     controller.reset(1, PERIOD)
     apart = []
 

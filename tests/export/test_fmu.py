@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from hydro_env.cli import main
+from hydro_env.errors import InputError
 from hydro_env.export.compiler import find_compiler
 from hydro_env.export.fmu.build import export_fmu
 from hydro_env.export.fmu.units import base_unit
@@ -20,6 +22,7 @@ from hydro_env.plant.catalogue import CATALOGUE
 fmpy = pytest.importorskip("fmpy")
 
 PERIOD, SIGNALS = 0.01, ("speed", "current", "spool", "pressure", "flow", "measured_speed", "angle")
+LATE = "schema: hydro_env/model/1\nname: late\neffects:\n  command_delay:\n    both: {delay: 0.004}\n"
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 
 
@@ -143,6 +146,7 @@ def test_parameters_can_be_tuned(units: list[Path]) -> None:
 def test_any_communication_step(units: list[Path], period: float) -> None:
     """A step is divided like a period of the plant: into the fewest equal substeps."""
     unit, plant = Unit(units[0]), Plant("rig")
+    assert unit.description.coSimulation.canHandleVariableCommunicationStepSize
     for n, command in enumerate(commands(20, 22.8)):
         unit.step(n * period, command, (0.0, 0.0), period)
         plant.step(command, 0.0, period)
@@ -163,9 +167,7 @@ def test_an_unusual_model_is_stepped_as_finely(tmp_path: Path) -> None:
 
 @needs_compiler
 def test_a_delayed_command(tmp_path: Path) -> None:
-    (tmp_path / "late.yaml").write_text(
-        "schema: hydro_env/model/1\nname: late\neffects:\n  command_delay:\n    both: {delay: 0.004}\n"
-    )
+    (tmp_path / "late.yaml").write_text(LATE)
     path = export_fmu(load_model(tmp_path / "late.yaml"), tmp_path, (3,)).files[0]
     unit, plant = Unit(path), Plant(tmp_path / "late.yaml")
     for n, command in enumerate(commands(20, 73.0)):
@@ -174,6 +176,68 @@ def test_a_delayed_command(tmp_path: Path) -> None:
     assert np.array_equal(unit.signals(), of_plant(plant))
     with pytest.raises(Exception, match="fmi3DoStep"):
         unit.step(1.0, np.zeros(2), (0.0, 0.0), 1e-6)  # the delay line has slots of a substep
+    with pytest.raises(Exception, match="fmi3SetFloat64"):
+        unit.set(channel_1__command_delay__delay=0.2)  # longer than the line
+    assert not unit.description.coSimulation.canHandleVariableCommunicationStepSize
+
+
+@needs_compiler
+@pytest.mark.parametrize("version", [0, 1])
+def test_values_that_no_model_has_are_refused(units: list[Path], version: int) -> None:
+    """As `PlantModel` refuses them; what was set before stays, and so do all signals."""
+    unit, model = Unit(units[version]), load_model("rig")
+    tried = refused = 0
+    names = {v.name for v in unit.description.modelVariables if v.causality == "parameter"}
+    for name in sorted(names):
+        before = unit.get(name)
+        for value in (np.inf, -np.inf, np.nan, 0.0, -1.0, -before[0], 1e30):
+            try:
+                model.with_values({name.split(".", 1)[1]: value})
+                continue
+            except InputError as problem:
+                if "out of range" not in str(problem) and "not a number" not in str(problem):
+                    continue  # what only the values together make impossible
+            tried += 1
+            with pytest.raises(fmpy.fmi1.FMICallException):
+                unit.set(**{name.replace(".", "__"): value})
+            refused += np.array_equal(unit.get(name), before)
+    assert tried == refused > 2 * len(names)
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        unit.set(command_1=np.inf)
+    unit.step(0.0, np.array([10.0, 10.0]), (0.0, 0.0))
+    assert np.isfinite(unit.signals()).all()
+
+
+@needs_compiler
+@pytest.mark.parametrize("model", ["paper", "rig", "late"])
+def test_the_source_compiles_without_a_warning(tmp_path: Path, model: str) -> None:
+    (tmp_path / "late.yaml").write_text(LATE)
+    for path in export_fmu(load_model(tmp_path / "late.yaml" if model == "late" else model), tmp_path).files:
+        folder, compiler = fmpy.extract(str(path)), find_compiler()
+        assert compiler is not None
+        for source in sorted(Path(folder, "sources").glob("*.c")):
+            command = [
+                *compiler,
+                "-std=c99",
+                "-O2",
+                "-Wall",
+                "-Wextra",
+                "-c",
+                str(source),
+                "-o",
+                str(tmp_path / "o"),
+            ]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            assert done.returncode == 0 and not done.stderr, done.stderr[:2000]
+
+
+def test_names_in_any_writing(tmp_path: Path) -> None:
+    """An identifier of C is made of what the user calls the rig; the name itself stays."""
+    model = load_model("paper").with_values({}, name="Prüfstand 2 – links")
+    for path in export_fmu(model, tmp_path).files:
+        description = fmpy.read_model_description(str(path))
+        assert description.coSimulation.modelIdentifier == "hydro_env_Prufstand_2_links"
+        assert description.modelName == model.name
 
 
 def test_source_needs_only_math(units: list[Path]) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import json
+import pickle
 import shutil
 import zipfile
 from pathlib import Path
@@ -42,22 +45,30 @@ def units(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return list(export_fmu(load_model("paper_dead_zone"), tmp_path_factory.mktemp("fmu")).files)
 
 
-def renamed(unit: Path, to: Path) -> Path:
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Whose rated command is not that of the paper's valves."""
+    return export_fmu(load_model("rig"), tmp_path_factory.mktemp("rig"), (3,)).files[0]
+
+
+def renamed(unit: Path, to: Path, *own: bytes) -> Path:
     """The same FMU with other names, and so somebody else's."""
+    changes = [own] if own else [(b'"command_1"', b'"valve.one"'), (b'"speed_1"', b'"motor.one"')]
     with zipfile.ZipFile(unit) as old, zipfile.ZipFile(to, "w") as new:
         for name in old.namelist():
             data = old.read(name)
             if name == "modelDescription.xml":
-                data = data.replace(b'"command_1"', b'"valve.one"').replace(b'"speed_1"', b'"motor.one"')
+                for old_name, new_name in changes:
+                    data = data.replace(old_name, new_name)
             new.writestr(name, data)
     return to
 
 
-@pytest.mark.parametrize("version", [0, 1])
-def test_driven_like_the_rig_that_it_is(units: list[Path], version: int) -> None:
+@pytest.mark.parametrize("preset", ["paper_dead_zone", "rig"])
+def test_driven_like_the_rig_that_it_is(units: list[Path], rig: Path, preset: str) -> None:
     """The whole roll-out is the same bit for bit, of two cases at once, with loads."""
     traces = []
-    for plant in ("paper_dead_zone", load_fmu(units[version], trust=True)):
+    for plant in (preset, load_fmu(rig if preset == "rig" else units[0], trust=True)):
         controller = make_controller("cross_coupled")
         done = roll_out(controller, [4, 5], plant=plant, mismatch="own", scenario="load_step")
         traces.append((done.trace.speed_rpm, done.trace.command, done.returns))
@@ -83,6 +94,35 @@ def test_a_mapping_has_names_units_signs_and_start_values(units: list[Path], tmp
     assert rigs.angle[0, 1] == pytest.approx(np.trapezoid([0.0, *speeds[51:]], dx=0.01))  # no angle is mapped
 
 
+def test_the_rated_command(units: list[Path], rig: Path, tmp_path: Path) -> None:
+    """The FMU's own, unless the mapping has another; without either there is none."""
+    assert load_fmu(rig, trust=True).value("u_rated", 1) == 22.8
+    mapping = tmp_path / "mapping.yaml"
+    plain = MAPPING.replace("valve.one", "command_1").replace("motor.one", "speed_1")
+    for change, rated in (("rated: 12", 12.0), ("", 22.8), ("start: {channel_1.u_rated: 15}", 15.0)):
+        mapping.write_text(plain.replace("rated: 73\nstart: {channel_2.Kq: 0.3}", change))
+        assert load_fmu(rig, mapping, trust=True).value("u_rated", 0) == rated
+    theirs = renamed(units[0], tmp_path / "theirs.fmu", b".u_rated", b".something")
+    mapping.write_text(plain.replace("rated: 73\n", ""))
+    with pytest.raises(InputError, match="rated is missing"):
+        load_fmu(theirs, mapping, trust=True)
+
+
+def test_what_an_fmu_cannot_do_is_refused(units: list[Path]) -> None:
+    model = load_fmu(units[0], trust=True)
+    rigs = model.make_plant(2)
+    for copied in (
+        rigs.copy,
+        lambda: copy.copy(rigs),
+        lambda: copy.deepcopy(rigs),
+        lambda: pickle.dumps(rigs),
+    ):
+        with pytest.raises(InputError, match="cannot be put on the valve bench or copied"):
+            copied()
+    with pytest.raises(InputError, match="float32 is not possible"):
+        roll_out(make_controller("pid_tuned"), [1], plant=model, mismatch="own", dtype="float32")
+
+
 def test_the_command(units: list[Path], tmp_path: Path) -> None:
     arguments = [
         "benchmark",
@@ -99,7 +139,7 @@ def test_the_command(units: list[Path], tmp_path: Path) -> None:
         main([*arguments, "--plant", str(units[1]), "--trust", "--out", str(tmp_path / "scores")])
     assert ended.value.code == 0
     text = (tmp_path / "scores" / "scores.json").read_text()
-    assert '"split": "own"' in text
+    assert '"split": "own"' in text and json.loads(text)["dtype"] == "float64"
     assert "cannot be put on the valve bench" in text  # bench_flow
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hydro_env.export.compiler import build_library, find_compiler
-from hydro_env.export.translate import HELPERS, Arr, Num, Rec, TranslationError, Translator
+from hydro_env.export.translate import Arr, Num, Rec, TranslationError, Translator
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 SIZE = 6
@@ -88,18 +88,20 @@ def arguments() -> tuple[np.ndarray, Pair]:
 
 
 def translated(function: Callable[..., Any]) -> tuple[str, Translator]:
+    """The call of a function in C."""
     translator = Translator()
     pair = Rec({"rows": Arr.of("double", "rows", (2, 4)), "gain": Num("double", "gain")})
-    return translator.call(function, [Arr.of("double", "x", (SIZE,)), pair]).name, translator
+    called = translator.call(function, [Arr.of("double", "x", (SIZE,)), pair])
+    return f"{called.name}({', '.join(called.handed)})", translator
 
 
 @needs_compiler
 @pytest.mark.parametrize("function", [whole_numbers, swaps, views, two_results, widens])
 def test_c_does_what_python_does(function: Callable[..., Any], tmp_path: Path) -> None:
-    name, translator = translated(function)
+    call, translator = translated(function)
     seen = '__attribute__((visibility("default")))'
-    entry = f"{seen} void entry(double *x, double *rows, double gain) {{ {name}(x, rows, gain); }}\n"
-    (tmp_path / "code.c").write_text(HELPERS + translator.text + entry)
+    entry = f"{seen} void entry(double *x, double *rows, double gain) {{ (void)rows, (void)gain, {call}; }}\n"
+    (tmp_path / "code.c").write_text(translator.source(entry))
     compiler = find_compiler()
     assert compiler is not None
     build_library(compiler, [tmp_path / "code.c"], tmp_path / "code.so")

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import check_file, parse_json
@@ -289,7 +290,9 @@ class NumpyPolicy:
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode. The policy drives at any control period (s) in the same way."""
         self._num_rigs, self._fresh = int(num_rigs), True
+        self.guard = InputGuard(self._num_rigs, control_period)
 
+    @guarded
     def act(self, observation: Floats) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
         observation = np.asarray(observation)

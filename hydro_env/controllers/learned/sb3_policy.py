@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
+from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.envs.batch import INCREMENT
 from hydro_env.envs.observation import OBSERVATION, with_errors
 from hydro_env.errors import InputError
@@ -59,10 +60,12 @@ class Sb3Policy:
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode."""
+        self.guard = InputGuard(num_rigs, control_period)
         self._state: Any = None
         self._first = np.ones(num_rigs, dtype=bool)
         self._frames: list[NDArray[Any]] = []
 
+    @guarded
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n)."""
         newest = np.asarray(observation, dtype=np.float32)[:, -len(OBSERVATION) :]

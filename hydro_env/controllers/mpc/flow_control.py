@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from hydro_env.controllers.base import Controller, Floats, Gain
 from hydro_env.controllers.estimation.bench_map import on_the_bench
 from hydro_env.controllers.estimation.valve_map import ValveMap
+from hydro_env.controllers.input_guard import guarded
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.controllers.settings import from_table
 from hydro_env.plant import Plant
@@ -67,6 +68,7 @@ class ProbingFlow(Controller):
             )
         )
 
+    @guarded
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
         if len(observation) != self._num_rigs:
             raise ValueError(

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import platform
-import re
 import sys
 import tempfile
 import uuid
@@ -18,6 +17,7 @@ from pathlib import Path
 from hydro_env import __version__
 from hydro_env.export.compiler import build_library, find_compiler
 from hydro_env.export.plant_source import PlantSource, plant_source
+from hydro_env.export.translate import identifier
 from hydro_env.files import write_json
 from hydro_env.plant import PlantModel
 
@@ -73,13 +73,13 @@ def export_fmu(model: PlantModel, folder: Path, versions: tuple[int, ...] = (2, 
     compile.
     """
     source = plant_source(model, __version__)
-    identifier = re.sub(r"\W", "_", f"hydro_env_{model.name}")[:64]
+    name = identifier(f"hydro_env_{model.name}"[:64])
     compiler = find_compiler()
     files, about = [], []
     built = compiler is not None
     for version in versions:
-        path = folder / f"{identifier}_fmi{version}.fmu"
-        binary = _write(path, source, version, identifier, compiler)
+        path = folder / f"{name}_fmi{version}.fmu"
+        binary = _write(path, source, version, name, compiler)
         built = built and binary
         files.append(path)
         about.append(

@@ -77,7 +77,8 @@ def _parameter(source: PlantSource, name: str) -> list[Variable]:
     made = []
     for c in (0,) if name in source.shared else (0, 1):
         start = source.model.value(name, c)
-        bounds = min(p.possible[0], p.nominal, start), max(p.possible[1], p.nominal, start)
+        least, greatest = source.parameters[name]
+        bounds = min(least, p.nominal, start), max(greatest, p.nominal, start)
         place = FIRST_REFERENCE + source.places[name] + c
         owner = "rig" if name in source.shared else f"channel_{c + 1}"
         text = f"{effect}{p.title} ({p.source})" if p.source else f"{effect}{p.title}"
@@ -94,7 +95,8 @@ def model_description(source: PlantSource, version: int, identifier: str, token:
     )  # fmt: skip
     root.set("guid" if version == 2 else "instantiationToken", token)
     able = {
-        "canHandleVariableCommunicationStepSize": "true",
+        # a line that delays commands has slots of a substep, whose length goes by the communication step
+        "canHandleVariableCommunicationStepSize": "false" if source.has_delay else "true",
         "canSerializeFMUstate" if version == 2 else "canSerializeFMUState": "true",
     }
     able["canGetAndSetFMUstate" if version == 2 else "canGetAndSetFMUState"] = "true"

@@ -1,6 +1,7 @@
 /* FMI 2.0 for co-simulation around plant.h. Declarations follow the standard (Modelica Association, FMI 2.0.4); only what is used
    is declared. */
 #include <stddef.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -49,6 +50,13 @@ typedef struct {
 static Status fail(Instance *c, const char *message) {
     if (c && c->logger) c->logger(c->environment, c->name, ERROR, "logStatusError", "%s", message);
     return ERROR;
+}
+
+static Status refuse(Instance *c, unsigned reference, double value) {
+    char text[160];
+    snprintf(text, sizeof(text), "fmi2SetReal: %g is no value for reference %u: a finite input, or a parameter from its min to its max, is right",
+             value, reference);
+    return fail(c, text);
 }
 
 static const double *cell(Instance *c, unsigned reference) {
@@ -129,13 +137,12 @@ EXPORT Status FMI(fmi2SetReal)(void *instance, const unsigned references[], size
     size_t i;
     for (i = 0; i < n; i++) {
         unsigned r = references[i];
+        double value = values[i];
         if (r >= COMMAND_REFERENCE && r < LOAD_REFERENCE + 2) {
-            double value = values[i];
-            if (value - value != 0.0) return fail(c, "fmi2SetReal: an input is not finite");
+            if (value - value != 0.0) return refuse(c, r, value);
             *(double *)cell(c, r) = value;
-        } else if (r < FIRST_REFERENCE || !plant_set(&c->state.rig, r - FIRST_REFERENCE, values[i])) {
-            return fail(c, "fmi2SetReal: this value reference is neither an input nor a parameter, or the value is NaN");
         } else {
+            if (r < FIRST_REFERENCE || !plant_set(&c->state.rig, r - FIRST_REFERENCE, value)) return refuse(c, r, value);
             c->state.stale = 1;
         }
     }

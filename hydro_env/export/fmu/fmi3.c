@@ -3,6 +3,7 @@
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -43,6 +44,13 @@ typedef struct {
 static Status fail(Instance *c, const char *message) {
     if (c && c->logger) c->logger(c->environment, ERROR, "logStatusError", message);
     return ERROR;
+}
+
+static Status refuse(Instance *c, Ref reference, double value) {
+    char text[160];
+    snprintf(text, sizeof(text), "fmi3SetFloat64: %g is no value for reference %u: a finite input, or a parameter from its min to its max, is right",
+             value, (unsigned)reference);
+    return fail(c, text);
 }
 
 static const double *cell(Instance *c, Ref reference) {
@@ -121,13 +129,12 @@ EXPORT Status FMI(fmi3SetFloat64)(void *instance, const Ref references[], size_t
     if (sizes != n) return fail(c, "fmi3SetFloat64: every variable is one number");
     for (i = 0; i < n; i++) {
         Ref r = references[i];
+        double value = values[i];
         if (r >= COMMAND_REFERENCE && r < LOAD_REFERENCE + 2) {
-            double value = values[i];
-            if (value - value != 0.0) return fail(c, "fmi3SetFloat64: an input is not finite");
+            if (value - value != 0.0) return refuse(c, r, value);
             *(double *)cell(c, r) = value;
-        } else if (r < FIRST_REFERENCE || !plant_set(&c->state.rig, r - FIRST_REFERENCE, values[i])) {
-            return fail(c, "fmi3SetFloat64: this value reference is neither an input nor a parameter, or the value is NaN");
         } else {
+            if (r < FIRST_REFERENCE || !plant_set(&c->state.rig, r - FIRST_REFERENCE, value)) return refuse(c, r, value);
             c->state.stale = 1;
         }
     }
