@@ -340,8 +340,8 @@ class DynamicRig:
 
 
 def _inputs(parts: Sequence[Part], lanes: Sequence[tuple[int, int, int, int]]) -> np.ndarray:
-    """Commands and loads (2, rows, lanes, 2) of lanes: each the number of a log, its first so many rows, and the channel that each
-    side plays."""
+    """Commands and loads (2, rows, lanes, 2) of lanes: each the number of a log, its first so many rows, and the channel that
+    each side plays."""
     found = np.zeros(
         (2, max(rows for _, rows, *_ in lanes), len(lanes), 2)
     )  # a lane whose log has ended is at rest
