@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -15,6 +18,7 @@ __all__ = [
     "place_of",
     "run_command",
     "shown",
+    "stopped_by_signals",
     "suggestion",
     "to_install",
 ]
@@ -94,10 +98,39 @@ def to_install(extra: str) -> str:
     return f"in the folder of hydro_env's sources, pip install -c constraints.txt '.[{extra}]'"
 
 
-def run_command(work: Callable[[], None]) -> None:
-    """Runs what a command of `python -m` does: bad input or a full disk end it with one line and status 2, Ctrl-C with 130."""
+@contextmanager
+def stopped_by_signals() -> Iterator[list[int]]:
+    """SIGTERM and SIGHUP stop what is done here as Ctrl-C does, so that it cleans up; the list then has the signal's number. A
+    signal that is ignored (`nohup`) stays so, and one that comes while it cleans up is."""
+    came: list[int] = []
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {getattr(signal, name): signal.getsignal(getattr(signal, name)) for name in names}
+    ours = [number for number, action in before.items() if action is signal.SIG_DFL]
+    if threading.current_thread() is not threading.main_thread():
+        ours = []  # where Python lets no signal be handled
+
+    def stop(number: int, frame: object) -> None:
+        came.append(number)
+        for each in ours:
+            signal.signal(each, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    for number in ours:
+        signal.signal(number, stop)
     try:
-        work()
+        yield came
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def run_command(work: Callable[[], None]) -> None:
+    """Runs what a command of `python -m` does: bad input or a full disk end it with one line and status 2, Ctrl-C with 130,
+    SIGTERM with 143."""
+    signals: list[int] = []
+    try:
+        with stopped_by_signals() as signals:
+            work()
     except InputError as problem:
         print(f"error: {problem}", file=sys.stderr)
         raise SystemExit(2) from None
@@ -107,4 +140,4 @@ def run_command(work: Callable[[], None]) -> None:
         raise SystemExit(2) from None
     except KeyboardInterrupt:
         print("stopped; the same command goes on with what is not finished", file=sys.stderr)
-        raise SystemExit(130) from None
+        raise SystemExit(128 + signals[0] if signals else 130) from None

@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from .envs.batch import HydraulicSyncVectorEnv
-from .errors import to_install
+from .errors import suggestion, to_install
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
@@ -50,7 +50,8 @@ class HydraulicSyncVecEnv(VecEnv):
         super().__init__(num_envs, observation, action)
 
     def reset(self) -> NDArray[np.float32]:
-        """Begins an episode in every row, with the seeds of `seed` and options of `set_options` if there are any."""
+        """Begins an episode in every row, with the seeds of `seed` and options of `set_options` if there are any. As
+        Stable-Baselines3 has it, the options hold for this episode, and not for those after it."""
         seeds = self._seeds if any(each is not None for each in self._seeds) else None
         groups: list[tuple[dict[str, Any], list[int]]] = []
         for row, options in enumerate(self._options):
@@ -70,6 +71,7 @@ class HydraulicSyncVecEnv(VecEnv):
             observation[rows] = seen[rows]
             for row in rows:
                 infos[row] = _row(info, row)
+        self.batch.held[:] = None
         self.reset_infos = infos
         self._reset_seeds()
         self._reset_options()
@@ -119,11 +121,15 @@ class HydraulicSyncVecEnv(VecEnv):
         return [getattr(self.batch, attr_name)] * len(self._rows(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Sets an attribute of the batch. ValueError if not all rows are meant: they have them in common."""
+        """Sets an attribute of the batch. AttributeError for one that it lacks, ValueError if not all rows are meant: they have
+        them in common."""
         if len(set(self._rows(indices))) != self.num_envs:
             raise ValueError(
                 "all rows have their attributes in common: set them for all, or pass options to reset"
             )
+        if not hasattr(self.batch, attr_name):
+            known = [name for name in vars(self.batch) if not name.startswith("_")]
+            raise AttributeError(f"the batch has no attribute {attr_name!r}: {suggestion(attr_name, known)}")
         setattr(self.batch, attr_name, value)
 
     def env_method(

@@ -17,6 +17,7 @@ LONG = (
     "test_benchmark.py",
     "test_blind_trials.py",
     "test_cli.py::test_a_reader_that_leaves_takes_no_results_with_it",
+    "test_cli.py::test_a_command_that_is_told_to_end_leaves_nothing",
     "test_cli.py::test_hide_writes_logs_and_truth",
     "test_close_loop.py",
     "test_controllers.py::test_a_common_search_goes_on_where_it_was_interrupted",

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -328,15 +330,31 @@ def test_option_with_several_values() -> None:
     assert spread(given, ["--sealed"]) == expected
 
 
-def test_a_reader_that_leaves_takes_no_results_with_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("streams", ["", "2>&1", "2>&-", "0<&- >&- 2>&-"])
+def test_a_reader_that_leaves_takes_no_results_with_it(tmp_path: Path, streams: str) -> None:
+    """Also one of the progress and of errors, and where there never was one."""
     reader, writer = os.pipe()
     os.close(reader)
     what = ["hide", "dead_zone:1", "--duration", "3", "--rate", "100", "--out", str(tmp_path / "practice")]
-    command = [sys.executable, "-u", "-m", "hydro_env", *what]
+    command = ["sh", "-c", f'exec "$@" {streams}', "sh", sys.executable, "-u", "-m", "hydro_env", *what]
     done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
     os.close(writer)
     assert done.returncode == 0 and "Error" not in done.stderr
     assert (tmp_path / "practice" / "truth.json").is_file()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signals")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_command_that_is_told_to_end_leaves_nothing(tmp_path: Path, name: str) -> None:
+    what = ["hide", "dead_zone:1", "--duration", "1000", "--out", str(tmp_path / "practice")]
+    with subprocess.Popen([sys.executable, "-m", "hydro_env", *what], stderr=subprocess.PIPE) as process:
+        while not listing(tmp_path) and process.poll() is None:
+            time.sleep(0.05)
+        process.send_signal(getattr(signal, name))
+        _, said = process.communicate(timeout=120)
+    assert process.returncode == 128 + getattr(signal, name)
+    assert said.decode().splitlines()[-1].startswith("error: interrupted")
+    assert listing(tmp_path) == []
 
 
 @pytest.mark.parametrize("example", [each for examples in EXAMPLES.values() for each in examples])

@@ -1,6 +1,6 @@
 """Runs one command of `hydro-env` and turns whatever happens into an exit status and one line.
 
-Exit status: 0 done; 2 bad input or a folder that cannot be written, with one line on stderr; 130 interrupted.
+Exit status: 0 done; 2 bad input or a folder that cannot be written, with one line on stderr; 130 interrupted, 143 by SIGTERM.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, NoReturn, TextIO
 import typer
 
 from hydro_env.cli.app import app
-from hydro_env.errors import InputError, InputWarning, place_of, shown, to_install
+from hydro_env.errors import InputError, InputWarning, place_of, shown, stopped_by_signals, to_install
 
 __all__ = ["main", "run", "spread"]
 
@@ -49,8 +49,8 @@ EXTRAS = {
 
 
 class _PatientOutput:
-    """Standard output that nobody needs to read to the end (`hydro-env ... | head`): what a command is for is the files in
-    `--out`, so it goes on."""
+    """Standard output or error that nobody needs to read to the end (`hydro-env ... | head`): what a command is for is the files
+    in `--out`, so it goes on. A full disk behind standard output is an OSError that says so."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -59,28 +59,24 @@ class _PatientOutput:
         """Writes, or does nothing once the reader has gone."""
         try:
             return self._stream.write(text)
-        except BrokenPipeError:
-            self._to_nowhere()
-            return len(text)
         except OSError as problem:
-            self._to_nowhere()
-            raise OSError(problem.errno, problem.strerror, "standard output") from None
+            self._to_nowhere(problem)
+            return len(text)
 
     def flush(self) -> None:
         """The same for what is still in the buffer."""
         try:
             self._stream.flush()
-        except BrokenPipeError:
-            self._to_nowhere()
         except OSError as problem:
-            self._to_nowhere()
-            raise OSError(problem.errno, problem.strerror, "standard output") from None
+            self._to_nowhere(problem)
 
-    def _to_nowhere(self) -> None:
+    def _to_nowhere(self, problem: OSError) -> None:
         # What the buffer holds is written again when the process ends, so the pipe itself is replaced.
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self._stream.fileno())
         os.close(nowhere)
+        if self._stream.fileno() == 1 and not isinstance(problem, BrokenPipeError):
+            raise OSError(problem.errno, problem.strerror, "standard output") from None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -89,16 +85,30 @@ class _PatientOutput:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Runs one command and ends the process with its exit status."""
     gc.set_threshold(GARBAGE)
-    if sys.stdout is None:  # closed before it began (`>&-`)
-        sys.exit(run(arguments))
-    sys.stdout = _PatientOutput(sys.stdout)  # type: ignore[assignment]
-    status = run(arguments)
+    _open_what_is_closed()
+    sys.stdout, sys.stderr = _PatientOutput(sys.stdout), _PatientOutput(sys.stderr)  # type: ignore[assignment]
+    with stopped_by_signals() as signals:
+        status = run(arguments)
+    if signals:
+        status = 128 + signals[0]
     try:
         sys.stdout.flush()
     except OSError as problem:
         status = _fail(f"{problem.filename}: {problem.strerror}")
     gc.freeze()  # the end of the process would go through everything for garbage once more: 0.3 s after a diagnosis
     sys.exit(status)
+
+
+def _open_what_is_closed() -> None:
+    """Leads nowhere what was closed before the process began (`>&-`): else the next file that is opened would take its place, and
+    get what libraries and other processes write there."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the least free number is this one
+    sys.stdout = sys.stdout or open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    sys.stderr = sys.stderr or open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
 
 
 def run(arguments: Sequence[str] | None) -> int:

@@ -5,6 +5,7 @@ Everything the task does is written here, once; the single environment is a batc
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -61,6 +62,8 @@ _NEVER = np.iinfo(np.int64).max
 #: Rows whose courses are drawn at a time.
 _CHUNK = 1024
 _AT_RESET = [key for key in COLUMNS if not key.startswith("reward")]
+#: True only where the model has a supply pressure; without one it knows the difference of both lines alone.
+_OF_LINES = "lowest_line_pressure_bar"
 
 
 class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -74,7 +77,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     * `autoreset_mode`: "NextStep" (default: the step after an end resets the row, ignores its action and has reward 0),
       "SameStep" (the end's observation is in `info["final_obs"]`) or "Disabled" (reset with
       `options={"reset_mask": mask}`).
-    * `options` of `reset` hold for all rows that it resets; `case=k` means case k + i for row i, a list one for each.
+    * `options` of `reset` hold for all rows that it resets, until they are reset again: an autoreset goes on with them, with the
+      same case. `case=k` means case k + i for row i, a list one for each.
     * `info` holds arrays with one row per rig and masks `_key` as Gymnasium has them; `pairs` the values of the valves.
     * `max_episode_steps` ends episodes early (truncation).
     * `plant` may be a `Plant`: its model, in the substep that it was given.
@@ -86,7 +90,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012 (Gymnasium's way)
     _spec: EnvSpec | None = None
-    _pool: ThreadPoolExecutor | None
+    _pool: tuple[int, ThreadPoolExecutor] | None
 
     def __init__(
         self,
@@ -164,6 +168,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._case = np.full(n, -1, np.int64)
         self._fault = np.full(n, "", object)
         self._ended = np.zeros(n, np.bool_)
+        self._begun = False
+        #: Options (N,) of the last `reset` of each row, or None.
+        self.held = np.full(n, None, object)
         # The episode of each row: where it stands, what is driven, what the sensors do.
         self._step, self._last = np.zeros(n, np.int64), np.zeros(n, np.int64)
         self._courses, self._place, self._driven = Courses(n), np.zeros((n, 2), np.int64), np.zeros((n, 4))
@@ -215,6 +222,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
                 )
             rows = np.flatnonzero(mask)
         self._begin(rows, *self._next(rows, seed), **options)
+        self.held[rows] = options or None
+        self._begun = bool((self._episode >= 0).all())
         result = self._outputs()
         self._look(self._all if mask is None else rows, result)
         if mask is not None:  # rows that are not reset show what they showed last
@@ -224,7 +233,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     def step(
         self, actions: ArrayLike
     ) -> tuple[NDArray[np.float32], Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """One control period with the actions (N, 2). ValueError if one is not finite or the shape is wrong."""
+        """One control period with the actions (N, 2). ValueError if they are no finite real numbers or the shape is wrong."""
         mode, everyone = self.autoreset_mode, np.ones(self.num_envs, np.bool_)
         again = self._ended.copy()
         if mode is AutoresetMode.DISABLED and again.any():
@@ -307,12 +316,12 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
     def advance(self, actions: ArrayLike) -> Result:
         """One control period for all rows, without autoreset, info and `errors`. ValueError as for `step`."""
-        if not self._seeds:
-            raise gymnasium.error.ResetNeeded("reset the environment before the first step")
-        wanted = np.ascontiguousarray(actions, dtype=np.float64)
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("reset every row of the environment before the first step")
+        wanted = _real(actions)
         if wanted.shape != self._command.shape:
             raise ValueError(f"actions have the shape {wanted.shape}, expected {self._command.shape}")
-        if self.increment is not None:
+        if self.increment is not None and np.isfinite(wanted).all():  # what is not is refused below
             wanted = self._fraction + self.increment * np.clip(wanted, -1.0, 1.0)
         if not apply(
             wanted, self._rated, self._driven, self._step, self._fraction, self._moved, self._command, self._torque
@@ -320,8 +329,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             raise ValueError("an action is not finite")
         result = self._outputs()
         if self._parts:
-            self._pool = self._pool or ThreadPoolExecutor(self.threads, "hydro_env")
-            list(self._pool.map(partial(self._hold_part, result), self._parts))
+            if self._pool is None or self._pool[0] != os.getpid():  # threads do not survive a fork
+                self._pool = os.getpid(), ThreadPoolExecutor(self.threads, "hydro_env")
+            list(self._pool[1].map(partial(self._hold_part, result), self._parts))
             self.plant.turn(self._substeps)
         else:
             self.plant.hold(self._command, self._torque, self._substeps, self.control_period)
@@ -401,6 +411,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._draw_valves(rows, mismatch, seeds, episodes, cases)
         self._drive(rows, scenario, steps, seeds, episodes)
         self.plant.reset(None if rows.size == self.num_envs else rows)
+        self.has_lines = bool(self.plant.get("mean_line_pressure").any())
         self._step[rows] = 0
         self._fraction[rows] = 0.0
         self._moved[rows] = 0.0
@@ -412,7 +423,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
     def _restart(self, rows: NDArray[np.int64], result: Result) -> None:
         """Starts the next episode of these rows and puts its first signals in their place."""
-        self._begin(rows, *self._next(rows))
+        for options in {id(each): each for each in self.held[rows]}.values():
+            some = rows[[each is options for each in self.held[rows]]]
+            self._begin(some, *self._next(some), **(options or {}))
         first = self._outputs()
         self._look(rows, first)
         result[0][rows], result[1][rows] = first[0][rows], first[1][rows]
@@ -570,6 +583,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """What a step tells: true signals of the rows `given`, and the terms of the reward of those that `stepped`."""
         info: dict[str, Any] = {}
         for key, column in COLUMNS.items():
+            if key == _OF_LINES and not self.has_lines:
+                continue
             info[key] = true[:, column]
             info["_" + key] = given if key in _AT_RESET else stepped
         if terminated.any():
@@ -582,7 +597,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         mask = np.zeros(self.num_envs, np.bool_)
         mask[rows] = True
         for key in _AT_RESET:
-            if key not in info:
+            if key not in info and (key != _OF_LINES or self.has_lines):
                 info[key], info["_" + key] = true[:, COLUMNS[key]], mask
         pairs: dict[str, Any] = {}
         for name, values in self.pairs.items():
@@ -595,6 +610,17 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 def _streams(seeds: list[int], episodes: list[int], component: int) -> Streams:
     """The streams of a component in these episodes of these seeds."""
     return Streams.seeded([seeds], [episodes, [component] * len(seeds)])
+
+
+def _real(actions: ArrayLike) -> Floats:
+    """Actions as float64. ValueError for what is no array of real numbers."""
+    try:
+        given = np.asarray(actions)
+    except ValueError:
+        raise ValueError("actions have rows of different lengths") from None
+    if given.dtype.kind not in "fiub":
+        raise ValueError(f"actions are {given.dtype}, expected real numbers")
+    return np.ascontiguousarray(given, np.float64)
 
 
 def _optional(limits: Limits, value: Any, name: str) -> Any:

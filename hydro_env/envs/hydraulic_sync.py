@@ -76,7 +76,10 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     True values, without noise and lag: `speed_rpm` (2,), `setpoint_rpm`, `speed_difference_rpm` (1 less 2),
     `command_V` (2,), `angle_difference_deg` (1 less 2). After a step also `reward_tracking`, `reward_difference`,
     `reward_variation`, and costs for constrained methods: `cost_difference`, by how many rpm the speed difference exceeds
-    20 rpm, and `cost_travel`, the mean change of the commands as a fraction of the rated one. After a reset `mismatch`
+    20 rpm, and `cost_travel`, the mean change of the commands as a fraction of the rated one. Where the model has a supply
+    pressure (`rig`), `lowest_line_pressure_bar`, the least gauge pressure in the four lines at the end of the period: below
+    -1 bar oil would cavitate, and the simulation is no longer that of a real rig. Without a supply pressure only the difference
+    of both lines is known. After a reset `mismatch`
     (parameter: (2,) values, SI), `fault` (its name, or "") and `case` (number in the split's list, -1 if it has none).
 
     ## Arguments
@@ -196,10 +199,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """One control period; see the class. ValueError for an action that is not finite or not of the shape (2,)."""
-        observation, true, reward, terminated, truncated = self.batch.advance(
-            np.asarray(action, np.float64)[None]
-        )
+        """One control period; see the class. ValueError for an action that is not two finite real numbers."""
+        observation, true, reward, terminated, truncated = self.batch.advance([action])
         row = true[0]
         values = row.tolist()
         info: dict[str, Any] = {
@@ -214,6 +215,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             "cost_difference": values[10],
             "cost_travel": values[11],
         }
+        if self.batch.has_lines:
+            info["lowest_line_pressure_bar"] = values[12]
         ended = bool(terminated[0])
         if ended:
             info["termination"] = DIVERGED

@@ -9,12 +9,12 @@ from __future__ import annotations
 from math import isfinite
 
 from ..jit import compiled
-from ..units import DEGREE, RPM
+from ..units import BAR, DEGREE, RPM
 
 __all__ = ["COLUMNS", "SIGNALS", "apply", "drive", "look", "wind"]
 
 #: Signals of the plant's memory that `look` reads, in the order of its argument `where`.
-SIGNALS = ("speed", "angle", "measured_speed", "current", "pressure", "diverged")
+SIGNALS = ("speed", "angle", "measured_speed", "current", "pressure", "diverged", "mean_line_pressure")
 
 #: Columns of the table of true signals that `look` fills.
 COLUMNS: dict[str, slice | int] = {
@@ -28,13 +28,15 @@ COLUMNS: dict[str, slice | int] = {
     "reward_variation": 9,
     "cost_difference": 10,
     "cost_travel": 11,
+    "lowest_line_pressure_bar": 12,
 }
-TRUE = 12
+TRUE = 13
 #: Speed difference, rpm, beyond which `cost_difference` counts; what good controllers stay below once the motors run.
 COST_BOUND_RPM = 20.0
 
 _TO_RPM = 1.0 / RPM
 _TO_DEG = 1.0 / DEGREE
+_TO_BAR = 1.0 / BAR
 
 
 def _threaded(function):
@@ -139,6 +141,9 @@ def look(
         beyond = abs(one - two) - COST_BOUND_RPM
         true[i, 10] = beyond if beyond > 0.0 else 0.0
         true[i, 11] = moved[i]
+        first = cells[where[6], lane] - 0.5 * abs(cells[where[4], lane])
+        second = cells[where[6], lane + half] - 0.5 * abs(cells[where[4], lane + half])
+        true[i, 12] = (first if first < second else second) * _TO_BAR
         reward[i] = tracking + difference + variation - (weights[3] if lost else 0.0)
         terminated[i] = lost
         truncated[i] = now >= end

@@ -125,7 +125,7 @@ def commands(kind: str, seconds: float, rng: np.random.Generator) -> Array:
 # --- cases ------------------------------------------------------------------------------------------------------------
 def _ends(p: Parameter) -> tuple[float, float]:
     low, high = p.possible
-    return low, high if math.isfinite(high) else max(_NO_LIMIT, 2.0 * low)
+    return low, high if math.isfinite(high) and p.name != "u_rated" else max(_NO_LIMIT, 2.0 * low)
 
 
 def ends_of_base(steps: int = 7) -> list[Case]:

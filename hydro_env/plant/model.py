@@ -125,8 +125,9 @@ class PlantModel:
         kept = {n: v for n, v in self.values.items() if n.split(".", 1)[0] != effect or "." not in n}
         return replace(self, values=kept, declared=tuple(n for n in self.declared if n != effect), finer=1)
 
-    def to_dict(self) -> dict[str, Any]:
-        """The content of the model file; `load_model` of it gives an equal model."""
+    def to_dict(self, source: str = "") -> dict[str, Any]:
+        """The content of the model file; `load_model` of it gives an equal model. `source` says where its values are from, if
+        they have one source."""
         data: dict[str, Any] = {"schema": SCHEMA, "name": self.name}
         if self.substep != SUBSTEP:
             data["substep"] = self.substep
@@ -140,16 +141,15 @@ class PlantModel:
                 place.setdefault(side, {})[own] = value
         if effects:
             data["effects"] = effects
-        return data
-
-    def to_yaml(self, path: str | Path, source: str = "") -> None:
-        """Writes the model file (atomically); `source` says where its values are from, if they have one source."""
-        data = self.to_dict()
         if source:
             data["sources"] = dict.fromkeys(
                 (*(n for n in self.values if "." not in n), *self.declared), source
             )
-        write_text(Path(path), yaml.safe_dump(_exact(data), sort_keys=False))
+        return data
+
+    def to_yaml(self, path: str | Path, source: str = "") -> None:
+        """Writes the model file (atomically); `source` as in `to_dict`."""
+        write_text(Path(path), yaml.safe_dump(_exact(self.to_dict(source)), sort_keys=False))
 
 
 class _Float(float):

@@ -384,6 +384,7 @@ _POSSIBLE: dict[str, tuple[float, float]] = {
     "x_max": (1e-4, 5e-3),
     "k_stop": (1e4, 1e7),
     "v_stop": (1e-3, 0.5),
+    "u_rated": (0.1, 1e6),  # actions are fractions of it
 }
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import ast
 import inspect
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -26,6 +27,7 @@ from torch import nn
 
 from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError, shown, suggestion
+from hydro_env.limits import Limits
 from hydro_env.reading import MOST_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
 
@@ -38,6 +40,20 @@ OWN_KEYS = ("n_envs", "n_timesteps", "policy", "env_kwargs", "policy_kwargs")
 CLOSED = ("self", "env", "device", "verbose", "seed", "tensorboard_log", "stats_window_size", "_init_setup_model",
           "rollout_buffer_class", "rollout_buffer_kwargs", "replay_buffer_class", "replay_buffer_kwargs",
           "action_noise", "optimize_memory_usage", "n_steps_td")  # fmt: skip
+#: Numbers that an algorithm would take and then fail by, or learn nothing with.
+_COUNT, _SHARE, _SIZE = Limits(1, 10**9, whole=True), Limits(0, 1), Limits(0, 1e6)
+LIMITS = {
+    **dict.fromkeys(
+        ("n_steps", "batch_size", "n_epochs", "buffer_size", "train_freq", "target_update_interval"), _COUNT
+    ),
+    **dict.fromkeys(("gamma", "gae_lambda", "tau"), _SHARE),
+    **dict.fromkeys(
+        ("learning_rate", "clip_range", "clip_range_vf", "ent_coef", "vf_coef", "max_grad_norm", "target_kl"),
+        _SIZE,
+    ),
+    "learning_starts": Limits(0, 10**15, whole=True),
+    "gradient_steps": Limits(-1, 10**9, whole=True),
+}
 ACTIVATIONS = {"nn.Tanh": nn.Tanh, "nn.ReLU": nn.ReLU, "nn.ELU": nn.ELU}
 
 
@@ -129,7 +145,10 @@ def _config(path: Path, text: str) -> Config:
     env_kwargs = table.pop("env_kwargs", None) or {}
     if not isinstance(env_kwargs, dict):
         raise InputError(f"{where}: env_kwargs should be a table of arguments of the environment")
-    hyper = {key: _value(where, key, value) for key, value in table.items()}
+    free = (
+        ("ent_coef", "train_freq") if algorithm is SAC else ()
+    )  # texts such as `auto`, lists such as `[1, step]`
+    hyper = {key: _value(where, key, value, key in free) for key, value in table.items()}
     hyper["policy_kwargs"] = _policy_kwargs(where, hyper.pop("policy_kwargs", None))
     return Config(path, text, num_envs, num_steps, policy, dict(env_kwargs), hyper, training)
 
@@ -167,7 +186,9 @@ def _training(path: Path, table: dict[str, Any]) -> Training:
     }
     for key, kind in kinds.items():
         if key in values and (
-            isinstance(values[key], bool) or not isinstance(values[key], kind) or values[key] < 0
+            isinstance(values[key], bool)
+            or not isinstance(values[key], kind)
+            or not 0 <= values[key] < math.inf
         ):
             raise InputError(f"{where}: {key} is {values[key]!r}, expected a number of at least 0")
     if "evaluate_scenarios" in values:
@@ -185,26 +206,33 @@ def _training(path: Path, table: dict[str, Any]) -> Training:
     return Training(**values)
 
 
-def _value(where: str, key: str, value: Any) -> Any:
-    """Numbers as they are; `lin_3e-4` as a schedule that falls linearly to zero."""
+def _value(where: str, key: str, value: Any, free: bool) -> Any:
+    """Numbers as they are, where they can be right; `lin_3e-4` as a schedule that falls linearly to zero."""
     if isinstance(value, str) and value.startswith("lin_"):
-        try:
-            return Falling(float(value[4:]))
-        except ValueError:
-            raise InputError(f"{where}: {key} is {value!r}, expected lin_ and a number") from None
-    if key in ("learning_rate", "clip_range") and (
-        isinstance(value, bool) or not isinstance(value, int | float)
-    ):
+        return Falling(_SIZE.read(value[4:], f"{where}: {key}: lin_"))
+    limits = LIMITS.get(key)
+    others = (
+        isinstance(value, str | list) if free else value is None and key in ("target_kl", "clip_range_vf")
+    )
+    if limits is None or others:
+        _check_finite(where, key, value)
+        return value
+    if key in ("learning_rate", "clip_range") and isinstance(value, str):
         raise InputError(
             f"{where}: {key} is {value!r}, expected a number (write 1.0e-3, not 1e-3) or lin_1e-3"
         )
-    if (
-        isinstance(value, float)
-        and value == int(value)
-        and key in ("buffer_size", "learning_starts", "n_steps", "batch_size")
+    whole = limits.whole and isinstance(value, float) and value.is_integer()
+    return limits.check(int(value) if whole else value, f"{where}: {key}")
+
+
+def _check_finite(where: str, key: str, value: Any) -> None:
+    """InputError for a number somewhere in a value that is not finite."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{where}: {key} is {value}, expected a finite number")
+    for item in (
+        value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
     ):
-        return int(value)
-    return value
+        _check_finite(where, key, item)
 
 
 @dataclass(frozen=True)
@@ -225,6 +253,7 @@ def _policy_kwargs(where: str, value: Any) -> dict[str, Any]:
         given = dict(value)
         if isinstance(given.get("activation_fn"), str):
             given["activation_fn"] = _activation(where, given["activation_fn"])
+        _check_finite(where, "policy_kwargs", given)
         return given
     try:
         call = ast.parse(str(value).strip(), mode="eval").body
@@ -237,6 +266,7 @@ def _policy_kwargs(where: str, value: Any) -> dict[str, Any]:
         raise InputError(
             f"{where}: policy_kwargs is {value!r}, expected dict(net_arch=[64, 64], activation_fn=nn.Tanh) or the like"
         ) from None
+    _check_finite(where, "policy_kwargs", parsed)
     return parsed
 
 

@@ -188,8 +188,17 @@ def make_model(config: Config) -> BaseAlgorithm:
     env = PolicyVecEnv(rigs, make_interface(config.training.interface))
     try:
         return config.algorithm(config.policy, env, seed=config.training.seed, device="cpu", **config.hyper)
-    except (TypeError, ValueError, AssertionError) as problem:
-        raise InputError(f"{config.path}: {' '.join(str(problem).split())}") from None
+    except (
+        TypeError,
+        ValueError,
+        ArithmeticError,
+        AssertionError,
+        AttributeError,
+        MemoryError,
+        RuntimeError,
+    ) as problem:
+        said = " ".join(str(problem).split()) or type(problem).__name__
+        raise InputError(f"{config.path}: {said}") from None
 
 
 def train(

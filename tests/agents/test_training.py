@@ -65,6 +65,12 @@ def test_the_training_files_are_valid(name):
         ("MlpPolicy", "CnnPolicy", "only 'MlpPolicy'"),
         ("training:", "training: [", "not YAML"),
         ("plant: paper_dead_zone", "plat: paper", "env_kwargs"),
+        ("batch_size: 128", "batch_size: .nan", "batch_size is nan, expected a whole number from 1"),
+        ("learning_rate: lin_1e-3", "learning_rate: .inf", "learning_rate is inf, expected a number from 0"),
+        ("learning_rate: lin_1e-3", "learning_rate: lin_nan", "learning_rate: lin_ is nan, expected"),
+        ("gamma: 0.97", "gamma: .inf", "gamma is inf, expected a number from 0 to 1"),
+        ("log_std_init=-2.5", "log_std_init=1e999", "policy_kwargs is inf, expected a finite number"),
+        ("evaluate_pairs: 2", "tracking_weight: .nan", "tracking_weight is nan"),
         ("mismatch: train", "mismatch: trian", "trian"),
     ],
 )

@@ -13,7 +13,7 @@ import pytest
 from hydro_env import cli
 from hydro_env.controllers.registry import make_controller, split_gains
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, InputWarning
 
 MINE = """import numpy as np
 from hydro_env.controllers.base import Controller, Gain
@@ -166,13 +166,26 @@ def test_an_agent_of_stable_baselines3_drives_if_it_is_trusted(folder: Path, kin
     model.save(folder / "agent")
     with pytest.raises(InputError, match="--trust"):
         make_controller("agent.zip")
-    driven = roll_out(make_controller("agent.zip", trust=True), [5], mismatch="val")
+    with pytest.warns(
+        InputWarning, match="agent.zip: does not say whether its actions are commands or changes"
+    ):
+        make_controller("agent.zip", trust=True)
+    driven = roll_out(make_controller("agent.zip:increment=0", trust=True), [5], mismatch="val")
     env = gymnasium.make("hydro_env:HydraulicSync-v0", history=2, mismatch="val", scenario="setpoint_steps")
     observation, _ = env.reset(seed=5)
     for row in range(20):
         action = model.predict(observation, deterministic=True)[0]
         np.testing.assert_allclose(driven.trace.command[row, 0], np.clip(action, -1, 1), atol=1e-6)
         observation = env.step(action)[0]
+
+
+def test_an_agent_of_the_increments_is_not_taken_for_one_of_commands(folder: Path) -> None:
+    library = pytest.importorskip("stable_baselines3")
+    env = gymnasium.make("hydro_env:HydraulicSyncIncrement-v1")
+    library.PPO("MlpPolicy", env, seed=0, device="cpu").save(folder / "agent")
+    with pytest.raises(InputError, match=r"agent\.zip:increment=0\.3 for an agent of HydraulicSyncIncrement"):
+        make_controller("agent.zip", trust=True)
+    make_controller("agent.zip:increment=0.3", trust=True)
 
 
 def test_other_archives_are_refused(folder: Path) -> None:

@@ -1,7 +1,10 @@
 """The native batch: each row is the single environment bit for bit, autoreset modes, masks, copies, wrappers."""
 
 import copy
+import os
 import pickle
+import subprocess
+import sys
 
 import gymnasium
 import numpy as np
@@ -205,6 +208,44 @@ def test_options():
         batch.reset(seed=[1, -2, 3])
 
 
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_options_hold_until_the_next_reset(mode):
+    batch = make(3, mismatch="val", scenario=SHORT, autoreset_mode=mode)
+    batch.reset(seed=0, options={"mismatch": "test_interp", "case": 7})
+    mask = np.array([False, True, False])
+    batch.reset(options={"scenario": {"duration": 0.12, "setpoint_rpm": [[0.0, 99.0]]}, "reset_mask": mask})
+    for action in actions(3, 14):
+        batch.step(action)
+    own = own_course(batch, 1), own_course(batch, 0)
+    assert (own[0] == 99.0).all() and own[1][0] == 300.0
+    assert batch._case[[0, 2]].tolist() == [7, 9] and batch._episode.tolist() == [1, 2, 1]
+    batch.reset()
+    assert own_course(batch, 1)[0] == 300.0
+
+
+def own_course(batch, row):
+    return np.round(batch.course(row).setpoint * 30.0 / np.pi, 9)
+
+
+def test_rows_may_be_reset_one_after_the_other():
+    batch, twin = make(2), make(2)
+    whole, _ = twin.reset(seed=3)
+    for row in (0, 1):
+        with pytest.raises(gymnasium.error.ResetNeeded, match="every row"):
+            batch.step(np.zeros((2, 2)))
+        observation, _ = batch.reset(seed=3, options={"reset_mask": np.arange(2) == row})
+    np.testing.assert_array_equal(observation, whole)
+    same(batch.step(np.zeros((2, 2))), twin.step(np.zeros((2, 2))))
+
+
+def test_a_failed_first_reset_is_none():
+    batch = make(2)
+    with pytest.raises(InputError):
+        batch.reset(options={"case": 3})
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        batch.step(np.zeros((2, 2)))
+
+
 def test_episode_limit():
     batch = make(2, max_episode_steps=7)
     batch.reset(seed=0)
@@ -212,14 +253,17 @@ def test_episode_limit():
 
 
 def test_gymnasium_wrappers_work():
-    wrapped = gymnasium.wrappers.vector.RecordEpisodeStatistics(make(3, scenario=SHORT))
-    wrapped = gymnasium.wrappers.vector.DictInfoToList(wrapped)
+    # Each by itself: before Gymnasium 1.2.2 they do not go together.
+    wrapped = gymnasium.wrappers.vector.DictInfoToList(make(3, scenario=SHORT))
     _, infos = wrapped.reset(seed=0)
     assert set(infos[1]["mismatch"]) >= {"Kq", "R"}
-    for action in actions(3, 12):
-        *_, infos = wrapped.step(action)
-    assert infos[2]["episode"]["l"] == 12
+    *_, infos = wrapped.step(np.zeros((3, 2)))
     assert infos[0]["speed_rpm"].shape == (2,)
+    wrapped = gymnasium.wrappers.vector.RecordEpisodeStatistics(make(3, scenario=SHORT))
+    wrapped.reset(seed=0)
+    for action in actions(3, 12):
+        *_, info = wrapped.step(action)
+    assert info["episode"]["l"].tolist() == [12] * 3
     for space, sample in ((wrapped.observation_space, wrapped.step(wrapped.action_space.sample())[0]),):
         assert space.contains(sample)
 
@@ -283,6 +327,8 @@ def test_wrong_use_is_named():
         batch.step(np.zeros((3, 2)))
     with pytest.raises(ValueError, match="finite"):
         batch.step(np.array([[0, 0], [np.nan, 0]]))
+    with pytest.raises(ValueError, match="actions are complex128"):
+        batch.step(np.zeros((2, 2), complex))
     with pytest.raises(InputError, match="num_envs"):
         HydraulicSyncVectorEnv(0)
 
@@ -320,3 +366,25 @@ def test_threads_change_no_bit(plant):
 
     for one, many in zip(course(1), course(3), strict=True):
         np.testing.assert_array_equal(one, many)
+
+
+FORKED = """
+import os, numpy as np
+from hydro_env.envs import HydraulicSyncVectorEnv
+envs = HydraulicSyncVectorEnv(75, threads=3)
+envs.reset(seed=3)
+command = np.full((75, 2), 0.5)
+envs.step(command)
+reader, writer = os.pipe()
+if os.fork() == 0:
+    os.write(writer, envs.step(command)[0].tobytes())
+    os._exit(0)
+os.close(writer)
+assert open(reader, "rb").read() == envs.step(command)[0].tobytes()
+os.wait()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_a_forked_process_steps_with_threads_of_its_own():
+    subprocess.run([sys.executable, "-c", FORKED], check=True, timeout=100)

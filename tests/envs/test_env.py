@@ -9,6 +9,7 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 from hypothesis import given, settings
@@ -20,8 +21,9 @@ from hydro_env.envs.observation import LIMIT, SCALES, with_errors
 from hydro_env.envs.render import Recorder
 from hydro_env.envs.step_kernels import TRUE
 from hydro_env.errors import InputError
-from hydro_env.tasks import draw_pairs
-from hydro_env.tasks.mismatch import CASE_STRIDE
+from hydro_env.plant import Plant, load_model
+from hydro_env.tasks import SCENARIOS, draw_pairs
+from hydro_env.tasks.mismatch import CASE_STRIDE, NAMED_PAIRS
 
 RPM = 2 * np.pi / 60
 
@@ -443,9 +445,53 @@ def test_the_specification_of_what_was_made_has_its_length(arguments, steps, thr
 
 
 @pytest.mark.parametrize(
+    "arguments",
+    [
+        {"plant": load_model("rig").with_values({"J": 0.02})},
+        {"plant": Plant("servo"), "mismatch": NAMED_PAIRS["paper_pair"], "scenario": SCENARIOS["sine"]},
+        {"mismatch": {"Kq": np.array([0.4, 0.45])}, "noise": np.float64(0.5)},
+    ],
+)
+def test_it_can_be_made_again_from_json(arguments):
+    made = gymnasium.make("hydro_env:HydraulicSync-v0", **arguments)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        again = gymnasium.make(EnvSpec.from_json(made.spec.to_json()))
+    assert again.spec == made.spec
+    for env in (made, gymnasium.make(made.spec)):
+        same(env.reset(seed=4), again.reset(seed=4))
+        for _ in range(3):
+            same(env.step(np.full(2, 0.4)), again.step(np.full(2, 0.4)))
+
+
+def test_the_lowest_line_pressure_is_told_where_it_is_known():
+    """A quick stop empties a line of a rig without anti-cavitation valves far below vacuum."""
+    assert "lowest_line_pressure_bar" not in make().reset(seed=0)[1]
+    bare, lowest = load_model("rig").without("crossport_relief").with_values({"J": 0.02}), {}
+    valves = {"anti_cavitation.conductance": 1e-9, "anti_cavitation.supply_pressure": 1e7}
+    for name, model in {"bare": bare, "valves": bare.with_values(valves)}.items():
+        env = make(plant=model, mismatch=None, noise=0.0)
+        _, info = env.reset(seed=0)
+        assert info["lowest_line_pressure_bar"] == pytest.approx(50.0)
+        seen = []
+        for step in range(160):
+            info = env.step(np.full(2, 1.0 if step < 100 else 0.0))[-1]
+            mean, half = env.plant.get("mean_line_pressure"), 0.5 * np.abs(env.plant.pressure)
+            assert info["lowest_line_pressure_bar"] == pytest.approx((mean - half).min() / 1e5)
+            seen.append(info["lowest_line_pressure_bar"])
+        lowest[name] = min(seen)
+    assert lowest["bare"] < -100.0 and lowest["valves"] > -6.0
+
+
+@pytest.mark.parametrize(
     ("arguments", "told"),
     [
         ({"plant": "papr"}, "papr"),
+        (
+            {"plant": {"schema": "hydro_env/model/1", "both": {"u_rated": np.inf}}},
+            "u_rated: inf V is out of range",
+        ),
+        ({"mismatch": {"u_rated": np.inf}}, "u_rated: inf V is out of range"),
         ({"scenario": "steps"}, "scenario"),
         ({"mismatch": "trane"}, "did you mean 'train'"),
         ({"control_period": 0.0}, "control_period"),
@@ -484,11 +530,23 @@ def test_wrong_options_are_named_and_do_no_harm(options, told):
     same(env.reset(), twin.reset())
 
 
+@pytest.mark.parametrize("increment", [None, 0.3])
 @pytest.mark.parametrize(
-    "action", [np.array([np.nan, 0.0]), np.array([0.0, np.inf]), np.zeros(3), np.zeros((1, 2))]
+    "action",
+    [
+        np.array([np.nan, 0.0]),
+        np.array([0.0, np.inf]),
+        np.zeros(3),
+        np.zeros((1, 2)),
+        np.array([0.5j, 0.1]),
+        np.array(["2020-01-01", "2021-01-01"], "datetime64[D]"),
+        ["0.5", "0.1"],
+        [None, 0.0],
+        [[0.1], [0.2, 0.3]],
+    ],
 )
-def test_wrong_actions_raise(action):
-    env = make()
+def test_wrong_actions_raise(action, increment):
+    env = make(increment=increment)
     env.reset(seed=0)
     with pytest.raises(ValueError, match="action"):
         env.step(action)

@@ -69,6 +69,11 @@ def test_seeds_and_options():
     env.set_options({"mismatch": "paper_pair"})
     env.reset()
     assert env.reset_infos[2]["mismatch"]["Kq"][0] == 476106e-6
+    env.set_options({"scenario": "sine"})  # for one episode, as Stable-Baselines3 says
+    env.reset()
+    for _ in range(601):
+        env.step(np.zeros((3, 2)))
+    assert env.batch.course(0).setpoint.size == 11
     env.set_options([{"case": [9, 9, 9]}, {}, {"case": [9, 9, 9]}])
     env.reset()
     assert [info["case"] for info in env.reset_infos][::2] == [9, 9]
@@ -94,6 +99,8 @@ def test_attributes_and_methods():
     assert env.render().ndim == 3
     env.set_attr("max_episode_steps", 4)
     assert env.get_attr("max_episode_steps") == [4] * 3
+    with pytest.raises(AttributeError, match="did you mean 'max_episode_steps'"):
+        env.set_attr("max_episode_step", 4)
     with pytest.raises(ValueError, match="in common"):
         env.set_attr("max_episode_steps", 4, indices=0)
     with pytest.raises(ValueError, match="all rows"):

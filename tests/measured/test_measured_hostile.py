@@ -274,7 +274,7 @@ def test_paths_that_are_no_plain_file(tmp_path: Path) -> None:
     refused(tmp_path / "folder.csv", "a folder")
     refused("/dev/zero", "a pipe or a device")
     refused("x" * 5000 + ".csv", "cannot be read", "too long")
-    refused("a\0b.csv", "null byte")
+    refused("a\0b.csv", "embedded null")
     refused(tmp_path / "nothing.csv", "no such file")
     (tmp_path / "log.mat.gz").write_bytes(gzip.compress(b"x"))
     refused(tmp_path / "log.mat.gz", "unpack it first")

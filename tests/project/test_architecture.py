@@ -38,7 +38,7 @@ ALLOWED = {
     "benchmark": "errors files reading units pages parallel plant tasks envs controllers",
     "fmu_plant": "errors reading units plant",
     "export": "errors files plant units envs controllers",
-    "training": "errors files reading pickles units tasks controllers sb3",
+    "training": "errors files limits reading pickles units tasks controllers sb3",
     "experiments": "errors files reading limits units pages waveforms parallel plant practice tasks measured envs valve_bench"
     " controllers diagnosis benchmark",
     "lab": "errors files reading limits units streams pages plant practice tasks measured envs controllers diagnosis benchmark",

@@ -42,6 +42,18 @@ def run(code: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, check=False)
 
 
+def test_the_workflow_tries_the_lowest_and_the_newest_versions() -> None:
+    job = yaml.safe_load((ROOT / ".github" / "workflows" / "test.yml").read_text())["jobs"]["versions"]
+    tried = {(each["python"], each["versions"]) for each in job["strategy"]["matrix"]["include"]}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert (project["requires-python"].removeprefix(">="), "lowest-direct") in tried
+    assert ("3.13", "highest") in tried
+    assert job["steps"][-1]["run"] == ".ci/versions ${{ matrix.versions }}"
+    assert (ROOT / ".ci" / "versions").stat().st_mode & 0o111
+    # Without a bound the lowest version is the first ever published.
+    assert all(">=" in each for each in project["dependencies"])
+
+
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     folder = tmp_path_factory.mktemp("wheel")

@@ -7,6 +7,7 @@ origin is trusted. Needs the extra `agents`.
 from __future__ import annotations
 
 import json
+import warnings
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from hydro_env.controllers.base import Floats
 from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.envs.batch import INCREMENT
 from hydro_env.envs.observation import OBSERVATION, with_errors
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, InputWarning
 from hydro_env.reading import check_file
 
 __all__ = ["Sb3Policy"]
@@ -27,15 +28,16 @@ __all__ = ["Sb3Policy"]
 class Sb3Policy:
     """Drives with the deterministic action of a saved agent; one that was trained with `history` gets its frames, one that was
     trained with `increment` (HydraulicSyncIncrement-v0: 0.3) changes its commands by its actions. One that was trained behind
-    `with_errors` is recognised by its number of inputs.
+    `with_errors` is recognised by its number of inputs. The file does not say whether actions are commands (`increment` 0) or
+    changes of them: without an `increment` they are taken as commands, with a warning.
 
-    InputError for a file that is not trusted or not saved by Stable-Baselines3, and for an agent with other observations or
-    actions than those of `HydraulicSync-v0`.
+    InputError for a file that is not trusted or not saved by Stable-Baselines3, for an agent with other observations or
+    actions than those of `HydraulicSync-v0`, and for one with errors, as HydraulicSyncIncrement has them, without `increment`.
     """
 
     def __init__(self, path: Path, name: str, trust: bool, increment: float | None = None) -> None:
         self.name = name
-        self._increment = None if increment is None else INCREMENT.check(increment, f"{path}: increment")
+        self._increment = INCREMENT.check(increment, f"{path}: increment") if increment else None
         policy = _kind_of_policy(path)
         if not trust:
             raise InputError(
@@ -57,6 +59,14 @@ class Sb3Policy:
                 f"({len(OBSERVATION)} for each frame,), or {len(OBSERVATION) + 3} with its errors, and (2,)"
             )
         self._history = observed[0] // width
+        if increment is None:
+            said = (
+                f"{path}: does not say whether its actions are commands or changes of them: {path}:increment=0 for commands,"
+                f" {path}:increment=0.3 for an agent of HydraulicSyncIncrement"
+            )
+            if self._errors:
+                raise InputError(said)
+            warnings.warn(f"{said}. Taken as commands", InputWarning, stacklevel=2)
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Forgets the last episode."""
