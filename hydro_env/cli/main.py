@@ -82,15 +82,26 @@ class _PatientOutput:
         return getattr(self._stream, name)
 
 
+INTERRUPTED = "interrupted; nothing half-written is left in --out"
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Runs one command and ends the process with its exit status."""
     gc.set_threshold(GARBAGE)
     _open_what_is_closed()
     sys.stdout, sys.stderr = _PatientOutput(sys.stdout), _PatientOutput(sys.stderr)  # type: ignore[assignment]
     with stopped_by_signals() as signals:
-        status = run(arguments)
+        try:
+            status = run(arguments)
+        except Exception:  # what an interruption became in somebody's C code
+            if not signals:
+                raise
+            status = _fail(INTERRUPTED)
     if signals:
         status = 128 + signals[0]
+        exec(
+            ""
+        )  # CPython ends by SIGINT, whatever the status, if the last code that was run from text was interrupted
     try:
         sys.stdout.flush()
     except OSError as problem:
@@ -138,7 +149,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except InputError as problem:
         return _fail(problem)
     except (KeyboardInterrupt, typer.Abort):
-        return _fail("interrupted; nothing half-written is left in --out", status=130)
+        return _fail(INTERRUPTED, status=130)
     except ModuleNotFoundError as problem:
         extra = EXTRAS.get((problem.name or "").partition(".")[0])
         if extra is None:
@@ -155,7 +166,7 @@ def _run(arguments: Sequence[str] | None) -> int:
             raise
         return _fail(f"{usage()} Try `{_path(problem)} --help`.")
     if status == 130:  # typer turns an interruption into this
-        return _fail("interrupted; nothing half-written is left in --out", status=130)
+        return _fail(INTERRUPTED, status=130)
     return status if isinstance(status, int) else 0
 
 

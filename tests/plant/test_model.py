@@ -160,7 +160,7 @@ def test_a_wrong_file_is_refused_in_one_line(text: str, said: str, tmp_path: Pat
 def test_a_missing_file_or_preset_is_named() -> None:
     with pytest.raises(InputError, match="paper"):
         load_model("papr")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="no such file"):
         load_model("nowhere.yaml")
 
 
