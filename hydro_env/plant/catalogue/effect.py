@@ -90,8 +90,9 @@ class Effect:
     proportion to the effect's `conductance`.
 
     `shares` is what several effects have in common: an effect in no catalogue, or for a correction of form the one that it
-    corrects, which acts once and just before the first of them where any is compiled in. Its states and parameters are also theirs: a state of theirs with the name of one of its states adds
-    to that state's rate, and its parameters have the values of the first of them with such parameters that is not neutral.
+    corrects, which acts once and just before the first of them where any is compiled in. Its states and
+    parameters are also theirs: a state of theirs with the name of one of its states adds to that state's rate, and its parameters
+    have the values of the first of them with such parameters that is not neutral.
 
     What it is confused with: `indistinguishable_from` lists effects that no data of the usual channels separate from this
     one, `separated_by` experiments that do, by the name of the other effect; a pair needs its experiment on one side only.

@@ -289,7 +289,9 @@ SENSOR_SHAPE = correction(
 
 
 # --- coupling ---------------------------------------------------------------------------------------------------------
-def _torque_of_damper(torque, twist, speed, load_speed, damper_1, damper_2, damper_3, gap, stiffness, damping):
+def _torque_of_damper(
+    torque, twist, speed, load_speed, damper_1, damper_2, damper_3, gap, stiffness, damping
+):
     half = 0.5 * gap
     wound = twist - clip(twist, -half, half)
     w = abs(wound)
@@ -304,7 +306,9 @@ def _torque_of_damper(torque, twist, speed, load_speed, damper_1, damper_2, damp
     return torque + (before if before * wound > 0.0 else 0.0) - (after if after * wound > 0.0 else 0.0)
 
 
-def _load_behind_damper(load_speed, twist, speed, damper_1, damper_2, damper_3, gap, stiffness, damping, inertia):
+def _load_behind_damper(
+    load_speed, twist, speed, damper_1, damper_2, damper_3, gap, stiffness, damping, inertia
+):
     # The same torque: laws are pasted into the kernel and have no functions in common.
     half = 0.5 * gap
     wound = twist - clip(twist, -half, half)
