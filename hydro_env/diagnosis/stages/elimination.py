@@ -69,11 +69,7 @@ def prefer_form(search: Search) -> None:
                 if one.without is None or one.without.channel != search.present[c].channel:
                     continue
                 found = attempts(fit, one.without, one.without.placed_effects())
-                # Also from where the form of all effects led: without one of them it may not be found again.
-                whole = [p for p in search.attempted if (one.effect, one.channel) in p.placed_effects()]
-                led = [p.without(one.effect, one.channel) for p in whole]
-                fit.evaluate(led)
-                refit_attempts(long, found, [*search.attempted, *led])
+                refit_attempts(long, found, search.attempted)
                 search.attempted += [t.estimate for t in found]
                 if any(t.score < search.present[c].cost + one.needed for t in found):
                     replaced.append((one, c))
