@@ -99,6 +99,27 @@ def test_a_model_file_carries_a_correction(tmp_path: Path) -> None:
     np.testing.assert_array_equal(_run(model)["speed"], _run(again)["speed"])
 
 
+def test_a_coupling_passes_what_its_damper_corrected_by_a_curve_gives() -> None:
+    shape = CATALOGUE["coupling_shape"]
+    knots = {"damper_1": 0.3, "damper_2": 0.2, "damper_3": -0.5}
+    at = {"speed": 3.0, "load_speed": 1.0, "gap": 0.02, "stiffness": 200.0, "damping": 0.4}
+    for wound, damper in (
+        (0.0, 0.0),
+        (1e-3, 0.2),
+        (2e-3, 0.4),
+        (7e-3, 0.55),
+        (20e-3, 1.0),
+        (50e-3, 0.5),
+        (90e-3, 0.5),
+    ):
+        passed = 200.0 * wound + 0.8 * damper
+        before = 200.0 * wound + 0.8 * min(50.0 * wound, 1.0)
+        twist = 0.01 + wound
+        assert shape.laws["torque"](5.0, twist=twist, **at, **knots) == pytest.approx(5.0 + before - passed)
+        rate = shape.states[0].rate(twist=twist, inertia=2e-3, **at, **knots)
+        assert rate == pytest.approx((passed - before) / 2e-3)
+
+
 def test_a_knee_lacks_most_at_the_limit() -> None:
     law = CATALOGUE["knee_shape"].laws["voltage"]
     at = {"drop": 0.03, "reach": 0.2, "voltage_limit": 40.0}

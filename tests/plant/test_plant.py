@@ -354,6 +354,8 @@ def test_every_parameter_of_every_effect_is_seen_in_some_signal(name: str, every
         typical |= {f"{corrected}.{p.name}": p.typical for p in CATALOGUE[corrected].parameters}
         if corrected == "external_leakage":  # large enough to drain its line
             typical["external_leakage.conductance"] = 5e-11
+        if corrected == "shaft_backlash":  # soft enough to be wound to the last knot
+            typical["shaft_backlash.stiffness"] = 30.0
         repeated = follows(name, corrected)
         for own, to in repeated.items():
             less = isinstance(to, str) and to.startswith("-")

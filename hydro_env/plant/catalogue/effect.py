@@ -89,9 +89,10 @@ class Effect:
     than `corner_parts`, these are taken in 4 or 16 again, and a model that wants still more is refused. It grows in
     proportion to the effect's `conductance`.
 
-    `shares` is what several effects have in common: an effect in no catalogue, which acts once and just before the first of them
-    where any is compiled in. Its states and parameters are also theirs: a state of theirs with the name of one of its states adds
-    to that state's rate, and its parameters have the values of the first of them that is not neutral.
+    `shares` is what several effects have in common: an effect in no catalogue, or for a correction of form the one that it
+    corrects, which acts once and just before the first of them where any is compiled in. Its states and
+    parameters are also theirs: a state of theirs with the name of one of its states adds to that state's rate, and its parameters
+    have the values of the first of them with such parameters that is not neutral.
 
     What it is confused with: `indistinguishable_from` lists effects that no data of the usual channels separate from this
     one, `separated_by` experiments that do, by the name of the other effect; a pair needs its experiment on one side only.

@@ -334,7 +334,7 @@ def _additions(layout: Layout) -> str:
     for shared in layout.effects:
         for p in shared.parameters:
             value = ""
-            for e in reversed([e for e in layout.effects if e.shares is shared]):
+            for e in reversed([e for e in layout.effects if e.shares is shared and p.name in e.names]):
                 own = cell(in_text(e, p.name))
                 value = f"({own} if {_acts(e, cell)} else {value})" if value else own
             lines += [f"{cell(in_text(shared, p.name))} = {value}"] if value else []

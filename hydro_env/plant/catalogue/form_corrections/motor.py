@@ -8,6 +8,7 @@ from ...parameters import MOTOR_SIZE, Parameter
 from ...vector_math import clip, cos, exp, sign, sin, tanh
 from ..effect import State
 from ..line import BOTH_LINES
+from ..load import SHAFT_BACKLASH
 from .correction import NO_PHYSICS, amount, correction, repeated
 
 __all__ = ["EFFECTS"]
@@ -287,6 +288,56 @@ SENSOR_SHAPE = correction(
 )  # fmt: skip
 
 
+# --- coupling ---------------------------------------------------------------------------------------------------------
+def _torque_of_damper(
+    torque, twist, speed, load_speed, damper_1, damper_2, damper_3, gap, stiffness, damping
+):
+    half = 0.5 * gap
+    wound = twist - clip(twist, -half, half)
+    w = abs(wound)
+    curve = damper_1 * clip(w * 500.0, 0.0, 1.0) + (damper_2 - damper_1) * clip(w * 200.0 - 0.4, 0.0, 1.0)
+    curve = curve - damper_2 * clip((w - 7e-3) * (1.0 / 13e-3), 0.0, 1.0)
+    curve = curve + damper_3 * clip((w - 20e-3) * (1.0 / 30e-3), 0.0, 1.0)
+    grown = clip(w * 50.0, 0.0, 1.0)
+    corrected = grown + curve if grown + curve > 0.0 else 0.0
+    drag = damping * (speed - load_speed)
+    before = stiffness * wound + grown * drag
+    after = stiffness * wound + corrected * drag
+    return torque + (before if before * wound > 0.0 else 0.0) - (after if after * wound > 0.0 else 0.0)
+
+
+def _load_behind_damper(
+    load_speed, twist, speed, damper_1, damper_2, damper_3, gap, stiffness, damping, inertia
+):
+    # The same torque: laws are pasted into the kernel and have no functions in common.
+    half = 0.5 * gap
+    wound = twist - clip(twist, -half, half)
+    w = abs(wound)
+    curve = damper_1 * clip(w * 500.0, 0.0, 1.0) + (damper_2 - damper_1) * clip(w * 200.0 - 0.4, 0.0, 1.0)
+    curve = curve - damper_2 * clip((w - 7e-3) * (1.0 / 13e-3), 0.0, 1.0)
+    curve = curve + damper_3 * clip((w - 20e-3) * (1.0 / 30e-3), 0.0, 1.0)
+    grown = clip(w * 50.0, 0.0, 1.0)
+    corrected = grown + curve if grown + curve > 0.0 else 0.0
+    drag = damping * (speed - load_speed)
+    before = stiffness * wound + grown * drag
+    after = stiffness * wound + corrected * drag
+    more = (after if after * wound > 0.0 else 0.0) - (before if before * wound > 0.0 else 0.0)
+    return more / inertia if inertia > 0.0 else 0.0
+
+
+COUPLING_SHAPE = correction(
+    "coupling_shape", "load", "the damper of a coupling as a curve over its winding",
+    tuple(
+        amount(f"damper_{n}", "1", 0.3, f"relative damping more at a winding of {w} mrad")
+        for n, w in enumerate((2, 7, 50), 1)
+    ),
+    {"torque": _torque_of_damper},
+    {"shaft_backlash": {}},
+    (State("load_speed", _load_behind_damper),),
+    shares=SHAFT_BACKLASH,
+)  # fmt: skip
+
+
 #: In the order in which they act.
 EFFECTS = (
     SUPPLY_SHAPE,
@@ -298,5 +349,6 @@ EFFECTS = (
     RIPPLE_SHAPE,
     TURNING_SHAPE,
     DRIFT_SHAPE,
+    COUPLING_SHAPE,
     SENSOR_SHAPE,
 )
