@@ -119,13 +119,3 @@ def test_two_local_effects_are_no_effect_of_the_rig(tmp_path: Path) -> None:
 def test_an_orifice_law_at_a_low_supply_pressure_needs_no_second_name(tmp_path: Path) -> None:
     values = {"pressure_dependent_flow.supply_pressure": 14e5}
     assert {*_names(tmp_path, ["pressure_dependent_flow"], values, 1)} == {"pressure_dependent_flow:both"}
-
-
-@pytest.mark.slow
-def test_a_backlash_whose_damper_has_another_form_needs_no_second_name(tmp_path: Path) -> None:
-    make_practice(["shaft_backlash:1"], seed=7102, base_error=0.1, rate=500.0).write(tmp_path)
-    logs = [tmp_path / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
-    found = diagnose(logs[:2], logs[2:], model="paper")
-    assert found.verdict == "effects" and [(e.name, e.channel) for e in found.effects] == [
-        ("shaft_backlash", "1")
-    ]

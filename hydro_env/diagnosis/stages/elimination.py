@@ -69,7 +69,7 @@ def prefer_form(search: Search) -> None:
                 if one.without is None or one.without.channel != search.present[c].channel:
                     continue
                 found = attempts(fit, one.without, one.without.placed_effects())
-                refit_attempts(long, found, search.attempted)
+                refit_attempts(long, found)
                 search.attempted += [t.estimate for t in found]
                 if any(t.score < search.present[c].cost + one.needed for t in found):
                     replaced.append((one, c))

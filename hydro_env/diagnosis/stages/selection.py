@@ -347,11 +347,8 @@ def _in_other_form(search: Search, estimate: Estimate) -> Estimate:
     known = next((better for own, better in search.corrected if own is estimate), None)
     if known is None:
         fit = search.fit
-        found, long = attempts(fit, estimate, estimate.placed_effects()), fit.on(fit.rig.for_long_refits())
-        refit_attempts(long, found)
-        # A shaft that rattles follows the logs for as long as the form is right, so the form is found on their beginning.
-        if found and estimate.channel is not None:
-            grow_horizon(long, [min((t.estimate for t in found), key=lambda p: p.cost)])
+        found = attempts(fit, estimate, estimate.placed_effects())
+        refit_attempts(fit.on(fit.rig.for_long_refits()), found)
         best = min(found, key=lambda t: t.score, default=None)
         better = best is not None and best.score < estimate.cost
         known = best.estimate if best is not None and better else estimate
