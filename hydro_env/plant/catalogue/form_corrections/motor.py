@@ -303,7 +303,8 @@ def _torque_of_damper(
     drag = damping * (speed - load_speed)
     before = stiffness * wound + grown * drag
     after = stiffness * wound + corrected * drag
-    return torque + (before if before * wound > 0.0 else 0.0) - (after if after * wound > 0.0 else 0.0)
+    more = (after if after * wound > 0.0 else 0.0) - (before if before * wound > 0.0 else 0.0)
+    return torque - more
 
 
 def _load_behind_damper(
