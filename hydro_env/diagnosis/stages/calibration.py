@@ -33,7 +33,7 @@ COIL_FIRST = rule("coil_first", "estimate the coil by the current alone before e
 COIL = ("R", "L")
 #: Iterations of the calibration, and of the coil alone.
 ITERATIONS, COIL_ITERATIONS = 18, 6
-#: So many unknowns are determined in these iterations: the known parameters of a channel.
+#: Unknowns for which these iterations are enough: somewhat more than the base parameters of a channel.
 FEW = 20
 #: Factor on the noise of signals that are not to count.
 IGNORED = 1e6

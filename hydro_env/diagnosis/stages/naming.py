@@ -27,7 +27,7 @@ SAME_VALUE = 0.15
 #: posterior under a uniform prior). What such logs hold may be no candidate at all.
 UNCONFIRMED = 0.28
 #: A confirmed name that leaves a signal of the held-out logs on its channel above so many times the noise, and the share of such
-#: names that is right, as a factor: 20 of 22 (blocks 330000 and 530000; mean and prior as above). What is left may be the mark of
+#: names that is right, as a factor: 20 of 22 in blind trials (mean and prior as above). What is left may be the mark of
 #: another cause.
 LEFT, INCOMPLETE = 1.1, 0.88
 #: No machine keeps to a law exactly, so the parameters of an effect mean something a little different in the rig's law. Standard
