@@ -108,6 +108,7 @@ def stopped_by_signals() -> Iterator[list[int]]:
     ours = [number for number, action in before.items() if action is signal.SIG_DFL]
     if threading.current_thread() is not threading.main_thread():
         ours = []  # where Python lets no signal be handled
+    unraisable = sys.unraisablehook
 
     def stop(number: int, frame: object) -> None:
         came.append(number)
@@ -115,11 +116,24 @@ def stopped_by_signals() -> Iterator[list[int]]:
             signal.signal(each, signal.SIG_IGN)
         raise KeyboardInterrupt
 
+    def stop_again(lost: sys.UnraisableHookArgs) -> None:
+        if lost.exc_type is not KeyboardInterrupt:
+            return unraisable(lost)
+        # Python drops what is raised inside a finalizer or a callback of C, so the signal is sent once more after it.
+        number = came.pop() if came else signal.SIGINT
+        if number in ours:
+            signal.signal(number, stop)
+        again = threading.Timer(0.05, signal.raise_signal, [number])
+        again.daemon = True
+        return again.start()
+
     for number in ours:
         signal.signal(number, stop)
+    sys.unraisablehook = stop_again
     try:
         yield came
     finally:
+        sys.unraisablehook = unraisable
         for number in ours:
             signal.signal(number, signal.SIG_DFL)
 

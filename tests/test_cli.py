@@ -19,7 +19,7 @@ import typer
 from hydro_env import __version__, cli
 from hydro_env.cli.help import EXAMPLES, GROUPS
 from hydro_env.cli.main import spread
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, stopped_by_signals
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -355,6 +355,26 @@ def test_a_command_that_is_told_to_end_leaves_nothing(tmp_path: Path, name: str)
     assert process.returncode == 128 + getattr(signal, name)
     assert said.decode().splitlines()[-1].startswith("error: interrupted")
     assert listing(tmp_path) == []
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signals")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
+def test_an_interruption_inside_a_finalizer_is_not_lost(name: str) -> None:
+    """Python drops what a finalizer raises, such as those of compiled modules."""
+
+    class Compiled:
+        def __del__(self) -> None:
+            signal.raise_signal(getattr(signal, name))
+            time.sleep(0)
+
+    with pytest.raises(KeyboardInterrupt), stopped_by_signals() as signals:
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            Compiled()
+            time.sleep(10)
+        finally:
+            signal.signal(signal.SIGINT, before)
+    assert signals == ([signal.SIGTERM] if name == "SIGTERM" else [])
 
 
 @pytest.mark.parametrize("example", [each for examples in EXAMPLES.values() for each in examples])
