@@ -14,12 +14,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...measured import Finding
 from ...measured.samples import SPIKE, standing_out, swing
 from ..estimation import noise_floor
 from ..input.parts import Part, timed
-from ..models.base import Request, RigModel, Segment
+from ..models.base import Request, RigModel, Segment, Segments, view
+from ..state import Estimates
 
-__all__ = ["settled"]
+__all__ = ["settled", "without_outliers"]
 
 #: A reading of the times is preferred to the one as logged if this share of its difference is in the residual.
 EVEN, AHEAD = 0.5, 0.25
@@ -85,6 +87,34 @@ def _without_spikes(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
                 values[known[start:end], s.channel] = np.nan
         parts[s.log] = replace(parts[s.log], log=replace(parts[s.log].log, speed=values))
     return parts
+
+
+def without_outliers(rig: RigModel, calibrated: Estimates) -> tuple[RigModel, list[Finding]]:
+    """The model without the rows in which a speed stands out of what the calibrated model leaves, and what to say of them. A shaft
+    has inertia: what is missing from a model does not come and go within a row or two, far beyond the noise."""
+    if not rig.has_hidden_states:
+        return rig, []
+    requests = {id(p): p.request() for p in calibrated.values()}
+    shown = dict(zip(requests, rig.predict([*requests.values()]), strict=True))
+    segments, findings = {}, []
+    for c in rig.channels:
+        segments[c] = Segments(rig.segments[c])
+        for n, s in enumerate(rig.segments[c]):
+            known = np.flatnonzero(s.used)
+            error = (s.filled - shown[id(calibrated[c])][c][s.place])[known]
+            found = standing_out(error)[0] if s.signal == "speed" else []
+            rows = [known[start:end] for start, end, height, nearby in found if height > nearby]
+            if rows:
+                inside = s.inside.copy()
+                inside[np.concatenate(rows)] = False
+                segments[c][n] = replace(s, inside=inside)
+                message = (
+                    f"{rig.parts[s.log].log.name}: {np.concatenate(rows).size} rows of the speed of channel {c + 1} stand out "
+                    f"of the calibrated model, the first at {s.rows[rows[0][0]] * s.period / s.step:.6g} s"
+                )
+                hint = "no shaft moves so for a row or two; they do not count"
+                findings.append(Finding("spikes", message, hint, "speed", c + 1))
+    return (view(rig, segments=segments) if findings else rig), findings
 
 
 def _shares(segments: list[Segment], logged: list[np.ndarray], others: list[list[np.ndarray]]) -> np.ndarray:
