@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...measured import Finding
-from ...measured.samples import SPIKE, standing_out, swing
+from ...measured.samples import standing_out
 from ..estimation import noise_floor
 from ..input.parts import Part, timed
 from ..models.base import Request, RigModel, Segment, Segments, view
@@ -32,13 +32,8 @@ APART, NEAR_S = 0.5, 0.05
 
 
 def settled(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
-    """The parts with only those measurements of which place in time and truth are known, as far as the model of the rig tells."""
-    return _without_spikes(rig, _with_known_times(rig, parts)) if rig.has_hidden_states else list(parts)
-
-
-def _with_known_times(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
     """The parts of `rig`, those of uneven logs with their likeliest times, without measurements that depend too much on them."""
-    if all(part.uneven is None for part in parts):
+    if not rig.has_hidden_states or all(part.uneven is None for part in parts):
         return list(parts)
 
     def shown(lead: str, even: bool = False) -> list[np.ndarray]:
@@ -67,26 +62,6 @@ def _with_known_times(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
             part = _counted(one, [segments[n] for n in own], [late[n] - early[n] for n in own], note)
         found.append(part)
     return found
-
-
-def _without_spikes(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
-    """The parts without the spikes that the gate could not distinguish from motion, where it found others in the log: the model
-    as given takes the motion out."""
-    parts = list(parts)
-    spiked = [any(f.code == "spikes" for f in part.log.findings) for part in parts]
-    if not any(spiked):
-        return parts
-    for s, shown in zip(*_simulated(rig, parts), strict=True):
-        values = parts[s.log].log.get(s.signal)
-        if s.signal != "speed" or not spiked[s.log] or values is None:
-            continue
-        known = np.flatnonzero(s.used)
-        values, least = values.copy(), 0.5 * SPIKE * swing(values[known, s.channel])
-        for start, end, height, nearby in standing_out((s.filled - shown)[known])[0]:
-            if height > max(nearby, least):
-                values[known[start:end], s.channel] = np.nan
-        parts[s.log] = replace(parts[s.log], log=replace(parts[s.log].log, speed=values))
-    return parts
 
 
 def without_outliers(rig: RigModel, calibrated: Estimates) -> tuple[RigModel, list[Finding]]:
