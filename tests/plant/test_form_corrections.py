@@ -212,6 +212,32 @@ def test_three_plays_make_a_loop_of_the_same_mean_width_that_opens_little_by_lit
     assert volts[500:600].max() < 0.02
 
 
+@pytest.mark.parametrize(
+    ("effect", "shape", "sizes"),
+    [
+        ("sensor_lag", "sensor_shape", {"time_constant": 0.03}),
+        ("supply_droop", "supply_shape", {"time_constant": 0.2, "relative_drop": 0.5}),
+    ],
+)
+def test_two_lags_delay_as_much_as_the_one_that_they_replace(
+    effect: str, shape: str, sizes: dict[str, float]
+) -> None:
+    """A ramp arrives late by the sum of the lags, and bends less abruptly."""
+    values = {f"{effect}.{n}": v for n, v in sizes.items()}
+    ramp = np.column_stack([60.0 * np.minimum(TIME / TIME[-1], 1.0)] * 2)
+    model = load_model("paper")
+    signal = "measured_speed" if effect == "sensor_lag" else "flow"
+    none, one, two = (
+        simulate(model.with_values(v), ramp, None, 1e-3, record=(signal,), effects=(effect, shape))[signal][
+            :, 0, 0
+        ]
+        for v in ({}, values, {**values, f"{shape}.share": 0.4})
+    )
+    late = none - one
+    assert abs(two - one)[800:].max() < 0.02 * abs(late)[800:].min()
+    assert abs(two - one)[:100].max() > 0.02 * abs(late)[:100].max()
+
+
 @pytest.mark.parametrize("travel", [1.5e-6, 6e-6, 6e-5])
 def test_a_preload_takes_hold_over_the_travel_of_its_correction(travel: float) -> None:
     effect, correction = CATALOGUE["spring_preload"].laws["force"], CATALOGUE["preload_shape"].laws["force"]

@@ -65,8 +65,10 @@ def settled(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
 
 
 def without_outliers(rig: RigModel, calibrated: Estimates) -> tuple[RigModel, list[Finding]]:
-    """The model without the rows in which a speed stands out of what the calibrated model leaves, and what to say of them. A shaft
-    has inertia: what is missing from a model does not come and go within a row or two, far beyond the noise."""
+    """The model without the rows in which a speed stands out of what the calibrated model leaves, and what to say of them.
+
+    A shaft has inertia: what is missing from a model does not come and go within a row or two, far beyond the noise.
+    """
     if not rig.has_hidden_states:
         return rig, []
     requests = {id(p): p.request() for p in calibrated.values()}
