@@ -22,6 +22,7 @@ __all__ = ["MEASURED", "check_samples", "standing_out"]
 MEASURED = ("current", "pressure", "speed", "spool", "flow", "pressure_a", "pressure_b")
 _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
 _MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse
+_LEVEL_ROWS = 0.38  # share of second differences below half a step, if those of noise and rounding are normal
 _SPIKE = 0.1  # a spike that the machine could do, but for no reason, stands out by this share of the signal's swing
 _SPIKE_NEAR = 6.0  # ... by so many times what four of five rows nearby are off at most, some eight standard deviations of noise
 _SPIKE_NOISE = 8.0  # ... by so many of the signal's median steps, again eight standard deviations
@@ -104,7 +105,9 @@ def _coarse(finite: np.ndarray, place: dict[str, Any]) -> Iterator[Finding]:
         return
     levels = np.unique(np.round(finite / span, 9))
     step = float(np.min(np.diff(levels)))
-    if len(levels) < _MANY_STEPS and len(levels) < len(finite) / 10:
+    # Noise as large as the error of rounding makes a mean of rows finer than a step; fewer second differences are then 0.
+    dithered = np.mean(np.abs(np.diff(finite, 2)) < 0.5 * step * span) < _LEVEL_ROWS
+    if len(levels) < _MANY_STEPS and len(levels) < len(finite) / 10 and not dithered:
         message = (
             f"{place['column']!r} has only {len(levels)} different values (step {step:.2%} of its range)"
         )
