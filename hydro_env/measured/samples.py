@@ -17,12 +17,13 @@ from hydro_env.units import BAR, LPM, MILLIMETRE, RPM
 if TYPE_CHECKING:
     from hydro_env.measured.log import RigLog
 
-__all__ = ["MEASURED", "SPIKE", "check_samples", "standing_out", "swing"]
+__all__ = ["MEASURED", "check_samples", "standing_out"]
 
 MEASURED = ("current", "pressure", "speed", "spool", "flow", "pressure_a", "pressure_b")
 _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer while the command moves is stuck
 _MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse
-SPIKE = 0.1  # a spike that the machine could do, but for no reason, stands out by this share of the signal's swing
+_LEVEL_ROWS = 0.38  # share of second differences below half a step, if those of noise and rounding are normal
+_SPIKE = 0.1  # a spike that the machine could do, but for no reason, stands out by this share of the signal's swing
 _SPIKE_NEAR = 6.0  # ... by so many times what four of five rows nearby are off at most, some eight standard deviations of noise
 _SPIKE_NOISE = 8.0  # ... by so many of the signal's median steps, again eight standard deviations
 _SPIKE_PERIOD = 2e-3  # s, in slower logs only speeds are searched for spikes
@@ -104,7 +105,9 @@ def _coarse(finite: np.ndarray, place: dict[str, Any]) -> Iterator[Finding]:
         return
     levels = np.unique(np.round(finite / span, 9))
     step = float(np.min(np.diff(levels)))
-    if len(levels) < _MANY_STEPS and len(levels) < len(finite) / 10:
+    # Noise as large as the error of rounding makes a mean of rows finer than a step; fewer second differences are then 0.
+    dithered = np.mean(np.abs(np.diff(finite, 2)) < 0.5 * step * span) < _LEVEL_ROWS
+    if len(levels) < _MANY_STEPS and len(levels) < len(finite) / 10 and not dithered:
         message = (
             f"{place['column']!r} has only {len(levels)} different values (step {step:.2%} of its range)"
         )
@@ -128,7 +131,7 @@ def _spikes(
         return
     found, reach = standing_out(values[known])
     bad = np.zeros(len(values), bool)
-    least = SPIKE * swing(values[known])
+    least = _SPIKE * float(np.ptp(np.quantile(values[known], (0.01, 0.99))))
     for start, end, height, nearby in found:
         asked = _command_near(log, channel, int(known[start]), 20) >= 0.05
         if signal == "speed":
@@ -146,12 +149,6 @@ def _spikes(
         )
         hint = f"no machine moves so; a loose plug or a lost bit: {_LEFT_OUT}"
         yield Finding("spikes", message, hint, row=int(rows[first]), **place), bad
-
-
-def swing(values: np.ndarray) -> float:
-    """The range of a signal (n,) without the outermost hundredths."""
-    low, high = np.quantile(values, (0.01, 0.99)) if len(values) else (0.0, 0.0)
-    return float(high - low)
 
 
 def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]], float]:

@@ -141,6 +141,25 @@ def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None
     assert values["dead_zone.overlap_positive"] == pytest.approx(1e-4, rel=0.05)
 
 
+def test_the_size_of_an_orifice_law_of_another_form_is_right(tmp_path: Path) -> None:
+    """At 10 bar the load comes near to the supply pressure, where the edges are laminar."""
+    name, supply = "pressure_dependent_flow", 10e5
+    make_practice(
+        [f"{name}:1"], values={f"{name}.supply_pressure": supply}, duration=6.0, rate=500.0, seed=552, runs=("fit_1",)
+    ).write(tmp_path)  # fmt: skip
+    rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+    rig.channels = (0,)
+    unknowns = [*base_unknowns(rig, 0), *effect_unknowns(CATALOGUE[name], {"supply_pressure": 1.05 * supply})]
+    found = Estimate(0, unknowns, np.zeros(len(unknowns)), name)
+    Fit(rig, {(0, s.signal): 1e-9 for s in rig.segments[0]}).evaluate([found])
+    fit = Fit(rig, noise_of(rig, {0: found}))
+    solve(fit, [found], 6)
+    better, kept = correct(fit, found, [(name, 0)])
+    assert [k.correction for k in kept] == ["orifice_shape"]
+    off = [abs(p.values(0)[f"{name}.supply_pressure"] / supply - 1.0) for p in (found, better)]
+    assert off[1] < 0.002 < off[0] and fit.at_noise(better, 1.1) and not fit.at_noise(found, 1.1)
+
+
 def test_a_right_form_is_left_alone(tmp_path: Path) -> None:
     fit, found = _fitted(tmp_path, "same")
     better, kept = correct(fit, found, [("dead_zone", 0)])

@@ -86,6 +86,15 @@ def test_plausible_values_follow_the_size_of_the_rig() -> None:
     assert (coil.low, coil.high) == pytest.approx((8.0, 12.5)) and coil.scale < 0.12
 
 
+def test_a_value_that_stays_as_given_is_not_at_the_edge_of_its_range() -> None:
+    """The paper gives the least Stribeck speed that is possible; a healthy rig has it."""
+    given = replace(base_unknown(PARAMETERS["vs"], 1e-4), channel=1)
+    assert given.low == given.center
+    assert not at_bounds({1: Estimate(1, [given], np.array([1e-4]))})
+    moved = replace(base_unknown(PARAMETERS["vs"], 5e-4), channel=1)
+    assert len(at_bounds({1: Estimate(1, [moved], np.array([moved.bounds[0]]))})) == 1
+
+
 def test_a_file_of_a_large_motor_is_unusual_by_its_displacement_alone(tmp_path: Path) -> None:
     values = {name: factor * PARAMETERS[name].nominal for name, factor in BIG.items()}
     load_model("paper").with_values(values).to_yaml(tmp_path / "big.yaml")

@@ -302,6 +302,19 @@ def spiky(rng: np.random.Generator, rate: int, share: float) -> tuple[Columns, n
     return columns, bad
 
 
+@pytest.mark.parametrize("rate", [1000, 100])
+@pytest.mark.parametrize(("noise", "coarse"), [(0.5, False), (0.1, True)])
+def test_steps_within_the_noise_are_not_coarse(tmp_path: Path, rate: int, noise: float, coarse: bool) -> None:
+    """A small range of a sensor that resolves twice its noise, or ten times; the rig rests half of the time."""
+    time = np.arange(12 * rate) / rate
+    rng = np.random.default_rng(1)
+    pressure = 40.0 * np.minimum(np.sin(time), 0.0) + noise * rng.normal(size=len(time))
+    columns = {"time_s": time, "command_1_V": 20.0 * np.sin(time), "speed_1_rpm": 500.0 * np.sin(time)}
+    columns["pressure_1_bar"] = np.round(pressure)
+    found = read_log(save(tmp_path, columns)).findings
+    assert ("coarse" in [f.code for f in found if f.signal == "pressure"]) == coarse
+
+
 @pytest.mark.parametrize(("rate", "found"), [(1000, 1.0), (200, 0.9)])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_spikes_are_judged_by_the_noise_and_by_what_the_shaft_does(

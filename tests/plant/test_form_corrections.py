@@ -120,6 +120,24 @@ def test_a_coupling_passes_what_its_damper_corrected_by_a_curve_gives() -> None:
         assert rate == pytest.approx((passed - before) / 2e-3)
 
 
+def test_an_edge_is_laminar_at_small_pressure_drops_and_passes_back() -> None:
+    law, full = CATALOGUE["orifice_shape"].laws["flow"], 0.5 * 3e-4
+
+    def passed(drive: float, transition: float = 0.0, laminar: float = 0.0) -> float:
+        flow = full * np.sqrt(max(drive, 0.0))
+        return law(flow, 3e-4, drive, transition=transition, laminar=laminar, Kq=0.5) / full
+
+    assert passed(0.3) == np.sqrt(0.3) and passed(-0.3) == 0.0
+    for drive in (0.2, 1.0):  # turbulent
+        assert passed(drive, 0.02) == pytest.approx(np.sqrt(drive), rel=1e-5)
+    for drive in (1e-5, -2e-5):
+        assert passed(drive, 0.02) == pytest.approx(2.0 * drive / np.sqrt(0.02), rel=5e-3)
+    for drive in (0.1, 0.9):
+        flow = passed(drive, laminar=0.4)
+        assert 0.6 * flow**2 + 0.4 * flow == pytest.approx(drive)
+        assert passed(-drive, laminar=0.4) == pytest.approx(-flow)
+
+
 def test_a_knee_lacks_most_at_the_limit() -> None:
     law = CATALOGUE["knee_shape"].laws["voltage"]
     at = {"drop": 0.03, "reach": 0.2, "voltage_limit": 40.0}
@@ -194,6 +212,32 @@ def test_three_plays_make_a_loop_of_the_same_mean_width_that_opens_little_by_lit
     assert volts[500:600].max() < 0.02
 
 
+@pytest.mark.parametrize(
+    ("effect", "shape", "sizes"),
+    [
+        ("sensor_lag", "sensor_shape", {"time_constant": 0.03}),
+        ("supply_droop", "supply_shape", {"time_constant": 0.2, "relative_drop": 0.5}),
+    ],
+)
+def test_two_lags_delay_as_much_as_the_one_that_they_replace(
+    effect: str, shape: str, sizes: dict[str, float]
+) -> None:
+    """A ramp arrives late by the sum of the lags, and bends less abruptly."""
+    values = {f"{effect}.{n}": v for n, v in sizes.items()}
+    ramp = np.column_stack([60.0 * np.minimum(TIME / TIME[-1], 1.0)] * 2)
+    model = load_model("paper")
+    signal = "measured_speed" if effect == "sensor_lag" else "flow"
+    none, one, two = (
+        simulate(model.with_values(v), ramp, None, 1e-3, record=(signal,), effects=(effect, shape))[signal][
+            :, 0, 0
+        ]
+        for v in ({}, values, {**values, f"{shape}.share": 0.4})
+    )
+    late = none - one
+    assert abs(two - one)[800:].max() < 0.02 * abs(late)[800:].min()
+    assert abs(two - one)[:100].max() > 0.02 * abs(late)[:100].max()
+
+
 @pytest.mark.parametrize("travel", [1.5e-6, 6e-6, 6e-5])
 def test_a_preload_takes_hold_over_the_travel_of_its_correction(travel: float) -> None:
     effect, correction = CATALOGUE["spring_preload"].laws["force"], CATALOGUE["preload_shape"].laws["force"]
@@ -211,8 +255,9 @@ def test_a_preload_takes_hold_over_the_travel_of_its_correction(travel: float) -
             "bristle_shape.static": 0.5, "bristle_shape.coulomb_taken": -0.3, "bristle_shape.static_taken": -0.5,
             "bristle_shape.damping": 1.0, "bristle_shape.firm": 0.6,
         },
+        {"pressure_dependent_flow.supply_pressure": 10e5, "orifice_shape.transition": 0.01},
     ],
-    ids=["preload", "bristle"],
+    ids=["preload", "bristle", "orifice"],
 )  # fmt: skip
 def test_sharp_forms_are_followed_at_the_substep_of_fits(values: dict[str, float]) -> None:
     """Without short steps, a second bristle is off by 0.1 to 10 rpm with such commands."""
@@ -239,7 +284,7 @@ def test_a_leak_is_bent_between_an_eighth_and_half_the_supply(share: float) -> N
     assert rate * supply / 2.0 == pytest.approx(-1.2e9 / 2e-5 * more / 2.0, rel=1e-12)
 
 
-@pytest.mark.parametrize("name", ["bristle_shape", "override_shape", "leak_shape"])
+@pytest.mark.parametrize("name", ["bristle_shape", "override_shape", "leak_shape", "orifice_shape"])
 def test_no_end_of_a_correction_breaks_it(name: str) -> None:
     """A bristle that takes more friction than there is, a relief valve whose flow falls with the pressure, and any leak."""
     parameters = CATALOGUE[name].parameters

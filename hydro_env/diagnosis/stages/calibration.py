@@ -20,6 +20,7 @@ from ..estimation import (
 from ..models.base import RigModel, effect_in, given_repeats
 from ..settings import rule
 from ..state import Estimates, State
+from .row_times import without_outliers
 
 __all__ = ["as_given", "base_unknowns", "calibrate", "run"]
 
@@ -40,11 +41,17 @@ IGNORED = 1e6
 
 
 def run(state: State) -> State:
-    """Calibrates every channel and estimates the noise again."""
-    calibrated = calibrate(state.fit)
-    fit = state.fit.with_noise_seen_by(calibrated)
+    """Calibrates every channel and estimates the noise again; without the rows that stand out, where there are some."""
+    fit, calibrated = state.fit, calibrate(state.fit)
+    rig, found = without_outliers(fit.rig, calibrated)
+    if found:
+        fit = fit.on(rig)
+        calibrated = calibrate(fit)
+    (fine, _), (held_out, more) = (without_outliers(r, calibrated) for r in (state.fine, state.held_out))
+    fit = fit.with_noise_seen_by(calibrated)
     fit.rescore(list(calibrated.values()))
-    return replace(state, fit=fit, calibrated=calibrated)
+    findings = [*state.findings, *found, *more]
+    return replace(state, fit=fit, fine=fine, held_out=held_out, calibrated=calibrated, findings=findings)
 
 
 def base_unknowns(rig: RigModel, channel: int) -> list[Unknown]:

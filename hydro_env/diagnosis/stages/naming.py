@@ -276,7 +276,8 @@ def at_bounds(estimates: Estimates) -> list[str]:
     found = []
     for c, estimate in estimates.items():
         for u, q in zip(estimate.unknowns, estimate.q, strict=True):
-            if q == 0.0 or (u.effect and is_correction(u.effect)):  # as given, or no physics
+            # What stayed as given may be given at the end of its range; a correction is no physics.
+            if abs(q) <= 1e-3 * (u.bounds[1] - u.bounds[0]) or (u.effect and is_correction(u.effect)):
                 continue
             if "." in u.parameter and _nearest_end(u, float(q)) == parameter_of(u.parameter).neutral:
                 continue  # a given effect that is absent

@@ -14,12 +14,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...measured.samples import SPIKE, standing_out, swing
+from ...measured import Finding
+from ...measured.samples import standing_out
 from ..estimation import noise_floor
 from ..input.parts import Part, timed
-from ..models.base import Request, RigModel, Segment
+from ..models.base import Request, RigModel, Segment, Segments, view
+from ..state import Estimates
 
-__all__ = ["settled"]
+__all__ = ["settled", "without_outliers"]
 
 #: A reading of the times is preferred to the one as logged if this share of its difference is in the residual.
 EVEN, AHEAD = 0.5, 0.25
@@ -30,13 +32,8 @@ APART, NEAR_S = 0.5, 0.05
 
 
 def settled(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
-    """The parts with only those measurements of which place in time and truth are known, as far as the model of the rig tells."""
-    return _without_spikes(rig, _with_known_times(rig, parts)) if rig.has_hidden_states else list(parts)
-
-
-def _with_known_times(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
     """The parts of `rig`, those of uneven logs with their likeliest times, without measurements that depend too much on them."""
-    if all(part.uneven is None for part in parts):
+    if not rig.has_hidden_states or all(part.uneven is None for part in parts):
         return list(parts)
 
     def shown(lead: str, even: bool = False) -> list[np.ndarray]:
@@ -67,24 +64,34 @@ def _with_known_times(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
     return found
 
 
-def _without_spikes(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
-    """The parts without the spikes that the gate could not distinguish from motion, where it found others in the log: the model
-    as given takes the motion out."""
-    parts = list(parts)
-    spiked = [any(f.code == "spikes" for f in part.log.findings) for part in parts]
-    if not any(spiked):
-        return parts
-    for s, shown in zip(*_simulated(rig, parts), strict=True):
-        values = parts[s.log].log.get(s.signal)
-        if s.signal != "speed" or not spiked[s.log] or values is None:
-            continue
-        known = np.flatnonzero(s.used)
-        values, least = values.copy(), 0.5 * SPIKE * swing(values[known, s.channel])
-        for start, end, height, nearby in standing_out((s.filled - shown)[known])[0]:
-            if height > max(nearby, least):
-                values[known[start:end], s.channel] = np.nan
-        parts[s.log] = replace(parts[s.log], log=replace(parts[s.log].log, speed=values))
-    return parts
+def without_outliers(rig: RigModel, calibrated: Estimates) -> tuple[RigModel, list[Finding]]:
+    """The model without the rows in which a speed stands out of what the calibrated model leaves, and what to say of them.
+
+    A shaft has inertia: what is missing from a model does not come and go within a row or two, far beyond the noise.
+    """
+    if not rig.has_hidden_states:
+        return rig, []
+    requests = {id(p): p.request() for p in calibrated.values()}
+    shown = dict(zip(requests, rig.predict([*requests.values()]), strict=True))
+    segments, findings = {}, []
+    for c in rig.channels:
+        segments[c] = Segments(rig.segments[c])
+        for n, s in enumerate(rig.segments[c]):
+            known = np.flatnonzero(s.used)
+            error = (s.filled - shown[id(calibrated[c])][c][s.place])[known]
+            found = standing_out(error)[0] if s.signal == "speed" else []
+            rows = [known[start:end] for start, end, height, nearby in found if height > nearby]
+            if rows:
+                inside = s.inside.copy()
+                inside[np.concatenate(rows)] = False
+                segments[c][n] = replace(s, inside=inside)
+                message = (
+                    f"{rig.parts[s.log].log.name}: {np.concatenate(rows).size} rows of the speed of channel {c + 1} stand out "
+                    f"of the calibrated model, the first at {s.rows[rows[0][0]] * s.period / s.step:.6g} s"
+                )
+                hint = "no shaft moves so for a row or two; they do not count"
+                findings.append(Finding("spikes", message, hint, "speed", c + 1))
+    return (view(rig, segments=segments) if findings else rig), findings
 
 
 def _shares(segments: list[Segment], logged: list[np.ndarray], others: list[list[np.ndarray]]) -> np.ndarray:

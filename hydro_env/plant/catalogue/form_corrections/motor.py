@@ -9,39 +9,42 @@ from ...vector_math import clip, cos, exp, sign, sin, tanh
 from ..effect import State
 from ..line import BOTH_LINES
 from ..load import SHAFT_BACKLASH
+from ..sensor import SENSOR_LAG
+from ..supply import SUPPLY_DROOP
 from .correction import NO_PHYSICS, amount, correction, repeated
 
 __all__ = ["EFFECTS"]
 
 
 # --- supply -----------------------------------------------------------------------------------------------------------
-def _late_drive(drive, first, second, delay):
-    return drive + (first - second if delay > 0.0 else 0.0)
+# Two lags whose time constants have the effect's as their sum, which stays the mean delay, whatever the form.
+def _late_drive(drive, droop, second, share):
+    return drive + (droop - second if share > 0.0 else 0.0)
 
 
-def _first_rate(first, own_flow, other_flow, relative_drop, time_constant):
-    return (relative_drop * (abs(own_flow) + abs(other_flow)) / 8.1778e-4 - first) / time_constant
+def _first_droop(first, own_flow, other_flow, relative_drop, time_constant, share):
+    target = relative_drop * (abs(own_flow) + abs(other_flow)) / 8.1778e-4
+    return (target - first) / (time_constant * (1.0 - share))
 
 
-def _second_rate(second, first, delay):
-    return (first - second) / (delay if delay > 1e-5 else 1e-5)
+def _second_rate(second, first, time_constant, share):
+    lag = time_constant * share
+    return (first - second) / (lag if lag > 1e-5 else 1e-5)
 
 
-def _second_decay(delay):
-    return 1.0 / (delay if delay > 1e-5 else 1e-5)
+def _second_decay(time_constant, share):
+    lag = time_constant * share
+    return 1.0 / (lag if lag > 1e-5 else 1e-5)
 
 
 SUPPLY_SHAPE = correction(
-    "supply_shape", "supply", "the supply follows the flow with a second lag",
-    (
-        amount("delay", "s", 0.02, "time constant of the second lag", 0.0),
-        repeated("relative_drop", "1", 0.0, 0.0, 0.9),
-        repeated("time_constant", "s", 0.1, 0.002, 5.0),
-    ),
+    "supply_shape", "supply", "the supply follows the flow with two lags of the same sum",
+    (Parameter("share", "1", 0.0, 0.0, 0.5, NO_PHYSICS, "share of the memory in the second lag", 0.2),),
     {"drive": _late_drive},
-    {"supply_droop": {"relative_drop": "relative_drop", "time_constant": "time_constant"}},
-    (State("first", _first_rate), State("second", _second_rate, _second_decay)),
+    {"supply_droop": {}},
+    (State("first", _first_droop), State("second", _second_rate, _second_decay)),
     scope="rig",
+    shares=SUPPLY_DROOP,
 )  # fmt: skip
 
 
@@ -264,27 +267,27 @@ DRIFT_SHAPE = correction(
 
 
 # --- sensor -----------------------------------------------------------------------------------------------------------
-def _late_speed(measured_speed, first, second, delay):
-    return measured_speed + (second - first if delay > 0.0 else 0.0)
+def _late_speed(measured_speed, lagged_speed, second, share):
+    return measured_speed + (second - lagged_speed if share > 0.0 else 0.0)
 
 
-def _sensor_first(first, speed, time_constant):
-    return (speed - first) / (time_constant if time_constant > 1e-5 else 1e-5)
+def _first_lag(first, speed, time_constant, share):
+    lag = time_constant * (1.0 - share)
+    return (speed - first) / (lag if lag > 1e-5 else 1e-5)
 
 
-def _sensor_first_decay(time_constant):
-    return 1.0 / (time_constant if time_constant > 1e-5 else 1e-5)
+def _first_lag_decay(time_constant, share):
+    lag = time_constant * (1.0 - share)
+    return 1.0 / (lag if lag > 1e-5 else 1e-5)
 
 
 SENSOR_SHAPE = correction(
-    "sensor_shape", "sensor", "the sensor follows with a second lag",
-    (
-        amount("delay", "s", 0.005, "time constant of the second lag", 0.0),
-        repeated("time_constant", "s", 0.0, 0.0, 0.1),
-    ),
+    "sensor_shape", "sensor", "the sensor follows with two lags of the same sum",
+    (Parameter("share", "1", 0.0, 0.0, 0.5, NO_PHYSICS, "share of the lag in the second filter", 0.2),),
     {"measured_speed": _late_speed},
-    {"sensor_lag": {"time_constant": "time_constant"}},
-    (State("first", _sensor_first, _sensor_first_decay), State("second", _second_rate, _second_decay)),
+    {"sensor_lag": {}},
+    (State("first", _first_lag, _first_lag_decay), State("second", _second_rate, _second_decay)),
+    shares=SENSOR_LAG,
 )  # fmt: skip
 
 

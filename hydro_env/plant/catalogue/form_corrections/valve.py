@@ -1,11 +1,11 @@
-"""Corrections of the forms of driver, opening and spool."""
+"""Corrections of the forms of driver, opening, flow and spool."""
 
 from __future__ import annotations
 
 from math import inf
 
 from ...parameters import SPOOL_FORCE, SPOOL_TRAVEL, Parameter
-from ...vector_math import bell, clip, sign, tanh
+from ...vector_math import bell, clip, sign, sqrt, tanh
 from ..driver import INPUT_HYSTERESIS
 from ..effect import State
 from ..force import MAGNETIC_HYSTERESIS
@@ -135,6 +135,33 @@ OPENING_SHAPE = correction(
     ),
     {"opening": _gain_curve},
     {n: {} for n in ("flow_gain_nonlinearity", "dead_zone", "flow_saturation", "directional_gain", "null_offset")},
+)  # fmt: skip
+
+
+# --- flow -------------------------------------------------------------------------------------------------------------
+def _orifice(flow, opening, drive, transition, laminar, Kq):
+    drop = abs(drive)
+    least = transition if transition > 1e-6 else 1e-6
+    turbulent = sqrt(drop) * tanh(2.0 * sqrt(drop / least))
+    # A gap in series takes a drop in proportion to the flow: drop = (1 - laminar) root^2 + laminar root.
+    rest = 1.0 - laminar
+    root = 0.5 * (sqrt(laminar * laminar + 4.0 * rest * turbulent * turbulent) - laminar) / rest
+    # A line above the supply passes back.
+    more = Kq * opening * (sign(drive) * root - sqrt(drive if drive > 0.0 else 0.0))
+    return flow + (more if transition + laminar > 0.0 else 0.0)
+
+
+ORIFICE_SHAPE = correction(
+    "orifice_shape", "flow", "edges are laminar at small drops, with a gap in series, and pass back what is above the supply",
+    (
+        # Up to some bar: sharp edges are turbulent from Reynolds numbers of 10 to 260 on (Merritt 1967, ch. 3).
+        Parameter(
+            "transition", "1", 0.0, 0.0, 0.3, NO_PHYSICS, "pressure drop over the supply's below which it is laminar", 0.03
+        ),
+        Parameter("laminar", "1", 0.0, 0.0, 0.8, NO_PHYSICS, "share of the whole drop that a laminar gap in series takes", 0.03),
+    ),
+    {"flow": _orifice},
+    {"pressure_dependent_flow": {}},
 )  # fmt: skip
 
 
@@ -313,6 +340,7 @@ EFFECTS = (
     KNEE_SHAPE,
     CORNER_SHAPE,
     OPENING_SHAPE,
+    ORIFICE_SHAPE,
     PRELOAD_SHAPE,
     CENTRING_SHAPE,
     STOP_SHAPE,
