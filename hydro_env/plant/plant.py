@@ -205,14 +205,15 @@ class Plant:
         self._memory[index // half, places, index % half] = pairs[:, :, 0]
         self._memory[index // half, places, index % half + half] = pairs[:, :, 1]
 
-    def shift(self, state: str, by: float, rows: slice) -> None:
-        """Adds to a state of some rigs, as finite differences need it. KeyError for a name that is no state of this plant."""
+    def shift(self, state: str, by: ArrayLike, rows: slice) -> None:
+        """Adds `by`, a number or (number of rows, 2), to a state of some rigs. KeyError for a name that is no state of this plant."""
         row = self._row(state)
         if row >= self._kernel.rows["time"]:  # states come first
             raise KeyError(f"{state}: is no state of the plant")
-        index, half = np.arange(self.num_rigs)[rows], self._kernel.half
-        for lane in (index % half, index % half + half):
-            self._memory[index // half, row, lane] += by
+        block, lane = self._lanes(np.arange(self.num_rigs)[rows])
+        added = np.asarray(by, float)
+        for channel in (0, 1):
+            self._memory[block, row, lane + channel * self._kernel.half] += added[..., channel] if added.ndim else added
 
     # --- time -----------------------------------------------------------------------------------------------------
     def reset(self, rows: ArrayLike | None = None) -> None:

@@ -76,5 +76,5 @@ def _about_logs_and_fit(state: State) -> list[str]:
 
 
 def _errors(state: State) -> Iterator[tuple[str, dict[str, float]]]:
-    for (c, signal), entry in state.on_held_out.errors.items():
+    for (c, signal), entry in state.judged.errors.items():
         yield signal_key(state.held_out, signal, c), entry
