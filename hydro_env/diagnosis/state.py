@@ -38,8 +38,8 @@ class State:
     `fit` is the model of the rig with the logs to fit and their noise, `fine` the same with the accuracy of the proof, `held_out`
     the model with the logs that take no part in the fit. Estimates: `given` the model as given, `calibrated` with known
     parameters adjusted, `final` what was found, with corrections of form, `placebo` the best wrong effect instead.
-    `on_fit` and `on_held_out` are the errors of free simulations, which are reported, `judged_fit` and `judged` those that names are
-    judged by: they follow the measured speed where a coupling rattles.
+    `on_fit` and `on_held_out` are the errors of free simulations, which are reported, `judged_fit` and `judged` those by which
+    names are judged: their simulations follow the measured speed where a coupling rattles.
     `undetermined` says why the fit logs do not determine the known parameters, `elsewhere` why the held-out logs seem to be of
     another rig or state.
     """

@@ -206,14 +206,16 @@ class Plant:
         self._memory[index // half, places, index % half + half] = pairs[:, :, 1]
 
     def shift(self, state: str, by: ArrayLike, rows: slice) -> None:
-        """Adds `by`, a number or (number of rows, 2), to a state of some rigs. KeyError for a name that is no state of this plant."""
+        """Adds `by`, a number or (number of rows, 2), to a state of some rigs. KeyError for a name that is no state here."""
         row = self._row(state)
         if row >= self._kernel.rows["time"]:  # states come first
             raise KeyError(f"{state}: is no state of the plant")
         block, lane = self._lanes(np.arange(self.num_rigs)[rows])
         added = np.asarray(by, float)
         for channel in (0, 1):
-            self._memory[block, row, lane + channel * self._kernel.half] += added[..., channel] if added.ndim else added
+            self._memory[block, row, lane + channel * self._kernel.half] += (
+                added[..., channel] if added.ndim else added
+            )
 
     # --- time -----------------------------------------------------------------------------------------------------
     def reset(self, rows: ArrayLike | None = None) -> None:

@@ -338,7 +338,7 @@ class DynamicRig:
     def _follow(
         self, plant: Plant, inputs: np.ndarray, lanes: Sequence[tuple[int, int, int, int]], period: float
     ) -> dict[str, np.ndarray]:
-        """Runs as `Plant.run` does, but after each row the speed of a followed channel goes a part of the way to the measured one.
+        """Runs as `Plant.run` does, but after each row the speed of a followed channel goes part of the way to the measured one.
 
         By that the noise of one row is in the speed of the next: the recorded difference is made so much smaller that noise alone
         leaves what it leaves in a free simulation.
@@ -352,13 +352,13 @@ class DynamicRig:
             counts = part.inside[:, None] & np.isfinite(part.log.speed) & np.isin((0, 1), [*self.followed])
             measured[: len(part.log), lane] = np.where(counts, part.log.speed, 0.0)[:, sides]
             known[: len(part.log), lane] = counts[:, sides]
-        part_of_way = 1.0 - exp(-period / FOLLOW_S)
+        share = 1.0 - exp(-period / FOLLOW_S)
         for row, target in enumerate(measured):
             now = slice(row, row + 1)
             plant.run_into(out[:, now], inputs[0, now], inputs[1, now], period, rows)
             error = (target - out[speed, row]) * known[row]
-            plant.shift("speed", part_of_way * error, slice(None))
-            out[speed, row] += (1.0 - sqrt(1.0 - 0.5 * part_of_way)) * error
+            plant.shift("speed", share * error, slice(None))
+            out[speed, row] += (1.0 - sqrt(1.0 - 0.5 * share)) * error
         return dict(zip(signals, out, strict=True))
 
     def _plant(self, batch: _Batch) -> Plant:

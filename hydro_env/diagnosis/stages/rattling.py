@@ -17,12 +17,12 @@ import numpy as np
 from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Vector, solve, unexplained
 from ..models.base import effect_in
 from ..settings import rule
-from ..state import State
+from ..state import Estimates, State
 from .calibration import as_given
 from .candidates import penalty
 from .screening import Screening
 
-__all__ = ["run"]
+__all__ = ["beside", "run"]
 
 FOLLOW_SPEED = rule(
     "follow_speed", "follow the measured speed where a coupling rattles, which multiplies every difference"
@@ -38,22 +38,32 @@ ROUNDS, LOOKS, BEST, FIRST_WIDTH, LEAST_WIDTH = 8, 32, 6, 0.4, 0.03
 
 def run(state: State) -> State:
     """Finds the channels whose coupling rattles, and has their simulations follow the measured speed from now on."""
+    return beside(state, state.calibrated)
+
+
+def beside(state: State, estimates: Estimates) -> State:
+    """The same where an effect that explains more had hidden it: beside the `estimates` of the channels so far."""
     fit, found = state.fit, {}
-    if not (fit.rig.has_hidden_states and fit.settings.uses(FOLLOW_SPEED)):
+    if (
+        not (fit.rig.has_hidden_states and fit.settings.uses(FOLLOW_SPEED))
+        or EFFECT not in fit.rig.candidates()
+    ):
         return state
-    for c, p in state.calibrated.items():
-        if EFFECT in fit.rig.candidates() and p.channel == c and not fit.rig.has(EFFECT, c):
-            if unexplained(fit, p, c) and (one := _backlash(fit.on(fit.rig.following({c})), p, c)):
-                found[c] = one
+    for c, p in estimates.items():
+        if p.channel != c or c in fit.rig.followed or EFFECT in p.effects() or fit.rig.has(EFFECT, c):
+            continue
+        if unexplained(fit, p, c) and (one := _backlash(fit.on(fit.rig.following({c})), p, c)):
+            found[c] = one
     if not found:
         return state
-    fit = fit.on(fit.rig.following(set(found)))
+    followed = fit.rig.followed | set(found)
+    fit = fit.on(fit.rig.following(followed))
     calibrated = {c: p.at(p.q.copy()) if c in found else p for c, p in state.calibrated.items()}
     solve(fit, [calibrated[c] for c in found], SETTLE_ITERATIONS)
-    fine, held_out = (rig.following(set(found)) for rig in (state.fine, state.held_out))
+    fine, held_out = (rig.following(followed) for rig in (state.fine, state.held_out))
     return replace(
         state, fit=fit, fine=fine, held_out=held_out, given=as_given(fit), calibrated=calibrated,
-        screening=[*found.values()],
+        screening=[*found.values(), *(k for k in state.screening if k.channel in state.rig.followed and k.effect == EFFECT)],
     )  # fmt: skip
 
 
@@ -64,9 +74,16 @@ def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:
     Else random looks about the best ones lead to where derivatives do: a blow earlier or later is no matter of small steps.
     """
     bare = calibrated.at(calibrated.q.copy())
-    gap, stiffness, damping = (effect_in(fit.rig, EFFECT, c).parameter(n) for n in ("gap", "stiffness", "damping"))
+    gap, stiffness, damping = (
+        effect_in(fit.rig, EFFECT, c).parameter(n) for n in ("gap", "stiffness", "damping")
+    )
     inertias = np.array(SHARES) * bare.values(c)["J"]
-    sizes = inertias, np.array(GAPS) * gap.typical, np.array(STIFFNESSES) * stiffness.nominal, [damping.nominal]
+    sizes = (
+        inertias,
+        np.array(GAPS) * gap.typical,
+        np.array(STIFFNESSES) * stiffness.nominal,
+        [damping.nominal],
+    )
     points = np.log(list(product(*sizes)))
     looks = _looks(fit, bare, c, points)
     fit.evaluate([bare])

@@ -104,9 +104,7 @@ def _elsewhere(state: State) -> Iterator[str]:
     if not state.rig.has_hidden_states or state.undetermined:
         return
     every, held_out = state.verdict in ("none", "calibration"), state.fit.on(state.held_out)
-    for (c, signal), there in sorted(
-        state.judged.errors.items(), key=lambda item: item[0][1] != "current"
-    ):
+    for (c, signal), there in sorted(state.judged.errors.items(), key=lambda item: item[0][1] != "current"):
         here = state.judged_fit.errors[c, signal]
         times, before = (e["after"] / max(e["noise"], 1e-30) for e in (there, here))
         if not (every or signal == "current") or times < PROVEN or before > ABOVE_NOISE:
