@@ -30,7 +30,7 @@ FOLLOW_SPEED = rule(
 
 EFFECT = "shaft_backlash"
 #: First looks: shares of the known inertia that are behind the coupling, and its gap and stiffness over their usual ones.
-SHARES, GAPS, STIFFNESSES = (0.2, 0.4, 0.65), (0.4, 1.0, 1.8), (0.5, 1.0, 2.3)
+SHARES, GAPS, STIFFNESSES = (0.2, 0.4, 0.65), (0.4, 1.0, 1.8), (0.7, 1.7)
 #: Rounds of random looks about the best ones, how many each, of how many best ones, and how far about these at first and at
 #: least, as logarithms.
 ROUNDS, LOOKS, BEST, FIRST_WIDTH, LEAST_WIDTH = 8, 32, 6, 0.4, 0.03
@@ -70,7 +70,7 @@ def beside(state: State, estimates: Estimates) -> State:
 def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:
     """A backlash on a channel as it is looked at first, if one explains something beside the calibrated model.
 
-    If none of the first looks, a third of a range apart each, comes nearer to the logs than the model without, none is there.
+    If none of the first looks comes nearer to the logs than the model without, none is there.
     Else random looks about the best ones lead to where derivatives do: a blow earlier or later is no matter of small steps.
     """
     bare = calibrated.at(calibrated.q.copy())

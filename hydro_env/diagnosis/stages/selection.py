@@ -105,7 +105,7 @@ def run(state: State) -> State:
             state.progress,
         )
     )
-    following = rattling.beside(state, selection.estimates)
+    following = rattling.beside(state, {c: selection.in_best_form(c) for c in selection.estimates})
     if following is not state:
         return run(screening.run(following))
     fit = state.fit.with_noise_seen_by(selection.estimates)
