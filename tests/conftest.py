@@ -28,6 +28,7 @@ LONG = (
     "test_diagnosis_lines.py",
     "test_diagnosis_beginnings.py",
     "test_diagnosis_multistart.py",
+    "test_diagnosis_rattling.py",
     "test_diagnosis_report.py",
     "test_diagnosis_robust.py",
     "test_diagnosis_row_times.py",

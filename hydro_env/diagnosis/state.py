@@ -38,6 +38,8 @@ class State:
     `fit` is the model of the rig with the logs to fit and their noise, `fine` the same with the accuracy of the proof, `held_out`
     the model with the logs that take no part in the fit. Estimates: `given` the model as given, `calibrated` with known
     parameters adjusted, `final` what was found, with corrections of form, `placebo` the best wrong effect instead.
+    `on_fit` and `on_held_out` are the errors of free simulations, which are reported, `judged_fit` and `judged` those by which
+    names are judged: their simulations follow the measured speed where a coupling rattles.
     `undetermined` says why the fit logs do not determine the known parameters, `elsewhere` why the held-out logs seem to be of
     another rig or state.
     """
@@ -62,6 +64,8 @@ class State:
     corrections: list[Correction] = field(default_factory=list)
     on_fit: Proof = None  # type: ignore[assignment]
     on_held_out: Proof = None  # type: ignore[assignment]
+    judged_fit: Proof = None  # type: ignore[assignment]
+    judged: Proof = None  # type: ignore[assignment]
     doubts: list[str] = field(default_factory=list)
     undetermined: list[str] = field(default_factory=list)
     elsewhere: list[str] = field(default_factory=list)
@@ -88,7 +92,7 @@ class State:
         (`PROVEN`). A reduced model is not held against the noise, which is not all that it leaves out."""
         if self.verdict != "effects" or not self.rig.has_hidden_states:
             return False
-        errors = self.on_held_out.errors
+        errors = self.judged.errors
         return any(e["after"] > PROVEN * e["noise"] for (_, signal), e in errors.items() if signal == "speed")
 
     @property

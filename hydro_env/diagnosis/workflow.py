@@ -35,6 +35,7 @@ from .stages import (
     localisation,
     naming,
     next_experiment,
+    rattling,
     row_times,
     screening,
     selection,
@@ -54,6 +55,7 @@ DEFAULT = Settings()
 STAGES: tuple[tuple[str, Callable[[State], State]], ...] = (
     ("model as given", consistency.run),
     ("calibrating known parameters", calibration.run),
+    ("does a coupling rattle?", rattling.run),
     ("screening every effect", screening.run),
     ("selecting effects", selection.run),
     ("verdict of the fit logs", verdict.decide),

@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from math import ceil, inf
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -51,6 +52,13 @@ def machine_memory() -> float:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, ValueError, OSError):
         return inf
+
+
+@lru_cache(64)
+def _places(num_rigs: int, half: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Block of each rig and the lane of its first channel."""
+    rigs = np.arange(num_rigs)
+    return rigs // half, rigs % half
 
 
 class Plant:
@@ -205,14 +213,17 @@ class Plant:
         self._memory[index // half, places, index % half] = pairs[:, :, 0]
         self._memory[index // half, places, index % half + half] = pairs[:, :, 1]
 
-    def shift(self, state: str, by: float, rows: slice) -> None:
-        """Adds to a state of some rigs, as finite differences need it. KeyError for a name that is no state of this plant."""
+    def shift(self, state: str, by: ArrayLike, rows: slice) -> None:
+        """Adds `by`, a number or (number of rows, 2), to a state of some rigs. KeyError for a name that is no state here."""
         row = self._row(state)
         if row >= self._kernel.rows["time"]:  # states come first
             raise KeyError(f"{state}: is no state of the plant")
-        index, half = np.arange(self.num_rigs)[rows], self._kernel.half
-        for lane in (index % half, index % half + half):
-            self._memory[index // half, row, lane] += by
+        block, lane = (each[rows] for each in _places(self.num_rigs, self._kernel.half))
+        added = np.asarray(by, float)
+        for channel in (0, 1):
+            self._memory[block, row, lane + channel * self._kernel.half] += (
+                added[..., channel] if added.ndim else added
+            )
 
     # --- time -----------------------------------------------------------------------------------------------------
     def reset(self, rows: ArrayLike | None = None) -> None:

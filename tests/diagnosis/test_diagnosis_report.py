@@ -115,7 +115,8 @@ def test_what_is_left_above_the_noise_makes_a_name_a_guess(
         errors = {
             (0, "speed"): {**proof.errors[0, "speed"], "after": times * noise, "calibrated": 10.0 * noise}
         }
-        return _with(found, on_held_out=dataclasses.replace(proof, errors=errors))
+        judged = dataclasses.replace(proof, errors=errors)
+        return _with(found, on_held_out=judged, judged=judged)
 
     assert not leaving(4.0).best_guess  # a reduced model leaves out more than noise
     monkeypatch.setattr(found.state.rig, "has_hidden_states", True)

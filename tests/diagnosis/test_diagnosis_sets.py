@@ -78,7 +78,7 @@ def test_a_name_that_leaves_more_than_the_noise_is_less_likely(left: float, fact
     proof = Proof(search.fit.rig, {(0, "speed"): {"noise": 1.0, "after": left}}, {})
     state = State(
         load_model("paper"), search.fit, search.fit.rig, search.fit.rig, [], verdict="effects", selection=selection,
-        final=search.present, on_held_out=proof,
+        final=search.present, judged=proof,
     )  # fmt: skip
     (named,) = naming.run(state).effects
     (bare,) = naming.name_effects(search.fit, selection, [], search.present)

@@ -6,7 +6,7 @@ which only command and speed (and perhaps pressure) are known. Everything after 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -153,7 +153,8 @@ class RigModel(Protocol):
 
     `simulation_is_cheap`: every candidate may be refitted as far as it goes. `has_hidden_states`: friction and inertia make local
     minima, the parameters are those of a machine, and what is left of a signal can be its noise. `coupled`: the model has an
-    effect of the whole rig, by which both channels act on each other, so they are estimated together.
+    effect of the whole rig, by which both channels act on each other, so they are estimated together. `followed` are the channels
+    whose simulated speed follows the measured one.
     """
 
     model: PlantModel
@@ -165,6 +166,7 @@ class RigModel(Protocol):
     simulation_is_cheap: bool
     has_hidden_states: bool
     coupled: bool
+    followed: frozenset[int]
 
     def base(self, channel: int) -> list[str]:
         """Names of the parameters that calibration may adjust, with those of effects that the model as given has there."""
@@ -189,6 +191,9 @@ class RigModel(Protocol):
 
     def with_parts(self, parts: list[Part], every_row: bool) -> RigModel:
         """The same model on other logs, with the accuracy of the proof."""
+
+    def following(self, channels: Collection[int]) -> RigModel:
+        """The same model with the simulated speed of these channels drawn to the measured one; none: simulated freely."""
 
     def for_long_refits(self) -> RigModel:
         """The same model, quicker where few effects are refitted for long."""

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from heapq import heapreplace
-from math import gcd, isnan
+from math import exp, gcd, isnan, sqrt
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,8 @@ BLOCKS: dict[type[np.floating[Any]], dict[int, float]] = {
 }
 #: What an effect that is compiled in adds to the time of a kernel without any.
 EFFECT_SHARE = 0.06
+#: Time in which a speed that follows the measured one comes near it, s: shorter than a blow of a coupling takes to come back.
+FOLLOW_S = 3e-3
 #: Bytes of inputs of batches that are kept, about. Those of eight lanes of 12 s at 1 kHz take 3 MB.
 MOST_INPUTS = 100_000_000
 #: Base parameters that calibration may adjust. V is left out (never separated from beta), u_rated and x_max are settings.
@@ -103,6 +105,8 @@ class DynamicRig:
         names = [*PARAMETERS, *(f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters)]
         self._unequal = {name for name in names if model.value(name, 0) != model.value(name, 1)}
         self.simulation_is_cheap, self.has_hidden_states = False, True
+        #: Channels whose simulated speed follows the measured one.
+        self.followed: frozenset[int] = frozenset()
         #: Whether a set of effects has a kernel of its own, see `kernel`.
         self.own_kernels = False
         self.notes: list[str] = []
@@ -128,6 +132,10 @@ class DynamicRig:
 
     def for_long_refits(self) -> DynamicRig:
         return view(self, own_kernels=True)
+
+    def following(self, channels: Collection[int]) -> DynamicRig:
+        # An uneven log is simulated on a finer grid than it is measured on.
+        return view(self, followed=frozenset(() if any(p.held is not None for p in self.parts) else channels))
 
     def written(self, values: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
         return dict(values)
@@ -323,7 +331,35 @@ class DynamicRig:
             plant.set_values(values)
             plant.reset()
             signals = [_RECORDED[s] for s in self.signals]
+            if self.followed.intersection(plays.flat):
+                return 1, self._follow(plant, inputs, lanes, batch.period)
             return every, plant.run(inputs[0], inputs[1], batch.period, signals, every)
+
+    def _follow(
+        self, plant: Plant, inputs: np.ndarray, lanes: Sequence[tuple[int, int, int, int]], period: float
+    ) -> dict[str, np.ndarray]:
+        """Runs as `Plant.run` does, but after each row the speed of a followed channel goes part of the way to the measured one.
+
+        By that the noise of one row is in the speed of the next: the recorded difference is made so much smaller that noise alone
+        leaves what it leaves in a free simulation.
+        """
+        signals = [_RECORDED[s] for s in self.signals]
+        rows, speed = np.array([plant.row_of(s) for s in signals]), signals.index(_RECORDED["speed"])
+        out = np.empty((len(signals), inputs.shape[1], len(lanes), 2))
+        measured, known = np.zeros(out.shape[1:]), np.zeros(out.shape[1:])
+        for lane, (number, _, *sides) in enumerate(lanes):
+            part = self.parts[number]
+            counts = part.inside[:, None] & np.isfinite(part.log.speed) & np.isin((0, 1), [*self.followed])
+            measured[: len(part.log), lane] = np.where(counts, part.log.speed, 0.0)[:, sides]
+            known[: len(part.log), lane] = counts[:, sides]
+        share = 1.0 - exp(-period / FOLLOW_S)
+        for row, target in enumerate(measured):
+            now = slice(row, row + 1)
+            plant.run_into(out[:, now], inputs[0, now], inputs[1, now], period, rows)
+            error = (target - out[speed, row]) * known[row]
+            plant.shift("speed", share * error, slice(None))
+            out[speed, row] += (1.0 - sqrt(1.0 - 0.5 * share)) * error
+        return dict(zip(signals, out, strict=True))
 
     def _plant(self, batch: _Batch) -> Plant:
         key = batch.effects, batch.step, len(batch.lanes), batch.block

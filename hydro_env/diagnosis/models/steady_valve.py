@@ -12,7 +12,7 @@ only, so Kq is estimated and D is the mapping's or the model's.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from math import isnan, nan
 from typing import Any
 
@@ -65,6 +65,7 @@ class SteadyValve:
             ),
         }
         self.simulation_is_cheap, self.has_hidden_states, self.coupled = True, False, False
+        self.followed: frozenset[int] = frozenset()
         self.notes: list[str] = [
             "steady-valve model: the flow gain as given is set by least squares on the fit logs, the lag stands for all dynamics"
         ]
@@ -81,6 +82,9 @@ class SteadyValve:
 
     def close(self) -> None:
         """Nothing is held open."""
+
+    def following(self, channels: Collection[int]) -> SteadyValve:
+        return self
 
     def for_long_refits(self) -> SteadyValve:
         return self

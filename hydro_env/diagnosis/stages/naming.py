@@ -124,7 +124,7 @@ def _trust(state: State, named: NamedEffect) -> float:
     if state.verdict == "unknown":
         return UNCONFIRMED
     channels = named.channels or state.rig.channels
-    left = max(e["after"] / e["noise"] for (c, _), e in state.on_held_out.errors.items() if c in channels)
+    left = max(e["after"] / e["noise"] for (c, _), e in state.judged.errors.items() if c in channels)
     # A reduced model is not held against the noise, which is not all that it leaves out.
     return INCOMPLETE if state.rig.has_hidden_states and left > LEFT else 1.0
 

@@ -96,7 +96,8 @@ def run(state: State) -> State:
     """Screens every candidate beside the calibrated model."""
     fit = state.fit
     settled = [c for c, p in state.calibrated.items() if not could_pay(fit, p, c)]
-    screening = screen(fit, state.calibrated, fit.rig.candidates(), state.seconds, settled=settled)
+    names, known = fit.rig.candidates(), state.screening
+    screening = screen(fit, state.calibrated, names, state.seconds, known, settled=settled)
     if fit.rig.has_hidden_states and state.settings.uses(ABSORB_BY_CALIBRATION):
         absorb(fit, state.calibrated, screening)
     return replace(state, screening=screening)

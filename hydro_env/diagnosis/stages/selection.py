@@ -25,6 +25,7 @@ from ..estimation import (
 )
 from ..settings import rule
 from ..state import State
+from . import rattling, screening
 from .candidates import (
     ACCEPTED,
     AT_EDGE,
@@ -104,6 +105,9 @@ def run(state: State) -> State:
             state.progress,
         )
     )
+    following = rattling.beside(state, {c: selection.in_best_form(c) for c in selection.estimates})
+    if following is not state:
+        return run(screening.run(following))
     fit = state.fit.with_noise_seen_by(selection.estimates)
     fit.rescore([*selection.estimates.values(), *selection.placebo.values()])
     changed = [

@@ -50,7 +50,10 @@ def proved(state: State) -> State:
     }  # fmt: skip
     if state.corrections:
         models[NAMED] = state.selection.estimates
-    return replace(state, on_fit=prove(state.fine, models), on_held_out=prove(state.held_out, models))
+    judged_fit, judged = free = prove(state.fine, models), prove(state.held_out, models)
+    if state.rig.followed:
+        free = prove(state.fine.following(()), models), prove(state.held_out.following(()), models)
+    return replace(state, on_fit=free[0], on_held_out=free[1], judged_fit=judged_fit, judged=judged)
 
 
 def shown_unit(rig: RigModel, signal: str, channel: int) -> tuple[str, float]:
@@ -66,7 +69,7 @@ def signal_key(rig: RigModel, signal: str, channel: int) -> str:
 
 
 def prove(rig: RigModel, models: Mapping[str, Estimates]) -> Proof:
-    """Simulates every model freely from the logged commands and compares with all logs of `rig`."""
+    """Simulates every model from the logged commands and compares with all logs of `rig`."""
     every = list({id(p): p for estimates in models.values() for p in estimates.values()}.values())
     results = {id(p): r for p, r in zip(every, rig.predict([p.request() for p in every]), strict=True)}
     traces = {name: {c: results[id(p)][c] for c, p in own.items()} for name, own in models.items()}

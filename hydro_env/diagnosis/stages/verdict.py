@@ -84,7 +84,7 @@ def confirm(state: State) -> State:
     if state.verdict != "effects" or state.elsewhere:
         return state
     found = doubts(
-        state.fit, state.fit.on(state.held_out), state.selection, state.final, state.on_fit, state.on_held_out
+        state.fit, state.fit.on(state.held_out), state.selection, state.final, state.judged_fit, state.judged
     )
     if not found:
         return state
@@ -104,10 +104,8 @@ def _elsewhere(state: State) -> Iterator[str]:
     if not state.rig.has_hidden_states or state.undetermined:
         return
     every, held_out = state.verdict in ("none", "calibration"), state.fit.on(state.held_out)
-    for (c, signal), there in sorted(
-        state.on_held_out.errors.items(), key=lambda item: item[0][1] != "current"
-    ):
-        here = state.on_fit.errors[c, signal]
+    for (c, signal), there in sorted(state.judged.errors.items(), key=lambda item: item[0][1] != "current"):
+        here = state.judged_fit.errors[c, signal]
         times, before = (e["after"] / max(e["noise"], 1e-30) for e in (there, here))
         if not (every or signal == "current") or times < PROVEN or before > ABOVE_NOISE:
             continue

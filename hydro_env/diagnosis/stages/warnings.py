@@ -11,7 +11,7 @@ from ..estimation import unpredictable
 from ..state import State
 from .naming import absent_effects, at_bounds
 from .screening import hidden_by_calibration
-from .validation import signal_key
+from .validation import shown_unit, signal_key
 
 __all__ = ["run"]
 
@@ -40,6 +40,13 @@ def run(state: State) -> State:
     hidden = [name.replace("_", " ") for name in hidden_by_calibration(state.screening)]
     if hidden and state.verdict in ("none", "calibration"):
         found.append(f"calibration hides these effects, so they cannot be excluded: {', '.join(hidden)}")
+    for c in sorted(state.rig.followed):
+        entry, unit = state.judged.errors[c, "speed"], shown_unit(state.rig, "speed", c)[0].replace("_", " ")
+        found.append(
+            f"the coupling of channel {c + 1} rattles, so that free simulations run apart from the rig (the errors shown are of "
+            "these); names are judged by simulations that follow the measured speed, and these leave "
+            f"{entry['after']:.3g} {unit} of it, {entry['calibrated']:.3g} with calibration alone; noise {entry['noise']:.3g}"
+        )
     for c in state.rig.channels if state.effects and state.rig.has_hidden_states else ():
         for signal, times in unpredictable(state.fit.on(state.held_out), state.final[c], c).items():
             found.append(
@@ -76,5 +83,5 @@ def _about_logs_and_fit(state: State) -> list[str]:
 
 
 def _errors(state: State) -> Iterator[tuple[str, dict[str, float]]]:
-    for (c, signal), entry in state.on_held_out.errors.items():
+    for (c, signal), entry in state.judged.errors.items():
         yield signal_key(state.held_out, signal, c), entry

@@ -1,0 +1,112 @@
+"""Couplings that rattle: a free simulation of a gap soon runs apart from the rig, whatever its parameters.
+
+Each blow of a coupling depends on when the one before it came, so an error grows fivefold in a tenth of a second, and a fit to a
+free simulation has as many local minima as there are blows. A simulation that follows the measured speed (`DynamicRig.following`)
+stays beside the rig: the load behind the coupling is driven by what the shaft really did. There a backlash is told from
+everything else at first look. Where one explains something, all candidates of the channel are compared, refitted and judged by
+such simulations; the errors that are reported stay those of free ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Vector, solve, unexplained
+from ..models.base import effect_in
+from ..settings import rule
+from ..state import Estimates, State
+from .calibration import as_given
+from .candidates import penalty
+from .screening import Screening
+
+__all__ = ["beside", "run"]
+
+FOLLOW_SPEED = rule(
+    "follow_speed", "follow the measured speed where a coupling rattles, which multiplies every difference"
+)
+
+EFFECT = "shaft_backlash"
+#: First looks: shares of the known inertia that are behind the coupling, and its gap and stiffness over their usual ones.
+SHARES, GAPS, STIFFNESSES = (0.2, 0.4, 0.65), (0.4, 1.0, 1.8), (0.7, 1.7)
+#: Rounds of random looks about the best ones, how many each, of how many best ones, and how far about these at first and at
+#: least, as logarithms.
+ROUNDS, LOOKS, BEST, FIRST_WIDTH, LEAST_WIDTH = 8, 32, 6, 0.4, 0.03
+
+
+def run(state: State) -> State:
+    """Finds the channels whose coupling rattles, and has their simulations follow the measured speed from now on."""
+    return beside(state, state.calibrated)
+
+
+def beside(state: State, estimates: Estimates) -> State:
+    """The same where an effect that explains more had hidden it: beside the `estimates` of the channels so far."""
+    fit, found = state.fit, {}
+    if (
+        not (fit.rig.has_hidden_states and fit.settings.uses(FOLLOW_SPEED))
+        or EFFECT not in fit.rig.candidates()
+    ):
+        return state
+    for c, p in estimates.items():
+        if p.channel != c or c in fit.rig.followed or EFFECT in p.effects() or fit.rig.has(EFFECT, c):
+            continue
+        if unexplained(fit, p, c) and (one := _backlash(fit.on(fit.rig.following({c})), p, c)):
+            found[c] = one
+    if not found:
+        return state
+    followed = fit.rig.followed | set(found)
+    fit = fit.on(fit.rig.following(followed))
+    calibrated = {c: p.at(p.q.copy()) if c in found else p for c, p in state.calibrated.items()}
+    solve(fit, [calibrated[c] for c in found], SETTLE_ITERATIONS)
+    fine, held_out = (rig.following(followed) for rig in (state.fine, state.held_out))
+    return replace(
+        state, fit=fit, fine=fine, held_out=held_out, given=as_given(fit), calibrated=calibrated,
+        screening=[*found.values(), *(k for k in state.screening if k.channel in state.rig.followed and k.effect == EFFECT)],
+    )  # fmt: skip
+
+
+def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:
+    """A backlash on a channel as it is looked at first, if one explains something beside the calibrated model.
+
+    If none of the first looks comes nearer to the logs than the model without, none is there.
+    Else random looks about the best ones lead to where derivatives do: a blow earlier or later is no matter of small steps.
+    """
+    bare = calibrated.at(calibrated.q.copy())
+    gap, stiffness, damping = (
+        effect_in(fit.rig, EFFECT, c).parameter(n) for n in ("gap", "stiffness", "damping")
+    )
+    inertias = np.array(SHARES) * bare.values(c)["J"]
+    sizes = (
+        inertias,
+        np.array(GAPS) * gap.typical,
+        np.array(STIFFNESSES) * stiffness.nominal,
+        [damping.nominal],
+    )
+    points = np.log(list(product(*sizes)))
+    looks = _looks(fit, bare, c, points)
+    fit.evaluate([bare])
+    if min(p.cost for p in looks) > bare.cost:
+        return None
+    rng, width = np.random.default_rng(fit.settings.seed), np.full(4, FIRST_WIDTH)
+    for _ in range(ROUNDS):
+        best = points[np.argsort([p.cost for p in looks])[:BEST]]
+        new = best[np.arange(LOOKS) % BEST] + width * rng.standard_normal((LOOKS, 4))
+        points, looks = np.concatenate([points, new]), [*looks, *_looks(fit, bare, c, new)]
+        width = points[np.argsort([p.cost for p in looks])[:BEST]].std(axis=0) + LEAST_WIDTH
+    found = min(looks, key=lambda p: p.cost)
+    gain = fit.gain(bare, found)
+    start = {n.removeprefix(f"{EFFECT}."): v for n, v in found.values(c).items() if n.startswith(EFFECT)}
+    return Screening(EFFECT, c, start, gain, 0.0, np.zeros(0)) if gain > penalty(fit, EFFECT) else None
+
+
+def _looks(fit: Fit, bare: Estimate, c: int, points: Vector) -> list[Estimate]:
+    """The estimate with a backlash at each of `points` (n, 4), logarithms of its parameters, simulated."""
+    parameters = effect_in(fit.rig, EFFECT, c).parameters
+    found = []
+    for point in np.exp(points):
+        start = {p.name: float(np.clip(v, p.low, p.high)) for p, v in zip(parameters, point, strict=True)}
+        found.append(bare.with_effect(EFFECT, start, c))
+    fit.evaluate(found)
+    return found
