@@ -125,7 +125,7 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
             f"{mapping or file}: rated is missing: the value of the command variables at full command"
         )
     model = PlantModel(Path(file).stem, {"u_rated": (float(one), float(two))})
-    return FmuModel(model.name, model.values, (), model.substep, file=str(file), links=links, start=start)
+    return FmuModel(model.name, model.values, (), file=str(file), links=links, start=start)
 
 
 def _check(
@@ -305,7 +305,7 @@ class FmuRigs(Plant):
         super().reset(rows)
 
     def _advance(
-        self, command_V: Floats, load_Nm: Floats, substeps: int, h: float,
+        self, command_V: Floats, load_Nm: Floats, period: float,
         rows: NDArray[np.int64] = _NO_ROWS, every: int = 1, out: Floats | None = None,
     ) -> None:  # fmt: skip
         if not len(command_V):
@@ -318,12 +318,12 @@ class FmuRigs(Plant):
                 command = command_V[t, i if command_V.shape[1] > 1 else 0]
                 load = load_Nm[t if len(load_Nm) > 1 else 0, i if load_Nm.shape[1] > 1 else 0]
                 try:
-                    unit_of.step(command, load, substeps * h)
+                    unit_of.step(command, load, period)
                 except Exception as problem:
                     raise InputError(
                         f"{self.model.name}: the FMU refuses a step at {unit_of.time:g} s: {problem}"
                     ) from None
-                self._show(i, substeps * h)
+                self._show(i, period)
 
     def _show(self, i: int, period: float) -> None:
         """Puts what an instance shows into the memory."""

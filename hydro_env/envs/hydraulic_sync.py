@@ -101,6 +101,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     * `increment`: None, or what an action of 1 adds to the command in a control period, as a fraction of the rated one.
     * `errors`: whether each frame's errors to the set-point and speed difference, magnified, stand in front of the frames; see
       `hydro_env.envs.observation.with_errors`.
+    * `tolerance_rpm`: None, or the error of a speed by which the simulation chooses its steps, in place of the model's (0.1 rpm
+      unless its file says otherwise). A larger one is faster; see `hydro_env.plant.Plant`.
 
     `reset(options=...)` takes, for that episode, `mismatch`, `scenario` and `case` (number of the case of a split with
     a fixed list). Anything unknown raises `hydro_env.errors.InputError`.
@@ -135,6 +137,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         render_width: int = 640,
         increment: float | None = None,
         errors: bool = False,
+        tolerance_rpm: float | None = None,
     ) -> None:
         if render_mode not in (None, *type(self).metadata["render_modes"]):
             raise InputError(f"render_mode is {shown(render_mode)}, expected None, 'human' or 'rgb_array'")
@@ -153,6 +156,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             render_width=render_width,
             increment=increment,
             errors=errors,
+            tolerance_rpm=tolerance_rpm,
         )
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.batch.metadata["render_fps"]}

@@ -38,8 +38,8 @@ def test_every_effect_has_such_a_test() -> None:
 
 @pytest.fixture(scope="module")
 def everything() -> Plant:
-    """Nine rigs with every effect compiled in, all neutral."""
-    return Plant("paper", 9, effects=BUILT_IN)
+    """Nine rigs with every effect compiled in, all neutral; at a tolerance at which they settle to many digits."""
+    return Plant("paper", 9, effects=BUILT_IN, tolerance=1e-6)
 
 
 @pytest.fixture
@@ -229,8 +229,8 @@ def test_a_saturated_valve_gives_no_more(rigs: Callable[..., Plant]) -> None:
 def test_directions_of_different_gain(rigs: Callable[..., Plant]) -> None:
     plant = hold(rigs(directional_gain__ratio=0.7), column(35.0, -35.0, 60.0, -60.0), seconds=1.0)
     flow, spool = plant.flow[:4, 0], plant.spool[:4, 0]
-    assert spool[1::2] == pytest.approx(-spool[::2], rel=1e-9)
-    assert flow[1::2] / flow[::2] == pytest.approx([-0.7, -0.7], rel=1e-9)
+    assert spool[1::2] == pytest.approx(-spool[::2], rel=1e-8)
+    assert flow[1::2] / flow[::2] == pytest.approx([-0.7, -0.7], rel=1e-8)
     assert flow[::2] == pytest.approx(plant.get("Kq")[0, 0] * spool[::2], rel=1e-12)
 
 
@@ -619,7 +619,9 @@ def test_sensors_change_what_is_measured_and_nothing_else(rigs: Callable[..., Pl
     plant = rigs(**{name: each + [each[0]] * 5 for name, each in values.items()})
     out = plant.run(commands, None, 2e-3, ("speed", "measured_speed"))
     true, shown = out["speed"][:, :4, 0], out["measured_speed"][:, :4, 0]
-    assert np.all(true == true[:, :1]) and np.all(shown[:, 0] == true[:, 0])
+    # The state of a lag counts when a step is chosen: the speed stays within the tolerance.
+    assert true == pytest.approx(true[:, :1] * np.ones(4), abs=plant.tolerance)
+    assert np.all(true[:, 2:] == true[:, :1]) and np.all(shown[:, 0] == true[:, 0])
     lag = shown[:, 1] + 0.02 * np.gradient(shown[:, 1], 2e-3)  # a filter of first order, undone
     assert lag[2:-2] == pytest.approx(true[2:-2, 1], abs=5e-3 * true.max())
     assert shown[:, 2] == pytest.approx(1.1 * true[:, 2], rel=1e-12)

@@ -92,7 +92,7 @@ class SteadyValve:
     def written(self, values: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
         """The values as those of a rig with the model's own displacement: its flow gain gives the axis' speeds, in rad/s for m/s.
 
-        The area of a piston would make a shaft whose ring against its line no substep follows."""
+        The area of a piston would make a shaft that rings against its line far too fast."""
         gains = values.get("Kq", self.model.pair("Kq"))
         shares = (self.model.value("D", c) / d if (d := self.displacement.get(c)) else 1.0 for c in (0, 1))
         one, two = (gain * share for gain, share in zip(gains, shares, strict=True))

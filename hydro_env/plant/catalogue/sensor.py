@@ -40,7 +40,7 @@ SENSOR_LAG = Effect(
         ),
     ),
     laws={"measured_speed": _sensor_lag},
-    states=(State("lagged_speed", _lag_rate, _lag_decay),),
+    states=(State("lagged_speed", _lag_rate, _lag_decay, scale=10.0),),
     indistinguishable_from=("command_delay",),
 )
 

@@ -42,7 +42,7 @@ SUPPLY_SHAPE = correction(
     (Parameter("share", "1", 0.0, 0.0, 0.5, NO_PHYSICS, "share of the memory in the second lag", 0.2),),
     {"drive": _late_drive},
     {"supply_droop": {}},
-    (State("first", _first_droop), State("second", _second_rate, _second_decay)),
+    (State("first", _first_droop, scale=0.1), State("second", _second_rate, _second_decay, scale=0.1)),
     scope="rig",
     shares=SUPPLY_DROOP,
 )  # fmt: skip
@@ -136,7 +136,7 @@ LEAK_SHAPE = correction(
     ),
     {"leakage": _leak_curve},
     {"external_leakage": {"conductance": "conductance", "supply_pressure": "supply_pressure"}},
-    states=(State("mean_pressure", _drained_by_curve),),
+    states=(State("mean_pressure", _drained_by_curve, scale=0.01),),
     shares=BOTH_LINES,
 )  # fmt: skip
 
@@ -181,10 +181,6 @@ def _rest_decay(speed, travel):
     return abs(speed) / (travel if travel > 1e-5 else 1e-5)
 
 
-def _rest_corner(speed, travel):
-    return travel > 0.0 and abs(speed) < 1.0
-
-
 REST_SHAPE = correction(
     "rest_shape", "motor", "dry friction builds up over a small turn (Dahl) in the place of a smooth step",
     (
@@ -197,7 +193,6 @@ REST_SHAPE = correction(
     {"torque": _dahl_torque},
     {"motor_coulomb_friction": {n: n for n in ("coulomb", "static", "stribeck_speed")}},
     (State("rest", _rest_rate, _rest_decay),),
-    corner=_rest_corner,
 )  # fmt: skip
 
 
@@ -286,7 +281,7 @@ SENSOR_SHAPE = correction(
     (Parameter("share", "1", 0.0, 0.0, 0.5, NO_PHYSICS, "share of the lag in the second filter", 0.2),),
     {"measured_speed": _late_speed},
     {"sensor_lag": {}},
-    (State("first", _first_lag, _first_lag_decay), State("second", _second_rate, _second_decay)),
+    (State("first", _first_lag, _first_lag_decay, 10.0), State("second", _second_rate, _second_decay, 10.0)),
     shares=SENSOR_LAG,
 )  # fmt: skip
 
@@ -337,7 +332,7 @@ COUPLING_SHAPE = correction(
     ),
     {"torque": _torque_of_damper},
     {"shaft_backlash": {}},
-    (State("load_speed", _load_behind_damper),),
+    (State("load_speed", _load_behind_damper, scale=0.2),),
     shares=SHAFT_BACKLASH,
 )  # fmt: skip
 

@@ -68,9 +68,9 @@ PLAY_SHAPE = correction(
     {"voltage": _three_plays},
     {"input_hysteresis": {"width": "width"}},
     (
-        State("as_before", _PLAY.rate, _PLAY.decay, {"follower": "as_before"}),
-        State("narrow", _spread_rate, _spread_decay, {"play": "narrow", "part": -1.0}),
-        State("wide", _spread_rate, _spread_decay, {"play": "wide", "part": 1.0}),
+        State("as_before", _PLAY.rate, _PLAY.decay, given={"follower": "as_before"}),
+        State("narrow", _spread_rate, _spread_decay, given={"play": "narrow", "part": -1.0}),
+        State("wide", _spread_rate, _spread_decay, given={"play": "wide", "part": 1.0}),
     ),
 )  # fmt: skip
 
@@ -252,9 +252,9 @@ STOP_SHAPE = correction(
     {"force": _stops_force},
     {"magnetic_hysteresis": {"amplitude": "amplitude", "width": "width"}},
     (
-        State("as_before", _LOOP.rate, _LOOP.decay, {"loop": "as_before"}),
+        State("as_before", _LOOP.rate, _LOOP.decay, scale=0.1, given={"loop": "as_before"}),
         *(
-            State(f"stop_{n}", _stop_rate, _stop_decay, {"stop": f"stop_{n}", "times": times})
+            State(f"stop_{n}", _stop_rate, _stop_decay, scale=0.1, given={"stop": f"stop_{n}", "times": times})
             for n, times in enumerate(_STOPS, 1)
         ),
     ),
@@ -301,11 +301,6 @@ def _bristle_decay(spool_speed, coulomb, static, stiffness, stribeck, vs, s0):
     return abs(spool_speed) * s0 * stiff / (level if level > 1e-6 else 1e-6)
 
 
-def _bristle_corner(coulomb, static):
-    # Everywhere: the spool crosses the micrometres between two limits of its bristles within a substep.
-    return coulomb + static > 0.0
-
-
 BRISTLE_SHAPE = correction(
     "bristle_shape", "force", "what friction the spool has more is held by a second bristle, which gives way late",
     (
@@ -328,8 +323,7 @@ BRISTLE_SHAPE = correction(
             "coulomb": "coulomb", "static": "static", "coulomb_taken": "-coulomb", "static_taken": "-static",
         }
     },
-    (State("bristle_2", _bristle_rate, _bristle_decay),),
-    corner=_bristle_corner,
+    (State("bristle_2", _bristle_rate, _bristle_decay, scale=1e-4),),
     adds_to={"Fc": "coulomb_taken", "Fs": "static_taken"},
 )  # fmt: skip
 
