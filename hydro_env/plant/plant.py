@@ -8,7 +8,6 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
 from math import ceil, inf
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -52,13 +51,6 @@ def machine_memory() -> float:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, ValueError, OSError):
         return inf
-
-
-@lru_cache(64)
-def _places(num_rigs: int, half: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Block of each rig and the lane of its first channel."""
-    rigs = np.arange(num_rigs)
-    return rigs // half, rigs % half
 
 
 class Plant:
@@ -218,7 +210,7 @@ class Plant:
         row = self._row(state)
         if row >= self._kernel.rows["time"]:  # states come first
             raise KeyError(f"{state}: is no state of the plant")
-        block, lane = (each[rows] for each in _places(self.num_rigs, self._kernel.half))
+        block, lane = self._lanes(np.arange(self.num_rigs)[rows])
         added = np.asarray(by, float)
         for channel in (0, 1):
             self._memory[block, row, lane + channel * self._kernel.half] += (

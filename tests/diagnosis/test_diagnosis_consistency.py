@@ -18,6 +18,18 @@ from hydro_env.plant import load_model, simulate
 from hydro_env.units import BAR, RPM
 
 
+def _found(folder: Path, columns: dict[str, np.ndarray]) -> list[Finding]:
+    """Findings about a log with these columns."""
+    path = folder / "log.csv"
+    np.savetxt(
+        path, np.column_stack(list(columns.values())), "%.9g", ",", header=",".join(columns), comments=""
+    )
+    rig = DynamicRig(load_model("paper"), read_parts([path], None))
+    return implausible(
+        rig, as_given(Fit(rig, {(c, s.signal): 1e-9 for c in (0, 1) for s in rig.segments[c]}))
+    )
+
+
 def _findings(folder: Path, drag: float, unit: float = 1.0) -> list[Finding]:
     """Findings about 12 s of a rig with a drag of `drag` N m s2/rad2; the pressure is written `unit` times as large."""
     time = np.arange(6000) * 0.002
@@ -29,14 +41,7 @@ def _findings(folder: Path, drag: float, unit: float = 1.0) -> list[Finding]:
         columns[f"command_{c + 1}_V"] = command[:, c]
         columns[f"speed_{c + 1}_rpm"] = seen["speed"][:, 0, c] / RPM
         columns[f"pressure_{c + 1}_bar"] = unit * seen["pressure"][:, 0, c] / BAR
-    path = folder / "log.csv"
-    np.savetxt(
-        path, np.column_stack(list(columns.values())), "%.9g", ",", header=",".join(columns), comments=""
-    )
-    rig = DynamicRig(load_model("paper"), read_parts([path], None))
-    return implausible(
-        rig, as_given(Fit(rig, {(c, s.signal): 1e-9 for c in (0, 1) for s in rig.segments[c]}))
-    )
+    return _found(folder, columns)
 
 
 def test_a_drag_many_times_the_friction_is_no_mistake_in_the_recording(tmp_path: Path) -> None:
@@ -63,14 +68,7 @@ def _healthy(folder: Path, change: Callable[[dict[str, np.ndarray]], None]) -> l
         columns[f"speed_{c + 1}_rpm"] = seen["speed"][:, 0, c] / RPM + rng.normal(size=6000)
         columns[f"pressure_{c + 1}_bar"] = seen["pressure"][:, 0, c] / BAR + 0.05 * rng.normal(size=6000)
     change(columns)
-    path = folder / "log.csv"
-    np.savetxt(
-        path, np.column_stack(list(columns.values())), "%.9g", ",", header=",".join(columns), comments=""
-    )
-    rig = DynamicRig(load_model("paper"), read_parts([path], None))
-    return implausible(
-        rig, as_given(Fit(rig, {(c, s.signal): 1e-9 for c in (0, 1) for s in rig.segments[c]}))
-    )
+    return _found(folder, columns)
 
 
 def _as_recorded(columns: dict[str, np.ndarray]) -> None:

@@ -430,7 +430,6 @@ LINE_VOLUME = Effect(
 )
 
 
-#: In the order in which they act.
 def _case_drain(leakage, pressure, mean_pressure, conductance, supply_pressure):
     middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
     a = middle + 0.5 * pressure
@@ -458,16 +457,11 @@ CASE_DRAIN = Effect(
     signature="like internal leakage, and both lines stand below the middle of the supply, in either direction alike",
     source="external leakage of a motor, Merritt 1967, ch. 4; mean pressure of the lines, ch. 5 and 6",
     parameters=(
-        Parameter(
-            "conductance",
-            "m3/(s Pa)",
-            0.0,
+        replace(
+            EXTERNAL_LEAKAGE.parameter("conductance"),
             low=0.0,
-            high=1e-10,
-            typical=4e-12,
-            scaling=MOTOR_SIZE,
+            possible=(0.0, 1e-10),
             note="conductance of the drain from either line",
-            source="assumed: 4 % of the rated flow at half of 100 bar",
         ),
         SUPPLY_PRESSURE,
     ),
@@ -481,6 +475,7 @@ CASE_DRAIN = Effect(
 )
 
 
+#: In the order in which they act.
 EFFECTS = (
     ENTRAINED_AIR,
     LINE_LOSS,
