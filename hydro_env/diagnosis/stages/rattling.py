@@ -2,9 +2,9 @@
 
 Each blow of a coupling depends on when the one before it came, so an error grows fivefold in a tenth of a second, and a fit to a
 free simulation has as many local minima as there are blows. A simulation that follows the measured speed (`DynamicRig.following`)
-stays beside the rig: the load behind the coupling is driven by what the shaft really did. There a backlash is told from
-everything else at first look. Where one explains something, all candidates of the channel are compared, refitted and judged by
-such simulations; the errors that are reported stay those of free ones.
+stays beside the rig: the load behind the coupling is driven by what the shaft really did. There a few looks tell
+whether a backlash explains something. Where one does, all candidates of the channel are compared, refitted and judged by such
+simulations; the errors that are reported stay those of free ones.
 """
 
 from __future__ import annotations
