@@ -6,6 +6,7 @@ import signal
 import sys
 import threading
 import traceback
+import weakref
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -27,6 +28,8 @@ __all__ = [
 SIMILAR = 0.5
 #: Letters of a message, and of a value shown in it.
 MESSAGE, VALUE = 1200, 80
+#: So long after an interruption is gone it was lost, s: what ends by it is done by then.
+LOST = 1.0
 
 
 class InputError(ValueError):
@@ -98,44 +101,67 @@ def to_install(extra: str) -> str:
     return f"in the folder of hydro_env's sources, pip install -c constraints.txt '.[{extra}]'"
 
 
+class _Stop(KeyboardInterrupt):
+    """What a signal raises; unlike a KeyboardInterrupt it tells when it is gone."""
+
+
 @contextmanager
 def stopped_by_signals() -> Iterator[list[int]]:
     """SIGTERM and SIGHUP stop what is done here as Ctrl-C does, so that it cleans up; the list then has the signal's number. A
-    signal that is ignored (`nohup`) stays so, and one that comes while it cleans up is."""
+    signal that is ignored (`nohup`) stays so, and so is all but Ctrl-C while it cleans up.
+
+    Compiled code drops exceptions (numba's dispatcher, finalizers), and the work would go on. An interruption that is gone
+    while it does is raised again.
+    """
     came: list[int] = []
-    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {getattr(signal, name): signal.getsignal(getattr(signal, name)) for name in names}
-    ours = [number for number, action in before.items() if action is signal.SIG_DFL]
+    defaults = {"SIGINT": signal.default_int_handler, "SIGTERM": signal.SIG_DFL, "SIGHUP": signal.SIG_DFL}
+    before = {getattr(signal, name): action for name, action in defaults.items() if hasattr(signal, name)}
     if threading.current_thread() is not threading.main_thread():
-        ours = []  # where Python lets no signal be handled
+        before = {}  # where Python lets no signal be handled
+    ours = {number: action for number, action in before.items() if signal.getsignal(number) == action}
+    raised: list[weakref.ref[_Stop]] = []
+    again: list[threading.Timer] = []
     unraisable = sys.unraisablehook
 
     def stop(number: int, frame: object) -> None:
+        if came and number != signal.SIGINT:
+            return
         came.append(number)
-        for each in ours:
-            signal.signal(each, signal.SIG_IGN)
-        raise KeyboardInterrupt
+        raise new()
 
-    def stop_again(lost: sys.UnraisableHookArgs) -> None:
-        if lost.exc_type is not KeyboardInterrupt:
-            return unraisable(lost)
-        # Python drops what is raised inside a finalizer or a callback of C, so the signal is sent once more after it.
-        number = came.pop() if came else signal.SIGINT
-        if number in ours:
-            signal.signal(number, stop)
-        again = threading.Timer(0.05, signal.raise_signal, [number])
-        again.daemon = True
-        return again.start()
+    def new() -> _Stop:  # a function, since a variable of `stop` would keep it
+        interruption = _Stop()
+        raised[:] = [weakref.ref(interruption, gone)]
+        return interruption
+
+    def gone(_: object) -> None:
+        again[:] = [threading.Timer(LOST, once_more)]
+        again[0].daemon = True
+        again[0].start()
+
+    def once_more() -> None:
+        number = came.pop()
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(threading.main_thread().ident or 0, number)  # wakes it, too
+        else:
+            signal.raise_signal(number)
+
+    def tell(lost: sys.UnraisableHookArgs) -> None:
+        if not isinstance(lost.exc_value, _Stop):
+            unraisable(lost)
 
     for number in ours:
         signal.signal(number, stop)
-    sys.unraisablehook = stop_again
+    sys.unraisablehook = tell
     try:
         yield came
     finally:
+        raised.clear()  # and with it what would happen when the exception is gone
+        for timer in again:
+            timer.cancel()
         sys.unraisablehook = unraisable
-        for number in ours:
-            signal.signal(number, signal.SIG_DFL)
+        for number, action in ours.items():
+            signal.signal(number, action)
 
 
 def run_command(work: Callable[[], None]) -> None:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ import typer
 from hydro_env import __version__, cli
 from hydro_env.cli.help import EXAMPLES, GROUPS
 from hydro_env.cli.main import spread
-from hydro_env.errors import InputError, stopped_by_signals
+from hydro_env.errors import LOST, InputError, stopped_by_signals
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -359,8 +360,9 @@ def test_a_command_that_is_told_to_end_leaves_nothing(tmp_path: Path, name: str)
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signals")
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
-def test_an_interruption_inside_a_finalizer_is_not_lost(name: str) -> None:
-    """Python drops what a finalizer raises, such as those of compiled modules."""
+@pytest.mark.parametrize("by", ["finalizer", "compiled code"])
+def test_an_interruption_that_others_drop_is_not_lost(name: str, by: str) -> None:
+    """Python drops what a finalizer raises, such as those of compiled modules; C code may clear any error."""
 
     class Compiled:
         def __del__(self) -> None:
@@ -368,13 +370,27 @@ def test_an_interruption_inside_a_finalizer_is_not_lost(name: str) -> None:
             time.sleep(0)
 
     with pytest.raises(KeyboardInterrupt), stopped_by_signals() as signals:
-        before = signal.signal(signal.SIGINT, signal.default_int_handler)
-        try:
+        if by == "finalizer":
             Compiled()
-            time.sleep(10)
-        finally:
-            signal.signal(signal.SIGINT, before)
-    assert signals == ([signal.SIGTERM] if name == "SIGTERM" else [])
+        else:
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(getattr(signal, name))
+                time.sleep(0)
+        time.sleep(10)
+    assert signals == [getattr(signal, name)]
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no such signals")
+def test_an_interruption_that_takes_long_is_not_raised_twice() -> None:
+    with stopped_by_signals() as signals:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt:
+            time.sleep(1.2 * LOST)
+            signal.raise_signal(signal.SIGTERM)  # nor by one more signal
+            time.sleep(0.1)
+    time.sleep(1.2 * LOST)
+    assert signals == [signal.SIGTERM]
 
 
 @pytest.mark.parametrize("example", [each for examples in EXAMPLES.values() for each in examples])

@@ -164,7 +164,7 @@ def run(out: Path, settings: Settings | None = None, *, port: int = 8137, browse
 
         lab = Lab(out, Session(settings))
         served: Any = application(lab, port, key, ready)
-        for name in ("SIGTERM", "SIGHUP"):
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             if hasattr(signal, name):
                 signal.signal(getattr(signal, name), signal.default_int_handler)
         # What the server itself would say of a second Ctrl-C is of no use to anybody.
