@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.plant import Plant, PlantModel
+from hydro_env.plant.plant import Lost
 from hydro_env.reading import check_file, read_yaml
 from hydro_env.units import UNITS, unit
 
@@ -125,7 +126,7 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
             f"{mapping or file}: rated is missing: the value of the command variables at full command"
         )
     model = PlantModel(Path(file).stem, {"u_rated": (float(one), float(two))})
-    return FmuModel(model.name, model.values, (), model.substep, file=str(file), links=links, start=start)
+    return FmuModel(model.name, model.values, (), file=str(file), links=links, start=start)
 
 
 def _check(
@@ -305,7 +306,7 @@ class FmuRigs(Plant):
         super().reset(rows)
 
     def _advance(
-        self, command_V: Floats, load_Nm: Floats, substeps: int, h: float,
+        self, command_V: Floats, load_Nm: Floats, period: float,
         rows: NDArray[np.int64] = _NO_ROWS, every: int = 1, out: Floats | None = None,
     ) -> None:  # fmt: skip
         if not len(command_V):
@@ -318,12 +319,12 @@ class FmuRigs(Plant):
                 command = command_V[t, i if command_V.shape[1] > 1 else 0]
                 load = load_Nm[t if len(load_Nm) > 1 else 0, i if load_Nm.shape[1] > 1 else 0]
                 try:
-                    unit_of.step(command, load, substeps * h)
+                    unit_of.step(command, load, period)
                 except Exception as problem:
                     raise InputError(
                         f"{self.model.name}: the FMU refuses a step at {unit_of.time:g} s: {problem}"
                     ) from None
-                self._show(i, substeps * h)
+                self._show(i, period)
 
     def _show(self, i: int, period: float) -> None:
         """Puts what an instance shows into the memory."""
@@ -342,6 +343,11 @@ class FmuRigs(Plant):
         memory[self.row_of("diverged")] = 1.0 if lost else 0.0
         if lost:
             memory[: self.row_of("time")] = 0.0
+
+    @property
+    def lost(self) -> list[Lost]:
+        """Nothing, as a foreign FMU does not say what it cannot follow."""
+        return []
 
     def __getstate__(self) -> dict[str, Any]:
         """InputError for whatever copies or pickles the rigs: the FMU need not be able to copy itself."""

@@ -369,6 +369,9 @@ def test_an_interruption_that_others_drop_is_not_lost(name: str, by: str) -> Non
             signal.raise_signal(getattr(signal, name))
             time.sleep(0)
 
+    before = signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # what runs in the background ignores it
     with pytest.raises(KeyboardInterrupt), stopped_by_signals() as signals:
         if by == "finalizer":
             Compiled()
@@ -377,6 +380,7 @@ def test_an_interruption_that_others_drop_is_not_lost(name: str, by: str) -> Non
                 signal.raise_signal(getattr(signal, name))
                 time.sleep(0)
         time.sleep(10)
+    signal.signal(signal.SIGINT, before)
     assert signals == [getattr(signal, name)]
 
 

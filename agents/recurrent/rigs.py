@@ -13,7 +13,6 @@ from agents.recurrent.settings import Settings
 from hydro_env.controllers.estimation.valve_map import true_map
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
-from hydro_env.plant import Plant
 
 __all__ = ["KNOWN", "Rigs"]
 
@@ -27,10 +26,10 @@ class Rigs:
     one."""
 
     def __init__(self, settings: Settings, num_rigs: int, window: int, seed: int) -> None:
-        plant = Plant(settings.env["plant"], substep=settings.training.substep or None)
         self.env = HydraulicSyncVectorEnv(
             num_rigs,
-            **{**settings.env, "plant": plant},
+            **settings.env,
+            tolerance_rpm=settings.training.tolerance_rpm or None,
             scenario=TRAINING,
             dtype="float32",
             autoreset_mode="Disabled",

@@ -88,7 +88,7 @@ class Training:
 
     seed: int = setting(0, "1", "of network and episodes", HAND)
     evaluate: float = setting(2.0, "million", "periods between evaluations and checkpoints", HAND)
-    substep: float = setting(0.0, "s", "of the simulated plant while training; 0: the plant's own", HAND)
+    tolerance_rpm: float = setting(0.0, "rpm", "of the plant while training; 0: the plant's own", HAND)
     pairs: int = setting(100, "1", "pairs of `val` an evaluation drives in `setpoint_steps`", HAND)
     tracking_weight: float = setting(0.5, "1", "of the tracking error in the score that chooses", HAND)
     tail_weight: float = setting(0.25, "1", "of the 95th percentile in it", HAND)

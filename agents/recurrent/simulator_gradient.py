@@ -2,9 +2,10 @@
 differentiable simulation, 2022).
 
 How a rig's state after a control period depends on its state and its commands before is found by forward differences: copies
-of all rigs, each with one state or the commands shifted a little, are simulated beside them. Both channels are shifted at once,
-since neither acts on the other. With these slopes the cost of a window is differentiated by the network's weights: through
-plant, sensors and recurrent state, back to the window's beginning.
+of all rigs, each with one state or the commands shifted a little, are simulated beside them. The copies of a rig take the same
+steps, so that the choice of steps is in no difference (internal numerical differentiation, Bock 1981). Both channels are shifted
+at once, since neither acts on the other. With these slopes the cost of a window is differentiated by the network's weights:
+through plant, sensors and recurrent state, back to the window's beginning.
 
 A closed loop over many dead zones and stick-slips multiplies small changes without bound, so what is propagated back is bounded
 (`Bounded`): of each rig by a largest length, and the plant's part by a decay. There is no noise on the commands and no critic.
@@ -26,6 +27,7 @@ from agents.recurrent.rigs import KNOWN, Rigs
 from agents.recurrent.settings import MILLION, Gradient, Settings
 from hydro_env.envs.observation import OBSERVATION, SCALES
 from hydro_env.plant import Plant
+from hydro_env.plant.plant import BLOCKS
 from hydro_env.tasks.mismatch import SENSOR_PARAMETERS
 from hydro_env.units import RPM
 
@@ -75,14 +77,15 @@ class Slopes:
     def __init__(self, plant: Plant, period: float, stream: np.random.Generator) -> None:
         self._plant, self._period, self._stream, n = plant, period, stream, plant.num_rigs
         self._shifts = lasting(plant, period)
-        self._copies = len(self._shifts) + 1
         self._scales = {name: scale for name, (scale, _) in self._shifts.items()} | READINGS
         columns = list(self._scales)
         self.speed, self.readings = columns.index("speed"), [columns.index(name) for name in READINGS]
-        self._rows = np.tile(np.arange(n), self._copies)
+        # A block to a rig: first it as it is, then with each state shifted, then with its commands shifted.
+        self._block = min(size for size in BLOCKS if size > len(self._shifts) + 1)
+        self._rows = np.repeat(np.arange(n), self._block)
         self._twins = Plant(
-            plant.model, n * self._copies, effects=plant.effects, substep=plant.given_substep,
-            dtype=plant.memory.dtype,
+            plant.model, n * self._block, effects=plant.effects, tolerance=plant.tolerance,
+            dtype=plant.memory.dtype, block=self._block, grouped=True,
         )  # fmt: skip
 
     def match(self, names: Iterable[str]) -> None:
@@ -93,21 +96,21 @@ class Slopes:
 
     def before(self) -> None:
         """Puts the copies beside their rigs, which stand at the beginning of a period."""
-        n = self._plant.num_rigs
         self._twins.take_state(self._plant, self._rows)
-        for k, (name, (scale, shift)) in enumerate(self._shifts.items()):
-            self._twins.shift(name, scale * shift, slice(k * n, (k + 1) * n))
+        for k, (name, (scale, shift)) in enumerate(self._shifts.items(), 1):
+            self._twins.shift(name, scale * shift, slice(k, None, self._block))
 
     def after(self) -> tuple[Tensor, Tensor]:
         """The scaled states and readings (num_rigs, 2, columns) of the rigs, which have gone through the period, and their slopes
         by what was shifted, (copies, num_rigs, 2, columns): by the states, which are the first columns, and by the commands."""
-        plant, n = self._plant, self._plant.num_rigs
-        up = self._stream.choice([-SHIFT, SHIFT], (n, 2))
+        plant, last = self._plant, len(self._shifts) + 1
+        up = self._stream.choice([-SHIFT, SHIFT], (plant.num_rigs, 2))
         command = plant.get("command")[self._rows]
-        command[-n:] += up * plant.get("u_rated")
+        command[last :: self._block] += up * plant.get("u_rated")
         self._twins.step(command, plant.get("load")[self._rows], self._period)
         states = self.columns(plant)
-        slopes = self.columns(self._twins).view(self._copies, n, *states.shape[1:]) - states
+        moved = self.columns(self._twins).unflatten(0, (-1, self._block)).transpose(0, 1)
+        slopes = moved[1 : last + 1] - moved[0]
         for k, (_, shift) in enumerate(self._shifts.values()):
             slopes[k] /= shift
         slopes[-1] /= torch.from_numpy(up.astype(np.float32))[..., None]

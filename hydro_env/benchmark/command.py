@@ -45,7 +45,7 @@ BOUND = "oracle"
 """Who says how much there is to gain on the baseline."""
 
 DTYPE = "float32"
-"""Of the plant that every controller meets: half the time of float64, and scores move as they do with another substep
+"""Of the plant that every controller meets: half the time of float64, and scores move as they do with other steps
 (docs/reference/benchmark.md, Precision)."""
 
 LIMIT = 600.0

@@ -119,7 +119,8 @@ def roll_out(
             each.step(action, observation, reward, info)
         returns += reward
         if terminated.any():
-            raise ValueError(f"the plant of case {int(np.argmax(terminated))} diverged")
+            case = int(np.argmax(terminated))
+            raise ValueError(f"case {case}: {info['termination'][case]}")
         done = np.asarray(truncated)
     return Episodes(kept.trace(control_period), faults, float(np.median(sizes)), returns)
 

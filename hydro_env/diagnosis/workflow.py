@@ -103,25 +103,25 @@ def diagnose(
         doing = text
         progress(doing, 0)
 
-    say(doing)
-    parts, held_out = read_logs(fit, sealed, mapping, accept)
-    rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
-    parts, held_out = row_times.settled(rig, parts), row_times.settled(rig, held_out)
-    rig.close()
-    rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
-    # Where the dynamics are simulated, the proof takes shorter substeps than the fit.
-    fine = rig.with_parts(parts, False) if rig.has_hidden_states else rig
-    others = rig.with_parts(held_out, True)
-    state = State(given, Fit(rig, {}, settings), fine, others, held_out, frozenset(accept), say)
-    try:
-        # Threads of the linear algebra would wait for each other and for those that simulate: its matrices are narrow.
-        with threadpool_limits(1, "blas"):
+    # Threads of the linear algebra would wait for each other and for those that simulate: its matrices are narrow.
+    with threadpool_limits(1, "blas"):
+        say(doing)
+        parts, held_out = read_logs(fit, sealed, mapping, accept)
+        rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
+        parts, held_out = row_times.settled(rig, parts), row_times.settled(rig, held_out)
+        rig.close()
+        rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
+        # Where the dynamics are simulated, the proof has a tighter tolerance than the fit.
+        fine = rig.with_parts(parts, False) if rig.has_hidden_states else rig
+        others = rig.with_parts(held_out, True)
+        state = State(given, Fit(rig, {}, settings), fine, others, held_out, frozenset(accept), say)
+        try:
             for text, stage in STAGES:
                 say(text)
                 state = stage(state)
-    finally:
-        for one in (rig, fine, others):
-            one.close()
+        finally:
+            for one in (rig, fine, others):
+                one.close()
     return Diagnosis(state, time.perf_counter() - begin)
 
 

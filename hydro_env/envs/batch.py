@@ -29,6 +29,7 @@ from ..plant.plant import machine_memory, make_plant
 from ..streams import NormalNumbers, Streams
 from ..tasks.mismatch import SENSOR_PARAMETERS, Mismatch, default_mismatch, load_mismatch, own_values
 from ..tasks.scenarios import Reference, Scenario, load_scenario
+from ..units import RPM
 from .courses import Courses, pieces
 from .made_spec import made_spec
 from .observation import ERRORS, FRAME, LIMIT, SCALES, noise_levels, with_errors
@@ -46,13 +47,14 @@ Result = tuple[NDArray[np.float32], Floats, Floats, NDArray[np.bool_], NDArray[n
 NOISE_STREAM, SCENARIO_STREAM = 1, 2
 #: Keys of the `options` of `reset`.
 OPTIONS = ("mismatch", "scenario", "case", "reset_mask")
-#: Why an episode may be terminated.
-DIVERGED = "diverged: the simulation of the plant is no longer finite or plausible"
+#: Why an episode is terminated by a plant that does not say more.
+DIVERGED = "diverged: the simulation of the plant is no longer finite"
 
 NUM_ENVS = Limits(1, 2**40, whole=True)
 CONTROL_PERIOD = Limits(1e-4, 1.0, unit="s")
 HISTORY = Limits(1, 1000, whole=True, unit="frames")
 INCREMENT = Limits(1e-6, 2.0)
+TOLERANCE = Limits(1e-6, 1e3, unit="rpm")
 RENDER_WIDTH = Limits(160, 7680, whole=True, unit="pixels")
 EPISODE = Limits(1, 2**40, whole=True, unit="steps")
 THREADS = Limits(1, 1024, whole=True)
@@ -81,7 +83,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
       same case. `case=k` means case k + i for row i, a list one for each.
     * `info` holds arrays with one row per rig and masks `_key` as Gymnasium has them; `pairs` the values of the valves.
     * `max_episode_steps` ends episodes early (truncation).
-    * `plant` may be a `Plant`: its model, in the substep that it was given.
+    * `plant` may be a `Plant`: its model, with its tolerance.
     * `dtype`: "float64" (default), or "float32" for a faster plant (see `Plant`). Angles are then summed up period by
       period in float64, and those of `plant` are what was turned since, unless an effect goes by them.
     * `threads` that step the rows together, 1 by default; as many as the machine has cores pay from some hundred rows on. They
@@ -111,6 +113,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         increment: float | None = None,
         errors: bool = False,
         threads: int = 1,
+        tolerance_rpm: float | None = None,
     ) -> None:
         super().__init__()
         self.num_envs = NUM_ENVS.check(num_envs, "num_envs")
@@ -125,7 +128,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         _one_of("autoreset_mode", autoreset_mode, (*AutoresetMode, *(mode.value for mode in AutoresetMode)))
         self.dtype, self.errors = np.dtype(dtype), errors
         self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
-        self._substep = plant.given_substep if isinstance(plant, Plant) else None
+        self._tolerance = _tolerance(plant, self.model, tolerance_rpm)
         self.scenario = load_scenario(scenario)
         self.mismatch = load_mismatch(
             default_mismatch(plant) if isinstance(mismatch, str) and mismatch == "auto" else mismatch
@@ -147,9 +150,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._levels = noise_levels(noise)
         self._noisy = bool(self._levels.any())
         self._weights = self.reward.weights()
-        self._recorder: Recorder | None = None
-        if render_mode is not None:
-            self._recorder = Recorder(self.num_envs, RENDER_WIDTH.check(render_width, "render_width"))
+        width = RENDER_WIDTH.check(render_width, "render_width")
+        self._recorder = None if render_mode is None else Recorder(self.num_envs, width)
         self._settable: dict[str, tuple[float, float]] = {}
         self._clear()
 
@@ -332,16 +334,16 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             if self._pool is None or self._pool[0] != os.getpid():  # threads do not survive a fork
                 self._pool = os.getpid(), ThreadPoolExecutor(self.threads, "hydro_env")
             list(self._pool[1].map(partial(self._hold_part, result), self._parts))
-            self.plant.turn(self._substeps)
+            self.plant.turn(1)
         else:
-            self.plant.hold(self._command, self._torque, self._substeps, self.control_period)
+            self.plant.hold(self._command, self._torque, self.control_period)
             self._sense(self._all, result)
         self._show(self._all, result)
         return result
 
     def _hold_part(self, result: Result, part: slice) -> None:
         """Plant and sensors of a range of rows over a period, in a thread."""
-        self.plant.hold_rigs(part, self._command, self._torque, self._substeps, self.control_period)
+        self.plant.hold_rigs(part, self._command, self._torque, self.control_period)
         self._sense(self._all[part], result)
 
     # --- episodes -------------------------------------------------------------------------------------------------
@@ -349,15 +351,15 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """Makes the plant anew with the effects that a mismatch needs beside those it had."""
         self._effects += () if mismatch is None else mismatch.effects
         self.plant = make_plant(
-            self.model, self.num_envs, effects=self._effects, substep=self._substep, dtype=self.dtype
+            self.model, self.num_envs, effects=self._effects, tolerance=self._tolerance, dtype=self.dtype
         )
         self._where = np.array([self.plant.row_of(name) for name in SIGNALS], np.int64)
         self._half = self.plant.memory.shape[2] // 2
-        self._substeps = self.plant.substeps(self.control_period)
         self._rated = self.plant.get("u_rated")
         # In float32 the angles are summed up here, unless an effect goes by them.
         self._winds = type(self.plant) is Plant and self.dtype == np.float32 and not self.plant.angle_acts
         self._parts, self._pool = self._split(), None
+        self.plant.make_room(self.control_period)  # once for all threads
 
     def _split(self) -> list[slice]:
         """The ranges of rows that threads step, whole blocks of the kernel; none where one thread steps them all."""
@@ -588,9 +590,16 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
             info[key] = true[:, column]
             info["_" + key] = given if key in _AT_RESET else stepped
         if terminated.any():
-            info["termination"] = np.array([DIVERGED if each else None for each in terminated], object)
+            info["termination"] = self.reasons(terminated)
             info["_termination"] = terminated.copy()
         return info
+
+    def reasons(self, terminated: NDArray[np.bool_]) -> NDArray[np.object_]:
+        """Why these rows were terminated, None for the others."""
+        lost = {each.rig: f"diverged: {each}" for each in reversed(self.plant.lost)}
+        return np.array(
+            [lost.get(n, DIVERGED) if each else None for n, each in enumerate(terminated)], object
+        )
 
     def _reset_info(self, info: dict[str, Any], rows: NDArray[np.int64], true: Floats) -> dict[str, Any]:
         """Adds what belongs to the first observation of some rows."""
@@ -626,6 +635,15 @@ def _real(actions: ArrayLike) -> Floats:
 def _optional(limits: Limits, value: Any, name: str) -> Any:
     """None, or the value where it is within its limits."""
     return None if value is None else limits.check(value, name)
+
+
+def _tolerance(plant: Any, model: PlantModel, given_rpm: float | None) -> float | None:
+    """The tolerance that is given or that a `Plant` brings, rad/s; None for that of the model."""
+    if given_rpm is not None:
+        if hasattr(model, "make_plant"):
+            raise InputError(f"tolerance_rpm: {model.name!r} is simulated by its own code; leave it out")
+        return float(TOLERANCE.check(given_rpm, "tolerance_rpm") * RPM)
+    return plant.tolerance if isinstance(plant, Plant) else None
 
 
 def _one_of(name: str, value: object, right: tuple[object, ...]) -> None:

@@ -16,7 +16,7 @@ from ..errors import InputError, shown
 from ..plant import Plant, PlantModel
 from ..tasks.mismatch import Mismatch
 from ..tasks.scenarios import Scenario
-from .batch import DIVERGED, SEED, HydraulicSyncVectorEnv
+from .batch import SEED, HydraulicSyncVectorEnv
 from .made_spec import made_spec
 from .render import PICTURES, Window
 from .reward import Reward
@@ -101,6 +101,8 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     * `increment`: None, or what an action of 1 adds to the command in a control period, as a fraction of the rated one.
     * `errors`: whether each frame's errors to the set-point and speed difference, magnified, stand in front of the frames; see
       `hydro_env.envs.observation.with_errors`.
+    * `tolerance_rpm`: None, or the error of a speed by which the simulation chooses its steps, in place of the model's (0.1 rpm
+      unless its file says otherwise). A larger one is faster; see `hydro_env.plant.Plant`.
 
     `reset(options=...)` takes, for that episode, `mismatch`, `scenario` and `case` (number of the case of a split with
     a fixed list). Anything unknown raises `hydro_env.errors.InputError`.
@@ -135,6 +137,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         render_width: int = 640,
         increment: float | None = None,
         errors: bool = False,
+        tolerance_rpm: float | None = None,
     ) -> None:
         if render_mode not in (None, *type(self).metadata["render_modes"]):
             raise InputError(f"render_mode is {shown(render_mode)}, expected None, 'human' or 'rgb_array'")
@@ -153,6 +156,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             render_width=render_width,
             increment=increment,
             errors=errors,
+            tolerance_rpm=tolerance_rpm,
         )
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.batch.metadata["render_fps"]}
@@ -219,7 +223,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             info["lowest_line_pressure_bar"] = values[12]
         ended = bool(terminated[0])
         if ended:
-            info["termination"] = DIVERGED
+            info["termination"] = self.batch.reasons(terminated)[0]
         self._show()
         return self.batch.seen(observation)[0], float(reward[0]), ended, bool(truncated[0]), info
 

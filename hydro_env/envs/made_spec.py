@@ -55,8 +55,8 @@ def made_spec(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
 
 def _plain(value: Any) -> Any:
     """An argument in terms of JSON, as far as it has any."""
-    if isinstance(value, Plant) and value.given_substep is None:
-        value = value.model
+    if isinstance(value, Plant) and type(value.model) is PlantModel:
+        value = replace(value.model, tolerance=value.tolerance)
     if type(value) is PlantModel:  # others, such as an FMU, are more than values
         return value.to_dict("the model that the environment was made of")
     if isinstance(value, Mapping):

@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import run_command
-from hydro_env.experiments.speed import LIMIT, commands
+from hydro_env.experiments.speed import commands
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, RC, png
 
@@ -40,7 +40,7 @@ def measure(num_envs: int, threads: int, seconds: float) -> dict[str, float]:
     kib = 1 if sys.platform == "darwin" else 1024
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * kib
     envs = HydraulicSyncVectorEnv(num_envs, threads=threads)
-    actions = (commands("smooth", ROWS, num_envs, np.random.default_rng(0)) / LIMIT).astype(np.float32)
+    actions = commands("smooth", ROWS, num_envs, np.random.default_rng(0)).astype(np.float32)
     start = time.perf_counter()
     envs.reset(seed=0)
     reset = time.perf_counter() - start

@@ -127,14 +127,7 @@ class Tup:
     items: tuple[Value, ...]
 
 
-@dataclass(frozen=True)
-class Fun:
-    """A function that is handed over, to be called by another one."""
-
-    function: Any
-
-
-Value = Num | Arr | Rec | Tup | Fun
+Value = Num | Arr | Rec | Tup
 
 
 def _times(a: int | str, b: int | str) -> int | str:
@@ -169,8 +162,6 @@ def _signature(value: Value) -> Any:
             return tuple((name, _signature(each)) for name, each in fields.items())
         case Tup(items):
             return tuple(map(_signature, items))
-        case Fun(function):
-            return function
 
 
 def _passed(value: Value, name: str, given: list[tuple[str, str]], handed: list[str]) -> Value:
@@ -194,9 +185,7 @@ def _passed(value: Value, name: str, given: list[tuple[str, str]], handed: list[
             return replace(value, code=name, shape=tuple(sizes), root=name)
         case Rec(fields):
             return Rec({key: _passed(each, f"{name}_{key}", given, handed) for key, each in fields.items()})
-        case Tup(items) if not all(
-            isinstance(x, Fun) or (isinstance(x, Num) and x.value is not None) for x in items
-        ):
+        case Tup(items) if not all(isinstance(x, Num) and x.value is not None for x in items):
             raise TranslationError(f"{name}: a tuple of what is not known beforehand cannot be passed on")
     return value
 
@@ -400,11 +389,6 @@ class _Body:
                 raise self.fail(node)
 
     def _statement_call(self, called: ast.Call, lines: list[str]) -> None:
-        if ast.unparse(called.func) == "copy":  # of the plant's driver
-            to, place, source, first, count = map(ast.unparse, called.args)
-            loop = f"for i in range({count}):\n    {to}[{place} + i] = {source}[{first} + i]"
-            self.block(ast.parse(loop).body, lines)
-            return
         result = self.value(called, lines)
         if isinstance(result, Num):
             lines.append(f"{result.code};")
@@ -611,8 +595,6 @@ class _Body:
             case ast.UnaryOp(ast.Not(), operand):
                 one = self.number(operand, lines)
                 return Num("bool", f"(!{one.code})", None if one.value is None else not one.value)
-            case ast.Compare(_, [ast.IsNot()], [ast.Constant(None)]):  # whatever is handed over is there
-                return Num("bool", "1", True)
             case ast.Compare(left, operators, others):
                 return self._comparison(left, operators, others, lines)
             case ast.IfExp():
@@ -797,10 +779,6 @@ class _Body:
             return self._function(own, node.args, lines)
         if hasattr(own, "py_func"):
             return self._function(own, node.args, lines)
-        if name == "sweep":  # of the plant's driver: calls the function that stands first
-            called = self.value(node.args[0], lines)
-            if isinstance(called, Fun):
-                return self._function(called.function, node.args[1:], lines)
         if short in ("empty", "zeros"):
             return self._local(node, lines, zero=short == "zeros")
         if short == "argmin":

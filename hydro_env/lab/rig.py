@@ -96,7 +96,6 @@ class LiveRig:
         self._levels = noise_levels(noise)
         self._stream = np.random.default_rng(seed)
         self._where = np.array([self.plant.row_of(name) for name in SIGNALS], np.int64)
-        self._substeps = self.plant.substeps(PERIOD)
         self._drawn: dict[str, tuple[float, float]] = {}
         self._set: dict[str, list[float]] = {}
         self._sensor = {name: np.full((1, 2), p.nominal) for name, p in SENSOR_PARAMETERS.items()}
@@ -196,7 +195,7 @@ class LiveRig:
             ones = np.ones((SAMPLES, 1))
             rows = self.plant.run(ones * command, ones * load, PERIOD / SAMPLES, RECORDED)
         else:
-            self.plant.hold(command, load, self._substeps, PERIOD)
+            self.plant.hold(command, load, PERIOD)
         self.time = round(self.time + PERIOD, 9)
         return None if rows is None else {name: values[:, 0] for name, values in rows.items()}
 
@@ -206,9 +205,9 @@ class LiveRig:
         return self._noise[0].astype(float)
 
     @property
-    def diverged(self) -> bool:
-        """Whether the simulation left what is plausible; the rig is at rest then."""
-        return bool(self.plant.diverged[0])
+    def lost(self) -> str:
+        """What the simulation could not follow, "" if nothing; the rig is at rest then."""
+        return str(next(iter(self.plant.lost), ""))
 
     def twin(self) -> Any:
         """A copy of the plant as it is, for controllers that know it."""

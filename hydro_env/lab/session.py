@@ -211,11 +211,9 @@ class Session:
             self._recording.add(setpoint, command, load, self._rig.noise, rows)
             if self._recording.seconds >= LONGEST:
                 self._stop_recording()
-        if self._rig.diverged:
+        if lost := self._rig.lost:
             self.reset()
-            self.problem = (
-                "the simulation diverged with these values, and the rig was put to rest; take smaller ones"
-            )
+            self.problem = f"{lost}, and the rig was put to rest; take smaller values"
             return
         if self._course.reference is not None:
             self._course.row += 1

@@ -6,7 +6,7 @@ rhs          the one right-hand side, which calls the laws of the effects by the
 vector_math  the functions that laws may use
 kernel       compiles right-hand side and effects into a vectorised step
 model        a rig as data: model files, and the `presets` that ship
-substep_check  whether the substep follows a model with unusual values
+friction     dry friction of a spool that is left
 plant        many rigs side by side
 sensors      noise of the sensors
 motor_map    steady flow, torque and efficiency of a model's motor

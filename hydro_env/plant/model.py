@@ -12,16 +12,16 @@ import yaml
 
 from ..errors import InputError, suggestion
 from ..files import write_text
-from .accepted import check_spool, out_of_range
+from ..units import RPM
+from .accepted import check_channel, out_of_range
 from .catalogue import CATALOGUE
 from .parameters import PARAMETERS, Parameter
 
-__all__ = ["SCHEMA", "SUBSTEP", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "parameter_of"]
+__all__ = ["SCHEMA", "TOLERANCE", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "parameter_of"]
 
 SCHEMA = "hydro_env/model/1"
-#: Longest substep of the integrator, s, for a model that says nothing else: every single effect at its strongest, and every
-#: preset that does not ask for a shorter one, stays within 0.1 rpm of the reference.
-SUBSTEP = 125e-6
+#: Error of a speed, rad/s, by which a model that says nothing else chooses its steps: 0.1 rpm.
+TOLERANCE = 0.1 * RPM
 #: Base parameters that belong to a valve rather than to motor and line.
 VALVE_PARAMETERS = (
     "m", "R", "L", "alpha", "k", "C", "Kq", "Fc", "Fs", "vs", "s0", "s1", "s2", "x_max", "k_stop", "v_stop", "u_rated",
@@ -50,22 +50,21 @@ class PlantModel:
     """Values of a rig. `values` maps "Kq" or "dead_zone.overlap_positive" to a pair (channel 1, channel 2), SI.
 
     Only what differs from the nominal or neutral value need be there. An effect acts if it is in `effects`; it may be
-    there with neutral values (then it may be varied later). `substep` is the longest step of the integrator in s that
-    the model is to be simulated with; a stiff channel takes it in parts. InputError for unknown names, values that are no
-    numbers, and those outside of what is simulated correctly (`Parameter.possible`, `stiffness`). Whether the substep follows
-    unusual values is only seen by simulation: `load_model` does that, and so all that makes a `Plant`. It then says by `finer`
-    in how many parts every substep, and every part of a stiff channel's, is to be taken; no file holds that.
+    there with neutral values (then it may be varied later). `tolerance` is the error of a speed, rad/s, by which the steps of
+    the integrator are chosen. InputError for unknown names, values that are no numbers, and those outside of what a component can
+    have (`Parameter.possible`).
     """
 
     name: str = "nominal"
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     declared: tuple[str, ...] = ()
-    substep: float = SUBSTEP
-    finer: int = 1
+    tolerance: float = TOLERANCE
 
     def __post_init__(self) -> None:
-        if not 1e-7 <= self.substep <= 1e-3:
-            raise InputError(f"model {self.name!r}: substep is {self.substep!r}, expected 1e-7 to 1e-3 s")
+        if not 1e-6 * RPM <= self.tolerance <= 1e3 * RPM:
+            raise InputError(
+                f"model {self.name!r}: tolerance_rpm is {self.tolerance / RPM:g}, expected 1e-6 to 1000 rpm"
+            )
         clean: dict[str, tuple[float, float]] = {}
         for name, pair in self.values.items():
             parameter_of(name)
@@ -85,7 +84,7 @@ class PlantModel:
         object.__setattr__(self, "values", clean)
         object.__setattr__(self, "declared", tuple(n for n in CATALOGUE if n in named))
         for channel in (0, 1):
-            check_spool(self, channel, f"model {self.name!r}")
+            check_channel(self, channel, f"model {self.name!r}")
 
     @property
     def channels(self) -> tuple[dict[str, float], dict[str, float]]:
@@ -118,19 +117,19 @@ class PlantModel:
             if len(pair) != 2:
                 raise InputError(f"{key}: one number, or one for each of the two channels, not {len(pair)}")
             changed[key] = (float(pair[0]), float(pair[1]))
-        return replace(self, values=changed, name=self.name if name is None else name, finer=1)
+        return replace(self, values=changed, name=self.name if name is None else name)
 
     def without(self, effect: str) -> PlantModel:
         """A new model in which this effect does not act."""
         kept = {n: v for n, v in self.values.items() if n.split(".", 1)[0] != effect or "." not in n}
-        return replace(self, values=kept, declared=tuple(n for n in self.declared if n != effect), finer=1)
+        return replace(self, values=kept, declared=tuple(n for n in self.declared if n != effect))
 
     def to_dict(self, source: str = "") -> dict[str, Any]:
         """The content of the model file; `load_model` of it gives an equal model. `source` says where its values are from, if
         they have one source."""
         data: dict[str, Any] = {"schema": SCHEMA, "name": self.name}
-        if self.substep != SUBSTEP:
-            data["substep"] = self.substep
+        if self.tolerance != TOLERANCE:
+            data["tolerance_rpm"] = self.tolerance / RPM
         effects: dict[str, Any] = {name: {} for name in self.declared}
         for name, pair in self.values.items():
             effect, _, own = name.rpartition(".")

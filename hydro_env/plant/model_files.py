@@ -3,7 +3,7 @@
     schema: hydro_env/model/1
     name: my rig
     base: paper                       # optional: start from a preset
-    substep: 5.0e-5                   # optional: longest step of the integrator, s
+    tolerance_rpm: 0.1                # optional: error of a speed by which the integrator chooses its steps
     both: {J: 0.0031, V: 1.0e-4}      # base parameters of both channels; V is half the volume of one line, valve to motor
     channel_1: {Kq: 0.476}            # of one channel
     channel_2: {valve: valve_2}       # the valve of a preset or model file: its coil, spool and edges, with their effects
@@ -19,8 +19,6 @@ parameters `VALVE_PARAMETERS` and the effects of the ports `VALVE_PORTS`, as the
 
 Values are SI. Anything unknown, and a value that no such component has (`Parameter.possible`), is refused with a line that
 names the file and the key. A base parameter beyond its plausible range gives a warning, unless `sources` says where it is from.
-Such a model is also simulated for a second (`substep_check`): it gets half of the longest substep that follows it, or is refused
-where none does. A substep that a file gives is taken as it is, unless it is that of a preset (125 or 100 us).
 """
 
 from __future__ import annotations
@@ -38,13 +36,13 @@ from typing import Any
 
 from ..errors import InputError, InputWarning, shown, suggestion
 from ..reading import parse_yaml, read_yaml
+from ..units import RPM
 from .accepted import out_of_range, with_unit
 from .catalogue import CATALOGUE
 from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, parameter_of
 from .parameters import PARAMETERS
-from .substep_check import followed
 
-__all__ = ["load_model", "preset_names", "preset_summary", "read_model", "sources_of", "values_set_by"]
+__all__ = ["load_model", "preset_names", "preset_summary", "sources_of", "values_set_by"]
 
 _CHANNELS = ("both", "channel_1", "channel_2")
 #: Files that may build on each other: a model on its base or valve, that one on its own, ...
@@ -117,7 +115,7 @@ def _of_valve(name: str) -> bool:
 def _from_dict(data: object, where: str, above: tuple[str, ...] = ()) -> PlantModel:
     """The model of a file's content. `above` are the files that build on this one, which it may not build on in turn."""
     data = _mapping(data, where)
-    known = {"schema", "name", "base", "substep", *_CHANNELS, "effects", "sources"}
+    known = {"schema", "name", "base", "tolerance_rpm", *_CHANNELS, "effects", "sources"}
     for key in data:
         if key not in known:
             raise InputError(f"{where}: unknown key {shown(key)}: {suggestion(key, known)}")
@@ -140,7 +138,8 @@ def _from_dict(data: object, where: str, above: tuple[str, ...] = ()) -> PlantMo
             name=str(data.get("name", base.name)),
             values={name: (pair[0], pair[1]) for name, pair in draft.values.items()},
             declared=tuple(draft.declared),
-            substep=_number(data.get("substep", base.substep), f"{where}: substep"),
+            tolerance=RPM
+            * _number(data.get("tolerance_rpm", base.tolerance / RPM), f"{where}: tolerance_rpm"),
         )
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
@@ -289,31 +288,11 @@ def _preset(name: str) -> PlantModel:
     return _from_dict(*_data(name))
 
 
-@cache
-def _presets() -> tuple[PlantModel, ...]:
-    return tuple(map(_preset, preset_names()))
-
-
 def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantModel:
     """A model from a preset's name, a YAML file, the content of one, or a model.
 
-    A model with unusual values, also one that is given as a model, gets a shorter substep, half of the longest that follows it in
-    a short simulation; all else stays as it is (`substep_check`). All that simulates takes its model from here. What is
-    derived from the result (`with_values`) is another model, which is checked when it comes here in turn.
     InputError, in one line that names file and key, for anything that is not right.
     """
-    model = read_model(source)
-    if isinstance(source, str) and source in preset_names():
-        return model
-    try:
-        return followed(model, _presets)
-    except InputError as error:
-        where = "" if isinstance(source, PlantModel) else f"{_called(source)}: "
-        raise InputError(f"{where}{error}") from None
-
-
-def read_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantModel:
-    """`load_model` without the simulation, for what takes steps of its own."""
     if isinstance(source, PlantModel):
         return source
     if isinstance(source, str) and source in preset_names():

@@ -8,9 +8,9 @@ from __future__ import annotations
 import copy
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from math import ceil, inf
+from math import inf
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -19,10 +19,10 @@ from ..errors import InputError
 from .catalogue import CATALOGUE
 from .kernel import STATES, Kernel, compile_kernel
 from .model import PlantModel, parameter_of
-from .model_files import load_model, read_model
+from .model_files import load_model
 from .parameters import PARAMETERS
 
-__all__ = ["SIGNALS", "Plant", "machine_memory", "make_plant", "simulate"]
+__all__ = ["SIGNALS", "Lost", "Plant", "machine_memory", "make_plant", "simulate"]
 
 #: Signals that can be read and recorded.
 #: `mean_line_pressure` (Pa) is half the sum of both line pressures: half the supply's and what effects add, where the model has a
@@ -30,7 +30,7 @@ __all__ = ["SIGNALS", "Plant", "machine_memory", "make_plant", "simulate"]
 SIGNALS = (*STATES, "flow", "measured_speed", "mean_line_pressure")
 
 #: Rigs that the kernel can be compiled to take together.
-BLOCKS = (1, 2, 4, 8, 16)
+BLOCKS = (1, 2, 4, 8, 16, 32)
 #: Longest delay of the command that the delay line holds, s, if the model has no longer one.
 LONGEST_DELAY = 0.05
 #: Delay from which on no command would arrive within any log or episode, s.
@@ -40,9 +40,22 @@ Array = NDArray[np.float64]
 _NO_RECORD = np.zeros(0, np.int64)
 
 
-def _half(num_rigs: int) -> int:
-    """Rigs to a block: two vectors of channels for a batch, no idle lanes for one or two rigs. Either gives the same bits."""
-    return 1 if num_rigs <= 2 else 16
+class Lost(NamedTuple):
+    """A channel (1, 2) of a rig that was put to rest: its time since the reset, s, and the state that could not be followed."""
+
+    rig: int
+    channel: int
+    time: float
+    state: str
+
+    def __str__(self) -> str:
+        state = self.state.replace("__", ".")
+        return f"the simulation of channel {self.channel} cannot follow {state!r} at {self.time:.4g} s"
+
+
+def _half(num_rigs: int, dtype: DTypeLike) -> int:
+    """Rigs to a block: four vectors of channels for a batch, no idle lanes for one or two rigs. Either gives the same bits."""
+    return 1 if num_rigs <= 2 else 128 // np.dtype(dtype).itemsize
 
 
 def machine_memory() -> float:
@@ -57,14 +70,14 @@ class Plant:
     """`num_rigs` rigs of two channels each.
 
     Row i behaves bit for bit like the same row alone. `effects` names further effects whose parameters may be set by
-    row; those of the model are always there. `substep` is the longest step of the integrator in s: a period is divided into
-    the fewest equal substeps that are not longer. Unless given it is that of `load_model`, which a stiff channel takes in
-    parts (`stiffness`); one that is given is taken as it is. `dtype` is float64, or float32 for about twice the speed: it
+    row; those of the model are always there. `tolerance` (rad/s, that of the model unless given) is the error of a speed by which
+    every channel chooses its steps, see `kernel.integrator`. `dtype` is float64, or float32 for about twice the speed: it
     resolves the angle and the time of an episode to seven digits only. `block` is how many rigs go through the kernel together
-    (1, 2, 4, 8 or 16, chosen by their number unless given), a matter of speed alone.
+    (1, 2, 4, 8, 16 or 32, chosen by their number unless given), a matter of speed alone, unless they are `grouped`: then all rigs
+    of a block take the steps of its first, as differences between neighbours need it.
 
     InputError for an unknown model and for more rigs than this machine has memory for. ValueError for a number of rigs
-    below one, another dtype or another block.
+    below one, a tolerance that is not positive, another dtype or another block.
     """
 
     def __init__(
@@ -73,9 +86,10 @@ class Plant:
         num_rigs: int = 1,
         *,
         effects: Iterable[str] = (),
-        substep: float | None = None,
+        tolerance: float | None = None,
         dtype: DTypeLike = np.float64,
         block: int | None = None,
+        grouped: bool = False,
     ) -> None:
         if num_rigs < 1:
             raise ValueError(f"num_rigs is {num_rigs}, expected at least 1")
@@ -83,18 +97,17 @@ class Plant:
             raise ValueError(f"dtype is {np.dtype(dtype)}, expected float64 or float32")
         if block is not None and block not in BLOCKS:
             raise ValueError(f"block is {block}, expected one of {', '.join(map(str, BLOCKS))}")
-        self.model = load_model(model) if substep is None else read_model(model)
+        self.model = load_model(model)
         self.num_rigs = int(num_rigs)
-        self.substep = float(self.model.substep / self.model.finer if substep is None else substep)
-        self.given_substep = substep
-        # How many substeps long the step is by which channels are called stiff; 0: none is.
-        self._stiff_at = float(self.model.finer if substep is None else 0.0)
+        self.tolerance = float(self.model.tolerance if tolerance is None else tolerance)
+        if not self.tolerance > 0.0:
+            raise ValueError(f"tolerance is {tolerance}, expected more than 0 rad/s")
         effects = tuple(effects)
         for name in effects:
             if name not in CATALOGUE:
                 parameter_of(f"{name}.")  # raises the line that names the nearest effect
-        half = _half(self.num_rigs) if block is None else block
-        self._kernel: Kernel = compile_kernel((*self.model.declared, *effects), half, dtype)
+        half = _half(self.num_rigs, dtype) if block is None else block
+        self._kernel: Kernel = compile_kernel((*self.model.declared, *effects), half, dtype, grouped)
         kernel = self._kernel
         blocks = -(-self.num_rigs // kernel.half)
         described = [CATALOGUE[name] for name in kernel.effects]
@@ -106,16 +119,11 @@ class Plant:
                 f"model {self.model.name!r}: the command is delayed by {self._longest_delay:g} s; at most {MOST_DELAY:g} s"
                 " are right"
             )
-        self._slots = int(self._longest_delay / self.substep) + 3  # a slot of the delay line is a substep
-        slots = self._slots if kernel.has_delay else 1
-        need = blocks * 2.0 * kernel.half * (kernel.num_rows * kernel.dtype.itemsize + slots * 8)
-        if need > (most := machine_memory()):
-            raise InputError(
-                f"{self.num_rigs} rigs need {need / 2**30:.3g} GiB for their plant alone, this machine has"
-                f" {most / 2**30:.3g} GiB, enough for about {int(self.num_rigs * most / need)}"
-            )
+        need = blocks * 2.0 * kernel.half * kernel.num_rows * kernel.dtype.itemsize
+        self._fits(need)
         self._memory = np.zeros((blocks, kernel.num_rows, 2 * kernel.half), kernel.dtype)
-        self._ring = np.zeros((blocks, slots, 2 * kernel.half))
+        #: The delay line: commands of rows and how long these lasted, s, and the slot of the last one.
+        self._ring, self._lasted = np.zeros((blocks, 1, 2 * kernel.half)), np.full((blocks, 1), inf)
         self._head = 0
         self._empty = np.zeros((0, 1, self.num_rigs, 2))
         for name in PARAMETERS:
@@ -131,10 +139,24 @@ class Plant:
         """The compiled step."""
         return self._kernel
 
-    @property
-    def delay_slots(self) -> int:
-        """Slots of the delay line, a substep each; 1 where no effect delays the command."""
-        return int(self._ring.shape[1])
+    def _fits(self, need: float) -> None:
+        """InputError where so many bytes are more than this machine has."""
+        if need > (most := machine_memory()):
+            raise InputError(
+                f"{self.num_rigs} rigs need {need / 2**30:.3g} GiB for their plant alone, this machine has"
+                f" {most / 2**30:.3g} GiB, enough for about {int(self.num_rigs * most / need)}"
+            )
+
+    def make_room(self, period: float) -> None:
+        """Has the delay line hold what is under way in rows of `period` s; shorter rows need more room."""
+        blocks, slots, lanes = self._ring.shape
+        if not self._kernel.has_delay or slots >= (wanted := int(self._longest_delay / period) + 3):
+            return
+        self._fits(blocks * 8.0 * wanted * (lanes + 1))
+        ring, lasted = np.zeros((blocks, wanted, lanes)), np.full((blocks, wanted), inf)
+        order = (self._head + 1 + np.arange(slots)) % slots  # the oldest first
+        ring[:, :slots], lasted[:, :slots] = self._ring[:, order], self._lasted[:, order]
+        self._ring, self._lasted, self._head = ring, lasted, slots - 1
 
     # --- rows of the memory ---------------------------------------------------------------------------------------
     @property
@@ -235,22 +257,21 @@ class Plant:
     def _observe(self) -> None:
         """Flow and measured speed from the states as they are: a run through no rows."""
         nothing = self._empty[:, 0]
-        self._advance(nothing, nothing, 1, self.substep)
+        self._advance(nothing, nothing, 1.0)
 
     def take_state(self, other: Plant, rows: NDArray[np.int64] | None = None) -> None:
-        """Puts all rigs into the state of another plant's, which may have another substep and dtype; rig i into that of the
+        """Puts all rigs into the state of another plant's, which may have another tolerance and dtype; rig i into that of the
         other's rig `rows[i]`, where given.
 
-        ValueError if there are not as many, or other effects, or if commands are delayed and the delay lines differ.
+        ValueError if there are not as many, or other effects.
         """
         kernel = self._kernel
         if (self.num_rigs, self.effects) != (other.num_rigs if rows is None else len(rows), other.effects):
             raise ValueError("take_state needs a plant with as many rigs and the same effects")
         if kernel.has_delay:
-            if (self.substep, self._slots) != (other.substep, other._slots):
-                raise ValueError(
-                    "take_state: commands are delayed by slots of a substep, so the substeps have to be alike"
-                )
+            slots = other._ring.shape[1]
+            self._ring = np.zeros((len(self._memory), slots, 2 * kernel.half))
+            self._lasted = np.tile(other._lasted[:1], (len(self._memory), 1))
             self._head = other._head
         moving = kernel.rows["load"] + 1
         if rows is None and kernel.half == other._kernel.half:
@@ -275,6 +296,7 @@ class Plant:
         some = object.__new__(type(self))
         state = self.__getstate__()
         state["num_rigs"], state["_empty"] = n, np.zeros((0, 1, n, 2))
+        state["_lasted"] = np.tile(self._lasted[:1], (blocks, 1))
         for name in ("_memory", "_ring"):
             cells = state[name].reshape(len(self._memory), -1, 2, half)[block, :, :, lane]
             apart = cells.reshape(blocks, half, -1, 2).transpose(0, 2, 3, 1)
@@ -285,12 +307,6 @@ class Plant:
     def _lanes(self, rigs: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Block of each rig and the lane of its first channel."""
         return rigs // self._kernel.half, rigs % self._kernel.half
-
-    def substeps(self, period: float) -> int:
-        """How many substeps a period takes. ValueError if it is not positive."""
-        if not period > 0.0:
-            raise ValueError(f"period is {period}, expected more than 0 s")
-        return max(1, ceil(period / self.substep - 1e-9))
 
     def step(self, command_V: ArrayLike, load_Nm: ArrayLike, period: float) -> None:
         """Holds commands (V) and loads (N m), each broadcast to (num_rigs, 2), over `period` s.
@@ -305,36 +321,37 @@ class Plant:
         load[0] = load_Nm
         if not (np.isfinite(command).all() and np.isfinite(load).all()):
             raise ValueError("a command or load is not finite")
-        self.hold(command[0], load[0], self.substeps(period), period)
+        if not period > 0.0:
+            raise ValueError(f"period is {period}, expected more than 0 s")
+        self.hold(command[0], load[0], period)
 
-    def hold(self, command_V: Array, load_Nm: Array, substeps: int, period: float) -> None:
-        """`step` without its checks: finite float64 arrays (num_rigs, 2), and `substeps(period)` counted before."""
-        self._advance(command_V[None], load_Nm[None], substeps, period / substeps)
+    def hold(self, command_V: Array, load_Nm: Array, period: float) -> None:
+        """`step` without its checks: finite float64 arrays (num_rigs, 2)."""
+        self._advance(command_V[None], load_Nm[None], period)
 
-    def hold_rigs(self, rigs: slice, command_V: Array, load_Nm: Array, substeps: int, period: float) -> None:
-        """`hold` for a range of rigs, so that threads can share the work: the first one a multiple of `kernel.half`. The period
-        is over when all rigs have been held and `turn` was called."""
+    def hold_rigs(self, rigs: slice, command_V: Array, load_Nm: Array, period: float) -> None:
+        """`hold` for a range of rigs, so that threads can share the work: the first one a multiple of `kernel.half`. `make_room`
+        was called before; the period is over when all rigs have been held and `turn` was called."""
         half, cells = self._kernel.half, self._kernel.num_rows * 2 * self._kernel.half
         first, last = rigs.start // half, -(-rigs.stop // half)
-        h = period / substeps
         self._kernel.advance(
             self._flat[first * cells : last * cells],
             self._kernel.room(),
-            self._ring[first:last],
+            self._ring[first:last] if self._kernel.has_delay else None,
+            self._lasted[first:last],
             self._head,
             command_V[None, rigs],
             load_Nm[None, rigs],
-            substeps,
-            h,
-            self._stiff_at * h,
+            period,
+            self.tolerance,
             _NO_RECORD,
             1,
             self._empty[:, :, rigs],
         )
 
-    def turn(self, substeps: int) -> None:
-        """Moves the delay line on by so many substeps, after `hold_rigs`."""
-        self._head = (self._head + substeps) % self._slots
+    def turn(self, rows: int) -> None:
+        """Moves the delay line on by so many rows, after `hold_rigs`."""
+        self._head = (self._head + rows) % self._ring.shape[1]
 
     def run(
         self,
@@ -371,29 +388,36 @@ class Plant:
         """`run` without its checks: finite float64 arrays (T, num_rigs, 2) or with ones for T of the load or num_rigs,
         the numbers `row_of` the signals, and where they go, `out` (signals, ceil(T / every), num_rigs, 2).
         """
-        n = self.substeps(period)
-        self._advance(command_V, load_Nm, n, period / n, rows, every, out)
+        if not period > 0.0:
+            raise ValueError(f"period is {period}, expected more than 0 s")
+        self._advance(command_V, load_Nm, period, rows, every, out)
 
     def _advance(
-        self, command_V: Array, load_Nm: Array, substeps: int, h: float,
+        self, command_V: Array, load_Nm: Array, period: float,
         rows: NDArray[np.int64] = _NO_RECORD, every: int = 1, out: Array | None = None,
     ) -> None:  # fmt: skip
         out = self._empty if out is None else out
+        self.make_room(period)
         self._kernel.advance(
             self._flat,
             self._cells,
             self._ring if self._kernel.has_delay else None,
+            self._lasted,
             self._head,
             command_V,
             load_Nm,
-            substeps,
-            h,
-            self._stiff_at * h,
+            period,
+            self.tolerance,
             rows,
             every,
             out,
         )
-        self._head = (self._head + substeps * command_V.shape[0]) % self._slots
+        self.turn(command_V.shape[0])
+
+    @property
+    def _states(self) -> tuple[str, ...]:
+        """Names of the states, which come first in the memory."""
+        return tuple(name for name, row in self._kernel.rows.items() if row < self._kernel.rows["time"])
 
     @property
     def angle_acts(self) -> bool:
@@ -453,17 +477,32 @@ class Plant:
         marked = self.get("diverged") > 0.0
         return marked[:, 0] | marked[:, 1]
 
+    @property
+    def lost(self) -> list[Lost]:
+        """What was lost of the rigs that `diverged`: each channel, when and by which state."""
+        numbers, times = self.get("diverged"), self.get("lost_at")
+        return [
+            Lost(
+                int(rig),
+                int(channel) + 1,
+                float(times[rig, channel]),
+                self._states[int(numbers[rig, channel]) - 1],
+            )
+            for rig, channel in np.argwhere(numbers > 0.0)
+        ]
+
     # --- copies ---------------------------------------------------------------------------------------------------
     def __getstate__(self) -> dict[str, Any]:
         state = self.__dict__.copy()
         del state["_kernel"], state["_flat"], state["_cells"]
         state["_effects"], state["_half"] = self.effects, self._kernel.half
+        state["_grouped"] = self._kernel.grouped
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        effects, half = state.pop("_effects"), state.pop("_half")
+        effects, half, grouped = state.pop("_effects"), state.pop("_half"), state.pop("_grouped")
         self.__dict__.update(state)
-        self._kernel = compile_kernel(effects, half, self._memory.dtype)
+        self._kernel = compile_kernel(effects, half, self._memory.dtype, grouped)
         self._flat, self._cells = self._memory.reshape(-1), self._kernel.room()
 
     def copy(self) -> Plant:
@@ -473,7 +512,7 @@ class Plant:
     def __deepcopy__(self, memo: dict[int, Any]) -> Plant:
         twin = object.__new__(type(self))
         state = self.__getstate__()
-        for name in ("_memory", "_ring", "_empty"):
+        for name in ("_memory", "_ring", "_lasted", "_empty"):
             state[name] = state[name].copy()
         twin.__setstate__(state)
         return twin
@@ -494,9 +533,10 @@ class PlantOptions(TypedDict, total=False):
     """Options of `Plant`, see there."""
 
     effects: Iterable[str]
-    substep: float | None
+    tolerance: float | None
     dtype: DTypeLike
     block: int | None
+    grouped: bool
 
 
 def make_plant(model: PlantModel, num_rigs: int, **options: Unpack[PlantOptions]) -> Plant:
@@ -521,7 +561,7 @@ def simulate(
     """Simulates a command sequence from rest for `num_rigs` variants of a model.
 
     `values` maps parameters to arrays that broadcast to (num_rigs, 2); one of shape (num_rigs,) is taken for both
-    channels of each rig. Effects named in `values` are compiled in. `options` (effects, substep, dtype, block) as in
+    channels of each rig. Effects named in `values` are compiled in. `options` (effects, tolerance, dtype, block, grouped) as in
     `Plant`, the rest as in `Plant.run`: row n of the result is the state at the instant at which command n begins to act.
     """
     values = dict(values or {})

@@ -89,8 +89,8 @@ class _CatalogueRig:
     def advance(self, command_V: Array, load_Nm: Array, duration: float, samples: int) -> dict[str, Array]:
         command, load = np.tile(command_V, (samples, 1)), np.tile(load_Nm, (samples, 1))
         rows = self.plant.run(command, load, duration / samples, self.names)
-        if self.plant.diverged[0]:
-            raise InputError("the rig diverges with these effects; smaller values are right")
+        if lost := self.plant.lost:
+            raise InputError(f"{lost[0]}; smaller effects are right")
         end = self.signals()
         return {name: np.vstack([rows[name][1:, 0], end[name]]) for name in self.names}
 

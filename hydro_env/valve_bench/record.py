@@ -53,7 +53,10 @@ def record(
     rated = model.value("u_rated", channel)
     command = np.zeros((len(share), 2))
     command[:, channel] = rated * share
-    out = Plant(model).run(command, None, period, ("current", "flow"))
+    plant = Plant(model)
+    out = plant.run(command, None, period, ("current", "flow"))
+    if lost := plant.lost:
+        raise InputError(f"model {model.name!r}: {lost[0]}")
     keep = slice(quarter, None)
     per_volt = 1.0 / model.value("R", channel)
     travel = model.value("alpha", channel) / model.value("k", channel)

@@ -98,10 +98,10 @@ def test_minimum_in_a_box():
 
 
 def test_a_plant_takes_the_state_of_another():
-    """Also with another substep and precision; not of other effects, nor, where commands are delayed, another substep."""
+    """Also with another tolerance and precision, and commands on their way; not of other effects."""
     one = Plant("paper_dead_zone", 3)
     one.step([[40.0, 30.0]], 0.0, 0.1)
-    two = Plant("paper_dead_zone", 3, substep=2 * one.substep, dtype=np.float32)
+    two = Plant("paper_dead_zone", 3, tolerance=10 * one.tolerance, dtype=np.float32)
     two.take_state(one)
     np.testing.assert_allclose(two.speed, one.speed, rtol=1e-6)
     for plant in (one, two):
@@ -109,10 +109,7 @@ def test_a_plant_takes_the_state_of_another():
     np.testing.assert_allclose(two.speed, one.speed, rtol=1e-3)
     with pytest.raises(ValueError, match="effects"):
         two.take_state(Plant("paper", 3))
-    late = Plant("paper", 1, effects=["command_delay"])
-    with pytest.raises(ValueError, match="substep"):
-        Plant("paper", 1, effects=["command_delay"], substep=0.5 * late.substep).take_state(late)
-    twin = Plant("paper", 1, effects=["command_delay"])
+    late, twin = (Plant("paper", 1, effects=["command_delay"]) for _ in range(2))
     for plant in (late, twin):
         plant.set("command_delay.delay", 0.005)
     late.step([[40.0, 40.0]], 0.0, 0.003)

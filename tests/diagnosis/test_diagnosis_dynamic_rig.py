@@ -1,5 +1,6 @@
 """The workflow on the dynamic rig, with logs of the independent simulator."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from hydro_env.diagnosis import diagnose
 from hydro_env.diagnosis.estimation import base_unknown, effect_starts, effect_unknowns
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
-from hydro_env.diagnosis.models.dynamic_rig import DTYPE, PROOF_SUBSTEP, SUBSTEP, DynamicRig
+from hydro_env.diagnosis.models.dynamic_rig import DTYPE, TOLERANCE, DynamicRig
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Plant, load_model
 from hydro_env.practice.generate import make_practice
 from hydro_env.units import RPM
@@ -80,45 +81,54 @@ def test_the_fits_numbers_are_near_those_of_the_proof(fit_log: Path, name: str) 
         assert np.sqrt(np.mean(change**2)) / RPM < ROUGH.get(name, 0.2)
 
 
-def test_a_rig_takes_longer_substeps_only_where_both_channels_are_in_parts(fit_log: Path) -> None:
+def test_what_takes_the_steps_of_another_is_the_same_beside_others_and_on_threads(fit_log: Path) -> None:
     parts = read_parts([fit_log], None)
+    pairs = [
+        Request(None, {"supply_droop.relative_drop": (0.2, 0.2), "J": (0.003 + n / 1e5, 0.003)})
+        for n in range(4)
+    ]
+    nominal = [Request(0, {"Kq": 0.4}), Request(1, {"dead_zone.overlap_positive": 1e-5}), pairs[0]]
+    moved = [replace(nominal[0], values={"Kq": 0.4 + n / 1e3}, like=nominal[0]) for n in range(20)]
+    moved.append(replace(nominal[1], values={"dead_zone.overlap_positive": 2e-5, "Kq": 0.3}, like=nominal[1]))
+    moved += [replace(r, like=nominal[2]) for r in pairs[1:]]
+    shared = DynamicRig(load_model("paper"), parts, jobs=3)
+    beside = shared.predict([*moved, *nominal])
+    shared.close()
     rig = DynamicRig(load_model("paper"), parts)
-    ripple = {"displacement_ripple.amplitude": (0.15, 0.0)}
-    weak = {"supply_droop.relative_drop": (0.7, 0.7), "supply_droop.time_constant": (0.1, 0.1)}
-    assert rig._step(Request(None, ripple)) == SUBSTEP and rig._step(Request(None, weak)) == 500e-6
-    assert rig._step(Request(0, {"displacement_ripple.amplitude": 0.15})) == 1e-3
-    for values in (ripple, weak):
-        coarse, fine = (m.predict([Request(None, values)])[0] for m in (rig, rig.with_parts(parts, True)))
-        speed = next(s for s in rig.segments[1] if s.signal == "speed")
-        change = (coarse[1] - fine[1])[speed.place]
-        assert np.sqrt(np.mean(change**2)) / RPM < 0.2
+    for n in (0, 5, 19, 20, 21, 23, 24, 25, 26):
+        alone = rig.predict([[*moved, *nominal][n]])[0]
+        for c in alone:
+            np.testing.assert_array_equal(alone[c], beside[n][c])
+    np.testing.assert_array_equal(beside[0][0], beside[24][0])
 
 
-@pytest.mark.parametrize(("name", "step"), [("spring_preload", 200e-6), ("shaft_backlash", 400e-6)])
-def test_the_proof_takes_longer_substeps_where_every_one_is_in_parts(
-    fit_log: Path, name: str, step: float
-) -> None:
-    parts = read_parts([fit_log], None)
-    one = Request(0, {f"{name}.{p.name}": p.typical for p in CATALOGUE[name].parameters if p.typical})
-    proof = DynamicRig(load_model("paper"), parts).with_parts(parts, True)
-    fine = DynamicRig(load_model("paper"), parts, every_row=True, substep=10e-6, dtype=np.float64)
-    assert proof._step(Request(0, {})) == PROOF_SUBSTEP
-    assert proof._step(one) == pytest.approx(step)
-    speed = next(s for s in proof.segments[0] if s.signal == "speed")
-    change = (proof.predict([one])[0][0] - fine.predict([one])[0][0])[speed.place]
-    assert np.sqrt(np.mean(change**2)) / RPM < 0.01
+def test_differences_between_neighbours_hold_no_errors_of_steps(fit_log: Path) -> None:
+    rig = DynamicRig(load_model("rig"), read_parts([fit_log], None), dtype=np.float64)
+    speed = next(s for s in rig.segments[0] if s.signal == "speed").place
+    spread: dict[bool, list[float]] = {True: [], False: []}
+    for name in ("J", "m", "Kq", "alpha", "beta"):
+        value = 1.02 * rig.given(name, 0)
+        nominal = Request(0, {name: value})
+        for grouped, own in spread.items():
+            like = nominal if grouped else None
+            moved = [Request(0, {name: value * (1.0 + n * 1e-5)}, like) for n in range(1, 8)]
+            first, *others = (found[0][speed] for found in rig.predict([nominal, *moved]))
+            slopes = np.array([(one - first) / n for n, one in enumerate(others, 1)])
+            mean = slopes.mean(axis=0)
+            own.append(float(np.std(slopes - mean) / np.std(mean)))
+    assert np.mean(spread[False]) > 5.0 * np.mean(spread[True])
 
 
 @pytest.mark.parametrize("name", ["paper_dead_zone", "rig", "servo", "valve_1", "valve_2"])
-def test_the_substep_of_the_fit_follows_presets_under_hard_commands(name: str) -> None:
+def test_the_tolerance_of_the_fit_follows_presets_under_hard_commands(name: str) -> None:
     """Steps, and full range one way or the other, every 10 ms, as in the logs of the fastest practice runs."""
     model, rng = load_model(name), np.random.default_rng(0)
     steps = np.repeat(rng.uniform(-0.6, 0.6, (5, 2)), 30, axis=0)
     share = np.concatenate([steps, rng.choice([-1.0, 1.0], (150, 2))])
     commands = np.repeat(share * model.value("u_rated", 0), 10, axis=0)
     coarse, fine = (
-        Plant(model, 1, substep=h, dtype=d).run(commands, None, 1e-3, ("speed",))["speed"]
-        for h, d in ((SUBSTEP, DTYPE), (20e-6, np.float64))
+        Plant(model, 1, tolerance=t, dtype=d).run(commands, None, 1e-3, ("speed",))["speed"]
+        for t, d in ((TOLERANCE, DTYPE), (TOLERANCE / 100, np.float64))
     )
     assert np.abs(coarse - fine).max() / RPM < 0.4
 

@@ -5,6 +5,7 @@ import os
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -14,7 +15,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 import hydro_env  # noqa: F401 (registers the environment)
 from hydro_env.envs import HydraulicSyncEnv, HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
-from hydro_env.plant import Plant, PlantModel
+from hydro_env.plant import Plant, PlantModel, load_model
+from hydro_env.units import RPM
 
 SHORT = {"duration": 0.12, "setpoint_rpm": [[0.0, 300.0], [0.06, -200.0]], "load_Nm": [[0.03, 0.5, 0.1]]}
 
@@ -285,7 +287,8 @@ def test_angles_in_single_precision_are_the_integrals_of_the_speeds(mode):
     seven digits make of the speeds."""
     far = {"duration": 4.0, "setpoint_rpm": [[0.0, 600.0]]}
     envs = [
-        make(3, scenario=far, mismatch="val", dtype=d, autoreset_mode=mode) for d in ("float64", "float32")
+        make(3, scenario=far, mismatch="val", dtype=d, autoreset_mode=mode, tolerance_rpm=0.01)
+        for d in ("float64", "float32")
     ]
     for env in envs:
         env.reset(seed=5)
@@ -344,10 +347,39 @@ def test_a_batch_that_cannot_fit_is_refused_in_a_line(monkeypatch):
         HydraulicSyncVectorEnv(10**12)
 
 
-def test_a_plant_brings_its_substep():
-    plant = Plant("paper_dead_zone", substep=5e-4)
-    assert HydraulicSyncVectorEnv(2, plant=plant).plant.given_substep == 5e-4
-    assert HydraulicSyncVectorEnv(2, plant=plant.model).plant.given_substep is None
+def test_the_tolerance_is_that_of_the_model_unless_one_is_given():
+    """In rpm, for the model, the single environment and the batch; a plant brings its own."""
+    fine = replace(load_model("paper"), tolerance=0.02 * RPM)
+    plant = Plant("paper", tolerance=0.02 * RPM)
+    for env in (make(2, plant=fine), make(2, plant=plant), make(2, tolerance_rpm=0.02)):
+        assert env.plant.tolerance == 0.02 * RPM
+    assert make(2, plant=plant, tolerance_rpm=1.0).plant.tolerance == 1.0 * RPM
+    assert make(2).plant.tolerance == 0.1 * RPM == HydraulicSyncEnv().plant.tolerance
+    batch, single = make(3, tolerance_rpm=2.0), HydraulicSyncEnv("paper", tolerance_rpm=2.0)
+    usual = make(3)
+    for env in (batch, usual):
+        env.reset(seed=4)
+    single.reset(seed=6)
+    for each in actions(3, 20):
+        observation, *_ = batch.step(each)
+        same(single.step(each[2])[0], observation[2])
+        assert (usual.step(each)[0] != observation).any()
+    with pytest.raises(InputError, match="tolerance_rpm is 0, expected a number from 1e-06 to 1000 rpm"):
+        make(2, tolerance_rpm=0)
+
+
+@pytest.mark.parametrize("delay", [0.004, 0.014])
+def test_what_went_before_a_reset_changes_no_bit(delay):
+    """Also where commands are on their way, and however long the batch has run."""
+    plant = PlantModel(values={"command_delay.delay": (delay, 0.5 * delay)})
+    batch, single = make(2, plant=plant, autoreset_mode="Disabled"), HydraulicSyncEnv(plant)
+    batch.reset(seed=[1, 5])
+    for each in actions(2, 7):
+        batch.step(each)
+    batch.reset(seed=[None, 5], options={"reset_mask": np.array([False, True])})
+    single.reset(seed=5)
+    for each in actions(2, 20, seed=1):
+        same(single.step(each[1])[0], batch.step(each)[0][1])
 
 
 @pytest.mark.parametrize(

@@ -448,8 +448,16 @@ def test_the_specification_of_what_was_made_has_its_length(arguments, steps, thr
     "arguments",
     [
         {"plant": load_model("rig").with_values({"J": 0.02})},
-        {"plant": Plant("servo"), "mismatch": NAMED_PAIRS["paper_pair"], "scenario": SCENARIOS["sine"]},
-        {"mismatch": {"Kq": np.array([0.4, 0.45])}, "noise": np.float64(0.5)},
+        {
+            "plant": Plant("servo", tolerance=0.2),
+            "mismatch": NAMED_PAIRS["paper_pair"],
+            "scenario": SCENARIOS["sine"],
+        },
+        {
+            "mismatch": {"Kq": np.array([0.4, 0.45])},
+            "noise": np.float64(0.5),
+            "tolerance_rpm": np.float64(0.3),
+        },
     ],
 )
 def test_it_can_be_made_again_from_json(arguments):

@@ -15,6 +15,7 @@ import pytest
 from hydro_env.cli import main
 from hydro_env.controllers.registry import make_controller
 from hydro_env.controllers.rollout import roll_out
+from hydro_env.envs.hydraulic_sync import HydraulicSyncEnv
 from hydro_env.errors import InputError
 from hydro_env.export.compiler import find_compiler
 from hydro_env.export.fmu.build import export_fmu
@@ -119,6 +120,8 @@ def test_what_an_fmu_cannot_do_is_refused(units: list[Path]) -> None:
     ):
         with pytest.raises(InputError, match="cannot be put on the valve bench or copied"):
             copied()
+    with pytest.raises(InputError, match="is simulated by its own code; leave it out"):
+        HydraulicSyncEnv(model, mismatch="own", tolerance_rpm=0.5)
     with pytest.raises(InputError, match="float32 is not possible"):
         roll_out(make_controller("pid_tuned"), [1], plant=model, mismatch="own", dtype="float32")
 

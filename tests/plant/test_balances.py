@@ -1,9 +1,9 @@
 """What goes in comes out or stays: oil, hydraulic energy and electrical energy of the compiled plant itself.
 
-The books are kept from recorded signals alone: integrals by the trapezoidal rule over the substeps, stores in closed form
+The books are kept from recorded signals alone: integrals by the trapezoidal rule over the rows, stores in closed form
 (compressed oil and air, inertias, springs, coil, bristles), losses from the meaning of each parameter. Nothing of the
-plant's code is used. The rule's error falls with the square of the substep, so the books must close the better the finer
-the substep; a term that was wrong or missing would stay.
+plant's code is used. The rule's error falls with the square of the period, so the books must close the better the finer
+the period; a term that was wrong or missing would stay.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ def rows() -> list[str]:
     return [*preset_names(), *BUILT_IN]
 
 
-def build(substep: float) -> Plant:
+def build(period: float) -> Plant:
     names = rows()
-    plant = Plant("paper", len(names), effects=BUILT_IN, substep=substep)
+    plant = Plant("paper", len(names), effects=BUILT_IN, tolerance=1e-7)
     for row, name in enumerate(names):
         if name in CATALOGUE:
             plant.set_values(typical(name), rows=[row])
@@ -53,14 +53,14 @@ def build(substep: float) -> Plant:
     return plant
 
 
-def motion(kind: str, substep: float, rated: Array) -> tuple[Array, Array]:
+def motion(kind: str, period: float, rated: Array) -> tuple[Array, Array]:
     """Commands (T, rigs, 2) and loads (T, 1, 2) that change slowly, or at once."""
-    time = np.arange(round(SECONDS / substep)) * substep
+    time = np.arange(round(SECONDS / period)) * period
     share = np.stack([0.7 * np.sin(9.0 * time), 0.8 * np.sin(6.0 * time + 0.5)], axis=1)
     load = np.stack([0.4 * np.sin(5.0 * time), 0.3 * np.sin(4.0 * time + 1.0)], axis=1)
     if kind == "jumps":
         rng = np.random.default_rng(0)
-        hold = round(0.025 / substep)
+        hold = round(0.025 / period)
         share = np.repeat(rng.uniform(-1.0, 1.0, (len(time) // hold, 2)), hold, axis=0)
         load = np.repeat(rng.uniform(-0.6, 0.6, (len(time) // hold // 4, 2)), 4 * hold, axis=0)
     return share[:, None, :] * rated, load[:, None, :]
@@ -69,19 +69,19 @@ def motion(kind: str, substep: float, rated: Array) -> tuple[Array, Array]:
 class Books:
     """Residuals of the balances over their turnover, (rigs, 2) each."""
 
-    def __init__(self, kind: str, substep: float) -> None:
-        plant = build(substep)
-        self.h = substep
+    def __init__(self, kind: str, period: float) -> None:
+        plant = build(period)
+        self.h = period
         self.p = {name: plant.get(name) for name in PARAMETERS}
         for effect in BUILT_IN:
             self.p |= {
                 f"{effect}.{q.name}": plant.get(f"{effect}.{q.name}") for q in CATALOGUE[effect].parameters
             }
-        command, load = motion(kind, substep, self.p["u_rated"])
-        self.out = plant.run(command, load, substep, (*STATES, "flow", *MEMORIES))
+        command, load = motion(kind, period, self.p["u_rated"])
+        self.out = plant.run(command, load, period, (*STATES, "flow", *MEMORIES))
         assert not plant.diverged.any()
         self.load, self.command = np.broadcast_to(load, command.shape), command
-        self.time = (np.arange(len(command)) * substep)[:, None, None]
+        self.time = (np.arange(len(command)) * period)[:, None, None]
 
     def __getitem__(self, name: str) -> Array:
         return self.out[name] if name in self.out else self.p[name]
@@ -95,7 +95,7 @@ class Books:
         return one
 
     def driver(self) -> tuple[Array, Array]:
-        """Delay, play and limit of the driver at both ends of each substep; the delays here are whole substeps."""
+        """Delay, play and limit of the driver at both ends of each period; the delays here are whole rows."""
         late = np.rint(self.p["command_delay.delay"] / self.h).astype(int)
         index = np.arange(len(self.command))[:, None, None] - late
         shifted = np.take_along_axis(self.command, np.maximum(index, 0), axis=0) * (index >= 0)
@@ -114,7 +114,7 @@ class Books:
         )
 
     def held(self, held: Array, rate: Array) -> Array:
-        """Integral of held value times rate: the value jumps between substeps and is constant in each."""
+        """Integral of held value times rate: the value jumps between rows and is constant in each."""
         steps = held[:-1] * 0.5 * self.h * (rate[1:] + rate[:-1])
         return np.concatenate([np.zeros_like(rate[:1]), np.cumsum(steps, axis=0)])
 
@@ -279,8 +279,8 @@ class Books:
         )  # fmt: skip
 
 
-SUBSTEPS = (1e-4, 5e-5, 2.5e-5)
-#: Largest residuals at 100 us, as shares of the turnover; they fall with the square of the substep (kinks: nearly).
+PERIODS = (1e-4, 5e-5, 2.5e-5)
+#: Largest residuals at 100 us, as shares of the turnover; they fall with the square of the period (kinks: nearly).
 LIMITS = {
     "smooth": {"oil": 2e-6, "hydraulic": 2e-6, "electrical": 2e-5},
     "jumps": {"oil": 5e-5, "hydraulic": 5e-5, "electrical": 1e-3},
@@ -297,18 +297,18 @@ NO_TERM = (
 
 @pytest.fixture(scope="module")
 def kept() -> dict[str, list[Books]]:
-    return {kind: [Books(kind, substep) for substep in SUBSTEPS] for kind in LIMITS}
+    return {kind: [Books(kind, period) for period in PERIODS] for kind in LIMITS}
 
 
 @pytest.mark.parametrize("kind", list(LIMITS))
 @pytest.mark.parametrize("balance", BALANCES)
 def test_the_books_close(balance: str, kind: str, kept: dict[str, list[Books]]) -> None:
-    """Every preset and every effect; twice as well, and more, with half the substep."""
+    """Every preset and every effect; twice as well, and more, with half the period."""
     found = np.array([getattr(books, balance)().max(axis=1) for books in kept[kind]])
     for row, name in enumerate(rows()):
-        for residual, substep in zip(found[:, row], SUBSTEPS, strict=True):
-            limit = COUPLED.get(name, 1.0) * LIMITS[kind][balance] * (substep / SUBSTEPS[0]) ** 1.5
-            assert residual < limit, f"{name}: {residual:.2g} of the turnover at {substep * 1e6:.0f} us"
+        for residual, period in zip(found[:, row], PERIODS, strict=True):
+            limit = COUPLED.get(name, 1.0) * LIMITS[kind][balance] * (period / PERIODS[0]) ** 1.5
+            assert residual < limit, f"{name}: {residual:.2g} of the turnover at {period * 1e6:.0f} us"
     # Most rigs have few kinks, and there the order is 2.
     order = np.log2(found[0] / found[2]) / 2.0
     assert np.median(order) > 1.9 and order.min() > 0.9, dict(zip(rows(), order.round(2), strict=True))
@@ -318,7 +318,7 @@ def test_the_books_close(balance: str, kind: str, kept: dict[str, list[Books]]) 
 def test_the_books_notice_every_term(name: str, kept: dict[str, list[Books]]) -> None:
     """With an effect's term left out of the books they no longer close; not by far."""
     kind = "jumps" if name in ("crossport_relief", "anti_cavitation") else "smooth"
-    books, finer = kept[kind][-1], (SUBSTEPS[-1] / SUBSTEPS[0]) ** 1.5
+    books, finer = kept[kind][-1], (PERIODS[-1] / PERIODS[0]) ** 1.5
     alone = books.of(rows().index(name))
     for q in CATALOGUE[name].parameters:
         alone.p[f"{name}.{q.name}"] = np.full((1, 2), q.nominal)

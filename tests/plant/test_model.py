@@ -49,10 +49,10 @@ def test_any_model_survives_a_round_trip(
     tmp_path_factory: pytest.TempPathFactory, base: dict, effects: dict
 ) -> None:
     try:
-        model = PlantModel("mine", {**base, **effects}, substep=1.2e-4)  # of its own: nothing is simulated
+        model = PlantModel("mine", {**base, **effects}, tolerance=0.02)
     except InputError as refused:
         assert re.search(
-            r"channel [12](: m is|: D is|: k_stop is|: \w+.conductance is| has) .* can be simulated",
+            r"channel [12](: D is|: k_stop is| has) .* can be simulated",
             str(refused),
         )
         return
@@ -70,28 +70,12 @@ def test_any_model_survives_a_round_trip(
         ({"Fs": 3.0}, "Fs: 3 N is out of range; .* is 0 to 2 N"),
         ({"Fc": 0.0}, "channel 1 has 0 N of Coulomb and 0.2 N of static friction; 0.001 N or more of either"),
         (
-            {"m": 0.04, "s1": 2e3, "s0": 3e6, "Fc": 0.005},
-            r"channel 1: m is 0.04; .* 0.\d+ kg or more can be simulated",
-        ),
-        (
             {"R": 1.0, "k_stop": 1e4},
             "channel 1: k_stop is 10000; against 1.46e[+]03 N of the coil 1.43e[+]06 N/m or more can be simulated",
         ),
         (
-            {"V": 2e-6, "crossport_relief.relief_pressure": 1e6, "crossport_relief.conductance": 3e-9},
-            r"channel 1: crossport_relief.conductance is 3e-09 m3/\(s Pa\); with these beta, V 2.02e-09 m3/\(s Pa\) or less",
-        ),
-        (
-            {"V": 2e-6, "beta": 1.9e10, "anti_cavitation.conductance": 3e-9},
-            r"channel 1: anti_cavitation.conductance is 3e-09 .* 8.08e-10 m3/\(s Pa\) or less can be simulated",
-        ),
-        (
-            {"V": 2e-6, "beta": 1.9e10, "Km": 0.0, "Kq": 7.5, "ivantysyn_losses.flow_pp": 1e-16},
-            r"channel 1: ivantysyn_losses.flow_pp is 1e-16 .* with these Kq, x_max, Km, beta, V \d\S+ m3/\(s Pa2\) or less",
-        ),
-        (
-            {"D": 0.1, "dead_zone.overlap_positive": 1e-4},
-            "channel 1: D is 0.1; with these J, beta, V and with effects 0.00238 m3/rad or less can be simulated",
+            {"D": 0.1},
+            "channel 1: D is 0.1; with these J, V and beta 0.00149 m3/rad or less can be simulated",
         ),
         ({"Km": -1.0}, "Km: -1 .* is 0 to 5e-09"),
         ({"shaft_backlash.inertia": 1e-6}, "0.0001 to 0.01 kg m2"),
@@ -102,14 +86,6 @@ def test_what_is_not_simulated_correctly_is_refused_with_the_bound(values: dict,
     with pytest.raises(InputError, match=said) as caught:
         load_model("paper").with_values(values)
     assert "\n" not in str(caught.value)
-
-
-def test_the_least_mass_that_is_named_is_accepted() -> None:
-    stiff = {"m": 0.04, "s1": 2e3, "s0": 3e6, "Fc": 0.005}
-    with pytest.raises(InputError) as caught:
-        load_model("paper").with_values(stiff)
-    least = float(str(caught.value).split(" kg or more")[0].rsplit(" ", 1)[1])
-    load_model("paper").with_values({**stiff, "m": 1.01 * least})
 
 
 def test_values_and_channels() -> None:
@@ -169,7 +145,7 @@ def test_a_missing_file_or_preset_is_named() -> None:
     [
         ("effects: {dead_zone: {both: {overlap_positive: 70}}}", ["70 m", "0 to 0.00045 m"]),
         ("effects: {dead_zone: {both: {overlap_positive: -1.0e-5}}}", ["-1e-05 m", "0 to 0.00045 m"]),
-        ("both: {D: 8.47}", ["both.D: 8.47 m3/rad", "1e-07 to 1 m3/rad"]),
+        ("both: {D: 8.47}", ["both.D: 8.47 m3/rad", "1e-07 to 0.3 m3/rad"]),
         ("channel_1: {Kq: 315000}", ["channel_1.Kq: 315000 m2/s", "7.5 m2/s"]),
         ("both: {u_rated: 0.001}", ["0.1 to 1e+06 V"]),
     ],

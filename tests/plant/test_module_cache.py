@@ -20,8 +20,8 @@ def written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Mo
     """An empty folder for what is kept, and the modules that are written."""
     made: list[Module] = []
 
-    def counted(effects: tuple[Effect, ...], half: int) -> Module:
-        made.append(module_text(effects, half))
+    def counted(effects: tuple[Effect, ...], half: int, grouped: bool) -> Module:
+        made.append(module_text(effects, half, grouped))
         return made[-1]
 
     monkeypatch.setattr(jit, "_folder", lambda: tmp_path)
@@ -39,8 +39,8 @@ def stronger(flow, narrowing):  # type: ignore[no-untyped-def]
 
 def test_what_is_read_back_is_what_was_written(written: list[Module]) -> None:
     for effects, half in (((), 1), (tuple(CATALOGUE.values())[:9], 8), (tuple(CATALOGUE.values())[9:18], 8)):
-        first, count = module_of(effects, half), len(written)
-        assert module_of(effects, half) == first == written[-1]
+        first, count = module_of(effects, half, False), len(written)
+        assert module_of(effects, half, False) == first == written[-1]
         assert len(written) == count
     assert len({module.text for module in written}) == len(written) == 3
 
@@ -51,13 +51,13 @@ def test_what_a_module_depends_on(written: list[Module], monkeypatch: pytest.Mon
         effect, name="edge", parameters=(replace(effect.parameters[0], name="narrowing"),), states=()
     )
     for laws in (weaker, stronger):
-        module_of((replace(one, laws={"flow": laws}),), 4)
+        module_of((replace(one, laws={"flow": laws}),), 4, False)
     assert len(written) == 2 and written[0].text != written[1].text
-    module_of((replace(one, laws={"flow": weaker}),), 8)
-    module_of((replace(one, laws={"flow": weaker}, corner_parts=7),), 4)
+    module_of((replace(one, laws={"flow": weaker}),), 8, False)
+    module_of((replace(one, laws={"flow": weaker}, limits={"x_max": "narrowing"}),), 4, False)
     assert len(written) == 4
-    module_of((replace(one, laws={"flow": weaker}),), 4)
+    module_of((replace(one, laws={"flow": weaker}),), 4, False)
     assert len(written) == 4
     monkeypatch.setattr(module_cache, "_writers", lambda: "another version")
-    module_of((replace(one, laws={"flow": weaker}),), 4)
+    module_of((replace(one, laws={"flow": weaker}),), 4, False)
     assert len(written) == 5

@@ -26,11 +26,10 @@ from hydro_env.plant import (
 from hydro_env.plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
 from hydro_env.plant.kernel import STATES
 from hydro_env.plant.kernel.integrator import METHOD
-from hydro_env.plant.model import SUBSTEP
 from hydro_env.plant.plant import SIGNALS
 from hydro_env.plant.rhs import rates
 from tests import golden
-from tests.plant.test_plant_accuracy import _strong
+from tests.plant.test_plant_accuracy import SEPARATING, _strong
 
 PERIOD = 0.01
 RIGS = 11  # one more than the largest number of parameters of an effect
@@ -145,26 +144,11 @@ def test_the_method_meets_its_order_conditions() -> None:
     assert np.array_equal(alpha[1], alpha[2])
 
 
-def test_the_error_falls_with_the_third_power_of_the_step() -> None:
-    """On a smooth motion: the spool never turns, and the Stribeck speed is high."""
-    commands = 0.3 * np.arange(100)[:, None] * np.ones((1, 2))
-    values = {"vs": 1.0, "Fc": 0.02, "Fs": 0.02, "s0": 3e4}
-
-    def final(substep: float) -> np.ndarray:
-        out = simulate(
-            "paper", commands, None, 1e-3, values=values, record=("speed", "pressure"), substep=substep
-        )
-        return np.array([out["speed"][-1, 0, 0], out["pressure"][-1, 0, 0] / 1e5])
-
-    exact = final(5e-6)
-    errors = [np.abs(final(h) - exact) for h in (1.25e-4, 6.25e-5, 3.125e-5)]
-    slopes = np.log2(errors[0] / errors[1]), np.log2(errors[1] / errors[2])
-    assert min(slope.min() for slope in slopes) > 2.6, (errors, slopes)
-
-
-def crowd(substep: float, names: list[str], **base: float) -> Plant:
-    """One rig to a preset or effect (at its typical size); "base" is the plain plant with the values of `base`."""
-    plant = Plant("paper", len(names), effects=BUILT_IN, substep=substep)
+def crowd(names: list[str], share: float = 1.0, **base: float) -> Plant:
+    """One rig to a preset or effect (at its typical size), at a share of the tolerance; "base" is the plain plant with the values
+    of `base`."""
+    tolerance = share * load_model("paper").tolerance
+    plant = Plant("paper", len(names), effects=BUILT_IN, tolerance=tolerance)
     plant.set_values(base)
     for row, name in enumerate(names):
         if name in CATALOGUE:
@@ -175,46 +159,30 @@ def crowd(substep: float, names: list[str], **base: float) -> Plant:
     return plant
 
 
-def test_the_order_holds_with_every_effect() -> None:
-    """On a smooth motion, as above: 2 where the matrix is not the Jacobian; where an effect has a kink that the motion passes, or
-    is late by a substep, less."""
-    first_order = (
-        "supply_droop",
-        "viscosity_drift",
-    )  # they see the other channel, or the time, of the last substep
-    kinks = ("flow_saturation", "flow_force")
-    # How their states (of the ripple the angle, of the leakage the speed) act on others is not in the matrix.
-    second_order = (
-        "magnetic_hysteresis",
-        "line_volume",
-        "displacement_ripple",
-        "shaft_backlash",
-        "sensor_lag",
-        "speed_dependent_leakage",
-    )
+def test_the_error_falls_with_the_tolerance_for_every_effect() -> None:
+    """On a smooth motion, by at least half of its order: a wrong rate of a state, or one that is late, would leave an error."""
     names = ["base", *BUILT_IN]
     time = np.arange(200) * 1e-3
     commands = (12.0 * np.sin(8.0 * time) + 150.0 * time)[:, None] * [1.0, 0.8]
 
-    def final(substep: float) -> np.ndarray:
-        plant = crowd(substep, names, vs=1.0, Fc=0.02, Fs=0.02, s0=3e4)
+    def final(share: float) -> np.ndarray:
+        plant = crowd(names, share, vs=1.0, Fc=0.02, Fs=0.02, s0=3e4)
         out = plant.run(commands, None, 1e-3, ("speed", "pressure", "measured_speed"))
         return np.stack([out["speed"][-1], out["pressure"][-1] / 1e5, out["measured_speed"][-1]], axis=-1)
 
-    exact = final(1e-5)
-    coarse, fine = (np.abs(final(h) - exact).max(axis=(1, 2)) for h in (2e-4, 1e-4))
-    for name, order, error in zip(names, np.log2(coarse / fine), fine, strict=True):
-        if name in first_order:
-            assert order > 0.8 and error < 5e-3, (name, order, error)
-        elif name in second_order:
-            assert error < 5e-4 and order > 1.8, (name, order, error)
-        else:
-            assert error < 1e-5 and (order > 2.0 or name in kinks), (name, order, error)
+    exact = final(1e-4)
+    coarse, fine = (np.abs(final(share) - exact).max(axis=(1, 2)) for share in (1.0, 0.01))
+    for name, first, second in zip(names, coarse, fine, strict=True):
+        assert first < 0.03 and second < 2e-3 and (second < 0.2 * first or first < 1e-5), (
+            name,
+            first,
+            second,
+        )
 
 
 @pytest.mark.parametrize("kind", ["steps", pytest.param("sine", marks=pytest.mark.slow), "random"])
-def test_half_the_substep_moves_nothing_visible(kind: str) -> None:
-    """Every preset and effect, full-range commands: less than 0.1 rpm, and a third of that with half of it again."""
+def test_a_third_of_the_tolerance_moves_nothing_visible(kind: str) -> None:
+    """Every preset and effect, full-range commands: less than 0.1 rpm, and a ninth half of that."""
     names = [*preset_names(), *BUILT_IN]
     time = np.arange(60) * PERIOD
     share = {
@@ -223,27 +191,26 @@ def test_half_the_substep_moves_nothing_visible(kind: str) -> None:
         "random": np.random.default_rng(0).uniform(-1.0, 1.0, (60, 2)),
     }[kind]
     loads = np.where(time < 0.45, 0.0, 0.5)[:, None] * np.ones(2)
-    # Behind a gap that rattles under random blows an error grows fivefold with every tenth of a second, and that of the
-    # reference too: there the first 0.4 s count.
+    # Behind a gap that rattles an error grows fivefold with every tenth of a second, and that of the reference too: there
+    # the first 0.4 s count, and ten times the error is right.
     rattling = names.index("shaft_backlash")
     speeds = []
-    for substep in (SUBSTEP, SUBSTEP / 2.0, SUBSTEP / 4.0):
-        plant = crowd(substep, names)
+    for part in (1.0, 1.0 / 3.0, 1.0 / 9.0):
+        plant = crowd(names, part)
         speed = plant.run(share[:, None, :] * plant.get("u_rated"), loads, PERIOD, ("speed",))["speed"]
-        if kind == "random":
-            speed[40:, rattling] = 0.0
+        speed[40:, rattling], speed[:40, rattling] = 0.0, 0.1 * speed[:40, rattling]
         speeds.append(speed)
     moved = [np.abs(a - b).max(axis=(0, 2)) * 30.0 / np.pi for a, b in itertools.pairwise(speeds)]
     for name, first, second in zip(names, *moved, strict=True):
-        assert first < 0.1 and second < 0.03, (name, first, second)
+        assert first < 0.1 and second < 0.05, (name, first, second)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["random", "bang_bang", "levels"])
 @pytest.mark.parametrize("seed", [100, 105])
-def test_strongest_effects_against_a_quarter_of_the_substep(kind: str, seed: int) -> None:
-    """Every effect at its strongest, but for the gap that rattles, and every preset: 0.1 rpm, whatever the commands."""
-    names = [*preset_names(), *(name for name in BUILT_IN if name != "shaft_backlash")]
+def test_strongest_effects_against_a_thirtieth_of_the_tolerance(kind: str, seed: int) -> None:
+    """Every effect at its strongest, but for those that separate neighbouring motions, and every preset: 0.1 rpm."""
+    names = [*preset_names(), *(name for name in BUILT_IN if name not in SEPARATING)]
     rng = np.random.default_rng(seed)
     share = {
         "random": lambda: rng.uniform(-1.0, 1.0, (60, 2)),
@@ -252,21 +219,49 @@ def test_strongest_effects_against_a_quarter_of_the_substep(kind: str, seed: int
     }[kind]()
     loads = np.repeat(rng.uniform(-1.0, 1.0, (3, 2)), 20, axis=0)
     speeds = []
-    for part in (1.0, 0.25):
-        plants = [crowd(part * step, names) for step in (SUBSTEP, load_model("rig").substep)]
-        for plant in plants:
-            for row, name in enumerate(names):
-                if name in CATALOGUE:
-                    plant.set_values(_strong(CATALOGUE[name]), rows=[row])
-            plant.reset()
-        runs = [
-            plant.run(share[:, None] * plant.get("u_rated"), loads, PERIOD, ("speed",))["speed"]
-            for plant in plants
-        ]
-        runs[0][:, names.index("rig")] = runs[1][:, names.index("rig")]
-        speeds.append(runs[0])
+    for part in (1.0, 1.0 / 30.0):
+        plant = crowd(names, part)
+        for row, name in enumerate(names):
+            if name in CATALOGUE:
+                plant.set_values(_strong(CATALOGUE[name]), rows=[row])
+        plant.reset()
+        speeds.append(plant.run(share[:, None] * plant.get("u_rated"), loads, PERIOD, ("speed",))["speed"])
     error = np.abs(speeds[0] - speeds[1]).max(axis=(0, 2)) * 30.0 / np.pi
     assert error.max() < 0.1, {name: value for name, value in zip(names, error, strict=True) if value >= 0.1}
+
+
+def test_grouped_rigs_take_the_steps_of_the_first() -> None:
+    """So a small change of a parameter shows as it is, and not as other steps."""
+    rng = np.random.default_rng(1)
+    model = load_model("rig")
+    command = np.repeat(rng.uniform(-22.8, 22.8, (30, 2)), 5, axis=0)
+    spread = {}
+    for grouped in (False, True):
+        found = []
+        for change in (1e-5, 2e-5):
+            plant = Plant(model, 2, block=2, grouped=grouped)
+            plant.set("J", (1.0 + change) * plant.get("J")[1], rows=[1])
+            plant.reset()
+            speed = plant.run(command, None, PERIOD)["speed"]
+            found.append((speed[:, 1] - speed[:, 0]) / change)
+        spread[grouped] = float(np.abs(found[0] - found[1]).max() / np.abs(found[0]).max())
+    assert spread[True] < 0.1 * spread[False]
+
+
+@pytest.mark.parametrize("period", [0.001, 0.002, 0.007, 0.01, 0.02, 0.05])
+def test_a_delay_is_the_same_at_every_period(period: float) -> None:
+    """30 ms, also where they are no whole number of periods: the same as a plant without delay that gets the command late."""
+    rows = round(0.35 / period)
+    level = np.random.default_rng(2).uniform(-60.0, 60.0, (rows, 2))
+    late = simulate(
+        "paper", level, None, period, values={"command_delay.delay": 0.03}, record=("speed", "spool")
+    )
+    fine = 0.001
+    held = level[(np.arange(round(rows * period / fine)) * fine / period + 1e-9).astype(int)]
+    moved = np.concatenate([np.zeros((30, 2)), held])[: len(held)]
+    plain = simulate("paper", moved, None, fine, record=("speed", "spool"), every=round(period / fine))
+    assert np.abs(late["speed"] - plain["speed"]).max() < 0.1 * np.pi / 30.0
+    assert np.abs(late["spool"] - plain["spool"]).max() < 1e-6
 
 
 def test_the_kernel_runs_the_right_hand_side_that_is_written_down() -> None:
@@ -470,9 +465,9 @@ def test_any_block_gives_the_same_bits(block):
     np.testing.assert_array_equal(first["speed"], here["speed"])
 
 
-@pytest.mark.parametrize("block", [0, 3, 32])
+@pytest.mark.parametrize("block", [0, 3, 64])
 def test_a_block_that_no_kernel_takes_is_named(block):
-    with pytest.raises(ValueError, match=f"block is {block}, expected one of 1, 2, 4, 8, 16"):
+    with pytest.raises(ValueError, match=f"block is {block}, expected one of 1, 2, 4, 8, 16, 32"):
         Plant("paper", 4, block=block)
 
 

@@ -44,14 +44,14 @@ def plain(a, b, h):
     return branchy(a, b) + h * rooted(a)
 
 
-def work(cells, h) -> bool:
-    found = False
+def work(cells, h) -> int:
+    found = 0
     twice = 2.0 * h
     for l in range(LANES):
         a = cells[0 * LANES + l]
         b = cells[1 * LANES + l]
         cells[2 * LANES + l] = branchy(a, b) + h * rooted(a)
-        found |= a > 3.0
+        found += a > 3.0
     for l in range(LANES):
         cells[3 * LANES + l] = cells[2 * LANES + l] * twice
     return found

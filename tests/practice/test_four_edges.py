@@ -59,7 +59,7 @@ def test_in_the_steady_state_the_flow_through_each_edge_is_what_the_motor_takes(
 def test_where_edges_and_lines_are_alike_the_plant_says_the_same() -> None:
     command, load = _inputs(2000)
     model = engineers_model().with_values({"Fc": 1e-4, "Fs": 1e-4})
-    plant = Plant(model, substep=20e-6)
+    plant = Plant(model)
     expected = plant.run(command[:, None], load[:, None], 1e-3, ["measured_speed"])["measured_speed"][:, 0]
     seen = simulate((_axis(RATED[0]), _axis(RATED[1])), command, load, 1e-3, supply=SUPPLY)["measured_speed"]
     assert np.abs(expected).max() > 400 * RPM

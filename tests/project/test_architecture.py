@@ -68,7 +68,6 @@ CROWDED = {
     "hydro_env.plant.catalogue.form_corrections.valve._second_bristle": "a law asks by name for all that it reads",
     "hydro_env.plant.catalogue.form_corrections.valve._stops_force": "a law asks by name for all that it reads",
     "hydro_env.plant.catalogue.losses._jeong_torque": "a law asks by name for all that it reads",
-    "hydro_env.plant.catalogue.losses._ivantysyn_corner": "the same",
     "hydro_env.cli.controllers.benchmark": "an option each",
     "hydro_env.cli.diagnosis.diagnose": "an option each",
     "hydro_env.cli.diagnosis.hide": "an option each",

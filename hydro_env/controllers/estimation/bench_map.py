@@ -32,7 +32,7 @@ class _Rigs:
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
-        self.key = plant.model.name, plant.effects, plant.substep, plant.memory.tobytes()
+        self.key = plant.model.name, plant.effects, plant.tolerance, plant.memory.tobytes()
 
     def __hash__(self) -> int:
         return hash(self.key)

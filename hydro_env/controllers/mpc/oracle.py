@@ -37,9 +37,9 @@ RETRIES = (6, 30)
 """Turns of those other plans, one after the other."""
 SETTLED = 1e-4
 """A plan of which no command would move by more than this share of the rated one is left as it is."""
-SUBSTEP = 334e-6
-"""Substep in which plans are simulated, s: three to a sample at a control period of 10 ms. With 250 us the motors keep step no
-better, on 200 pairs of `val`, `test_extrap` and `faulted` each; with 500 us they fall out of step by 150 rpm once."""
+TOLERANCE = 1.0 * RPM
+"""Error of a speed by which the simulation of plans chooses its steps, rad/s. With 0.3 rpm the motors keep step no better, on 200
+pairs of `val`, `test_extrap` and `faulted` each in three scenarios."""
 TRAVEL, MARGIN = 0.95, 0.96
 """Shares of the stroke: where the largest command lets a spool rest, and how far it should swing."""
 
@@ -173,9 +173,8 @@ def _room_for(n: int, room: Floats) -> Floats:
 
 def _copies(plant: Plant, rows: NDArray[np.int64]) -> Plant:
     """Rigs with the parameters of the plant's rigs `rows`, simulated as coarsely as plans need."""
-    delayed = plant.kernel.has_delay  # the delay line has a slot for every substep
-    substep = plant.substep if delayed else max(SUBSTEP, plant.substep)
-    copies = Plant(plant.model, len(rows), effects=plant.effects, substep=substep, dtype=np.float32)
+    tolerance = max(TOLERANCE, plant.tolerance)
+    copies = Plant(plant.model, len(rows), effects=plant.effects, tolerance=tolerance, dtype=np.float32)
     for name in (*PARAMETERS, *(f"{e}.{p.name}" for e in plant.effects for p in CATALOGUE[e].parameters)):
         copies.set(name, plant.get(name)[rows])
     return copies

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from math import nan
 from typing import TYPE_CHECKING
@@ -56,6 +57,11 @@ class Estimate:
                 pair[c] = value
         sides = [self._with_followers({name: pair[c] for name, pair in pairs.items()}) for c in (0, 1)]
         return Request(None, {name: (sides[0][name], sides[1][name]) for name in sides[0]})
+
+    def beside(self, moves: Iterable[Vector]) -> list[Request]:
+        """The simulation at the estimate, and behind it those at `q + move`, for differences: all take the steps of the first."""
+        here = self.request()
+        return [here, *(replace(self.request(self.q + move), like=here) for move in moves)]
 
     def _with_followers(self, values: dict[str, float]) -> dict[str, float]:
         for name, source in self.follow.items():

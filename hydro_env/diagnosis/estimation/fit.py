@@ -157,8 +157,11 @@ class Fit:
     def evaluate(self, estimates: Sequence[Estimate]) -> None:
         """Simulates every estimate and sets `simulated` and `cost`."""
         for one, result in zip(estimates, self.rig.predict([p.request() for p in estimates]), strict=True):
-            one.simulated = result
-            one.cost = self.cost(one, result, one.q)
+            self.take(one, result)
+
+    def take(self, estimate: Estimate, simulated: dict[int, Vector]) -> None:
+        """Sets what was simulated at the estimate, and its cost."""
+        estimate.simulated, estimate.cost = simulated, self.cost(estimate, simulated, estimate.q)
 
     def rescore(self, estimates: Sequence[Estimate]) -> None:
         """Sets `cost` anew, for another noise."""

@@ -124,10 +124,11 @@ def differentiate(
     for n, estimate in enumerate(estimates):
         wanted = range(len(estimate.unknowns)) if only is None else only[n]
         moves.append([(j, _move(estimate, j, size)) for j in wanted])
-    requests = [p.request(p.q + move) for p, own in zip(estimates, moves, strict=True) for _, move in own]
+    requests = [r for p, own in zip(estimates, moves, strict=True) for r in p.beside(m for _, m in own)]
     results = iter(fit.rig.predict(requests))
     found = []
     for estimate, own in zip(estimates, moves, strict=True):
+        fit.take(estimate, next(results))
         best = (np.inf, estimate.q, estimate.simulated)
         low, high = estimate.bounds
         for channel in fit.channels_of(estimate):

@@ -39,7 +39,7 @@ def settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
 
 
 def settle_finally(fit: Fit, estimates: Sequence[Estimate]) -> None:
-    """Improves estimates that have settled with another substep, in place, and sets their `columns` on the scale of their
+    """Improves estimates that have settled with a looser tolerance, in place, and sets their `columns` on the scale of their
     standard deviations. The way is mostly short, and the derivatives that they bring along show it."""
 
     def turn(live: Sequence[Estimate]) -> None:
@@ -71,9 +71,10 @@ def _ready(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
 def _secants(fit: Fit, estimates: Sequence[Estimate], reach: float) -> None:
     """Sets the derivatives of every estimate by secants along its principal axes, and moves it to the best point on them."""
     moves = [moves_along_axes(p, fit.normal_equations(p)[0], reach) for p in estimates]
-    requests = [p.request(p.q + move) for p, (_, own) in zip(estimates, moves, strict=True) for move in own]
+    requests = [r for p, (_, own) in zip(estimates, moves, strict=True) for r in p.beside(own)]
     results = iter(fit.rig.predict(requests))
     for p, (axes, own) in zip(estimates, moves, strict=True):
+        fit.take(p, next(results))
         found = [next(results) for _ in own]
         costs = [fit.cost(p, r, p.q + move) for r, move in zip(found, own, strict=True)]
         good = np.flatnonzero(np.isfinite(costs))

@@ -45,10 +45,12 @@ LEVEL_FREE = ("mean_line_pressure",)
 @dataclass(frozen=True)
 class Request:
     """One simulation that is wanted: parameter values of `channel` (0, 1), or of the whole rig (None: pairs). In a pair, NaN is
-    the value of the model as given."""
+    the value of the model as given. `like`: another one with the same names, whose steps it takes; so their difference is that
+    of the parameters, without that of the steps' errors."""
 
     channel: int | None
     values: Mapping[str, float | tuple[float, float]]
+    like: Request | None = None
 
     @cached_property
     def effects(self) -> frozenset[str]:

@@ -4,39 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
-from heapq import heapreplace
 from math import exp, gcd, isnan, sqrt
 from typing import Any
 
 import numpy as np
 
-from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, Plant, PlantModel
+from ...plant import CATALOGUE, PARAMETERS, Parameter, Plant, PlantModel
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY
+from ...units import RPM
 from ..input.parts import Part
 from .base import Request, Segments, given_parameters, measured_segments, view
 
 __all__ = ["DynamicRig"]
 
-#: Longest substep of the fit and of the proof, s. With 250 us the speeds of the presets are off by less than 0.4 rpm, under
-#: steps and commands of full range (a test).
-SUBSTEP, PROOF_SUBSTEP = 250e-6, 100e-6
-#: Where an effect has every substep taken in parts, the substep is the longest of which these are at most so long in the fit and
-#: in the proof, and never longer than the last number, s. Preloaded springs are 0.02 rpm off in the fit in a log of 12 s, at most
-#: 0.13. The proof takes 200 us for them and 400 us for a backlash, which is below 0.01 rpm in 3 s (a test); a shaft that rattles
-#: for longer ends rpm away with any substep.
-PARTED_SUBSTEP, PARTED_PROOF, LONGEST_SUBSTEP = 100e-6, 20e-6, 1e-3
-#: Numbers of the fit and of the proof. Single precision moves a speed by less than the fit's substep does, and by more than the
-#: proof's does.
+#: Tolerances of the fit and of the proof, rad/s: speeds are off by about 0.03 and 0.003 rpm (RMS; their noise is about 1 rpm).
+#: With more in the fit its costs become rough: it takes more simulations than it saves time for.
+TOLERANCE, PROOF_TOLERANCE = 0.1 * RPM, 0.03 * RPM
+#: Numbers of the fit and of the proof. Single precision takes half the time.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
-#: By numbers: how many rigs go through the kernel together, and how long that takes. Wider blocks take as long as several.
-BLOCKS: dict[type[np.floating[Any]], dict[int, float]] = {
-    np.float32: {4: 0.7, 8: 1.0},
-    np.float64: {4: 1.0},
-}
-#: What an effect that is compiled in adds to the time of a kernel without any.
-EFFECT_SHARE = 0.06
+#: Rigs that go through the kernel together: wider is a little quicker, and every width has kernels of its own to compile.
+BLOCK = 8
 #: Time in which a speed that follows the measured one comes near it, s: shorter than a blow of a coupling takes to come back.
 FOLLOW_S = 3e-3
 #: Bytes of inputs of batches that are kept, about. Those of eight lanes of 12 s at 1 kHz take 3 MB.
@@ -55,28 +44,27 @@ _RECORDED = {
 
 @dataclass(frozen=True)
 class _Batch:
-    """Lanes that go through a kernel together: its effects, the substep and the period of the logs, s, the block, and how long
-    each unit of `BLOCKS` takes. A lane is a rig that runs through a log: the number of the log, and one request number for each
-    side of the rig, or one for both."""
+    """Lanes that go through a kernel together: its effects, the period of the logs, s, and whether all take the steps of the
+    first. A lane is a rig that runs through a log: the number of the log, and one request number for each side of the rig, or
+    one for both."""
 
     effects: tuple[str, ...]
-    step: float
     period: float
     lanes: list[tuple[int, list[int]]]
-    block: int
-    weight: float
+    grouped: bool = False
 
 
 class DynamicRig:
     """See `base.RigModel`. `progress` is called with the number of rig simulations done."""
 
     def __init__(
-        self, model: PlantModel, parts: list[Part], *, every_row: bool = False, substep: float = SUBSTEP,
+        self, model: PlantModel, parts: list[Part], *, every_row: bool = False, tolerance: float = TOLERANCE,
         dtype: type[np.floating[Any]] = DTYPE, jobs: int = 1, progress: Callable[[int], None] | None = None,
         without: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
         self.without, self.dtype = without, dtype
-        self.model, self.parts, self.substep, self.jobs, self.progress = model, parts, substep, jobs, progress
+        self.model, self.parts, self.tolerance = model, parts, tolerance
+        self.jobs, self.progress = jobs, progress
         self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
         self.segments: dict[int, Segments] = measured_segments(
             parts, self.channels, tuple(_RECORDED), every_row
@@ -90,12 +78,12 @@ class DynamicRig:
         for number in sorted(range(len(parts)), key=lambda n: -len(parts[n].log)):
             self._logs.setdefault(parts[number].log.period / parts[number].finer, []).append(number)
         self._pairs: dict[str, np.ndarray] = {}
-        rows, most = max(len(part.log) * part.finer for part in parts), max(BLOCKS[dtype])
+        rows = max(len(part.log) * part.finer for part in parts)
         # The same lanes are asked for again and again, by several threads.
-        self._inputs = lru_cache(MOST_INPUTS // (32 * rows * most))(partial(_inputs, tuple(parts)))
-        #: A plant of the model for each effects, substep, number of rigs and block, of which every batch takes a copy: to make
-        #: one takes longer than to copy it.
-        self._plants: dict[tuple[tuple[str, ...], float, int, int], Plant] = {}
+        self._inputs = lru_cache(MOST_INPUTS // (32 * rows * BLOCK))(partial(_inputs, tuple(parts)))
+        #: A plant of the model for each effects, number of rigs and way of stepping, of which every batch takes a copy: to
+        #: make one takes longer than to copy it.
+        self._plants: dict[tuple[tuple[str, ...], int, bool], Plant] = {}
         self.every_row = every_row
         # The plant's kernel lets other threads of this process run beside it.
         self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
@@ -123,7 +111,7 @@ class DynamicRig:
             self.model,
             parts,
             every_row=every_row,
-            substep=PROOF_SUBSTEP,
+            tolerance=PROOF_TOLERANCE,
             dtype=PROOF_DTYPE,
             jobs=self.jobs,
             progress=self.progress,
@@ -167,18 +155,22 @@ class DynamicRig:
     # --- simulation -----------------------------------------------------------------------------------------------------
     def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
         # Where nothing ties the channels together, a rig is two single channels, of which many are asked for again and again.
-        wanted: dict[tuple[object, ...], int] = {}
+        numbers: dict[tuple[object, ...], int] = {}
         single: list[Request] = []
-        sides: list[list[tuple[int, int]]] = []
-        for request in requests:
-            own = []
-            for part in self._apart(request):
-                number = wanted.setdefault((part.channel, *sorted(part.values.items())), len(single))
-                if number == len(single):
-                    single.append(part)
-                own += [(number, c) for c in self._seen(part)]
-            sides.append(own)
-        found = self._predict(single)
+        first: list[int] = []  # whose steps each one takes
+
+        def number(part: Request) -> int:
+            like = None if part.like is None else number(part.like)
+            if like is not None and part.values == single[like].values:
+                return like
+            found = numbers.setdefault((like, part.channel, *sorted(part.values.items())), len(single))
+            if found == len(single):
+                single.append(part)
+                first.append(found if like is None else like)
+            return found
+
+        sides = [[(number(p), c) for p in self._apart(r) for c in self._seen(p)] for r in requests]
+        found = self._predict(single, first)
         return [{c: found[number][c] for number, c in own} for own in sides]
 
     def _apart(self, request: Request) -> list[Request]:
@@ -190,39 +182,65 @@ class DynamicRig:
         ):
             return [request]
         pairs = {name: np.broadcast_to(value, 2).tolist() for name, value in request.values.items()}
-        return [
-            Request(c, {name: pair[c] for name, pair in pairs.items() if not isnan(pair[c])})
-            for c in self.channels
-        ]
+        own = [{name: pair[c] for name, pair in pairs.items() if not isnan(pair[c])} for c in self.channels]
+        like: Sequence[Request | None] = (
+            [None] * len(own) if request.like is None else self._apart(request.like)
+        )
+        return [Request(c, v, one) for c, v, one in zip(self.channels, own, like, strict=True)]
 
-    def _predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
+    def _predict(self, requests: Sequence[Request], first: Sequence[int]) -> list[dict[int, np.ndarray]]:
         results = [{c: np.empty(self.segments[c][-1].place.stop) for c in self._seen(r)} for r in requests]
-        by_kernel: dict[tuple[tuple[str, ...], int, float], list[int]] = {}
-        for number, request in enumerate(requests):
-            # Rigs are simulated in step: one that takes its substeps in parts holds up those beside it.
-            parts = max((_parts(CATALOGUE[e]) for e in request.effects), default=1)
-            key = (self.kernel(request.effects), parts, self._step(request))
-            by_kernel.setdefault(key, []).append(number)
-        batches: list[_Batch] = []
-        widths = BLOCKS[self.dtype]
-        for (effects, parts, step), numbers in by_kernel.items():
+        families: dict[int, list[int]] = {}
+        for n, leader in enumerate(first):
+            families.setdefault(leader, []).extend([n] if n != leader else [])
+
+        def run(batches: Sequence[_Batch]) -> set[int]:
+            work = partial(self._run, requests=requests, results=results)
+            lost = map(work, batches) if self._pool is None else self._pool.map(work, batches)
+            return {n for each in lost for n in each if first[n] != n}
+
+        # A request's result does not depend on who simulates it or beside what; every one has its place in `results`.
+        lost = run([*self._free(requests, families), *self._groups(requests, families)])
+        # What cannot be followed in the steps of another one takes its own.
+        run(self._free(requests, {n: [] for n in sorted(lost)}))
+        return results
+
+    def _free(self, requests: Sequence[Request], families: Mapping[int, list[int]]) -> list[_Batch]:
+        """Batches of those that take steps of their own and that no other one follows."""
+        by_kernel: dict[tuple[str, ...], list[int]] = {}
+        for n, others in families.items():
+            if not others:
+                by_kernel.setdefault(self.kernel(requests[n].effects), []).append(n)
+        batches = []
+        for effects, numbers in by_kernel.items():
             rigs = self._pack([(n, requests[n]) for n in numbers])
             for period, logs in self._logs.items():
                 lanes = [(log, rig) for log in logs for rig in rigs]
-                rows = max(len(self.parts[log].log) * self.parts[log].finer for log in logs)
-                weight = rows * period / step * parts * (1.0 + EFFECT_SHARE * len(effects))
-                for start in range(0, len(lanes), max(widths)):
-                    own = lanes[start : start + max(widths)]
-                    batches.append(_Batch(effects, step, period, own, _block(len(own), widths), weight))
+                batches += [
+                    _Batch(effects, period, lanes[n : n + BLOCK]) for n in range(0, len(lanes), BLOCK)
+                ]
+        return batches
 
-        def work(batch: _Batch) -> None:
-            self._run(batch, requests, results)
-
-        # A request's result does not depend on who simulates it or beside what; every one has its place in `results`.
-        batches = _shared_out(batches, widths, self.jobs)
-        for _ in map(work, batches) if self._pool is None else self._pool.map(work, batches):
-            pass
-        return results
+    def _groups(self, requests: Sequence[Request], families: Mapping[int, list[int]]) -> list[_Batch]:
+        """Batches of those that take the steps of another one, which is the first of each. A side of a block is all of one."""
+        sides: dict[tuple[tuple[str, ...], bool], list[list[int]]] = {}
+        for leader, others in families.items():
+            effects = self.kernel(frozenset().union(*(requests[n].effects for n in (leader, *others))))
+            for n in range(0, len(others), BLOCK - 1):
+                own = [leader, *others[n : n + BLOCK - 1]]
+                sides.setdefault((effects, self._whole(requests[leader])), []).append(own)
+        batches = []
+        for (effects, whole), every in sides.items():
+            step = 1 if whole else 2
+            for both in (every[n : n + step] for n in range(0, len(every), step)):
+                # The shorter side has the one whose steps it takes again.
+                rigs = [[own[n if n < len(own) else 0] for own in both] for n in range(max(map(len, both)))]
+                batches += [
+                    _Batch(effects, period, [(log, rig) for rig in rigs], grouped=True)
+                    for period, logs in self._logs.items()
+                    for log in logs
+                ]
+        return batches
 
     def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
         """The effects to compile in; what is neutral changes no bit, but costs time.
@@ -239,17 +257,6 @@ class DynamicRig:
 
     def _of_few(self, effects: Collection[str]) -> bool:
         return self.own_kernels or any(CATALOGUE[n].family == FAMILY for n in effects)
-
-    def _step(self, request: Request) -> float:
-        """The substep of a request, which does not depend on what is simulated beside it."""
-        part = {SUBSTEP: PARTED_SUBSTEP, PROOF_SUBSTEP: PARTED_PROOF}.get(self.substep)
-        if part is None or (self.coupled and request.channel is not None):
-            return self.substep
-        parts = [
-            e.corner_parts for e in map(CATALOGUE.__getitem__, request.effects) if _all_parted(e, request)
-        ]
-        longest = min(max(parts, default=0) * part, LONGEST_SUBSTEP, self.period)
-        return max(longest, self.substep)
 
     def close(self) -> None:
         """Ends the threads, if there are any."""
@@ -274,8 +281,10 @@ class DynamicRig:
         """Whether a request takes both sides of a rig."""
         return request.channel is None or self.coupled
 
-    def _run(self, batch: _Batch, requests: Sequence[Request], results: list[dict[int, np.ndarray]]) -> None:
-        """Simulates the lanes of a batch and puts what they show into `results`, by request."""
+    def _run(
+        self, batch: _Batch, requests: Sequence[Request], results: list[dict[int, np.ndarray]]
+    ) -> list[int]:
+        """Simulates the lanes of a batch and puts what they show into `results`, by request; which of these diverged."""
         names = {name for _, rig in batch.lanes for n in rig for name in requests[n].values}
         # Which channel each side of each lane plays.
         plays = np.tile([0, 1], (len(batch.lanes), 1))
@@ -293,9 +302,12 @@ class DynamicRig:
                 request = requests[n]
                 own = slice(None) if request.channel is None else request.channel if self.coupled else side
                 for name, value in request.values.items():
-                    values[name][lane, own] = np.where(np.isnan(value), values[name][lane, own], value)
+                    pair = request.channel is None
+                    values[name][lane, own] = (
+                        np.where(np.isnan(value), values[name][lane], value) if pair else value
+                    )
                 shown += [(lane, c if self._whole(request) else side, n, c) for c in self._seen(request)]
-        every, out = self._simulate(batch, values, plays)
+        every, out, diverged = self._simulate(batch, values, plays)
         for lane, side, n, channel in shown:
             for segment in self.segments[channel]:
                 if segment.log == batch.lanes[lane][0]:
@@ -303,6 +315,7 @@ class DynamicRig:
                     results[n][channel][segment.place] = segment.levelled(signal)
         if self.progress is not None:
             self.progress(len({n for lane, _, n, _ in shown if batch.lanes[lane][0] == 0}))
+        return [n for lane, side, n, _ in shown if diverged[lane, side]]
 
     def _pair(self, name: str) -> np.ndarray:
         """The values (2,) of a parameter in the model as given."""
@@ -315,9 +328,9 @@ class DynamicRig:
 
     def _simulate(
         self, batch: _Batch, values: dict[str, np.ndarray], plays: np.ndarray
-    ) -> tuple[int, dict[str, np.ndarray]]:
-        """`plays` (lanes, 2): the channel whose command and load each side has. Returns each how many-th row is there, and the
-        signals (rows, lanes, 2)."""
+    ) -> tuple[int, dict[str, np.ndarray], np.ndarray]:
+        """`plays` (lanes, 2): the channel whose command and load each side has. Returns each how many-th row is there, the
+        signals (rows, lanes, 2), and what diverged (lanes, 2)."""
         lanes = tuple(
             (log, len(self.parts[log].log) * self.parts[log].finer, *sides)
             for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True)
@@ -332,8 +345,10 @@ class DynamicRig:
             plant.reset()
             signals = [_RECORDED[s] for s in self.signals]
             if self.followed.intersection(plays.flat):
-                return 1, self._follow(plant, inputs, lanes, batch.period)
-            return every, plant.run(inputs[0], inputs[1], batch.period, signals, every)
+                every, out = 1, self._follow(plant, inputs, lanes, batch.period)
+            else:
+                out = plant.run(inputs[0], inputs[1], batch.period, signals, every)
+            return every, out, plant.get("diverged") > 0.0
 
     def _follow(
         self, plant: Plant, inputs: np.ndarray, lanes: Sequence[tuple[int, int, int, int]], period: float
@@ -362,15 +377,16 @@ class DynamicRig:
         return dict(zip(signals, out, strict=True))
 
     def _plant(self, batch: _Batch) -> Plant:
-        key = batch.effects, batch.step, len(batch.lanes), batch.block
+        key = batch.effects, len(batch.lanes), batch.grouped
         if key not in self._plants:
             self._plants[key] = Plant(
                 self.model,
-                key[2],
+                len(batch.lanes),
                 effects=batch.effects,
-                substep=batch.step,
+                tolerance=self.tolerance,
                 dtype=self.dtype,
-                block=batch.block,
+                block=BLOCK,
+                grouped=batch.grouped,
             )
         return self._plants[key].copy()
 
@@ -391,52 +407,3 @@ def _inputs(parts: Sequence[Part], lanes: Sequence[tuple[int, int, int, int]]) -
         if part.log.load is not None:
             found[1, :rows, alike] = np.nan_to_num(part.log.load[:rows, sides])
     return found
-
-
-def _block(count: int, widths: Mapping[int, float]) -> int:
-    """The block for so many rigs."""
-    return min(width for width in widths if width >= count)
-
-
-def _shared_out(batches: Sequence[_Batch], widths: Mapping[int, float], jobs: int) -> list[_Batch]:
-    """The batches, the longest first, cut as far as `jobs` threads are then done earlier."""
-
-    def time(batch: _Batch) -> float:
-        return batch.weight * widths[batch.block]
-
-    def done(ordered: Sequence[_Batch]) -> float:
-        ends = [0.0] * jobs
-        for batch in ordered:
-            heapreplace(ends, ends[0] + time(batch))
-        return max(ends)
-
-    ordered = sorted(batches, key=time, reverse=True)
-    while True:
-        long = next((b for b in ordered if b.block > min(widths)), None)
-        if long is None:
-            return ordered
-        middle = (len(long.lanes) + 1) // 2
-        halves = [
-            replace(long, lanes=lanes, block=_block(len(lanes), widths))
-            for lanes in (long.lanes[:middle], long.lanes[middle:])
-        ]
-        finer = sorted([*(b for b in ordered if b is not long), *halves], key=time, reverse=True)
-        if done(finer) >= done(ordered):
-            return ordered
-        ordered = finer
-
-
-def _parts(effect: Effect) -> int:
-    return effect.corner_parts if effect.corner is not None else 1
-
-
-def _all_parted(effect: Effect, request: Request) -> bool:
-    """Whether the effect has every substep taken in parts, wherever the rig is and on all of its channels."""
-    if effect.corner is None:
-        return False
-    own = {p.name: request.values.get(f"{effect.name}.{p.name}", p.nominal) for p in effect.parameters}
-    sides = (
-        dict(zip(own, side, strict=True))
-        for side in zip(*(np.broadcast_to(v, 2) for v in own.values()), strict=True)
-    )
-    return all(effect.parts_every_step(side) for side in sides)

@@ -92,7 +92,7 @@ class SteadyValve:
     def written(self, values: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
         """The values as those of a rig with the model's own displacement: its flow gain gives the axis' speeds, in rad/s for m/s.
 
-        The area of a piston would make a shaft whose ring against its line no substep follows."""
+        The area of a piston would make a shaft that rings against its line far too fast."""
         gains = values.get("Kq", self.model.pair("Kq"))
         shares = (self.model.value("D", c) / d if (d := self.displacement.get(c)) else 1.0 for c in (0, 1))
         one, two = (gain * share for gain, share in zip(gains, shares, strict=True))
@@ -216,27 +216,27 @@ def _state(effect: str, known: dict[str, Any], period: float) -> np.ndarray:
     """The memory of an effect that is driven by the current, by implicit steps from row to row; (lanes, T)."""
     described = CATALOGUE[effect]
     state = described.states[0]
-    assert state.decay is not None
     current = known["current"]
     width = max(
         np.shape(v)[0]
         for v in (current, *(v for n, v in known.items() if n.startswith(f"{effect}.")))
         if np.ndim(v)
     )
-    rate_of, decay_of = elementwise(state.rate), elementwise(state.decay)
+    rate_of, further = elementwise(state.rate), 0.01 * state.scale
     changes = np.diff(current, axis=1, prepend=current[:, :1]) / period
     out = np.zeros((width, current.shape[1]))
     loop = np.zeros(width)
-    rate_names, decay_names = (list(inspect.signature(f).parameters) for f in (state.rate, state.decay))
+    names = list(inspect.signature(state.rate).parameters)
     own = {
         n: np.broadcast_to(argument(described, n, known), (width, 1))[:, 0]
-        for n in {*rate_names, *decay_names} - {state.name, "current_rate"}
+        for n in {*names} - {state.name, "current_rate"}
     }
     for row in range(current.shape[1]):
         inputs = {**own, state.name: loop, "current_rate": np.broadcast_to(changes[:, row], (width,))}
-        decay = decay_of(*(inputs[n] for n in decay_names))
-        loop = (loop + period * (rate_of(*(inputs[n] for n in rate_names)) + decay * loop)) / (
-            1.0 + period * decay
+        rate, beside = (
+            rate_of(*({**inputs, state.name: at}[n] for n in names)) for at in (loop, loop + further)
         )
+        decay = (rate - beside) / further
+        loop = (loop + period * (rate + decay * loop)) / (1.0 + period * decay)
         out[:, row] = loop
     return out

@@ -110,8 +110,8 @@ def screen(
     """Screens every effect on every channel, beside the present `estimates`, best first.
 
     On channels that have `settled`, where nothing is left to explain, only the medium size is simulated, which says what would
-    be seen. Effects of the whole rig are screened on both channels together. Effects that are slow to simulate are screened
-    only in the size that did best in an `earlier` screening, if there is one.
+    be seen. Effects of the whole rig are screened on both channels together. What did best in an `earlier`
+    screening, if there is one, is tried again.
     """
     wanted: list[tuple[str, int | None, dict[str, float], bool]] = []
     for name in effects:
@@ -123,8 +123,8 @@ def screen(
             starts = effect_starts(effect, seconds)
             if channel in settled:
                 starts = [start for start in starts if _is_medium(effect, start)] or starts
-            slow = effect.corner is not None and known
-            wanted += [(name, channel, s, _is_medium(effect, s)) for s in (known if slow else starts)]
+            starts = [*starts, *(start for start in known if start not in starts)]
+            wanted += [(name, channel, s, _is_medium(effect, s)) for s in starts]
     requests = [_request(estimates, name, c, start) for name, c, start, _ in wanted]
     results = fit.rig.predict(requests)
     left = {c: _Projector(fit, p, c, _deviations(fit, p, c)) for c, p in estimates.items()}

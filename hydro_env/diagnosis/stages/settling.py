@@ -9,7 +9,7 @@ __all__ = ["run"]
 
 
 def run(state: State) -> State:
-    """Settles the estimates that are reported: by the fit's substeps, which cost a third, then from there by the proof's.
+    """Settles the estimates that are reported: with the fit's tolerance, which costs less, then from there with the proof's.
 
     An estimate that stops a little early is far from the truth in what the logs know by ratios only, measured by its interval.
     What is far from the noise is left as it is: something is missing there, and its minimum is not where the truth is.

@@ -20,6 +20,7 @@ from hydro_env.export.plant_source import PlantSource, plant_source
 from hydro_env.export.translate import identifier
 from hydro_env.files import write_json
 from hydro_env.plant import PlantModel
+from hydro_env.units import RPM
 
 from .description import COMMAND_REFERENCE, FIRST_REFERENCE, LOAD_REFERENCE, TIME_REFERENCE, model_description
 
@@ -34,7 +35,7 @@ _MODEL_HEADER = """\
 #define COMMAND_REFERENCE {command}u
 #define LOAD_REFERENCE {load}u
 #define FIRST_REFERENCE {first}u
-#define STEP_REFUSED "the communication step must be positive{least}"
+#define STEP_REFUSED "the communication step must be positive{most}"
 #endif
 """
 _BUILD = """\
@@ -95,7 +96,7 @@ def export_fmu(model: PlantModel, folder: Path, versions: tuple[int, ...] = (2, 
         "schema": "hydro_env/export/1",
         "kind": "fmu",
         "model": model.to_dict(),
-        "substep_s": source.model.substep / source.model.finer,
+        "tolerance_rpm": source.model.tolerance / RPM,
         "files": about,
     }
     write_json(folder / "export.json", data)
@@ -107,13 +108,11 @@ def _write(
 ) -> bool:
     """Writes one FMU; whether there is a binary in it."""
     wrapper = (HERE / f"fmi{version}.c").read_text(encoding="utf-8")
-    least = (
-        ", and no shorter than a substep of the model, since commands are delayed" if source.has_delay else ""
-    )
+    most = f", and at most {source.most_sent} changes of command under way" if source.most_sent else ""
     digest = hashlib.sha256("\n".join([source.header, source.body, wrapper, identifier]).encode()).digest()
     token = f"{{{uuid.UUID(bytes=digest[:16])}}}"
     model_header = _MODEL_HEADER.format(
-        token=token, time=TIME_REFERENCE, command=COMMAND_REFERENCE, load=LOAD_REFERENCE, first=FIRST_REFERENCE, least=least,
+        token=token, time=TIME_REFERENCE, command=COMMAND_REFERENCE, load=LOAD_REFERENCE, first=FIRST_REFERENCE, most=most,
     )  # fmt: skip
     content: dict[str, bytes] = {
         "modelDescription.xml": model_description(

@@ -95,8 +95,7 @@ def model_description(source: PlantSource, version: int, identifier: str, token:
     )  # fmt: skip
     root.set("guid" if version == 2 else "instantiationToken", token)
     able = {
-        # a line that delays commands has slots of a substep, whose length goes by the communication step
-        "canHandleVariableCommunicationStepSize": "false" if source.has_delay else "true",
+        "canHandleVariableCommunicationStepSize": "true",
         "canSerializeFMUstate" if version == 2 else "canSerializeFMUState": "true",
     }
     able["canGetAndSetFMUstate" if version == 2 else "canGetAndSetFMUState"] = "true"

@@ -49,7 +49,7 @@ COIL_HEATING = Effect(
         ),
     ),
     laws={"resistance": _heating_resistance},
-    states=(State("heat", _heating_rate),),
+    states=(State("heat", _heating_rate, scale=0.1),),
 )
 
 

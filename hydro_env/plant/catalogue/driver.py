@@ -52,11 +52,6 @@ def _follower_rate(follower, command, width):
     return (gap - clip(gap, -0.5 * width, 0.5 * width)) / 1e-4
 
 
-def _follower_decay(follower, command, width):
-    gap = command - follower
-    return (1.0 if gap > 0.5 * width or gap < -0.5 * width else 0.0) / 1e-4
-
-
 INPUT_HYSTERESIS = Effect(
     name="input_hysteresis",
     port="driver",
@@ -77,7 +72,7 @@ INPUT_HYSTERESIS = Effect(
         ),
     ),
     laws={"voltage": _played},
-    states=(State("follower", _follower_rate, _follower_decay),),
+    states=(State("follower", _follower_rate),),
     indistinguishable_from=("magnetic_hysteresis", "spool_stiction"),
     separated_by={
         "magnetic_hysteresis": "record the current: with play before the coil it does not move either",

@@ -10,8 +10,8 @@ parameters of `rates`, and `other_flow`, the valve flow of the rig's other chann
 *exactly* unchanged when the parameters are neutral. It may use +, -, *, /, comparisons, conditional expressions, `abs`
 and the functions of `vector_math`.
 
-A *state* is memory of an effect: a rate (law of the same kind) and, where it is fast, its decay rate -d(rate)/d(state),
-which the implicit integrator then uses. Several states may share their laws, each with arguments of its own (`given`).
+A *state* is memory of an effect: a rate (law of the same kind) and a `scale`, by which the error of its steps is judged. Several
+states may share their laws, each with arguments of its own (`given`).
 
 Several effects may have laws and states in common (`Effect.shares`), as a leak and a check valve have the mean pressure of
 the lines that they drain and fill.
@@ -56,7 +56,12 @@ def arguments(law: Callable[..., Any]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class State:
-    """Memory of an effect: `rate` is d(state)/dt, `decay` its own stiffness -d(rate)/d(state) in 1/s, or None.
+    """Memory of an effect: `rate` is d(state)/dt. The integrator finds its slopes by differences; `decay`, -d(rate)/d(state) in
+    1/s, is for a rate whose slope has no bound.
+
+    `scale` is a change of the state that moves the shaft by some 10 rad/s, or by less where it is long remembered: the integrator
+    lets a step err by about a thousandth of it. A state whose scale is too large is simulated less exactly than the rest, one
+    whose scale is too small costs steps.
 
     `given` says what arguments of the two are here, where several states share them: the name of what is looked up instead,
     or a number.
@@ -65,6 +70,7 @@ class State:
     name: str
     rate: Callable[..., float]
     decay: Callable[..., float] | None = None
+    scale: float = 1.0
     given: Mapping[str, str | float] = field(default_factory=dict)
 
 
@@ -81,14 +87,6 @@ class Effect:
     What it does, beside laws and states: `adds_to` names base parameters of the channel that one of the effect's parameters
     is simply added to, `limits` those that one of them is an upper limit of. `delays_command` names a parameter (s) by which
     the command is late; the delay line itself lives in the kernel, which hands `rates` the delayed command.
-    `corner` says, by a law that may also ask for `substep` (s), whether a channel is about to pass a bend of the effect that
-    is too sharp for a whole substep, or wants short ones everywhere; it then takes the substep in
-    `corner_parts` parts. It must be false when the effect is neutral. It may also ask for `line_travel`: as much pressure (Pa) as
-    the flows of valve and motor could move the line by within the substep, if one of them acted alone and nothing leaked.
-    `least_parts` says, from the substep and from parameters, how many parts a stiff one wants there: where that is more
-    than `corner_parts`, these are taken in 4 or 16 again, and a model that wants still more is refused. It grows in
-    proportion to the effect's `conductance`.
-
     `shares` is what several effects have in common: an effect in no catalogue, or for a correction of form the one that it
     corrects, which acts once and just before the first of them where any is compiled in. Its states and
     parameters are also theirs: a state of theirs with the name of one of its states adds to that state's rate, and its parameters
@@ -110,9 +108,6 @@ class Effect:
     states: tuple[State, ...] = ()
     adds_to: Mapping[str, str] = field(default_factory=dict)
     limits: Mapping[str, str] = field(default_factory=dict)
-    corner: Callable[..., bool] | None = None
-    corner_parts: int = 5
-    least_parts: Callable[..., float] | None = None
     scope: str = "channel"
     indistinguishable_from: tuple[str, ...] = ()
     family: str = ""
@@ -175,22 +170,8 @@ class Effect:
     def is_cheap(self) -> bool:
         """Whether the effect costs next to nothing where it is compiled in but neutral."""
         called = {name for law in self.laws.values() for name in law.__code__.co_names}
-        asked = set() if self.corner is None else {*arguments(self.corner)}
-        bends = not asked <= {"substep", *PARAMETERS, *(p.name for p in self.parameters)}
-        costly = bends or self.delays_command or len(self.states) > 1 or called & TRANSCENDENTAL
+        costly = self.delays_command or len(self.states) > 1 or called & TRANSCENDENTAL
         return self.scope == "channel" and not costly
-
-    def parts_every_step(self, values: Mapping[str, float]) -> bool:
-        """Whether a channel with these parameter values takes every substep in parts, wherever it is.
-
-        That is so if `corner` asks for parameters only and is true for these.
-        """
-        if self.corner is None:
-            return False
-        names = arguments(self.corner)
-        return {*names} <= {p.name for p in self.parameters} and bool(
-            self.corner(*(values[n] for n in names))
-        )
 
 
 #: All effects by name, in the order in which they act.

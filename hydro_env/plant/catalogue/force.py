@@ -22,11 +22,6 @@ def _loop_rate(loop, current_rate, amplitude, width, alpha):
     return (current_rate - abs(current_rate) * loop) / (width if width > least else least)
 
 
-def _loop_decay(current_rate, amplitude, width, alpha):
-    least = 2.0 * amplitude / alpha
-    return abs(current_rate) / (width if width > least else least)
-
-
 MAGNETIC_HYSTERESIS = Effect(
     name="magnetic_hysteresis",
     port="force",
@@ -58,7 +53,7 @@ MAGNETIC_HYSTERESIS = Effect(
         ),
     ),
     laws={"force": _hysteresis_force},
-    states=(State("loop", _loop_rate, _loop_decay),),
+    states=(State("loop", _loop_rate, scale=0.1),),
     indistinguishable_from=("spool_stiction", "input_hysteresis"),
     separated_by={
         "spool_stiction": (
@@ -112,11 +107,6 @@ def _preload_force(force, spool, preload):
     return force - preload * tanh(spool * 5e4)
 
 
-def _preload_corner(preload):
-    # Everywhere: a preloaded spool that is pushed over its centre magnifies errors made long before.
-    return preload > 0.0
-
-
 SPRING_PRELOAD = Effect(
     name="spring_preload",
     port="force",
@@ -138,8 +128,6 @@ SPRING_PRELOAD = Effect(
         ),
     ),
     laws={"force": _preload_force},
-    corner=_preload_corner,
-    corner_parts=10,
     indistinguishable_from=("dead_zone",),
 )
 

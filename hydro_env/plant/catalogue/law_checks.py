@@ -62,10 +62,6 @@ def _laws(effect: Effect) -> Iterator[tuple[str, Callable[..., Any], set[str]]]:
         yield f"the rate of state {state.name!r}", state.rate, everything | state.given.keys()
         if state.decay is not None:
             yield f"the decay of state {state.name!r}", state.decay, everything | state.given.keys()
-    if effect.corner is not None:
-        yield "the corner", effect.corner, everything | {"substep", "line_travel"}
-    if effect.least_parts is not None:
-        yield "the number of parts", effect.least_parts, {*effect.names, *PARAMETERS, "substep"}
 
 
 @cache

@@ -17,12 +17,6 @@ def _entrained_air(bulk_modulus, pressure, fraction):
     return bulk_modulus / (1.0 + fraction * bulk_modulus * 101325.0 / (absolute * absolute))
 
 
-def _entrained_air_corner(pressure, line_travel, fraction):
-    # The fluid is soft within some bar of zero only, which a hard-driven line crosses in a tenth of a millisecond. 4 bar will
-    # do for a line that moves no further in a part.
-    return fraction > 0.0 and abs(pressure) < (line_travel if line_travel > 20e5 else 4e5)
-
-
 ENTRAINED_AIR = Effect(
     name="entrained_air",
     port="line",
@@ -43,7 +37,6 @@ ENTRAINED_AIR = Effect(
         ),
     ),
     laws={"bulk_modulus": _entrained_air},
-    corner=_entrained_air_corner,
 )
 
 
@@ -109,28 +102,6 @@ def _lift_rate(lift, pressure, way, relief_pressure, hysteresis, time_constant):
     return moves * (held - lift) / (time_constant if time_constant > 1e-4 else 1e-4)
 
 
-def _lift_decay(lift, pressure, way, relief_pressure, hysteresis, time_constant):
-    low = way * pressure - relief_pressure * (1.0 + 0.5 * hysteresis)
-    high = way * pressure - relief_pressure * (1.0 - 0.5 * hysteresis)
-    moves = 1.0 if lift < low or lift > (high if high > 0.0 else 0.0) else 0.0
-    return moves / (time_constant if time_constant > 1e-4 else 1e-4)
-
-
-def _crossport_relief_corner(
-    pressure, lift, lift_back, line_travel, relief_pressure, hysteresis, time_constant
-):  # fmt: skip
-    # About to open or to close, or open with a lag of its own. 4 bar will do for a line that moves no further in a part.
-    size = abs(pressure)
-    half = 0.5 * hysteresis
-    margin = line_travel if line_travel > 20e5 else 4e5
-    near = size > relief_pressure * (1.0 - half) - margin and size < relief_pressure * (1.0 + half) + margin
-    return near or (time_constant > 0.0 and lift + lift_back > 0.0)
-
-
-def _relief_parts(substep, beta, V, conductance):
-    return substep * beta / V * conductance / 2.0
-
-
 CROSSPORT_RELIEF = Effect(
     name="crossport_relief",
     port="line",
@@ -183,11 +154,9 @@ CROSSPORT_RELIEF = Effect(
     ),
     laws={"leakage": _crossport_relief},
     states=(
-        State("lift", _lift_rate, _lift_decay, {"way": 1.0}),
-        State("lift_back", _lift_rate, _lift_decay, {"lift": "lift_back", "way": -1.0}),
+        State("lift", _lift_rate, scale=3e4, given={"way": 1.0}),
+        State("lift_back", _lift_rate, scale=3e4, given={"lift": "lift_back", "way": -1.0}),
     ),
-    corner=_crossport_relief_corner,
-    least_parts=_relief_parts,
 )
 
 
@@ -234,7 +203,7 @@ BOTH_LINES = Effect(
     source="mean pressure of the lines from the flows of both edges, Merritt 1967, ch. 5 and 6",
     parameters=(SUPPLY_PRESSURE,),
     laws={"drive": _drive_of_both_edges, "mean_line_pressure": _off_the_middle},
-    states=(State("mean_pressure", _gained_at_the_edges, _decay_by_the_edges),),
+    states=(State("mean_pressure", _gained_at_the_edges, _decay_by_the_edges, scale=0.01),),
 )
 
 
@@ -252,16 +221,6 @@ def _drained(mean_pressure, pressure, bulk_modulus, V, conductance, supply_press
     b = middle - 0.5 * pressure
     line = a if conductance > 0.0 else b
     return -bulk_modulus / (2.0 * V * supply_pressure) * abs(conductance) * (line if line > 0.0 else 0.0)
-
-
-def _drained_decay(bulk_modulus, V, conductance):
-    return bulk_modulus / (4.0 * V) * abs(conductance)
-
-
-def _drained_corner(conductance, line_travel, supply_pressure):
-    # A line so small that motor and valve move it through much of the supply pressure within a substep: it passes the bends of
-    # the edges with every swing.
-    return conductance != 0.0 and line_travel > 0.3 * supply_pressure
 
 
 EXTERNAL_LEAKAGE = Effect(
@@ -286,9 +245,8 @@ EXTERNAL_LEAKAGE = Effect(
         SUPPLY_PRESSURE,
     ),
     laws={"leakage": _external_leakage},
-    states=(State("mean_pressure", _drained, _drained_decay),),
+    states=(State("mean_pressure", _drained, scale=0.01),),
     shares=BOTH_LINES,
-    corner=_drained_corner,
     separated_by={"null_offset": "record the pressure of each line: a leak lowers that of its own"},
 )
 
@@ -307,23 +265,6 @@ def _filled(mean_pressure, pressure, bulk_modulus, V, conductance, opening_press
     b = middle + 0.5 * pressure
     drawn = conductance * ((a if a > 0.0 else 0.0) + (b if b > 0.0 else 0.0))
     return bulk_modulus / (2.0 * V * supply_pressure) * drawn
-
-
-def _filled_decay(mean_pressure, pressure, bulk_modulus, V, conductance, opening_pressure, supply_pressure):
-    # Of the line that is being filled, twice the decay of the mean: the matrix of the integrator has no entry that ties the mean
-    # to the load pressure, and is stable without one if it has the whole stiffness here.
-    middle = opening_pressure - 0.5 * supply_pressure * (1.0 + mean_pressure)
-    return bulk_modulus / (2.0 * V) * conductance if middle + 0.5 * abs(pressure) > 0.0 else 0.0
-
-
-def _make_up_corner(mean_pressure, pressure, line_travel, conductance, opening_pressure, supply_pressure):
-    # Open, or as near to it as motor and valve can move one of the lines within the substep.
-    middle = opening_pressure - 0.5 * supply_pressure * (1.0 + mean_pressure)
-    return conductance > 0.0 and middle + 0.5 * abs(pressure) > -0.5 * line_travel
-
-
-def _make_up_parts(substep, beta, V, conductance):
-    return substep * beta / (2.0 * V) * conductance / 3.0
 
 
 ANTI_CAVITATION = Effect(
@@ -361,11 +302,8 @@ ANTI_CAVITATION = Effect(
         replace(SUPPLY_PRESSURE, low=10e5, possible=(10e5, 350e5), starts=(20e5, 30e5, 45e5, 70e5, 100e5)),
     ),
     laws={"leakage": _made_up},
-    states=(State("mean_pressure", _filled, _filled_decay),),
+    states=(State("mean_pressure", _filled, scale=0.0025),),
     shares=BOTH_LINES,
-    corner=_make_up_corner,
-    corner_parts=10,
-    least_parts=_make_up_parts,
 )
 
 
@@ -375,21 +313,6 @@ def _volume_behind_a_throttle(leakage, pressure, side_pressure, conductance):
 
 def _side_pressure_rate(side_pressure, pressure, bulk_modulus, conductance, volume):
     return bulk_modulus / volume * conductance * (pressure - side_pressure)
-
-
-def _side_pressure_decay(bulk_modulus, conductance, volume):
-    return bulk_modulus / volume * conductance
-
-
-def _quick_exchange(conductance, volume, beta, V, substep):
-    # The matrix of the integrator knows how fast each of the two volumes drains, not that one fills the other. Off by 0.1 rpm
-    # and more where this ratio passes 0.2 (256 random models against an eighth of the substep).
-    drained = substep * beta * conductance
-    return drained * drained > 0.01 * V * volume
-
-
-def _exchange_parts(conductance, volume, beta, V, substep):
-    return substep * beta * conductance / sqrt(V * volume) / 0.15
 
 
 LINE_VOLUME = Effect(
@@ -424,9 +347,7 @@ LINE_VOLUME = Effect(
         ),
     ),
     laws={"leakage": _volume_behind_a_throttle},
-    states=(State("side_pressure", _side_pressure_rate, _side_pressure_decay),),
-    corner=_quick_exchange,
-    least_parts=_exchange_parts,
+    states=(State("side_pressure", _side_pressure_rate, scale=5e3),),
 )
 
 
@@ -443,10 +364,6 @@ def _drained_alike(mean_pressure, pressure, bulk_modulus, V, conductance, supply
     b = middle - 0.5 * pressure
     both = (a if a > 0.0 else 0.0) + (b if b > 0.0 else 0.0)
     return -bulk_modulus / (2.0 * V * supply_pressure) * conductance * both
-
-
-def _drained_alike_decay(bulk_modulus, V, conductance):
-    return bulk_modulus / (2.0 * V) * conductance
 
 
 CASE_DRAIN = Effect(
@@ -466,9 +383,8 @@ CASE_DRAIN = Effect(
         SUPPLY_PRESSURE,
     ),
     laws={"leakage": _case_drain},
-    states=(State("mean_pressure", _drained_alike, _drained_alike_decay),),
+    states=(State("mean_pressure", _drained_alike, scale=0.01),),
     shares=BOTH_LINES,
-    corner=_drained_corner,
     separated_by={
         "external_leakage": "record the pressure of each line, in both directions: a case drain lowers both alike"
     },

@@ -46,11 +46,6 @@ def _eccentric_load(torque, angle, amplitude, phase):
     return torque - amplitude * sin(angle + phase)
 
 
-def _eccentric_load_corner(amplitude):
-    # A heavy weight that hardly moves may stand near its highest point, from where it falls to either side.
-    return amplitude > 0.5
-
-
 ECCENTRIC_LOAD = Effect(
     name="eccentric_load",
     port="load",
@@ -82,7 +77,6 @@ ECCENTRIC_LOAD = Effect(
         ),
     ),
     laws={"torque": _eccentric_load},
-    corner=_eccentric_load_corner,
 )
 
 
@@ -107,12 +101,6 @@ def _load_speed_rate(load_speed, twist, speed, gap, stiffness, damping, load, in
     contact = stiffness * wound + damping * (speed - load_speed) * clip(abs(wound) * 50.0, 0.0, 1.0)
     contact = contact if contact * wound > 0.0 else 0.0
     return (contact - load) / inertia if inertia > 0.0 else 0.0
-
-
-def _backlash_corner(inertia):
-    # Everywhere, and finely: when the coupling strikes next depends on all that came before, and a gap that rattles
-    # multiplies an error fivefold in a tenth of a second.
-    return inertia > 0.0
 
 
 SHAFT_BACKLASH = Effect(
@@ -163,9 +151,10 @@ SHAFT_BACKLASH = Effect(
         ),
     ),
     laws={"torque": _backlash_torque},
-    states=(State("twist", _twist_rate), State("load_speed", _load_speed_rate)),
-    corner=_backlash_corner,
-    corner_parts=20,
+    states=(
+        State("twist", _twist_rate, scale=2e-4),
+        State("load_speed", _load_speed_rate, scale=0.2),
+    ),
 )
 
 

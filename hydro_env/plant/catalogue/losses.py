@@ -71,18 +71,11 @@ def _loss_model(  # type: ignore[no-untyped-def]
     source: str,
     parameters,
     laws,
-    corner,
-    least_parts=None,
 ) -> Effect:
     return Effect(
         name=name, port="motor", parameters=parameters, title=title, summary=summary, signature=signature, source=source,
-        laws=laws, corner=corner, least_parts=least_parts, indistinguishable_from=_ALIKE, family=FAMILY,
+        laws=laws, indistinguishable_from=_ALIKE, family=FAMILY,
     )  # fmt: skip
-
-
-# The corners of all models: the step of friction at standstill is passed within a substep, as in `motor_coulomb_friction`.
-def _standstill(speed, pressure, friction, constant_torque, D, J, substep):
-    return friction + constant_torque > 0.0 and abs(speed) < 1.0 + substep * abs(D * pressure) / J
 
 
 # --- Wilson -----------------------------------------------------------------------------------------------------------
@@ -103,7 +96,6 @@ WILSON_LOSSES = _loss_model(
     source="Wilson, Positive-Displacement Pumps and Fluid Motors, 1950; Merritt 1967, section 4-3",
     parameters=(_SLIP, _DRAG, _FRICTION, _CONSTANT, _VISCOSITY),
     laws={"leakage": _wilson_leakage, "torque": _wilson_torque},
-    corner=_standstill,
 )
 
 
@@ -136,7 +128,6 @@ SCHLOESSER_LOSSES = _loss_model(
         _DRAG, _FRICTION, _HYDRODYNAMIC, _CONSTANT, _VISCOSITY, _DENSITY,
     ),
     laws={"leakage": _schloesser_leakage, "torque": _schloesser_torque},
-    corner=_standstill,
 )  # fmt: skip
 
 
@@ -150,12 +141,6 @@ def _dorey_leakage(leakage, pressure, speed, slip, slip_growth, compression, vis
 def _dorey_torque(torque, motor_pressure, speed, drag, friction, boundary, boundary_speed, viscosity, D):
     sliding = friction * (1.0 + boundary * exp(-abs(speed) / boundary_speed)) * D * abs(motor_pressure)
     return torque - drag * D * viscosity * speed - sliding * tanh(speed * 10.0)
-
-
-def _dorey_corner(speed, pressure, friction, boundary, boundary_speed, D, J, substep):
-    gain = substep * abs(D * pressure) / J
-    falling = 3.0 * boundary_speed if friction * boundary * gain > 0.02 * boundary_speed else 0.0
-    return friction > 0.0 and abs(speed) < 1.0 + gain + falling
 
 
 DOREY_LOSSES = _loss_model(
@@ -179,7 +164,6 @@ DOREY_LOSSES = _loss_model(
         _VISCOSITY,
     ),
     laws={"leakage": _dorey_leakage, "torque": _dorey_torque},
-    corner=_dorey_corner,
 )  # fmt: skip
 
 
@@ -199,13 +183,6 @@ def _jeong_torque(
     return torque - fluid * speed - sliding * tanh(speed * 10.0)
 
 
-def _jeong_corner(speed, pressure, friction, constant_torque, stribeck, stribeck_speed, D, J, substep):
-    gain = substep * abs(D * pressure) / J
-    falls = stribeck * (friction * gain + substep * constant_torque / J) > 0.02 * stribeck_speed
-    falling = 3.0 * stribeck_speed if falls else 0.0
-    return friction + constant_torque > 0.0 and abs(speed) < 1.0 + gain + falling
-
-
 JEONG_LOSSES = _loss_model(
     name="jeong_losses",
     title="Jeong's losses of the motor",
@@ -223,7 +200,6 @@ JEONG_LOSSES = _loss_model(
         _HYDRODYNAMIC, _VISCOSITY, _DENSITY,
     ),
     laws={"leakage": _jeong_leakage, "torque": _jeong_torque},
-    corner=_jeong_corner,
 )  # fmt: skip
 
 
@@ -236,17 +212,6 @@ def _ivantysyn_torque(torque, motor_pressure, speed, torque_0, torque_p, torque_
     size = abs(motor_pressure)
     fluid = torque_ww * abs(speed) + torque_pw * size
     return torque - fluid * speed - (torque_0 + torque_p * size) * tanh(speed * 10.0)
-
-
-def _ivantysyn_parts(substep, flow_pp, Kq, x_max, Km, beta, V):
-    # A valve that opens brings the line to a pressure at which this leakage, not yet there at the start, is stiff. Laminar
-    # leakage keeps it from overshooting. From 15 times what capacity and laminar leakage make up for, it did, by hundreds of rpm.
-    return substep * beta / V * (sqrt(2.0 * flow_pp * Kq * x_max) / 12.0 - Km)
-
-
-def _ivantysyn_corner(speed, pressure, flow_pp, torque_0, torque_p, Kq, x_max, Km, beta, V, D, J, substep):
-    leaks = substep * beta / V * (sqrt(2.0 * flow_pp * Kq * x_max) / 12.0 - Km) > 1.0
-    return leaks or (torque_0 + torque_p > 0.0 and abs(speed) < 1.0 + substep * abs(D * pressure) / J)
 
 
 IVANTYSYN_LOSSES = _loss_model(
@@ -270,8 +235,6 @@ IVANTYSYN_LOSSES = _loss_model(
                   "drag with pressure times speed", 5e-10, scaling=MOTOR_SIZE),
     ),
     laws={"leakage": _ivantysyn_leakage, "torque": _ivantysyn_torque},
-    corner=_ivantysyn_corner,
-    least_parts=_ivantysyn_parts,
 )  # fmt: skip
 
 

@@ -42,19 +42,6 @@ def _motor_coulomb_friction(torque, speed, coulomb, static, stribeck_speed):
     return torque - (coulomb + (static - coulomb) * exp(-slip * slip)) * tanh(speed * 10.0)
 
 
-def _motor_coulomb_friction_corner(speed, pressure, coulomb, static, stribeck_speed, D, J, substep):
-    # The step at standstill is passed within a substep, and where the shaft sticks depends on how. A light shaft also jumps
-    # where its friction falls.
-    light = substep * (static - coulomb) > 0.02 * stribeck_speed * J
-    slow = 1.0 + substep * abs(D * pressure) / J + (3.0 * stribeck_speed if light else 0.0)
-    return coulomb + static > 0.0 and abs(speed) < slow
-
-
-def _motor_coulomb_friction_parts(coulomb, static, J, substep):
-    # The slope of the step slows a light shaft down within a fraction of a substep.
-    return substep * 10.0 * (static if static > coulomb else coulomb) / (1.5 * J)
-
-
 MOTOR_COULOMB_FRICTION = Effect(
     name="motor_coulomb_friction",
     port="motor",
@@ -98,8 +85,6 @@ MOTOR_COULOMB_FRICTION = Effect(
         ),
     ),
     laws={"torque": _motor_coulomb_friction},
-    corner=_motor_coulomb_friction_corner,
-    least_parts=_motor_coulomb_friction_parts,
 )
 
 
@@ -136,11 +121,6 @@ def _displacement_ripple(displacement, angle, amplitude, order):
     return displacement * (1.0 + amplitude * cos(order * angle))
 
 
-def _displacement_ripple_corner(amplitude):
-    # A ripple far beyond the usual nearly stalls the motor and magnifies errors a hundredfold there.
-    return amplitude > 0.1
-
-
 DISPLACEMENT_RIPPLE = Effect(
     name="displacement_ripple",
     port="motor",
@@ -171,8 +151,6 @@ DISPLACEMENT_RIPPLE = Effect(
         ),
     ),
     laws={"displacement": _displacement_ripple},
-    corner=_displacement_ripple_corner,
-    corner_parts=20,
 )
 
 

@@ -16,10 +16,6 @@ def _lag_rate(lagged_speed, speed, time_constant):
     return (speed - lagged_speed) / (time_constant if time_constant > 1e-5 else 1e-5)
 
 
-def _lag_decay(time_constant):
-    return 1.0 / (time_constant if time_constant > 1e-5 else 1e-5)
-
-
 SENSOR_LAG = Effect(
     name="sensor_lag",
     port="sensor",
@@ -40,7 +36,7 @@ SENSOR_LAG = Effect(
         ),
     ),
     laws={"measured_speed": _sensor_lag},
-    states=(State("lagged_speed", _lag_rate, _lag_decay),),
+    states=(State("lagged_speed", _lag_rate, scale=10.0),),
     indistinguishable_from=("command_delay",),
 )
 

@@ -21,11 +21,6 @@ def _droop_rate(droop, own_flow, other_flow, relative_drop, time_constant):
     return (relative_drop * (abs(own_flow) + abs(other_flow)) / 8.1778e-4 - droop) / time_constant
 
 
-def _droop_corner(relative_drop):
-    # The other channel's flow is that of the substep before, which a supply as weak as this does not forgive.
-    return relative_drop > 0.5
-
-
 SUPPLY_DROOP = Effect(
     name="supply_droop",
     port="supply",
@@ -58,8 +53,7 @@ SUPPLY_DROOP = Effect(
         ),
     ),
     laws={"drive": _supply_droop, "mean_line_pressure": _lower_lines},
-    states=(State("droop", _droop_rate),),
-    corner=_droop_corner,
+    states=(State("droop", _droop_rate, scale=0.1),),
     separated_by={
         "pressure_dependent_flow": "record the supply pressure; drive the other channel alone while this one holds its command"
     },

@@ -1,6 +1,6 @@
 """The compiled step: the right-hand side and chosen effects as vectorised machine code.
 
-integrator  the tableau of the method, with its reference
+integrator  the tableau, the estimate of the error and the control of the step, with their references
 layout      where states, parameters and stages lie in the memory of a block
 statements  from the right-hand side and the laws of the effects to statements
 template    the text of a generated module
@@ -8,15 +8,15 @@ codegen     writes the module: sweeps over lanes
 module_cache  keeps it for the next process
 vector_ir   writes its statements as vector instructions
 machine_code  compiles them and keeps what was compiled
-driver      the loop over substeps around the sweeps, one for all kernels
+driver      the loops over rows and steps around the sweeps, one for all kernels
 
-Method: three stages of the family of ROS3w (see `integrator`), with a matrix W that holds the stiff loops of a channel (coil,
-spool, bristle; pressure, speed) as the effects shape them, and every effect's own decay. It leaves out how the states of an
-effect act on others, and the steepest fall of the spool's friction.
+Method: three stages of ROS3w and steps by measured error (see `integrator`), with a matrix W that holds the stiff loops of a
+channel (coil, spool, bristle; pressure, speed) as the effects shape them, and every effect's own decay. It leaves out how the
+states of an effect act on others, and the steepest fall of the spool's friction.
 
-Layout: the loop over substeps is outside and the loops over lanes inside. Nothing is fused or reordered by the compiler: the
-text names each `fma` itself, so every lane gets the same bits whatever its neighbours, its place, the width of the block
-and the neutral effects that are compiled in.
+Layout: the loop over steps is outside and the loops over lanes inside. Nothing is fused or reordered by the compiler: the
+text names each `fma` itself, and a lane's steps depend on that lane (or its coupled pair) alone, so every lane gets the same bits
+whatever its neighbours, its place, the width of the block and the neutral effects that are compiled in.
 
 Source text: `rates` (rhs.py), the laws of the effects and the functions of vector_math are pasted into one generated
 module, compiled once for a set of effects and a width of blocks. The loops around the sweeps are compiled once for all.
@@ -46,9 +46,9 @@ __all__ = ["STATES", "Kernel", "compile_kernel"]
 class Kernel:
     """A compiled step for a set of effects.
 
-    `advance(memory, cells, ring, head, commands, loads, substeps, h, looked_at, record, every, out)` runs every block through
-    all rows of `commands`, see `driver.advance`. `rows` maps names of states, parameters and outputs to rows of the memory.
-    `has_delay`: commands go through a delay line. `numbers` are the driver's, addresses aside.
+    `advance(memory, cells, ring, lasted, head, commands, loads, period, tolerance, record, every, out)` runs every block
+    through all rows of `commands`, see `driver.advance`. `rows` maps names of states, parameters and outputs to rows of the
+    memory. `has_delay`: commands go through a delay line. `numbers` are the driver's, addresses aside.
     """
 
     effects: tuple[str, ...]
@@ -62,6 +62,7 @@ class Kernel:
     source: str
     numbers: dict[str, int]
     machine_code: MachineCode
+    grouped: bool = False
 
     def room(self) -> NDArray[Any]:
         """Room for a block to be worked on (`cells`), from a cache line's beginning."""
@@ -75,13 +76,13 @@ _COMPILING = Lock()
 
 
 @lru_cache(maxsize=64)
-def _compiled(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
+def _compiled(effects: tuple[Effect, ...], half: int, single: bool, grouped: bool) -> Kernel:
     with _COMPILING:
-        return _compiled_alone(effects, half, single)
+        return _compiled_alone(effects, half, single, grouped)
 
 
-def _compiled_alone(effects: tuple[Effect, ...], half: int, single: bool) -> Kernel:
-    module = module_of(effects, half)
+def _compiled_alone(effects: tuple[Effect, ...], half: int, single: bool, grouped: bool) -> Kernel:
+    module = module_of(effects, half, grouped)
     code = machine_code(module.text, single)
     numbers = module.numbers | dict(zip(SWEEPS, code.addresses, strict=True))
     return Kernel(
@@ -96,13 +97,16 @@ def _compiled_alone(effects: tuple[Effect, ...], half: int, single: bool) -> Ker
         source=module.text,
         numbers=module.numbers,
         machine_code=code,
+        grouped=grouped,
     )
 
 
-def compile_kernel(effects: Iterable[str] = (), half: int = 8, dtype: Any = np.float64) -> Kernel:
+def compile_kernel(
+    effects: Iterable[str] = (), half: int = 8, dtype: Any = np.float64, grouped: bool = False
+) -> Kernel:
     """The kernel for these effects. KeyError for an effect the catalogue lacks.
 
-    `dtype` is float64, or float32 for twice the lanes to a vector.
+    `dtype` is float64, or float32 for twice the lanes to a vector. `grouped`: all rigs of a block take the steps of its first.
 
     The effects act in the order of the catalogue, whatever order they are named in.
     """
@@ -110,4 +114,4 @@ def compile_kernel(effects: Iterable[str] = (), half: int = 8, dtype: Any = np.f
     for name in wanted:
         CATALOGUE[name]
     single = np.dtype(dtype) == np.float32
-    return _compiled(tuple(e for e in CATALOGUE.values() if e.name in wanted), half, single)
+    return _compiled(tuple(e for e in CATALOGUE.values() if e.name in wanted), half, single, grouped)

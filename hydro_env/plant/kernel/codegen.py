@@ -1,30 +1,38 @@
 """Writes the module of a kernel: the sweeps over the lanes of a block, which `driver` calls.
 
-A sweep is one loop over all lanes. `begin` makes the first stage of a step and the factors of its matrix, `finish` the other
-two, and `ask` says in how many parts a lane wants its next substep. Lanes are independent of each other, so each goes at its
-own pace: a step has another length on every lane, and `pace` begins the next substep where one is done. It computes once what
-the parameters and the length of a step settle. `refine` finds stiff channels; `look` gives the outputs, and `guard` puts
-lanes that have diverged to rest.
+A sweep is one loop over all lanes, or several where lanes look at each other in between. `attempt` is a step of the integrator
+(`integrator`): it factors the matrix, makes the stages, evaluates the rates where the step ends, and judges the error; each lane
+then moves or stays, and goes on with a step of its own length. `prepare` computes once what the parameters settle, `observe`
+gives the outputs, and `guard` puts lanes that were not followed to rest.
 
-What makes it fast: nothing is computed in every stage that `pace` can compute once; two of the three stages share their rates;
-the arrow structure of the matrix W solves in some thirty operations.
+What makes it fast: two of the three stages share their rates; the rates at the end of a step begin the next one; the arrow
+structure of the matrix W solves in some thirty operations.
 """
 
 from __future__ import annotations
 
 import ast
+import re
 import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from ..catalogue import Effect
-from ..stiffness import FINE_PARTS, LINE, MOST_FINER, SPOOL
 from .driver import NUMBERS
-from .integrator import METHOD, integral_coefficients
+from .integrator import (
+    CONTROL,
+    ERRORS,
+    LATE,
+    LEAST,
+    METHOD,
+    OWN_ERROR,
+    OWN_LATE,
+    SHARE,
+    integral_coefficients,
+)
 from .layout import (
     DIVISORS,
-    FACTORS,
     INTEGRAL,
     RECIPROCALS,
     STATES,
@@ -32,26 +40,25 @@ from .layout import (
     in_text,
     layout_of,
     parameters_of,
+    scale_of,
     states_of,
     uses,
     with_shared,
 )  # fmt: skip
-from .statements import Substep, call, chain, drive_around, functions, fused_lines, needed, substep_of
-from .template import EXCHANGE, MODULE, TOGETHER
+from .statements import Step, chain, functions, fused_lines, needed, step_of
+from .template import COUPLED, EXCHANGE, GROUPED, MODULE
 
 __all__ = ["Module", "module_text"]
 
 #: Beyond these magnitudes (SI) a state counts as diverged; a state of an effect beyond the last.
 STATE_CAPS = (1e3, 1e-2, 1e3, 1e-2, 1e12, 1e7, 1e12)
-#: A lane that meets an end stop takes that substep in so many parts, and so does one in hard contact; one in soft contact takes
-#: fewer. At a sharp bend of an effect it takes as many as the effect asks for.
-HARD_PARTS, SOFT_PARTS = 5, 3
-#: A contact is hard where its natural frequency, or the rate of its damping, times the substep, is more than this.
-HARD_FREQUENCY, HARD_DAMPING = 0.3, 0.5
+
+#: Between two loops over the lanes where one would do: a processor has several lanes of a shorter loop under way at once.
+CUT = ""
 
 #: The solution of (ig - W) u = r for the states of `rates`, with the factors of `statements.FACTORISATION`.
 _SOLUTION = [
-    "u__spool_speed = ((w_current * r__current - w_spool * r__spool - w_bristle * r__bristle) + r__spool_speed)"
+    "u__spool_speed = ((w_current * r__current - w_spool * r__spool - w_bristle * r__bristle) + q__spool_speed)"
     " * e_spool_speed",
     "u__current = (r__current - w_back * u__spool_speed) * e_current",
     "u__spool = (r__spool + u__spool_speed) * gh",
@@ -73,235 +80,283 @@ class Module(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Bend:
-    """A test whether a lane should take its substep in `parts` parts; a cheap one may say before where that can be. `least` is
-    how many of them a stiff lane wants."""
-
-    test: str
-    parts: int
-    near: str = ""
-    least: str = ""
-
-
-@dataclass(frozen=True)
 class _Sweeps:
-    """The statements of every sweep, for a layout that has rows for what is settled."""
+    """The statements of every sweep. A sweep is a list of parts: loops over the lanes, or text that moves values between them.
+    `grouped`: all rigs of a block take the steps of its first."""
 
     at: Layout
-    substep: Substep
-    bends: list[_Bend]
+    step: Step
+    grouped: bool
+
+    # --- channels that act on each other ------------------------------------------------------------------------------
+    @property
+    def exchanges(self) -> bool:
+        """Whether a law or a state asks for valve flows."""
+        return any(uses(name, self._text) for name in ("other_flow", "own_flow"))
 
     @property
-    def _flows(self) -> list[str]:
-        """The valve flows of the substep before, where a law asks for them."""
-        asked = any(uses(name, self.substep.rates_text) for name in ("other_flow", "own_flow"))
-        return (
-            [f"own_flow = {self.at.cell('flow')}", f"other_flow = {self.at.cell('other_flow')}"]
-            if asked
+    def _text(self) -> str:
+        return "\n".join([*self.step.rates, *self.step.own_rates, *self.step.slopes])
+
+    def _exchange(self, own: str, other: str) -> str:
+        return EXCHANGE.format(own=self.at.row(own), other=self.at.row(other))
+
+    def _alike(self, row: str, worse: str) -> list[str]:
+        """Text by which lanes that belong together have the same in a row, the worse."""
+        coupled = any(e.couples_channels for e in self.at.effects)
+        text = (
+            [COUPLED.format(row=self.at.row(row), coupled=self.at.row("coupled"), worse=worse)]
+            if coupled
             else []
         )
+        return text + ([GROUPED.format(row=self.at.row(row))] if self.grouped else [])
 
-    @property
-    def exchanges_flows(self) -> bool:
-        return bool(self._flows)
-
-    @property
-    def coupling(self) -> dict[str, float]:
-        """Parameters whose values, unless neutral, let the channels of a rig act on each other."""
-        return {
-            in_text(e, p.name): p.nominal
-            for e in self.at.effects
-            if e.couples_channels
-            for p in e.parameters
-            if p.carries_size
-        }
-
+    # --- parts of sweeps ------------------------------------------------------------------------------------------------
     @property
     def _inputs(self) -> list[str]:
-        # `rates` takes the command as the delay line hands it over.
-        inputs = [f"command = {self.at.cell('applied')}"]
-        return [*inputs, *self.at.load(["load", "time"], self.substep.rates_text), *self._flows]
-
-    def _store(self, names: Iterable[str]) -> list[str]:
-        return [f"{self.at.cell(name)} = {name}" for name in names]
-
-    def pace(self) -> list[str]:
-        """Lanes whose substep is done begin the next one; where it is taken in other parts, the length of a step is new."""
-        at, own = self.at, needed(set(self.at.settled), self.substep.settling)
-        lines = at.load(["left", "parts", "wanted"], "left parts wanted")
-        lines += ["parts = parts if left > 0.0 else wanted", "left = left if left > 0.0 else wanted"]
-        lines += [*self._store(["left"]), f"if parts != {at.cell('parts')}:"]
-        settled = at.load([*at.parameters, *RECIPROCALS], "\n".join(own))
-        settled += ["step = h / parts", "ih = 1.0 / step", f"gh = {METHOD.gamma!r} * step", "ig = 1.0 / gh"]
-        settled += own + self._store(["parts", "step", "ih", "ig", *at.settled])
-        return lines + ["    " + line for line in settled]
-
-    def refine(self) -> list[str]:
-        """Reciprocals; what is left of the dry friction, and in how many parts stiff channels take every substep."""
-        at = self.at
-        sizes = [
-            in_text(e, p.name)
-            for e in at.effects
-            if e.reads("current_rate")
-            for p in e.parameters
-            if p.carries_size
-        ]
-        coil = " | ".join(f"(abs({name}) > 0.0)" for name in sizes) or "L < 0.0"
-        asked = (*SPOOL, *LINE, "L", *sizes)
-        lines = [*at.load(asked, " ".join(asked)), "dry = (Fc > 0.0) | (Fs > 0.0)"]
-        lines += ["left = friction_left(Fc, Fs)", "Fs = friction_left(Fs, Fc)", "Fc = left"]
-        lines += ["soft = bristles_left(Fc, Fs) if dry else 0.0", "s0 = soft * s0", "s1 = soft * s1"]
-        lines += [
-            "force = greatest_force(alpha, R, k, x_max, u_rated)",
-            "bristles = bristle_parts(h, force, m, Fc, Fs, s0, s1)",
-            "stops = stop_parts(h, force, m, x_max, k_stop, v_stop)",
-            f"coil = coil_parts(h, R, L) if {coil} else 0.0",
-            f"ring = ring_parts(h, {', '.join(LINE)})",
-            "fine = fine_parts(bristles, stops, coil, ring)",
-        ]
-        lines += self._store(("Fc", "Fs", "s0", "s1", "fine"))
-        if self.coupling:
-            lines += at.load(self.coupling, " ".join(self.coupling))
-            coupled = " | ".join(_acts(e, str) for e in at.effects if e.couples_channels)
-            lines += [f"{at.cell('together')} = 1.0 if {coupled} else 0.0"]
-        lines += at.load(DIVISORS, " ".join(DIVISORS)) + [f"per_{name} = 1.0 / {name}" for name in DIVISORS]
-        return lines + self._store(RECIPROCALS) + [f"{at.cell('parts')} = 0.0"]
-
-    def ask(self) -> list[str]:
-        """In how many parts each lane takes the next substep."""
-        return self.at.load(self.at.states, "\n".join(asked := self._asked())) + asked
-
-    def _asked(self) -> list[str]:
-        """Of several bends the one with most parts decides; a stiff channel takes each part in its own number of parts."""
-        at, known = self.at, [*self.at.parameters, *RECIPROCALS]
-        near = " | ".join(dict.fromkeys(f"({bend.near or bend.test})" for bend in self.bends))
-        first = needed({"past"}, self.substep.whole_rates)
-        around = drive_around(at.effects)
-        if around or uses("line_travel", near):
-            first.append("line_travel = h * beta * per_V * (D * abs(speed) + Kq * abs(spool))")
-        first += around
-        then = needed({"outward", "grip"}, self.substep.whole_rates)
-        for bend in sorted(self.bends, key=lambda bend: bend.parts):
-            then.append(f"wanted = {float(bend.parts)} if {bend.test} else wanted")
-        for bend in self.bends:
-            if bend.least:
-                then.append(f"finer = corner_parts({float(bend.parts)}, {bend.least} / {at.cell('fine')})")
-                then.append(f"wanted = finer if {bend.test} and finer > wanted else wanted")
-        then = [*at.load(known, "\n".join(then)), "wanted = 1.0", *then]
-        then += [f"{at.cell('wanted')} = wanted * {at.cell('fine')}"]
-        lines = [*at.load(known, "\n".join([*first, near])), *first]
-        lines += [f"{at.cell('wanted')} = {at.cell('fine')}", f"if {near}:"]
-        return lines + ["    " + line for line in then]
+        # `rates` takes the command as the delay line hands it over. Laws see the flows as they were where the step begins.
+        inputs = [f"command = {self.at.cell('applied')}", *self.at.load(["load", "time"], "load time")]
+        return [*inputs, *self._constants]
 
     @property
-    def _solution(self) -> list[str]:
+    def _constants(self) -> list[str]:
+        flows = {"own_flow": "flow", "other_flow": "other_flow"}
+        seen = [f"{n} = {self.at.cell(row)}" for n, row in flows.items() if uses(n, self._text)]
+        return seen + self.at.load([*self.at.parameters, *RECIPROCALS, *self.step.settled], self._text)
+
+    def _rates(self) -> list[list[str] | str]:
+        """The rates of all states; those of the effects' states see both flows of the same instant."""
+        if not self.exchanges:
+            return [self.step.rates + self.step.own_rates]
+        if not self.step.own_rates:  # only laws ask for flows
+            return [self.step.rates]
+        flows = ["own_flow = flow", f"other_flow = {self.at.cell('seen_flow')}"]
+        first = [*self.step.rates, f"{self.at.cell('shown_flow')} = flow"]
+        return [first, self._exchange("shown_flow", "seen_flow"), flows + self.step.own_rates]
+
+    @property
+    def _couplings(self) -> list[str]:
+        """Names of the slopes between states of effects and base states."""
+        return [*self.step.couplings, *(f"{name}__acts" for name in self.step.acting)]
+
+    @property
+    def _solve(self) -> list[str]:
         """The solution of (ig - W) u = r."""
-        return [*_SOLUTION, *(f"u__{name} = r__{name} * f__{name}" for name in self.at.own_states)]
+        driven = {name: f"r__{name}" for name in self.at.own_states}
+        for slope, (name, solved) in self.step.couplings.items():
+            driven[name] = f"({slope} * {solved} + {driven[name]})"
+        base = ["q__spool_speed = r__spool_speed", *_SOLUTION]
+        for name, driver in self.step.acting.items():
+            if driver == "pressure":
+                found = f"softness * {name}__acts * (e_{name} * r__{name})"
+                base.insert(-2, f"q__pressure = q__pressure - {found}")
+            else:
+                rest = f"r__{name} - {name}__by_{driver} * r__current"
+                found = f"inertia * {name}__acts * (e_{name} * ({rest}))"
+                base.insert(1, f"q__spool_speed = q__spool_speed + {found}")
+        return [*base, *(f"u__{name} = {value} * e_{name}" for name, value in driven.items())]
 
-    def _solve(self, lines: Iterable[str], summed: bool) -> list[str]:
-        """`lines` for rates and factors, and the solution for r: the rate plus, if `summed`, a sum over earlier stages."""
-        sums = [f"r__{n} = {f'sum__{n} + ' if summed else ''}{n}_rate" for n in self.at.staged]
-        return [*lines, *sums, *self._solution]
-
-    def first_stage(self) -> list[str]:
-        """Rates, matrix, its factors, and the solution u0, all in one sweep."""
-        at, step = self.at, self.substep
-        lines = at.load(at.states, step.rates_text + " ".join(at.states)) + self._inputs
-        lines += [*at.load(["step", "ig"], "step ig"), f"gh = {METHOD.gamma!r} * step"]
-        made = step.rates + step.own_rates + step.slopes + step.factors
-        lines += at.load(at.constants, "\n".join(made))
-        for name, adding in states_of(at.effects).items():
-            decays = [call(e, s.name + "_decay", s.decay, s.given) for e, s in adding if s.decay is not None]
-            slope = f"({' + '.join(['ig', *decays])})" if decays else "ig"
-            made.append(f"f__{name} = 1.0 / {slope}")
-        lines += self._solve(made, summed=False)
-        lines += [f"{at.cell('f__' + name)} = {name}" for name in FACTORS if name not in step.factor_rows]
-        lines += [f"{at.cell('f__' + name)} = f__{name}" for name in at.own_states]
-        lines += [f"{at.cell('next_flow')} = flow"] if self.exchanges_flows else []
-        return lines + [f"{at.cell('u0__' + name)} = u__{name}" for name in at.staged]
-
-    def later_stages(self) -> list[str]:
-        """The second and third stage, which share their rates; the states move."""
-        at, step = self.at, self.substep
+    # --- sweeps ---------------------------------------------------------------------------------------------------------
+    def prepare(self) -> list[list[str] | str]:
+        at = self.at
         lines = [
-            *at.load(["step", "ih", "ig"], "step ih ig"),
-            f"gh = {METHOD.gamma!r} * step",
-            *_coefficients(),
+            *at.load(at.parameters, " ".join(at.parameters)),
+            f"least = {SHARE!r} * Kq * x_max / D",
+            f"least = least if least > {LEAST!r} * h else {LEAST!r} * h",
+            "tolerance = h if h < least else least",
         ]
-        for name in at.staged:
-            lines += [f"begin__{name} = {at.cell(name)}", f"u0__{name} = {at.cell(f'u0__{name}')}"]
-            lines += [f"{name} = begin__{name} + a10 * u0__{name}", f"sum__{name} = c10 * u0__{name}"]
-        for name, rate in INTEGRAL.items():
-            moved = f"p1 * begin__{rate} + q10 * u0__{rate}"
-            lines += [f"begin__{name} = {at.cell(name)}", f"{name} = begin__{name} + step * ({moved})"]
-        lines += self._inputs + at.load(at.constants, step.rates_text)
-        lines += [f"{name} = {at.cell(step.factor_rows.get(name, f'f__{name}'))}" for name in FACTORS]
-        lines += [f"f__{name} = {at.cell('f__' + name)}" for name in at.own_states]
-        lines = self._solve([*lines, *step.rates, *step.own_rates], summed=True)
-        lines += [f"u1__{name} = u__{name}" for name in at.staged]
-        lines += [f"r__{name} = d0 * u0__{name} + d1 * u1__{name}" for name in at.staged]
-        return [*lines, *self._solution, *self._end_of_step()]
+        lines += ["dry = (Fc > 0.0) | (Fs > 0.0)"]
+        lines += ["left = friction_left(Fc, Fs)", "Fs = friction_left(Fs, Fc)", "Fc = left"]
+        lines += ["soft = bristles_left(Fc, Fs) if dry else 0.0", "s0 = soft * s0", "s1 = soft * s1"]
+        lines += at.store(("Fc", "Fs", "s0", "s1"))
+        lines += [f"per_{name} = 1.0 / {name}" for name in DIVISORS] + at.store(RECIPROCALS)
+        lines += needed(set(self.step.settled), self.step.settling) + at.store(self.step.settled)
+        if couple := " | ".join(_acts(e, str) for e in at.effects if e.couples_channels):
+            lines += [f"{at.cell('coupled')} = 1.0 if {couple} else 0.0"]
+        for name, weight in ERRORS.items():
+            later = name in ("spool", "pressure")  # what depends on the state, too
+            lines += [
+                f"{at.cell(name + '_error')} = {weight}"
+                if later
+                else f"{at.cell('weight__' + name)} = 1.0 / ({weight})"
+            ]
+        lines += [f"{at.cell('longest')} = {CONTROL.sticking!r} * sqrt(m / (k + s0)) if dry else 1e30"]
+        lines += [
+            f"{at.cell('late')} = {LATE!r} * tolerance",
+            f"{at.cell('own_error')} = {OWN_ERROR!r} * h",
+            f"{at.cell('own_late')} = {OWN_LATE!r} * h",
+        ]
+        for name, adding in states_of(at.effects).items():
+            acts = " | ".join(filter(None, (_acts(effect, str) for effect, _ in adding)))
+            lines += [f"{at.cell('counts__' + name)} = 1.0 if {acts} else 0.0"]
+        return [lines]
 
-    def _end_of_step(self) -> list[str]:
-        at, lines = self.at, []
-        for name in at.staged:
-            lines += [f"{name} = begin__{name} + m0 * u0__{name} + m1 * u1__{name} + u__{name}"]
-        for name, rate in INTEGRAL.items():
-            moved = f"p3 * begin__{rate} + q30 * u0__{rate} + q31 * u1__{rate} + q32 * u__{rate}"
-            lines += [f"{name} = begin__{name} + step * ({moved})"]
-        # A lane that has done all its substeps waits for the others.
-        lines += at.load(["todo", "left", "time"], "todo left time")
-        lines += ["going = todo > 0.0", "left = left - 1.0", "todo = todo - 1.0 if left <= 0.0 else todo"]
-        lines += [f"{name} = {name} if going else {at.cell(name)}" for name in at.states]
-        lines += ["time = time + step if going else time", "more |= todo > 0.0"]
-        if self.exchanges_flows:
-            lines += [f"{at.cell('flow')} = {at.cell('next_flow')} if going else {at.cell('flow')}"]
-        lines += self._store(["todo", "left", "time", *at.states])
-        return lines + self._asked()
+    def start_row(self) -> list[list[str] | str]:
+        """Commands within what the valves take, held for h seconds; no lane is lost yet."""
+        at, lines = self.at, self.at.load(["command", "u_rated", "step"], "command u_rated step")
+        lines += ["command = command if command < u_rated else u_rated"]
+        lines += ["command = command if command > -u_rated else -u_rated"]
+        lines += [f"{at.cell('command')} = command", f"{at.cell('applied')} = command"]
+        lines += [f"{at.cell('step')} = step if step > 0.0 else {CONTROL.first!r}"]
+        lines += [f"{at.cell('todo')} = h", f"{at.cell('fresh')} = 1.0", f"{at.cell('lost')} = 0.0"]
+        return [lines, *self._alike("step", "<")]
 
-    def look(self) -> list[str]:
+    def evaluate(self) -> list[list[str] | str]:
+        at, first = self.at, [*self.at.load(self.at.states, " ".join(self.at.states)), *self._inputs]
+        names = [*(f"{name}_rate" for name in at.staged), *self.step.carried, *self._couplings]
+        names += [f"{name}_decay" for name in at.own_states] + (["flow"] if self.exchanges else [])
+        names += ["weight__pressure"]
+        weigh = [f"weight__pressure = 1.0 / ({at.cell('pressure_error')} * sqrt(bulk_modulus))"]
+        for name, adding in states_of(at.effects).items():
+            first += [f"size__{name} = {at.cell('own_error')} * ({scale_of(adding)!r} + 0.01 * abs({name}))"]
+            names += [f"size__{name}"]
+        kept = [f"{at.cell(n)} = {n} if {at.cell('fresh')} > 0.0 else {at.cell(n)}" for n in names]
+        parts: list[list[str] | str] = [first, *self._rates()]
+        parts += [self.step.slopes + weigh, [*kept, f"{at.cell('fresh')} = 0.0"]]
+        return parts + ([self._exchange("flow", "other_flow")] if self.exchanges else [])
+
+    def attempt(self) -> list[list[str] | str]:
+        middle = [*self._inputs, f"time = time + {float(METHOD.alpha[1].sum())!r} * taken"]
+        parts: list[list[str] | str] = [*self._first_stage(), CUT, middle, *self._rates(), CUT]
+        parts += [*self._other_stages(), *self._rates(), self.step.slopes, CUT, self._error()]
+        parts += [CUT, *self._alike("error", ">"), self._judged()]
+        return ([self._exchange("flow", "other_flow")] if self.exchanges else []) + parts
+
+    def _first_stage(self) -> list[list[str] | str]:
+        """The length of the step, the matrix, and the solution for the rates where it begins; up to the second stage's place."""
+        at, step = self.at, self.step
+        lines = [f"todo = {at.cell('todo')}", f"step = {at.cell('step')}"]
+        # A last step that would be short is shared with the one before.
+        lines += ["taken = 0.5 * todo if (2.0 * step > todo) & (step < todo) & (todo > 0.0) else step"]
+        lines += ["taken = todo if (step > 0.999 * todo) & (todo > 0.0) else taken"]
+        lines += [f"loose = {at.cell('spool_error')} + {at.cell('late')} * abs({at.cell('spool_speed')})"]
+        lines += ["both = 1.0 / (taken * loose)", "ih = both * loose", "weight_of_spool = both * taken"]
+        lines += [f"gh = {METHOD.gamma!r} * taken", f"ig = {1.0 / METHOD.gamma!r} * ih"]
+        lines += [
+            *at.load(at.parameters, "\n".join(step.factors)),
+            *at.load(RECIPROCALS, "\n".join(step.factors)),
+        ]
+        lines += at.load(step.settled, "\n".join(step.factors))
+        names = [*step.carried, *self._couplings, *(f"{name}_decay" for name in at.own_states)]
+        lines += [f"{name} = {at.cell(name)}" for name in names] + step.factors
+        factors, lines = lines, [f"r__{name} = {at.cell(name + '_rate')}" for name in at.staged] + self._solve
+        lines += _coefficients()
+        for name in at.staged:
+            lines += [f"u0__{name} = u__{name}", f"{name} = {at.cell(name)} + a10 * u0__{name}"]
+        for name, rate in INTEGRAL.items():
+            lines += [f"{name} = {at.cell(name)} + taken * (p1 * {at.cell(rate)} + q10 * u0__{rate})"]
+        return [factors, CUT, lines]
+
+    def _other_stages(self) -> list[list[str] | str]:
+        """The second and third stage, which share their rates; up to where the step ends."""
+        at = self.at
+        lines = _coefficients() + [f"r__{name} = c10 * u0__{name} + {name}_rate" for name in at.staged]
+        lines += self._solve + [f"u1__{name} = u__{name}" for name in at.staged]
+        second, lines = lines, _coefficients()
+        lines += [f"r__{name} = d0 * u0__{name} + d1 * u1__{name}" for name in at.staged] + self._solve
+        for name in at.staged:
+            lines += [f"moved__{name} = m0 * u0__{name} + m1 * u1__{name} + u__{name}"]
+            lines += [f"{name} = {at.cell(name)} + moved__{name}"]
+        for name, rate in INTEGRAL.items():
+            moved = f"p3 * {at.cell(rate)} + q30 * u0__{rate} + q31 * u1__{rate} + q32 * u__{rate}"
+            lines += [f"{name} = {at.cell(name)} + taken * ({moved})"]
+        lines += [f"time = {at.cell('time')} + taken"]
+        return [second, CUT, lines + self._constants]
+
+    def _error(self) -> list[str]:
+        """The squared error of the step, in units of what it may be."""
+        at = self.at
+        lines = [
+            f"r__{name} = moved__{name} * ih - 0.5 * ({at.cell(name + '_rate')} + {name}_rate)"
+            for name in at.staged
+        ]
+        lines += [*self._solve, "error = 0.0"]
+        for name in STATES:
+            weight = "weight_of_spool" if name == "spool" else at.cell(f"weight__{name}")
+            if name not in INTEGRAL:
+                lines += [f"part = u__{name} * {weight}", "error = error + part * part"]
+        for name in at.own_states:
+            lines += [
+                f"loose = {at.cell('size__' + name)} + {at.cell('own_late')} * abs({at.cell(name + '_rate')})"
+            ]
+            lines += [
+                f"part = {at.cell('counts__' + name)} * u__{name} / loose",
+                "error = error + part * part",
+            ]
+        return [*lines, f"{at.cell('error')} = error * {1.0 / METHOD.gamma**2!r}"]
+
+    def _judged(self) -> list[str]:
+        at = self.at
+        lines = [
+            f"error = {at.cell('error')}",
+            "error = error if error < 1e12 else 1e12",
+            "fine = error <= 1.0",
+        ]
+        lines += [f"change = {CONTROL.ladder[0][1]!r}"]
+        lines += [
+            f"change = {change!r} if error >= {limit!r} else change" for limit, change in CONTROL.ladder[1:]
+        ]
+        lines += [f"change = 1.0 if ({at.cell('failed')} > 0.0) & (change > 1.0) else change"]
+        lines += ["wanted = taken * change"]
+        # A step that only the end of the row made short does not shorten those after it.
+        lines += ["wanted = step if fine & (taken < step) & (wanted < step) & (change > 1.0) else wanted"]
+        lines += [f"wanted = wanted if wanted < {at.cell('longest')} else {at.cell('longest')}"]
+        lines += ["going = todo > 0.0", "moves = going & fine"]
+        lines += [f"{at.cell('failed')} = (0.0 if fine else 1.0) if going else {at.cell('failed')}"]
+        lines += [f"lost = going & (not fine) & (taken < {CONTROL.smallest!r})"]
+        lines += [f"{at.cell('lost')} = 1.0 if lost else {at.cell('lost')}"]
+        lines += [f"{at.cell('step')} = wanted if going else step"]
+        lines += ["todo = todo - taken if moves else todo", "todo = 0.0 if lost else todo"]
+        lines += [
+            f"{at.cell('todo')} = todo",
+            f"{at.cell('attempts')} = {at.cell('attempts')} + (1.0 if going else 0.0)",
+        ]
+        names = [*at.states, *(f"{name}_rate" for name in at.staged), *self.step.carried, "time"]
+        names += self._couplings
+        names += [f"{name}_decay" for name in at.own_states] + (["flow"] if self.exchanges else [])
+        return lines + [f"{at.cell(name)} = {name} if moves else {at.cell(name)}" for name in names]
+
+    def observe(self) -> list[list[str] | str]:
         """Flow, and what only sensors see, from the states as they are."""
         at, outputs = self.at, ["flow", "measured_speed", "mean_line_pressure"]
         measured = ["measured_speed = speed", *chain("measured_speed", at.effects)]
         measured += ["mean_line_pressure = 0.0", *chain("mean_line_pressure", at.effects)]
-        lines = needed(set(outputs), [*self.substep.whole_rates, *measured])
-        loaded = at.load([*at.parameters, *RECIPROCALS], "\n".join(lines))
-        return at.load(at.states, " ".join(at.states)) + self._inputs + loaded + lines + self._store(outputs)
+        lines = needed(set(outputs), [*self.step.rates, *measured])
+        loaded = at.load([*at.parameters, *RECIPROCALS, *self.step.settled], "\n".join(lines))
+        first = at.load(at.states, " ".join(at.states))
+        return [first + self._inputs + loaded + lines + at.store(outputs)]
 
-    def guard(self) -> list[str]:
-        """Lanes whose states are beyond the caps are put to rest and marked."""
+    def guard(self) -> list[list[str] | str]:
+        """Lanes that were lost, or did not come to the end of the row, or whose states are beyond the caps."""
         at = self.at
-        lines = [f"ok = abs({at.cell(STATES[0])}) < {STATE_CAPS[0]!r}"]
+        lines = [f"ok = ({at.cell('lost')} <= 0.0) & ({at.cell('todo')} <= 0.0)"]
         caps = zip(STATES, STATE_CAPS, strict=True)
         lines += [f"ok = ok & (abs({at.cell(name)}) < {cap!r})" for name, cap in caps]
         lines += [f"ok = ok & (abs({at.cell(name)}) < {STATE_CAPS[-1]!r})" for name in at.own_states]
-        lines += [f"{at.cell('diverged')} = {at.cell('diverged')} if ok else 1.0"]
-        return lines + [f"{at.cell(name)} = {at.cell(name)} if ok else 0.0" for name in at.states]
-
-
-def _bends(effects: Iterable[Effect]) -> list[_Bend]:
-    """Tests for lanes that meet an end stop within a substep or are pressed on it, and for sharp bends of effects."""
-    near, contact = "past + h * abs(spool_speed) > 0.0", "(past > 0.0) & (grip > 0.0)"
-    bends = [
-        _Bend("(past <= 0.0) & (past + h * outward > 0.0)", HARD_PARTS, near),
-        _Bend(contact, SOFT_PARTS, near),
-        _Bend(f"{contact} & (h * h * k_stop * grip > {HARD_FREQUENCY**2!r} * m)", HARD_PARTS, near),
-        _Bend(f"{contact} & (h * k_stop * past > {HARD_DAMPING!r} * v_stop * m)", HARD_PARTS, near),
-    ]
-    if drive_around(effects):
-        # The root of the drive is steepest where none is left: a line as high as the supply.
-        bends.append(_Bend("drive__above * drive__below < 0.0", HARD_PARTS))
-    for effect in effects:
-        if effect.corner is not None:
-            given = {"substep": "h"}
-            test = call(effect, "corner", effect.corner, given)
-            least = call(effect, "least_parts", effect.least_parts, given) if effect.least_parts else ""
-            bends.append(_Bend(test, effect.corner_parts, least=least))
-    return bends
+        sound = [*lines, f"{at.cell('sound')} = 1.0 if ok else 0.0"]
+        # Which state: the fastest in units of its error where the lane stands, or one beyond its cap.
+        lines = [f"stays = {at.cell('sound')} > 0.0", "number = 1.0", "most = 0.0"]
+        for n, name in enumerate(at.states, 1):
+            cap = STATE_CAPS[min(n, len(STATE_CAPS)) - 1]
+            if name not in INTEGRAL:
+                weight = (
+                    f"* {at.cell('weight__' + name)}" if name in STATES else f"/ {at.cell('size__' + name)}"
+                )
+                weight = f"/ {at.cell('spool_error')}" if name == "spool" else weight
+                lines += [f"fast = abs({at.cell(name + '_rate')}) {weight}"]
+                lines += [f"number = {float(n)!r} if fast > most else number"]
+                lines += ["most = fast if fast > most else most"]
+            lines += [f"far = (abs({at.cell(name)}) < {cap!r})", f"number = number if far else {float(n)!r}"]
+            lines += ["most = most if far else 1e300"]
+        lines += [f"first = {at.cell('diverged')} <= 0.0", "now = first & (not stays)"]
+        lines += [f"{at.cell('lost_at')} = {at.cell('time')} if now else {at.cell('lost_at')}"]
+        lines += [f"{at.cell('diverged')} = number if now else {at.cell('diverged')}"]
+        lines += [f"{at.cell(name)} = {at.cell(name)} if stays else 0.0" for name in (*at.states, "step")]
+        return [sound, CUT, [f"if {at.cell('sound')} <= 0.0:", *(f"    {line}" for line in lines)]]
 
 
 def _coefficients() -> list[str]:
-    """The tableau, for a step of `step` s, ih = 1 / step.
+    """The tableau, for a step of `taken` s, ih = 1 / taken.
 
     As it has the rates of the second stage, u of the third is that of the second plus the solution for a sum of earlier u. The
     step needs it times m[2], which is in `d0` and `d1` at once."""
@@ -313,22 +368,71 @@ def _coefficients() -> list[str]:
     return lines + [f"{name} = {float(value)!r} * ih" for name, value in rates.items()]
 
 
-def _indent(lines: Iterable[str], depth: int = 1) -> str:
-    return textwrap.indent("\n".join(lines), "    " * depth)
-
-
-def _sweep(lines: Iterable[str]) -> str:
-    """A loop over all lanes of a block that runs these statements."""
-    return _indent(["for l in range(LANES):", *("    " + line for line in fused_lines(lines))])
-
-
 def _acts(effect: Effect, called: Callable[[str], str]) -> str:
     """The test whether an effect is not neutral; `called` says what its parameters are called."""
     sizes = [(called(in_text(effect, p.name)), p.nominal) for p in effect.parameters if p.carries_size]
     return " | ".join(f"({name} != {ast.unparse(ast.Constant(nominal))})" for name, nominal in sizes)
 
 
-def _additions(layout: Layout) -> str:
+# --- text -------------------------------------------------------------------------------------------------------------
+def _joined(parts: Iterable[list[str] | str]) -> list[list[str] | str]:
+    """Parts with loops that follow each other made one."""
+    found: list[list[str] | str] = []
+    for part in parts:
+        if isinstance(part, list) and found and isinstance(found[-1], list):
+            found[-1] = found[-1] + part
+        else:
+            found.append(part)
+    return found
+
+
+def _sweep(layout: Layout, parts: Sequence[list[str] | str], going: bool = False) -> str:
+    """Loops over all lanes of a block that run these statements; a later loop finds what an earlier one left. `going`: only lanes
+    with time to go, and whether any has some after it."""
+    parts = _joined(parts)
+    loops = [n for n, part in enumerate(parts) if isinstance(part, list)]
+    texts = list(parts)
+    for place, n in enumerate(loops[1:], 1):
+        known = {_target(line) for earlier in loops[:place] for line in parts[earlier]} - {""}
+        asked = [name for name in _first_used(parts[n]) if name in known]
+        texts[n] = [*(f"{name} = {layout.cell('kept__' + name)}" for name in asked), *texts[n]]
+        for name in asked:
+            maker = next(m for m in reversed(loops[:place]) if name in map(_target, parts[m]))
+            line = f"{layout.cell('kept__' + name)} = {name}"
+            if line not in texts[maker]:
+                texts[maker] = [*texts[maker], line]
+    lines: list[str] = []
+    for text in texts:
+        if isinstance(text, str):
+            lines += text.splitlines()
+        else:
+            body = list(fused_lines(text))
+            if going:
+                body = [f"if {layout.cell('todo')} > 0.0:", *("    " + line for line in body)]
+            lines += ["for l in range(LANES):", *("    " + line for line in body)]
+    if going:
+        lines += [f"    lanes += {layout.cell('todo')} > 0.0"]
+    return textwrap.indent("\n".join(lines), "    ")
+
+
+def _target(line: str) -> str:
+    """The name that a statement assigns, "" for a cell."""
+    match = re.match(r"(\w+) = ", line)
+    return match[1] if match else ""
+
+
+def _first_used(lines: Iterable[str]) -> list[str]:
+    """Names that statements use before they assign them, in order."""
+    made: set[str] = set()
+    asked: dict[str, None] = {}
+    for line in lines:
+        value = line.split(" = ", 1)[-1] if " = " in line else line
+        asked |= dict.fromkeys(name for name in re.findall(r"[A-Za-z_]\w*", value) if name not in made)
+        made.add(_target(line))
+    return list(asked)
+
+
+def _additions(layout: Layout) -> list[list[str] | str]:
     """Adds parameters of effects to base parameters, or limits these by them; parameters that several effects share."""
     cell, lines = layout.cell, []
     for shared in layout.effects:
@@ -343,44 +447,26 @@ def _additions(layout: Layout) -> str:
             lines.append(f"{base} = {base} + {own}")
         for base, own in ((cell(b), cell(in_text(e, o))) for b, o in e.limits.items()):
             lines.append(f"{base} = {base} if {base} < {own} else {own}")
-    return _sweep(lines) if lines else ""
+    delays = [cell(in_text(e, e.delays_command)) for e in layout.effects if e.delays_command]
+    lines += [f"{cell('delay')} = {' + '.join(delays)}"] if delays else []
+    return [lines] if lines else []
 
 
-def _delay_line(layout: Layout) -> dict[str, str]:
-    """How the command reaches the lanes: as it is, or late by the sum of what effects delay it."""
-    delays = [layout.cell(in_text(e, e.delays_command)) for e in layout.effects if e.delays_command]
-    if not delays:
-        return {"apply": "cells[APPLIED * LANES + l] = cells[COMMAND * LANES + l]", "late": ""}
-    return {"apply": "pass", "late": _sweep([f"{layout.cell('late')} = {' + '.join(delays)}"])}
-
-
-def module_text(effects: tuple[Effect, ...], half: int) -> Module:
-    """The module of a kernel for these effects, for blocks of `half` rigs."""
+def module_text(effects: tuple[Effect, ...], half: int, grouped: bool = False) -> Module:
+    """The module of a kernel for these effects, for blocks of `half` rigs, see `_Sweeps` for `grouped`."""
     given, effects = effects, with_shared(effects)
     layout = layout_of(effects, half)
-    substep = substep_of(effects)
-    layout = layout.with_settled(substep.settled)
-    bends = _bends(effects)
-    sweeps, at = _Sweeps(layout, substep, bends), layout.rows
-    exchange = EXCHANGE.format(flow=at["flow"], other=at["other_flow"]) if sweeps.exchanges_flows else ""
-    together = TOGETHER.format(wanted=at["wanted"], together=at["together"]) if sweeps.coupling else ""
-    text = MODULE.format(
-        functions="\n\n".join(functions(effects)), half=half, command=at["command"], applied=at["applied"],
-        rated=at["u_rated"], todo=at["todo"], left=at["left"], refine=_sweep(sweeps.refine()),
-        together=_indent(together.splitlines()),
-        pace=_sweep(sweeps.pace()), ask=_sweep(sweeps.ask()), first=_sweep(sweeps.first_stage()),
-        later=_sweep(sweeps.later_stages()),
-        watch=_sweep(sweeps.look()), guard=_sweep(sweeps.guard()), exchange=_indent(exchange.splitlines()),
-        additions=_additions(layout), **_delay_line(layout),
-    )  # fmt: skip
-    own, settable = set(layout.parameters), set(parameters_of(given))
+    sweeps = _Sweeps(layout, step_of(effects), grouped)
+    names = ("prepare", "observe", "start_row", "evaluate", "attempt", "guard")
+    texts = {name: _sweep(layout, getattr(sweeps, name)(), name == "attempt") for name in names}
+    additions = _sweep(layout, _additions(layout))
+    text = MODULE.format(functions="\n\n".join(functions(effects)), half=half, additions=additions, **texts)
+    at, own, settable = layout.rows, set(layout.parameters), set(parameters_of(given))
     rows = {
         name.replace("__", ".", 1) if name in own else name: n
         for name, n in at.items()
         if n < layout.kept and (name in settable or name not in own)
     }
-    numbers = {"half": half, "moving": layout.moving, "kept": layout.kept}
-    at_bends = (bend.parts * (int(MOST_FINER) if bend.least else 1) for bend in bends)
-    numbers["most_parts"] = max([1, *at_bends]) * max(FINE_PARTS)
-    numbers |= {} if any(e.delays_command for e in effects) else {"late": -1}
+    numbers = {"half": half, "moving": layout.moving, "kept": layout.kept, "delay": at.get("delay", -1)}
+    numbers["coupled"] = at.get("coupled", -1)
     return Module(text, rows, len(at), {name: numbers.get(name, at.get(name, 0)) for name in NUMBERS})

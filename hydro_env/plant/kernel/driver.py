@@ -19,30 +19,33 @@ from .vector_ir import FOUND
 __all__ = ["NUMBERS", "SWEEPS", "advance"]
 
 #: Sweeps of `template`, called by their addresses.
-SWEEPS = ("look", "guard", "refine", "limit", "ask", "pace", "begin", "finish")
-#: Names of the numbers of a kernel, in order: rigs to a block, how many rows change and how many stay between calls, the most
-#: parts of a substep, rows by name (`late`: -1 without a delay line), addresses.
+SWEEPS = ("prepare", "observe", "start_row", "evaluate", "attempt", "guard")
+#: Names of the numbers of a kernel, in order: rigs to a block, how many rows change and how many stay between calls, rows by name
+#: (`delay`, `coupled`: -1 without), addresses.
 NUMBERS = (
     "half",
     "moving",
     "kept",
-    "most_parts",
     "command",
     "load",
     "applied",
     "todo",
-    "left",
-    "late",
+    "row_left",
+    "fresh",
+    "delay",
+    "coupled",
     *SWEEPS,
 )
 
-HALF, MOVING, KEPT, MOST_PARTS, COMMAND, LOAD, APPLIED, TODO, LEFT, LATE = range(10)
-LOOK, GUARD, REFINE, LIMIT, ASK, PACE, BEGIN, FINISH = range(10, 18)
+HALF, MOVING, KEPT, COMMAND, LOAD, APPLIED, TODO, ROW_LEFT, FRESH, DELAY, COUPLED = range(11)
+PREPARE, OBSERVE, START_ROW, EVALUATE, ATTEMPT, GUARD = range(11, 17)
+#: Attempts at steps for a row of commands, at most, and for each second that it lasts.
+MOST_ATTEMPTS, ATTEMPTS_PER_S = 20_000, 2_000_000.0
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def sweep(typing: Any, address: Any, cells: Any, h: Any) -> Any:
-    """Calls the sweep at an address on the cells of a block; whether it found a lane that passes its test."""
+    """Calls the sweep at an address on the cells of a block; how many lanes passed its test."""
 
     def emit(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> ir.Value:
         item = signature.args[1].dtype
@@ -51,9 +54,9 @@ def sweep(typing: Any, address: Any, cells: Any, h: Any) -> Any:
         kind_of_sweep = ir.FunctionType(FOUND, [kind.as_pointer(), kind])
         called = builder.inttoptr(arguments[0], kind_of_sweep.as_pointer())
         step = context.cast(builder, arguments[2], signature.args[2], item)
-        return builder.icmp_signed("!=", builder.call(called, [array.data, step]), FOUND(0))
+        return builder.call(called, [array.data, step])
 
-    return types.boolean(address, cells, h), emit
+    return types.int32(address, cells, h), emit
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -78,53 +81,68 @@ def _nogil(function: Any) -> Any:
 
 
 @_nogil
-def delay(at, cells, ring, end, substep):  # type: ignore[no-untyped-def]
-    """Where a substep (s) begins, the command goes to a slot of the ring (slots, lanes) and one from as many slots before as it
-    is late, with a fraction, to the valve. `end`: the slot after the last one of this row."""
+def delay(at, cells, ring, lasted, head, period):  # type: ignore[no-untyped-def]
+    """Where the time of a lane has come, the command of that time goes to the valve, until the next other one's time comes.
+
+    ring (slots, lanes): the commands of the rows up to this one, in slot `head`, which lasted so many s (slots,). Times count
+    from the beginning of this row, and equal commands are one: so what went before a reset changes no bit.
+    """
     lanes, slots = 2 * at[HALF], ring.shape[0]
-    end %= slots
-    todo_row, left_row, late_row = at[TODO] * lanes, at[LEFT] * lanes, at[LATE] * lanes
-    command_row, applied_row = at[COMMAND] * lanes, at[APPLIED] * lanes
+    more = False
     for lane in range(lanes):
-        todo = int(cells[todo_row + lane])
-        if todo > 0 and cells[left_row + lane] <= 0.0:
-            slot = end - todo  # a division for each lane would take as long as all the rest
-            slot = slot if slot >= 0 else slot % slots
-            ring[slot, lane] = cells[command_row + lane]
-            late = min(cells[late_row + lane] / substep, slots - 2.0)
-            whole = int(late)
-            share = late - whole
-            newer = slot - whole if slot >= whole else slot - whole + slots
-            older = newer - 1 if newer > 0 else slots - 1
-            cells[applied_row + lane] = (1.0 - share) * ring[newer, lane] + share * ring[older, lane]
+        left = cells[at[ROW_LEFT] * lanes + lane]
+        if cells[at[TODO] * lanes + lane] <= 0.0 and left > 0.0:
+            now, wait = period - left, cells[at[DELAY] * lanes + lane]
+            slot, begun, until, back = head, 0.0, period, 0
+            while back < slots - 1 and begun + wait > now + 1e-6 * period:
+                before = slot - 1 if slot > 0 else slots - 1
+                if ring[before, lane] != ring[slot, lane]:
+                    until = begun + wait
+                slot, begun, back = before, begun - lasted[before], back + 1
+            stretch = left if until >= (1.0 - 1e-6) * period else until - now
+            cells[at[APPLIED] * lanes + lane] = ring[slot, lane]
+            cells[at[TODO] * lanes + lane] = stretch
+            cells[at[FRESH] * lanes + lane] = 1.0
+            more = True
+    for lane in range(lanes if more else 0):
+        other = lane + at[HALF] if lane < at[HALF] else lane - at[HALF]
+        coupled = (
+            at[COUPLED] >= 0 and cells[at[COUPLED] * lanes + lane] + cells[at[COUPLED] * lanes + other] > 0.0
+        )
+        if coupled and cells[at[TODO] * lanes + other] < cells[at[TODO] * lanes + lane]:
+            cells[at[TODO] * lanes + lane] = cells[
+                at[TODO] * lanes + other
+            ]  # both channels of a rig go equally far
+        if cells[at[FRESH] * lanes + lane] > 0.0:
+            cells[at[ROW_LEFT] * lanes + lane] -= cells[at[TODO] * lanes + lane]
+    return more
 
 
 @_nogil
 def advance(  # type: ignore[no-untyped-def]
-    at, memory, cells, ring, head, commands, loads, substeps, h, looked_at, record, every, out
+    at, memory, cells, ring, lasted, head, commands, loads, period, tolerance, record, every, out
 ):
-    """Runs every block through all rows of `commands`, `substeps` steps of `h` seconds to a row.
-
-    `looked_at` is the step in s by which channels are called stiff, `h` or 0: then none is.
+    """Runs every block through all rows of `commands`, which are held for `period` s each.
 
     at: the kernel's `NUMBERS`; memory (blocks * kept * lanes,); cells (rows * lanes,), aligned: room to work in; ring (blocks,
-    slots, lanes) and head: the delay line, None where there is none, so that nothing of it is compiled; commands, loads (T, rigs
-    or 1, 2): one row for all rigs where the middle is 1; record: rows of the memory that go to out (len(record), T // every,
+    slots, lanes), lasted (blocks, slots) and head: the delay line, how long its rows lasted, s, and the slot of the last one;
+    ring is None where there is none, so that nothing of it is compiled. commands, loads (T, rigs or 1, 2): one row for all rigs
+    where the middle is 1; tolerance: of the speed, rad/s; record: rows of the memory that go to out (len(record), T // every,
     rigs, 2) at the instant of each row, before its command acts.
     """
-    half = at[HALF]
-    lanes = 2 * half
-    kept = at[KEPT] * lanes
-    whole_step = cells.dtype.type(h)
-    rigs = out.shape[2]
+    half, rigs = at[HALF], out.shape[2]
+    lanes, kept = 2 * half, 2 * half * at[KEPT]
+    delayed = ring is not None and at[DELAY] >= 0
+    most = MOST_ATTEMPTS + int(ATTEMPTS_PER_S * period)
     for b in range(memory.size // kept):
         start, low = b * kept, b * half
         high = low + half if low + half < rigs else rigs
+        slot = head
         copy(cells, 0, memory, start, kept)
-        sweep(at[REFINE], cells, looked_at)
+        sweep(at[PREPARE], cells, tolerance)
         for t in range(commands.shape[0]):
             if record.size > 0 and t % every == 0:
-                sweep(at[LOOK], cells, whole_step)
+                sweep(at[OBSERVE], cells, period)
                 for r in range(record.size):
                     first, seen = record[r] * lanes - low, out[r, t // every]
                     for rig in range(low, high):
@@ -139,16 +157,24 @@ def advance(  # type: ignore[no-untyped-def]
                     cells[at[LOAD] * lanes + first + lane] = loads[
                         t if t < loads.shape[0] else 0, rig if rig < loads.shape[1] else 0, channel
                     ]
-            sweep(at[LIMIT], cells, substeps)
-            # Each lane goes through its substeps at its own pace, whole or in parts; it waits for the others at the next row.
-            sweep(at[ASK], cells, whole_step)
-            for _ in range(at[MOST_PARTS] * substeps):
-                if ring is not None and at[LATE] >= 0:
-                    delay(at, cells, ring[b], head + (t + 1) * substeps, whole_step)
-                sweep(at[PACE], cells, whole_step)
-                sweep(at[BEGIN], cells, whole_step)
-                if not sweep(at[FINISH], cells, whole_step):
+            sweep(at[START_ROW], cells, period)
+            if ring is not None and delayed:
+                slot = (slot + 1) % ring.shape[1]
+                lasted[b, slot] = period
+                for lane in range(lanes):
+                    ring[b, slot, lane] = cells[at[COMMAND] * lanes + lane]
+                    cells[at[ROW_LEFT] * lanes + lane] = period
+                    cells[at[TODO] * lanes + lane] = 0.0
+                delay(at, cells, ring[b], lasted[b], slot, period)
+            sweep(at[EVALUATE], cells, period)
+            # Each lane goes at its own pace and waits for the others at the next row.
+            for _ in range(most):
+                going = sweep(at[ATTEMPT], cells, period)
+                if ring is not None and delayed and delay(at, cells, ring[b], lasted[b], slot, period):
+                    going = lanes
+                    sweep(at[EVALUATE], cells, period)
+                if going == 0:
                     break
-            sweep(at[GUARD], cells, whole_step)
-        sweep(at[LOOK], cells, whole_step)
+            sweep(at[GUARD], cells, period)
+        sweep(at[OBSERVE], cells, period)
         copy(memory, start, cells, 0, at[MOVING] * lanes)

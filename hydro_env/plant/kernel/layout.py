@@ -7,15 +7,15 @@ holds one name of all lanes; all rows of a block lie one after the other in a fl
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 from ..catalogue import Effect, State
 from ..parameters import PARAMETERS
 
 __all__ = [
-    "DIVISORS", "FACTORS", "INTEGRAL", "PACE", "RECIPROCALS", "STATES", "Layout", "in_text", "layout_of", "parameters_of",
-    "states_of", "uses", "with_shared",
+    "DIVISORS", "INTEGRAL", "RECIPROCALS", "STATES", "Layout", "in_text", "layout_of", "parameters_of", "scale_of", "states_of",
+    "uses", "with_shared",
 ]  # fmt: skip
 
 #: States of a channel, in the order of `rates`.
@@ -25,15 +25,13 @@ INTEGRAL = {"angle": "speed"}
 #: Base parameters that are divided by: their reciprocals are rows of their own, since a division costs ten products.
 DIVISORS = ("L", "m", "V", "J", "vs", "v_stop")
 RECIPROCALS = tuple(f"per_{name}" for name in DIVISORS)
-#: Factors of the matrix, which the stages share, see `statements.FACTORISATION`.
-FACTORS = (
-    "e_current", "e_bristle", "e_spool_speed", "w_spool", "w_bristle", "w_current", "w_back", "w_slope", "e_speed",
-    "e_pressure", "w_flow", "w_pump", "w_lift",
+#: Rows of the step: time left of a command, s; the step to try, s; the squared error of the last one; whether the rates are to
+#: be evaluated; and whether a lane was given up.
+STEP = ("todo", "error", "fresh", "lost")
+_OUTPUTS = (
+    "time", "step", "failed", "attempts", "flow", "measured_speed", "mean_line_pressure", "diverged", "lost_at",
+    "command", "load",
 )  # fmt: skip
-#: How a lane goes: substeps of the row to do; parts of this substep that are left; in how many parts it is taken, and the next
-#: one should be; the length of a part, s, its reciprocal, and that of gamma times it.
-PACE = ("todo", "left", "parts", "wanted", "step", "ih", "ig")
-_OUTPUTS = ("time", "flow", "measured_speed", "mean_line_pressure", "diverged", "command", "load")
 
 
 def in_text(effect: Effect, own: str) -> str:
@@ -58,6 +56,11 @@ def states_of(effects: Iterable[Effect]) -> dict[str, list[tuple[Effect, State]]
     return found
 
 
+def scale_of(adding: Iterable[tuple[Effect, State]]) -> float:
+    """The scale of a state of effects, see `State`."""
+    return float(max(state.scale for _, state in adding))
+
+
 def uses(name: str, text: str) -> bool:
     """Whether a text has this name in it."""
     return re.search(rf"\b{name}\b", text) is not None
@@ -65,18 +68,17 @@ def uses(name: str, text: str) -> bool:
 
 @dataclass(frozen=True)
 class Layout:
-    """Names and rows of a block. `states` are those of `rates` and of the effects, `settled` what is computed once for all
-    steps of a length. The first `moving` rows change with time, the first `kept` ones stay between calls.
+    """Names and rows of a block. `states` are those of `rates` and of the effects. The first `moving` rows change with time, the
+    first `kept` ones stay between calls; a name without a row gets the next one when it is first used.
     """
 
     effects: tuple[Effect, ...]
     half: int
     states: tuple[str, ...]
     parameters: tuple[str, ...]
-    rows: Mapping[str, int]
+    rows: dict[str, int]
     moving: int
     kept: int
-    settled: tuple[str, ...] = ()
 
     @property
     def staged(self) -> list[str]:
@@ -88,24 +90,22 @@ class Layout:
         """States of the effects."""
         return self.states[len(STATES) :]
 
-    @property
-    def constants(self) -> list[str]:
-        """What the parameters and the length of the step settle."""
-        return [*self.parameters, *RECIPROCALS, *self.settled]
-
-    def with_settled(self, names: Iterable[str]) -> Layout:
-        """The layout with rows for what is computed once."""
-        added = {name: len(self.rows) + n for n, name in enumerate(names)}
-        return replace(self, rows={**self.rows, **added}, settled=tuple(added))
+    def row(self, name: str) -> int:
+        """The row of a name."""
+        return self.rows.setdefault(name, len(self.rows))
 
     def cell(self, name: str) -> str:
         """The cell of a name on lane `l`."""
-        return f"cells[{self.rows[name] * 2 * self.half} + l]"
+        return f"cells[{self.row(name) * 2 * self.half} + l]"
 
     def load(self, names: Iterable[str], text: str) -> list[str]:
         """Statements that load those of the names that a text uses."""
         used = {*re.findall(r"\w+", text)}
         return [f"{name} = {self.cell(name)}" for name in names if name in used]
+
+    def store(self, names: Iterable[str]) -> list[str]:
+        """Statements that store names."""
+        return [f"{self.cell(name)} = {name}" for name in names]
 
 
 def parameters_of(effects: Iterable[Effect]) -> tuple[str, ...]:
@@ -116,17 +116,8 @@ def parameters_of(effects: Iterable[Effect]) -> tuple[str, ...]:
 def layout_of(effects: tuple[Effect, ...], half: int) -> Layout:
     """The layout of a block of `half` rigs with these effects."""
     parameters = parameters_of(effects)
-    own_states = tuple(states_of(effects))
-    states = STATES + own_states
+    states = STATES + tuple(states_of(effects))
     moving = [*states, *_OUTPUTS]
     kept = [*moving, *parameters]
-    bare = Layout(effects, half, states, parameters, {}, len(moving), len(kept))
-    names = [
-        *kept,
-        *(f"f__{name}" for name in (*FACTORS, *own_states)),
-        *(f"u0__{name}" for name in bare.staged),
-        "applied", "next_flow", "other_flow",
-        *RECIPROCALS,
-        "fine", "together", "late", *PACE,
-    ]  # fmt: skip
-    return replace(bare, rows={name: row for row, name in enumerate(names)})
+    rows = {name: row for row, name in enumerate([*kept, "applied", "row_left", *STEP])}
+    return Layout(effects, half, states, parameters, rows, len(moving), len(kept))

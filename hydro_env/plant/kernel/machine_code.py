@@ -26,7 +26,7 @@ class MachineCode:
     def __init__(self, object_code: bytes, names: Iterable[str]) -> None:
         # An engine begins with a module; ours has nothing to compile.
         empty = llvm.parse_assembly(f'target triple = "{_target()[0]}"')
-        self._engine = llvm.create_mcjit_compiler(empty, _machine())
+        self._engine = llvm.create_mcjit_compiler(empty, _machine(), use_lmm=True)
         self._engine.add_object_file(llvm.ObjectFileRef.from_data(object_code))
         self._engine.finalize_object()
         self.addresses = [self._engine.get_function_address(name) for name in names]
@@ -63,10 +63,12 @@ def _machine() -> llvm.TargetMachine:
     triple, processor, features = _target()
     target = llvm.Target.from_triple(triple)
     return target.create_target_machine(
-        cpu=processor, features=features, opt=2, reloc="static", codemodel="jitdefault", jit=True
+        cpu=processor, features=features, opt=2, reloc="pic", codemodel="small", jit=True
     )
 
 
 @cache
 def _translator() -> str:
-    return hashlib.sha256((inspect.getsource(vector_ir) + inspect.getsource(_compiled)).encode()).hexdigest()
+    return hashlib.sha256(
+        (inspect.getsource(vector_ir) + inspect.getsource(_compiled) + inspect.getsource(_machine)).encode()
+    ).hexdigest()

@@ -20,14 +20,20 @@ from .codegen import Module, module_text
 __all__ = ["module_of"]
 
 
-def module_of(effects: tuple[Effect, ...], half: int) -> Module:
+def module_of(effects: tuple[Effect, ...], half: int, grouped: bool) -> Module:
     """See `codegen.module_text`."""
-    depends = (half, [_identity(effect) for effect in effects], _writers(), sys.implementation.cache_tag)
+    depends = (
+        half,
+        grouped,
+        [_identity(effect) for effect in effects],
+        _writers(),
+        sys.implementation.cache_tag,
+    )
     name = f"{hashlib.sha256(repr(depends).encode()).hexdigest()[:32]}.json"
     found = kept(name)
     if found is not None:
         return Module(*json.loads(found))
-    module = module_text(effects, half)
+    module = module_text(effects, half, grouped)
     keep(name, json.dumps(module).encode())
     return module
 

@@ -1,7 +1,7 @@
 """From `rates` and the laws of the effects to statements of the generated text, one assignment to a line.
 
-What depends on the parameters and the length of the step alone is taken out of them (`Substep.settling`), divisions by
-parameters become products, and every product with a sum becomes one fused operation (`fused`).
+What depends on the parameters alone is taken out of them (`Step.settling`), divisions by parameters become products, and every
+product with a sum becomes one fused operation (`fused`).
 """
 
 from __future__ import annotations
@@ -16,24 +16,14 @@ from functools import lru_cache
 from typing import Any
 
 from .. import vector_math
-from ..catalogue import Effect
+from ..catalogue import Effect, State
 from ..catalogue.effect import arguments
+from ..friction import bristles_left, friction_left
 from ..rhs import rates
-from ..stiffness import LAWS
 from . import vector_ir
-from .layout import DIVISORS, RECIPROCALS, in_text, parameters_of, states_of, uses
+from .layout import DIVISORS, RECIPROCALS, in_text, parameters_of, scale_of, states_of, uses
 
-__all__ = [
-    "HELPERS",
-    "Substep",
-    "call",
-    "chain",
-    "drive_around",
-    "functions",
-    "fused_lines",
-    "needed",
-    "substep_of",
-]
+__all__ = ["HELPERS", "Step", "call", "chain", "functions", "fused_lines", "needed", "step_of"]
 
 #: Functions of vector_math that laws may call.
 HELPERS = ("clip", "sign", "exp", "bell", "tanh", "cos", "sin")
@@ -56,7 +46,7 @@ def _names(effect: Effect, law: Callable[..., Any], given: Mapping[str, str | fl
 def call(
     effect: Effect, part: str, law: Callable[..., Any], given: Mapping[str, str | float] | None = None
 ) -> str:
-    """A call of a law of an effect: of its corner, or of a rate or decay of one of its states."""
+    """A call of a law of an effect: of a rate or decay of one of its states."""
     return f"{_law_name(effect, part)}({', '.join(_names(effect, law, given or {}))})"
 
 
@@ -76,13 +66,9 @@ def chain(quantity: str, effects: Iterable[Effect], changed: Mapping[str, str] |
 def functions(effects: Iterable[Effect]) -> list[str]:
     """The text of the functions that statements call: those of `vector_math` and the laws."""
     pasted = [_paste(f, f.__name__) for f in (getattr(vector_math, name) for name in HELPERS)]
-    pasted += [_paste(f, f.__name__) for f in LAWS]
+    pasted += [_paste(f, f.__name__) for f in (friction_left, bristles_left)]
     for effect in effects:
         pasted += [_paste(law, _law_name(effect, quantity)) for quantity, law in effect.laws.items()]
-        if effect.corner is not None:
-            pasted.append(_paste(effect.corner, _law_name(effect, "corner")))
-        if effect.least_parts is not None:
-            pasted.append(_paste(effect.least_parts, _law_name(effect, "least_parts")))
         for state in effect.states:
             pasted.append(_paste(state.rate, _law_name(effect, state.name + "_rate")))
             if state.decay is not None:
@@ -200,20 +186,6 @@ def _filling(effects: tuple[Effect, ...]) -> list[str]:
     ]
 
 
-def drive_around(effects: Iterable[Effect]) -> list[str]:
-    """Statements for the drive of an open valve a margin above the load pressure and below it; none where no effect changes it.
-    4 bar will do for a line that moves no further in a part."""
-    effects = tuple(effects)
-    if not _depends("drive", effects, "pressure"):
-        return []
-    lines = ["margin = line_travel if line_travel > 20e5 else 4e5"]
-    for name, sign in (("above", "+"), ("below", "-")):
-        changed = {"drive": f"drive__{name}", "pressure": f"pressure__{name}", "opening": "1.0"}
-        lines += [f"pressure__{name} = abs(pressure) {sign} margin", f"drive__{name} = 1.0"]
-        lines += chain("drive", effects, changed)
-    return lines
-
-
 def _shaft_slope(effects: tuple[Effect, ...]) -> list[str]:
     """How fast torque is lost as the speed rises."""
     lines = ["shaft_slope = viscous_friction"]
@@ -228,75 +200,148 @@ def _shaft_slope(effects: tuple[Effect, ...]) -> list[str]:
     return lines
 
 
-#: The factors of W = ig - slopes, by elimination: current, spool and bristle into the spool speed, pressure into the speed.
-#: The division of the bristle is taken into the denominator of the spool speed, so that neither waits for the other.
+#: The factors of 1 / gh - W, by elimination: current, spool and bristle into the spool speed, pressure into the speed. Divisions
+#: take ten times as long as products, so all pivots share one.
 FACTORISATION = [
     "inertia = per_m",
-    "e_current = 1.0 / (ig + resistance * per_L)",
-    "bristles = ig * breakaway + sliding",
-    "per_bristles = 1.0 / bristles",
-    "e_bristle = breakaway * per_bristles",
     "w_spool = stiffness * inertia * gh",
-    "w_bristle = friction_bristle * inertia * per_bristles",
-    "w_current = alpha * inertia * e_current",
-    "w_back = alpha * per_L",
-    "w_slope = bristle_slope * per_bristles",
-    # Products of their own: whether they are settled beforehand or not, they are rounded before they are added.
-    "w_coil = w_current * w_back",
-    "w_sliding = (s0 + s1 * ig) * inertia",
-    "rest = ig + (friction_slope * inertia + w_spool * gh + w_coil)",
-    "e_spool_speed = bristles / (rest * bristles + w_sliding * bristle_slope)",
     "softness = bulk_modulus * per_V",
     "w_flow = softness * flow_slope",
     "w_pump = softness * displacement",
-    "e_pressure = 1.0 / (ig + softness * leakage_slope - filling)",
-    "w_lift = displacement * per_J * e_pressure",
-    "e_speed = 1.0 / (ig + shaft_slope * per_J + w_lift * w_pump)",
+    "w_back = alpha * per_L",
+    "lift = displacement * per_J",
+    "pivot_current = 1.0 + gh * (resistance * per_L)",
+    "pivot_bristle = breakaway + gh * sliding",
+    "pivot_pressure = 1.0 + gh * (softness * leakage_slope - filling)",
+    "free = 1.0 + gh * (friction_slope * inertia + w_spool * gh)",
+    "coiled = free * pivot_current + gh * gh * (pull * inertia * w_back)",
+    "slides = gh * (s1 + gh * s0) * inertia * bristle_slope",
+    "pivot_spool_speed = coiled * pivot_bristle + slides * pivot_current",
+    "pivot_speed = pivot_pressure * (1.0 + gh * (shaft_slope * per_J)) + gh * gh * lift * w_pump",
+    "valve = pivot_current * pivot_bristle",
+    "motor = pivot_pressure * pivot_speed",
+    "whole_valve = valve * pivot_spool_speed",
+    "shared = gh / (whole_valve * motor)",
+    "per_valve = shared * motor",
+    "per_motor = shared * whole_valve",
+    "e_spool_speed = per_valve * valve * valve",
+    "per_both = per_valve * pivot_spool_speed",
+    "e_current = per_both * pivot_bristle",
+    "per_bristles = per_both * pivot_current",
+    "e_bristle = breakaway * per_bristles",
+    "e_pressure = per_motor * pivot_speed",
+    "e_speed = per_motor * pivot_pressure * pivot_pressure",
+    "w_bristle = friction_bristle * inertia * per_bristles",
+    "w_current = pull * inertia * e_current",
+    "w_slope = bristle_slope * per_bristles",
+    "w_lift = lift * e_pressure",
 ]
 
 
 # --- what is computed once --------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Substep:
-    """Statements of a substep, from which what is computed once has been taken out.
+class Step:
+    """Statements of a step, from which what the parameters settle has been taken out.
 
-    `rates`: those of the seven states, `own_rates` those of the effects' states; `slopes` and `factors`: the matrix and its
-    factors; `settling`: what makes the names in `settled`, computed once for all substeps of a length. `factor_rows` says in
-    which row the stages find a factor, `whole_rates` are the rates with nothing taken out.
+    `rates`: those of the seven states, `own_rates` those of the effects' states; `slopes` of the matrix, at the same place;
+    `factors` of the matrix for a length of the step, from the names in `carried`; `couplings`: names of the slopes by which other
+    states drive those of effects, each with the state and what it meets in the solution; `acting`: states of effects that are
+    eliminated, and what drives them; `settling`: what makes the names in `settled`.
     """
 
     rates: list[str]
     own_rates: list[str]
     slopes: list[str]
     factors: list[str]
+    carried: list[str]
+    couplings: dict[str, tuple[str, str]]
+    acting: dict[str, str]
     settling: list[str]
     settled: list[str]
-    factor_rows: dict[str, str]
-    whole_rates: list[str]
 
-    @property
-    def rates_text(self) -> str:
-        return "\n".join(self.rates + self.own_rates)
+
+#: What drives states of effects beside themselves: a step for its slope, and the change that the solution gives it.
+_DRIVES = {
+    "pressure": (1e3, "u__pressure"),
+    "speed": (1e-3, "u__speed"),
+    "spool_speed": (1e-6, "u__spool_speed"),
+    "current_rate": (1e-3, "(ig * u__current - r__current)"),
+}
+
+
+#: States of effects that act on what drives them are eliminated into it: the driver; the quantity that they act on, and its value
+#: without effects; the slope of the matrix that changes.
+_MEETS = {
+    "pressure": ("leakage", "leakage_coefficient * pressure", "leakage_slope"),
+    "current_rate": ("force", "alpha * current", "pull"),
+}
+
+
+def _sum_of_rates(adding: Iterable[tuple[Effect, State]]) -> str:
+    """The rate of a state, of all that adds to it."""
+    return " + ".join(call(e, s.name + "_rate", s.rate, s.given) for e, s in adding)
+
+
+def _decay(adding: tuple[Effect, State], name: str, further: float) -> str:
+    """How fast a state falls back by what one effect adds to its rate."""
+    effect, state = adding
+    if state.decay is not None:
+        return call(effect, state.name + "_decay", state.decay, state.given)
+    rate = _sum_of_rates([adding])
+    changed = re.sub(rf"\b{name}\b", f"{name}__d", rate)
+    return f"positive(({rate} - {changed}) * {1.0 / further!r})"
+
+
+def _own_slopes(effects: tuple[Effect, ...]) -> tuple[list[str], dict[str, tuple[str, str]], dict[str, str]]:
+    """Statements for what W has of the states of effects, by differences: how they decay, what drives them, what they act on; the
+    `couplings` and what is `acting`, as in `Step`."""
+    lines: list[str] = []
+    couplings: dict[str, tuple[str, str]] = {}
+    acting: dict[str, str] = {}
+    drives = dict(_DRIVES)
+    for name, adding in states_of(effects).items():
+        rate, further = _sum_of_rates(adding), 0.01 * scale_of(adding)
+        lines += [f"{name}__d = {name} + {further!r}"]
+        falling = [_decay(each, name, further) for each in adding]
+        lines += [f"{name}_decay = {' + '.join(falling)}"]
+        for driver, (small, solved) in drives.items():
+            if uses(driver, rate):
+                changed = re.sub(rf"\b{driver}\b", f"{driver}__d", rate)
+                lines += [f"{driver}__d = {driver} + {small!r}"]
+                lines += [f"{name}__by_{driver} = ({changed} - {name}_rate) * {1.0 / small!r}"]
+                couplings[f"{name}__by_{driver}"] = name, solved
+        for driver, (quantity, first, _) in _MEETS.items():
+            if uses(driver, rate) and uses(name, "\n".join(chain(quantity, effects))):
+                lines += [f"{quantity}__d = {first}"]
+                lines += chain(quantity, effects, {quantity: f"{quantity}__d", name: f"{name}__d"})
+                lines += [f"{name}__acts = ({quantity}__d - {quantity}) * {1.0 / further!r}"]
+                acting[name] = driver
+        drives[name] = further, f"u__{name}"
+    return lines, couplings, acting
 
 
 @lru_cache(maxsize=256)
-def substep_of(effects: tuple[Effect, ...]) -> Substep:
-    """The statements of a substep with these effects."""
-    whole = _by_reciprocals(_rates_body(effects))
-    own = [
-        f"{name}_rate = {' + '.join(call(e, s.name + '_rate', s.rate, s.given) for e, s in adding)}"
-        for name, adding in states_of(effects).items()
-    ]
-    hoist = _Hoist({*parameters_of(effects), *RECIPROCALS, "ig", "gh"})
-    taken = hoist.take(whole)
-    slopes = hoist.take(_by_reciprocals(_slopes(effects)))
-    factors = hoist.take(FACTORISATION)
-    used = "\n".join([*taken, *slopes, *factors])
-    found = (re.fullmatch(r"(\w+) = (k__\d+)", line) for line in factors)
-    return Substep(
-        rates=taken, own_rates=own, slopes=slopes, factors=factors, settling=hoist.lines,
-        settled=[name for name in hoist.names if uses(name, used)],
-        factor_rows={match[1]: match[2] for match in found if match}, whole_rates=whole,
+def step_of(effects: tuple[Effect, ...]) -> Step:
+    """The statements of a step with these effects."""
+    states = states_of(effects)
+    own = [f"{name}_rate = {_sum_of_rates(adding)}" for name, adding in states.items()]
+    decays, couplings, acting = _own_slopes(effects)
+    hoist = _Hoist({*parameters_of(effects), *RECIPROCALS})
+    rates = hoist.take(_by_reciprocals(_rates_body(effects)))
+    slopes = hoist.take(_by_reciprocals(_slopes(effects))) + decays
+    factors = [f"e_{name} = 1.0 / (ig + {name}_decay)" for name in states]
+    eliminated = ["pull = alpha"]
+    for name, driver in acting.items():
+        slope = _MEETS[driver][2]
+        back = f"{name}__by_{driver}" + " * ig" * (driver == "current_rate")
+        eliminated += [f"{slope} = {slope} + {name}__acts * (e_{name} * {back})"]
+    factors += hoist.take([*eliminated, *FACTORISATION])
+    made = [line.split(" = ", 1)[0] for line in rates + slopes]
+    used = "\n".join([*rates, *slopes, *factors])
+    return Step(
+        rates=rates, own_rates=own, slopes=slopes, factors=factors,
+        carried=[name for name in dict.fromkeys(made) if uses(name, "\n".join(factors))],
+        couplings=couplings, acting=acting, settling=hoist.lines, settled=[name for name in hoist.names if uses(name, used)],
     )  # fmt: skip
 
 
@@ -324,7 +369,7 @@ def _variables(node: ast.AST) -> Iterator[str]:
 
 
 class _Hoist(ast.NodeTransformer):
-    """Takes what depends on the parameters and the length of the step alone out of the statements of a sweep.
+    """Takes what depends on the parameters alone out of the statements of a sweep.
 
     `constant` names what is known beforehand. `take(lines)` gives the lines back with a name `k__n` in place of each
     constant part; `lines` then holds the assignments that make these names, in order.

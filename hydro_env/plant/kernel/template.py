@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-__all__ = ["EXCHANGE", "MODULE", "TOGETHER"]
+__all__ = ["COUPLED", "EXCHANGE", "GROUPED", "MODULE"]
 
-#: Each channel sees the valve flow of the other one.
+#: Each channel sees a value of the other one.
 EXCHANGE = """\
 for l in range(HALF):
-    cells[{other} * LANES + l] = cells[{flow} * LANES + HALF + l]
-    cells[{other} * LANES + HALF + l] = cells[{flow} * LANES + l]"""
+    cells[{other} * LANES + l] = cells[{own} * LANES + HALF + l]
+    cells[{other} * LANES + HALF + l] = cells[{own} * LANES + l]"""
 
-#: Where they act on each other, both channels of a rig take a substep in the same parts.
-TOGETHER = """\
+#: Where they act on each other, both channels of a rig take the same steps.
+COUPLED = """\
 for l in range(HALF):
-    one = cells[{wanted} * LANES + l]
-    two = cells[{wanted} * LANES + HALF + l]
-    alone = cells[{together} * LANES + l] + cells[{together} * LANES + HALF + l] <= 0.0
-    cells[{wanted} * LANES + l] = one if alone or one > two else two
-    cells[{wanted} * LANES + HALF + l] = two if alone or two > one else one"""
+    one = cells[{row} * LANES + l]
+    two = cells[{row} * LANES + HALF + l]
+    alone = cells[{coupled} * LANES + l] + cells[{coupled} * LANES + HALF + l] <= 0.0
+    cells[{row} * LANES + l] = one if alone or one {worse} two else two
+    cells[{row} * LANES + HALF + l] = two if alone or two {worse} one else one"""
+
+#: All rigs of a block take the steps of its first one.
+GROUPED = """\
+for l in range(HALF):
+    cells[{row} * LANES + l] = cells[{row} * LANES]
+    cells[{row} * LANES + HALF + l] = cells[{row} * LANES + HALF]"""
 
 #: The module: sweeps over the lanes of a block, which `driver` calls. Places in capitals are row numbers.
 MODULE = '''\
@@ -27,9 +33,6 @@ from math import floor, sqrt
 
 HALF = {half}
 LANES = 2 * HALF
-COMMAND, APPLIED, RATED = {command}, {applied}, {rated}
-TODO = {todo}
-LEFT = {left}
 
 
 def positive(value):
@@ -39,62 +42,39 @@ def positive(value):
 {functions}
 
 
-def look(cells, h):
-    """Outputs (flow, measured speed, mean line pressure) of a block from its states."""
-    for l in range(LANES):
-        cells[APPLIED * LANES + l] = cells[COMMAND * LANES + l]
-{exchange}
-{watch}
+def prepare(cells, h):
+    """Once for all steps, for a tolerance of h rad/s: what effects add to base parameters, reciprocals, the dry friction that is
+    left, what the parameters settle, and what an error of each state counts."""
+{additions}
+{prepare}
+
+
+def observe(cells, h):
+    """Outputs (flow, measured speed, mean line pressure) from the states."""
+{observe}
+
+
+def start_row(cells, h):
+    """Commands within what the valves take, held for h seconds."""
+{start_row}
+
+
+def evaluate(cells, h):
+    """Rates of the states and their slopes, where the command has changed."""
+{evaluate}
+
+
+def attempt(cells, h) -> int:
+    """A step of every lane, each of its own length; where its error is small enough, the states move.
+
+    How many lanes have time to go.
+    """
+    lanes = 0
+{attempt}
+    return lanes
 
 
 def guard(cells, h):
-    """Puts lanes whose states have diverged to rest and marks them."""
+    """Lanes that could not be followed, or whose states have diverged, are put to rest and marked."""
 {guard}
-
-
-def refine(cells, h):
-    """Once for all substeps of h seconds: what effects add to base parameters and by how much they delay commands, reciprocals,
-    the dry friction that is left, and how finely stiff channels go."""
-{additions}
-{late}
-{refine}
-
-
-def limit(cells, h):
-    """Commands within what the valves take; there are h substeps to do."""
-    for l in range(LANES):
-        bound = cells[RATED * LANES + l]
-        u = cells[COMMAND * LANES + l]
-        u = u if u < bound else bound
-        cells[COMMAND * LANES + l] = u if u > -bound else -bound
-        {apply}
-        cells[TODO * LANES + l] = h
-        cells[LEFT * LANES + l] = 0.0
-
-
-def ask(cells, h):
-    """In how many parts each lane should take a substep of h seconds."""
-{ask}
-
-
-def pace(cells, h):
-    """Lanes that are through with their substep of h seconds begin the next, in the parts they ask for."""
-{together}
-{pace}
-
-
-def begin(cells, h):
-    """The first stage of a step, in each lane of its own length."""
-{exchange}
-{first}
-
-
-def finish(cells, h) -> bool:
-    """The other two stages; the states move. In how many parts the next substep of h seconds should be taken.
-
-    Whether there are lanes with substeps to do.
-    """
-    more = False
-{later}
-    return more
 '''

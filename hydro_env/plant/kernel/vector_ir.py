@@ -10,8 +10,8 @@ It is translated here straight to LLVM's vector instructions, as many lanes to a
 Numba the compiler would have to find out types, variables and that the loop can be vectorised at all, and spend most of its
 time on that. What a statement computes is fixed by its text: nothing is fused or reordered.
 
-Statements: assignments to variables and cells; `found |= test` in a loop to learn whether any lane passes a test (before the
-loop `found = False`, and `return found` at the end); in a loop also `if` before statements that end by storing to a cell: they
+Statements: assignments to variables and cells; `found += test` in a loop to count the lanes that pass a test (before the
+loop `found = 0`, and `return found` at the end); in a loop also `if` before statements that end by storing to a cell: they
 run on all lanes of a vector if any lane passes, so what they store has to be right for each; and in the functions called also
 `if` and `return`. Expressions: + - * /, whole powers, comparisons, and/or/&/|/not, conditional expressions, abs, sqrt, floor,
 fma, and other functions of the same module. TypeError, naming the function, for anything else.
@@ -103,6 +103,12 @@ class _Emitter:
             case ast.Name(name) if name in names:
                 found = names[name]
                 return found if isinstance(found.type, ir.VectorType) else self._splat(found)
+            case ast.Subscript(_, index) if not any(
+                n.id == "l" for n in ast.walk(index) if isinstance(n, ast.Name)
+            ):
+                offset = eval(compile(ast.Expression(index), "<index>", "eval"), self.constants)
+                pointer = emit.gep(self.cells, [ir.Constant(ir.IntType(64), int(offset))])
+                return self._splat(emit.load(pointer, align=self._align))
             case ast.Subscript():
                 return emit.load(self._address(node), align=self._align)
             case ast.BinOp(left, ast.Pow(), ast.Constant(int() as power)) if 1 <= power <= 8:
@@ -149,6 +155,16 @@ class _Emitter:
         function = module.globals.get(f"{name}.{kind}") or ir.Function(module, signature, f"{name}.{kind}")
         return self.builder.call(function, operands)
 
+    def _store_where(self, test: ir.Value, value: ir.Value, pointer: ir.Value) -> None:
+        """Stores the lanes that pass a test."""
+        whole, kind = ir.IntType(32), f"v{self.width}f{32 if isinstance(self.kind, ir.FloatType) else 64}"
+        name, signature = f"llvm.masked.store.{kind}.p0{kind}", [value.type, pointer.type, whole, test.type]
+        module = self.builder.module
+        function = module.globals.get(name) or ir.Function(
+            module, ir.FunctionType(ir.VoidType(), signature), name
+        )
+        self.builder.call(function, [value, pointer, ir.Constant(whole, self._align), test])
+
     # --- statements -------------------------------------------------------------------------------------------------
     def _call(self, function: ast.FunctionDef, operands: list[ir.Value]) -> ir.Value:
         names = dict(zip((a.arg for a in function.args.args), operands, strict=True))
@@ -167,10 +183,16 @@ class _Emitter:
                     pass
                 case ast.Assign([ast.Name(name)], value):
                     names[name] = self.value(value, names)
+                case ast.Assign([ast.Subscript() as target], ast.IfExp(test, value, kept)) if ast.unparse(
+                    kept
+                ) == ast.unparse(target):
+                    self._store_where(
+                        self.value(test, names), self.value(value, names), self._address(target)
+                    )
                 case ast.Assign([ast.Subscript() as target], value):
                     self.builder.store(self.value(value, names), self._address(target), align=self._align)
-                case ast.AugAssign(ast.Name(name), ast.BitOr(), value) if self.lane is not None:
-                    names[name] = self.builder.or_(names[name], self.value(value, names))
+                case ast.AugAssign(ast.Name(name), ast.Add(), value) if self.lane is not None:
+                    names[name] = self.builder.add(names[name], self._count(self.value(value, names)))
                 case ast.Return(ast.expr() as value):
                     return self.value(value, names)
                 case ast.If(test, [*_, ast.Assign([ast.Subscript()])] as body, []) if self.lane is not None:
@@ -199,11 +221,16 @@ class _Emitter:
         with emit.if_then(emit.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0)), likely=False):
             self._block(body, names)
 
+    def _count(self, test: ir.Value) -> ir.Value:
+        """On how many lanes a test is passed."""
+        bits = self.builder.zext(self.builder.bitcast(test, ir.IntType(self.width)), FOUND)
+        return self.builder.ctpop(bits)
+
     def _lanes(self, bound: ast.expr, body: list[ast.stmt], names: dict[str, ir.Value]) -> None:
         """A loop over lanes, a vector at a time."""
         lanes = eval(compile(ast.Expression(bound), "<lanes>", "eval"), self.constants)
         widest = _WIDEST // (4 if isinstance(self.kind, ir.FloatType) else 8)
-        width = next(w for w in (16, 8, 4, 2, 1) if w <= widest and lanes % w == 0)
+        width = next(w for w in (32, 16, 8, 4, 2, 1) if w <= widest and lanes % w == 0)
         index = ir.IntType(64)
         before, loop = self.builder.block, self.builder.append_basic_block("lanes")
         after = self.builder.append_basic_block("done")
@@ -213,21 +240,18 @@ class _Emitter:
         self.width = width
         inner = dict(names)
         found = {node.target.id for node in body if isinstance(node, ast.AugAssign)}  # type: ignore[union-attr]
-        nowhere = ir.Constant(ir.VectorType(ir.IntType(1), width), [0] * width)
-        marks = {name: self.builder.phi(nowhere.type) for name in found}
+        marks = {name: self.builder.phi(FOUND) for name in found}
         inner.update(marks)
         self._block(body, inner)
         for name, mark in marks.items():
-            mark.add_incoming(nowhere, before)
+            mark.add_incoming(FOUND(0), before)
             mark.add_incoming(inner[name], self.builder.block)
         onward = self.builder.add(self.lane, ir.Constant(index, width))
         self.lane.add_incoming(ir.Constant(index, 0), before)
         self.lane.add_incoming(onward, self.builder.block)
         self.builder.cbranch(self.builder.icmp_signed("<", onward, ir.Constant(index, lanes)), loop, after)
         self.builder.position_at_end(after)
-        for name in found:
-            bits = self.builder.bitcast(inner[name], ir.IntType(width))
-            names[name] = self.builder.icmp_unsigned("!=", bits, ir.Constant(bits.type, 0))
+        names.update({name: inner[name] for name in found})
         self.lane, self.width = None, 1
 
     def scalars(self, statements: list[ast.stmt], names: dict[str, ir.Value]) -> ir.Value | None:
@@ -299,5 +323,5 @@ def llvm_text(text: str, single: bool) -> str:
                 ir.IRBuilder(sweep.append_basic_block("entry")), constants, functions, cells, kind, node.name
             )
             found = emitter.scalars(node.body, {"h": h})
-            emitter.builder.ret(FOUND(0) if found is None else emitter.builder.zext(found, FOUND))
+            emitter.builder.ret(FOUND(0) if found is None else found)
     return str(module)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...errors import InputError
 from ...plant.catalogue import BUILT_IN, CATALOGUE
 from ...plant.model import PlantModel
-from ...plant.model_files import read_model
+from ...plant.model_files import load_model
 from .equations import outputs
 from .forms import Constants, checked
 from .solver import STATES, Group
@@ -44,7 +44,7 @@ class ReferenceRig:
     ) -> None:  # fmt: skip
         if forms not in FORMS:
             raise ValueError(f"forms is {forms!r}, expected one of {', '.join(FORMS)}")
-        self.model, self.forms, self.method, self.tolerance = read_model(model), forms, method, tolerance
+        self.model, self.forms, self.method, self.tolerance = load_model(model), forms, method, tolerance
         for name, acts in self.model.effects.items():
             if name not in BUILT_IN and not all(CATALOGUE[name].is_neutral(values or {}) for values in acts):
                 raise InputError(

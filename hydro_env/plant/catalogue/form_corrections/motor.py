@@ -32,17 +32,12 @@ def _second_rate(second, first, time_constant, share):
     return (first - second) / (lag if lag > 1e-5 else 1e-5)
 
 
-def _second_decay(time_constant, share):
-    lag = time_constant * share
-    return 1.0 / (lag if lag > 1e-5 else 1e-5)
-
-
 SUPPLY_SHAPE = correction(
     "supply_shape", "supply", "the supply follows the flow with two lags of the same sum",
     (Parameter("share", "1", 0.0, 0.0, 0.5, NO_PHYSICS, "share of the memory in the second lag", 0.2),),
     {"drive": _late_drive},
     {"supply_droop": {}},
-    (State("first", _first_droop), State("second", _second_rate, _second_decay)),
+    (State("first", _first_droop, scale=0.1), State("second", _second_rate, scale=0.1)),
     scope="rig",
     shares=SUPPLY_DROOP,
 )  # fmt: skip
@@ -136,7 +131,7 @@ LEAK_SHAPE = correction(
     ),
     {"leakage": _leak_curve},
     {"external_leakage": {"conductance": "conductance", "supply_pressure": "supply_pressure"}},
-    states=(State("mean_pressure", _drained_by_curve),),
+    states=(State("mean_pressure", _drained_by_curve, scale=0.01),),
     shares=BOTH_LINES,
 )  # fmt: skip
 
@@ -177,14 +172,6 @@ def _rest_rate(rest, speed, travel):
     return (speed - abs(speed) * rest) / (travel if travel > 1e-5 else 1e-5)
 
 
-def _rest_decay(speed, travel):
-    return abs(speed) / (travel if travel > 1e-5 else 1e-5)
-
-
-def _rest_corner(speed, travel):
-    return travel > 0.0 and abs(speed) < 1.0
-
-
 REST_SHAPE = correction(
     "rest_shape", "motor", "dry friction builds up over a small turn (Dahl) in the place of a smooth step",
     (
@@ -196,8 +183,7 @@ REST_SHAPE = correction(
     ),
     {"torque": _dahl_torque},
     {"motor_coulomb_friction": {n: n for n in ("coulomb", "static", "stribeck_speed")}},
-    (State("rest", _rest_rate, _rest_decay),),
-    corner=_rest_corner,
+    (State("rest", _rest_rate),),
 )  # fmt: skip
 
 
@@ -276,17 +262,12 @@ def _first_lag(first, speed, time_constant, share):
     return (speed - first) / (lag if lag > 1e-5 else 1e-5)
 
 
-def _first_lag_decay(time_constant, share):
-    lag = time_constant * (1.0 - share)
-    return 1.0 / (lag if lag > 1e-5 else 1e-5)
-
-
 SENSOR_SHAPE = correction(
     "sensor_shape", "sensor", "the sensor follows with two lags of the same sum",
     (Parameter("share", "1", 0.0, 0.0, 0.5, NO_PHYSICS, "share of the lag in the second filter", 0.2),),
     {"measured_speed": _late_speed},
     {"sensor_lag": {}},
-    (State("first", _first_lag, _first_lag_decay), State("second", _second_rate, _second_decay)),
+    (State("first", _first_lag, scale=10.0), State("second", _second_rate, scale=10.0)),
     shares=SENSOR_LAG,
 )  # fmt: skip
 
@@ -337,7 +318,7 @@ COUPLING_SHAPE = correction(
     ),
     {"torque": _torque_of_damper},
     {"shaft_backlash": {}},
-    (State("load_speed", _load_behind_damper),),
+    (State("load_speed", _load_behind_damper, scale=0.2),),
     shares=SHAFT_BACKLASH,
 )  # fmt: skip
 

@@ -55,10 +55,6 @@ def _spread_rate(play, command, part, spread, width):
     return (gap - clip(gap, -half, half)) / 1e-4
 
 
-def _spread_decay(play, command, part, spread, width):
-    return (1.0 if abs(command - play) > 0.5 * width * (1.0 + part * spread) else 0.0) / 1e-4
-
-
 PLAY_SHAPE = correction(
     "play_shape", "driver", "a quarter of the command passes a narrower play, a quarter a wider one",
     (
@@ -68,9 +64,9 @@ PLAY_SHAPE = correction(
     {"voltage": _three_plays},
     {"input_hysteresis": {"width": "width"}},
     (
-        State("as_before", _PLAY.rate, _PLAY.decay, {"follower": "as_before"}),
-        State("narrow", _spread_rate, _spread_decay, {"play": "narrow", "part": -1.0}),
-        State("wide", _spread_rate, _spread_decay, {"play": "wide", "part": 1.0}),
+        State("as_before", _PLAY.rate, given={"follower": "as_before"}),
+        State("narrow", _spread_rate, given={"play": "narrow", "part": -1.0}),
+        State("wide", _spread_rate, given={"play": "wide", "part": 1.0}),
     ),
 )  # fmt: skip
 
@@ -223,17 +219,6 @@ def _stop_rate(stop, current_rate, times, amplitude, width, alpha):
     return current_rate * free / travel - 2e4 * (stop - clip(stop, -1.0, 1.0))
 
 
-def _stop_decay(stop, current_rate, times, amplitude, width, alpha):
-    least = 2.0 * amplitude / alpha
-    travel = times * (width if width > least else least)
-    ahead = stop if current_rate > 0.0 else -stop
-    inside = ahead if ahead < 1.0 else 1.0
-    squared = inside * inside
-    slope = 8.0 * squared * squared * squared * inside
-    # Never less than what keeps a long step of the current from shooting far beyond the limit.
-    return abs(current_rate) * (slope if slope > 1.0 else 1.0) / travel + (2e4 if ahead > 1.0 else 0.0)
-
-
 #: Travels of the stops until they give way, over the width of the effect's own loop.
 _STOPS = (0.25, 0.5, 1.0, 2.0)
 # The loop of the catalogue's law, from which the stops take over.
@@ -252,9 +237,9 @@ STOP_SHAPE = correction(
     {"force": _stops_force},
     {"magnetic_hysteresis": {"amplitude": "amplitude", "width": "width"}},
     (
-        State("as_before", _LOOP.rate, _LOOP.decay, {"loop": "as_before"}),
+        State("as_before", _LOOP.rate, scale=0.1, given={"loop": "as_before"}),
         *(
-            State(f"stop_{n}", _stop_rate, _stop_decay, {"stop": f"stop_{n}", "times": times})
+            State(f"stop_{n}", _stop_rate, scale=0.1, given={"stop": f"stop_{n}", "times": times})
             for n, times in enumerate(_STOPS, 1)
         ),
     ),
@@ -293,19 +278,6 @@ def _bristle_rate(bristle_2, spool_speed, coulomb, static, firm, stiffness, stri
     return spool_speed - give * abs(spool_speed) * s0 * stiff / level * bristle_2
 
 
-def _bristle_decay(spool_speed, coulomb, static, stiffness, stribeck, vs, s0):
-    most = (coulomb if coulomb < static else static) / (2e-7 * s0)
-    stiff = most if most < stiffness else stiffness
-    slip = abs(spool_speed) / (vs * stribeck)
-    level = coulomb + (static - coulomb) * bell(slip)
-    return abs(spool_speed) * s0 * stiff / (level if level > 1e-6 else 1e-6)
-
-
-def _bristle_corner(coulomb, static):
-    # Everywhere: the spool crosses the micrometres between two limits of its bristles within a substep.
-    return coulomb + static > 0.0
-
-
 BRISTLE_SHAPE = correction(
     "bristle_shape", "force", "what friction the spool has more is held by a second bristle, which gives way late",
     (
@@ -328,8 +300,7 @@ BRISTLE_SHAPE = correction(
             "coulomb": "coulomb", "static": "static", "coulomb_taken": "-coulomb", "static_taken": "-static",
         }
     },
-    (State("bristle_2", _bristle_rate, _bristle_decay),),
-    corner=_bristle_corner,
+    (State("bristle_2", _bristle_rate, scale=2e-6),),
     adds_to={"Fc": "coulomb_taken", "Fs": "static_taken"},
 )  # fmt: skip
 
