@@ -174,10 +174,9 @@ class _Sweeps:
         if couple := " | ".join(_acts(e, str) for e in at.effects if e.couples_channels):
             lines += [f"{at.cell('coupled')} = 1.0 if {couple} else 0.0"]
         for name, weight in ERRORS.items():
-            later = name in ("spool", "pressure")  # what depends on the state, too
             lines += [
-                f"{at.cell(name + '_error')} = {weight}"
-                if later
+                f"{at.cell('spool_error')} = {weight}"  # grows with its speed
+                if name == "spool"
                 else f"{at.cell('weight__' + name)} = 1.0 / ({weight})"
             ]
         lines += [f"{at.cell('longest')} = {CONTROL.sticking!r} * sqrt(m / (k + s0)) if dry else 1e30"]
@@ -185,6 +184,7 @@ class _Sweeps:
             f"{at.cell('late')} = {LATE!r} * tolerance",
             f"{at.cell('own_error')} = {OWN_ERROR!r} * h",
             f"{at.cell('own_late')} = {OWN_LATE!r} * h",
+            f"{at.cell('begun')} = 0.0",
         ]
         for name, adding in states_of(at.effects).items():
             acts = " | ".join(filter(None, (_acts(effect, str) for effect, _ in adding)))
@@ -192,27 +192,29 @@ class _Sweeps:
         return [lines]
 
     def start_row(self) -> list[list[str] | str]:
-        """Commands within what the valves take, held for h seconds; no lane is lost yet."""
-        at, lines = self.at, self.at.load(["command", "u_rated", "step"], "command u_rated step")
+        """Commands within what the valves take, held for h seconds; no lane is lost yet. Rates stand where command and load are
+        those of the row before."""
+        at, names = self.at, ["command", "u_rated", "step", "load"]
+        lines = at.load(names, " ".join(names))
         lines += ["command = command if command < u_rated else u_rated"]
         lines += ["command = command if command > -u_rated else -u_rated"]
+        same = (
+            f"({at.cell('begun')} > 0.0) & (command == {at.cell('applied')}) & (load == {at.cell('loaded')})"
+        )
+        lines += [f"{at.cell('fresh')} = 0.0 if {same} else 1.0", f"{at.cell('begun')} = 1.0"]
         lines += [f"{at.cell('command')} = command", f"{at.cell('applied')} = command"]
+        lines += [f"{at.cell('loaded')} = load"]
         lines += [f"{at.cell('step')} = step if step > 0.0 else {CONTROL.first!r}"]
-        lines += [f"{at.cell('todo')} = h", f"{at.cell('fresh')} = 1.0", f"{at.cell('lost')} = 0.0"]
+        lines += [f"{at.cell('todo')} = h", f"{at.cell('lost')} = 0.0"]
         return [lines, *self._alike("step", "<")]
 
     def evaluate(self) -> list[list[str] | str]:
         at, first = self.at, [*self.at.load(self.at.states, " ".join(self.at.states)), *self._inputs]
         names = [*(f"{name}_rate" for name in at.staged), *self.step.carried, *self._couplings]
         names += [f"{name}_decay" for name in at.own_states] + (["flow"] if self.exchanges else [])
-        names += ["weight__pressure"]
-        weigh = [f"weight__pressure = 1.0 / ({at.cell('pressure_error')} * sqrt(bulk_modulus))"]
-        for name, adding in states_of(at.effects).items():
-            first += [f"size__{name} = {at.cell('own_error')} * ({scale_of(adding)!r} + 0.01 * abs({name}))"]
-            names += [f"size__{name}"]
         kept = [f"{at.cell(n)} = {n} if {at.cell('fresh')} > 0.0 else {at.cell(n)}" for n in names]
         parts: list[list[str] | str] = [first, *self._rates()]
-        parts += [self.step.slopes + weigh, [*kept, f"{at.cell('fresh')} = 0.0"]]
+        parts += [self.step.slopes, [*kept, f"{at.cell('fresh')} = 0.0"]]
         return parts + ([self._exchange("flow", "other_flow")] if self.exchanges else [])
 
     def attempt(self) -> list[list[str] | str]:
@@ -274,11 +276,11 @@ class _Sweeps:
         for name in STATES:
             weight = "weight_of_spool" if name == "spool" else at.cell(f"weight__{name}")
             if name not in INTEGRAL:
-                lines += [f"part = u__{name} * {weight}", "error = error + part * part"]
-        for name in at.own_states:
-            lines += [
-                f"loose = {at.cell('size__' + name)} + {at.cell('own_late')} * abs({at.cell(name + '_rate')})"
-            ]
+                square = "part * part" + " * per_stiff" * (name == "pressure")
+                lines += [f"part = u__{name} * {weight}", f"error = error + {square}"]
+        for name, adding in states_of(at.effects).items():
+            size = f"{at.cell('own_error')} * ({scale_of(adding)!r} + 0.01 * abs({at.cell(name)}))"
+            lines += [f"loose = {size} + {at.cell('own_late')} * abs({at.cell(name + '_rate')})"]
             lines += [
                 f"part = {at.cell('counts__' + name)} * u__{name} / loose",
                 "error = error + part * part",
@@ -339,10 +341,12 @@ class _Sweeps:
         for n, name in enumerate(at.states, 1):
             cap = STATE_CAPS[min(n, len(STATE_CAPS)) - 1]
             if name not in INTEGRAL:
-                weight = (
-                    f"* {at.cell('weight__' + name)}" if name in STATES else f"/ {at.cell('size__' + name)}"
-                )
-                weight = f"/ {at.cell('spool_error')}" if name == "spool" else weight
+                weight = f"* {at.cell('weight__' + name)}"
+                if name not in STATES:
+                    scale = scale_of(states_of(at.effects)[name])
+                    weight = f"/ ({scale!r} * {at.cell('own_error')})"
+                elif name == "spool":
+                    weight = f"/ {at.cell('spool_error')}"
                 lines += [f"fast = abs({at.cell(name + '_rate')}) {weight}"]
                 lines += [f"number = {float(n)!r} if fast > most else number"]
                 lines += ["most = fast if fast > most else most"]
@@ -351,7 +355,9 @@ class _Sweeps:
         lines += [f"first = {at.cell('diverged')} <= 0.0", "now = first & (not stays)"]
         lines += [f"{at.cell('lost_at')} = {at.cell('time')} if now else {at.cell('lost_at')}"]
         lines += [f"{at.cell('diverged')} = number if now else {at.cell('diverged')}"]
-        lines += [f"{at.cell(name)} = {at.cell(name)} if stays else 0.0" for name in (*at.states, "step")]
+        lines += [
+            f"{at.cell(name)} = {at.cell(name)} if stays else 0.0" for name in (*at.states, "step", "begun")
+        ]
         return [sound, CUT, [f"if {at.cell('sound')} <= 0.0:", *(f"    {line}" for line in lines)]]
 
 
@@ -386,9 +392,9 @@ def _joined(parts: Iterable[list[str] | str]) -> list[list[str] | str]:
     return found
 
 
-def _sweep(layout: Layout, parts: Sequence[list[str] | str], going: bool = False) -> str:
+def _sweep(layout: Layout, parts: Sequence[list[str] | str], going: bool = False, counted: str = "") -> str:
     """Loops over all lanes of a block that run these statements; a later loop finds what an earlier one left. `going`: only lanes
-    with time to go, and whether any has some after it."""
+    with time to go; `counted`: a row whose lanes above 0 are counted at the end."""
     parts = _joined(parts)
     loops = [n for n, part in enumerate(parts) if isinstance(part, list)]
     texts = list(parts)
@@ -410,8 +416,9 @@ def _sweep(layout: Layout, parts: Sequence[list[str] | str], going: bool = False
             if going:
                 body = [f"if {layout.cell('todo')} > 0.0:", *("    " + line for line in body)]
             lines += ["for l in range(LANES):", *("    " + line for line in body)]
-    if going:
-        lines += [f"    lanes += {layout.cell('todo')} > 0.0"]
+    if counted:
+        lines += ["for l in range(LANES):"] if isinstance(texts[-1], str) else []
+        lines += [f"    lanes += {layout.cell(counted)} > 0.0"]
     return textwrap.indent("\n".join(lines), "    ")
 
 
@@ -458,7 +465,11 @@ def module_text(effects: tuple[Effect, ...], half: int, grouped: bool = False) -
     layout = layout_of(effects, half)
     sweeps = _Sweeps(layout, step_of(effects), grouped)
     names = ("prepare", "observe", "start_row", "evaluate", "attempt", "guard")
-    texts = {name: _sweep(layout, getattr(sweeps, name)(), name == "attempt") for name in names}
+    counts = {"start_row": "fresh", "attempt": "todo"}
+    texts = {
+        name: _sweep(layout, getattr(sweeps, name)(), name == "attempt", counts.get(name, ""))
+        for name in names
+    }
     additions = _sweep(layout, _additions(layout))
     text = MODULE.format(functions="\n\n".join(functions(effects)), half=half, additions=additions, **texts)
     at, own, settable = layout.rows, set(layout.parameters), set(parameters_of(given))

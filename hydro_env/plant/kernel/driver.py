@@ -157,7 +157,7 @@ def advance(  # type: ignore[no-untyped-def]
                     cells[at[LOAD] * lanes + first + lane] = loads[
                         t if t < loads.shape[0] else 0, rig if rig < loads.shape[1] else 0, channel
                     ]
-            sweep(at[START_ROW], cells, period)
+            fresh = sweep(at[START_ROW], cells, period)
             if ring is not None and delayed:
                 slot = (slot + 1) % ring.shape[1]
                 lasted[b, slot] = period
@@ -166,7 +166,9 @@ def advance(  # type: ignore[no-untyped-def]
                     cells[at[ROW_LEFT] * lanes + lane] = period
                     cells[at[TODO] * lanes + lane] = 0.0
                 delay(at, cells, ring[b], lasted[b], slot, period)
-            sweep(at[EVALUATE], cells, period)
+                fresh = lanes
+            if fresh > 0:
+                sweep(at[EVALUATE], cells, period)
             # Each lane goes at its own pace and waits for the others at the next row.
             for _ in range(most):
                 going = sweep(at[ATTEMPT], cells, period)

@@ -88,16 +88,16 @@ def _ros3w() -> Rosenbrock:
 METHOD = _ros3w()
 
 #: The weights: the error of a state that counts as one, from the tolerance of the speed (rad/s) and parameters. That of the
-#: pressure (times the root of the bulk modulus) is the speed that its energy would give the shaft; the others go by the steady
-#: speed that a displacement of the spool is worth: a current by its force against the spring, a spool speed by the way it makes
-#: in the time of the spool's own oscillation. The factors were chosen on the presets: a spool that sticks keeps its error, a
-#: speed forgets it.
+#: pressure is the speed that its energy would give the shaft (a softer fluid makes it less, by the root of its bulk modulus over
+#: beta); the others go by the steady speed that a displacement of the spool is worth: a current by its force against the spring,
+#: a spool speed by the way it makes in the time of the spool's own oscillation. The factors were chosen together on the presets,
+#: for the fewest steps that keep speeds within the tolerance: a spool that sticks keeps its error, a speed forgets it.
 ERRORS = {
     "current": "5.0 * tolerance * D * k / (Kq * alpha)",
     "spool": "0.011 * tolerance * D / Kq",
     "spool_speed": "2.5 * tolerance * D / Kq * sqrt(k / m)",
     "bristle": "0.4 * tolerance * D / Kq",
-    "pressure": "0.085 * tolerance * sqrt(J / V)",
+    "pressure": "0.085 * tolerance * sqrt(J / V * beta)",
     "speed": "0.0055 * tolerance",
 }
 #: The tolerance is at most this share of the speed that the fully open valve gives the motor, down to this share of itself.

@@ -23,7 +23,7 @@ STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "an
 #: A state that nothing acts on but another one, of which it is the integral.
 INTEGRAL = {"angle": "speed"}
 #: Base parameters that are divided by: their reciprocals are rows of their own, since a division costs ten products.
-DIVISORS = ("L", "m", "V", "J", "vs", "v_stop")
+DIVISORS = ("L", "m", "V", "J", "vs", "v_stop", "beta")
 RECIPROCALS = tuple(f"per_{name}" for name in DIVISORS)
 #: Rows of the step: time left of a command, s; the step to try, s; the squared error of the last one; whether the rates are to
 #: be evaluated; and whether a lane was given up.

@@ -54,9 +54,11 @@ def observe(cells, h):
 {observe}
 
 
-def start_row(cells, h):
-    """Commands within what the valves take, held for h seconds."""
+def start_row(cells, h) -> int:
+    """Commands within what the valves take, held for h seconds. On how many lanes the rates are to be evaluated."""
+    lanes = 0
 {start_row}
+    return lanes
 
 
 def evaluate(cells, h):
