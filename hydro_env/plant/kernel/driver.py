@@ -166,8 +166,7 @@ def advance(  # type: ignore[no-untyped-def]
                     cells[at[ROW_LEFT] * lanes + lane] = period
                     cells[at[TODO] * lanes + lane] = 0.0
                 delay(at, cells, ring[b], lasted[b], slot, period)
-                fresh = lanes
-            if fresh > 0:
+            if fresh > 0 or delayed:
                 sweep(at[EVALUATE], cells, period)
             # Each lane goes at its own pace and waits for the others at the next row.
             for _ in range(most):

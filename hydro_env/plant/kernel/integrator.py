@@ -95,17 +95,17 @@ METHOD = _ros3w()
 ERRORS = {
     "current": "5.0 * tolerance * D * k / (Kq * alpha)",
     "spool": "0.011 * tolerance * D / Kq",
-    "spool_speed": "2.5 * tolerance * D / Kq * sqrt(k / m)",
-    "bristle": "0.4 * tolerance * D / Kq",
-    "pressure": "0.085 * tolerance * sqrt(J / V * beta)",
-    "speed": "0.0055 * tolerance",
+    "spool_speed": "3.0 * tolerance * D / Kq * sqrt(k / m)",
+    "bristle": "0.5 * tolerance * D / Kq",
+    "pressure": "0.1 * tolerance * sqrt(J / V * beta)",
+    "speed": "0.006 * tolerance",
 }
 #: The tolerance is at most this share of the speed that the fully open valve gives the motor, down to this share of itself.
 SHARE, LEAST = 3e-4, 0.01
 #: A spool in motion may be late by so many s for each rad/s of the tolerance: its weight grows with its speed.
-LATE = 1.5e-4
+LATE = 1.8e-4
 #: The same of a state of an effect: this part of its size for each rad/s of the tolerance, and so many s late.
-OWN_ERROR, OWN_LATE = 0.012, 7e-5
+OWN_ERROR, OWN_LATE = 0.025, 1.8e-4
 
 
 @dataclass(frozen=True)
