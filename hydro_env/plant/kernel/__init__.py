@@ -11,8 +11,8 @@ machine_code  compiles them and keeps what was compiled
 driver      the loops over rows and steps around the sweeps, one for all kernels
 
 Method: three stages of ROS3w and steps by measured error (see `integrator`), with a matrix W that holds the stiff loops of a
-channel (coil, spool, bristle; pressure, speed) as the effects shape them, and every effect's own decay. It leaves out how the
-states of an effect act on others, and the steepest fall of the spool's friction.
+channel (coil, spool, bristle; pressure, speed) as the effects shape them, how the states of effects decay, what drives them, and
+what they do to leakage and force. It leaves out what else they act on, the angle, and the steepest fall of the spool's friction.
 
 Layout: the loop over steps is outside and the loops over lanes inside. Nothing is fused or reordered by the compiler: the
 text names each `fma` itself, and a lane's steps depend on that lane (or its coupled pair) alone, so every lane gets the same bits

@@ -18,8 +18,8 @@ section IV.8):
 It costs no rates of its own, as f(y1) begins the next step, and it sees what a step ran into at its end: a stop, a bend, a spool
 that sticks. E is the sum of (e / weight)^2, with the weights of `ERRORS`.
 
-Step. It is taken if E <= 1, else tried again; the next one is 0.9 E^(-1/6) times as long, at least a fifth and at most four times
-(section IV.2), rounded down to one of a ladder of factors.
+Step. It is taken if E <= 1, else tried again; the next one is 0.9 E^(-1/6) times as long, at least three tenths and at most four
+times (section IV.2), rounded down to one of a ladder of factors.
 """
 
 from __future__ import annotations
