@@ -28,16 +28,11 @@ CALIBRATE_TWICE = rule(
     "calibrate_twice",
     "calibrate also without the direction in which all forces on the spool scale, where more than white noise is left",
 )
-COIL_FIRST = rule("coil_first", "estimate the coil by the current alone before everything else")
 
-#: Parameters that act on the current alone of all signals before the spool.
-COIL = ("R", "L")
-#: Iterations of the calibration, and of the coil alone.
-ITERATIONS, COIL_ITERATIONS = 18, 6
+#: Iterations of the calibration.
+ITERATIONS = 18
 #: Unknowns for which these iterations are enough: somewhat more than the base parameters of a channel.
 FEW = 20
-#: Factor on the noise of signals that are not to count.
-IGNORED = 1e6
 
 
 def run(state: State) -> State:
@@ -80,15 +75,12 @@ def as_given(fit: Fit) -> Estimates:
 def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     """Adjusts the base parameters of every channel, with priors about the model as given.
 
-    The coil comes first, by the current alone: nothing behind it acts back, so that no missing effect can pull it away.
     What leaves little but more than white noise then begins anew with other friction of the spool.
     """
     rig, estimates = fit.rig, {}
     for channel in rig.channels:
         unknowns, follow = base_unknowns(rig, channel), given_repeats(rig, channel)
         estimates[channel] = Estimate(channel, unknowns, np.zeros(len(unknowns)), "calibrated", follow=follow)
-    if fit.settings.uses(COIL_FIRST):
-        _coil_first(fit, estimates)
     if rig.coupled and len(estimates) == 2:
         estimates = dict.fromkeys(estimates, _of_rig(estimates))
     every = list({id(p): p for p in estimates.values()}.values())
@@ -114,21 +106,3 @@ def _of_rig(estimates: Estimates) -> Estimate:
     follow = {name: source for p in estimates.values() for name, source in p.follow.items()}
     unknowns, q = [u for u, _ in own.values()], np.array([v for _, v in own.values()])
     return Estimate(None, unknowns, q, "calibrated", follow=follow)
-
-
-def _coil_first(fit: Fit, estimates: Estimates) -> None:
-    """Starts the coil's parameters where they explain the measured current best."""
-    coils = {}
-    for channel, estimate in estimates.items():
-        own = [j for j, u in enumerate(estimate.unknowns) if u.name in COIL]
-        if own and any(s.signal == "current" for s in fit.rig.segments[channel]):
-            coils[channel] = own
-    # Signals behind the coil are given so much noise that they do not count.
-    noise = {key: value if key[1] == "current" else IGNORED * value for key, value in fit.noise.items()}
-    alone = {
-        c: Estimate(c, [estimates[c].unknowns[j] for j in own], np.zeros(len(own)), "coil")
-        for c, own in coils.items()
-    }
-    solve(replace(fit, noise=noise), list(alone.values()), COIL_ITERATIONS)
-    for channel, own in coils.items():
-        estimates[channel].q[own] = alone[channel].q
