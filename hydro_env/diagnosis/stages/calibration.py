@@ -18,16 +18,10 @@ from ..estimation import (
     solve,
 )
 from ..models.base import RigModel, effect_in, given_repeats
-from ..settings import rule
 from ..state import Estimates, State
 from .row_times import without_outliers
 
 __all__ = ["as_given", "base_unknowns", "calibrate", "run"]
-
-CALIBRATE_TWICE = rule(
-    "calibrate_twice",
-    "calibrate also without the direction in which all forces on the spool scale, where more than white noise is left",
-)
 
 #: Iterations of the calibration.
 ITERATIONS = 18
@@ -86,14 +80,7 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     every = list({id(p): p for p in estimates.values()}.values())
     # Given effects and rigs that are estimated as a whole have more unknowns, which take more steps.
     iterations *= max(1, *(len(p.unknowns) // FEW for p in every))
-    # Two ways, of which either may end in a local minimum of the spool's friction: with and without the forces scaled together.
-    # Without what is missing the other directions would lead far away from where it is found.
-    twice = rig.has_hidden_states and fit.settings.uses(CALIBRATE_TWICE)
-    apart = [replace(p, q=p.q.copy(), together=()) for p in every if twice]
     solve(fit, every, iterations)
-    both = [(p, other) for p, other in zip(every, apart, strict=False) if not fit.is_white(p)]
-    solve(fit, [other for _, other in both], iterations)
-    solve(fit, [p for p, other in both if p.adopt(other)], iterations // 3)
     if rig.has_hidden_states:
         solve(fit, restart_friction(fit, every), iterations)
     return estimates
