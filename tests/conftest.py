@@ -27,7 +27,7 @@ LONG = (
     "test_diagnosis_form_correction.py",
     "test_diagnosis_lines.py",
     "test_diagnosis_beginnings.py",
-    "test_diagnosis_multistart.py",
+    "test_diagnosis_local_minima.py",
     "test_diagnosis_rattling.py",
     "test_diagnosis_report.py",
     "test_diagnosis_robust.py",

@@ -1,7 +1,7 @@
 """What may be set for a diagnosis, and which of its rules are switched off.
 
 A rule is a step that rescues a fit or questions a name. Each has a switch, so that an ablation can measure what it is worth:
-`diagnose(..., settings=Settings(rules_off=["restart_friction"]))`. The names are declared beside the rules, with `rule`.
+`diagnose(..., settings=Settings(rules_off=["grow_horizon"]))`. The names are declared beside the rules, with `rule`.
 """
 
 from __future__ import annotations

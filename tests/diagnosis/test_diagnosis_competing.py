@@ -96,7 +96,7 @@ def test_estimates_near_the_noise_settle_before_they_are_compared(
 
     monkeypatch.setattr(elimination, "solve", stops_at_once)
     fit.evaluate([without])
-    assert fit.is_white(without) and fit.gain(without, found) > 5.0
+    assert fit.at_noise(without) and fit.gain(without, found) > 5.0
     search = Search(fit, {0: without}, [], 4.0, {0: found})
     search.accepted = [Accepted("line_loss", 0, 500.0, 5.0, {}, without)]
     drop_unneeded(search)

@@ -1,4 +1,4 @@
-"""Bootstrap, noise floors, restarts, and what calibration hides."""
+"""Bootstrap, noise floors, and what calibration hides."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,6 @@ from hydro_env.diagnosis.estimation import (
     less_taken,
     noise_floor,
     noise_of,
-    restart_friction,
     settle,
     settle_finally,
 )
@@ -210,24 +209,6 @@ def test_what_calibration_takes_up_but_for_next_to_nothing_is_hidden() -> None:
     assert not seen(1e4, 6.5e6).hidden and seen(1e4, 6.5e6).shows
     small = seen(10.0, 20.0)  # nothing there that calibration could take
     assert not small.hidden and not small.shows
-
-
-def test_estimates_leave_a_local_minimum_of_friction(tmp_path: Path) -> None:
-    make_practice([], duration=4.0, rate=500.0, runs=("fit_1",), seed=3).write(tmp_path)
-    rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
-    fit, unknowns = _fit(rig), base_unknowns(rig, 0)
-
-    def wrong(by: float) -> Estimate:
-        q = [{"Fc": by, "Fs": by, "vs": -2.0 * by}.get(u.name, 0.0) / u.scale for u in unknowns]
-        estimate = Estimate(0, unknowns, np.array(q))
-        fit.evaluate([estimate])
-        return estimate
-
-    assert not restart_friction(fit, [wrong(0.225)])  # so far off it may be an effect that is missing
-    found = wrong(0.06)
-    before = found.cost
-    assert restart_friction(fit, [found]) == [found] and found.cost < before - 100.0
-    assert not restart_friction(fit, [Estimate(0, [], np.zeros(0), simulated=found.simulated)])
 
 
 def test_the_shape_of_a_gap_tells_a_curve_from_memory() -> None:

@@ -6,7 +6,6 @@ fit              likelihood, residuals and deviance of an estimate on the logs o
 noise            noise and independent samples of a residual
 gauss_newton     the solver
 settling         the last steps to the minimum, with derivatives as wide as the uncertainty
-multistart       restarts, where friction makes local minima
 growing_horizon  fits to the beginning of the logs first
 beginnings       competing candidates on the beginning of the logs
 explained        criteria: how much of a residual is explained
@@ -18,6 +17,7 @@ from .estimate import Estimate, Vector, joined
 from .explained import (
     could_pay,
     explained_share,
+    far_from_noise,
     mostly_explained,
     nearly_explained,
     unexplained,
@@ -25,7 +25,6 @@ from .explained import (
 from .fit import Fit, Noise, noise_of
 from .gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
 from .growing_horizon import grow_horizon
-from .multistart import far_from_noise, restart_friction
 from .noise import effective_samples, noise_floor
 from .settling import settle, settle_finally
 from .uncertainty import (
@@ -53,6 +52,6 @@ __all__ = [
     "base_unknown", "bases_of", "best_on_beginnings", "could_pay", "courses_apart", "differentiate", "effect_starts",
     "effect_unknowns", "effective_samples", "explained_share", "far_from_noise", "given_unknown", "grow_horizon", "intervals_of",
     "joined", "less_taken", "limited_by_effects", "mostly_explained", "nearly_explained", "noise_floor", "noise_of",
-    "probability_of_gain", "restart_friction", "scaled", "settle", "settle_finally", "solve", "step_all",
+    "probability_of_gain", "scaled", "settle", "settle_finally", "solve", "step_all",
     "unexplained", "unpredictable",
 ]  # fmt: skip

@@ -13,6 +13,7 @@ from .noise import effective_samples
 __all__ = [
     "could_pay",
     "explained_share",
+    "far_from_noise",
     "mostly_explained",
     "nearly_explained",
     "unexplained",
@@ -26,6 +27,8 @@ SMALL_SUM = 0.15
 NEXT_TO_NOTHING = 0.15
 #: A log whose mean square error is above so many times the noise's could pay for an effect, if its deviance is worth so much.
 ABOVE_NOISE, WORTH = 1.04, 20.0
+#: A residual (`Fit.level`) up to which a local minimum may be the cause; what a missing effect leaves is larger.
+SMALL_LEVEL = 1.0
 
 
 def could_pay(fit: Fit, estimate: Estimate, channel: int) -> bool:
@@ -78,3 +81,8 @@ def explained_share(fit: Fit, before: Estimate, after: Estimate, channels: Seque
         old, new = (fit.levels(p.simulated[c], c) for p in (before, after))
         best = max([best, *(1.0 - new[s] / old[s] for s in old if old[s] > 0.01)])
     return best
+
+
+def far_from_noise(fit: Fit, estimate: Estimate) -> bool:
+    """Whether more is left than a local minimum leaves."""
+    return fit.level(estimate) > SMALL_LEVEL

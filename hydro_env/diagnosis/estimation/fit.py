@@ -23,8 +23,6 @@ __all__ = ["Fit", "Noise", "lower", "noise_of"]
 Noise = dict[tuple[int, str], float]
 #: Signals with fewer samples than this say nothing of their correlation.
 FEWEST = 8
-#: Standard deviations of the test for white noise (`Fit.is_white`) from which on it fails.
-WHITE = 3.0
 #: Rows of derivatives that stay in the processor's cache: their products take half as long as those of all rows.
 CACHED = 4096
 
@@ -103,28 +101,6 @@ class Fit:
             for channel in self.channels_of(estimate)
             for (_, signal), value in self.rms(estimate.simulated[channel], channel).items()
         )
-
-    def is_white(self, estimate: Estimate) -> bool:
-        """Whether white noise is all that is left of every signal.
-
-        One-way analysis of variance over the blocks: the means of blocks of white noise differ as much as its spread within them
-        lets them. Unlike an RMS this does not depend on how well the noise is known, and it sees a hundredth of the noise's power
-        where that is slow.
-        """
-        for channel in self.channels_of(estimate):
-            j = self.rig.segments[channel].joined
-            error = (j.filled - estimate.simulated[channel]) * j.used
-            mean = np.add.reduceat(error, j.first) / np.maximum(j.count, 1.0)
-            between = j.count * mean**2
-            within = np.add.reduceat(error * error, j.first) - between
-            for number in range(len(j.signals)):
-                own = (j.signal == number) & (j.count > 1.0)
-                if own.any():
-                    # Fisher's F, with so many degrees of freedom that it is nearly normal.
-                    ratio = between[own].mean() / (within[own].sum() / (j.count[own] - 1.0).sum())
-                    if ratio - 1.0 > WHITE * np.sqrt(2.0 / own.sum()):
-                        return False
-        return True
 
     # --- likelihood -------------------------------------------------------------------------------------------------------
     def _powers(self, simulated: Vector, channel: int) -> tuple[Joined, Vector]:

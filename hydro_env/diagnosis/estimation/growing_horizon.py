@@ -19,7 +19,6 @@ from ..settings import rule
 from .estimate import Estimate
 from .fit import Fit
 from .gauss_newton import solve
-from .multistart import restart_friction
 from .unknowns import effect_starts
 
 __all__ = ["beginning_of", "grow_horizon"]
@@ -76,10 +75,7 @@ def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
             if reached and share - reached > LEAST_GROWTH:
                 ahead.insert(0, 0.5 * (reached + share))  # not so far at once
                 continue
-            # A spool that sticks a moment longer, now, is worth other frictions before anything later is looked at.
-            restart_friction(beginning, starts[:1])
-            if not _followed(beginning, starts[0]):
-                break  # something is missing that this effect does not make up for
+            break  # something is missing that this effect does not make up for
         reached, good = ahead.pop(0), starts
     for start in starts:
         start.columns = {}

@@ -14,7 +14,6 @@ from ..estimation import (
     base_unknown,
     given_unknown,
     limited_by_effects,
-    restart_friction,
     solve,
 )
 from ..models.base import RigModel, effect_in, given_repeats
@@ -69,7 +68,6 @@ def as_given(fit: Fit) -> Estimates:
 def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     """Adjusts the base parameters of every channel, with priors about the model as given.
 
-    What leaves little but more than white noise then begins anew with other friction of the spool.
     """
     rig, estimates = fit.rig, {}
     for channel in rig.channels:
@@ -81,8 +79,6 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
     # Given effects and rigs that are estimated as a whole have more unknowns, which take more steps.
     iterations *= max(1, *(len(p.unknowns) // FEW for p in every))
     solve(fit, every, iterations)
-    if rig.has_hidden_states:
-        solve(fit, restart_friction(fit, every), iterations)
     return estimates
 
 
