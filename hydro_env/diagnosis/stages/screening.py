@@ -17,23 +17,15 @@ import numpy as np
 from ...plant import CATALOGUE, Effect
 from ..estimation import Estimate, Fit, could_pay, effect_starts, less_taken
 from ..models.base import Request, effect_in
-from ..settings import rule
 from ..state import Estimates, State
 
-__all__ = ["Screening", "absorb", "alike", "detectable", "hidden_by_calibration", "run", "screen"]
-
-ABSORB_BY_CALIBRATION = rule(
-    "absorb_by_calibration", "move the known parameters to see what they absorb of an effect"
-)
+__all__ = ["Screening", "alike", "detectable", "hidden_by_calibration", "run", "screen"]
 
 #: Squared length of a projected signature, in noise units, from which an effect counts as visible.
 VISIBLE = 60.0
-#: Share of the squared length of what an effect changes that calibration may leave of an effect that it takes up: where it moves
-#: along derivatives of one place only, it never gets all of it. Others keep more than five times that.
+#: Share of the squared length of what an effect changes that calibration may leave of an effect that it takes up: derivatives at
+#: one place never take all of it.
 ABSORBED = 1e-4
-#: Steps of calibration towards an effect of medium size at most and at least, and what a later step must make of what is left
-#: to be followed by another.
-MOST_STEPS, LEAST_STEPS, STILL_FALLING = 8, 2, 0.8
 #: Cosine from which two projected signatures count as the same.
 SAME_DIRECTION = 0.96
 
@@ -44,8 +36,8 @@ class Screening:
 
     `gain` is the expected fall of the deviance, `visible` the squared length of the signature of medium size in noise
     units after projection, by channel; `signature` that projected signature, normalised, all channels one after the other.
-    `unprojected` is the squared length before projection, `change` (n,) the unweighted signature (one channel only). `request` is
-    the simulation at `start`, and `simulated` its samples by channel.
+    `unprojected` is the squared length before projection. `request` is the simulation at `start`, and `simulated` its samples by
+    channel.
     """
 
     effect: str
@@ -55,7 +47,6 @@ class Screening:
     visible: float
     signature: np.ndarray
     unprojected: float = 0.0
-    change: np.ndarray | None = None
     request: Request | None = None
     simulated: dict[int, np.ndarray] = field(default_factory=dict)
 
@@ -81,9 +72,10 @@ class _Projector:
 
     def __init__(self, fit: Fit, estimate: Estimate, channel: int, deviations: dict[str, float]) -> None:
         self.weights = _weights(fit, estimate, channel, deviations)
-        columns, prior = _weighted_columns(estimate, channel, self.weights)
+        columns = estimate.columns[channel] * self.weights[:, None]
         # Rows of the prior below the columns make the projection a ridge: parameters move inside their priors only.
-        self.basis, _ = np.linalg.qr(np.vstack([columns, np.sqrt(prior)]))
+        prior = np.diag([1.0 if u.prior else 1e-3 for u in estimate.unknowns])
+        self.basis, _ = np.linalg.qr(np.vstack([columns, prior]))
         self.rows = columns.shape[0]
 
     def __call__(self, vector: np.ndarray) -> np.ndarray:
@@ -98,8 +90,6 @@ def run(state: State) -> State:
     settled = [c for c, p in state.calibrated.items() if not could_pay(fit, p, c)]
     names, known = fit.rig.candidates(), state.screening
     screening = screen(fit, state.calibrated, names, state.seconds, known, settled=settled)
-    if fit.rig.has_hidden_states and state.settings.uses(ABSORB_BY_CALIBRATION):
-        absorb(fit, state.calibrated, screening)
     return replace(state, screening=screening)
 
 
@@ -150,64 +140,9 @@ def screen(
         if medium:
             one.visible, one.signature = size, direction
             one.unprojected = sum(float(np.sum((changes[c] * noise[c].weights) ** 2)) for c in channels)
-            one.change = changes[channel] if channel is not None else None
         if one.request is None or gained > one.gain:
             one.gain, one.start, one.request, one.simulated = gained, start, request, result
     return sorted(found.values(), key=lambda k: -k.gain)
-
-
-def absorb(fit: Fit, estimates: Estimates, screening: Sequence[Screening]) -> None:
-    """Lowers `visible` to what calibration leaves of an effect if it really moves, and not only along its derivatives.
-
-    The logs of a rig with the effect of medium size are what is fitted here, by steps along the derivatives at `estimates`.
-    """
-    live: list[_Absorption] = []
-    solvers = {}
-    for c, p in estimates.items():
-        weights = _weights(fit, p, c, {s.signal: fit.noise[c, s.signal] for s in fit.rig.segments[c]})
-        columns, prior = _weighted_columns(p, c, weights)
-        solvers[c] = weights, columns, np.linalg.pinv(columns.T @ columns + prior)
-    for k in screening:
-        if k.channel is not None and k.change is not None and k.visible > VISIBLE:
-            base = estimates[k.channel]
-            live.append(_Absorption(k, k.channel, base, *solvers[k.channel], base.q, k.change, k.change))
-    for number in range(MOST_STEPS):
-        requests = [a.step() for a in live]
-        results = fit.rig.predict(requests)
-        live = [a for a, result in zip(live, results, strict=True) if a.goes_on(result[a.channel], number)]
-
-
-@dataclass
-class _Absorption:
-    """Calibration towards the logs of a rig that has an effect: `rest` is what is left of the `change` that it makes."""
-
-    of: Screening
-    channel: int
-    base: Estimate
-    weights: np.ndarray
-    columns: np.ndarray
-    inverse: np.ndarray
-    q: np.ndarray
-    change: np.ndarray
-    rest: np.ndarray
-
-    def step(self) -> Request:
-        """One step along the derivatives at the base."""
-        toward = self.columns.T @ (self.rest * self.weights)
-        step = self.inverse @ (toward - (self.q - self.base.q))
-        self.q = np.clip(self.q + step, *self.base.bounds)
-        return self.base.request(self.q)
-
-    def goes_on(self, simulated: np.ndarray, number: int) -> bool:
-        """Counts what is left now; whether another step is worth it."""
-        self.rest = self.change + self.base.simulated[self.channel] - simulated
-        if not np.isfinite(self.rest).all():
-            return False
-        weighted = self.rest * self.weights
-        along = weighted - self.columns @ (self.inverse @ (self.columns.T @ weighted))
-        now, before = float(along @ along), self.of.visible
-        self.of.visible = min(before, now)
-        return now > VISIBLE and (number < LEAST_STEPS or now < STILL_FALLING * before)
 
 
 def _request(estimates: Estimates, effect: str, channel: int | None, start: dict[str, float]) -> Request:
@@ -231,12 +166,6 @@ def _weights(fit: Fit, estimate: Estimate, channel: int, deviations: dict[str, f
     for s in fit.rig.segments[channel]:
         weights[s.place] = s.used / deviations[s.signal]
     return weights
-
-
-def _weighted_columns(estimate: Estimate, channel: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives (n, k) by the base parameters, weighted, and the precision (k, k) of their priors."""
-    prior = np.diag([1.0 if u.prior else 1e-6 for u in estimate.unknowns])
-    return estimate.columns[channel] * weights[:, None], prior
 
 
 def _deviations(fit: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
