@@ -40,7 +40,7 @@ from .candidates import (
 )
 from .elimination import compare_competing, drop_not_missed, drop_unneeded, prefer_form
 from .form_correction import attempts, given_on, refit_attempts
-from .refits import refit_found, short_refit
+from .refits import short_refit
 from .rig_effects import rig_effect_leads, select_rig_effects
 from .screening import Screening, screen
 
@@ -94,7 +94,7 @@ class Contest:
 
 
 def run(state: State) -> State:
-    """Selects effects, estimates the noise again, and refits what was accepted."""
+    """Selects effects and estimates the noise again."""
     selection = select(
         Search(
             state.fit,
@@ -110,10 +110,6 @@ def run(state: State) -> State:
         return run(screening.run(following))
     fit = state.fit.with_noise_seen_by(selection.estimates)
     fit.rescore([*selection.estimates.values(), *selection.placebo.values()])
-    changed = [
-        p for c, p in selection.estimates.items() if any(k.channel in (None, c) for k in selection.accepted)
-    ]
-    refit_found(fit, changed)
     return replace(state, fit=fit, selection=selection, final=selection.estimates, placebo=selection.placebo)
 
 
