@@ -107,5 +107,5 @@ class Diagnosis:
             "effect": kept.effect, "correction": kept.correction, "what": CATALOGUE[kept.correction].summary,
             "channel": "rig" if kept.channel is None else str(kept.channel + 1), "note": "shape correction, not physics",
             "parameters": {name: vars(p) for name, p in values.items()},
-            "changes": sizes, "fall": round(float(kept.fall), 1), "held_out": round(float(kept.fall_on_left_out), 1),
+            "changes": sizes, "fall": round(float(kept.fall), 1),
         }  # fmt: skip

@@ -181,16 +181,6 @@ class Fit:
                 found[s.log, n] = found.get((s.log, n), 0.0) + float(value)
         return min(shares, default=1.0) * np.array([found[key] for key in sorted(found)])
 
-    def cost_by_stretch(self, estimate: Estimate, channel: int, stretch_s: float) -> Vector:
-        """The cost, without priors, of a channel's logs in stretches of time (m,)."""
-        found: dict[tuple[int, int], float] = {}
-        j, power = self._powers(estimate.simulated[channel], channel)
-        costs = iter(j.count * np.log(power))
-        for s in self.rig.segments[channel]:
-            for n in s.stretches(stretch_s)[s.blocks[0]]:
-                found[s.log, n] = found.get((s.log, n), 0.0) + float(next(costs))
-        return np.array([found[key] for key in sorted(found)])
-
     # --- normal equations -------------------------------------------------------------------------------------------------
     def normal_equations(self, estimate: Estimate) -> tuple[Vector, Vector]:
         """Normal matrix (k, k) and right-hand side (k,) of the linearised estimation, priors included."""

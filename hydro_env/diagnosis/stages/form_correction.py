@@ -25,7 +25,7 @@ from ..estimation import (
     grow_horizon,
     solve,
 )
-from ..models.base import RigModel, Segments, given_effects, view
+from ..models.base import RigModel, given_effects
 from ..settings import rule
 from ..state import Estimates, State
 from .candidates import penalty_per_parameter
@@ -36,27 +36,22 @@ __all__ = [
 ]  # fmt: skip
 
 CORRECT_FORM = rule("correct_form", "correct the form of named effects")
-LEFT_OUT = rule("left_out_stretches", "a correction of form must also help on stretches that were left out")
 
-#: Iterations of a joint refit with a correction, of the one that is kept, of a halved one, and of a competing effect's.
-TRY_ITERATIONS, KEEP_ITERATIONS, HALF_ITERATIONS, BESIDE_ITERATIONS = 8, 12, 5, 5
-#: Length of the stretches that are fitted and left out in turn, s.
-STRETCH_S = 1.0
+#: Iterations of a joint refit with a correction, and of the one that is kept.
+TRY_ITERATIONS, KEEP_ITERATIONS = 8, 12
 #: Corrections of one estimate at most.
 MOST_CORRECTIONS = 2
 
 
 @dataclass(frozen=True)
 class Correction:
-    """A correction that stayed: of which effect, on which channel (None: the rig), by how much the cost of the fit logs fell,
-    and by how much where it was not fitted (`falls_on_left_out`). `changes` are the RMS changes of the signals on the held-out
-    logs that it makes, by (channel, signal), SI."""
+    """A correction that stayed: of which effect, on which channel (None: the rig), and by how much the cost of the fit logs fell.
+    `changes` are the RMS changes of the signals on the held-out logs that it makes, by (channel, signal), SI."""
 
     effect: str
     correction: str
     channel: int | None
     fall: float
-    fall_on_left_out: float
     changes: Mapping[tuple[int, str], float] = field(default_factory=dict)
 
 
@@ -131,10 +126,7 @@ def correct(
     fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]], begun: Sequence[Estimate] = ()
 ) -> tuple[Estimate, list[Correction]]:
     """The estimate with those corrections of its effects `named` (with their channels) that pay for themselves; the estimate
-    itself if none does.
-
-    A correction must also help on stretches of the fit logs that were left out (`falls_on_left_out`). Of `begun` see
-    `refit_attempts`.
+    itself if none does. Of `begun` see `refit_attempts`.
     """
     kept: list[Correction] = []
     for number in range(MOST_CORRECTIONS):
@@ -151,14 +143,9 @@ def correct(
         best = min(tries, key=lambda t: t.score)
         if best.score >= estimate.cost:
             break
-        checked = fit.settings.uses(LEFT_OUT)
-        falls = falls_on_left_out(fit, estimate, best.estimate) if checked else (np.inf, np.inf)
-        # It must help in both halves, and in all pay for its numbers there too.
-        if min(falls) <= 0.0 or sum(falls) < best.needed:
-            break
         solve(fit, [best.estimate], KEEP_ITERATIONS)
         fall = estimate.cost - best.estimate.cost
-        kept.append(Correction(best.effect, best.correction, best.channel, fall, sum(falls)))
+        kept.append(Correction(best.effect, best.correction, best.channel, fall))
         estimate = best.estimate
     return estimate, kept
 
@@ -256,44 +243,3 @@ def changes(rig: RigModel, estimate: Estimate, correction: str, channel: int) ->
     for s in rig.segments[channel]:
         found.setdefault((channel, s.signal), []).append(change[s.place][s.used])
     return {name: float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) for name, parts in found.items()}
-
-
-# --- cross-validation -----------------------------------------------------------------------------------------------------
-def falls_on_left_out(fit: Fit, estimate: Estimate, best: Estimate) -> tuple[float, float]:
-    """How far the cost falls by a correction where it was not fitted: the fall in each half of the fit logs.
-
-    Every second stretch of the fit logs is left out; the effects' parameters are fitted to the others, without the
-    correction as in `estimate` and with it as in `best`, and both are compared on what was left out; then the other way
-    round. The base parameters stay where each of the two has them: fitted anew they would end in other local minima of
-    friction in every half, and that would be compared.
-    """
-    falls = []
-    for half in (0, 1):
-        seen, unseen = (fit.on(_half(fit.rig, h)) for h in (half, 1 - half))
-        both = [_effects_only(p) for p in (estimate, best)]
-        solve(seen, both, HALF_ITERATIONS)
-        bare, better = (
-            sum(unseen.cost_by_stretch(p, c, STRETCH_S).sum() for c in fit.channels_of(estimate))
-            for p in both
-        )
-        falls.append(float(bare - better))
-    return falls[0], falls[1]
-
-
-def _effects_only(estimate: Estimate) -> Estimate:
-    """The estimate with its base parameters given, where they are one channel's; else a copy."""
-    if estimate.channel is None:
-        return estimate.at(estimate.q.copy())
-    own = [j for j, u in enumerate(estimate.unknowns) if u.effect]
-    given = {u.name: u.value(v) for u, v in zip(estimate.unknowns, estimate.q, strict=True) if not u.effect}
-    unknowns, follow = [estimate.unknowns[j] for j in own], {**given, **estimate.follow}
-    return Estimate(estimate.channel, unknowns, estimate.q[own], estimate.label, follow=follow)
-
-
-def _half(rig: RigModel, half: int) -> RigModel:
-    """The model with every second stretch of its logs only; the simulations are the same."""
-    segments = {
-        c: Segments(replace(s, inside=s.inside & (s.stretches(STRETCH_S) % 2 == half)) for s in own)
-        for c, own in rig.segments.items()
-    }
-    return view(rig, segments=segments)
