@@ -34,8 +34,6 @@ class Settings:
     false_alarm: float = 0.01
     #: Effects on a channel at most.
     max_effects: int = 3
-    #: An effect must explain this share of what is left above the noise, in the signal where it explains most.
-    least_share: float = 0.05
     #: A residual that is so many times the noise, in a signal of a log, stays unexplained: the verdict is `unknown`, ...
     unexplained: float = 1.5
     #: ... unless what was found explains this share of it in `Fit.levels`, ...

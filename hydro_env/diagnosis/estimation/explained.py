@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from .estimate import Estimate
@@ -12,7 +10,6 @@ from .noise import effective_samples
 
 __all__ = [
     "could_pay",
-    "explained_share",
     "far_from_noise",
     "mostly_explained",
     "nearly_explained",
@@ -72,15 +69,6 @@ def nearly_explained(fit: Fit, before: Estimate, after: Estimate, c: int) -> boo
     """Whether next to nothing of the residual that `before` leaves on channel c is left by `after`, by level."""
     old, new = (sum(fit.levels(each.simulated[c], c).values()) for each in (before, after))
     return new < max(SMALL_SUM, NEXT_TO_NOTHING * old)
-
-
-def explained_share(fit: Fit, before: Estimate, after: Estimate, channels: Sequence[int]) -> float:
-    """Share of the residual (in `Fit.levels`) that is explained, in the signal where it is largest."""
-    best = 0.0
-    for c in channels:
-        old, new = (fit.levels(p.simulated[c], c) for p in (before, after))
-        best = max([best, *(1.0 - new[s] / old[s] for s in old if old[s] > 0.01)])
-    return best
 
 
 def far_from_noise(fit: Fit, estimate: Estimate) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...plant import CATALOGUE
 from ...plant.catalogue.form_corrections import FAMILY
-from ..estimation import Estimate, Fit, Unknown, explained_share, nearly_explained
+from ..estimation import Estimate, Fit, Unknown, nearly_explained
 from ..settings import rule
 from ..state import Estimates
 from .screening import Screening
@@ -19,9 +19,6 @@ __all__ = [
     "carries_size", "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
-REJECT_SMALL_SHARE = rule(
-    "reject_small_share", "reject an effect that explains no noticeable share of the residual"
-)
 REJECT_AT_EDGE = rule(
     "reject_at_edge", "reject an effect whose size ends at the edge of its range and leaves something"
 )
@@ -198,9 +195,6 @@ def judge(
     if gain < penalty(fit, effect):
         return "gains less than chance could"
     channels = fit.channels_of(after)
-    share = explained_share(fit, before, after, channels)
-    if share < fit.settings.least_share and fit.settings.uses(REJECT_SMALL_SHARE):
-        return "explains no noticeable share of the gap"
     if is_neutral(after, effect, channel):
         return VANISHED
     # A size beyond what rigs have makes up for something else; where the last plausible one leaves nothing it does not.
