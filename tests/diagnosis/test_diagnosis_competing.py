@@ -1,18 +1,14 @@
 """What becomes of a candidate, and what else would do as well in the place of an effect that was taken."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from hydro_env.diagnosis.estimation import Estimate, Fit, differentiate, solve
-from hydro_env.diagnosis.settings import Settings
 from hydro_env.diagnosis.stages import elimination
-from hydro_env.diagnosis.stages.candidates import AT_EDGE, Accepted, Search, Selection, is_neutral, judge
+from hydro_env.diagnosis.stages.candidates import Accepted, Search, Selection, is_neutral
 from hydro_env.diagnosis.stages.elimination import compare_competing, drop_unneeded
 from hydro_env.diagnosis.stages.naming import name_effects
 from hydro_env.diagnosis.stages.screening import screen
-from hydro_env.diagnosis.stages.selection import select
 from hydro_env.plant import CATALOGUE
 from tests.linear_rig import NOISE, logged, time_of
 
@@ -117,27 +113,3 @@ def test_what_is_next_to_neutral_has_vanished(
     effect: str, parameter: str, value: float, neutral: bool
 ) -> None:
     assert is_neutral(Estimate(0, [], np.zeros(0)).with_effect(effect, {parameter: value}), effect) == neutral
-
-
-@pytest.mark.parametrize(("form", "corrected"), [(True, True), (False, True), (True, False)])
-def test_a_size_at_the_edge_counts_where_another_form_leaves_nothing(form: bool, corrected: bool) -> None:
-    """The model of a slow axis has no corrections of form."""
-    name, bend = "flow_gain_nonlinearity", np.abs(np.sin(20.0 * TIME)) * np.sin(20.0 * TIME)
-    curves = {f"{name}.curvature": bend, "opening_shape.gain_3": bend if form else np.cos(11.0 * TIME)}
-    fit, base = logged(curves, {f"{name}.curvature": 1.6 * CATALOGUE[name].parameter("curvature").high}, ROWS)
-    fit = replace(fit, settings=Settings(rules_off=["compete_on_beginning", "grow_horizon"]))
-    fit.rig.has_hidden_states = corrected
-    screening = screen(fit, {0: base}, [name], 4.0)
-    found = select(Search(fit, {0: base}, screening, 4.0, {0: base}))
-    assert [k.effect for k in found.accepted] == ([name] if form and corrected else [])
-    assert found.candidates[0].outcome == ("taken" if form and corrected else AT_EDGE)
-
-
-@pytest.mark.parametrize(("beyond", "outcome"), [(1.005, "taken"), (1.6, AT_EDGE)])
-def test_a_size_at_the_edge_counts_where_it_leaves_nothing(beyond: float, outcome: str) -> None:
-    name = "flow_gain_nonlinearity"
-    bend, high = np.abs(np.sin(2.0 * TIME)) * np.sin(2.0 * TIME), CATALOGUE[name].parameter("curvature").high
-    fit, base = logged({f"{name}.curvature": bend}, {f"{name}.curvature": beyond * high}, ROWS)
-    found = base.extended(name, {"curvature": 0.5})
-    solve(fit, [found], 6)
-    assert judge(fit, base, found, name, 1000.0) == outcome

@@ -22,7 +22,7 @@ from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
-from hydro_env.diagnosis.stages.calibration import as_given, base_unknowns, calibrate
+from hydro_env.diagnosis.stages.calibration import as_given, calibrate
 from hydro_env.diagnosis.stages.localisation import shape
 from hydro_env.diagnosis.stages.naming import Interval, widened_by_form
 from hydro_env.diagnosis.stages.screening import Screening, hidden_by_calibration, screen

@@ -18,7 +18,6 @@ from .explained import (
     could_pay,
     far_from_noise,
     mostly_explained,
-    nearly_explained,
     unexplained,
 )
 from .fit import Fit, Noise, noise_of
@@ -50,7 +49,7 @@ __all__ = [
     "CANNOT_BE_PREDICTED", "SCALED_TOGETHER", "SETTLE_ITERATIONS", "Estimate", "Fit", "Noise", "Unknown", "Vector",
     "base_unknown", "bases_of", "best_on_beginnings", "could_pay", "courses_apart", "differentiate", "effect_starts",
     "effect_unknowns", "effective_samples", "far_from_noise", "given_unknown", "grow_horizon", "intervals_of",
-    "joined", "less_taken", "limited_by_effects", "mostly_explained", "nearly_explained", "noise_floor", "noise_of",
+    "joined", "less_taken", "limited_by_effects", "mostly_explained", "noise_floor", "noise_of",
     "probability_of_gain", "scaled", "settle", "settle_finally", "solve", "step_all",
     "unexplained", "unpredictable",
 ]  # fmt: skip

@@ -12,7 +12,6 @@ __all__ = [
     "could_pay",
     "far_from_noise",
     "mostly_explained",
-    "nearly_explained",
     "unexplained",
 ]
 
@@ -20,8 +19,6 @@ __all__ = [
 CLEARLY_ABOVE = 2.0
 #: A residual (in `Fit.levels`, summed over the signals) that is too small to speak of something unknown.
 SMALL_SUM = 0.15
-#: Share of the residual (in `Fit.levels`) that may be left where next to nothing is.
-NEXT_TO_NOTHING = 0.15
 #: A log whose mean square error is above so many times the noise's could pay for an effect, if its deviance is worth so much.
 ABOVE_NOISE, WORTH = 1.04, 20.0
 #: A residual (`Fit.level`) up to which a local minimum may be the cause; what a missing effect leaves is larger.
@@ -63,12 +60,6 @@ def mostly_explained(fit: Fit, before: Estimate, after: Estimate, c: int) -> boo
     left_share = 1.0 - fit.settings.most_of_power
     by_power = all(e < left_share * (was[k] ** 2 - noise[k] ** 2) for k, e in excess.items())
     return by_level or by_power
-
-
-def nearly_explained(fit: Fit, before: Estimate, after: Estimate, c: int) -> bool:
-    """Whether next to nothing of the residual that `before` leaves on channel c is left by `after`, by level."""
-    old, new = (sum(fit.levels(each.simulated[c], c).values()) for each in (before, after))
-    return new < max(SMALL_SUM, NEXT_TO_NOTHING * old)
 
 
 def far_from_noise(fit: Fit, estimate: Estimate) -> bool:

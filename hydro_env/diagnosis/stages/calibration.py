@@ -66,9 +66,7 @@ def as_given(fit: Fit) -> Estimates:
 
 
 def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
-    """Adjusts the base parameters of every channel, with priors about the model as given.
-
-    """
+    """Adjusts the base parameters of every channel, with priors about the model as given."""
     rig, estimates = fit.rig, {}
     for channel in rig.channels:
         unknowns, follow = base_unknowns(rig, channel), given_repeats(rig, channel)

@@ -9,25 +9,19 @@ import numpy as np
 
 from ...plant import CATALOGUE
 from ...plant.catalogue.form_corrections import FAMILY
-from ..estimation import Estimate, Fit, Unknown, nearly_explained
-from ..settings import rule
+from ..estimation import Estimate, Fit, Unknown
 from ..state import Estimates
 from .screening import Screening
 
 __all__ = [
-    "ACCEPTED", "AT_EDGE", "OUTDONE", "VANISHED", "WITHIN_REACH", "Accepted", "Candidate", "Search", "Selection", "at_edge",
+    "ACCEPTED", "OUTDONE", "VANISHED", "WITHIN_REACH", "Accepted", "Candidate", "Search", "Selection",
     "carries_size", "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
 ]  # fmt: skip
-
-REJECT_AT_EDGE = rule(
-    "reject_at_edge", "reject an effect whose size ends at the edge of its range and leaves something"
-)
 
 #: What becomes of a candidate, in words that the report shows.
 ACCEPTED = "taken"
 OUTDONE = "others explain more"
 VANISHED = "vanishes when refitted"
-AT_EDGE = "only at the edge of its plausible range"
 #: An estimate that is nearer to neutral than this share of the usual size has vanished.
 NEUTRAL_SHARE = 0.02
 #: Candidates whose short refit reached less than this share of the best one's are not refitted in full.
@@ -187,37 +181,12 @@ def penalty(fit: Fit, effect: str) -> float:
     return penalty_per_parameter(fit) * len(CATALOGUE[effect].parameters)
 
 
-def judge(
-    fit: Fit, before: Estimate, after: Estimate, effect: str, gain: float, channel: int | None = None
-) -> str:
+def judge(fit: Fit, after: Estimate, effect: str, gain: float, channel: int | None = None) -> str:
     """What becomes of a candidate that gains so much: `ACCEPTED`, or why not; `channel` is its own, where the estimate is the
     rig's."""
     if gain < penalty(fit, effect):
         return "gains less than chance could"
-    channels = fit.channels_of(after)
-    if is_neutral(after, effect, channel):
-        return VANISHED
-    # A size beyond what rigs have makes up for something else; where the last plausible one leaves nothing it does not.
-    edge = at_edge(after, effect, channel) and fit.settings.uses(REJECT_AT_EDGE)
-    if edge and not all(nearly_explained(fit, before, after, c) for c in channels):
-        return AT_EDGE
-    return ACCEPTED
-
-
-def at_edge(estimate: Estimate, effect: str, channel: int | None = None) -> bool:
-    """Whether a size of an effect ends at a bound of its range that is not its neutral value; `channel` says whose, where the
-    estimate is the rig's."""
-    for u, q in zip(estimate.unknowns, estimate.q, strict=True):
-        if u.effect != effect or u.prior or not u.at_bound(float(q)):
-            continue
-        if channel is not None and u.channel not in (None, channel):
-            continue
-        parameter = CATALOGUE[effect].parameter(u.parameter)
-        near = u.low if u.value(float(q)) < 0.5 * (u.low + u.high) else u.high
-        neutral = parameter.nominal
-        if parameter.typical != neutral and near != neutral and np.isfinite(neutral):
-            return True
-    return False
+    return VANISHED if is_neutral(after, effect, channel) else ACCEPTED
 
 
 def carries_size(unknown: Unknown) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ...plant import CATALOGUE
 from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, joined, settle, solve
 from ..settings import rule
-from .candidates import AFTER_ROUNDS, Accepted, Search, at_edge, is_neutral
+from .candidates import AFTER_ROUNDS, Accepted, Search, is_neutral
 from .form_correction import attempts, refit_attempts
 from .screening import alike
 
@@ -182,7 +182,7 @@ def _compare(search: Search, one: Accepted, c: int, other: str, estimate: Estima
     behind = fit.gain(estimate, present)
     near = max(fit.settings.tied_share * own_gain, one.needed)
     better = behind < -CLEARLY_BETTER * one.needed and estimate.cost < present.cost
-    if better and not (is_neutral(estimate, other, c) or at_edge(estimate, other, c)):
+    if better and not is_neutral(estimate, other, c):
         one.competing.pop(other, None)
         if -behind < near:
             one.competing[one.effect] = -behind

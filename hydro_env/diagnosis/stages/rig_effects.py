@@ -49,7 +49,7 @@ def select_rig_effects(search: Search) -> None:
     tries.sort(key=lambda t: t[1].cost + penalty(fit, t[0].effect))
     for place, (one, estimate) in enumerate(tries):
         gain = fit.gain(before, estimate)
-        outcome = judge(fit, before, estimate, one.effect, gain)
+        outcome = judge(fit, estimate, one.effect, gain)
         if outcome == ACCEPTED and place:
             outcome = OUTDONE
         search.record(one.effect, None, 1, gain, outcome, estimate)

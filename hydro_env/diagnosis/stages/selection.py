@@ -19,7 +19,6 @@ from ..estimation import (
     could_pay,
     grow_horizon,
     joined,
-    nearly_explained,
     solve,
     unexplained,
 )
@@ -28,7 +27,6 @@ from ..state import State
 from . import rattling, screening
 from .candidates import (
     ACCEPTED,
-    AT_EDGE,
     OUTDONE,
     VANISHED,
     WITHIN_REACH,
@@ -357,15 +355,6 @@ def _in_other_form(search: Search, estimate: Estimate) -> Estimate:
     return known
 
 
-def _ends_in_other_form(search: Search, before: Estimate, after: Estimate) -> bool:
-    """Whether a correction of form explains next to all that is left: a size at the edge of its range is due to the form then."""
-    fit = search.fit
-    if not fit.rig.has_hidden_states:  # a model that has no corrections
-        return False
-    better = _in_other_form(search, after)
-    return all(nearly_explained(fit, before, better, c) for c in fit.channels_of(after))
-
-
 def _settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
     """Improves estimates as far as they go, in place."""
     long = fit.on(fit.rig.for_long_refits())
@@ -389,9 +378,7 @@ def _accept_best(search: Search, contest: Contest, number: int) -> bool:
     judged, accepted = "", False
     for place, r in enumerate(contest.refits):
         effect, gain = r.screened.effect, fit.gain(before, r.estimate)
-        outcome = judge(fit, before, r.estimate, effect, gain, c)
-        if outcome == AT_EDGE and place == 0 and _ends_in_other_form(search, before, r.estimate):
-            outcome = ACCEPTED
+        outcome = judge(fit, r.estimate, effect, gain, c)
         if place == 0:
             judged, accepted = outcome, outcome == ACCEPTED
             if accepted:
