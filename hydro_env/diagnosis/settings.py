@@ -44,8 +44,6 @@ class Settings:
     tied_share: float = 0.1
     #: Factor on a deviance by which competing candidates fall behind: models are never exact, so a likelihood is tempered.
     temper: float = 0.1
-    #: Share of the power above the noise that the named effects must explain on the held-out logs.
-    confirmed_share: float = 0.25
     #: Command of the next experiment at most, as a share of the rated one, ...
     command_limit: float = 1.0
     #: ... its rate of change in rated commands per second, ...

@@ -28,9 +28,6 @@ DOUBT_LEFT = rule(
     "doubt_left", "reject names that leave much of a signal of the fit logs, whatever their form"
 )
 DOUBT_NEUTRAL = rule("doubt_neutral", "reject names whose interval holds the neutral value")
-DOUBT_UNCONFIRMED = rule(
-    "doubt_unconfirmed", "reject names that explain next to nothing of the held-out logs"
-)
 
 #: A signal of the held-out logs is made worse if its error is so many times what calibration alone leaves, and so many times
 #: the noise.
@@ -41,8 +38,6 @@ ABOVE_NOISE = 1.1
 #: what calibration alone leaves; or, in `Fit.levels`: one event or two in a log, such as a spool that meets its end stop late,
 #: speak against no name.
 LEFT_NOISE, LEFT_SHARE, LEFT_LEVEL = 3.0, 0.05, 0.1
-#: A signal that calibration leaves above so many times its noise must be confirmed.
-TO_BE_CONFIRMED = 1.3
 #: Calibration is visible if the error was above what it leaves by this factor, and sure if it gains so much for each parameter.
 CALIBRATION_VISIBLE, CALIBRATION_GAIN = 1.03, 6.0
 
@@ -151,7 +146,6 @@ def _doubts_of_channel(
     fit: Fit, held_out: Fit, final: Estimates, c: int, on_fit: Proof, on_held_out: Proof
 ) -> Iterator[str]:
     uses, dynamic = fit.settings.uses, fit.rig.has_hidden_states
-    shares = []
     level = fit.levels(on_fit.traces["after"][c], c)
     fit_apart, held_out_apart = (courses_apart(each, final[c], c) for each in (fit, held_out))
     for (channel, signal), entry in on_held_out.errors.items():
@@ -169,10 +163,6 @@ def _doubts_of_channel(
         far = fit_apart.get(signal, 0.0) < times and _far_from_explained(fitted)
         if dynamic and far and level[signal] > LEFT_LEVEL and uses(DOUBT_LEFT):
             yield f"{plain} of the fit logs is left {times:.2g} times its noise, whatever the form of what is named"
-        if calibrated > TO_BE_CONFIRMED * noise and not silent:
-            shares.append((calibrated**2 - after**2) / (calibrated**2 - noise**2))
-    if shares and max(shares) < fit.settings.confirmed_share and uses(DOUBT_UNCONFIRMED):
-        yield f"the effects of channel {c + 1} explain next to nothing of the held-out logs"
 
 
 def _worse(entry: dict[str, float]) -> bool:
