@@ -1,57 +1,17 @@
-"""What becomes of a candidate, and what else would do as well in the place of an effect that was taken."""
+"""What becomes of a candidate, and which effects the known parameters do without."""
 
 import numpy as np
 import pytest
 
 from hydro_env.diagnosis.estimation import Estimate, Fit, differentiate, solve
 from hydro_env.diagnosis.stages import elimination
-from hydro_env.diagnosis.stages.candidates import Accepted, Search, Selection, is_neutral
-from hydro_env.diagnosis.stages.elimination import compare_competing, drop_unneeded
-from hydro_env.diagnosis.stages.naming import name_effects
-from hydro_env.diagnosis.stages.screening import screen
+from hydro_env.diagnosis.stages.candidates import Accepted, Search, is_neutral
+from hydro_env.diagnosis.stages.elimination import drop_unneeded
 from hydro_env.plant import CATALOGUE
 from tests.linear_rig import NOISE, logged, time_of
 
 ROWS = 4000
 TIME = time_of(ROWS)
-
-
-def _found(curves: dict[str, np.ndarray], hidden: str, accepted: str) -> Search:
-    """A rig with a hidden effect, for which `accepted` was accepted, after the question what else would do."""
-    typical = {n: CATALOGUE[n].parameters[0].typical for n in curves}
-    by_value = {f"{n}.coefficient": curve / typical[n] for n, curve in curves.items()}
-    fit, base = logged(by_value, {f"{hidden}.coefficient": 0.8 * typical[hidden]}, ROWS)
-    screening = screen(fit, {0: base}, fit.rig.candidates(), 4.0)
-    found = base.extended(accepted, next(k.start for k in screening if k.effect == accepted))
-    solve(fit, [found], 6)
-    search = Search(fit, {0: base}, screening, 4.0, {0: found})
-    search.accepted = [Accepted(accepted, 0, 5000.0, 18.0, {}, base)]
-    compare_competing(search)
-    return search
-
-
-def test_a_declared_alternative_is_listed_though_nothing_had_tried_it() -> None:
-    drag = np.abs(np.sin(2.0 * TIME)) * np.sin(2.0 * TIME)
-    search = _found({"line_loss": drag, "quadratic_drag": drag}, "quadratic_drag", "line_loss")
-    assert search.accepted[0].effect == "line_loss" and {*search.accepted[0].competing} == {"quadratic_drag"}
-    selection = Selection(search.present, search.accepted, [], {})
-    named = name_effects(search.fit, selection, search.screening, search.present)
-    assert named[0].indistinguishable_from == ["quadratic_drag"]
-    assert named[0].probability == pytest.approx(0.5, abs=0.05)
-
-
-def test_a_declared_alternative_that_explains_much_less_is_not_listed() -> None:
-    drag, other = np.abs(np.sin(2.0 * TIME)) * np.sin(2.0 * TIME), np.cos(11.0 * TIME)
-    search = _found({"line_loss": drag, "quadratic_drag": other}, "line_loss", "line_loss")
-    assert search.accepted[0].effect == "line_loss" and not search.accepted[0].competing
-
-
-def test_a_candidate_that_explains_more_takes_the_place() -> None:
-    drag = np.abs(np.sin(2.0 * TIME)) * np.sin(2.0 * TIME)
-    near = drag + 0.1 * np.cos(11.0 * TIME)
-    search = _found({"line_loss": near, "quadratic_drag": drag}, "quadratic_drag", "line_loss")
-    assert search.accepted[0].effect == "quadratic_drag"
-    assert search.present[0].effects() == ["quadratic_drag"]
 
 
 @pytest.mark.parametrize(("curve", "kept"), [(np.sin(3.0 * TIME), False), (np.cos(11.0 * TIME), True)])

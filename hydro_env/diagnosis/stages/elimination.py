@@ -1,15 +1,13 @@
-"""Backward elimination, and competing candidates: which of the accepted effects are needed, and what would do as well."""
+"""Backward elimination: which of the accepted effects are needed."""
 
 from __future__ import annotations
 
-from ...plant import CATALOGUE
 from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, joined, settle, solve
 from ..settings import rule
-from .candidates import AFTER_ROUNDS, Accepted, Search, is_neutral
+from .candidates import AFTER_ROUNDS, Accepted, Search
 from .form_correction import attempts, refit_attempts
-from .screening import alike
 
-__all__ = ["compare_competing", "drop_not_missed", "drop_unneeded", "prefer_form"]
+__all__ = ["drop_not_missed", "drop_unneeded", "prefer_form"]
 
 DROP_UNNEEDED = rule(
     "drop_unneeded", "drop an effect that the known parameters replace, from where it led them"
@@ -18,14 +16,6 @@ DROP_NOT_MISSED = rule(
     "drop_not_missed", "backward elimination: drop an effect that is not missed beside the others"
 )
 PREFER_FORM = rule("prefer_form", "drop an effect if another form of those beside it explains more")
-COMPARE_COMPETING = rule("compare_competing", "put competing candidates in the place of what was accepted")
-
-#: Iterations of the refit of a competing candidate.
-COMPETING_ITERATIONS = 5
-#: Competing candidates that are refitted again at most, by what they gained and by their signature.
-MOST_BY_GAIN, MOST_BY_SIGNATURE = 4, 2
-#: A competing candidate takes the place of what was accepted if it gains more by so many times the penalty.
-CLEARLY_BETTER = 0.5
 
 
 def drop_not_missed(search: Search) -> None:
@@ -138,57 +128,3 @@ def _without(present: Estimate, without: Estimate, effect: str) -> list[Estimate
         if u.name in spool and u.name == led.unknowns[j].name:
             before.q[j] = led.q[j]
     return [led, before]
-
-
-def compare_competing(search: Search) -> None:
-    """Puts competing candidates in the place of what was accepted, once everything else is there.
-
-    They are those that were near while another effect was still missing, those whose signature has the same direction, and
-    those that the catalogue declares indistinguishable: one that a screening passed over must still be listed.
-    Each starts from the base parameters found. One that does better than the effect it stands for takes its place.
-    """
-    fit = search.fit
-    if not fit.settings.uses(COMPARE_COMPETING):
-        return
-    starts, same = {(k.effect, k.channel): k.start for k in search.screening}, alike(search.screening)
-    swaps: list[tuple[Accepted, int, str, Estimate]] = []
-    for one in search.accepted:
-        c = one.channel
-        if c is None or one.without is None or one.without.channel != search.present[c].channel:
-            continue
-        own = {k.effect for k in search.on(c)}
-        by_gain = sorted(one.competing, key=lambda n: one.competing[n])[:MOST_BY_GAIN]
-        by_signature = same.get((one.effect, c), [])[:MOST_BY_SIGNATURE]
-        declared = CATALOGUE[one.effect].indistinguishable_from
-        for other in dict.fromkeys((*by_gain, *declared, *by_signature)):
-            if (other, c) in starts and other not in own:
-                rest = search.present[c].without(one.effect, c)
-                swaps.append((one, c, other, rest.extended(other, starts[other, c], c)))
-    solve(fit.on(fit.rig.for_long_refits()), [p for *_, p in swaps], COMPETING_ITERATIONS)
-    for one, c, other, estimate in sorted(swaps, key=lambda s: s[3].cost):
-        placed, present = {*estimate.placed_effects()}, {*search.present[c].placed_effects()}
-        if placed - {(other, c)} != present - {(one.effect, c)}:
-            continue  # another effect of this channel was replaced meanwhile
-        _compare(search, one, c, other, estimate)
-
-
-def _compare(search: Search, one: Accepted, c: int, other: str, estimate: Estimate) -> None:
-    """Compares an accepted effect with another one in its place: which stays, and whether the other one is to be listed."""
-    assert one.without is not None
-    fit, present = search.fit, search.present[c]
-    own_gain = fit.gain(one.without, present)
-    # Not as a difference of two gains: how many samples are independent depends on what is left, so gains near the noise differ
-    # where costs do not.
-    behind = fit.gain(estimate, present)
-    near = max(fit.settings.tied_share * own_gain, one.needed)
-    better = behind < -CLEARLY_BETTER * one.needed and estimate.cost < present.cost
-    if better and not is_neutral(estimate, other, c):
-        one.competing.pop(other, None)
-        if -behind < near:
-            one.competing[one.effect] = -behind
-        one.effect, one.gain = other, own_gain - behind
-        search.put(c, estimate)
-    elif behind < near:
-        one.competing[other] = max(behind, 0.0)
-    else:
-        one.competing.pop(other, None)

@@ -36,7 +36,7 @@ from .candidates import (
     judge,
     penalty,
 )
-from .elimination import compare_competing, drop_not_missed, drop_unneeded, prefer_form
+from .elimination import drop_not_missed, drop_unneeded, prefer_form
 from .form_correction import attempts, given_on, refit_attempts
 from .refits import short_refit
 from .rig_effects import rig_effect_leads, select_rig_effects
@@ -127,9 +127,6 @@ def select(search: Search) -> Selection:
         other = search.afresh()
         _search(other, not leads)
         search = better_set(search, other)
-    if search.accepted:
-        search.progress("what else would do as well?")
-        compare_competing(search)
     return Selection(search.present, search.accepted, search.candidates, search.placebo, search.attempted)
 
 
