@@ -36,7 +36,7 @@ from .candidates import (
     judge,
     penalty,
 )
-from .elimination import drop_not_missed, drop_unneeded, prefer_form
+from .elimination import drop_unneeded, prefer_form
 from .form_correction import attempts, given_on, refit_attempts
 from .refits import short_refit
 from .rig_effects import rig_effect_leads, select_rig_effects
@@ -152,7 +152,6 @@ def _search(search: Search, rig_first: bool) -> None:
         drop_unneeded(search)
     if any(len(p.placed_effects()) > 1 for p in search.present.values()):
         search.progress("can any of them be left out?")
-        drop_not_missed(search)
         prefer_form(search)
 
 
