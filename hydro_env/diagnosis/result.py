@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ..files import write_text
 from ..plant import CATALOGUE, PlantModel
 from .stages.form_correction import Correction
-from .stages.naming import NamedEffect, effect_values, estimated_model, known_parameters
+from .stages.naming import NamedEffect
+from .stages.next_experiment import NextExperiment
 from .stages.screening import detectable, hidden_by_calibration
 from .stages.validation import shown_unit, signal_key
+from .stages.values import effect_values, known_parameters
 from .state import State
 
 __all__ = ["SCHEMA", "Diagnosis"]
@@ -25,6 +26,8 @@ class Diagnosis:
     """What was found. `state` holds the estimates, simulated signals and proofs behind it; `seconds` is the time it took."""
 
     state: State
+    next_experiment: NextExperiment | None
+    warnings: list[str]
     seconds: float
 
     @property
@@ -43,27 +46,21 @@ class Diagnosis:
         return self.state.effects
 
     @property
-    def warnings(self) -> list[str]:
-        return self.state.warnings
-
-    @cached_property
     def model(self) -> PlantModel:
         """The model with what was found; the one given where nothing is missing."""
-        if self.verdict == "none":
-            return self.state.model
-        return estimated_model(self.state.rig, self.state.final, f"{self.state.model.name} diagnosed")
+        return self.state.improved
 
     def report(self, path: str | Path) -> None:
         """Writes the report, an HTML page that needs no network. Needs the extra `report`."""
         from .report.page import report_page
 
-        write_text(Path(path), report_page(self))
+        write_text(Path(path), report_page(self.state, self.next_experiment, self.warnings, self.seconds))
 
     def summary(self) -> str:
         """The report in about twenty lines of text."""
         from .report.summary import summary
 
-        return summary(self)
+        return summary(self.state, self.next_experiment, self.warnings)
 
     def as_dict(self) -> dict[str, Any]:
         """The content of diagnosis.json, of schema `SCHEMA`.
@@ -72,7 +69,7 @@ class Diagnosis:
         are shape corrections, "after" is the model with them, "named" in `gap` the one with the effects alone.
         """
         state = self.state
-        logs = (*state.rig.parts, *state.held_out_parts)
+        logs = (*state.rig.parts, *state.held_out.parts)
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
@@ -83,9 +80,9 @@ class Diagnosis:
                 p.name: {"nominal": p.nominal, **vars(p.estimate)}
                 for p in known_parameters(state.rig, state.shown)
             },
-            "gap": {"sealed": state.on_held_out.as_dict(), "fit": state.on_fit.as_dict()},
+            "gap": {"sealed": state.proofs.held_out.as_dict(), "fit": state.proofs.fit.as_dict()},
             "shape_corrections": [self._correction(k) for k in state.corrections],
-            "next_experiment": state.next_experiment.as_dict() if state.next_experiment else None,
+            "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
             "detectable": detectable(state.screening),
             "hidden_by_calibration": hidden_by_calibration(state.screening),
             "seconds": round(self.seconds, 1),

@@ -66,7 +66,7 @@ def run_rig(seed: int, hidden: Sequence[str], jobs: int = 1) -> dict[str, Any]:
         begin = time.process_time()
         first = _diagnosed(folder, [], jobs)
         row = {"seed": seed, "hidden": list(hidden), "first": _answer(first, truth), "open": _open(first)}
-        proposed, rng = first.state.next_experiment, np.random.default_rng([seed, 7])
+        proposed, rng = first.next_experiment, np.random.default_rng([seed, 7])
         commands = {
             "proposed": proposed.csv() if proposed is not None else None,
             "random": commands_csv(

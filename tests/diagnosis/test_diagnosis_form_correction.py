@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import isnan, nan
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns
-from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate, Search, Selection
+from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate, Search, in_best_form
 from hydro_env.diagnosis.stages.elimination import prefer_form
 from hydro_env.diagnosis.stages.form_correction import (
     correct,
@@ -110,14 +109,13 @@ def test_a_second_effect_goes_where_another_form_of_the_first_explains_more() ->
     ]
     prefer_form(search)
     assert [k.effect for k in search.accepted] == ["flow_gain_nonlinearity"]
-    selection = Selection(search.present, search.accepted, [], {}, search.attempted)
-    best = selection.in_best_form(0)
+    best = in_best_form(search.present[0], search.attempted)
     assert best.effects() == ["flow_gain_nonlinearity", "opening_shape"]
     assert fit.at_noise(best, 1.5) and not fit.at_noise(search.present[0], 5.0)
     # A form that was tried beside another effect says nothing of this one alone.
     beside = with_correction(both, "directional_gain", "opening_shape")
     beside.cost = best.cost - 1e4
-    assert replace(selection, attempted=[*search.attempted, beside]).in_best_form(0) is best
+    assert in_best_form(search.present[0], [*search.attempted, beside]) is best
 
 
 def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None:

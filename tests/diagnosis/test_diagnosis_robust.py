@@ -28,7 +28,7 @@ from hydro_env.diagnosis.report import wording as words
 from hydro_env.diagnosis.report.statements import comment, next_step
 from hydro_env.diagnosis.stages.calibration import as_given, calibrate
 from hydro_env.diagnosis.stages.localisation import locate
-from hydro_env.diagnosis.stages.naming import at_bounds, effect_values, known_parameters, widened_by_form
+from hydro_env.diagnosis.stages.values import at_bounds, effect_values, known_parameters, widened_by_form
 from hydro_env.errors import InputWarning
 from hydro_env.plant import PARAMETERS, load_model, simulate
 from hydro_env.practice.generate import make_practice
@@ -63,9 +63,8 @@ def test_any_accepted_value_can_be_calibrated_and_reported(
         estimate.intervals = SimpleNamespace(**ends, without=spread)  # type: ignore[assignment]
         rig: Any = SimpleNamespace(own={}, given=lambda name, channel, value=value: value)
         (known,) = known_parameters(rig, {0: estimate})
-        found: Any = SimpleNamespace(state=SimpleNamespace(rig=rig))
         told = [
-            comment(found, known),
+            comment(rig, known),
             known.moved_by(),
             words.interval(known.estimate),
             *at_bounds({0: estimate}),
@@ -128,8 +127,9 @@ def test_a_page_that_fails_costs_only_the_page(tmp_path: Path, problem: Exceptio
         raise problem
 
     model = load_model("paper")
-    state = SimpleNamespace(next_experiment=None)
-    found: Any = SimpleNamespace(report=report, as_dict=lambda: {"verdict": "none"}, state=state, model=model)
+    found: Any = SimpleNamespace(
+        report=report, as_dict=lambda: {"verdict": "none"}, next_experiment=None, model=model
+    )
     (tmp_path / "report.html").write_text("of an earlier run")
     with pytest.warns(InputWarning, match=r"report\.html could not be made: .*(by zero|jinja2)"):
         command.write(found, tmp_path)
@@ -168,7 +168,7 @@ def test_logs_of_a_constant_command_determine_no_parameters(tmp_path: Path) -> N
     assert found.verdict == "calibration" and "These logs do not determine the known parameters" in text
     assert "command of channel 1 is constant" in text
     assert "still missing" not in text and "is enough" not in text
-    assert "Do not use the calibrated values" in next_step(found)
+    assert "Do not use the calibrated values" in next_step(found.state)
 
 
 def test_held_out_logs_of_a_hotter_coil_are_of_another_state(tmp_path: Path) -> None:
@@ -181,7 +181,7 @@ def test_held_out_logs_of_a_hotter_coil_are_of_another_state(tmp_path: Path) -> 
         assert found.verdict == "calibration" and "still missing" not in text
         assert ("seem to be of another rig or state: the coil current of channel 1" in text) == said
         assert ("Calibration is enough" in text) != said
-        assert ("same rig, valves and temperature" in next_step(found)) == said
+        assert ("same rig, valves and temperature" in next_step(found.state)) == said
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,8 @@ from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import as_given, calibrate
 from hydro_env.diagnosis.stages.localisation import shape
-from hydro_env.diagnosis.stages.naming import Interval, widened_by_form
 from hydro_env.diagnosis.stages.screening import Screening, hidden_by_calibration, screen
+from hydro_env.diagnosis.stages.values import Interval, widened_by_form
 from hydro_env.plant import PARAMETERS, load_model
 from hydro_env.practice.generate import make_practice
 from tests.linear_rig import logged, time_of

@@ -21,7 +21,7 @@ __all__ = ["Estimate", "Vector", "joined"]
 Vector = np.ndarray
 
 
-@dataclass
+@dataclass(eq=False)
 class Estimate:
     """Unknowns of a channel (None: of the whole rig) and their values, on the scale `q` of each.
 

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...pages import COLOURS, figure, svg
+from ..models.base import Segment
+from ..stages.localisation import Location
 from ..stages.validation import NAMED
+from ..state import State
 from . import wording as words
 from .statements import errors_of, headline, shown_locations, unit_of
-
-if TYPE_CHECKING:
-    from ..models.base import Segment
-    from ..result import Diagnosis
-    from ..stages.localisation import Location
 
 __all__ = ["bars", "maps", "traces"]
 
@@ -33,25 +31,25 @@ _MODEL_COLOURS = {
 _ABOVE = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
 
 
-def traces(found: Diagnosis) -> list[tuple[str, Any]]:
+def traces(state: State) -> list[tuple[str, Any]]:
     """Before and after on the held-out logs: speed and its error with the noise band, the headline's channel first; then every
     other signal that calibration leaves far off."""
-    proof, first = found.state.on_held_out, headline(found).channel
+    proof, first = state.proofs.held_out, headline(state).channel
     segments = proof.rig.segments
     channels = sorted(proof.rig.channels, key=lambda c: c != first)
-    pictures = [_trace(found, next(s for s in segments[c] if s.signal == "speed")) for c in channels]
+    pictures = [_trace(state, next(s for s in segments[c] if s.signal == "speed")) for c in channels]
     for c in channels:
         for s in {s.signal: s for s in segments[c][::-1] if s.signal != "speed"}.values():
             entry = proof.errors[c, s.signal]
             if entry["calibrated"] > FAR_OFF * entry["noise"]:
-                pictures.append(_trace(found, s))
+                pictures.append(_trace(state, s))
     return pictures
 
 
-def _trace(found: Diagnosis, segment: Segment) -> tuple[str, Any]:
-    proof, channel, keep = found.state.on_held_out, segment.channel, segment.used
+def _trace(state: State, segment: Segment) -> tuple[str, Any]:
+    proof, channel, keep = state.proofs.held_out, segment.channel, segment.used
     unit, size = unit_of(proof.rig, segment.signal, channel)
-    name, log = words.signal(segment.signal), proof.rig.parts[segment.log].log
+    name, log = words.SIGNALS[segment.signal], proof.rig.parts[segment.log].log
     time, entry = _thin(log.time_s[segment.rows]), proof.errors[channel, segment.signal]
     apart = max(entry["before"], entry["calibrated"]) > BAND_INVISIBLE * entry["noise"]
     drawing, axes = figure(3 if apart else 2, height=2.1, left=LEFT)
@@ -89,14 +87,14 @@ def _noise_band(axis: Any, noise: float, errors: np.ndarray) -> None:
         axis.set_ylim(-reach, reach)
 
 
-def maps(found: Diagnosis) -> list[tuple[str, Any]]:
+def maps(state: State) -> list[tuple[str, Any]]:
     """For the two locations that hold most of the residual: the error over the quantity that its equation depends on, and the
     error over time with the worst windows."""
-    return [_map(found, p) for p in shown_locations(found)[:2]]
+    return [_map(state, p) for p in shown_locations(state)[:2]]
 
 
-def _map(found: Diagnosis, location: Location) -> tuple[str, Any]:
-    rig, channel, form = found.state.rig, location.channel, location.shape
+def _map(state: State, location: Location) -> tuple[str, Any]:
+    rig, channel, form = state.rig, location.channel, location.shape
     number = max(set(location.logs), key=location.logs.count) if location.logs else 0
     drawing, (above, below) = figure(2, height=2.0, share_x=False, left=LEFT)
     x, y, spread = np.array(form.points).reshape(-1, 3).T
@@ -109,7 +107,7 @@ def _map(found: Diagnosis, location: Location) -> tuple[str, Any]:
     log = rig.parts[number].log
     for model in ("calibrated", "after"):
         # The fit's proof is on the same segments, so places agree.
-        trace = found.state.on_fit.traces[model][channel][segment.place]
+        trace = state.proofs.fit.traces[model][channel][segment.place]
         error = np.where(segment.used, segment.measured - trace, np.nan) / size
         time, colour = _thin(log.time_s[segment.rows]), _MODEL_COLOURS[model]
         below.plot(time, _thin(error), color=colour, label=model, linewidth=1.0)
@@ -132,13 +130,13 @@ def _thin(values: np.ndarray) -> np.ndarray:
     return values[:: max(1, values.size // POINTS)]
 
 
-def bars(found: Diagnosis) -> Any:
+def bars(state: State) -> Any:
     """RMS errors on the held-out logs in noise units."""
-    signals = errors_of(found.state.on_held_out)
+    signals = errors_of(state.proofs.held_out)
     labels = [f"{s.name} {s.channel + 1}" for s in signals]
     left = 0.2 + LETTER * max(map(len, labels))
     drawing, (axis,) = figure(1, height=0.8 * len(signals) + 0.9, left=left)
-    names = ("before", "calibrated", "placebo", *((NAMED,) if found.state.corrections else ()), "after")
+    names = ("before", "calibrated", "placebo", *((NAMED,) if state.corrections else ()), "after")
     said = {NAMED: "effects only"}  # as in the table above the picture
     step = 0.8 / len(names)
     rows = np.arange(len(signals))[::-1]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
-from ..stages.naming import known_parameters
+from ..stages.next_experiment import NextExperiment
 from ..stages.screening import detectable
+from ..stages.values import known_parameters
+from ..state import State
 from . import wording as words
 from .statements import (
     AT_NOISE,
@@ -13,16 +15,12 @@ from .statements import (
     effect_values,
     error_columns,
     errors_of,
-    left_over,
     ranking,
+    remarks,
     sentence,
     shown_locations,
-    weak_proof,
     windows_text,
 )
-
-if TYPE_CHECKING:
-    from ..result import Diagnosis
 
 __all__ = ["summary"]
 
@@ -30,56 +28,55 @@ __all__ = ["summary"]
 LINES = 20
 
 
-def summary(found: Diagnosis) -> str:
+def summary(state: State, next_experiment: NextExperiment | None, warnings: Sequence[str]) -> str:
     """What the page says, shorter."""
-    places, tried, known = _places(found), _tried(found), _known(found)
+    places, tried, known = _places(state), _tried(state), _known(state)
     lines = [
-        f"verdict: {found.verdict}{' (best guess, not proven)' if found.best_guess else ''}",
-        sentence(found),
+        f"verdict: {state.verdict}{' (best guess, not proven)' if state.best_guess else ''}",
+        sentence(state),
     ]
-    lines += [text[0].upper() + text[1:] for text in (left_over(found), weak_proof(found)) if text]
-    lines += [*_effects(found), *places, *_shape(found)]
-    lines += [f"  shape correction, not physics: {text}" for text in correction_texts(found)]
-    lines += [*_errors(found), *tried, known, _hidden(found)]
-    if found.state.next_experiment:
-        lines.append(f"  next experiment: {found.state.next_experiment.description}")
+    lines += [*remarks(state), *_effects(state), *places, *_shape(state)]
+    lines += [f"  shape correction, not physics: {text}" for text in correction_texts(state)]
+    lines += [*_errors(state), *tried, known, _hidden(state)]
+    if next_experiment:
+        lines.append(f"  next experiment: {next_experiment.description}")
     # What a full screen can spare first: the second place, then what was rejected, then known parameters.
     spare = [known, *tried, *places[1:]]
-    while len(lines) > LINES - min(2, len(found.warnings)) and spare:
+    while len(lines) > LINES - min(2, len(warnings)) and spare:
         lines.remove(spare.pop())
     most = min(3, max(1, LINES - len(lines)))
-    shown = found.warnings if len(found.warnings) <= most else found.warnings[: max(1, most - 1)]
+    shown = warnings if len(warnings) <= most else warnings[: max(1, most - 1)]
     lines += [f"  warning: {text}" for text in shown]
-    if len(found.warnings) > len(shown):
-        lines.append(f"  warning: {len(found.warnings) - len(shown)} more in the report")
+    if len(warnings) > len(shown):
+        lines.append(f"  warning: {len(warnings) - len(shown)} more in the report")
     return "\n".join(lines)
 
 
-def _effects(found: Diagnosis) -> list[str]:
+def _effects(state: State) -> list[str]:
     lines = []
-    for n in found.effects:
+    for n in state.effects:
         values = "; ".join(
             f"{name} {value}" + (f" = {share}" if share else "")
-            for name, value, share in effect_values(found, n)
+            for name, value, share in effect_values(state, n)
         )
         lines.append(f"  {n.name}, {words.where(n.channel)}, probability {n.probability:.2f}: {values}")
     return lines
 
 
-def _places(found: Diagnosis) -> list[str]:
+def _places(state: State) -> list[str]:
     lines = []
-    for p in shown_locations(found)[:2]:
+    for p in shown_locations(state)[:2]:
         regime = f"most at {p.regime}" if p.regime != "everywhere" else "everywhere"
         where = f"{words.equation(p.equation)} of channel {p.channel + 1}: {100.0 * p.share:.0f} % of the residual"
-        lines.append(f"  where: {where}, {regime}; worst {windows_text(found, p)}")
+        lines.append(f"  where: {where}, {regime}; worst {windows_text(state, p)}")
     return lines
 
 
-def _shape(found: Diagnosis) -> list[str]:
+def _shape(state: State) -> list[str]:
     """The shape of what no effect explains."""
-    channels = {p.channel for p in shown_locations(found)}
-    first = next((p for p in found.state.locations if p.channel in channels), None)
-    if found.verdict != "unknown" or first is None:
+    channels = {p.channel for p in shown_locations(state)}
+    first = next((p for p in state.locations if p.channel in channels), None)
+    if state.verdict != "unknown" or first is None:
         return []
     form = first.shape
     return [
@@ -88,13 +85,13 @@ def _shape(found: Diagnosis) -> list[str]:
     ]
 
 
-def _errors(found: Diagnosis) -> list[str]:
+def _errors(state: State) -> list[str]:
     """The table of errors on the held-out logs."""
-    columns = error_columns(found)
+    columns = error_columns(state)
     heads = "".join(f"{heading:>{width}}" for _, heading, width in columns)
     lines = [f"  {'held-out logs, RMS error':<29}{heads}"]
     quiet = []
-    for s in errors_of(found.state.on_held_out):
+    for s in errors_of(state.proofs.held_out):
         name, e = f"{s.name} {s.channel + 1}", s.errors
         if max(e["before"], e["calibrated"], e["after"]) < AT_NOISE * e["noise"]:
             quiet.append(name)
@@ -106,11 +103,11 @@ def _errors(found: Diagnosis) -> list[str]:
     return lines
 
 
-def _tried(found: Diagnosis) -> list[str]:
+def _tried(state: State) -> list[str]:
     """The best candidates that were refitted and rejected."""
-    rows = ranking(found)
+    rows = ranking(state)
     tried = [r for r in rows if r.refitted and not r.accepted]
-    if found.verdict in ("none", "calibration") and not found.effects:
+    if state.verdict in ("none", "calibration") and not state.effects:
         if not tried:
             return ["  no effect was worth a closer look"]
         text = ", ".join(f"{words.plain(r.effect)} on {r.where} ({r.gain:.0f})" for r in tried[:2])
@@ -119,22 +116,20 @@ def _tried(found: Diagnosis) -> list[str]:
     if not tried:
         return []
     text = ", ".join(f"{words.plain(r.effect)} on {r.where} ({r.gain:.0f}: {r.outcome})" for r in tried[:3])
-    names = {n.name for n in found.effects}
+    names = {n.name for n in state.effects}
     gains = ", ".join(f"{r.gain:.0f}" for r in rows if r.accepted and r.effect in names)
-    return [f"  rejected, by gain: {text}{f'; taken with {gains}' if gains else ''}"]
+    return [f"  rejected, by gain: {text}{f'; accepted with {gains}' if gains else ''}"]
 
 
-def _known(found: Diagnosis) -> str:
+def _known(state: State) -> str:
     """The known parameters that moved most, in half-widths of their intervals."""
     rows = [
-        p
-        for p in known_parameters(found.state.rig, found.state.shown)
-        if p.estimate.high > p.estimate.low and p.moved
+        p for p in known_parameters(state.rig, state.shown) if p.estimate.high > p.estimate.low and p.moved
     ]
     rows = sorted((p for p in rows if abs(p.change) >= 0.005), key=lambda p: -abs(p.change))
     if not rows:
         return "  known parameters: no interval excludes the given value"
-    own = found.state.rig.own  # of a reduced model: its nominal values stand for nothing
+    own = state.rig.own  # of a reduced model: its nominal values stand for nothing
     text = ", ".join(
         f"{p.name} = {words.interval(p.estimate)}" if p.symbol in own else f"{p.name} {p.moved_by()}"
         for p in rows[:6]
@@ -144,16 +139,16 @@ def _known(found: Diagnosis) -> str:
     return f"  known parameters that moved: {text}{more}{f'; check {far}: further than usual' if far else ''}"
 
 
-def _hidden(found: Diagnosis) -> str:
-    seen = detectable(found.state.screening)
-    named = [(effect.name, str(channel + 1)) for effect in found.effects for channel in effect.channels]
+def _hidden(state: State) -> str:
+    seen = detectable(state.screening)
+    named = [(effect.name, str(channel + 1)) for effect in state.effects for channel in effect.channels]
     hidden = {
         name: [c for c, shows in row.items() if not shows and (name, c) not in named]
         for name, row in seen.items()
     }
     texts = [f"{words.plain(name)} ({', '.join(row)})" for name, row in hidden.items() if row]
     if not texts:
-        all_of = "the catalogue" if found.state.rig.has_hidden_states else "this reduced model"
+        all_of = "the catalogue" if state.rig.has_hidden_states else "this reduced model"
         return f"  every effect of {all_of} is detectable at medium size"
     more = f" and {len(texts) - 6} more" if len(texts) > 6 else ""
     return f"  not detectable in these logs at medium size: {', '.join(texts[:6])}{more}"

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...measured import Finding
 from ...plant import CATALOGUE, PARAMETERS, parameter_of
 from ..estimation import (
     Estimate,
@@ -16,11 +17,12 @@ from ..estimation import (
     limited_by_effects,
     solve,
 )
+from ..logs import Estimates, Given, Logs, distinct
 from ..models.base import RigModel, effect_in, given_repeats
-from ..state import Estimates, State
 from .row_times import without_outliers
+from .screening import Screening
 
-__all__ = ["as_given", "base_unknowns", "calibrate", "run"]
+__all__ = ["Calibrated", "as_given", "base_unknowns", "calibrate", "run"]
 
 #: Iterations of the calibration.
 ITERATIONS = 18
@@ -28,18 +30,29 @@ ITERATIONS = 18
 FEW = 20
 
 
-def run(state: State) -> State:
+@dataclass(frozen=True)
+class Calibrated:
+    """The calibrated model beside the logs; `given` as in `Given`. `backlashes` are those of couplings that rattle, by a first
+    look: `logs` follow the measured speed there."""
+
+    logs: Logs
+    given: Estimates
+    estimates: Estimates
+    findings: list[Finding]
+    backlashes: list[Screening] = field(default_factory=list)
+
+
+def run(given: Given) -> Calibrated:
     """Calibrates every channel and estimates the noise again; without the rows that stand out, where there are some."""
-    fit, calibrated = state.fit, calibrate(state.fit)
-    rig, found = without_outliers(fit.rig, calibrated)
+    logs, estimates = given.logs, calibrate(given.logs.fit)
+    rig, found = without_outliers(logs.rig, estimates)
     if found:
-        fit = fit.on(rig)
-        calibrated = calibrate(fit)
-    (fine, _), (held_out, more) = (without_outliers(r, calibrated) for r in (state.fine, state.held_out))
-    fit = fit.with_noise_seen_by(calibrated)
-    fit.rescore(list(calibrated.values()))
-    findings = [*state.findings, *found, *more]
-    return replace(state, fit=fit, fine=fine, held_out=held_out, calibrated=calibrated, findings=findings)
+        logs = replace(logs, fit=logs.fit.on(rig))
+        estimates = calibrate(logs.fit)
+    (fine, _), (held_out, more) = (without_outliers(each, estimates) for each in (logs.fine, logs.held_out))
+    fit = logs.fit.with_noise_seen_by(estimates)
+    fit.rescore(list(estimates.values()))
+    return Calibrated(Logs(fit, fine, held_out), given.estimates, estimates, [*given.findings, *found, *more])
 
 
 def base_unknowns(rig: RigModel, channel: int) -> list[Unknown]:
@@ -73,7 +86,7 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
         estimates[channel] = Estimate(channel, unknowns, np.zeros(len(unknowns)), "calibrated", follow=follow)
     if rig.coupled and len(estimates) == 2:
         estimates = dict.fromkeys(estimates, _of_rig(estimates))
-    every = list({id(p): p for p in estimates.values()}.values())
+    every = distinct(estimates)
     # Given effects and rigs that are estimated as a whole have more unknowns, which take more steps.
     iterations *= max(1, *(len(p.unknowns) // FEW for p in every))
     solve(fit, every, iterations)

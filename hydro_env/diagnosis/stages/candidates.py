@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,27 +10,25 @@ import numpy as np
 from ...plant import CATALOGUE
 from ...plant.catalogue.form_corrections import FAMILY
 from ..estimation import Estimate, Fit, Unknown
-from ..state import Estimates
+from ..logs import Estimates, Logs
 from .screening import Screening
 
 __all__ = [
-    "ACCEPTED", "OUTDONE", "VANISHED", "WITHIN_REACH", "Accepted", "Candidate", "Search", "Selection",
+    "ACCEPTED", "OUTDONE", "VANISHED", "Accepted", "Candidate", "Search", "Selection",
     "carries_size", "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
 #: What becomes of a candidate, in words that the report shows.
-ACCEPTED = "taken"
+ACCEPTED = "accepted"
 OUTDONE = "others explain more"
 VANISHED = "vanishes when refitted"
 #: An estimate that is nearer to neutral than this share of the usual size has vanished.
 NEUTRAL_SHARE = 0.02
-#: Candidates whose short refit reached less than this share of the best one's are not refitted in full.
-WITHIN_REACH = 0.5
 #: The round under which candidates are listed that were judged after the forward rounds.
 AFTER_ROUNDS = 9
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """What became of a candidate: `gain` is the fall of the deviance, `needed` what it takes; `outcome` in words."""
 
@@ -61,7 +59,7 @@ class Candidate:
         }  # fmt: skip
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Accepted:
     """An effect that was accepted, its gain over leaving it out (`without`), and the candidates that did nearly as well in its
     place, by name with how far their deviance is behind. `rival` is how far the best other set of effects is behind, with what
@@ -71,16 +69,19 @@ class Accepted:
     channel: int | None
     gain: float
     needed: float
-    competing: dict[str, float] = field(default_factory=dict)
+    competing: Mapping[str, float] = field(default_factory=dict)
     without: Estimate | None = None
     rival: float = np.inf
 
 
-@dataclass
+@dataclass(frozen=True)
 class Selection:
-    """The result: final estimates by channel (the same joint one for both where an effect of the rig was accepted). `attempted`
-    are estimates with a correction of form that were refitted on the way."""
+    """The result: final estimates by channel (the same joint one for both where an effect of the rig was accepted), the
+    calibrated ones beside them, and the `logs` with the noise that they show. `attempted` are estimates with a correction of form
+    that were refitted on the way."""
 
+    logs: Logs
+    calibrated: Estimates
     estimates: Estimates
     accepted: list[Accepted]
     candidates: list[Candidate]
@@ -89,9 +90,11 @@ class Selection:
 
     def in_best_form(self, channel: int) -> Estimate:
         """The estimate of a channel, with that correction of form that explains most of those that were refitted, if one does."""
-        found = self.estimates[channel]
-        forms = [p for p in self.attempted if _names_without_form(p) == _names_without_form(found)]
-        return min([found, *forms], key=lambda p: p.cost)
+        return in_best_form(self.estimates[channel], self.attempted)
+
+    def best_forms(self) -> Estimates:
+        """`in_best_form` of all channels."""
+        return {c: self.in_best_form(c) for c in self.estimates}
 
     def effects_by_channel(self) -> dict[int | None, list[str]]:
         """The accepted effects by channel, None for those of the whole rig."""
@@ -99,6 +102,12 @@ class Selection:
         for one in self.accepted:
             found.setdefault(one.channel, []).append(one.effect)
         return found
+
+
+def in_best_form(found: Estimate, attempted: Sequence[Estimate]) -> Estimate:
+    """The estimate, or that one of its `attempted` corrections of form that explains more."""
+    forms = [p for p in attempted if _names_without_form(p) == _names_without_form(found)]
+    return min([found, *forms], key=lambda p: p.cost)
 
 
 @dataclass
@@ -110,13 +119,21 @@ class Search:
     calibrated: Estimates
     screening: Sequence[Screening]
     seconds: float
-    present: Estimates
+    present: Estimates = field(default_factory=dict)
     progress: Callable[[str], None] = lambda text: None
     accepted: list[Accepted] = field(default_factory=list)
     candidates: list[Candidate] = field(default_factory=list)
     placebo: Estimates = field(default_factory=dict)
     corrected: list[tuple[Estimate, Estimate]] = field(default_factory=list)
     attempted: list[Estimate] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.present = self.present or dict(self.calibrated)
+
+    @property
+    def long(self) -> Fit:
+        """For refits that are to go far."""
+        return self.fit.on(self.fit.rig.for_long_refits())
 
     @property
     def names(self) -> list[str]:
@@ -139,20 +156,17 @@ class Search:
 
     def afresh(self) -> Search:
         """The search for another set of effects, from the calibrated estimates."""
-        return Search(
-            self.fit, self.calibrated, self.screening, self.seconds, dict(self.calibrated), self.progress
-        )
+        return Search(self.fit, self.calibrated, self.screening, self.seconds, progress=self.progress)
 
     def put(self, channel: int, estimate: Estimate) -> None:
         """Makes an estimate the present one: of its channel, or of both where it is the rig's."""
         self.present.update(dict.fromkeys(self.fit.channels_of(estimate), estimate))
 
     def record(
-        self, effect: str, channel: int | None, number: int, gain: float, outcome: str, estimate: Estimate | None = None,
-        needed: float | None = None,
+        self, effect: str, channel: int | None, number: int, gain: float, outcome: str, estimate: Estimate | None = None
     ) -> None:  # fmt: skip
         """Remembers what became of a candidate in a round."""
-        needed = penalty(self.fit, effect) if needed is None else needed
+        needed = penalty(self.fit, effect)
         self.candidates.append(Candidate(effect, channel, number, gain, needed, outcome, estimate))
 
     def competing(self, effect: str, gains: dict[str, float]) -> dict[str, float]:

@@ -17,11 +17,11 @@ import numpy as np
 from ...errors import InputError
 from ...measured import Finding
 from ...units import BAR, UNITS
-from ..estimation import Fit, noise_of
+from ..estimation import noise_of
 from ..input.parts import filled
+from ..logs import Estimates, Given, Logs
 from ..models.base import LEVEL_FREE, RigModel
 from ..models.shaft import shaft_speed
-from ..state import Estimates, State
 from .calibration import as_given
 from .instruments import eccentric, runs_apart
 
@@ -47,17 +47,17 @@ _HINT = "give the right unit in a mapping, or a model of this machine"
 _LESS = 4.0
 
 
-def run(state: State) -> State:
+def run(logs: Logs, accept: Collection[str] = ()) -> Given:
     """Simulates the model as given; InputError if the logs are surely not of this machine. The noise is first estimated here."""
-    rig = state.rig
+    rig = logs.rig
     none = {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]}
-    given = as_given(Fit(rig, none, state.settings))
+    given = as_given(replace(logs.fit, noise=none))
     findings = implausible(rig, given)
-    stop_if_sure(findings, ", ".join(p.label for p in rig.parts), state.accept)
+    stop_if_sure(findings, ", ".join(p.label for p in rig.parts), accept)
     if rig.has_hidden_states:
-        beyond = _beyond_rated(state.held_out)
-        stop_if_sure(list(beyond), ", ".join(p.label for p in state.held_out.parts), state.accept)
-    return replace(state, given=given, findings=findings, fit=replace(state.fit, noise=noise_of(rig, given)))
+        beyond = list(_beyond_rated(logs.held_out))
+        stop_if_sure(beyond, ", ".join(p.label for p in logs.held_out.parts), accept)
+    return Given(replace(logs, fit=replace(logs.fit, noise=noise_of(rig, given))), given, findings)
 
 
 def implausible(rig: RigModel, given: Estimates) -> list[Finding]:

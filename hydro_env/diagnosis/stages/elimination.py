@@ -23,23 +23,22 @@ def prefer_form(search: Search) -> None:
     fit = search.fit
     if not (fit.rig.has_hidden_states and fit.settings.uses(PREFER_FORM)):
         return
-    long = fit.on(fit.rig.for_long_refits())
     for c in fit.rig.channels:
         for one in reversed(search.on(c)):
             present, less = search.present[c], one.without
             left = [placed for placed in present.placed_effects() if placed != (one.effect, c)]
-            if less is None or less.placed_effects() != left:
-                break  # others joined it since
+            if not left or less is None or less.placed_effects() != left:
+                break  # it is alone, or others joined it since
             found = attempts(fit, less, left)
-            refit_attempts(long, found)
+            refit_attempts(search.long, found)
             search.attempted += [t.estimate for t in found]
             if not any(t.score < present.cost + one.needed for t in found):
                 break
             outcome, gain = "another form of the others does better", fit.gain(less, present)
-            search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, present, one.needed)
+            search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, present)
             search.accepted.remove(one)
             search.put(c, less := replace(less))
-            solve(long, [less], SETTLE_ITERATIONS)
+            solve(search.long, [less], SETTLE_ITERATIONS)
 
 
 def drop_unneeded(search: Search) -> None:
@@ -54,21 +53,20 @@ def drop_unneeded(search: Search) -> None:
             continue
         if not far_from_noise(fit, one.without):
             starts.append((one, c, _without(search.present[c], one.without, one.effect)))
-    long = fit.on(fit.rig.for_long_refits())
     races = [[search.present[c], *own] for _, c, own in starts]
-    solve(long, [p for *_, own in starts for p in own], SETTLE_ITERATIONS, races=races)
+    solve(search.long, [p for *_, own in starts for p in own], SETTLE_ITERATIONS, races=races)
     for one, c, own in starts:
         less = min(own, key=lambda p: p.cost)
         gain = fit.gain(less, search.present[c])
         if gain >= one.needed:
             # Little more than noise is left either way, and how far each is from its minimum may be all that parts them.
-            settle(long, [less, search.present[c]])
+            settle(search.long, [less, search.present[c]])
             gain = fit.gain(less, search.present[c])
         if gain < one.needed:
             outcome = "the known parameters do as well, from where it led them"
-            search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, search.present[c], one.needed)
+            search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, search.present[c])
             search.accepted.remove(one)
-            search.present[c] = less
+            search.put(c, less)
 
 
 def _without(present: Estimate, without: Estimate, effect: str) -> list[Estimate]:

@@ -9,7 +9,7 @@ and where nothing is named there is nothing to correct.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,18 +20,17 @@ from ..estimation import (
     Estimate,
     Fit,
     Unknown,
-    Vector,
     far_from_noise,
     grow_horizon,
     solve,
 )
+from ..logs import Estimates, changed, distinct
 from ..models.base import RigModel, given_effects
 from ..settings import rule
-from ..state import Estimates, State
-from .candidates import penalty_per_parameter
+from .candidates import Selection, penalty_per_parameter
 
 __all__ = [
-    "Attempt", "Correction", "attempts", "changes", "correct", "correct_all", "correct_placebo", "is_correction",
+    "Attempt", "Correction", "Models", "attempts", "correct", "correct_all", "correct_placebo", "is_correction",
     "refit_attempts", "run", "with_correction",
 ]  # fmt: skip
 
@@ -71,17 +70,41 @@ class Attempt:
         return self.estimate.cost + self.needed
 
 
-def run(state: State) -> State:
+@dataclass(frozen=True)
+class Models:
+    """The models that are compared, by channel: as given, calibrated, with the `named` effects, with the corrections of their
+    form as well (`final`), and with the best wrong effects and as many corrections instead (`placebo`)."""
+
+    given: Estimates
+    calibrated: Estimates
+    named: Estimates
+    final: Estimates
+    placebo: Estimates
+    corrections: list[Correction] = field(default_factory=list)
+
+    @property
+    def shown(self) -> Estimates:
+        """The estimates whose known parameters are reported."""
+        return self.calibrated if self.final == self.given else self.final
+
+    def changed(self, change: Callable[[list[Estimate]], None]) -> Models:
+        """The same after a change of those that are reported."""
+        every = self.given, self.calibrated, self.named, self.final, self.placebo
+        given, calibrated, named, final, placebo = changed(change, self.shown.values(), *every)
+        return Models(given, calibrated, named, final, placebo, self.corrections)
+
+
+def run(given: Estimates, selection: Selection, verdict: str) -> Models:
     """Corrects the form of what is named or given, and of the placebos as much."""
-    if state.verdict not in ("effects", "calibration"):
-        return state
-    fit = state.fit.on(state.rig.for_long_refits())
-    final, placebo, corrections = state.final, state.placebo, state.corrections
-    if state.settings.uses(CORRECT_FORM):
-        named, begun = state.selection.effects_by_channel(), state.selection.attempted
-        final, corrections = correct_all(fit, final, named, begun)
-        placebo = correct_placebo(fit, placebo, final, corrections)
-    return replace(state, final=final, placebo=placebo, corrections=corrections)
+    found, placebo = selection.estimates, selection.placebo
+    models = Models(given, selection.calibrated, found, given if verdict == "none" else found, placebo)
+    fit = selection.logs.fit.on(selection.logs.rig.for_long_refits())
+    if verdict not in ("effects", "calibration") or not fit.settings.uses(CORRECT_FORM):
+        return models
+    final, corrections = correct_all(fit, found, selection.effects_by_channel(), selection.attempted)
+    placebo = correct_placebo(fit, placebo, final, corrections)
+    corrections = [_with_changes(selection.logs.held_out, final, k) for k in corrections]
+    return replace(models, final=final, placebo=placebo, corrections=corrections)
 
 
 def is_correction(effect: str) -> bool:
@@ -179,18 +202,17 @@ def refit_attempts(fit: Fit, tries: Sequence[Attempt], begun: Sequence[Estimate]
     where they are and where they were given. Those of a whole rig, whose simulations are slow, and those with a correction before
     this one begin where they are; those that were refitted before, which are among `begun`, where that led."""
     estimates = [t.estimate for t in tries]
-    again: dict[int, Estimate] = {}
+    again: dict[Estimate, Estimate] = {}
     for p in estimates:
         earlier = min((b for b in begun if _names(b) == _names(p)), key=lambda b: b.cost, default=None)
         if earlier is not None:
             p.q = earlier.q.copy()
         elif p.channel is not None and sum(map(is_correction, p.effects())) == 1:
-            again[id(p)] = p.from_given().in_all_directions()
+            again[p] = p.from_given().in_all_directions()
     every = [*estimates, *again.values()]
     solve(fit, every, TRY_ITERATIONS, races=[every])
-    for one in estimates:
-        if id(one) in again:
-            one.adopt(again[id(one)])
+    for one, other in again.items():
+        one.adopt(other)
 
 
 def _names(estimate: Estimate) -> list[tuple[str, int | None]]:
@@ -203,7 +225,7 @@ def correct_all(
     """Every estimate with the corrections of what is named there: `named` by channel, None for effects of the whole rig."""
     found: Estimates = dict(estimates)
     every: list[Correction] = []
-    for one in {id(p): p for p in estimates.values()}.values():
+    for one in distinct(estimates):
         c = one.channel
         names = [(n, channel) for channel, own in named.items() if c is None or channel == c for n in own]
         if not fit.rig.has_hidden_states or not (names or given_on(fit, one)) or fit.at_noise(one):
@@ -226,20 +248,22 @@ def correct_placebo(fit: Fit, placebo: Estimates, final: Estimates, kept: Sequen
             if name in estimate.effects() or CATALOGUE[name].scope == "rig":
                 continue
             found[c] = estimate = with_correction(estimate, effect, name, k.channel)
-    if changed := {c: p for c, p in found.items() if p is not placebo[c]}:
-        races = [[final[c], p] for c, p in changed.items()]
-        solve(fit, list(changed.values()), TRY_ITERATIONS + KEEP_ITERATIONS, races=races)
+    new = {c: p for c, p in found.items() if p is not placebo[c]}
+    races = [[final[c], p] for c, p in new.items()]
+    solve(fit, list(new.values()), TRY_ITERATIONS + KEEP_ITERATIONS, races=races)
     return found
 
 
-def changes(rig: RigModel, estimate: Estimate, correction: str, channel: int) -> dict[tuple[int, str], float]:
-    """How large a correction is: RMS by which it changes every simulated signal of a channel, by (channel, signal), SI."""
-    with_it = estimate.request()
-    own = {f"{correction}.{p.name}" for p in CATALOGUE[correction].parameters}
-    values = {n: v for n, v in with_it.values.items() if n not in own}
-    both = rig.predict([with_it, replace(with_it, values=values)])
-    change = both[0][channel] - both[1][channel]
-    found: dict[tuple[int, str], list[Vector]] = {}
-    for s in rig.segments[channel]:
-        found.setdefault((channel, s.signal), []).append(change[s.place][s.used])
-    return {name: float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) for name, parts in found.items()}
+def _with_changes(rig: RigModel, final: Estimates, kept: Correction) -> Correction:
+    """The correction with how large it is on the logs of `rig`."""
+    found: dict[tuple[int, str], float] = {}
+    own = {f"{kept.correction}.{p.name}" for p in CATALOGUE[kept.correction].parameters}
+    for c in rig.channels if kept.channel is None else (kept.channel,):
+        whole = final[c].request()
+        bare = replace(whole, values={n: v for n, v in whole.values.items() if n not in own})
+        one, other = (result[c] for result in rig.predict([whole, bare]))
+        for signal in dict.fromkeys(s.signal for s in rig.segments[c]):
+            places = [s.place for s in rig.segments[c] if s.signal == signal]
+            change = np.concatenate([one[place] - other[place] for place in places])
+            found[c, signal] = float(np.sqrt(np.mean(change**2)))
+    return replace(kept, changes=found)

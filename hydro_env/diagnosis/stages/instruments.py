@@ -8,9 +8,9 @@ import numpy as np
 
 from ...measured import Finding
 from ..input.parts import filled
+from ..logs import Estimates
 from ..models.base import RigModel, Segment
 from ..models.shaft import shaft_speed
-from ..state import Estimates
 
 __all__ = ["eccentric", "runs_apart"]
 

@@ -11,7 +11,7 @@ speed alone the whole residual is the valve's and motor's together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,10 +19,10 @@ from ...units import BAR, RPM
 from ..estimation import Estimate, effective_samples, noise_floor
 from ..estimation.box import minimum_in_box
 from ..input.parts import filled
+from ..logs import Estimates
 from ..models.base import RigModel
 from ..models.filters import local_parabola, one_pole
 from ..models.shaft import shaft_speed
-from ..state import Estimates, State
 
 __all__ = ["Location", "Shape", "locate", "run", "shape"]
 
@@ -84,11 +84,9 @@ class _Replay:
         return float(np.sqrt(np.mean(self.error**2)) / max(self.noise, 1e-30))
 
 
-def run(state: State) -> State:
+def run(rig: RigModel, calibrated: Estimates, verdict: str) -> list[Location]:
     """Locates what the calibrated model leaves, where effects are missing."""
-    if state.verdict in ("none", "calibration"):
-        return state
-    return replace(state, locations=locate(state.rig, state.calibrated))
+    return [] if verdict in ("none", "calibration") else locate(rig, calibrated)
 
 
 def locate(rig: RigModel, estimates: Estimates) -> list[Location]:

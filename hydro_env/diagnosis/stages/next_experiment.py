@@ -10,7 +10,7 @@ stroke.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -70,24 +70,24 @@ class NextExperiment:
         return None if self.design is None else commands_csv(self.design.command_V, self.design.load)
 
 
-def run(state: State) -> State:
+def run(state: State) -> NextExperiment | None:
     """Proposes what to record next, and the commands for it."""
     asked, wanted = questions(state), operations(state)
     if not (asked or wanted) or not isinstance(state.rig, DynamicRig):
-        return replace(state, next_experiment=_in_words(state.effects, state))
+        return _in_words(state.effects, state)
     rng = np.random.default_rng([state.settings.seed, 21])
     design = best_design(Trial(state.fit, asked, wanted), rng, most_load(state))
     if design is None:
-        return replace(state, next_experiment=_in_words(state.effects, state))
+        return _in_words(state.effects, state)
     names = sorted({name for question in asked for name in question.models})
-    return replace(state, next_experiment=NextExperiment(_described(design), names, design))
+    return NextExperiment(_described(design), names, design)
 
 
 def most_load(state: State) -> float:
     """The largest load of an experiment, N m: as the settings say, else the largest of the logs, which the rig can do."""
     if state.settings.load_limit is not None:
         return state.settings.load_limit
-    logs = (part.log.load for part in (*state.rig.parts, *state.held_out_parts))
+    logs = (part.log.load for part in (*state.rig.parts, *state.held_out.parts))
     return max(
         (float(np.nanmax(np.abs(load), initial=0.0)) for load in logs if load is not None), default=0.0
     )

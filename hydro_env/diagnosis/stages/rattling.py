@@ -9,20 +9,19 @@ simulations; the errors that are reported stay those of free ones.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
 from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Vector, solve, unexplained
+from ..logs import Estimates
 from ..models.base import effect_in
 from ..settings import rule
-from ..state import Estimates, State
-from .calibration import as_given
+from .calibration import Calibrated, as_given
 from .candidates import penalty
 from .screening import Screening
 
-__all__ = ["beside", "run"]
+__all__ = ["run"]
 
 FOLLOW_SPEED = rule(
     "follow_speed", "follow the measured speed where a coupling rattles, which multiplies every difference"
@@ -36,35 +35,26 @@ SHARES, GAPS, STIFFNESSES = (0.2, 0.4, 0.65), (0.4, 1.0, 1.8), (0.7, 1.7)
 ROUNDS, LOOKS, BEST, FIRST_WIDTH, LEAST_WIDTH = 8, 32, 6, 0.4, 0.03
 
 
-def run(state: State) -> State:
-    """Finds the channels whose coupling rattles, and has their simulations follow the measured speed from now on."""
-    return beside(state, state.calibrated)
+def run(calibrated: Calibrated, beside: Estimates) -> Calibrated:
+    """Finds the channels whose coupling rattles beside the estimates so far, and has their simulations follow the measured speed.
 
-
-def beside(state: State, estimates: Estimates) -> State:
-    """The same where an effect that explains more had hidden it: beside the `estimates` of the channels so far."""
-    fit, found = state.fit, {}
-    if (
-        not (fit.rig.has_hidden_states and fit.settings.uses(FOLLOW_SPEED))
-        or EFFECT not in fit.rig.candidates()
-    ):
-        return state
-    for c, p in estimates.items():
-        if p.channel != c or c in fit.rig.followed or EFFECT in p.effects() or fit.rig.has(EFFECT, c):
+    An effect that explains more may have hidden it beside the calibrated model. The same result if there is no new one.
+    """
+    logs, found = calibrated.logs, {}
+    fit, rig = logs.fit, logs.rig
+    known = EFFECT in rig.candidates()
+    for c, p in beside.items() if known and rig.has_hidden_states and fit.settings.uses(FOLLOW_SPEED) else ():
+        if p.channel != c or c in rig.followed or EFFECT in p.effects() or rig.has(EFFECT, c):
             continue
-        if unexplained(fit, p, c) and (one := _backlash(fit.on(fit.rig.following({c})), p, c)):
+        if unexplained(fit, p, c) and (one := _backlash(fit.on(rig.following({c})), p, c)):
             found[c] = one
     if not found:
-        return state
-    followed = fit.rig.followed | set(found)
-    fit = fit.on(fit.rig.following(followed))
-    calibrated = {c: p.at(p.q.copy()) if c in found else p for c, p in state.calibrated.items()}
-    solve(fit, [calibrated[c] for c in found], SETTLE_ITERATIONS)
-    fine, held_out = (rig.following(followed) for rig in (state.fine, state.held_out))
-    return replace(
-        state, fit=fit, fine=fine, held_out=held_out, given=as_given(fit), calibrated=calibrated,
-        screening=[*found.values(), *(k for k in state.screening if k.channel in state.rig.followed and k.effect == EFFECT)],
-    )  # fmt: skip
+        return calibrated
+    logs = logs.following(rig.followed | set(found))
+    estimates = {c: p.at(p.q.copy()) if c in found else p for c, p in calibrated.estimates.items()}
+    solve(logs.fit, [estimates[c] for c in found], SETTLE_ITERATIONS)
+    every = [*found.values(), *calibrated.backlashes]
+    return Calibrated(logs, as_given(logs.fit), estimates, calibrated.findings, every)
 
 
 def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:

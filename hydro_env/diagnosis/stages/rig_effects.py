@@ -54,7 +54,7 @@ def select_rig_effects(search: Search) -> None:
             outcome = OUTDONE
         search.record(one.effect, None, 1, gain, outcome, estimate)
         if outcome == ACCEPTED:
-            found = Accepted(one.effect, None, gain, penalty(fit, one.effect), {}, before)
+            found = Accepted(one.effect, None, gain, penalty(fit, one.effect), without=before)
             every = [*search.accepted, found]
             search.accepted = drop_vanished(estimate, every, search.candidates)
             left = estimate

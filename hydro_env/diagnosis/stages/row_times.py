@@ -18,8 +18,8 @@ from ...measured import Finding
 from ...measured.samples import standing_out
 from ..estimation import noise_floor
 from ..input.parts import Part, timed
+from ..logs import Estimates, distinct
 from ..models.base import Request, RigModel, Segment, Segments, view
-from ..state import Estimates
 
 __all__ = ["settled", "without_outliers"]
 
@@ -71,14 +71,14 @@ def without_outliers(rig: RigModel, calibrated: Estimates) -> tuple[RigModel, li
     """
     if not rig.has_hidden_states:
         return rig, []
-    requests = {id(p): p.request() for p in calibrated.values()}
-    shown = dict(zip(requests, rig.predict([*requests.values()]), strict=True))
+    every = distinct(calibrated)
+    shown = dict(zip(every, rig.predict([p.request() for p in every]), strict=True))
     segments, findings = {}, []
     for c in rig.channels:
         segments[c] = Segments(rig.segments[c])
         for n, s in enumerate(rig.segments[c]):
             known = np.flatnonzero(s.used)
-            error = (s.filled - shown[id(calibrated[c])][c][s.place])[known]
+            error = (s.filled - shown[calibrated[c]][c][s.place])[known]
             found = standing_out(error)[0] if s.signal == "speed" else []
             rows = [known[start:end] for start, end, height, nearby in found if height > nearby]
             if rows:

@@ -9,15 +9,15 @@ zone, play or stiction has no useful derivative at zero.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import nan
 
 import numpy as np
 
 from ...plant import CATALOGUE, Effect
 from ..estimation import Estimate, Fit, could_pay, effect_starts, less_taken
+from ..logs import Estimates, Logs
 from ..models.base import Request, effect_in
-from ..state import Estimates, State
 
 __all__ = ["Screening", "alike", "detectable", "hidden_by_calibration", "run", "screen"]
 
@@ -84,13 +84,10 @@ class _Projector:
         return full[: self.rows]
 
 
-def run(state: State) -> State:
+def run(logs: Logs, calibrated: Estimates, earlier: Sequence[Screening] = ()) -> list[Screening]:
     """Screens every candidate beside the calibrated model."""
-    fit = state.fit
-    settled = [c for c, p in state.calibrated.items() if not could_pay(fit, p, c)]
-    names, known = fit.rig.candidates(), state.screening
-    screening = screen(fit, state.calibrated, names, state.seconds, known, settled=settled)
-    return replace(state, screening=screening)
+    settled = [c for c, p in calibrated.items() if not could_pay(logs.fit, p, c)]
+    return screen(logs.fit, calibrated, logs.rig.candidates(), logs.seconds, earlier, settled)
 
 
 def screen(

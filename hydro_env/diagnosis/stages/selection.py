@@ -8,13 +8,12 @@ compared with one that has an effect of the whole rig.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from ..estimation import (
     SETTLE_ITERATIONS,
     Estimate,
-    Fit,
     best_on_beginnings,
     could_pay,
     grow_horizon,
@@ -22,14 +21,13 @@ from ..estimation import (
     solve,
     unexplained,
 )
+from ..logs import changed
 from ..settings import rule
-from ..state import State
-from . import rattling, screening
+from .calibration import Calibrated
 from .candidates import (
     ACCEPTED,
     OUTDONE,
     VANISHED,
-    WITHIN_REACH,
     Accepted,
     Search,
     Selection,
@@ -54,6 +52,8 @@ COMPARE_SETS = rule(
 
 #: Short refits and full refits in the first round, and in later ones, where the screening is beside a better model.
 FIRST_REFITS, LATER_REFITS = (12, 3), (6, 2)
+#: Candidates whose short refit reached less than this share of the best one's are not refitted in full.
+WITHIN_REACH = 0.5
 #: Iterations of a full refit, and of one where simulating costs next to nothing.
 FULL_ITERATIONS, CHEAP_ITERATIONS = 3, 10
 
@@ -91,66 +91,57 @@ class Contest:
         self.gains = {effect: fit.gain(before, r.estimate) for effect, r in best.items()}
 
 
-def run(state: State) -> State:
+def run(
+    calibrated: Calibrated,
+    screening: Sequence[Screening],
+    progress: Callable[[str], None] = lambda text: None,
+) -> Selection:
     """Selects effects and estimates the noise again."""
-    selection = select(
-        Search(
-            state.fit,
-            state.calibrated,
-            state.screening,
-            state.seconds,
-            dict(state.calibrated),
-            state.progress,
-        )
-    )
-    following = rattling.beside(state, {c: selection.in_best_form(c) for c in selection.estimates})
-    if following is not state:
-        return run(screening.run(following))
-    fit = state.fit.with_noise_seen_by(selection.estimates)
-    fit.rescore([*selection.estimates.values(), *selection.placebo.values()])
-    return replace(state, fit=fit, selection=selection, final=selection.estimates, placebo=selection.placebo)
+    logs = calibrated.logs
+    search = select(Search(logs.fit, calibrated.estimates, screening, logs.seconds, progress=progress))
+    fit = logs.fit.with_noise_seen_by(search.present)
+    groups = search.calibrated, search.present, search.placebo
+    every = [p for group in groups for p in group.values()]
+    first, found, placebo = changed(fit.rescore, every, *groups)
+    logs = replace(logs, fit=fit)
+    return Selection(logs, first, found, search.accepted, search.candidates, placebo, search.attempted)
 
 
-def select(search: Search) -> Selection:
+def select(search: Search) -> Search:
     """Selects effects for every channel and for the rig, starting from the calibrated estimates and their screening.
 
     What acts on both channels is searched for in two ways: first on each channel, or first on the rig, whichever promises more.
     Several local effects imitate one of the rig, and the other way round, so the other way is gone as well where another set
     may do better, and the sets are compared.
     """
-    fit = search.fit
-    whole = len(fit.rig.channels) == 2 and any(k.channel is None for k in search.screening)
+    whole = len(search.fit.rig.channels) == 2 and any(k.channel is None for k in search.screening)
     leads = whole and rig_effect_leads(search)
     _search(search, leads)
-    compared = fit.settings.uses(COMPARE_SETS) or not search.accepted
-    if whole and compared and _may_be_outdone(search, leads):
-        other = search.afresh()
-        _search(other, not leads)
-        search = better_set(search, other)
-    return Selection(search.present, search.accepted, search.candidates, search.placebo, search.attempted)
-
-
-def _has_rig_effect(search: Search) -> bool:
-    return any(k.channel is None for k in search.accepted)
+    compared = search.fit.settings.uses(COMPARE_SETS) or not search.accepted
+    if not (whole and compared and _may_be_outdone(search, leads)):
+        return search
+    other = search.afresh()
+    _search(other, not leads)
+    return better_set(search, other)
 
 
 def _search(search: Search, rig_first: bool) -> None:
     """Searches for a set of effects: first for one of the rig and then beside it on the channels, or the other way round."""
-    fit = search.fit
-    first = [c for c in fit.rig.channels if _worth_another(search, c)]
+    channels = search.fit.rig.channels
+    first = [c for c in channels if _worth_another(search, c)]
     of_channels = [k for k in search.screening if k.channel is not None]
     if not rig_first:
         _forward(search, first, of_channels)
-    if len(fit.rig.channels) == 2:
+    if len(channels) == 2:
         search.progress("effects of the whole rig")
         select_rig_effects(search)
-    if _has_rig_effect(search):
+    if any(k.channel is None for k in search.accepted):
         if rig_first:
             _set_placebos(search, first, of_channels)
-        _forward_beside_rig_effect(search)
-    if fit.rig.has_hidden_states:
+        # Before, it had hidden what else there is on each channel.
+        _forward(search, [c for c in channels if _worth_another(search, c)])
+    if search.fit.rig.has_hidden_states:
         drop_unneeded(search)
-    if any(len(p.placed_effects()) > 1 for p in search.present.values()):
         search.progress("can any of them be left out?")
         prefer_form(search)
 
@@ -172,7 +163,7 @@ def better_set(search: Search, other: Search) -> Search:
     fit = search.fit
     if not other.accepted:
         return search
-    _settle(fit, [*{id(p): p for s in (search, other) for p in s.present.values()}.values()])
+    _settle(search, list(dict.fromkeys(p for s in (search, other) for p in s.present.values())))
     pairs = sorted(((joined(s.present), s) for s in (search, other)), key=lambda pair: pair[0].cost)
     (more, best), (less, rest) = pairs
     # In the samples that are independent beside the one that explains more.
@@ -180,13 +171,10 @@ def better_set(search: Search, other: Search) -> Search:
     if ahead < 0.0:
         best, rest = rest, best
     names = {(k.effect, k.channel) for k in rest.accepted}
-    for k in best.accepted:
-        if (k.effect, k.channel) not in names:
-            k.rival = abs(ahead)
-    for candidate in rest.candidates:
-        if candidate.accepted:
-            candidate.outcome = OUTDONE
-    best.candidates += rest.candidates
+    best.accepted = [
+        k if (k.effect, k.channel) in names else replace(k, rival=abs(ahead)) for k in best.accepted
+    ]
+    best.candidates += [replace(k, outcome=OUTDONE) if k.accepted else k for k in rest.candidates]
     best.placebo = best.placebo or rest.placebo
     return best
 
@@ -202,9 +190,9 @@ def _worth_another(search: Search, c: int) -> bool:
 
 
 # --- forward steps --------------------------------------------------------------------------------------------------------
-def _forward(search: Search, channels: list[int], screening: Sequence[Screening]) -> None:
-    """Rounds, as long as an effect is accepted on a channel and leaves something."""
-    for number in range(1, search.fit.settings.max_effects + 1):
+def _forward(search: Search, channels: list[int], screening: Sequence[Screening] = ()) -> None:
+    """Rounds, as long as an effect is accepted on a channel and leaves something; the first one with a `screening`, if any."""
+    for number in range(1 if screening else 2, search.fit.settings.max_effects + 1):
         if not channels:
             break
         if number > 1:
@@ -218,20 +206,6 @@ def _forward(search: Search, channels: list[int], screening: Sequence[Screening]
         channels = [c for c in accepted if _worth_another(search, c)]
 
 
-def _forward_beside_rig_effect(search: Search) -> None:
-    """Further rounds where an effect of the rig was accepted: before, it had hidden what else there is on each channel."""
-    fit = search.fit
-    for number in range(2, fit.settings.max_effects + 1):
-        channels = [c for c in fit.rig.channels if _worth_another(search, c)]
-        if not channels:
-            return
-        search.progress(f"round {number}: screening what is left beside the effect of the rig")
-        screening = screen(fit, search.present, search.names, search.seconds, search.screening)
-        # One channel at a time: what one of them gets changes the model of both.
-        if not [c for c in channels if _round(search, [c], screening, number)]:
-            return
-
-
 def _set_placebos(search: Search, channels: Sequence[int], screening: Sequence[Screening]) -> None:
     """The best candidate of each channel at first look, refitted, as the placebo beside an effect of the rig."""
     if not search.of_rig:
@@ -240,7 +214,7 @@ def _set_placebos(search: Search, channels: Sequence[int], screening: Sequence[S
     search.placebo = {c: search.calibrated[c].extended(best[c].effect, best[c].start, c) for c in channels}
     placebos = list(search.placebo.values())
     short_refit(search.fit, placebos)
-    solve(search.fit.on(search.fit.rig.for_long_refits()), placebos, SETTLE_ITERATIONS)
+    solve(search.long, placebos, SETTLE_ITERATIONS)
 
 
 def _round(search: Search, channels: Sequence[int], screening: Sequence[Screening], number: int) -> list[int]:
@@ -258,16 +232,13 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     for k in contests:
         k.rank(search)
     # Before it is judged: in a local minimum the right one gains little, too.
-    _settle(fit, [k.refits[0].estimate for k in contests])
+    _settle(search, [k.refits[0].estimate for k in contests])
     _compete_on_beginning(search, contests)
     accepted = [k.channel for k in contests if _accept_best(search, k, number)]
     if number == 1:
         # As far as what was accepted has been, unless they cannot reach it any more.
-        long, races = (
-            fit.on(fit.rig.for_long_refits()),
-            [[search.present[c], search.placebo[c]] for c in accepted],
-        )
-        solve(long, [search.placebo[c] for c in accepted], SETTLE_ITERATIONS, races=races)
+        races = [[search.present[c], search.placebo[c]] for c in accepted]
+        solve(search.long, [search.placebo[c] for c in accepted], SETTLE_ITERATIONS, races=races)
     return accepted
 
 
@@ -330,7 +301,7 @@ def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
     solve(fit, [p for race in races for p in race], SETTLE_ITERATIONS, races=races)
     for k in left:
         k.rank(search)
-    _settle(fit, [r.estimate for k in left for r in k.refits[:1]])
+    _settle(search, [r.estimate for k in left for r in k.refits[:1]])
     for k, leader in zip(left, leaders, strict=True):
         k.refits.append(leader)
         k.rank(search)
@@ -342,7 +313,7 @@ def _in_other_form(search: Search, estimate: Estimate) -> Estimate:
     if known is None:
         fit = search.fit
         found = attempts(fit, estimate, estimate.placed_effects())
-        refit_attempts(fit.on(fit.rig.for_long_refits()), found)
+        refit_attempts(search.long, found)
         best = min(found, key=lambda t: t.score, default=None)
         better = best is not None and best.score < estimate.cost
         known = best.estimate if best is not None and better else estimate
@@ -351,12 +322,11 @@ def _in_other_form(search: Search, estimate: Estimate) -> Estimate:
     return known
 
 
-def _settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
+def _settle(search: Search, estimates: Sequence[Estimate]) -> None:
     """Improves estimates as far as they go, in place."""
-    long = fit.on(fit.rig.for_long_refits())
-    solve(long, estimates, SETTLE_ITERATIONS)
-    if fit.rig.has_hidden_states:
-        solve(long, grow_horizon(long, estimates), SETTLE_ITERATIONS)
+    solve(search.long, estimates, SETTLE_ITERATIONS)
+    if search.fit.rig.has_hidden_states:
+        solve(search.long, grow_horizon(search.long, estimates), SETTLE_ITERATIONS)
 
 
 def _adopt_base(search: Search, c: int, vanished: Refit) -> bool:
@@ -364,7 +334,12 @@ def _adopt_base(search: Search, c: int, vanished: Refit) -> bool:
     fit, present = search.fit, search.present[c]
     less = vanished.estimate.without(vanished.screened.effect, c)
     solve(fit, [less], CHEAP_ITERATIONS)
-    return fit.gain(present, less) > 0.0 and present.adopt(less)
+    better = less.cost < present.cost and fit.gain(present, less) > 0.0
+    if better:
+        search.put(c, less)
+        if not present.effects():  # the calibration itself had ended in a local minimum
+            search.calibrated = {**search.calibrated, **dict.fromkeys(fit.channels_of(less), less)}
+    return better
 
 
 def _accept_best(search: Search, contest: Contest, number: int) -> bool:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 from ...plant import CATALOGUE
 from ..estimation import (
@@ -14,14 +14,16 @@ from ..estimation import (
     mostly_explained,
     unexplained,
 )
+from ..logs import Estimates, Logs
 from ..settings import rule
-from ..state import PROVEN, Estimates, State
-from .candidates import Selection, carries_size, neutral_of
-from .localisation import locate
-from .naming import effect_values
-from .validation import NAMED, Proof, proved
+from . import uncertainty, validation
+from .calibration import Calibrated
+from .candidates import Accepted, Selection, carries_size, neutral_of
+from .form_correction import Models
+from .validation import NAMED, PROVEN, Proofs
+from .values import effect_values
 
-__all__ = ["confirm", "decide", "doubts"]
+__all__ = ["Confirmed", "confirm", "decide", "doubts"]
 
 DOUBT_WORSE = rule("doubt_worse", "reject names that make a signal worse of the held-out logs")
 DOUBT_LEFT = rule(
@@ -43,22 +45,18 @@ CALIBRATION_VISIBLE, CALIBRATION_GAIN = 1.03, 6.0
 
 
 # --- from the fit logs ----------------------------------------------------------------------------------------------------
-def decide(state: State) -> State:
+def decide(calibrated: Calibrated, selection: Selection) -> str:
     """The verdict by the fit logs."""
-    verdict = _verdict(state.fit, state.given, state.calibrated, state.selection)
-    return replace(state, verdict=verdict, final=state.given if verdict == "none" else state.final)
-
-
-def _verdict(fit: Fit, given: Estimates, calibrated: Estimates, selection: Selection) -> str:
-    left = any(unexplained(fit, selection.estimates[c], c) for c in fit.rig.channels)
-    found = {c: selection.in_best_form(c) for c in fit.rig.channels}
+    fit, channels = selection.logs.fit, selection.logs.rig.channels
+    given, first = calibrated.given, selection.calibrated
+    found = {c: selection.in_best_form(c) for c in channels}
     if selection.accepted:
-        mostly = all(mostly_explained(fit, calibrated[c], found[c], c) for c in fit.rig.channels)
+        left = any(unexplained(fit, selection.estimates[c], c) for c in channels)
+        mostly = all(mostly_explained(fit, first[c], found[c], c) for c in channels)
         return "effects" if mostly or not left else "unknown"
-    if any(unexplained(fit, found[c], c) for c in fit.rig.channels):
+    if any(unexplained(fit, found[c], c) for c in channels):
         return "unknown"
-    better = any(_better(fit, given[c], calibrated[c], c) for c in fit.rig.channels)
-    return "calibration" if better else "none"
+    return "calibration" if any(_better(fit, given[c], first[c], c) for c in channels) else "none"
 
 
 def _better(fit: Fit, given: Estimate, calibrated: Estimate, channel: int) -> bool:
@@ -70,41 +68,53 @@ def _better(fit: Fit, given: Estimate, calibrated: Estimate, channel: int) -> bo
 
 
 # --- from the held-out logs -----------------------------------------------------------------------------------------------
-def confirm(state: State) -> State:
+@dataclass(frozen=True)
+class Confirmed:
+    """The verdict that the held-out logs leave, why it is `unknown` though names explain the fit logs (`doubts`), and why these
+    logs seem to be of another rig or state (`elsewhere`), with the models that are reported and their proofs."""
+
+    verdict: str
+    models: Models
+    proofs: Proofs
+    doubts: list[str]
+    elsewhere: list[str]
+
+
+def confirm(
+    selection: Selection, verdict: str, models: Models, proofs: Proofs, determined: bool
+) -> Confirmed:
     """The verdict by the held-out logs: names that are doubted are not confirmed, and not corrected either.
 
-    Held-out logs that seem to be of another rig or state judge nothing.
+    Held-out logs that seem to be of another rig or state judge nothing. `determined` is whether the fit logs determine the known
+    parameters.
     """
-    state = replace(state, elsewhere=list(_elsewhere(state)))
-    if state.verdict != "effects" or state.elsewhere:
-        return state
-    found = doubts(
-        state.fit, state.fit.on(state.held_out), state.selection, state.final, state.judged_fit, state.judged
-    )
+    logs = selection.logs
+    elsewhere = list(_elsewhere(logs, verdict, models.final, proofs)) if determined else []
+    found = []
+    if verdict == "effects" and not elsewhere:
+        found = doubts(logs, selection.accepted, models.final, proofs)
     if not found:
-        return state
-    bare = replace(
-        state, doubts=found, verdict="unknown", final=state.selection.estimates, placebo=state.selection.placebo,
-        corrections=[], locations=state.locations or locate(state.rig, state.calibrated),
-    )  # fmt: skip
-    return proved(bare)
+        return Confirmed(verdict, models, proofs, [], elsewhere)
+    bare = replace(models, final=models.named, placebo=selection.placebo, corrections=[])
+    bare = uncertainty.run(logs, bare)
+    return Confirmed("unknown", bare, validation.run(logs, bare), found, [])
 
 
-def _elsewhere(state: State) -> Iterator[str]:
+def _elsewhere(logs: Logs, verdict: str, final: Estimates, proofs: Proofs) -> Iterator[str]:
     """What of the held-out logs is not as in the fit logs, which the same model explains to the noise.
 
     The coil comes first: nothing but the command acts on its current, so that one that is off means another coil or temperature.
     Other signals say so only where nothing is named: an effect may fit the logs that it was chosen by.
     """
-    if not state.rig.has_hidden_states or state.undetermined:
+    if not logs.rig.has_hidden_states:
         return
-    every, held_out = state.verdict in ("none", "calibration"), state.fit.on(state.held_out)
-    for (c, signal), there in sorted(state.judged.errors.items(), key=lambda item: item[0][1] != "current"):
-        here = state.judged_fit.errors[c, signal]
+    every, held_out = verdict in ("none", "calibration"), logs.fit.on(logs.held_out)
+    for (c, signal), there in sorted(proofs.judged.errors.items(), key=lambda item: item[0][1] != "current"):
+        here = proofs.judged_fit.errors[c, signal]
         times, before = (e["after"] / max(e["noise"], 1e-30) for e in (there, here))
         if not (every or signal == "current") or times < PROVEN or before > ABOVE_NOISE:
             continue
-        if courses_apart(held_out, state.final[c], c).get(signal, 0.0) < times:
+        if courses_apart(held_out, final[c], c).get(signal, 0.0) < times:
             worse = (
                 ", worse than by the model as given" if there["after"] > ABOVE_NOISE * there["before"] else ""
             )
@@ -112,9 +122,7 @@ def _elsewhere(state: State) -> Iterator[str]:
             yield f"the {name} of channel {c + 1} is left {times:.2g} times its noise there{worse}"
 
 
-def doubts(
-    fit: Fit, held_out: Fit, selection: Selection, final: Estimates, on_fit: Proof, on_held_out: Proof
-) -> list[str]:
+def doubts(logs: Logs, accepted: Sequence[Accepted], final: Estimates, proofs: Proofs) -> list[str]:
     """Why what was named is not confirmed although it explains most of the fit logs, a sentence each; none if it is.
 
     `final` are the named effects with the corrections of their form, the proofs are with both. The held-out logs judge here and
@@ -122,16 +130,13 @@ def doubts(
     than what is left of a signal, that residual speaks against no name.
     """
     found: list[str] = []
-    for c in dict.fromkeys(k.channel for k in selection.accepted if k.channel is not None):
-        found += _doubts_of_channel(fit, held_out, final, c, on_fit, on_held_out)
-    if fit.settings.uses(DOUBT_NEUTRAL):
-        for one in selection.accepted:
-            c = fit.rig.channels[0] if one.channel is None else one.channel
-            if _may_be_absent(final[c], one.effect, c):
-                place = "the rig" if one.channel is None else f"channel {c + 1}"
-                found.append(
-                    f"{CATALOGUE[one.effect].title} of {place}: its interval holds the neutral value"
-                )
+    for c in dict.fromkeys(k.channel for k in accepted if k.channel is not None):
+        found += _doubts_of_channel(logs, final, c, proofs)
+    for one in accepted if logs.fit.settings.uses(DOUBT_NEUTRAL) else ():
+        c = logs.rig.channels[0] if one.channel is None else one.channel
+        if _may_be_absent(final[c], one.effect, c):
+            place = "the rig" if one.channel is None else f"channel {c + 1}"
+            found.append(f"{CATALOGUE[one.effect].title} of {place}: its interval holds the neutral value")
     return list(dict.fromkeys(found))
 
 
@@ -142,13 +147,12 @@ def _may_be_absent(estimate: Estimate, effect: str, channel: int) -> bool:
     return bool(found) and all(v.low <= sizes[name] <= v.high for name, v in found.items())
 
 
-def _doubts_of_channel(
-    fit: Fit, held_out: Fit, final: Estimates, c: int, on_fit: Proof, on_held_out: Proof
-) -> Iterator[str]:
-    uses, dynamic = fit.settings.uses, fit.rig.has_hidden_states
+def _doubts_of_channel(logs: Logs, final: Estimates, c: int, proofs: Proofs) -> Iterator[str]:
+    fit, on_fit = logs.fit, proofs.judged_fit
+    uses, dynamic = fit.settings.uses, logs.rig.has_hidden_states
     level = fit.levels(on_fit.traces["after"][c], c)
-    fit_apart, held_out_apart = (courses_apart(each, final[c], c) for each in (fit, held_out))
-    for (channel, signal), entry in on_held_out.errors.items():
+    fit_apart, held_out_apart = (courses_apart(each, final[c], c) for each in (fit, fit.on(logs.held_out)))
+    for (channel, signal), entry in proofs.judged.errors.items():
         if channel != c:
             continue
         fitted, plain = on_fit.errors[channel, signal], f"the {signal} of channel {c + 1}"

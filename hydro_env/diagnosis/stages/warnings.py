@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 from ...measured.finding import SPELLING
 from ...plant import CATALOGUE
 from ..estimation import unpredictable
 from ..state import State
-from .naming import absent_effects, at_bounds
 from .screening import hidden_by_calibration
 from .validation import shown_unit, signal_key
+from .values import absent_effects, at_bounds
 
 __all__ = ["run"]
 
@@ -19,7 +18,7 @@ __all__ = ["run"]
 SHORT_LOGS = 4.0
 
 
-def run(state: State) -> State:
+def run(state: State) -> list[str]:
     """Collects the warnings, the weightiest first."""
     found = []
     if state.undetermined:
@@ -41,7 +40,10 @@ def run(state: State) -> State:
     if hidden and state.verdict in ("none", "calibration"):
         found.append(f"calibration hides these effects, so they cannot be excluded: {', '.join(hidden)}")
     for c in sorted(state.rig.followed):
-        entry, unit = state.judged.errors[c, "speed"], shown_unit(state.rig, "speed", c)[0].replace("_", " ")
+        entry, unit = (
+            state.proofs.judged.errors[c, "speed"],
+            shown_unit(state.rig, "speed", c)[0].replace("_", " "),
+        )
         found.append(
             f"the coupling of channel {c + 1} rattles, so that free simulations run apart from the rig (the errors shown are of "
             "these); names are judged by simulations that follow the measured speed, and these leave "
@@ -53,11 +55,11 @@ def run(state: State) -> State:
                 f"the {signal} of channel {c + 1} on the held-out logs cannot be predicted: estimates that the fit logs cannot "
                 f"distinguish give results {times:.2g} times the noise apart"
             )
-    return replace(state, warnings=found)
+    return found
 
 
 def _about_logs_and_fit(state: State) -> list[str]:
-    rig, parts = state.rig, (*state.rig.parts, *state.held_out_parts)
+    rig, parts = state.rig, (*state.rig.parts, *state.held_out.parts)
     first, found = [], [*rig.notes, *(p.note for p in parts if p.note)]
     for part in {p.log.sha256: p for p in parts}.values():
         # How a file is written matters least, so it is said last.
@@ -83,5 +85,5 @@ def _about_logs_and_fit(state: State) -> list[str]:
 
 
 def _errors(state: State) -> Iterator[tuple[str, dict[str, float]]]:
-    for (c, signal), entry in state.judged.errors.items():
+    for (c, signal), entry in state.proofs.judged.errors.items():
         yield signal_key(state.held_out, signal, c), entry
