@@ -10,7 +10,7 @@ from ...measured import Finding
 from ..input.parts import filled
 from ..logs import Estimates
 from ..models.base import RigModel, Segment
-from ..models.shaft import shaft_speed
+from .shaft import given_shaft, shaft_of
 
 __all__ = ["eccentric", "runs_apart"]
 
@@ -27,32 +27,22 @@ RISE_S, OFF_LINE, DIFFERENT = 0.01, 0.2, 0.3
 
 def eccentric(rig: RigModel) -> Iterator[Finding]:
     """Speeds with a line once per turn, in proportion to the speed, that the pressure does not show: the shaft has inertia."""
-    names = {"displacement": "D", "inertia": "J", "friction": "B"}
     for channel in rig.channels:
-        shaft = {key: rig.model.value(name, channel) for key, name in names.items()}
-        rest, turn, size = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
+        rows = [np.zeros((3, 0))]
         for part in rig.parts:
-            log = part.log
-            if log.pressure is None or not log.has("pressure", channel):
+            shaft = shaft_of(part, channel)
+            if shaft is None:
                 return
-            speed = filled(log.speed[:, channel])
-            load = np.zeros(len(log)) if log.load is None else np.nan_to_num(log.load[:, channel])
-            driven = shaft_speed(filled(log.pressure[:, channel]), load, log.period, **shaft)
-            used = part.inside & np.isfinite(log.speed[:, channel])
-            used &= np.abs(speed) > SLOW * np.abs(speed).max()
+            speed, period = shaft.speed, shaft.period
+            used = shaft.used & (np.abs(speed) > SLOW * np.abs(speed).max())
+            typical = float(np.median(np.abs(speed[used]))) if used.any() else np.inf
             # What is slower than the shaft turns is the model's error.
-            width = (
-                round(2.0 * np.pi / max(float(np.median(np.abs(speed[used]))), 1e-9) / log.period)
-                if used.any()
-                else 0
-            )
-            if not 3 <= width < len(log):
-                continue
-            error = speed - driven
-            rest.append((error - np.convolve(error, np.full(width, 1.0 / width), "same"))[used])
-            turn.append(np.cumsum(speed)[used] * log.period)
-            size.append(speed[used])
-        error, angle, speed = (np.concatenate(each) for each in (rest, turn, size))
+            width = round(2.0 * np.pi / max(typical, 1e-9) / period)
+            if 3 <= width < speed.size:
+                error = speed - shaft.driven(given_shaft(rig, channel))
+                error -= np.convolve(error, np.full(width, 1.0 / width), "same")
+                rows.append(np.array([error, np.cumsum(speed) * period, speed])[:, used])
+        error, angle, speed = np.concatenate(rows, axis=1)
         if error.size < 1000:
             continue
         lines = [abs(2.0 * np.mean(error / speed * np.exp(-1j * order * angle))) for order in (1.0, *ORDERS)]
@@ -61,9 +51,8 @@ def eccentric(rig: RigModel) -> Iterator[Finding]:
                 f"the speed of channel {channel + 1} rises and falls by {lines[0]:.1%} once per turn, which its pressure does "
                 "not show: its encoder is eccentric, the shaft does not turn so"
             )
-            yield Finding(
-                "eccentric", message, "centre the encoder, or average over whole turns", "speed", channel + 1
-            )
+            hint = "centre the encoder, or average over whole turns"
+            yield Finding("eccentric", message, hint, "speed", channel + 1)
 
 
 def runs_apart(rig: RigModel, given: Estimates) -> Iterator[Finding]:
