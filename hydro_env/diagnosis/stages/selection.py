@@ -58,37 +58,32 @@ WITHIN_REACH = 0.5
 FULL_ITERATIONS, CHEAP_ITERATIONS = 3, 10
 
 
-@dataclass(eq=False)
-class Refit:
-    """A candidate on a channel and its estimate."""
-
-    channel: int
-    screened: Screening
-    estimate: Estimate
-
-
 @dataclass
 class Contest:
-    """The candidates of a channel in a round: those that are refitted in full, best first, and the rest.
-
-    `gains` are those of the refitted ones when all had been refitted alike, by effect.
-    """
+    """The candidates of a channel in a round: those that are refitted in full, best first, and the rest. Each has the name of its
+    effect as label; `gains` are those by effect when all had been refitted alike."""
 
     channel: int
-    refits: list[Refit]
-    outdone: list[Refit]
+    refits: list[Estimate]
+    outdone: list[Estimate] = field(default_factory=list)
     gains: dict[str, float] = field(default_factory=dict)
 
+    def narrow(self, search: Search, most: int) -> None:
+        """Leaves those within reach of the best one, but two at least, to be refitted in full."""
+        own = sorted(self.refits, key=lambda p: p.cost)
+        falls = [search.present[self.channel].cost - p.cost for p in own[:most]]
+        worthwhile = max(sum(fall > WITHIN_REACH * falls[0] for fall in falls), min(2, len(own)))
+        self.refits, self.outdone = own[:worthwhile], own[worthwhile:]
+
     def rank(self, search: Search) -> None:
-        """Sorts the refitted ones, the best of each effect first, and counts their gains."""
+        """Sorts the refitted ones, the best of each effect only, and counts their gains."""
         fit, before = search.fit, search.present[self.channel]
-        self.refits.sort(key=lambda r: r.estimate.cost + penalty(fit, r.screened.effect))
-        best: dict[str, Refit] = {}
-        for r in self.refits:
-            best.setdefault(r.screened.effect, r)
+        best: dict[str, Estimate] = {}
+        for p in sorted(self.refits, key=lambda p: p.cost + penalty(fit, p.label)):
+            best.setdefault(p.label, p)
         self.refits = [*best.values()]
-        self.outdone = [r for r in self.outdone if r.screened.effect not in best]
-        self.gains = {effect: fit.gain(before, r.estimate) for effect, r in best.items()}
+        self.outdone = [p for p in self.outdone if p.label not in best]
+        self.gains = {effect: fit.gain(before, p) for effect, p in best.items()}
 
 
 def run(
@@ -221,19 +216,20 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     """One forward step on every channel; returns the channels on which an effect was accepted."""
     fit, cheap = search.fit, search.fit.rig.simulation_is_cheap
     short, full = FIRST_REFITS if number == 1 or cheap else LATER_REFITS
-    refits = _short_refits(search, channels, screening, number, short)
-    if not refits:
+    every = [Contest(c, _promising(search, c, screening, number, short)) for c in channels]
+    contests = [k for k in every if k.refits]
+    if not contests:
         return []
-    contests = [_contest(search, c, [r for r in refits if r.channel == c], full) for c in channels]
-    contests = [k for k in contests if k.refits]
-    solve(
-        fit, [r.estimate for k in contests for r in k.refits], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS
-    )
+    short_refit(fit, [p for k in contests for p in k.refits])
+    for k in contests:
+        k.narrow(search, full)
+    solve(fit, [p for k in contests for p in k.refits], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS)
     for k in contests:
         k.rank(search)
     # Before it is judged: in a local minimum the right one gains little, too.
-    _settle(search, [k.refits[0].estimate for k in contests])
-    _compete_on_beginning(search, contests)
+    _settle(search, [k.refits[0] for k in contests])
+    if fit.rig.has_hidden_states and fit.settings.uses(COMPETE_ON_BEGINNING):
+        _compete_on_beginning(search, contests)
     accepted = [k.channel for k in contests if _accept_best(search, k, number)]
     if number == 1:
         # As far as what was accepted has been, unless they cannot reach it any more.
@@ -242,66 +238,40 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     return accepted
 
 
-def _short_refits(
-    search: Search, channels: Sequence[int], screening: Sequence[Screening], number: int, most: int
-) -> list[Refit]:
-    """Short refits of the most promising candidates of every channel, or of all where simulating costs next to nothing."""
-    refits = []
-    for c in channels:
-        here = {k.effect for k in search.on(c)}
-        own = [k for k in screening if k.channel == c and k.effect not in here]
-        for place, one in enumerate(own):
-            if search.fit.rig.simulation_is_cheap or (place < most and one.gain > 0.0):
-                refits.append(Refit(c, one, search.present[c].extended(one.effect, one.start, c)))
-            else:
-                search.record(one.effect, c, number, one.gain, "explains too little at first look")
-    for r in refits:
-        r.screened.begin(search.fit, r.estimate)
-    if refits:
-        short_refit(search.fit, [r.estimate for r in refits])
-    return refits
-
-
-def _contest(search: Search, c: int, refits: Sequence[Refit], most: int) -> Contest:
-    """The candidates of a channel, best first; those within reach of the best, and one more, are to be refitted in full."""
-    own = sorted(refits, key=lambda r: r.estimate.cost)
-    fall = [search.present[c].cost - r.estimate.cost for r in own]
-    near = sum(each > WITHIN_REACH * fall[0] for each in fall[:most])
-    worthwhile = max(min(near, most), min(2, len(own)))
-    return Contest(c, own[:worthwhile], own[worthwhile:])
+def _promising(
+    search: Search, c: int, screening: Sequence[Screening], number: int, most: int
+) -> list[Estimate]:
+    """The most promising candidates of a channel, or all where simulating costs next to nothing, as they begin."""
+    here = {k.effect for k in search.on(c)}
+    own = [k for k in screening if k.channel == c and k.effect not in here]
+    good = own if search.fit.rig.simulation_is_cheap else [k for k in own[:most] if k.gain > 0.0]
+    for k in (k for k in own if k not in good):
+        search.record(k.effect, c, number, k.gain, "explains too little at first look")
+    return [search.present[c].extended(k.effect, k.start, c) for k in good]
 
 
 def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
     """Where the best candidate leaves more than another form of it would explain, every effect that the logs would show competes
-    anew on their beginning, and the best are refitted beside those that the screening proposed, the two best as far as they go.
+    again on their beginning, and the best are refitted beside those that the screening proposed, the two best as far as they go.
     """
-    fit = search.fit
-    if not (fit.rig.has_hidden_states and fit.settings.uses(COMPETE_ON_BEGINNING)):
-        return
-    left = [
-        k
-        for k in contests
-        if unexplained(fit, k.refits[0].estimate, k.channel)
-        and unexplained(fit, _in_other_form(search, k.refits[0].estimate), k.channel)
-    ]
-    screened = {(k.effect, k.channel): k for k in search.screening}
-    names = []
+    fit, names = search.fit, []
+    left = [k for k in contests if unexplained(fit, k.refits[0], k.channel)]
+    left = [k for k in left if unexplained(fit, _in_other_form(search, k.refits[0]), k.channel)]
     for k in left:
         here = {n for n, c in search.present[k.channel].placed_effects() if c in (None, k.channel)}
-        new = [n for n in search.names if n not in here]
-        seen = [screened.get((n, k.channel)) for n in new]
-        names.append([one.effect for one in seen if one is not None and one.shows])
+        shows = {s.effect for s in search.screening if s.channel == k.channel and s.shows}
+        names.append([n for n in search.names if n in shows - here])
     presents = [(k.channel, search.present[k.channel]) for k in left]
     found = best_on_beginnings(fit, presents, names) if left else []
     # The others race among themselves, since the best so far has been refitted for longer; then the best of them is, too.
-    leaders = [k.refits[0] for k in left]
+    leaders = [k.refits.pop(0) for k in left]
     for k, own in zip(left, found, strict=True):
-        k.refits = k.refits[1:] + [Refit(k.channel, screened[p.label, k.channel], p) for p in own]
-    races = [[r.estimate for r in k.refits] for k in left]
+        k.refits += own
+    races = [k.refits for k in left]
     solve(fit, [p for race in races for p in race], SETTLE_ITERATIONS, races=races)
     for k in left:
         k.rank(search)
-    _settle(search, [r.estimate for k in left for r in k.refits[:1]])
+    _settle(search, [p for k in left for p in k.refits[:1]])
     for k, leader in zip(left, leaders, strict=True):
         k.refits.append(leader)
         k.rank(search)
@@ -329,10 +299,10 @@ def _settle(search: Search, estimates: Sequence[Estimate]) -> None:
         solve(search.long, grow_horizon(search.long, estimates), SETTLE_ITERATIONS)
 
 
-def _adopt_base(search: Search, c: int, vanished: Refit) -> bool:
+def _adopt_base(search: Search, c: int, vanished: Estimate) -> bool:
     """Takes over the known parameters of a candidate that vanished, if they explain the logs better; whether it does."""
     fit, present = search.fit, search.present[c]
-    less = vanished.estimate.without(vanished.screened.effect, c)
+    less = vanished.without(vanished.label, c)
     solve(fit, [less], CHEAP_ITERATIONS)
     better = less.cost < present.cost and fit.gain(present, less) > 0.0
     if better:
@@ -344,26 +314,20 @@ def _adopt_base(search: Search, c: int, vanished: Refit) -> bool:
 
 def _accept_best(search: Search, contest: Contest, number: int) -> bool:
     """Judges the refitted candidates of a channel and accepts the best one, if it passes; whether it does."""
-    fit, c, gains = search.fit, contest.channel, contest.gains
-    before = search.present[c]
-    judged, accepted = "", False
-    for place, r in enumerate(contest.refits):
-        effect, gain = r.screened.effect, fit.gain(before, r.estimate)
-        outcome = judge(fit, r.estimate, effect, gain, c)
-        if place == 0:
-            judged, accepted = outcome, outcome == ACCEPTED
-            if accepted:
-                competing = search.competing(effect, gains)
-                search.accepted.append(Accepted(effect, c, gain, penalty(fit, effect), competing, before))
-        elif outcome == ACCEPTED:
-            outcome = OUTDONE
-        search.record(effect, c, number, gain, outcome, r.estimate)
-    for r in contest.outdone:
-        search.record(r.screened.effect, c, number, fit.gain(before, r.estimate), OUTDONE, r.estimate)
-    refits = contest.refits
+    fit, c, refits = search.fit, contest.channel, contest.refits
+    before, best = search.present[c], refits[0]
+    gains = [fit.gain(before, p) for p in refits]
+    first, *others = (judge(fit, p, p.label, gain, c) for p, gain in zip(refits, gains, strict=True))
+    outcomes = [first, *(OUTDONE if other == ACCEPTED else other for other in others)]
+    for p, gain, outcome in zip(refits, gains, outcomes, strict=True):
+        search.record(p.label, c, number, gain, outcome, p)
+    for p in contest.outdone:
+        search.record(p.label, c, number, fit.gain(before, p), OUTDONE, p)
+    accepted = first == ACCEPTED
     if number == 1:
-        search.placebo[c] = refits[1 if accepted and len(refits) > 1 else 0].estimate
+        search.placebo[c] = refits[1 if accepted and len(refits) > 1 else 0]
     if accepted:
-        search.put(c, refits[0].estimate)
-        return True
-    return judged == VANISHED and _adopt_base(search, c, refits[0])
+        competing, needed = search.competing(best.label, contest.gains), penalty(fit, best.label)
+        search.accepted.append(Accepted(best.label, c, gains[0], needed, competing, before))
+        search.put(c, best)
+    return accepted or (first == VANISHED and _adopt_base(search, c, best))
