@@ -127,6 +127,7 @@ def diagnose(
         state = find(logs, accept, say)
         say(_TEXTS[next_experiment.run])
         proposed = next_experiment.run(state)
+        say(_TEXTS[warnings.run])
         said = warnings.run(state)
     return Diagnosis(state, proposed, said, time.perf_counter() - begin)
 

@@ -28,5 +28,5 @@ def report_page(
         state=state, next_experiment=next_experiment, warnings=warnings, seconds=seconds, say=statements, words=words,
         catalogue=CATALOGUE, head=statements.headline(state), columns=statements.error_columns(state),
         parameters=[(p, statements.comment(state.rig, p)) for p in known_parameters(state.rig, state.shown)],
-        bars=pictures.bars(state), traces=pictures.traces(state), maps=pictures.maps(state),
+        traces=pictures.traces(state), maps=pictures.maps(state),
     )  # fmt: skip

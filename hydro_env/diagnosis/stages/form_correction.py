@@ -248,9 +248,9 @@ def correct_placebo(fit: Fit, placebo: Estimates, final: Estimates, kept: Sequen
             if name in estimate.effects() or CATALOGUE[name].scope == "rig":
                 continue
             found[c] = estimate = with_correction(estimate, effect, name, k.channel)
-    new = {c: p for c, p in found.items() if p is not placebo[c]}
-    races = [[final[c], p] for c, p in new.items()]
-    solve(fit, list(new.values()), TRY_ITERATIONS + KEEP_ITERATIONS, races=races)
+    if new := {c: p for c, p in found.items() if p is not placebo[c]}:
+        races = [[final[c], p] for c, p in new.items()]
+        solve(fit, list(new.values()), TRY_ITERATIONS + KEEP_ITERATIONS, races=races)
     return found
 
 
