@@ -176,7 +176,7 @@ class _Silent:
 def test_without_a_name_nothing_is_corrected() -> None:
     problems = {0: _bare()}
     fit = Fit(_Silent(), {})  # type: ignore[arg-type]
-    assert correct_all(fit, problems, {}) == (problems, [])
+    assert correct_all(fit, problems, []) == (problems, [])
     assert correct_placebo(fit, problems, problems, []) == problems
 
 

@@ -15,7 +15,7 @@ from .screening import Screening
 
 __all__ = [
     "ACCEPTED", "OUTDONE", "VANISHED", "Accepted", "Candidate", "Search", "Selection",
-    "carries_size", "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
+    "in_best_form", "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
 #: What becomes of a candidate, in words that the report shows.
@@ -96,18 +96,15 @@ class Selection:
         """`in_best_form` of all channels."""
         return {c: self.in_best_form(c) for c in self.estimates}
 
-    def effects_by_channel(self) -> dict[int | None, list[str]]:
-        """The accepted effects by channel, None for those of the whole rig."""
-        found: dict[int | None, list[str]] = {}
-        for one in self.accepted:
-            found.setdefault(one.channel, []).append(one.effect)
-        return found
-
 
 def in_best_form(found: Estimate, attempted: Sequence[Estimate]) -> Estimate:
     """The estimate, or that one of its `attempted` corrections of form that explains more."""
-    forms = [p for p in attempted if _names_without_form(p) == _names_without_form(found)]
-    return min([found, *forms], key=lambda p: p.cost)
+
+    def bare(estimate: Estimate) -> list[tuple[str, int | None]]:
+        own = (u for u in estimate.unknowns if not u.effect or CATALOGUE[u.effect].family != FAMILY)
+        return [(u.name, u.channel) for u in own]
+
+    return min([found, *(p for p in attempted if bare(p) == bare(found))], key=lambda p: p.cost)
 
 
 @dataclass
@@ -176,13 +173,6 @@ class Search:
         return {n: d for n, d in behind.items() if d < self.fit.settings.tied_share * found or d < needed}
 
 
-def _names_without_form(estimate: Estimate) -> list[tuple[str, int | None]]:
-    """The unknowns of an estimate, but those of corrections of form."""
-    return [
-        (u.name, u.channel) for u in estimate.unknowns if not u.effect or CATALOGUE[u.effect].family != FAMILY
-    ]
-
-
 def penalty_per_parameter(fit: Fit) -> float:
     """Fall of the deviance that every parameter of an effect must pay for: 2 ln(n0 / p) with n0 parameters in the library and p
     the accepted chance of a superfluous effect (PASTIS, Gerardos and Ronceray 2025)."""
@@ -203,11 +193,6 @@ def judge(fit: Fit, after: Estimate, effect: str, gain: float, channel: int | No
     return VANISHED if is_neutral(after, effect, channel) else ACCEPTED
 
 
-def carries_size(unknown: Unknown) -> bool:
-    """Whether a parameter of an effect carries its amount."""
-    return CATALOGUE[unknown.effect].parameter(unknown.parameter).carries_size
-
-
 def neutral_of(unknown: Unknown) -> float:
     """Where an effect vanishes by this parameter. That of a limit is infinite: the upper end of its range stands for it."""
     return min(CATALOGUE[unknown.effect].parameter(unknown.parameter).neutral, unknown.high)
@@ -215,17 +200,10 @@ def neutral_of(unknown: Unknown) -> float:
 
 def is_neutral(estimate: Estimate, effect: str, channel: int | None = None) -> bool:
     """Whether the estimate of an effect is its neutral value; `channel` says whose, where the estimate is the rig's."""
-    return all(
-        _is_neutral(u, float(q))
-        for u, q in zip(estimate.unknowns, estimate.q, strict=True)
-        if u.effect == effect and (channel is None or u.channel in (None, channel))
-    )
-
-
-def _is_neutral(unknown: Unknown, q: float) -> bool:
-    usual, neutral = CATALOGUE[unknown.effect].parameter(unknown.parameter).typical, neutral_of(unknown)
-    return (
-        usual is None
-        or usual == neutral
-        or abs(unknown.value(q) - neutral) < NEUTRAL_SHARE * abs(usual - neutral)
-    )
+    for u, q in zip(estimate.unknowns, estimate.q, strict=True):
+        if u.effect == effect and (channel is None or u.channel in (None, channel)):
+            usual, neutral = CATALOGUE[effect].parameter(u.parameter).typical, neutral_of(u)
+            near = NEUTRAL_SHARE * abs((neutral if usual is None else usual) - neutral)
+            if near and abs(u.value(float(q)) - neutral) >= near:
+                return False
+    return True

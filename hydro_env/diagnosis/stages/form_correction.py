@@ -101,7 +101,8 @@ def run(given: Estimates, selection: Selection, verdict: str) -> Models:
     fit = selection.logs.fit.on(selection.logs.rig.for_long_refits())
     if verdict not in ("effects", "calibration") or not fit.settings.uses(CORRECT_FORM):
         return models
-    final, corrections = correct_all(fit, found, selection.effects_by_channel(), selection.attempted)
+    named = [(k.effect, k.channel) for k in selection.accepted]
+    final, corrections = correct_all(fit, found, named, selection.attempted)
     placebo = correct_placebo(fit, placebo, final, corrections)
     corrections = [_with_changes(selection.logs.held_out, final, k) for k in corrections]
     return replace(models, final=final, placebo=placebo, corrections=corrections)
@@ -110,11 +111,6 @@ def run(given: Estimates, selection: Selection, verdict: str) -> Models:
 def is_correction(effect: str) -> bool:
     """Whether an effect of the catalogue is a correction of form."""
     return CATALOGUE[effect].family == FAMILY
-
-
-def _own_size(correction: str, effect: str) -> int:
-    """How many numbers a correction of `effect` adds."""
-    return len(CATALOGUE[correction].parameters) - len(CORRECTIONS[effect][correction])
 
 
 def with_correction(estimate: Estimate, effect: str, correction: str, channel: int | None = None) -> Estimate:
@@ -126,11 +122,8 @@ def with_correction(estimate: Estimate, effect: str, correction: str, channel: i
     # What a placebo does not have it does not repeat: that number of the correction stays neutral.
     own = {u.name for u in estimate.unknowns}
     every = follows(correction, effect)
-    repeated = {
-        name: source
-        for name, source in every.items()
-        if not isinstance(source, str) or source.removeprefix("-") in own
-    }
+    there = {n: not isinstance(source, str) or source.removeprefix("-") in own for n, source in every.items()}
+    repeated = {name: source for name, source in every.items() if there[name]}
     added = []
     for p in CATALOGUE[correction].parameters:
         if f"{correction}.{p.name}" in every:
@@ -182,19 +175,14 @@ def given_on(fit: Fit, estimate: Estimate) -> list[tuple[str, int | None]]:
 
 def attempts(fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]]) -> list[Attempt]:
     """The estimate with each correction of its effects `named` (with their channels) and of given ones, not yet refitted."""
-    named = [*named, *given_on(fit, estimate)]
-    return [
-        Attempt(
-            effect,
-            channel,
-            correction,
-            with_correction(estimate, effect, correction, channel),
-            penalty_per_parameter(fit) * _own_size(correction, effect),
-        )
-        for effect, channel in dict.fromkeys(named)
-        for correction in CORRECTIONS.get(effect, {})
-        if not fit.rig.has(correction, channel)
-    ]
+    found = []
+    for effect, channel in dict.fromkeys([*named, *given_on(fit, estimate)]):
+        for correction, repeated in CORRECTIONS.get(effect, {}).items():
+            if not fit.rig.has(correction, channel):
+                own = len(CATALOGUE[correction].parameters) - len(repeated)
+                more = with_correction(estimate, effect, correction, channel)
+                found.append(Attempt(effect, channel, correction, more, penalty_per_parameter(fit) * own))
+    return found
 
 
 def refit_attempts(fit: Fit, tries: Sequence[Attempt], begun: Sequence[Estimate] = ()) -> None:
@@ -220,14 +208,13 @@ def _names(estimate: Estimate) -> list[tuple[str, int | None]]:
 
 
 def correct_all(
-    fit: Fit, estimates: Estimates, named: Mapping[int | None, Sequence[str]], begun: Sequence[Estimate] = ()
+    fit: Fit, estimates: Estimates, named: Sequence[tuple[str, int | None]], begun: Sequence[Estimate] = ()
 ) -> tuple[Estimates, list[Correction]]:
-    """Every estimate with the corrections of what is named there: `named` by channel, None for effects of the whole rig."""
+    """Every estimate with the corrections of what is `named` there: effects with their channel, None for those of the rig."""
     found: Estimates = dict(estimates)
     every: list[Correction] = []
     for one in distinct(estimates):
-        c = one.channel
-        names = [(n, channel) for channel, own in named.items() if c is None or channel == c for n in own]
+        names = [(effect, channel) for effect, channel in named if one.channel in (None, channel)]
         if not fit.rig.has_hidden_states or not (names or given_on(fit, one)) or fit.at_noise(one):
             continue
         better, kept = correct(fit, one, names, begun)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from ...measured import Finding
 from ...measured.samples import standing_out
@@ -45,21 +46,19 @@ def settled(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
     readings = [shown("held", even=True)] if even else []
     ahead = shown("row")
     *by_stamps, by_commands = _shares(segments, logged, [*readings, ahead])
-    lead, note = "half missing", ""
-    even = even and by_stamps[0] > EVEN
-    if even:
+    lead, note, late, early = "half missing", "", None, logged
+    if even and by_stamps[0] > EVEN:
+        early, late = readings[0], shown("missing", even=True)
         note = "its time stamps are uneven, not its rows: these are taken as even"
     elif by_commands > AHEAD:
-        lead = "half row"
+        lead, late = "half row", ahead
         note = "its commands act since before the rows that show them: taken as half a row earlier"
-    late = ahead if lead == "half row" else shown("missing", even)
-    early = readings[0] if even else logged
+    apart = [b - a for a, b in zip(early, shown("missing") if late is None else late, strict=True)]
     found = []
     for number, part in enumerate(parts):
         if part.uneven is not None:
-            own = [n for n, s in enumerate(segments) if s.log == number]
-            one = _read(part, lead, even)
-            part = _counted(one, [segments[n] for n in own], [late[n] - early[n] for n in own], note)
+            own = [(s, change) for s, change in zip(segments, apart, strict=True) if s.log == number]
+            part = _counted(_read(part, lead, early is not logged), own, note)
         found.append(part)
     return found
 
@@ -108,32 +107,25 @@ def _shares(segments: list[Segment], logged: list[np.ndarray], others: list[list
     return np.linalg.lstsq(matrix, side)[0]
 
 
-def _counted(part: Part, segments: list[Segment], apart: list[np.ndarray], note: str) -> Part:
+def _counted(part: Part, apart: Sequence[tuple[Segment, np.ndarray]], note: str) -> Part:
     """The part without the measurements (NaN) that two readings of the times put `apart` by more than their noise."""
-    log, left = part.log, []
-    for s, difference in zip(segments, apart, strict=True):
+    log, lost = part.log, 0.0
+    for s, difference in apart:
         values = log.get(s.signal)
         if values is None:  # made of other signals
             continue
-        noise = noise_floor(s.measured, s.used, s.period)
         # What swings passes zero on its way: the largest difference nearby tells.
-        width = 2 * max(1, round(NEAR_S / s.period)) + 1
-        near = np.lib.stride_tricks.sliding_window_view(np.pad(np.abs(difference), width // 2), width).max(
-            axis=1
-        )
-        far = near > APART * noise
+        near = maximum_filter1d(np.abs(difference), 2 * max(1, round(NEAR_S / s.period)) + 1)
+        far = near > APART * noise_floor(s.measured, s.used, s.period)
         values = values.copy()
         values[far, s.channel] = np.nan
         log = replace(log, **{s.signal: values})  # type: ignore[arg-type]
-        left.append(float(np.mean(~far)))
-    lost = 1.0 - min(left, default=1.0)
+        lost = max(lost, float(np.mean(far)))
+    notes = [note] if note else []
     if lost > 0.005:
-        note += (
-            "; " if note else ""
-        ) + f"up to {lost:.0%} of the rows do not count, as it is unknown since when commands act"
-    return replace(
-        part, log=log, note="; ".join(t for t in (part.note, f"{part.log.name}: {note}" if note else "") if t)
-    )
+        notes.append(f"up to {lost:.0%} of the rows do not count, as it is unknown since when commands act")
+    said = f"{part.log.name}: {'; '.join(notes)}" if notes else ""
+    return replace(part, log=log, note="; ".join(filter(None, (part.note, said))))
 
 
 def _read(part: Part, lead: str, even: bool) -> Part:

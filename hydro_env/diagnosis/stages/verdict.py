@@ -18,7 +18,7 @@ from ..logs import Estimates, Logs
 from ..settings import rule
 from . import uncertainty, validation
 from .calibration import Calibrated
-from .candidates import Accepted, Selection, carries_size, neutral_of
+from .candidates import Accepted, Selection, neutral_of
 from .form_correction import Models
 from .validation import NAMED, PROVEN, Proofs
 from .values import effect_values
@@ -142,9 +142,11 @@ def doubts(logs: Logs, accepted: Sequence[Accepted], final: Estimates, proofs: P
 
 def _may_be_absent(estimate: Estimate, effect: str, channel: int) -> bool:
     """Whether the intervals of all that gives an effect its size hold the neutral values."""
-    sizes = {u.parameter: neutral_of(u) for u in estimate.unknowns if u.effect == effect and carries_size(u)}
-    found = {name: v for name, v in effect_values(estimate, effect, channel).items() if name in sizes}
-    return bool(found) and all(v.low <= sizes[name] <= v.high for name, v in found.items())
+    values = effect_values(estimate, effect, channel)
+    sizes = [u for u in estimate.unknowns if u.effect == effect and u.parameter in values]
+    sizes = [u for u in sizes if CATALOGUE[effect].parameter(u.parameter).carries_size]
+    ends = [(values[u.parameter].low, neutral_of(u), values[u.parameter].high) for u in sizes]
+    return bool(ends) and all(low <= neutral <= high for low, neutral, high in ends)
 
 
 def _doubts_of_channel(logs: Logs, final: Estimates, c: int, proofs: Proofs) -> Iterator[str]:
