@@ -3,7 +3,7 @@
 import numpy as np
 
 from hydro_env.diagnosis.estimation import Estimate, Fit, unpredictable
-from hydro_env.diagnosis.estimation.uncertainty import Intervals
+from hydro_env.diagnosis.estimation.estimate import Intervals
 from hydro_env.diagnosis.models.base import Segment, Segments
 from hydro_env.diagnosis.stages.candidates import Accepted, Selection
 from hydro_env.diagnosis.stages.validation import Proof

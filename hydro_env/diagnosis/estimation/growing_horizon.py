@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..models.base import RigModel, Segment, Segments, effect_in, view
+from ..models.base import RigModel, effect_in
 from ..settings import rule
+from .early_window import early_window_of
 from .estimate import Estimate
 from .fit import Fit
 from .gauss_newton import solve
 from .unknowns import effect_starts
 
-__all__ = ["beginning_of", "grow_horizon"]
+__all__ = ["grow_horizon"]
 
 GROW_HORIZON = rule("grow_horizon", "fit what is far from the noise to the beginning of the logs first")
 
@@ -57,12 +57,12 @@ def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
     effects too, fitted to more and more of the logs; on the way by the noise that is `seen`."""
     given = estimate.from_given()
     starts = [p.in_all_directions() for p in (estimate, given, *_elsewhere(fit.rig, given))]
-    seen.on(beginning_of(fit.rig, HORIZONS[0])).evaluate(starts[KEPT_STARTS:])
+    seen.on(early_window_of(fit.rig, HORIZONS[0])).evaluate(starts[KEPT_STARTS:])
     starts[KEPT_STARTS:] = sorted(starts[KEPT_STARTS:], key=lambda p: p.cost)[: FIRST_STARTS - KEPT_STARTS]
     ahead, reached, good = [*HORIZONS], 0.0, starts
     while ahead:
         share = ahead[0]
-        beginning = seen.on(beginning_of(fit.rig, share))
+        beginning = seen.on(early_window_of(fit.rig, share))
         starts = [p.at(p.q.copy()) for p in good]
         solve(beginning, starts, SHORT_ITERATIONS if share < SHORT_HORIZON else ITERATIONS)
         starts.sort(key=lambda p: p.cost)
@@ -104,24 +104,4 @@ def _elsewhere(rig: RigModel, estimate: Estimate) -> list[Estimate]:
                 if name in own:
                     q[own[name]] = estimate.unknowns[own[name]].q(value)
             found.append(estimate.at(np.clip(q, *estimate.bounds)))
-    return found
-
-
-def beginning_of(rig: RigModel, share: float) -> RigModel:
-    """The model with only this share of each log, from its beginning, of which it also simulates no more."""
-    rows = [max(2, math.ceil(share * len(part.log))) for part in rig.parts]
-    parts = [part.first(n) for part, n in zip(rig.parts, rows, strict=True)]
-    return view(rig, parts=parts, segments={c: _first(own, rows) for c, own in rig.segments.items()})
-
-
-def _first(segments: Sequence[Segment], rows: Sequence[int]) -> Segments:
-    """The samples of the first so many rows of each log, which again lie one behind the other in a vector."""
-    place, found = 0, Segments()
-    for s in segments:
-        n = int(np.searchsorted(s.rows, rows[s.log]))
-        late = None if s.late is None else s.late[:n]
-        cut = replace(s, measured=s.measured[:n], rows=s.rows[:n], inside=s.inside[:n], late=late)
-        cut.place = slice(place, place + n)
-        place += n
-        found.append(cut)
     return found

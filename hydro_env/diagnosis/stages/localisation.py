@@ -14,13 +14,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter, savgol_filter
 
 from ...units import BAR, RPM
 from ..estimation import Estimate, effective_samples, noise_floor
 from ..estimation.box import minimum_in_box
 from ..input.parts import filled
 from ..models.base import RigModel
-from ..models.filters import local_parabola, one_pole
 from ..models.shaft import shaft_speed
 from ..state import Estimates, State
 
@@ -192,7 +192,8 @@ class _Shaft:
         own = {"displacement": numbers["D"], "inertia": numbers["J"], "friction": numbers["B"]}
         replayed = shaft_speed(self.pressure, self.load, self.period, **own)
         forget = float(np.exp(-self.period / 1.0))
-        return one_pole((1.0 + forget) / 2.0 * np.diff(self.speed - replayed, prepend=0.0), forget)
+        steps = np.diff(self.speed - replayed, prepend=0.0)
+        return np.asarray(lfilter([(1.0 + forget) / 2.0], [1.0, -forget], steps))
 
 
 def _shafts(rig: RigModel, channel: int) -> dict[int, _Shaft]:
@@ -248,9 +249,9 @@ def _missing_flow(shaft: _Shaft, simulated: dict[str, np.ndarray], numbers: dict
     width = max(5, 2 * round(0.01 / h) + 1)
 
     def flow(w: np.ndarray, dp: np.ndarray) -> np.ndarray:
-        level, slope = local_parabola(dp, width, h)
-        squeezed = numbers["V"] / numbers["beta"] * slope
-        return numbers["D"] * local_parabola(w, width, h)[0] + numbers["Km"] * level + squeezed
+        squeezed = numbers["V"] / numbers["beta"] * savgol_filter(dp, width, 2, deriv=1, delta=h)
+        level = numbers["D"] * savgol_filter(w, width, 2) + numbers["Km"] * savgol_filter(dp, width, 2)
+        return np.asarray(level + squeezed)
 
     missing: np.ndarray = flow(shaft.speed, shaft.pressure) - flow(simulated["speed"], simulated["pressure"])
     return missing / numbers["D"]

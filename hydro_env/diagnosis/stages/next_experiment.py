@@ -32,7 +32,7 @@ from ..state import State
 from .candidates import Candidate
 from .naming import NamedEffect
 
-__all__ = ["FILE", "NextExperiment", "most_load", "operations", "questions", "run"]
+__all__ = ["FILE", "NextExperiment", "max_load", "operations", "questions", "run"]
 
 #: The file that the commands are written to, beside diagnosis.json.
 FILE = "next_experiment.csv"
@@ -76,14 +76,14 @@ def run(state: State) -> State:
     if not (asked or wanted) or not isinstance(state.rig, DynamicRig):
         return replace(state, next_experiment=_in_words(state.effects, state))
     rng = np.random.default_rng([state.settings.seed, 21])
-    design = best_design(Trial(state.fit, asked, wanted), rng, most_load(state))
+    design = best_design(Trial(state.fit, asked, wanted), rng, max_load(state))
     if design is None:
         return replace(state, next_experiment=_in_words(state.effects, state))
     names = sorted({name for question in asked for name in question.models})
     return replace(state, next_experiment=NextExperiment(_described(design), names, design))
 
 
-def most_load(state: State) -> float:
+def max_load(state: State) -> float:
     """The largest load of an experiment, N m: as the settings say, else the largest of the logs, which the rig can do."""
     if state.settings.load_limit is not None:
         return state.settings.load_limit

@@ -15,7 +15,7 @@ from ..estimation import (
     SETTLE_ITERATIONS,
     Estimate,
     Fit,
-    best_on_beginnings,
+    best_on_early_window,
     could_pay,
     grow_horizon,
     joined,
@@ -321,7 +321,7 @@ def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
         seen = [screened.get((n, k.channel)) for n in new]
         names.append([one.effect for one in seen if one is not None and one.shows])
     presents = [(k.channel, search.present[k.channel]) for k in left]
-    found = best_on_beginnings(fit, presents, names) if left else []
+    found = best_on_early_window(fit, presents, names) if left else []
     # The others race among themselves, since the best so far has been refitted for longer; then the best of them is, too.
     leaders = [k.refits[0] for k in left]
     for k, own in zip(left, found, strict=True):

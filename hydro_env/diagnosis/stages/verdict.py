@@ -10,8 +10,8 @@ from ..estimation import (
     CANNOT_BE_PREDICTED,
     Estimate,
     Fit,
-    courses_apart,
     mostly_explained,
+    predictions_apart,
     unexplained,
 )
 from ..settings import rule
@@ -104,7 +104,7 @@ def _elsewhere(state: State) -> Iterator[str]:
         times, before = (e["after"] / max(e["noise"], 1e-30) for e in (there, here))
         if not (every or signal == "current") or times < PROVEN or before > ABOVE_NOISE:
             continue
-        if courses_apart(held_out, state.final[c], c).get(signal, 0.0) < times:
+        if predictions_apart(held_out, state.final[c], c).get(signal, 0.0) < times:
             worse = (
                 ", worse than by the model as given" if there["after"] > ABOVE_NOISE * there["before"] else ""
             )
@@ -118,7 +118,7 @@ def doubts(
     """Why what was named is not confirmed although it explains most of the fit logs, a sentence each; none if it is.
 
     `final` are the named effects with the corrections of their form, the proofs are with both. The held-out logs judge here and
-    choose nothing. Where estimates that the fit logs cannot distinguish (`courses_apart`) give courses that differ by more
+    choose nothing. Where estimates that the fit logs cannot distinguish (`predictions_apart`) give courses that differ by more
     than what is left of a signal, that residual speaks against no name.
     """
     found: list[str] = []
@@ -147,7 +147,7 @@ def _doubts_of_channel(
 ) -> Iterator[str]:
     uses, dynamic = fit.settings.uses, fit.rig.has_hidden_states
     level = fit.levels(on_fit.traces["after"][c], c)
-    fit_apart, held_out_apart = (courses_apart(each, final[c], c) for each in (fit, held_out))
+    fit_apart, held_out_apart = (predictions_apart(each, final[c], c) for each in (fit, held_out))
     for (channel, signal), entry in on_held_out.errors.items():
         if channel != c:
             continue

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
-from ..models.base import RigModel, effect_in
+import numpy as np
+
+from ..models.base import RigModel, Segment, Segments, effect_in, view
 from .estimate import Estimate
 from .fit import Fit
 from .gauss_newton import solve
-from .growing_horizon import beginning_of
 from .unknowns import effect_starts
 
-__all__ = ["best_on_beginnings"]
+__all__ = ["best_on_early_window", "early_window_of"]
 
 #: Shares of the logs in turn, iterations with each, and the starts of each candidate that go on.
 STAGES = ((0.04, 2, 2), (0.04, 6, 1), (0.11, 4, 1), (0.22, 3, 1))
@@ -28,7 +30,7 @@ FIRST_STARTS = 3
 FAR_BEHIND, OUT_OF_REACH, KEPT = 100.0, 0.5, 3
 
 
-def best_on_beginnings(
+def best_on_early_window(
     fit: Fit, presents: Sequence[tuple[int, Estimate]], names: Sequence[Sequence[str]]
 ) -> list[list[Estimate]]:
     """For each of `presents`, with its channel, the few extensions by one of the effects `names` on that channel that explain the
@@ -38,11 +40,11 @@ def best_on_beginnings(
     effect.
     """
     fields = [_starts(fit.rig, p, c, own) for (c, p), own in zip(presents, names, strict=True)]
-    beginning = fit.on(beginning_of(fit.rig, STAGES[0][0]))
+    beginning = fit.on(early_window_of(fit.rig, STAGES[0][0]))
     beginning.evaluate([p for field in fields for p in field])
     fields = [_best_of_each(field, FIRST_STARTS) for field in fields]
     for share, iterations, kept in STAGES:
-        beginning = fit.on(beginning_of(fit.rig, share))
+        beginning = fit.on(early_window_of(fit.rig, share))
         fields = [[p.at(p.q.copy()) for p in field] for field in fields]
         solve(beginning, [p for field in fields for p in field], iterations)
         fields = [_within_reach(_best_of_each(field, kept)) for field in fields]
@@ -79,4 +81,24 @@ def _within_reach(field: Sequence[Estimate]) -> list[Estimate]:
         near = p.cost - best < max(FAR_BEHIND, OUT_OF_REACH * fall)
         if near or not p.label or len({f.label for f in found} | {p.label}) <= KEPT:
             found.append(p)
+    return found
+
+
+def early_window_of(rig: RigModel, share: float) -> RigModel:
+    """The model with only this share of each log, from its beginning, of which it also simulates no more."""
+    rows = [max(2, math.ceil(share * len(part.log))) for part in rig.parts]
+    parts = [part.first(n) for part, n in zip(rig.parts, rows, strict=True)]
+    return view(rig, parts=parts, segments={c: _first(own, rows) for c, own in rig.segments.items()})
+
+
+def _first(segments: Sequence[Segment], rows: Sequence[int]) -> Segments:
+    """The samples of the first so many rows of each log, which again lie one behind the other in a vector."""
+    place, found = 0, Segments()
+    for s in segments:
+        n = int(np.searchsorted(s.rows, rows[s.log]))
+        late = None if s.late is None else s.late[:n]
+        cut = replace(s, measured=s.measured[:n], rows=s.rows[:n], inside=s.inside[:n], late=late)
+        cut.place = slice(place, place + n)
+        place += n
+        found.append(cut)
     return found
