@@ -17,15 +17,11 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from ..errors import InputError
 from ..measured import Mapping, RigLog
 from ..plant import PlantModel, load_model
 from .estimation import Fit
 from .input.checks import read_logs
-from .input.parts import Part
-from .models.base import RigModel
-from .models.dynamic_rig import DynamicRig
-from .models.steady_valve import SteadyValve
+from .models.choice import rig_model
 from .result import Diagnosis
 from .settings import Settings
 from .stages import (
@@ -107,10 +103,10 @@ def diagnose(
     with threadpool_limits(1, "blas"):
         say(doing)
         parts, held_out = read_logs(fit, sealed, mapping, accept)
-        rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
+        rig = rig_model(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
         parts, held_out = row_times.settled(rig, parts), row_times.settled(rig, held_out)
         rig.close()
-        rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
+        rig = rig_model(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
         # Where the dynamics are simulated, the proof has a tighter tolerance than the fit.
         fine = rig.with_parts(parts, False) if rig.has_hidden_states else rig
         others = rig.with_parts(held_out, True)
@@ -123,14 +119,3 @@ def diagnose(
             for one in (rig, fine, others):
                 one.close()
     return Diagnosis(state, time.perf_counter() - begin)
-
-
-def _rig(
-    model: PlantModel, parts: list[Part], steady: bool, jobs: int, count: Callable[[int], None], without: frozenset[str]
-) -> RigModel:  # fmt: skip
-    kinds = {part.log.kinds[c] for part in parts for c in part.log.channels}
-    if len(kinds) > 1:
-        raise InputError("the mapping mixes motors and cylinders; diagnose one kind at a time")
-    if steady or kinds == {"cylinder"}:
-        return SteadyValve(model, parts, progress=count, without=without)
-    return DynamicRig(model, parts, jobs=jobs, progress=count, without=without)

@@ -17,12 +17,11 @@ import numpy as np
 from ...errors import InputError
 from ...measured import Finding
 from ...units import BAR, UNITS
-from ..estimation import Fit, noise_of
 from ..input.parts import filled
 from ..models.base import LEVEL_FREE, RigModel
 from ..models.shaft import shaft_speed
 from ..state import Estimates, State
-from .calibration import as_given
+from .calibration import fit_as_given
 from .instruments import eccentric, runs_apart
 
 __all__ = ["implausible", "run", "stop_if_sure"]
@@ -50,14 +49,13 @@ _LESS = 4.0
 def run(state: State) -> State:
     """Simulates the model as given; InputError if the logs are surely not of this machine. The noise is first estimated here."""
     rig = state.rig
-    none = {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]}
-    given = as_given(Fit(rig, none, state.settings))
+    fit, given = fit_as_given(rig, state.settings)
     findings = implausible(rig, given)
     stop_if_sure(findings, ", ".join(p.label for p in rig.parts), state.accept)
     if rig.has_hidden_states:
         beyond = _beyond_rated(state.held_out)
         stop_if_sure(list(beyond), ", ".join(p.label for p in state.held_out.parts), state.accept)
-    return replace(state, given=given, findings=findings, fit=replace(state.fit, noise=noise_of(rig, given)))
+    return replace(state, given=given, findings=findings, fit=fit)
 
 
 def implausible(rig: RigModel, given: Estimates) -> list[Finding]:
