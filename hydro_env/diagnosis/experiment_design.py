@@ -45,14 +45,17 @@ __all__ = [
 
 Array = np.ndarray
 
-#: Period of the commands and length of an experiment, s; rests at both ends and pieces in between, in periods.
+#: Period of the commands and length of an experiment, s; rests at both ends, longer than the shaft's memory (`input.duration`),
+#: and pieces in between, in periods.
 PERIOD, SECONDS = 0.01, 12.0
 REST, PIECE, PIECES = 24, 192, 6
-#: Random experiments to begin with, and random pieces of which the best takes a place.
+#: Random experiments to begin with, and random pieces of which the best takes a place: two blocks of the kernel, and one.
 FIRST, PIECES_TRIED = 16, 8
-#: An effect may do this much more or less than its law says: less of a difference tells forms apart, not effects.
+#: An effect may do this much more or less than its law says (`naming.SHAPE_BY_FORM`): less of a difference tells forms apart, not
+#: effects.
 FORM = 0.1
-#: Where every experiment goes beyond the pressure limit, commands are taken smaller by this factor, so many times at most.
+#: Where every experiment goes beyond the pressure limit, commands are taken smaller by this factor, this many times at most: down
+#: to an eighth.
 SMALLER, MAX_TIMES_SMALLER = 0.6, 5
 
 

@@ -21,13 +21,16 @@ from .unknowns import effect_starts
 
 __all__ = ["best_on_early_window", "early_window_of"]
 
-#: Shares of the logs in turn, iterations with each, and the starts of each candidate that go on.
+#: Shares of the logs in turn, each twice as long as the one before (half a second of a log of 12 s, which holds one movement, to
+#: 2.6 s), iterations with each, and the starts of each candidate that go on.
 STAGES = ((0.04, 2, 2), (0.04, 6, 1), (0.11, 4, 1), (0.22, 3, 1))
-#: Starts of each candidate that are improved, of all those that are simulated once.
+#: Starts of each candidate that are improved, of all those that are simulated once: both signs of a size and one more.
 FIRST_STARTS = 3
-#: A candidate is dropped that is behind the best one by more than this, and by this share of what the best one gains over no
-#: effect; so many go on in any case.
-FAR_BEHIND, OUT_OF_REACH, KEPT = 100.0, 0.5, 3
+#: A candidate is dropped that is behind the best one by more than this, which pays for five parameters (`candidates.penalty`),
+#: and by more than this share of what the best one gains over no effect.
+FAR_BEHIND, OUT_OF_REACH = 100.0, 0.5
+#: Candidates that go on in any case: as many as a channel may have effects.
+KEPT = 3
 
 
 def best_on_early_window(
@@ -61,13 +64,11 @@ def _starts(rig: RigModel, present: Estimate, channel: int, names: Sequence[str]
     return found
 
 
-def _best_of_each(field: Sequence[Estimate], most: int) -> list[Estimate]:
-    """The best starts of each candidate, best first."""
-    count: dict[str, int] = {}
-    found = []
+def _best_of_each(field: Sequence[Estimate], count: int) -> list[Estimate]:
+    """The best `count` starts of each candidate, best first."""
+    found: list[Estimate] = []
     for p in sorted(field, key=lambda p: p.cost):
-        count[p.label] = count.get(p.label, 0) + 1
-        if count[p.label] <= most:
+        if sum(other.label == p.label for other in found) < count:
             found.append(p)
     return found
 
@@ -92,7 +93,7 @@ def early_window_of(rig: RigModel, share: float) -> RigModel:
 
 
 def _first(segments: Sequence[Segment], rows: Sequence[int]) -> Segments:
-    """The samples of the first so many rows of each log, which again lie one behind the other in a vector."""
+    """The samples of the first `rows` of each log, which again lie one behind the other in a vector."""
     place, found = 0, Segments()
     for s in segments:
         n = int(np.searchsorted(s.rows, rows[s.log]))

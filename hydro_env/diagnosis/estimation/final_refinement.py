@@ -22,10 +22,11 @@ __all__ = ["moves_along_axes", "refine", "settle"]
 
 #: Reach of the secants in standard deviations, in turn; the last one is that of the covariance.
 REACHES = (10.0, 3.0, 1.0)
-#: Most turns, and the fall of the cost in one below which an estimate has settled.
-TURNS, SETTLED = 5, 1.0
-#: Longest reach in any coordinate of q.
-LONGEST = 1.0
+#: Turns at most, and the fall of the cost in one below which an estimate has settled: that of one parameter that moves by its
+#: standard deviation.
+MAX_TURNS, SETTLED = 5, 1.0
+#: Longest reach in any coordinate of q: the standard deviation of its prior.
+MAX_REACH = 1.0
 
 
 def refine(fit: Fit, fine: Fit, estimates: Iterable[Estimate]) -> None:
@@ -50,7 +51,7 @@ def settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
 
 def _while_it_pays(turn: Callable[[Sequence[Estimate]], None], live: Sequence[Estimate]) -> None:
     """Turns, as long as they lower the cost of an estimate."""
-    for _ in range(TURNS):
+    for _ in range(MAX_TURNS):
         if not live:
             return
         before = [p.cost for p in live]
@@ -108,7 +109,7 @@ def moves_along_axes(estimate: Estimate, matrix: Vector, reach: float) -> tuple[
         scale, axes[inner] = np.linalg.eigh(matrix[inner])
         length[free] = reach / np.sqrt(np.maximum(scale, 1e-9 * scale[-1]))
     moves = axes * length
-    moves = moves * np.minimum(1.0, LONGEST / np.maximum(np.abs(moves).max(axis=0), 1e-30))
+    moves = moves * np.minimum(1.0, MAX_REACH / np.maximum(np.abs(moves).max(axis=0), 1e-30))
     both = np.concatenate([moves.T, -moves.T])
     room = np.where(both > 0.0, above, np.where(both < 0.0, below, np.inf))
     share = np.min(room / np.maximum(np.abs(both), 1e-30), axis=1)

@@ -21,8 +21,8 @@ __all__ = ["Fit", "Noise", "noise_of"]
 
 #: Standard deviations of the noise by (channel, signal), in SI.
 Noise = dict[tuple[int, str], float]
-#: Signals with fewer samples than this say nothing of their correlation.
-FEWEST = 8
+#: Signals with fewer samples than this say nothing of their correlation (as in `effective_samples`).
+MIN_SAMPLES = 8
 #: Rows of derivatives that stay in the processor's cache: their products take half as long as those of all rows.
 CACHED = 4096
 
@@ -93,7 +93,7 @@ class Fit:
         return max(v for each in found for v in each.values())
 
     def at_noise(self, estimate: Estimate, within: float = 1.02) -> bool:
-        """Whether no signal of any log is left with more than its noise, or so many times it."""
+        """Whether no signal of any log is left with more than `within` times its noise."""
         return all(
             value < within * self.noise[channel, signal]
             for channel in self.channels_of(estimate)
@@ -138,7 +138,7 @@ class Fit:
         estimate.simulated, estimate.cost = simulated, self.cost(estimate, simulated, estimate.q)
 
     def rescore(self, estimates: Sequence[Estimate]) -> None:
-        """Sets `cost` anew, for another noise."""
+        """Sets `cost` again, for another noise."""
         for one in estimates:
             one.cost = self.cost(one, one.simulated, one.q)
 
@@ -166,7 +166,7 @@ class Fit:
         found: dict[tuple[int, int], float] = {}
         shares = []
         for s in self.rig.segments[channel]:
-            if s.used.sum() < FEWEST:
+            if s.used.sum() < MIN_SAMPLES:
                 continue
             floor = self.noise[channel, s.signal] ** 2
             number = s.stretches(stretch_s)
@@ -205,7 +205,7 @@ class Fit:
         for channel in self.channels_of(estimate):
             weights = self.weights(estimate.simulated[channel], channel)
             for s in self.rig.segments[channel]:
-                if s.used.sum() < FEWEST:
+                if s.used.sum() < MIN_SAMPLES:
                     continue
                 error = s.error(estimate.simulated[channel])
                 share = effective_samples(error[s.used]) / float(s.used.sum())

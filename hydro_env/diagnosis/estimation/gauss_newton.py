@@ -17,19 +17,21 @@ from .unknowns import scaled
 
 __all__ = ["SETTLE_ITERATIONS", "differentiate", "simulate_moves", "solve", "step_all"]
 
-#: Most iterations of a refit that is to go as far as it goes.
+#: Iterations of a refit that is to go as far as it goes, at most: each step of differences four times.
 SETTLE_ITERATIONS = 12
 
-#: Steps of q for finite differences, in turn: stiction makes the data a rough function of its parameters.
+#: Steps of q for finite differences, in turn, since stiction makes the data a rough function of its parameters. Where a prior is
+#: 30 % wide these are 4.5 %, 1.2 % for an estimate that is near its minimum, and 12 % to step over local minima.
 DIFFERENCE_STEPS = (0.15, 0.04, 0.4)
 #: Parts and multiples of a step that are tried: weights that follow the residual make single steps too short.
 STEP_FACTORS = (4.0, 2.0, 1.0, 0.4, 0.1)
-#: Longest step in any coordinate of q.
-LONGEST_STEP = 3.0
-#: Starts of an estimate that are nearer than this in every q have met.
+#: Longest step in any coordinate of q: three standard deviations of its prior.
+MAX_STEP = 3.0
+#: Starts of an estimate that are nearer than this in every q, about the smallest step of differences, have met.
 MET = 0.05
 #: An iteration is idle if it takes away less than this share of what the cost is above that of the noise alone. Where something
 #: is missing, the other parameters creep for long, and to no use: they move again once it is there.
+#: Twenty idle iterations would take away a hundredth.
 IDLE_SHARE = 0.0005
 
 
@@ -42,8 +44,9 @@ def solve(
     `races` are starts of the same estimate, or competing candidates, improved in the same way, of which only the best one will
     be used: one that cannot become the best any more ends early (`_out_of_race`).
 
-    An estimate ends early once no step size of the differences lowers its cost by `tolerance` (or `IDLE_SHARE`), or one does not
-    and it is at the noise already. One that brings `columns` along (from a smaller one) uses them in its first step.
+    An estimate ends early once no step size of the differences lowers its cost by `tolerance` (two: what a parameter must gain
+    at least, Akaike 1974) or `IDLE_SHARE`, or one does not and it is at the noise already. One that brings `columns` along (from
+    a smaller one) uses them in its first step.
     """
     fit.evaluate([p for p in estimates if not p.simulated])
     live = [p for p in estimates if p.unknowns and np.isfinite(p.cost)]
@@ -82,11 +85,11 @@ def step_all(fit: Fit, live: Sequence[Estimate], factors: Sequence[float] = STEP
 
 
 def _bounded_step(estimate: Estimate, matrix: Vector, side: Vector) -> Vector:
-    """The Gauss-Newton step inside the bounds and not longer than `LONGEST_STEP` in any coordinate."""
+    """The Gauss-Newton step inside the bounds and not longer than `MAX_STEP` in any coordinate."""
     scale, vectors = np.linalg.eigh(matrix)
     scale = np.maximum(scale, 1e-9 * scale[-1] + 1e-9)
     low, high = estimate.bounds
-    low, high = np.maximum(low - estimate.q, -LONGEST_STEP), np.minimum(high - estimate.q, LONGEST_STEP)
+    low, high = np.maximum(low - estimate.q, -MAX_STEP), np.minimum(high - estimate.q, MAX_STEP)
     low, high = np.minimum(low, 0.0) - 1e-9, np.maximum(high, 0.0) + 1e-9
     return minimum_in_box((vectors * scale) @ vectors.T, side, low, high)
 

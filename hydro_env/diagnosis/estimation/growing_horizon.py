@@ -25,18 +25,19 @@ __all__ = ["grow_horizon"]
 
 GROW_HORIZON = rule("grow_horizon", "fit what is far from the noise to the beginning of the logs first")
 
-#: Times the noise from which on an estimate is fitted to the beginning of the logs first.
+#: Times the noise from which on an estimate is fitted to the beginning of the logs first: three quarters of the power are left.
 FAR = 2.0
-#: The shares of the logs in turn, and the share by which at least they are lengthened.
+#: The shares of the logs in turn, first longer by a half each, then by a tenth of the logs, and the share (that of the first) by
+#: which they are lengthened at least.
 HORIZONS = (0.02, 0.04, 0.07, 0.11, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-LEAST_GROWTH = 0.02
+MIN_GROWTH = 0.02
 #: Share up to which a beginning is short: it costs little, so there are more iterations, and it is too short to show the noise.
 SHORT_HORIZON = 0.1
-#: Iterations with each horizon, with a short one, and with the whole logs.
+#: Iterations with each horizon, with a short one (as far as it goes, `SETTLE_ITERATIONS`), and with the whole logs.
 ITERATIONS, SHORT_ITERATIONS, LAST_ITERATIONS = 2, 12, 4
-#: Residual (`Fit.level`) from which on a beginning is not followed.
+#: Residual (`Fit.level`) from which on a beginning is not followed: errors of 1.3 times the noise.
 LOST_LEVEL = 0.3
-#: Starts that are improved on the first beginning, and that go on from there.
+#: Starts that are improved on the first beginning, and that go on from there: the estimate's and the given parameters'.
 FIRST_STARTS, KEPT_STARTS = 6, 2
 
 
@@ -72,7 +73,7 @@ def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
             seen = beginning.on(fit.rig)
             beginning.rescore(starts)
         if not _followed(beginning, starts[0]):
-            if reached and share - reached > LEAST_GROWTH:
+            if reached and share - reached > MIN_GROWTH:
                 ahead.insert(0, 0.5 * (reached + share))  # not so far at once
                 continue
             break  # something is missing that this effect does not make up for

@@ -25,9 +25,9 @@ __all__ = [
     "effect_in", "given_effects", "given_parameters", "given_repeats", "measured_segments", "view",
 ]  # fmt: skip
 
-#: Rows of one log and signal that a fit looks at, at most; the proof looks at all of them.
+#: Rows of one log and signal that a fit looks at, at most, those of 12 s at 500 Hz; the proof looks at all of them.
 MAX_ROWS = 6000
-#: Length of the blocks that have a variance of their own, s.
+#: Length of the blocks that have a variance of their own, s: shorter than the shaft's memory (`input.duration`).
 BLOCK_S = 0.1
 #: Signals that a model may predict, with the unit they are shown in and its size in SI.
 UNITS = {
@@ -98,10 +98,9 @@ class Segment:
         return np.nan_to_num(self.measured)
 
     def taken(self, simulated: np.ndarray, every: int = 1) -> np.ndarray:
-        """The samples (n,) at the times of the rows, of a simulation of every so many-th row; if rows are late, of one
+        """The samples (n,) at the times of the rows, of a simulation that has one in `every` rows; if rows are late, of one
         with `finer` points a row."""
         if self.late is None:
-            # A slice: to pick rows one by one takes eight times as long.
             return simulated[:: self.step // every][: self.rows.size]
         # From the points before: the command of a row acts only after its measurement.
         place = self.finer * (self.rows + self.late)
@@ -121,7 +120,7 @@ class Segment:
         return first, np.add.reduceat(self.used.astype(float), first)
 
     def stretches(self, stretch_s: float) -> np.ndarray:
-        """The number of the stretch of so many seconds that each row is in (n,)."""
+        """The number of the stretch of `stretch_s` seconds that each row is in (n,)."""
         return (np.arange(self.rows.size) * self.period / stretch_s).astype(int)
 
     def error(self, simulated: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ __all__ = ["DynamicRig"]
 TOLERANCE, PROOF_TOLERANCE = 0.1 * RPM, 0.03 * RPM
 #: Numbers of the fit and of the proof. Single precision takes half the time.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
-#: Rigs that go through the kernel together: wider is a little quicker, and every width has kernels of its own to compile.
+#: Rigs that go through the kernel together, the lanes of a vector instruction: every width has kernels of its own to compile.
 BLOCK = 8
 #: Time in which a speed that follows the measured one comes near it, s: shorter than a blow of a coupling takes to come back.
 FOLLOW_S = 3e-3
@@ -298,8 +298,8 @@ class DynamicRig(RigModel):
     def _simulate(
         self, batch: _Batch, values: dict[str, np.ndarray], plays: np.ndarray
     ) -> tuple[int, dict[str, np.ndarray], np.ndarray]:
-        """`plays` (lanes, 2): the channel whose command and load each side has. Returns each how many-th row is there, the
-        signals (rows, lanes, 2), and what diverged (lanes, 2)."""
+        """`plays` (lanes, 2): the channel whose command and load each side has. Returns the step from one row that
+        is there to the next, the signals (rows, lanes, 2), and what diverged (lanes, 2)."""
         lanes = tuple((log, *sides) for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True))
         inputs = self._inputs(lanes if len(set(lanes)) > 1 else lanes[:1])
         logs = {log for log, _ in batch.lanes}

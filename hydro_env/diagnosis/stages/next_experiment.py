@@ -36,12 +36,12 @@ __all__ = ["FILE", "NextExperiment", "max_load", "operations", "questions", "run
 
 #: The file that the commands are written to, beside diagnosis.json.
 FILE = "next_experiment.csv"
-#: Candidates of a channel that compete where nothing is confirmed, the best by their gain.
+#: Candidates of a channel that compete where nothing is confirmed, the best by their gain: as many as it may have effects.
 OPEN = 3
 #: The model without any effect: the other one where a single candidate explains something.
 CALIBRATION = "calibration"
 #: Models that differ by less (RMS, in units of what is not known) are not parted by commands alone; a signal that would be
-#: logged besides is named where it parts them better by this factor.
+#: logged besides is named where it parts them better by this factor, ten times in power.
 PARTED, BETTER_BY = 1.0, 3.0
 
 
