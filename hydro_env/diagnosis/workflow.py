@@ -19,7 +19,6 @@ from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from ..errors import InputError
 from ..measured import Mapping, RigLog
 from ..plant import PlantModel, load_model
 from .estimation import Fit
@@ -27,8 +26,7 @@ from .input.checks import read_logs
 from .input.parts import Part
 from .logs import Logs
 from .models.base import RigModel
-from .models.dynamic_rig import DynamicRig
-from .models.steady_valve import SteadyValve
+from .models.choice import rig_model
 from .result import Diagnosis
 from .settings import Settings
 from .stages import (
@@ -111,7 +109,7 @@ def diagnose(
         progress(doing, 0)
 
     def rig_of(parts: list[Part]) -> RigModel:
-        return _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
+        return rig_model(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
 
     # Threads of the linear algebra would wait for each other and for those that simulate: its matrices are narrow.
     with threadpool_limits(1, "blas"), ExitStack() as at_end:
@@ -164,14 +162,3 @@ def find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Sta
         logs, calibrated.findings, screened, selected, locations, found.verdict, found.models, found.proofs, effects, unknown,
         found.elsewhere, found.doubts,
     )  # fmt: skip
-
-
-def _rig(
-    model: PlantModel, parts: list[Part], steady: bool, jobs: int, count: Callable[[int], None], without: frozenset[str]
-) -> RigModel:  # fmt: skip
-    kinds = {part.log.kinds[c] for part in parts for c in part.log.channels}
-    if len(kinds) > 1:
-        raise InputError("the mapping mixes motors and cylinders; diagnose one kind at a time")
-    if steady or kinds == {"cylinder"}:
-        return SteadyValve(model, parts, progress=count, without=without)
-    return DynamicRig(model, parts, jobs=jobs, progress=count, without=without)

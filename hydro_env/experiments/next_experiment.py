@@ -30,7 +30,7 @@ import numpy as np
 
 from ..diagnosis import Diagnosis, Settings, diagnose
 from ..diagnosis.experiment_design import SECONDS, commands_csv, random_design
-from ..diagnosis.stages.next_experiment import most_load
+from ..diagnosis.stages.next_experiment import max_load
 from ..errors import run_command
 from ..files import write_json, write_text
 from ..limits import CORES, SEEDS, Limits
@@ -69,9 +69,7 @@ def run_rig(seed: int, hidden: Sequence[str], jobs: int = 1) -> dict[str, Any]:
         proposed, rng = first.next_experiment, np.random.default_rng([seed, 7])
         commands = {
             "proposed": proposed.csv() if proposed is not None else None,
-            "random": commands_csv(
-                *random_design(first.state.model, Settings(), rng, most_load(first.state))
-            ),
+            "random": commands_csv(*random_design(first.state.model, Settings(), rng, max_load(first.state))),
         }
         for kind in SECOND if row["open"] else ():
             row[kind] = None

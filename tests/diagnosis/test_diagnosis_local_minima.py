@@ -23,7 +23,7 @@ from hydro_env.diagnosis.estimation import (
     scaled,
     solve,
 )
-from hydro_env.diagnosis.estimation.growing_horizon import beginning_of
+from hydro_env.diagnosis.estimation.early_window import early_window_of
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request, Segment, Segments
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
@@ -199,7 +199,7 @@ def test_the_beginning_of_a_log_is_simulated_as_in_the_whole(tmp_path: Path) -> 
     make_practice((), seed=2, duration=4.0, rate=500.0, runs=("fit_1", "fit_2")).write(tmp_path)
     parts = read_parts([tmp_path / "fit_1.csv", tmp_path / "fit_2.csv"], None)
     rig = DynamicRig(load_model("paper"), parts)
-    short = beginning_of(rig, 0.3)
+    short = early_window_of(rig, 0.3)
     request = [Request(c, {"k": 1.1e4}) for c in (0, 1)]
     whole, part = rig.predict(request), short.predict(request)
     for c in (0, 1):

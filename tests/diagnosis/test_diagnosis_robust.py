@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from hydro_env.cli.main import run
 from hydro_env.diagnosis import command, diagnose
@@ -23,7 +24,6 @@ from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import BASE, DynamicRig
-from hydro_env.diagnosis.models.filters import one_pole
 from hydro_env.diagnosis.report import wording as words
 from hydro_env.diagnosis.report.statements import comment, next_step
 from hydro_env.diagnosis.stages.calibration import as_given, calibrate
@@ -211,7 +211,7 @@ def test_the_time_of_a_filter_that_is_calculated_once_a_row_is_in_its_interval(t
     log = _logged(tmp_path / "fit.csv", _steps(3), 1)
     table = np.loadtxt(log, delimiter=",", skiprows=1)
     for column in (4, 8):
-        table[:, column] = one_pole((1.0 - keep) * table[:, column], keep)
+        table[:, column] = lfilter([1.0 - keep], [1.0, -keep], table[:, column])
     head = log.read_text().splitlines()[0]
     np.savetxt(log, table, delimiter=",", header=head, comments="", fmt="%.6g")
     rig = DynamicRig(load_model("paper"), read_parts([log], None))

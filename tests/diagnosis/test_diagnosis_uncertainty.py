@@ -16,7 +16,7 @@ from hydro_env.diagnosis.estimation import (
     settle,
     settle_finally,
 )
-from hydro_env.diagnosis.estimation.settling import moves_along_axes
+from hydro_env.diagnosis.estimation.final_refinement import moves_along_axes
 from hydro_env.diagnosis.estimation.uncertainty import bootstrap, nearest_inside
 from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.input.parts import read_parts

@@ -9,34 +9,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from ...plant import CATALOGUE
-from ..models.base import RigModel, Segment, Segments, effect_in, view
+from ..models.base import RigModel, effect_in
 from ..settings import rule
+from .early_window import early_window_of
 from .estimate import Estimate
 from .fit import Fit
 from .gauss_newton import solve
 from .unknowns import effect_starts
 
-__all__ = ["beginning_of", "grow_horizon"]
+__all__ = ["grow_horizon"]
 
 GROW_HORIZON = rule("grow_horizon", "fit what is far from the noise to the beginning of the logs first")
 
-#: Times the noise from which on an estimate is fitted to the beginning of the logs first.
+#: Times the noise from which on an estimate is fitted to the beginning of the logs first: three quarters of the power are left.
 FAR = 2.0
-#: The shares of the logs in turn, and the share by which at least they are lengthened.
+#: The shares of the logs in turn, first longer by a half each, then by a tenth of the logs, and the share (that of the first) by
+#: which they are lengthened at least.
 HORIZONS = (0.02, 0.04, 0.07, 0.11, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-LEAST_GROWTH = 0.02
+MIN_GROWTH = 0.02
 #: Share up to which a beginning is short: it costs little, so there are more iterations, and it is too short to show the noise.
 SHORT_HORIZON = 0.1
-#: Iterations with each horizon, with a short one, and with the whole logs.
+#: Iterations with each horizon, with a short one (as far as it goes, `SETTLE_ITERATIONS`), and with the whole logs.
 ITERATIONS, SHORT_ITERATIONS, LAST_ITERATIONS = 2, 12, 4
-#: Residual (`Fit.level`) from which on a beginning is not followed.
+#: Residual (`Fit.level`) from which on a beginning is not followed: errors of 1.3 times the noise.
 LOST_LEVEL = 0.3
-#: Starts that are improved on the first beginning, and that go on from there.
+#: Starts that are improved on the first beginning, and that go on from there: the estimate's and the given parameters'.
 FIRST_STARTS, KEPT_STARTS = 6, 2
 
 
@@ -57,12 +58,12 @@ def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
     effects too, fitted to more and more of the logs; on the way by the noise that is `seen`."""
     given = estimate.from_given()
     starts = [p.in_all_directions() for p in (estimate, given, *_elsewhere(fit.rig, given))]
-    seen.on(beginning_of(fit.rig, HORIZONS[0])).evaluate(starts[KEPT_STARTS:])
+    seen.on(early_window_of(fit.rig, HORIZONS[0])).evaluate(starts[KEPT_STARTS:])
     starts[KEPT_STARTS:] = sorted(starts[KEPT_STARTS:], key=lambda p: p.cost)[: FIRST_STARTS - KEPT_STARTS]
     ahead, reached, good = [*HORIZONS], 0.0, starts
     while ahead:
         share = ahead[0]
-        beginning = seen.on(beginning_of(fit.rig, share))
+        beginning = seen.on(early_window_of(fit.rig, share))
         starts = [p.at(p.q.copy()) for p in good]
         solve(beginning, starts, SHORT_ITERATIONS if share < SHORT_HORIZON else ITERATIONS)
         starts.sort(key=lambda p: p.cost)
@@ -72,7 +73,7 @@ def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
             seen = beginning.on(fit.rig)
             beginning.rescore(starts)
         if not _followed(beginning, starts[0]):
-            if reached and share - reached > LEAST_GROWTH:
+            if reached and share - reached > MIN_GROWTH:
                 ahead.insert(0, 0.5 * (reached + share))  # not so far at once
                 continue
             break  # something is missing that this effect does not make up for
@@ -104,24 +105,4 @@ def _elsewhere(rig: RigModel, estimate: Estimate) -> list[Estimate]:
                 if name in own:
                     q[own[name]] = estimate.unknowns[own[name]].q(value)
             found.append(estimate.at(np.clip(q, *estimate.bounds)))
-    return found
-
-
-def beginning_of(rig: RigModel, share: float) -> RigModel:
-    """The model with only this share of each log, from its beginning, of which it also simulates no more."""
-    rows = [max(2, math.ceil(share * len(part.log))) for part in rig.parts]
-    parts = [part.first(n) for part, n in zip(rig.parts, rows, strict=True)]
-    return view(rig, parts=parts, segments={c: _first(own, rows) for c, own in rig.segments.items()})
-
-
-def _first(segments: Sequence[Segment], rows: Sequence[int]) -> Segments:
-    """The samples of the first so many rows of each log, which again lie one behind the other in a vector."""
-    place, found = 0, Segments()
-    for s in segments:
-        n = int(np.searchsorted(s.rows, rows[s.log]))
-        late = None if s.late is None else s.late[:n]
-        cut = replace(s, measured=s.measured[:n], rows=s.rows[:n], inside=s.inside[:n], late=late)
-        cut.place = slice(place, place + n)
-        place += n
-        found.append(cut)
     return found

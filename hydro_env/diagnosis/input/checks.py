@@ -21,23 +21,24 @@ STANDS_STILL = 0.02
 
 
 def read_logs(
-    fit: Sequence[str | Path | RigLog], held_out: Sequence[str | Path | RigLog], mapping: Mapping | str | Path | None,
+    fit: Sequence[str | Path | RigLog], held_out: Sequence[str | Path | RigLog] | None, mapping: Mapping | str | Path | None,
     accept: Collection[str] = (),
 ) -> tuple[list[Part], list[Part]]:  # fmt: skip
-    """The logs to fit and those held out. InputError for anything that cannot be used, for rows that are in both, and
-    for logs that are too short."""
+    """The logs to fit and those held out, None where none are wanted. InputError for anything that cannot be used, for rows that
+    are in both, and for logs that are too short."""
     if not fit:
         raise InputError("no fit log; name at least one log to fit")
-    if not held_out:
+    if held_out is not None and not held_out:
         raise InputError("no held-out log; name at least one with --sealed (or a part of a run, LOG@FROM:TO)")
     read: dict[str, RigLog] = {}  # of an hour of log whose parts are in both, one reading
-    parts, proofs = (read_parts(words, mapping, accept, read) for words in (fit, held_out))
+    parts, proofs = (read_parts(words, mapping, accept, read) for words in (fit, held_out or ()))
     read.clear()
     overlap(parts, proofs)
     parts, proofs = _with_common_signals(*_without_idle(parts, proofs))
     _check_channels(parts, proofs)
     check_duration(parts, "fit")
-    check_duration(proofs, "held-out")
+    if proofs:
+        check_duration(proofs, "held-out")
     return parts, proofs
 
 

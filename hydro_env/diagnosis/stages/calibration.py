@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...errors import InputError, nearest
 from ...measured import Finding
 from ...plant import CATALOGUE, PARAMETERS, parameter_of
 from ..estimation import (
@@ -14,17 +17,25 @@ from ..estimation import (
     Unknown,
     base_unknown,
     given_unknown,
+    joined,
     limited_by_effects,
+    noise_of,
     solve,
 )
 from ..logs import Estimates, Given, Logs, distinct
 from ..models.base import RigModel, effect_in, given_repeats
+from ..settings import Settings
 from .row_times import without_outliers
 from .screening import Screening
 
-__all__ = ["Calibrated", "as_given", "base_unknowns", "calibrate", "run"]
+__all__ = [
+    "Calibrated", "Chosen", "as_given", "base_unknowns", "calibrate", "calibrated_fit", "check_chosen", "fit_as_given", "run",
+]  # fmt: skip
 
-#: Iterations of the calibration.
+#: Parameters to calibrate by name, each with its bounds (SI) or None for the plausible ones.
+Chosen = Mapping[str, tuple[float, float] | None]
+
+#: Iterations of the calibration: each step of differences (`DIFFERENCE_STEPS`) six times.
 ITERATIONS = 18
 #: Unknowns for which these iterations are enough: somewhat more than the base parameters of a channel.
 FEW = 20
@@ -44,31 +55,69 @@ class Calibrated:
 
 def run(given: Given) -> Calibrated:
     """Calibrates every channel and estimates the noise again; without the rows that stand out, where there are some."""
-    logs, estimates = given.logs, calibrate(given.logs.fit)
-    rig, found = without_outliers(logs.rig, estimates)
-    if found:
-        logs = replace(logs, fit=logs.fit.on(rig))
-        estimates = calibrate(logs.fit)
-    (fine, _), (held_out, more) = (without_outliers(each, estimates) for each in (logs.fine, logs.held_out))
-    fit = logs.fit.with_noise_seen_by(estimates)
-    fit.rescore(list(estimates.values()))
+    fit, estimates, found = calibrated_fit(given.logs.fit)
+    rigs = given.logs.fine, given.logs.held_out
+    (fine, _), (held_out, more) = (without_outliers(rig, estimates) for rig in rigs)
     return Calibrated(Logs(fit, fine, held_out), given.estimates, estimates, [*given.findings, *found, *more])
 
 
-def base_unknowns(rig: RigModel, channel: int) -> list[Unknown]:
-    """The parameters that calibration may adjust, about their values in the model as given."""
+def calibrated_fit(fit: Fit, chosen: Chosen | None = None) -> tuple[Fit, Estimates, list[Finding]]:
+    """The noise as the calibrated estimates show it, without rows that stand out; the estimates; what was left out."""
+    calibrated = calibrate(fit, chosen=chosen)
+    rig, found = without_outliers(fit.rig, calibrated)
+    if found:
+        fit = fit.on(rig)
+        calibrated = calibrate(fit, chosen=chosen)
+    fit = fit.with_noise_seen_by(calibrated)
+    fit.rescore(list(calibrated.values()))
+    return fit, calibrated, found
+
+
+def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> list[Unknown]:
+    """The parameters that calibration may adjust, about their values in the model as given; of these the `chosen` ones."""
     limited, size = limited_by_effects(), rig.given("D", channel) / PARAMETERS["D"].nominal
     found = []
     for name in rig.base(channel):
+        if chosen is not None and name not in chosen:
+            continue
         value, (effect, _, own) = rig.given(name, channel), name.rpartition(".")
         if effect:
             unknown = given_unknown(name, effect_in(rig, effect, channel).parameter(own), value)
         else:
             parameter = rig.own[name] if name in rig.own else parameter_of(name)
             unknown = base_unknown(parameter, value, name in limited, size)
+        if chosen is not None and (bounds := chosen[name]) is not None:
+            unknown = replace(unknown, low=bounds[0], high=bounds[1])
         of_rig = effect and CATALOGUE[effect].scope == "rig"
         found.append(replace(unknown, channel=None if of_rig else channel))
     return found
+
+
+def check_chosen(rig: RigModel, chosen: Chosen) -> None:
+    """InputError for a parameter that calibration cannot adjust, or bounds that do not hold its value."""
+    known = dict.fromkeys(name for c in rig.channels for name in rig.base(c))
+    for name, bounds in chosen.items():
+        if name not in known:
+            near = nearest(name, known)
+            hint = f"did you mean {near!r}? " if near else ""
+            raise InputError(f"unknown parameter {name!r}: {hint}these can be estimated: {', '.join(known)}")
+        for c in rig.channels if bounds is not None else ():
+            assert bounds is not None
+            for u in base_unknowns(rig, c, {name: None}):
+                low, high = bounds
+                if not low <= u.center <= high or (u.log and not low > 0.0) or not math.isfinite(high - low):
+                    need = "positive bounds" if u.log else "bounds"
+                    raise InputError(
+                        f"{name}: {low:g} to {high:g} {u.unit} are no {need} around {u.center:g}, the model's on channel {c + 1}"
+                    )
+
+
+def fit_as_given(rig: RigModel, settings: Settings | None = None) -> tuple[Fit, Estimates]:
+    """The model as given beside its logs: the noise as it shows that, and its simulations by channel."""
+    unknown = {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]}
+    fit = Fit(rig, unknown, settings or Settings())
+    given = as_given(fit)
+    return replace(fit, noise=noise_of(rig, given)), given
 
 
 def as_given(fit: Fit) -> Estimates:
@@ -78,25 +127,16 @@ def as_given(fit: Fit) -> Estimates:
     return estimates
 
 
-def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
-    """Adjusts the base parameters of every channel, with priors about the model as given."""
+def calibrate(fit: Fit, iterations: int = ITERATIONS, chosen: Chosen | None = None) -> Estimates:
+    """Adjusts the base parameters of every channel, or the `chosen` ones, with priors about the model as given."""
     rig, estimates = fit.rig, {}
     for channel in rig.channels:
-        unknowns, follow = base_unknowns(rig, channel), given_repeats(rig, channel)
+        unknowns, follow = base_unknowns(rig, channel, chosen), given_repeats(rig, channel)
         estimates[channel] = Estimate(channel, unknowns, np.zeros(len(unknowns)), "calibrated", follow=follow)
     if rig.coupled and len(estimates) == 2:
-        estimates = dict.fromkeys(estimates, _of_rig(estimates))
+        estimates = dict.fromkeys(estimates, joined(estimates))
     every = distinct(estimates)
     # Given effects and rigs that are estimated as a whole have more unknowns, which take more steps.
     iterations *= max(1, *(len(p.unknowns) // FEW for p in every))
     solve(fit, every, iterations)
     return estimates
-
-
-def _of_rig(estimates: Estimates) -> Estimate:
-    """The estimates of both channels as one, in which what the channels share is there once."""
-    both = [(u, v) for p in estimates.values() for u, v in zip(p.unknowns, p.q, strict=True)]
-    own = {(u.name, u.channel): (u, v) for u, v in both}
-    follow = {name: source for p in estimates.values() for name, source in p.follow.items()}
-    unknowns, q = [u for u, _ in own.values()], np.array([v for _, v in own.values()])
-    return Estimate(None, unknowns, q, "calibrated", follow=follow)

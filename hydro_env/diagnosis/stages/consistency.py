@@ -17,10 +17,9 @@ import numpy as np
 from ...errors import InputError
 from ...measured import Finding
 from ...units import BAR, UNITS
-from ..estimation import noise_of
 from ..logs import Estimates, Given, Logs
 from ..models.base import LEVEL_FREE, RigModel
-from .calibration import as_given
+from .calibration import fit_as_given
 from .instruments import eccentric, runs_apart
 from .shaft import given_shaft, shaft_of
 
@@ -54,13 +53,12 @@ _HINT = "give the right unit in a mapping, or a model of this machine"
 def run(logs: Logs, accept: Collection[str] = ()) -> Given:
     """Simulates the model as given; InputError if the logs are surely not of this machine. The noise is first estimated here."""
     rig = logs.rig
-    none = {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]}
-    given = as_given(replace(logs.fit, noise=none))
+    fit, given = fit_as_given(rig, logs.fit.settings)
     findings = implausible(rig, given)
     stop_if_sure(findings, rig, accept)
     if rig.has_hidden_states:
         stop_if_sure(list(_beyond_rated(logs.held_out)), logs.held_out, accept)
-    return Given(replace(logs, fit=replace(logs.fit, noise=noise_of(rig, given))), given, findings)
+    return Given(replace(logs, fit=fit), given, findings)
 
 
 def stop_if_sure(findings: list[Finding], rig: RigModel, accept: Collection[str]) -> None:

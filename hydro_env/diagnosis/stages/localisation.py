@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.signal import lfilter, savgol_filter
 
 from ...units import BAR, RPM
 from ..estimation import Estimate, effective_samples, noise_floor
 from ..logs import Estimates
 from ..models.base import RigModel
-from ..models.filters import local_parabola, one_pole
 from .shaft import SHAFT, Shaft, given_shaft, shaft_of
 
 __all__ = ["Location", "Shape", "locate", "run", "shape"]
@@ -192,7 +192,7 @@ def _lost_within_a_second(shaft: Shaft, values: Mapping[str, float]) -> np.ndarr
     """What a shaft loses or gains against measurement within a second (n,), so that errors do not pile up."""
     forget = float(np.exp(-shaft.period / 1.0))
     change = np.diff(shaft.speed - shaft.driven(values), prepend=0.0)
-    return one_pole((1.0 + forget) / 2.0 * change, forget)
+    return np.asarray(lfilter([(1.0 + forget) / 2.0], [1.0, -forget], change))
 
 
 def _best_shaft(estimate: Estimate, rig: RigModel, channel: int, shafts: Sequence[Shaft]) -> dict[str, float]:
@@ -222,9 +222,9 @@ def _missing_flow(shaft: Shaft, simulated: dict[str, np.ndarray], numbers: dict[
     width = max(5, 2 * round(0.01 / h) + 1)
 
     def flow(w: np.ndarray, dp: np.ndarray) -> np.ndarray:
-        level, slope = local_parabola(dp, width, h)
-        squeezed = numbers["V"] / numbers["beta"] * slope
-        return numbers["D"] * local_parabola(w, width, h)[0] + numbers["Km"] * level + squeezed
+        squeezed = numbers["V"] / numbers["beta"] * savgol_filter(dp, width, 2, deriv=1, delta=h)
+        level = numbers["D"] * savgol_filter(w, width, 2) + numbers["Km"] * savgol_filter(dp, width, 2)
+        return np.asarray(level + squeezed)
 
     missing: np.ndarray = flow(shaft.speed, shaft.pressure) - flow(simulated["speed"], simulated["pressure"])
     return missing / numbers["D"]

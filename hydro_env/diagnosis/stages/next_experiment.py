@@ -32,16 +32,16 @@ from ..state import State
 from .candidates import Candidate
 from .naming import NamedEffect
 
-__all__ = ["FILE", "NextExperiment", "most_load", "operations", "questions", "run"]
+__all__ = ["FILE", "NextExperiment", "max_load", "operations", "questions", "run"]
 
 #: The file that the commands are written to, beside diagnosis.json.
 FILE = "next_experiment.csv"
-#: Candidates of a channel that compete where nothing is confirmed, the best by their gain.
+#: Candidates of a channel that compete where nothing is confirmed, the best by their gain: as many as it may have effects.
 OPEN = 3
 #: The model without any effect: the other one where a single candidate explains something.
 CALIBRATION = "calibration"
 #: Models that differ by less (RMS, in units of what is not known) are not parted by commands alone; a signal that would be
-#: logged besides is named where it parts them better by this factor.
+#: logged besides is named where it parts them better by this factor, ten times in power.
 PARTED, BETTER_BY = 1.0, 3.0
 
 
@@ -76,14 +76,14 @@ def run(state: State) -> NextExperiment | None:
     if not (asked or wanted) or not isinstance(state.rig, DynamicRig):
         return _in_words(state.effects, state)
     rng = np.random.default_rng([state.settings.seed, 21])
-    design = best_design(Trial(state.fit, asked, wanted), rng, most_load(state))
+    design = best_design(Trial(state.fit, asked, wanted), rng, max_load(state))
     if design is None:
         return _in_words(state.effects, state)
     names = sorted({name for question in asked for name in question.models})
     return NextExperiment(_described(design), names, design)
 
 
-def most_load(state: State) -> float:
+def max_load(state: State) -> float:
     """The largest load of an experiment, N m: as the settings say, else the largest of the logs, which the rig can do."""
     if state.settings.load_limit is not None:
         return state.settings.load_limit

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from ..estimation import (
     SETTLE_ITERATIONS,
     Estimate,
-    best_on_beginnings,
+    best_on_early_window,
     could_pay,
     grow_horizon,
     joined,
@@ -262,7 +262,7 @@ def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
         shows = {s.effect for s in search.screening if s.channel == k.channel and s.shows}
         names.append([n for n in search.names if n in shows - here])
     presents = [(k.channel, search.present[k.channel]) for k in left]
-    found = best_on_beginnings(fit, presents, names) if left else []
+    found = best_on_early_window(fit, presents, names) if left else []
     # The others race among themselves, since the best so far has been refitted for longer; then the best of them is, too.
     leaders = [k.refits.pop(0) for k in left]
     for k, own in zip(left, found, strict=True):

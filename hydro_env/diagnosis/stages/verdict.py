@@ -10,8 +10,8 @@ from ..estimation import (
     CANNOT_BE_PREDICTED,
     Estimate,
     Fit,
-    courses_apart,
     mostly_explained,
+    predictions_apart,
     unexplained,
 )
 from ..logs import Estimates, Logs
@@ -114,7 +114,7 @@ def _elsewhere(logs: Logs, verdict: str, final: Estimates, proofs: Proofs) -> It
         times, before = (e["after"] / max(e["noise"], 1e-30) for e in (there, here))
         if not (every or signal == "current") or times < PROVEN or before > ABOVE_NOISE:
             continue
-        if courses_apart(held_out, final[c], c).get(signal, 0.0) < times:
+        if predictions_apart(held_out, final[c], c).get(signal, 0.0) < times:
             worse = (
                 ", worse than by the model as given" if there["after"] > ABOVE_NOISE * there["before"] else ""
             )
@@ -126,7 +126,7 @@ def doubts(logs: Logs, accepted: Sequence[Accepted], final: Estimates, proofs: P
     """Why what was named is not confirmed although it explains most of the fit logs, a sentence each; none if it is.
 
     `final` are the named effects with the corrections of their form, the proofs are with both. The held-out logs judge here and
-    choose nothing. Where estimates that the fit logs cannot distinguish (`courses_apart`) give courses that differ by more
+    choose nothing. Where estimates that the fit logs cannot distinguish (`predictions_apart`) give courses that differ by more
     than what is left of a signal, that residual speaks against no name.
     """
     found: list[str] = []
@@ -153,7 +153,9 @@ def _doubts_of_channel(logs: Logs, final: Estimates, c: int, proofs: Proofs) -> 
     fit, on_fit = logs.fit, proofs.judged_fit
     uses, dynamic = fit.settings.uses, logs.rig.has_hidden_states
     level = fit.levels(on_fit.traces["after"][c], c)
-    fit_apart, held_out_apart = (courses_apart(each, final[c], c) for each in (fit, fit.on(logs.held_out)))
+    fit_apart, held_out_apart = (
+        predictions_apart(each, final[c], c) for each in (fit, fit.on(logs.held_out))
+    )
     for (channel, signal), entry in proofs.judged.errors.items():
         if channel != c:
             continue

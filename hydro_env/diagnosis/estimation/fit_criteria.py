@@ -15,13 +15,16 @@ __all__ = [
     "unexplained",
 ]
 
-#: Signals above so many times the noise count where power is compared.
+#: Signals above this many times the noise count where power is compared: three quarters of their power are missing.
 CLEARLY_ABOVE = 2.0
-#: A residual (in `Fit.levels`, summed over the signals) that is too small to speak of something unknown.
+#: A residual (in `Fit.levels`, summed over the signals) that is too small to speak of something unknown: errors of 1.15 times the
+#: noise in one signal.
 SMALL_SUM = 0.15
-#: A log whose mean square error is above so many times the noise's could pay for an effect, if its deviance is worth so much.
+#: A log whose mean square error is above this many times the noise's (1.02 squared, as `Fit.at_noise`) could pay for an effect,
+#: if its deviance is worth one parameter of a library of 200 (`candidates.penalty`).
 ABOVE_NOISE, WORTH = 1.04, 20.0
-#: A residual (`Fit.level`) up to which a local minimum may be the cause; what a missing effect leaves is larger.
+#: A residual (`Fit.level`) up to which a local minimum may be the cause, errors of 2.1 times the noise; what a missing effect
+#: leaves is larger.
 SMALL_LEVEL = 1.0
 
 
