@@ -9,7 +9,7 @@ from ..measured import Finding
 from .estimation import Estimate, Fit
 from .models.base import RigModel
 
-__all__ = ["Estimates", "Given", "Logs", "changed", "distinct"]
+__all__ = ["Estimates", "Given", "Logs", "changed", "distinct", "place_of"]
 
 #: Estimates by channel; the same one for both where the whole rig was estimated together.
 Estimates = dict[int, Estimate]
@@ -46,6 +46,11 @@ class Given:
     logs: Logs
     estimates: Estimates
     findings: list[Finding]
+
+
+def place_of(channel: int | None) -> str:
+    """ "1" or "2" for a channel, "rig" for None."""
+    return "rig" if channel is None else str(channel + 1)
 
 
 def distinct(estimates: Estimates) -> list[Estimate]:

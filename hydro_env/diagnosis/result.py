@@ -8,6 +8,7 @@ from typing import Any
 
 from ..files import write_text
 from ..plant import CATALOGUE, PlantModel
+from .logs import place_of
 from .stages.form_correction import Correction
 from .stages.naming import NamedEffect
 from .stages.next_experiment import NextExperiment
@@ -69,19 +70,19 @@ class Diagnosis:
         are shape corrections, "after" is the model with them, "named" in `gap` the one with the effects alone.
         """
         state = self.state
-        logs = (*state.rig.parts, *state.held_out.parts)
+        logs, known = (
+            (*state.rig.parts, *state.logs.held_out.parts),
+            known_parameters(state.rig, state.models.shown),
+        )
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
             "best_guess": self.best_guess,
             "effects": [n.as_dict() for n in self.effects],
             "where": [p.as_dict() for p in state.locations],
-            "calibrated": {
-                p.name: {"nominal": p.nominal, **vars(p.estimate)}
-                for p in known_parameters(state.rig, state.shown)
-            },
+            "calibrated": {p.name: {"nominal": p.nominal, **vars(p.estimate)} for p in known},
             "gap": {"sealed": state.proofs.held_out.as_dict(), "fit": state.proofs.fit.as_dict()},
-            "shape_corrections": [self._correction(k) for k in state.corrections],
+            "shape_corrections": [self._correction(k) for k in state.models.corrections],
             "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
             "detectable": detectable(state.screening),
             "hidden_by_calibration": hidden_by_calibration(state.screening),
@@ -93,16 +94,16 @@ class Diagnosis:
 
     def _correction(self, kept: Correction) -> dict[str, Any]:
         """What a shape correction corrects, its numbers, and its size as RMS change of the signals on the held-out logs."""
-        state = self.state
-        first = state.rig.channels[0] if kept.channel is None else kept.channel
-        values = effect_values(state.final[first], kept.correction, first)
+        rig, final = self.state.rig, self.state.models.final
+        first = rig.channels[0] if kept.channel is None else kept.channel
+        values = effect_values(final[first], kept.correction, first)
         sizes = {
-            signal_key(state.held_out, signal, c): size / shown_unit(state.held_out, signal, c)[1]
+            signal_key(rig, signal, c): size / shown_unit(rig, signal, c)[1]
             for (c, signal), size in kept.changes.items()
         }
         return {
             "effect": kept.effect, "correction": kept.correction, "what": CATALOGUE[kept.correction].summary,
-            "channel": "rig" if kept.channel is None else str(kept.channel + 1), "note": "shape correction, not physics",
+            "channel": place_of(kept.channel), "note": "shape correction, not physics",
             "parameters": {name: vars(p) for name, p in values.items()},
             "changes": sizes, "fall": round(float(kept.fall), 1),
         }  # fmt: skip

@@ -7,12 +7,10 @@ from functools import cached_property
 
 from ..measured import Finding
 from ..plant import PlantModel
-from .estimation import Fit
-from .logs import Estimates, Logs
+from .logs import Logs
 from .models.base import RigModel
-from .settings import Settings
 from .stages.candidates import Selection
-from .stages.form_correction import Correction, Models
+from .stages.form_correction import Models
 from .stages.localisation import Location
 from .stages.naming import NamedEffect
 from .stages.screening import Screening
@@ -44,48 +42,20 @@ class State:
     doubts: list[str]
 
     @property
-    def fit(self) -> Fit:
-        return self.logs.fit
-
-    @property
     def rig(self) -> RigModel:
         return self.logs.rig
-
-    @property
-    def held_out(self) -> RigModel:
-        return self.logs.held_out
 
     @property
     def model(self) -> PlantModel:
         """The model as given."""
         return self.rig.model
 
-    @property
-    def settings(self) -> Settings:
-        return self.fit.settings
-
-    @property
-    def calibrated(self) -> Estimates:
-        return self.models.calibrated
-
-    @property
-    def final(self) -> Estimates:
-        return self.models.final
-
-    @property
-    def shown(self) -> Estimates:
-        return self.models.shown
-
-    @property
-    def corrections(self) -> list[Correction]:
-        return self.models.corrections
-
     @cached_property
     def improved(self) -> PlantModel:
         """The model with what was found; the one given where nothing is missing."""
         if self.verdict == "none":
             return self.model
-        return estimated_model(self.rig, self.final, f"{self.model.name} diagnosed")
+        return estimated_model(self.rig, self.models.final, f"{self.model.name} diagnosed")
 
     @property
     def best_guess(self) -> bool:

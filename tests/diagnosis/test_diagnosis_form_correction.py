@@ -220,6 +220,7 @@ def test_an_effect_that_vanishes_beside_one_of_the_rig_is_not_named() -> None:
         Accepted("supply_droop", None, 90.0, 36.0)
     ]
     trials: list[Candidate] = []
-    left = drop_vanished(joined({0: first, 1: other}), choices, trials)
+    left, less = drop_vanished(joined({0: first, 1: other}), choices, trials)
+    assert less.placed_effects() == [("dead_zone", 0)]
     assert [(k.effect, k.channel) for k in left] == [("dead_zone", 0), ("supply_droop", None)]
     assert [(t.effect, t.channel) for t in trials] == [("dead_zone", 1)] and "vanishes" in trials[0].outcome

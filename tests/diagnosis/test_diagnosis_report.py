@@ -192,7 +192,7 @@ def _commands(page: str) -> list[list[str]]:
 def test_what_to_do_next_are_commands_that_exist(found: Diagnosis) -> None:
     """A steady model is for logs only; one with dynamics can be driven."""
     rig = view(found.state.rig, has_hidden_states=True)
-    fit = dataclasses.replace(found.state.fit, rig=rig)
+    fit = dataclasses.replace(found.state.logs.fit, rig=rig)
     driven = _with(found, logs=dataclasses.replace(found.state.logs, fit=fit))
     steady, dynamic = _commands(_page(found)), _commands(_page(driven))
     assert [words[0] for words in steady] == ["diagnose"] and "--steady" in steady[0]

@@ -27,6 +27,6 @@ def report_page(
         title=f"Diagnosis of {statements.log_names(state)}, model {state.model.name}, {date.today()}", version=__version__,
         state=state, next_experiment=next_experiment, warnings=warnings, seconds=seconds, say=statements, words=words,
         catalogue=CATALOGUE, head=statements.headline(state), columns=statements.error_columns(state),
-        parameters=[(p, statements.comment(state.rig, p)) for p in known_parameters(state.rig, state.shown)],
+        parameters=[(p, statements.comment(state.rig, p)) for p in known_parameters(state.rig, state.models.shown)],
         traces=pictures.traces(state), maps=pictures.maps(state),
     )  # fmt: skip

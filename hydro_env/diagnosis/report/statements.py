@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...plant import CATALOGUE
+from ..logs import place_of
 from ..models.base import RigModel
 from ..stages.candidates import Candidate
 from ..stages.localisation import Location
@@ -328,21 +329,21 @@ def comment(rig: RigModel, p: KnownParameter) -> str:
 def error_columns(state: State) -> list[tuple[str, str, int]]:
     """(model, heading, width) of the table of errors; where a form was corrected, the names alone have a column."""
     plain = [(model, model, width) for model, width in _COLUMNS]
-    return [*plain[:3], (NAMED, "effects only", 14), *plain[3:]] if state.corrections else plain
+    return [*plain[:3], (NAMED, "effects only", 14), *plain[3:]] if state.models.corrections else plain
 
 
 def correction_texts(state: State) -> list[str]:
     """What each shape correction is and how large, in a line."""
     texts = []
-    for k in state.corrections:
+    for k in state.models.corrections:
         first = state.rig.channels[0] if k.channel is None else k.channel
-        values = list(values_of_effect(state.final[first], k.correction, first).items())
+        values = list(values_of_effect(state.models.final[first], k.correction, first).items())
         shown = "; ".join(f"{words.plain(own)} {words.interval(p)}" for own, p in values[:2])
         more = f" and {len(values) - 2} more numbers" if len(values) > 2 else ""
         change, c = max((v, c) for (c, signal), v in k.changes.items() if signal == "speed")
-        unit, scale = unit_of(state.held_out, "speed", c)
+        unit, scale = unit_of(state.logs.held_out, "speed", c)
         size = f"it moves the speed by {change / scale:.2g} {unit} RMS on the held-out logs"
-        where = words.where("rig" if k.channel is None else str(k.channel + 1))
+        where = words.where(place_of(k.channel))
         what = f"{CATALOGUE[k.correction].summary}, {where} (for {words.title(k.effect)})"
         texts.append(f"{what}: {shown}{more}; {size}")
     return texts

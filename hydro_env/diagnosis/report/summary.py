@@ -88,7 +88,7 @@ def _tried(state: State) -> list[str]:
 def _known(state: State) -> str:
     """The known parameters that moved most."""
     own = state.rig.own  # of a reduced model: its nominal values stand for nothing
-    known = [p for p in known_parameters(state.rig, state.shown) if p.moved and abs(p.change) >= 0.005]
+    known = [p for p in known_parameters(state.rig, state.models.shown) if p.moved and abs(p.change) >= 0.005]
     rows = sorted(known, key=lambda p: -abs(p.change))
     if not rows:
         return "  known parameters: no interval excludes the given value"

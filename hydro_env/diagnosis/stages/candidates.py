@@ -10,7 +10,7 @@ import numpy as np
 from ...plant import CATALOGUE
 from ...plant.catalogue.form_corrections import FAMILY
 from ..estimation import Estimate, Fit, Unknown
-from ..logs import Estimates, Logs
+from ..logs import Estimates, Logs, place_of
 from .screening import Screening
 
 __all__ = [
@@ -42,7 +42,7 @@ class Candidate:
 
     @property
     def where(self) -> str:
-        return "rig" if self.channel is None else str(self.channel + 1)
+        return place_of(self.channel)
 
     @property
     def refitted(self) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, settle, solve
 from ..settings import rule
-from .candidates import AFTER_ROUNDS, Accepted, Search
+from .candidates import AFTER_ROUNDS, Search
 from .form_correction import attempts, refit_attempts
 
 __all__ = ["drop_unneeded", "prefer_form"]
@@ -44,28 +44,22 @@ def prefer_form(search: Search) -> None:
 def drop_unneeded(search: Search) -> None:
     """Drops an effect that is alone on its channel if the known parameters, from where it has led them, do without it."""
     fit = search.fit
-    if not fit.settings.uses(DROP_UNNEEDED):
-        return
-    starts: list[tuple[Accepted, int, list[Estimate]]] = []
-    for one in search.accepted:
-        c = one.channel
-        if c is None or search.present[c].channel is None or len(search.on(c)) != 1 or one.without is None:
+    for c in fit.rig.channels if fit.settings.uses(DROP_UNNEEDED) else ():
+        own, present = search.on(c), search.present[c]
+        before = own[0].without if len(own) == 1 and present.channel is not None else None
+        if before is None or far_from_noise(fit, before):
             continue
-        if not far_from_noise(fit, one.without):
-            starts.append((one, c, _without(search.present[c], one.without, one.effect)))
-    races = [[search.present[c], *own] for _, c, own in starts]
-    solve(search.long, [p for *_, own in starts for p in own], SETTLE_ITERATIONS, races=races)
-    for one, c, own in starts:
-        less = min(own, key=lambda p: p.cost)
-        gain = fit.gain(less, search.present[c])
-        if gain >= one.needed:
+        tries = _without(present, before, own[0].effect)
+        solve(search.long, tries, SETTLE_ITERATIONS, races=[[present, *tries]])
+        less = min(tries, key=lambda p: p.cost)
+        if fit.gain(less, present) >= own[0].needed:
             # Little more than noise is left either way, and how far each is from its minimum may be all that parts them.
-            settle(search.long, [less, search.present[c]])
-            gain = fit.gain(less, search.present[c])
-        if gain < one.needed:
+            settle(search.long, [less, present])
+        gain = fit.gain(less, present)
+        if gain < own[0].needed:
             outcome = "the known parameters do as well, from where it led them"
-            search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, search.present[c])
-            search.accepted.remove(one)
+            search.record(own[0].effect, c, AFTER_ROUNDS, gain, outcome, present)
+            search.accepted.remove(own[0])
             search.put(c, less)
 
 

@@ -75,8 +75,8 @@ def run(state: State) -> NextExperiment | None:
     asked, wanted = questions(state), operations(state)
     if not (asked or wanted) or not isinstance(state.rig, DynamicRig):
         return _in_words(state.effects, state)
-    rng = np.random.default_rng([state.settings.seed, 21])
-    design = best_design(Trial(state.fit, asked, wanted), rng, max_load(state))
+    rng = np.random.default_rng([state.logs.fit.settings.seed, 21])
+    design = best_design(Trial(state.logs.fit, asked, wanted), rng, max_load(state))
     if design is None:
         return _in_words(state.effects, state)
     names = sorted({name for question in asked for name in question.models})
@@ -85,9 +85,9 @@ def run(state: State) -> NextExperiment | None:
 
 def max_load(state: State) -> float:
     """The largest load of an experiment, N m: as the settings say, else the largest of the logs, which the rig can do."""
-    if state.settings.load_limit is not None:
-        return state.settings.load_limit
-    logs = (part.log.load for part in (*state.rig.parts, *state.held_out.parts))
+    if state.logs.fit.settings.load_limit is not None:
+        return state.logs.fit.settings.load_limit
+    logs = (part.log.load for part in (*state.rig.parts, *state.logs.held_out.parts))
     return max(
         (float(np.nanmax(np.abs(load), initial=0.0)) for load in logs if load is not None), default=0.0
     )
@@ -108,8 +108,8 @@ def operations(state: State) -> dict[int, Operation]:
     """Where nothing is proven: what the estimate of each channel is to predict of the held-out logs."""
     if not state.rig.has_hidden_states or (state.verdict != "unknown" and not state.best_guess):
         return {}
-    held_out = state.fit.on(state.held_out)
-    found = {c: operation_of(held_out, state.final[c], c) for c in state.rig.channels}
+    held_out = state.logs.fit.on(state.logs.held_out)
+    found = {c: operation_of(held_out, state.models.final[c], c) for c in state.rig.channels}
     return {c: each for c, each in found.items() if each is not None}
 
 
@@ -143,8 +143,8 @@ def _best(state: State, channel: int | None) -> dict[str, Estimate]:
             tried[t.effect] = t
     best = sorted(tried.values(), key=lambda t: t.estimate.cost if t.estimate else np.inf)[:OPEN]
     found = {t.effect: t.estimate for t in best if t.estimate is not None}
-    if len(found) == 1 and channel is not None and state.calibrated[channel].columns:
-        found[CALIBRATION] = state.calibrated[channel]
+    if len(found) == 1 and channel is not None and state.models.calibrated[channel].columns:
+        found[CALIBRATION] = state.models.calibrated[channel]
     return found
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...plant import CATALOGUE, Effect
 from ..estimation import Estimate, Fit, could_pay, effect_starts, joined
-from ..logs import Estimates, Logs
+from ..logs import Estimates, Logs, place_of
 from ..models.base import effect_in
 
 __all__ = ["Screening", "alike", "detectable", "hidden_by_calibration", "run", "screen"]
@@ -47,11 +47,6 @@ class Screening:
     visible: float
     signature: np.ndarray
     unprojected: float = 0.0
-
-    @property
-    def place(self) -> str:
-        """ "1", "2" or "rig"."""
-        return "rig" if self.channel is None else str(self.channel + 1)
 
     @property
     def hidden(self) -> bool:
@@ -191,7 +186,7 @@ def detectable(screening: Sequence[Screening]) -> dict[str, dict[str, bool]]:
     """By effect and channel ("1", "2", "rig"): whether an effect of medium size would show in these logs."""
     found: dict[str, dict[str, bool]] = {}
     for one in screening:
-        found.setdefault(one.effect, {})[one.place] = one.shows
+        found.setdefault(one.effect, {})[place_of(one.channel)] = one.shows
     return {name: dict(sorted(found[name].items())) for name in CATALOGUE if name in found}
 
 
@@ -200,7 +195,7 @@ def hidden_by_calibration(screening: Sequence[Screening]) -> dict[str, list[str]
     found: dict[str, list[str]] = {}
     for one in screening:
         if one.hidden:
-            found.setdefault(one.effect, []).append(one.place)
+            found.setdefault(one.effect, []).append(place_of(one.channel))
     return {name: sorted(found[name]) for name in CATALOGUE if name in found}
 
 

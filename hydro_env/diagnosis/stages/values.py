@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ...plant import CATALOGUE, PlantModel, parameter_of
-from ..estimation import Estimate, Unknown
+from ..estimation import Estimate
 from ..logs import Estimates
 from ..models.base import RigModel
 from .form_correction import is_correction
@@ -103,12 +105,11 @@ def _interval(estimate: Estimate, j: int) -> Interval:
     u, q, sure = estimate.unknowns[j], float(estimate.q[j]), estimate.intervals
     value = float(u.value(q))
     if sure is None:
-        ends, moved = [value, value], 0.0
-    else:
-        ends = [u.value(float(sure.low[j])), u.value(float(sure.high[j]))]
-        moved = max(abs(u.value(q + d) - value) for d in (-float(sure.without[j]), float(sure.without[j])))
-    low, high = (min(max(v, u.low), u.high) for v in (min(ends), max(ends)))
-    return Interval(value, float(low), float(high), u.unit, float(moved))
+        return Interval(value, value, value, u.unit)
+    low, high = (float(np.clip(u.value(float(end[j])), u.low, u.high)) for end in (sure.low, sure.high))
+    away = float(sure.without[j])
+    moved = max(abs(u.value(q - away) - value), abs(u.value(q + away) - value))
+    return Interval(value, low, high, u.unit, float(moved))
 
 
 def known_parameters(rig: RigModel, estimates: Estimates) -> list[KnownParameter]:
@@ -147,20 +148,18 @@ def at_bounds(estimates: Estimates) -> list[str]:
     for c, estimate in estimates.items():
         for u, q in zip(estimate.unknowns, estimate.q, strict=True):
             # What stayed as given may be given at the end of its range; a correction is no physics.
-            if abs(q) <= 1e-3 * (u.bounds[1] - u.bounds[0]) or (u.effect and is_correction(u.effect)):
+            stayed = abs(q) <= 1e-3 * (u.bounds[1] - u.bounds[0])
+            if stayed or not u.at_bound(float(q)) or (u.effect and is_correction(u.effect)):
                 continue
-            if "." in u.parameter and _nearest_end(u, float(q)) == parameter_of(u.parameter).neutral:
-                continue  # a given effect that is absent
-            if u.channel in (None, c) and u.at_bound(float(q)) and u.high > u.low:
+            if (
+                "." in u.parameter
+            ):  # of a given effect, which may be absent; the upper end of a limit's range stands for none
+                p, low = parameter_of(u.parameter), u.value(float(q)) < 0.5 * (u.low + u.high)
+                if p.neutral == (u.low if low else math.inf if p.role == "limit" else u.high):
+                    continue
+            if u.channel in (None, c) and u.high > u.low:
                 found.append(f"{u.name} of channel {c + 1} ({u.value(float(q)):.3g} {u.unit})")
     return found
-
-
-def _nearest_end(unknown: Unknown, q: float) -> float:
-    """The end of an unknown's range that is nearest; infinite where that end of a limit stands for no limit."""
-    if unknown.value(q) < 0.5 * (unknown.low + unknown.high):
-        return unknown.low
-    return math.inf if parameter_of(unknown.parameter).role == "limit" else unknown.high
 
 
 def estimated_model(rig: RigModel, estimates: Estimates, name: str) -> PlantModel:
