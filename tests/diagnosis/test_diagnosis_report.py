@@ -18,7 +18,7 @@ from hydro_env.diagnosis.models.base import view
 from hydro_env.diagnosis.report import summary
 from hydro_env.diagnosis.report import wording as words
 from hydro_env.diagnosis.report.page import report_page
-from hydro_env.diagnosis.report.statements import comment, left_over, remaining, sentence
+from hydro_env.diagnosis.report.statements import comment, remaining, sentence
 from hydro_env.diagnosis.stages.validation import Proofs
 from hydro_env.diagnosis.stages.values import Interval, KnownParameter
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model
@@ -256,17 +256,6 @@ def test_the_terminal_names_known_parameters_to_check(
     assert found.model.name  # made with the parameters that the rig has, and kept
     monkeypatch.setattr(found.state.rig, "own", {})
     assert "J_1 +63 %, Kq_1 +20 %; check J_1: further than usual" in found.summary()
-
-
-def test_what_is_left_is_told_slow_from_fast(found: Diagnosis) -> None:
-    assert left_over(found.state) == "" or "slower than 4 Hz" in left_over(found.state)
-    proof = found.state.proofs.held_out
-    quiet = dataclasses.replace(proof, errors={(0, "speed"): {**proof.errors[0, "speed"], "noise": 0.1}})
-    noisy = _with(found, proofs=_proofs(found, held_out=quiet))
-    assert "as fast as noise" in left_over(noisy.state)
-    traces = {**proof.traces, "after": {0: proof.traces["after"][0] + 3.0}}
-    shifted = _with(noisy, proofs=_proofs(found, held_out=dataclasses.replace(quiet, traces=traces)))
-    assert "something is still missing" in left_over(shifted.state)
 
 
 def test_an_unlikely_name_is_put_as_a_perhaps(found: Diagnosis) -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from ...plant import CATALOGUE
 from ..logs import place_of
 from ..models.base import RigModel
@@ -22,14 +20,12 @@ from . import wording as words
 
 __all__ = [
     "AT_NOISE", "SignalErrors", "comment", "correction_texts", "detectable", "effect_values", "error_columns", "errors_of",
-    "headline", "hidden_by_calibration", "left_over", "log_names", "next_step", "places", "ranking", "remaining", "remarks",
+    "headline", "hidden_by_calibration", "log_names", "next_step", "places", "ranking", "remaining",
     "sentence", "short_names", "shown_locations", "unit_of", "weak_proof", "windows_text",
 ]  # fmt: skip
 
 #: A signal is at the noise if its error is less than this factor above it: the least that reads as a difference.
 AT_NOISE = 1.1
-#: Slower than this a model could follow, s (the shaft's memory, see `input.duration`); what is faster is noise, or sensors.
-SLOW_S = 0.25
 #: A name that is more likely wrong than right is not put forward as a fact.
 LIKELY = 0.5
 #: A placebo that leaves less than so many times what the names leave makes the proof weak, where calibration left so many times
@@ -209,31 +205,6 @@ def short_names(rig: RigModel) -> list[str]:
 
 
 # --- what is left ---------------------------------------------------------------------------------------------------------
-def remarks(state: State) -> list[str]:
-    """What qualifies the verdict, a sentence each."""
-    return [text for text in (left_over(state), weak_proof(state)) if text]
-
-
-def left_over(state: State) -> str:
-    """What the final model leaves on the held-out logs of the speed that is worst: slow (physics) or fast (noise); or nothing."""
-    worst = _worst(state)
-    after, noise, unit, c = worst.errors["after"], worst.errors["noise"], worst.unit, worst.channel
-    share = _slow_share(state.proofs.held_out, c)
-    if after < AT_NOISE * noise or state.undetermined or share is None:
-        return ""
-    text = (
-        f"Of the {after:.3g} {unit} that are left on channel {c + 1}, {np.sqrt(share) * after:.2g} {unit} are slower than "
-        f"{1.0 / SLOW_S:g} Hz, where a model could follow"
-    )
-    if share < 0.25:
-        fast = float(np.sqrt(max(after**2 * (1.0 - share) - noise**2, 0.0)))
-        more = f", with short events of {fast:.2g} {unit} in it" if fast > noise else ""
-        return f"{text}; the rest is as fast as noise is{more}."
-    if state.verdict in ("none", "calibration"):
-        return f"{text}: the held-out logs show something there that the fit logs do not."
-    return f"{text}: something is still missing there, or the effect has another functional form than the catalogue's."
-
-
 def remaining(state: State, n: NamedEffect) -> str:
     """What the named effects together leave of the speeds of an effect's channels on the held-out logs."""
     speeds = [s for s in _speeds(state) if s.channel in (n.channels or state.rig.channels)]
@@ -242,22 +213,6 @@ def remaining(state: State, n: NamedEffect) -> str:
         f"(noise {s.errors['noise']:.3g})"
         for s in speeds
     ])  # fmt: skip
-
-
-def _slow_share(proof: Proof, c: int) -> float | None:
-    """The share of the power of a speed's error that is slower than `SLOW_S`; None where there is no error."""
-    power = slow = 0.0
-    size = shown_unit(proof.rig, "speed", c)[1]
-    for s in proof.rig.segments[c]:
-        if s.signal != "speed":
-            continue
-        error = np.where(s.used, s.measured - proof.traces["after"][c][s.place], np.nan) / size
-        width = max(1, round(SLOW_S / s.period))
-        pieces = error[: error.size // width * width].reshape(-1, width)
-        whole = np.isfinite(pieces).all(axis=1)
-        power += float(np.sum(pieces[whole] ** 2))
-        slow += float(np.sum(width * pieces[whole].mean(axis=1) ** 2))
-    return slow / power if power > 0.0 else None
 
 
 def weak_proof(state: State) -> str:

@@ -22,7 +22,8 @@ def summary(state: State, next_experiment: NextExperiment | None, warnings: Sequ
     """What the page says, shorter."""
     guess = " (best guess, not proven)" if state.best_guess else ""
     places, tried, known = _places(state), _tried(state), _known(state)
-    lines = [f"verdict: {state.verdict}{guess}", say.sentence(state), *say.remarks(state)]
+    lines = [f"verdict: {state.verdict}{guess}", say.sentence(state)]
+    lines += [text for text in [say.weak_proof(state)] if text]
     lines += [*(_effect(state, n) for n in state.effects), *places]
     lines += [f"  shape correction, not physics: {text}" for text in say.correction_texts(state)]
     lines += [*_errors(state), *tried, known, _hidden(state)]

@@ -28,11 +28,13 @@ FOLLOW_SPEED = rule(
 )
 
 EFFECT = "shaft_backlash"
-#: First looks: shares of the known inertia that are behind the coupling, and its gap and stiffness over their usual ones.
+#: First looks, over most of what is plausible: shares of the known inertia that are behind the coupling, and its gap and
+#: stiffness over their usual ones.
 SHARES, GAPS, STIFFNESSES = (0.2, 0.4, 0.65), (0.4, 1.0, 1.8), (0.7, 1.7)
-#: Rounds of random looks about the best ones, how many each, of how many best ones, and how far about these at first and at
-#: least, as logarithms.
-ROUNDS, LOOKS, BEST, FIRST_WIDTH, LEAST_WIDTH = 8, 32, 6, 0.4, 0.03
+#: Rounds of the cross-entropy method (Rubinstein 1999) about the best looks, how many looks each, eight for each of the four
+#: parameters, and how many are the best, a fifth of these. Their spread at first, that of the first looks, and what is added to it
+#: so that it does not die out, as logarithms.
+ROUNDS, LOOKS, BEST, FIRST_WIDTH, MIN_WIDTH = 8, 32, 6, 0.4, 0.03
 
 
 def run(calibrated: Calibrated, beside: Estimates) -> Calibrated:
@@ -64,17 +66,11 @@ def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:
     Else random looks about the best ones lead to where derivatives do: a blow earlier or later is no matter of small steps.
     """
     bare = calibrated.at(calibrated.q.copy())
-    gap, stiffness, damping = (
-        effect_in(fit.rig, EFFECT, c).parameter(n) for n in ("gap", "stiffness", "damping")
-    )
+    usual = {p.name: p for p in effect_in(fit.rig, EFFECT, c).parameters}
     inertias = np.array(SHARES) * bare.values(c)["J"]
-    sizes = (
-        inertias,
-        np.array(GAPS) * gap.typical,
-        np.array(STIFFNESSES) * stiffness.nominal,
-        [damping.nominal],
-    )
-    points = np.log(list(product(*sizes)))
+    gaps = np.array(GAPS) * usual["gap"].typical
+    stiffnesses = np.array(STIFFNESSES) * usual["stiffness"].nominal
+    points = np.log(list(product(inertias, gaps, stiffnesses, [usual["damping"].nominal])))
     looks = _looks(fit, bare, c, points)
     fit.evaluate([bare])
     if min(p.cost for p in looks) > bare.cost:
@@ -84,7 +80,7 @@ def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:
         best = points[np.argsort([p.cost for p in looks])[:BEST]]
         new = best[np.arange(LOOKS) % BEST] + width * rng.standard_normal((LOOKS, 4))
         points, looks = np.concatenate([points, new]), [*looks, *_looks(fit, bare, c, new)]
-        width = points[np.argsort([p.cost for p in looks])[:BEST]].std(axis=0) + LEAST_WIDTH
+        width = points[np.argsort([p.cost for p in looks])[:BEST]].std(axis=0) + MIN_WIDTH
     found = min(looks, key=lambda p: p.cost)
     gain = fit.gain(bare, found)
     start = {n.removeprefix(f"{EFFECT}."): v for n, v in found.values(c).items() if n.startswith(EFFECT)}
