@@ -14,7 +14,7 @@ from .stages.form_correction import Models
 from .stages.localisation import Location
 from .stages.naming import NamedEffect
 from .stages.screening import Screening
-from .stages.validation import PROVEN, Proofs
+from .stages.validation import Proofs
 from .stages.values import estimated_model
 
 __all__ = ["State"]
@@ -60,8 +60,8 @@ class State:
     @property
     def best_guess(self) -> bool:
         """Whether the named effects are only the best guess: they leave more of a speed of the held-out logs than its noise
-        (`PROVEN`). A reduced model is not held against the noise, which is not all that it leaves out."""
+        (`Settings.unexplained`). A reduced model is not held against the noise, which is not all that it leaves out."""
         if self.verdict != "effects" or not self.rig.has_hidden_states:
             return False
-        errors = self.proofs.judged.errors
-        return any(e["after"] > PROVEN * e["noise"] for (_, signal), e in errors.items() if signal == "speed")
+        errors, factor = self.proofs.judged.errors, self.logs.fit.settings.unexplained
+        return any(e["after"] > factor * e["noise"] for (_, signal), e in errors.items() if signal == "speed")

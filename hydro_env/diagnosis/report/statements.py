@@ -12,7 +12,7 @@ from ..stages.candidates import Candidate
 from ..stages.localisation import Location
 from ..stages.naming import NamedEffect
 from ..stages.screening import detectable, hidden_by_calibration
-from ..stages.validation import NAMED, Proof, shown_unit
+from ..stages.validation import AT_NOISE, NAMED, Proof, shown_unit
 from ..stages.values import KnownParameter
 from ..stages.values import effect_values as values_of_effect
 from ..state import State
@@ -24,8 +24,6 @@ __all__ = [
     "sentence", "short_names", "shown_locations", "unit_of", "weak_proof", "windows_text",
 ]  # fmt: skip
 
-#: A signal is at the noise if its error is less than this factor above it: the least that reads as a difference.
-AT_NOISE = 1.1
 #: A name that is more likely wrong than right is not put forward as a fact.
 LIKELY = 0.5
 #: A placebo that leaves less than so many times what the names leave makes the proof weak, where calibration left so many times

@@ -22,7 +22,7 @@ __all__ = [
 ACCEPTED = "accepted"
 OUTDONE = "others explain more"
 VANISHED = "vanishes when refitted"
-#: An estimate that is nearer to neutral than this share of the usual size has vanished.
+#: An estimate that is nearer to neutral than this share of the usual size has vanished: nobody would look for so little.
 NEUTRAL_SHARE = 0.02
 #: The round under which candidates are listed that were judged after the forward rounds.
 AFTER_ROUNDS = 9

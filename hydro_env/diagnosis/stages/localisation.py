@@ -23,16 +23,18 @@ from ..estimation import Estimate, effective_samples, noise_floor
 from ..logs import Estimates
 from ..models.base import RigModel
 from .shaft import SHAFT, Shaft, given_shaft, shaft_of
+from .validation import AT_NOISE
 
 __all__ = ["Location", "Shape", "locate", "run", "shape"]
 
 _FLOW = ("command, V", "flow over displacement, rpm", RPM)
 #: Steps to the shaft that explains measurement best: its equation is nearly linear in the three.
 SHAFT_STEPS = 8
-#: An equation errs if its mean square error is above so many times the noise's; from what share of all equations it is listed.
-ERRS, LISTED = 1.1, 0.02
-#: A regime is named if its mean square error is so many times that of all, and it holds neither next to nothing nor nearly all.
-CONTRAST, LEAST_ROWS, MOST_ROWS = 1.3, 0.03, 0.9
+#: An equation is listed that has this share of what all of them leave above their noise: less is rounded to nothing.
+LISTED = 0.02
+#: A regime is named if its mean square error is so many times that of all rows, and it holds neither next to nothing of them nor
+#: nearly all. Words only: nothing else depends on them.
+CONTRAST, MIN_ROWS, MAX_ROWS = 1.3, 0.03, 0.9
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,7 @@ def locate(rig: RigModel, estimates: Estimates) -> list[Location]:
         for replay in _replays(rig, estimate, channel):
             by_equation.setdefault(replay.equation, []).append(replay)
         components = [_Component(replays) for replays in by_equation.values()]
-        excess = {k.equation: k.power - ERRS for k in components if k.power > ERRS**2}
+        excess = {k.equation: k.power - 1.0 for k in components if k.power > AT_NOISE**2}
         for k in components:
             share = excess.get(k.equation, 0.0) / max(sum(excess.values()), 1e-30)
             if share > LISTED:
@@ -270,7 +272,7 @@ def _regime(component: _Component) -> str:
     contrast = {
         name: float(np.mean(power[rows])) / mean
         for name, rows in component.regimes.items()
-        if LEAST_ROWS < rows.mean() < MOST_ROWS
+        if MIN_ROWS < rows.mean() < MAX_ROWS
     }
     best = max(contrast, key=lambda name: contrast[name], default="everywhere")
     return best if contrast.get(best, 0.0) > CONTRAST else "everywhere"

@@ -12,23 +12,21 @@ from ..estimation import Estimate, Fit, probability_of_gain
 from ..logs import Estimates
 from .candidates import Accepted, Selection
 from .screening import Screening, alike
+from .validation import AT_NOISE
 from .values import Interval, effect_values, row_of, widened_by_form
 from .verdict import Confirmed
 
 __all__ = ["NamedEffect", "name_effects", "run"]
 
-#: Values of the two channels that differ by less (relative) are one effect of both.
+#: Values of the two channels that differ by less (relative) are one effect of both: two valves of a kind differ as much.
 SAME_VALUE = 0.15
 #: Of names that the logs do not confirm the share that is right, as a factor on their probability: 17 of 80 guesses of three
 #: blocks of blind trials were right whose probabilities sum to 63 (blocks 210000, 310000 and 320000 of seeds; the mean of its
 #: posterior under a uniform prior). What such logs hold may be no candidate at all.
 UNCONFIRMED = 0.28
-#: A confirmed name that leaves a signal of the held-out logs on its channel above so many times the noise, and the share of such
-#: names that is right, as a factor: 20 of 22 in blind trials (mean and prior as above). What is left may be the mark of
-#: another cause.
-LEFT, INCOMPLETE = 1.1, 0.88
-#: A candidate of the same signature competes if it gained this share of what the accepted one did.
-NEARLY_AS_MUCH = 0.9
+#: Of confirmed names that leave a signal of the held-out logs on their channel above its noise the share that is right, as a
+#: factor: 20 of 22 in blind trials (mean and prior as above). What is left may be the mark of another cause.
+INCOMPLETE = 0.88
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ def _trust(found: Confirmed, named: NamedEffect) -> float:
     channels = named.channels or judged.rig.channels
     left = max(e["after"] / e["noise"] for (c, _), e in judged.errors.items() if c in channels)
     # A reduced model is not held against the noise, which is not all that it leaves out.
-    return INCOMPLETE if judged.rig.has_hidden_states and left > LEFT else 1.0
+    return INCOMPLETE if judged.rig.has_hidden_states and left > AT_NOISE else 1.0
 
 
 def name_effects(selection: Selection, screening: Sequence[Screening], final: Estimates) -> list[NamedEffect]:
@@ -109,11 +107,8 @@ def _probability(fit: Fit, one: Accepted, competitors: Sequence[str], estimate: 
 
 
 def _did_nearly_as_well(selection: Selection, one: Accepted, name: str) -> bool:
-    return any(
-        t.gain > NEARLY_AS_MUCH * one.gain
-        for t in selection.candidates
-        if t.effect == name and t.channel == one.channel and t.estimate is not None
-    )
+    own = (k for k in selection.candidates if (k.effect, k.channel) == (name, one.channel) and k.refitted)
+    return any(k.gain > (1.0 - selection.logs.fit.settings.tied_share) * one.gain for k in own)
 
 
 def _merged(found: list[NamedEffect]) -> list[NamedEffect]:

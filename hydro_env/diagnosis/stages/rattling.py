@@ -32,8 +32,8 @@ EFFECT = "shaft_backlash"
 #: stiffness over their usual ones.
 SHARES, GAPS, STIFFNESSES = (0.2, 0.4, 0.65), (0.4, 1.0, 1.8), (0.7, 1.7)
 #: Rounds of the cross-entropy method (Rubinstein 1999) about the best looks, how many looks each, eight for each of the four
-#: parameters, and how many are the best, a fifth of these. Their spread at first, that of the first looks, and what is added to it
-#: so that it does not die out, as logarithms.
+#: parameters, and how many are the best, a fifth of these. Their spread at first, that of the first looks, and what is added so
+#: that it does not die out, as logarithms.
 ROUNDS, LOOKS, BEST, FIRST_WIDTH, MIN_WIDTH = 8, 32, 6, 0.4, 0.03
 
 

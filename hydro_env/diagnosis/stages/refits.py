@@ -10,7 +10,7 @@ from ..estimation import Estimate, Fit, bases_of, differentiate, solve, step_all
 
 __all__ = ["short_refit"]
 
-#: Iterations of a short refit; where simulating costs next to nothing there are more.
+#: Iterations of a short refit: one to come near, one from there. Where simulating costs next to nothing there are more.
 SHORT_ITERATIONS, CHEAP_ITERATIONS = 2, 10
 #: Multiples of a step of a short refit: parts of it are the best of all in one of forty.
 SHORT_FACTORS = (4.0, 2.0, 1.0)

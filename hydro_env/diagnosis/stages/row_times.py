@@ -24,11 +24,13 @@ from ..models.base import Request, RigModel, Segment, Segments, view
 
 __all__ = ["settled", "without_outliers"]
 
-#: A reading of the times is preferred to the one as logged if this share of its difference is in the residual.
+#: A reading of the times is preferred to the one as logged if this share of its difference is in the residual: half, where all or
+#: nothing of it is true, and of commands a whole row earlier half of that, where half a row is.
 EVEN, AHEAD = 0.5, 0.25
-#: Stamps that are off an even grid by less than this share of a step (RMS) are even.
+#: Stamps that are off an even grid by less than this share of a step (RMS) are rounded only.
 ROUNDED = 0.02
-#: Rows that two readings put further apart than this share of the noise, or others so near to them, s, do not count.
+#: Rows that two readings put further apart than this share of the noise, which makes 1.1 of it, do not count, nor do those that
+#: are so near to them, s: half a swing of 10 Hz.
 APART, NEAR_S = 0.5, 0.05
 
 

@@ -14,7 +14,7 @@ from .form_correction import Models
 
 __all__ = ["run", "undetermined"]
 
-#: A command that moves by less than this share of the rated one is constant.
+#: A command that moves by less than this share of the rated one, a few steps of a converter, is constant.
 CONSTANT = 0.01
 #: Of the known parameters' prior variance the logs must take away this share on average, or they hardly speak of them.
 LEARNED = 0.5

@@ -12,12 +12,12 @@ from ..logs import Estimates, Logs
 from ..models.base import UNITS, RigModel
 from .form_correction import Models
 
-__all__ = ["NAMED", "PROVEN", "Proof", "Proofs", "prove", "run", "shown_unit", "signal_key"]
+__all__ = ["AT_NOISE", "NAMED", "Proof", "Proofs", "prove", "run", "shown_unit", "signal_key"]
 
 #: Where the form of an effect was corrected this model is compared besides: the named effects without that correction.
 NAMED = "named"
-#: Named effects that leave a speed of the held-out logs above so many times its noise are not proven.
-PROVEN = 1.5
+#: A signal is at its noise up to so many times that: a fifth more power, which is more than the noise itself is uncertain by.
+AT_NOISE = 1.1
 
 
 @dataclass(frozen=True)
