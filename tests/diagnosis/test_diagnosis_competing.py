@@ -5,8 +5,9 @@ import pytest
 
 from hydro_env.diagnosis.estimation import Estimate, Fit, differentiate, solve
 from hydro_env.diagnosis.stages import elimination
-from hydro_env.diagnosis.stages.candidates import Accepted, Search, is_neutral
+from hydro_env.diagnosis.stages.candidates import Accepted, is_neutral
 from hydro_env.diagnosis.stages.elimination import drop_unneeded
+from hydro_env.diagnosis.stages.search import Search
 from hydro_env.plant import CATALOGUE
 from tests.linear_rig import NOISE, logged, time_of
 

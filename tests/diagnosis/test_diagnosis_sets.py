@@ -16,11 +16,11 @@ from hydro_env.diagnosis.stages.candidates import (
     OUTDONE,
     Accepted,
     Candidate,
-    Search,
     Selection,
     penalty,
 )
 from hydro_env.diagnosis.stages.form_correction import Models
+from hydro_env.diagnosis.stages.search import Search
 from hydro_env.diagnosis.stages.selection import better_set
 from hydro_env.diagnosis.stages.validation import Proof, Proofs
 from hydro_env.diagnosis.stages.verdict import Confirmed

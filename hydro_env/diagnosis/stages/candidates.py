@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,10 +11,9 @@ from ...plant import CATALOGUE
 from ...plant.catalogue.form_corrections import FAMILY
 from ..estimation import Estimate, Fit, Unknown
 from ..logs import Estimates, Logs, place_of
-from .screening import Screening
 
 __all__ = [
-    "ACCEPTED", "OUTDONE", "VANISHED", "Accepted", "Candidate", "Search", "Selection",
+    "ACCEPTED", "OUTDONE", "VANISHED", "Accepted", "Candidate", "Selection",
     "in_best_form", "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
@@ -105,72 +104,6 @@ def in_best_form(found: Estimate, attempted: Sequence[Estimate]) -> Estimate:
         return [(u.name, u.channel) for u in own]
 
     return min([found, *(p for p in attempted if bare(p) == bare(found))], key=lambda p: p.cost)
-
-
-@dataclass
-class Search:
-    """A selection under way: `present` are the estimates so far, from `calibrated`; `corrected` are pairs of an estimate and the
-    same with the best correction of form; the rest as in `Selection`."""
-
-    fit: Fit
-    calibrated: Estimates
-    screening: Sequence[Screening]
-    seconds: float
-    present: Estimates = field(default_factory=dict)
-    progress: Callable[[str], None] = lambda text: None
-    accepted: list[Accepted] = field(default_factory=list)
-    candidates: list[Candidate] = field(default_factory=list)
-    placebo: Estimates = field(default_factory=dict)
-    corrected: list[tuple[Estimate, Estimate]] = field(default_factory=list)
-    attempted: list[Estimate] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.present = self.present or dict(self.calibrated)
-
-    @property
-    def long(self) -> Fit:
-        """For refits that are to go far."""
-        return self.fit.on(self.fit.rig.for_long_refits())
-
-    @property
-    def names(self) -> list[str]:
-        """The candidates that act on one channel."""
-        return [n for n in self.fit.rig.candidates() if CATALOGUE[n].scope == "channel"]
-
-    def on(self, channel: int | None) -> list[Accepted]:
-        """What was accepted on a channel."""
-        return [k for k in self.accepted if k.channel == channel]
-
-    @property
-    def of_rig(self) -> bool:
-        """Whether the present estimate is one of the whole rig."""
-        return any(p.channel is None for p in self.present.values())
-
-    @property
-    def needed(self) -> float:
-        """What all accepted effects must pay for."""
-        return sum(k.needed for k in self.accepted)
-
-    def afresh(self) -> Search:
-        """The search for another set of effects, from the calibrated estimates."""
-        return Search(self.fit, self.calibrated, self.screening, self.seconds, progress=self.progress)
-
-    def put(self, channel: int, estimate: Estimate) -> None:
-        """Makes an estimate the present one: of its channel, or of both where it is the rig's."""
-        self.present.update(dict.fromkeys(self.fit.channels_of(estimate), estimate))
-
-    def record(
-        self, effect: str, channel: int | None, number: int, gain: float, outcome: str, estimate: Estimate | None = None
-    ) -> None:  # fmt: skip
-        """Remembers what became of a candidate in a round."""
-        needed = penalty(self.fit, effect)
-        self.candidates.append(Candidate(effect, channel, number, gain, needed, outcome, estimate))
-
-    def competing(self, effect: str, gains: dict[str, float]) -> dict[str, float]:
-        """Those of other effects' `gains` that are nearly as large as that of `effect`, as how far they are behind."""
-        found, needed = gains[effect], penalty(self.fit, effect)
-        behind = {name: max(0.0, found - g) for name, g in gains.items() if name != effect}
-        return {n: d for n, d in behind.items() if d < self.fit.settings.tied_share * found or d < needed}
 
 
 def penalty_per_parameter(fit: Fit) -> float:

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, settle, solve
 from ..settings import rule
-from .candidates import AFTER_ROUNDS, Search
-from .form_correction import attempts, refit_attempts
+from .candidates import AFTER_ROUNDS
+from .search import Search
 
 __all__ = ["drop_unneeded", "prefer_form"]
 
@@ -29,10 +29,8 @@ def prefer_form(search: Search) -> None:
             left = [placed for placed in present.placed_effects() if placed != (one.effect, c)]
             if not left or less is None or less.placed_effects() != left:
                 break  # it is alone, or others joined it since
-            found = attempts(fit, less, left)
-            refit_attempts(search.long, found)
-            search.attempted += [t.estimate for t in found]
-            if not any(t.score < present.cost + one.needed for t in found):
+            form = search.form_of(less)
+            if form is None or form.score >= present.cost + one.needed:
                 break
             outcome, gain = "another form of the others does better", fit.gain(less, present)
             search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, present)

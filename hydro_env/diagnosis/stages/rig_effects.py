@@ -9,12 +9,11 @@ from .candidates import (
     OUTDONE,
     Accepted,
     Candidate,
-    Search,
     is_neutral,
     judge,
     penalty,
 )
-from .refits import short_refit
+from .search import Search, short_refit
 
 __all__ = ["drop_vanished", "rig_effect_leads", "select_rig_effects"]
 

@@ -16,7 +16,6 @@ from ..estimation import (
     Estimate,
     best_on_early_window,
     could_pay,
-    grow_horizon,
     joined,
     solve,
     unexplained,
@@ -29,16 +28,15 @@ from .candidates import (
     OUTDONE,
     VANISHED,
     Accepted,
-    Search,
     Selection,
     judge,
     penalty,
 )
 from .elimination import drop_unneeded, prefer_form
-from .form_correction import attempts, given_on, refit_attempts
-from .refits import short_refit
+from .form_correction import given_on
 from .rig_effects import rig_effect_leads, select_rig_effects
 from .screening import Screening, screen
+from .search import Search, short_refit
 
 __all__ = ["better_set", "run", "select"]
 
@@ -159,7 +157,7 @@ def better_set(search: Search, other: Search) -> Search:
     fit = search.fit
     if not other.accepted:
         return search
-    _settle(search, list(dict.fromkeys(p for s in (search, other) for p in s.present.values())))
+    search.settle(list(dict.fromkeys(p for s in (search, other) for p in s.present.values())))
     pairs = sorted(((joined(s.present), s) for s in (search, other)), key=lambda pair: pair[0].cost)
     (more, best), (less, rest) = pairs
     # In the samples that are independent beside the one that explains more.
@@ -182,7 +180,7 @@ def _worth_another(search: Search, c: int) -> bool:
         return False
     if not fit.rig.has_hidden_states or not (present.effects() or given_on(fit, present)):
         return True
-    return could_pay(fit, _in_other_form(search, present), c)
+    return could_pay(fit, search.in_other_form(present), c)
 
 
 # --- forward steps --------------------------------------------------------------------------------------------------------
@@ -228,7 +226,7 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     for k in contests:
         k.rank(search)
     # Before it is judged: in a local minimum the right one gains little, too.
-    _settle(search, [k.refits[0] for k in contests])
+    search.settle([k.refits[0] for k in contests])
     if fit.rig.has_hidden_states and fit.settings.uses(COMPETE_ON_BEGINNING):
         _compete_on_beginning(search, contests)
     accepted = [k.channel for k in contests if _accept_best(search, k, number)]
@@ -257,7 +255,7 @@ def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
     """
     fit, names = search.fit, []
     left = [k for k in contests if unexplained(fit, k.refits[0], k.channel)]
-    left = [k for k in left if unexplained(fit, _in_other_form(search, k.refits[0]), k.channel)]
+    left = [k for k in left if unexplained(fit, search.in_other_form(k.refits[0]), k.channel)]
     for k in left:
         here = {n for n, c in search.present[k.channel].placed_effects() if c in (None, k.channel)}
         shows = {s.effect for s in search.screening if s.channel == k.channel and s.shows}
@@ -272,32 +270,10 @@ def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
     solve(fit, [p for race in races for p in race], SETTLE_ITERATIONS, races=races)
     for k in left:
         k.rank(search)
-    _settle(search, [p for k in left for p in k.refits[:1]])
+    search.settle([p for k in left for p in k.refits[:1]])
     for k, leader in zip(left, leaders, strict=True):
         k.refits.append(leader)
         k.rank(search)
-
-
-def _in_other_form(search: Search, estimate: Estimate) -> Estimate:
-    """The estimate with the correction of form that explains most of what it leaves, if one does; remembered in the search."""
-    known = next((better for own, better in search.corrected if own is estimate), None)
-    if known is None:
-        fit = search.fit
-        found = attempts(fit, estimate, estimate.placed_effects())
-        refit_attempts(search.long, found)
-        best = min(found, key=lambda t: t.score, default=None)
-        better = best is not None and best.score < estimate.cost
-        known = best.estimate if best is not None and better else estimate
-        search.corrected.append((estimate, known))
-        search.attempted += [t.estimate for t in found]
-    return known
-
-
-def _settle(search: Search, estimates: Sequence[Estimate]) -> None:
-    """Improves estimates as far as they go, in place."""
-    solve(search.long, estimates, SETTLE_ITERATIONS)
-    if search.fit.rig.has_hidden_states:
-        solve(search.long, grow_horizon(search.long, estimates), SETTLE_ITERATIONS)
 
 
 def _adopt_base(search: Search, c: int, vanished: Estimate) -> bool:
