@@ -14,7 +14,6 @@ import numpy as np
 
 from ...plant import CATALOGUE
 from ..models.base import RigModel, effect_in
-from ..settings import rule
 from .early_window import early_window_of
 from .estimate import Estimate
 from .fit import Fit
@@ -23,7 +22,6 @@ from .unknowns import effect_starts
 
 __all__ = ["grow_horizon"]
 
-GROW_HORIZON = rule("grow_horizon", "fit what is far from the noise to the beginning of the logs first")
 
 #: Times the noise from which on an estimate is fitted to the beginning of the logs first: three quarters of the power are left.
 FAR = 2.0
@@ -43,7 +41,7 @@ FIRST_STARTS, KEPT_STARTS = 6, 2
 
 def grow_horizon(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
     """Improves in place those of `estimates` that are far from the noise; returns the ones that became better."""
-    if not fit.settings.uses(GROW_HORIZON):
+    if not fit.settings.uses("grow_horizon"):
         return []
     found = []
     for estimate in estimates:

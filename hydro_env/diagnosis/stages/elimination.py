@@ -5,23 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, settle, solve
-from ..settings import rule
 from .candidates import AFTER_ROUNDS
 from .search import Search
 
 __all__ = ["drop_unneeded", "prefer_form"]
-
-DROP_UNNEEDED = rule(
-    "drop_unneeded", "drop an effect that the known parameters replace, from where it led them"
-)
-PREFER_FORM = rule("prefer_form", "drop an effect if another form of those beside it explains more")
 
 
 def prefer_form(search: Search) -> None:
     """Drops the last effect of a channel if another form of those accepted before explains more: no rig has exactly the laws of
     the catalogue, and what a law leaves is no further effect."""
     fit = search.fit
-    if not (fit.rig.has_hidden_states and fit.settings.uses(PREFER_FORM)):
+    if not (fit.rig.has_hidden_states and fit.settings.uses("prefer_form")):
         return
     for c in fit.rig.channels:
         for one in reversed(search.on(c)):
@@ -42,7 +36,7 @@ def prefer_form(search: Search) -> None:
 def drop_unneeded(search: Search) -> None:
     """Drops an effect that is alone on its channel if the known parameters, from where it has led them, do without it."""
     fit = search.fit
-    for c in fit.rig.channels if fit.settings.uses(DROP_UNNEEDED) else ():
+    for c in fit.rig.channels if fit.settings.uses("drop_unneeded") else ():
         own, present = search.on(c), search.present[c]
         before = own[0].without if len(own) == 1 and present.channel is not None else None
         if before is None or far_from_noise(fit, before):

@@ -27,7 +27,6 @@ from ..estimation import (
 )
 from ..logs import Estimates, changed, distinct
 from ..models.base import RigModel, given_effects
-from ..settings import rule
 from .candidates import Selection, penalty_per_parameter
 
 __all__ = [
@@ -35,7 +34,6 @@ __all__ = [
     "refit_attempts", "run", "with_correction",
 ]  # fmt: skip
 
-CORRECT_FORM = rule("correct_form", "correct the form of named effects")
 
 #: Iterations of a joint refit with a correction; the one that is kept goes as far as it goes.
 TRY_ITERATIONS = 8
@@ -101,7 +99,7 @@ def run(given: Estimates, selection: Selection, verdict: str) -> Models:
     found, placebo = selection.estimates, selection.placebo
     models = Models(given, selection.calibrated, found, given if verdict == "none" else found, placebo)
     fit = selection.logs.fit.on(selection.logs.rig.for_long_refits())
-    if verdict not in ("effects", "calibration") or not fit.settings.uses(CORRECT_FORM):
+    if verdict not in ("effects", "calibration") or not fit.settings.uses("correct_form"):
         return models
     named = [(k.effect, k.channel) for k in selection.accepted]
     final, corrections = correct_all(fit, found, named, selection.attempted)

@@ -16,16 +16,12 @@ import numpy as np
 from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Vector, solve, unexplained
 from ..logs import Estimates
 from ..models.base import effect_in
-from ..settings import rule
 from .calibration import Calibrated, as_given
 from .candidates import penalty
 from .screening import Screening
 
 __all__ = ["run"]
 
-FOLLOW_SPEED = rule(
-    "follow_speed", "follow the measured speed where a coupling rattles, which multiplies every difference"
-)
 
 EFFECT = "shaft_backlash"
 #: First looks, over most of what is plausible: shares of the known inertia that are behind the coupling, and its gap and
@@ -44,8 +40,8 @@ def run(calibrated: Calibrated, beside: Estimates) -> Calibrated:
     """
     logs, found = calibrated.logs, {}
     fit, rig = logs.fit, logs.rig
-    known = EFFECT in rig.candidates()
-    for c, p in beside.items() if known and rig.has_hidden_states and fit.settings.uses(FOLLOW_SPEED) else ():
+    able = rig.has_hidden_states and EFFECT in rig.candidates() and fit.settings.uses("follow_speed")
+    for c, p in beside.items() if able else ():
         if p.channel != c or c in rig.followed or EFFECT in p.effects() or rig.has(EFFECT, c):
             continue
         if unexplained(fit, p, c) and (one := _backlash(fit.on(rig.following({c})), p, c)):

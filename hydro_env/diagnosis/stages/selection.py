@@ -21,7 +21,6 @@ from ..estimation import (
     unexplained,
 )
 from ..logs import changed
-from ..settings import rule
 from .calibration import Calibrated
 from .candidates import (
     ACCEPTED,
@@ -40,13 +39,6 @@ from .search import Search, short_refit
 
 __all__ = ["better_set", "run", "select"]
 
-COMPETE_ON_BEGINNING = rule(
-    "compete_on_beginning",
-    "compare all candidates on the beginning of the logs where the best one leaves something",
-)
-COMPARE_SETS = rule(
-    "compare_sets", "compare a set of local effects with one that has an effect of the whole rig"
-)
 
 #: Short refits and full refits in the first round, and half as many in later ones, where the screening is beside a better model.
 #: This is successive halving (Karnin, Koren and Somekh 2013) by quarters: of some forty candidates 12 and of these 3 go on.
@@ -111,7 +103,7 @@ def select(search: Search) -> Search:
     whole = len(search.fit.rig.channels) == 2 and any(k.channel is None for k in search.screening)
     leads = whole and rig_effect_leads(search)
     _search(search, leads)
-    compared = search.fit.settings.uses(COMPARE_SETS) or not search.accepted
+    compared = search.fit.settings.uses("compare_sets") or not search.accepted
     if not (whole and compared and _may_be_outdone(search, leads)):
         return search
     other = search.afresh()
@@ -227,7 +219,7 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
         k.rank(search)
     # Before it is judged: in a local minimum the right one gains little, too.
     search.settle([k.refits[0] for k in contests])
-    if fit.rig.has_hidden_states and fit.settings.uses(COMPETE_ON_BEGINNING):
+    if fit.rig.has_hidden_states and fit.settings.uses("compete_on_beginning"):
         _compete_on_beginning(search, contests)
     accepted = [k.channel for k in contests if _accept_best(search, k, number)]
     if number == 1:

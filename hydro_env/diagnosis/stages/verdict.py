@@ -15,7 +15,6 @@ from ..estimation import (
     unexplained,
 )
 from ..logs import Estimates, Logs
-from ..settings import rule
 from . import uncertainty, validation
 from .calibration import Calibrated
 from .candidates import Accepted, Selection, neutral_of
@@ -25,11 +24,6 @@ from .values import effect_values
 
 __all__ = ["Confirmed", "confirm", "decide", "doubts"]
 
-DOUBT_WORSE = rule("doubt_worse", "reject names that make a signal worse of the held-out logs")
-DOUBT_LEFT = rule(
-    "doubt_left", "reject names that leave much of a signal of the fit logs, whatever their form"
-)
-DOUBT_NEUTRAL = rule("doubt_neutral", "reject names whose interval holds the neutral value")
 
 #: A signal of the held-out logs is made worse if its error is so many times what calibration alone leaves, and so many times
 #: the noise. With these and the next three values names were doubted in seven blind trials of block 200000, all of them wrong.
@@ -131,7 +125,7 @@ def doubts(logs: Logs, accepted: Sequence[Accepted], final: Estimates, proofs: P
     found: list[str] = []
     for c in dict.fromkeys(k.channel for k in accepted if k.channel is not None):
         found += _doubts_of_channel(logs, final, c, proofs)
-    for one in accepted if logs.fit.settings.uses(DOUBT_NEUTRAL) else ():
+    for one in accepted if logs.fit.settings.uses("doubt_neutral") else ():
         c = logs.rig.channels[0] if one.channel is None else one.channel
         if _may_be_absent(final[c], one.effect, c):
             place = "the rig" if one.channel is None else f"channel {c + 1}"
@@ -164,11 +158,11 @@ def _doubts_of_channel(logs: Logs, final: Estimates, c: int, proofs: Proofs) -> 
         silent = held_out_apart.get(signal, 0.0) > max(CANNOT_BE_PREDICTED, after / noise)
         clearly = after > WORSE * calibrated and after > WORSE_NOISE * noise
         worse = clearly or (dynamic and _worse(fitted) and _worse(entry))
-        if not silent and worse and uses(DOUBT_WORSE):
+        if not silent and worse and uses("doubt_worse"):
             yield f"{plain} is explained worse with the named effects than by calibration alone"
         times = fitted["after"] / fitted["noise"]
         far = fit_apart.get(signal, 0.0) < times and _far_from_explained(fitted)
-        if dynamic and far and level[signal] > LEFT_LEVEL and uses(DOUBT_LEFT):
+        if dynamic and far and level[signal] > LEFT_LEVEL and uses("doubt_left"):
             yield f"{plain} of the fit logs is left {times:.2g} times its noise, whatever the form of what is named"
 
 
