@@ -39,18 +39,18 @@ class Settings:
     false_alarm: float = 0.01
     #: Effects on a channel at most: one more than blind trials hide.
     max_effects: int = 3
-    #: A residual that is so many times the noise, in a signal of a log, which is more than twice its power, stays unexplained: the
-    #: verdict is `unknown`, ...
+    #: A residual that is so many times the noise, more than twice its power, in a signal of a log, stays unexplained: the verdict
+    #: is `unknown`, ...
     unexplained: float = 1.5
     #: ... unless what was found explains this share of it in `Fit.levels`, ...
     most_of_level: float = 0.5
     #: ... or this share in power.
     most_of_power: float = 0.8
-    #: Competing candidates whose gain is less than this share behind count as indistinguishable: the laws of two machines differ as
+    #: Competing candidates whose gain is less than this share behind count as indistinguishable: the laws of machines differ as
     #: much.
     tied_share: float = 0.1
-    #: Factor on a deviance by which competing candidates fall behind: models are never exact, so a likelihood is tempered (power
-    #: likelihood; Holmes and Walker 2017), here to the share above.
+    #: Factor on a deviance by which competing candidates fall behind: models are never exact, so a likelihood is tempered
+    #: (power likelihood; Holmes and Walker 2017), here to the share above.
     temper: float = 0.1
     #: Command of the next experiment at most, as a share of the rated one, ...
     command_limit: float = 1.0
