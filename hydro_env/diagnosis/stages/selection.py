@@ -20,7 +20,6 @@ from ..estimation import (
     solve,
     unexplained,
 )
-from ..logs import changed
 from .calibration import Calibrated
 from .candidates import (
     ACCEPTED,
@@ -83,14 +82,22 @@ def run(
     progress: Callable[[str], None] = lambda text: None,
 ) -> Selection:
     """Selects effects and estimates the noise again."""
-    logs = calibrated.logs
-    search = select(Search(logs.fit, calibrated.estimates, screening, logs.seconds, progress=progress))
+    logs, copies = calibrated.logs, {p: replace(p) for p in calibrated.estimates.values()}
+    own = {c: copies[p] for c, p in calibrated.estimates.items()}
+    search = select(Search(logs.fit, own, screening, logs.seconds, progress=progress))
     fit = logs.fit.with_noise_seen_by(search.present)
     groups = search.calibrated, search.present, search.placebo
-    every = [p for group in groups for p in group.values()]
-    first, found, placebo = changed(fit.rescore, every, *groups)
+    fit.rescore(list(dict.fromkeys(p for group in groups for p in group.values())))
     logs = replace(logs, fit=fit)
-    return Selection(logs, first, found, search.accepted, search.candidates, placebo, search.attempted)
+    return Selection(
+        logs,
+        search.calibrated,
+        search.present,
+        search.accepted,
+        search.candidates,
+        search.placebo,
+        search.attempted,
+    )
 
 
 def select(search: Search) -> Search:
