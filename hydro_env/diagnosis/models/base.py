@@ -280,18 +280,21 @@ def measured_segments(
                     continue
                 values = part.log.get(signal)
                 assert values is not None
-                segment = Segment(
-                    number,
-                    channel,
-                    signal,
-                    values[rows, channel],
-                    rows,
-                    part.inside[rows],
-                    part.log.period * step,
-                    late=None if part.log.late is None else part.log.late[rows] / part.log.period,
-                    finer=part.finer,
+                late = None if part.log.late is None else part.log.late[rows] / part.log.period
+                where, period = slice(place, place + rows.size), part.log.period * step
+                found[channel].append(
+                    Segment(
+                        number,
+                        channel,
+                        signal,
+                        values[rows, channel],
+                        rows,
+                        part.inside[rows],
+                        period,
+                        where,
+                        late,
+                        part.finer,
+                    )
                 )
-                segment.place = slice(place, place + rows.size)
-                place += rows.size
-                found[channel].append(segment)
+                place = where.stop
     return found

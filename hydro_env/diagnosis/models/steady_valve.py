@@ -193,28 +193,19 @@ def _lagged(value: np.ndarray, lag: np.ndarray, period: float) -> np.ndarray:
 def _state(effect: str, known: dict[str, Any], period: float) -> np.ndarray:
     """The memory of an effect that is driven by the current, by implicit steps from row to row; (lanes, T)."""
     described = CATALOGUE[effect]
-    state = described.states[0]
-    current = known["current"]
-    width = max(
-        np.shape(v)[0]
-        for v in (current, *(v for n, v in known.items() if n.startswith(f"{effect}.")))
-        if np.ndim(v)
-    )
+    state, current = described.states[0], known["current"]
     rate_of, further = elementwise(state.rate), 0.01 * state.scale
-    changes = np.diff(current, axis=1, prepend=current[:, :1]) / period
-    out = np.zeros((width, current.shape[1]))
-    loop = np.zeros(width)
     names = list(inspect.signature(state.rate).parameters)
-    own = {
-        n: np.broadcast_to(argument(described, n, known), (width, 1))[:, 0]
-        for n in {*names} - {state.name, "current_rate"}
-    }
+    own = {n: argument(described, n, known) for n in names if n not in (state.name, "current_rate")}
+    changes = np.diff(current, axis=1, prepend=current[:, :1]) / period
+    loop = np.zeros(np.broadcast_shapes(changes[:, :1].shape, *map(np.shape, own.values())))
+    out = np.empty((loop.shape[0], current.shape[1]))
     for row in range(current.shape[1]):
-        inputs = {**own, state.name: loop, "current_rate": np.broadcast_to(changes[:, row], (width,))}
+        inputs = {**own, "current_rate": changes[:, row : row + 1]}
         rate, beside = (
             rate_of(*({**inputs, state.name: at}[n] for n in names)) for at in (loop, loop + further)
         )
         decay = (rate - beside) / further
         loop = (loop + period * (rate + decay * loop)) / (1.0 + period * decay)
-        out[:, row] = loop
+        out[:, row] = loop[:, 0]
     return out
