@@ -6,13 +6,12 @@ fit               likelihood, residuals and deviance of an estimate on the logs 
 noise             noise and independent samples of a residual
 gauss_newton      the solver
 final_refinement  the last steps to the minimum, with derivatives as wide as the uncertainty
-growing_horizon   fits to the beginning of the logs first
-early_window      competing candidates on the beginning of the logs
+early_window      fits to the beginning of the logs, of one estimate or of competing candidates
 fit_criteria      how much of a residual is explained
 uncertainty       block bootstrap
 """
 
-from .early_window import best_on_early_window
+from .early_window import best_on_early_window, grow_horizon
 from .estimate import Estimate, Vector, joined
 from .final_refinement import refine, settle
 from .fit import Fit, Noise, noise_of
@@ -23,7 +22,6 @@ from .fit_criteria import (
     unexplained,
 )
 from .gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
-from .growing_horizon import grow_horizon
 from .noise import effective_samples, noise_floor
 from .uncertainty import (
     CANNOT_BE_PREDICTED,

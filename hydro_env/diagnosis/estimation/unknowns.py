@@ -141,20 +141,10 @@ def base_unknown(parameter: Parameter, value: float, limited: bool = False, size
         low = max(low, value / 20.0)
         if limited:
             high = min(high, value * BASE_OF_EFFECT_FACTOR)
-    spread = FRICTION_SPREAD if limited and log else PRIOR_SPREAD
-    return _about(parameter.name, parameter.unit, value, low, high, log, spread, high - low)
-
-
-def _about(
-    name: str, unit: str, value: float, low: float, high: float, log: bool, spread: float, usual: float, prior: bool = True
-) -> Unknown:  # fmt: skip
-    """A parameter about its value as given, with a scale of `spread` of the value, or of a quarter of what is `usual`; a range
-    holds four scales at least."""
-    if log:
-        scale = min(math.log(high / low) / 4.0, spread)
+        scale = min(math.log(high / low) / 4.0, FRICTION_SPREAD if limited else PRIOR_SPREAD)
     else:
-        scale = min((high - low) / 4.0, spread * max(abs(value), 0.25 * usual))
-    return Unknown(name, unit, value, low, high, scale, log, prior)
+        scale = min((high - low) / 4.0, PRIOR_SPREAD * max(abs(value), 0.25 * (high - low)))
+    return Unknown(parameter.name, parameter.unit, value, low, high, scale, log, True)
 
 
 def given_unknown(name: str, p: Parameter, value: float) -> Unknown:
@@ -170,12 +160,12 @@ def given_unknown(name: str, p: Parameter, value: float) -> Unknown:
         high = 20.0 * max(abs(value), abs(low))
     if p.role == "size":
         low, high = min(low, p.neutral), max(high, p.neutral)
-    log = low > 0.0 and (p.log or p.role == "limit")
-    if p.carries_size:
-        return _about(name, p.unit, value, low, high, log, FRICTION_SPREAD, abs(p.typical - p.neutral))
-    # A scale of an angle is some 50 degrees, wherever it is.
-    usual = 2.0 * (high - low) if p.role == "phase" else high - low
-    return _about(name, p.unit, value, low, high, log, PRIOR_SPREAD, usual, prior=p.role != "phase")
+    spread = FRICTION_SPREAD if p.carries_size else PRIOR_SPREAD
+    if low > 0.0 and (p.log or p.role == "limit"):
+        return Unknown(name, p.unit, value, low, high, min(spread, math.log(high / low) / 4.0), True, True)
+    usual = abs(p.typical - p.neutral) if p.carries_size else high - low
+    scale = 0.15 * (high - low) if p.role == "phase" else spread * max(abs(value), 0.25 * usual)
+    return Unknown(name, p.unit, value, low, high, min(scale, (high - low) / 4.0), False, p.role != "phase")
 
 
 def effect_starts(effect: Effect, seconds: float, whole: bool = False) -> list[dict[str, float]]:

@@ -273,28 +273,17 @@ def measured_segments(
     for channel in channels:
         place, found[channel] = 0, Segments()
         for number, part in enumerate(parts):
-            step = 1 if every_row else max(1, -(-len(part.log) // MAX_ROWS))
-            rows = np.arange(0, len(part.log), step)
-            for signal in signals:
-                if not part.log.has(signal, channel):
-                    continue
-                values = part.log.get(signal)
+            log = part.log
+            step = 1 if every_row else max(1, -(-len(log) // MAX_ROWS))
+            rows, period = np.arange(0, len(log), step), log.period * step
+            late = None if log.late is None else log.late[rows] / log.period
+            for signal in (s for s in signals if log.has(s, channel)):
+                values = log.get(signal)
                 assert values is not None
-                late = None if part.log.late is None else part.log.late[rows] / part.log.period
-                where, period = slice(place, place + rows.size), part.log.period * step
+                own, where = values[rows, channel], slice(place, place + rows.size)
+                known = part.inside[rows]
                 found[channel].append(
-                    Segment(
-                        number,
-                        channel,
-                        signal,
-                        values[rows, channel],
-                        rows,
-                        part.inside[rows],
-                        period,
-                        where,
-                        late,
-                        part.finer,
-                    )
+                    Segment(number, channel, signal, own, rows, known, period, where, late, part.finer)
                 )
                 place = where.stop
     return found
