@@ -12,6 +12,7 @@ make up for them, which `Calibration.warnings` says.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,23 +109,18 @@ def estimate(
     """
     given = load_model(model)
     # Threads of the linear algebra would wait for each other and for those that simulate: its matrices are narrow.
-    with threadpool_limits(1, "blas"):
+    with threadpool_limits(1, "blas"), ExitStack() as at_end:
         progress("reading logs", 0)
         parts, _ = read_logs(logs, None, mapping, accept)
 
-        def opened(parts: list[Part]) -> RigModel:
+        def rig_of(parts: list[Part]) -> RigModel:
             return rig_model(given, parts, steady, jobs, lambda done: progress("calibrating", done))
 
-        first = opened(parts)
-        parts = settled(first, parts)
-        first.close()
-        rig = opened(parts)
-        fine = rig.with_parts(parts, False) if rig.has_hidden_states else rig
-        try:
-            return _estimated(rig, fine, parameters, accept, Settings(seed=seed))
-        finally:
-            rig.close()
-            fine.close()
+        with closing(rig_of(parts)) as first:
+            parts = settled(first, parts)
+        rig = at_end.enter_context(closing(rig_of(parts)))
+        fine = at_end.enter_context(closing(rig.with_parts(parts, False))) if rig.has_hidden_states else rig
+        return _estimated(rig, fine, parameters, accept, Settings(seed=seed))
 
 
 def _estimated(

@@ -198,8 +198,8 @@ def _state(effect: str, known: dict[str, Any], period: float) -> np.ndarray:
     names = list(inspect.signature(state.rate).parameters)
     own = {n: argument(described, n, known) for n in names if n not in (state.name, "current_rate")}
     changes = np.diff(current, axis=1, prepend=current[:, :1]) / period
-    loop = np.zeros(np.broadcast_shapes(changes[:, :1].shape, *map(np.shape, own.values())))
-    out = np.empty((loop.shape[0], current.shape[1]))
+    lanes = np.broadcast_shapes(changes[:, :1].shape, *map(np.shape, own.values()))[0]
+    loop, out = np.zeros((lanes, 1)), np.empty((lanes, current.shape[1]))
     for row in range(current.shape[1]):
         inputs = {**own, "current_rate": changes[:, row : row + 1]}
         rate, beside = (

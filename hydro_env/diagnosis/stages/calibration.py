@@ -86,7 +86,7 @@ def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> 
         else:
             parameter = rig.own[name] if name in rig.own else parameter_of(name)
             unknown = base_unknown(parameter, value, name in limited, size)
-        if chosen is not None and (bounds := chosen[name]) is not None:
+        if chosen is not None and (bounds := chosen[name]):
             unknown = replace(unknown, low=bounds[0], high=bounds[1])
         of_rig = effect and CATALOGUE[effect].scope == "rig"
         found.append(replace(unknown, channel=None if of_rig else channel))
@@ -96,20 +96,21 @@ def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> 
 def check_chosen(rig: RigModel, chosen: Chosen) -> None:
     """InputError for a parameter that calibration cannot adjust, or bounds that do not hold its value."""
     known = dict.fromkeys(name for c in rig.channels for name in rig.base(c))
-    for name, bounds in chosen.items():
+    for name in chosen:
         if name not in known:
             near = nearest(name, known)
             hint = f"did you mean {near!r}? " if near else ""
             raise InputError(f"unknown parameter {name!r}: {hint}these can be estimated: {', '.join(known)}")
-        for c in rig.channels if bounds is not None else ():
-            assert bounds is not None
-            for u in base_unknowns(rig, c, {name: None}):
-                low, high = bounds
-                if not low <= u.center <= high or (u.log and not low > 0.0) or not math.isfinite(high - low):
-                    need = "positive bounds" if u.log else "bounds"
-                    raise InputError(
-                        f"{name}: {low:g} to {high:g} {u.unit} are no {need} around {u.center:g}, the model's on channel {c + 1}"
-                    )
+    for u in (u for c in rig.channels for u in base_unknowns(rig, c, chosen)):
+        if (
+            not u.low <= u.center <= u.high
+            or (u.log and not u.low > 0.0)
+            or not math.isfinite(u.high - u.low)
+        ):
+            need = "positive bounds" if u.log else "bounds"
+            raise InputError(
+                f"{u.name}: {u.low:g} to {u.high:g} {u.unit} are no {need} around {u.center:g} of the model"
+            )
 
 
 def fit_as_given(rig: RigModel, settings: Settings | None = None) -> tuple[Fit, Estimates]:
