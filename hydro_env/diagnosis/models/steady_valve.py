@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from math import isnan, nan
 from typing import Any
 
 import numpy as np
@@ -124,9 +123,11 @@ class SteadyValve(RigModel):
                 groups.setdefault((channel, effects), []).append(number)
         for (channel, effects), numbers in groups.items():
             own = (f"{e}.{p.name}" for e in effects for p in CATALOGUE[e].parameters)
+            wanted = [requests[n].on(channel) for n in numbers]
+            names = dict.fromkeys(("Kq", "lag", *own, *(name for each in wanted for name in each)))
             values = {
-                name: np.array([[self._value(requests[n], name, channel)] for n in numbers])
-                for name in {"Kq", "lag", *own, *(k for n in numbers for k in requests[n].values)}
+                name: np.array([[each.get(name, self.given(name, channel))] for each in wanted])
+                for name in names
             }
             ordered = [n for n in CATALOGUE if n in effects]
             speeds = [self._speed(part, channel, values, ordered) for part in self.parts]
@@ -138,12 +139,6 @@ class SteadyValve(RigModel):
         if self.progress is not None:
             self.progress(len(requests))
         return results
-
-    def _value(self, request: Request, name: str, channel: int) -> float:
-        """The value of a parameter that is asked for, or the given one."""
-        value = request.values.get(name, nan)
-        value = value[channel] if isinstance(value, tuple) else value
-        return self.given(name, channel) if isnan(value) else value
 
     def _speed(
         self, part: Part, channel: int, values: dict[str, np.ndarray], effects: list[str]
@@ -163,12 +158,8 @@ class SteadyValve(RigModel):
                 known[f"{name}.{CATALOGUE[name].states[0].name}"] = _state(name, known, period)
         known["spool"] = apply_laws("force", force, effects, known) / known["k"]
         known["opening"] = apply_laws("opening", known["spool"], effects, known)
-        pressure = (
-            log.pressure[:, channel]
-            if log.has("pressure", channel) and log.pressure is not None
-            else np.zeros(len(log))
-        )
-        known["pressure"] = filled(pressure)[None, :]
+        pressure = log.get("pressure")
+        known["pressure"] = 0.0 if pressure is None else filled(pressure[:, channel])[None, :]
         drive = apply_laws("drive", np.ones_like(known["opening"]), effects, known)
         speed = known["Kq"] * known["opening"] * np.sqrt(np.maximum(drive, 0.0)) / self.displacement[channel]
         speed = _lagged(np.broadcast_to(speed, (values["Kq"].shape[0], len(log))), values["lag"], period)
