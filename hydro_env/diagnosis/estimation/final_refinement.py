@@ -2,7 +2,7 @@
 
 Friction makes a cost rough, and forces on the spool are known by their ratios far better than one by one. Differences of one
 unknown at a time then see the roughness or step over the minimum. So differences are taken along the principal axes of the
-normal matrix, as secants over so many standard deviations either way: wide ones step over local minima, narrow ones give the
+normal matrix, as secants over several standard deviations either way: wide ones step over local minima, narrow ones give the
 covariance on the scale on which it is used. This is Gauss-Newton in whitened coordinates with the secants of unscented
 transforms (Julier and Uhlmann 2004, doi:10.1109/JPROC.2003.823141).
 """

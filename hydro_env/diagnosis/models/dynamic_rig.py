@@ -22,7 +22,7 @@ __all__ = ["DynamicRig"]
 #: Tolerances of the fit and of the proof, rad/s: speeds are off by about 0.03 and 0.003 rpm (RMS; their noise is about 1 rpm).
 #: With more in the fit its costs become rough: it takes more simulations than it saves time for.
 TOLERANCE, PROOF_TOLERANCE = 0.1 * RPM, 0.03 * RPM
-#: Numbers of the fit and of the proof. Single precision takes half the time.
+#: Numbers of the fit and of the proof: twice as many in single precision fit a vector instruction.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: Rigs that go through the kernel together, the lanes of a vector instruction: every width has kernels of its own to compile.
 BLOCK = 8
