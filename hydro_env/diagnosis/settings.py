@@ -24,6 +24,7 @@ RULES = {
     "drop_unneeded": "drop an effect that the known parameters replace, from where it led them",
     "follow_speed": "follow the measured speed where a coupling rattles, which multiplies every difference",
     "grow_horizon": "fit what is far from the noise to the beginning of the logs first",
+    "restart_friction": "restart the calibration with other spool friction where a little more than noise is left",
     "prefer_form": "drop an effect if another form of those beside it explains more",
 }
 

@@ -7,6 +7,7 @@ noise             noise and independent samples of a residual
 gauss_newton      the solver
 final_refinement  the last steps to the minimum, with derivatives as wide as the uncertainty
 early_window      fits to the beginning of the logs, of one estimate or of competing candidates
+multistart        restarts, where friction makes local minima
 fit_criteria      how much of a residual is explained
 uncertainty       block bootstrap
 """
@@ -22,6 +23,7 @@ from .fit_criteria import (
     unexplained,
 )
 from .gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
+from .multistart import restart_friction
 from .noise import effective_samples, noise_floor
 from .uncertainty import (
     CANNOT_BE_PREDICTED,
@@ -49,6 +51,6 @@ __all__ = [
     "base_unknown", "bases_of", "best_on_early_window", "could_pay", "differentiate", "effect_starts", "effect_unknowns",
     "effective_samples", "far_from_noise", "given_unknown", "grow_horizon", "intervals_of", "joined", "less_taken",
     "limited_by_effects", "mostly_explained", "noise_floor", "noise_of", "predictions_apart", "probability_of_gain", "refine",
-    "replica_differences", "scaled", "settle", "solve", "step_all",
+    "replica_differences", "restart_friction", "scaled", "settle", "solve", "step_all",
     "unexplained", "unpredictable",
 ]  # fmt: skip

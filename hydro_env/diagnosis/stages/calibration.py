@@ -20,6 +20,7 @@ from ..estimation import (
     joined,
     limited_by_effects,
     noise_of,
+    restart_friction,
     solve,
 )
 from ..logs import Estimates, Given, Logs, distinct
@@ -140,4 +141,5 @@ def calibrate(fit: Fit, iterations: int = ITERATIONS, chosen: Chosen | None = No
     # Given effects and rigs that are estimated as a whole have more unknowns, which take more steps.
     iterations *= max(1, *(len(p.unknowns) // FEW for p in every))
     solve(fit, every, iterations)
+    restart_friction(fit, every, iterations)
     return estimates
