@@ -21,8 +21,8 @@ __all__ = ["restart_friction"]
 #: Base parameters that are drawn again, and the standard deviations of the factors, less than their priors': a start has to be
 #: near enough to what is found from it.
 DRAWN = {"Fc": 0.15, "Fs": 0.15, "vs": 0.3}
-#: New starts, iterations of each round, after which the better half goes on, and how often all this is done at most, as long as it
-#: helps. Three times free all four of the spools that are stuck in the rigs of tests/diagnosis/test_diagnosis_local_minima.py.
+#: New starts, iterations of each round, after which the better half goes on, and how often all this is done at most, as long as
+#: it helps. Three times free all four of the spools that are stuck in the rigs of tests/diagnosis/test_diagnosis_local_minima.py.
 STARTS, ROUNDS, MAX_TIMES = 8, (2, 3), 3
 
 
