@@ -24,6 +24,9 @@ __all__ = ["State"]
 class State:
     """What the stages found.
 
+    `verdict` is `none`: the model as given explains the logs; `calibration`: adjusting known parameters does; `effects`: the
+    named `effects` do; `unknown`: something is missing that the catalogue does not explain.
+
     `undetermined` says why the fit logs do not determine the known parameters, `elsewhere` why the held-out logs seem to be of
     another rig or state, `doubts` why names that explain the fit logs are not confirmed.
     """
@@ -45,17 +48,12 @@ class State:
     def rig(self) -> RigModel:
         return self.logs.rig
 
-    @property
-    def model(self) -> PlantModel:
-        """The model as given."""
-        return self.rig.model
-
     @cached_property
-    def improved(self) -> PlantModel:
+    def model(self) -> PlantModel:
         """The model with what was found; the one given where nothing is missing."""
         if self.verdict == "none":
-            return self.model
-        return estimated_model(self.rig, self.models.final, f"{self.model.name} diagnosed")
+            return self.rig.model
+        return estimated_model(self.rig, self.models.final, f"{self.rig.model.name} diagnosed")
 
     @property
     def best_guess(self) -> bool:

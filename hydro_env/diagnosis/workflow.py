@@ -14,6 +14,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack, closing
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -127,7 +128,8 @@ def diagnose(
         proposed = next_experiment.run(state)
         say(_TEXTS[warnings.run])
         said = warnings.run(state)
-    return Diagnosis(state, proposed, said, time.perf_counter() - begin)
+    found = {each.name: getattr(state, each.name) for each in fields(state)}
+    return Diagnosis(**found, next_experiment=proposed, warnings=said, seconds=time.perf_counter() - begin)
 
 
 def find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> State:

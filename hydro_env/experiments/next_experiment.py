@@ -69,7 +69,7 @@ def run_rig(seed: int, hidden: Sequence[str], jobs: int = 1) -> dict[str, Any]:
         proposed, rng = first.next_experiment, np.random.default_rng([seed, 7])
         commands = {
             "proposed": proposed.csv() if proposed is not None else None,
-            "random": commands_csv(*random_design(first.state.model, Settings(), rng, max_load(first.state))),
+            "random": commands_csv(*random_design(first.rig.model, Settings(), rng, max_load(first))),
         }
         for kind in SECOND if row["open"] else ():
             row[kind] = None

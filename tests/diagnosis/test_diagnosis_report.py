@@ -83,17 +83,12 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
     return diagnose([_log(folder / "fit.csv", 6.0, 1)], [_log(folder / "sealed.csv", 6.0, 2)], steady=True)
 
 
-def _with(found: Diagnosis, **changes: Any) -> Diagnosis:
-    """The same with another state."""
-    return dataclasses.replace(found, state=dataclasses.replace(found.state, **changes))
-
-
 def _proofs(found: Diagnosis, **changes: Any) -> Proofs:
-    return dataclasses.replace(found.state.proofs, **changes)
+    return dataclasses.replace(found.proofs, **changes)
 
 
 def _page(found: Diagnosis) -> str:
-    return report_page(found.state, found.next_experiment, found.warnings, found.seconds)
+    return report_page(found, found.next_experiment, found.warnings, found.seconds)
 
 
 def test_the_terminal_says_it_all_in_about_twenty_lines(found: Diagnosis) -> None:
@@ -117,7 +112,7 @@ def test_the_terminal_says_it_all_in_about_twenty_lines(found: Diagnosis) -> Non
 def test_what_is_left_above_the_noise_makes_a_name_a_guess(
     found: Diagnosis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    proof = found.state.proofs.held_out
+    proof = found.proofs.held_out
 
     def leaving(times: float) -> Diagnosis:
         noise = proof.errors[0, "speed"]["noise"]
@@ -125,10 +120,10 @@ def test_what_is_left_above_the_noise_makes_a_name_a_guess(
             (0, "speed"): {**proof.errors[0, "speed"], "after": times * noise, "calibrated": 10.0 * noise}
         }
         judged = dataclasses.replace(proof, errors=errors)
-        return _with(found, proofs=_proofs(found, held_out=judged, judged=judged))
+        return dataclasses.replace(found, proofs=_proofs(found, held_out=judged, judged=judged))
 
     assert not leaving(4.0).best_guess  # a reduced model leaves out more than noise
-    monkeypatch.setattr(found.state.rig, "has_hidden_states", True)
+    monkeypatch.setattr(found.rig, "has_hidden_states", True)
     assert not leaving(1.4).best_guess and leaving(1.4).summary().startswith("verdict: effects\n")
     guess = leaving(4.0)
     lines = guess.summary().splitlines()
@@ -140,10 +135,10 @@ def test_what_is_left_above_the_noise_makes_a_name_a_guess(
 
 
 def test_a_crowded_summary_stays_within_twenty_lines(found: Diagnosis) -> None:
-    proof = found.state.proofs.held_out
+    proof = found.proofs.held_out
     signals = ((0, "speed"), (0, "current"), (0, "pressure"), (1, "speed"), (1, "current"), (1, "flow"))
-    crowded = _with(
-        dataclasses.replace(found, warnings=[f"w{n}" for n in range(7)]), effects=4 * found.effects,
+    crowded = dataclasses.replace(
+        found, warnings=[f"w{n}" for n in range(7)], effects=4 * found.effects,
         proofs=_proofs(
             found, held_out=dataclasses.replace(proof, errors=dict.fromkeys(signals, proof.errors[0, "speed"]))
         ),
@@ -171,8 +166,8 @@ def test_the_title_names_logs_model_and_day(found: Diagnosis) -> None:
 
 
 def test_a_probability_stands_beside_what_remains(found: Diagnosis) -> None:
-    named, entry = found.effects[0], found.state.proofs.held_out.errors[0, "speed"]
-    text = remaining(found.state, named)
+    named, entry = found.effects[0], found.proofs.held_out.errors[0, "speed"]
+    text = remaining(found, named)
     assert (
         f"{entry['after']:.3g} of {entry['calibrated']:.3g} rpm on channel 1 (noise {entry['noise']:.3g})"
         == text
@@ -191,9 +186,9 @@ def _commands(page: str) -> list[list[str]]:
 
 def test_what_to_do_next_are_commands_that_exist(found: Diagnosis) -> None:
     """A steady model is for logs only; one with dynamics can be driven."""
-    rig = view(found.state.rig, has_hidden_states=True)
-    fit = dataclasses.replace(found.state.logs.fit, rig=rig)
-    driven = _with(found, logs=dataclasses.replace(found.state.logs, fit=fit))
+    rig = view(found.rig, has_hidden_states=True)
+    fit = dataclasses.replace(found.logs.fit, rig=rig)
+    driven = dataclasses.replace(found, logs=dataclasses.replace(found.logs, fit=fit))
     steady, dynamic = _commands(_page(found)), _commands(_page(driven))
     assert [words[0] for words in steady] == ["diagnose"] and "--steady" in steady[0]
     assert [words[0] for words in dynamic] == ["diagnose", "benchmark", "tune"]
@@ -214,7 +209,7 @@ def test_what_to_do_next_are_commands_that_exist(found: Diagnosis) -> None:
 )
 def test_every_verdict_says_what_to_do(found: Diagnosis, verdict: str, said: str, model: str) -> None:
     effects = found.effects if verdict in ("effects", "unknown") else []
-    page = _page(_with(found, verdict=verdict, effects=effects))
+    page = _page(dataclasses.replace(found, verdict=verdict, effects=effects))
     after = page.partition("<h2>What to do next</h2>")[2].partition("<h2>")[0]
     assert said in after and model in after and f"Verdict: {verdict}." in page
     assert ("What the model lacks" in page) == bool(effects)
@@ -234,12 +229,12 @@ def test_every_verdict_says_what_to_do(found: Diagnosis, verdict: str, said: str
 def test_a_known_parameter_that_moved_far_has_a_comment(
     found: Diagnosis, symbol: str, factor: float, sure: bool, said: str
 ) -> None:
-    described = {**PARAMETERS, **found.state.rig.own}[symbol]
+    described = {**PARAMETERS, **found.rig.own}[symbol]
     given, unknown = described.nominal, base_unknown(described, described.nominal)
     value, width = factor * given, 0.01 if sure else 1.0
     estimate = Interval(value, value * (1 - width), value * (1 + width), described.unit)
     text = comment(
-        found.state.rig, KnownParameter(symbol, 0, given, estimate, (unknown.value(-1.0), unknown.value(1.0)))
+        found.rig, KnownParameter(symbol, 0, given, estimate, (unknown.value(-1.0), unknown.value(1.0)))
     )
     assert text.startswith(said) if said else text == ""
 
@@ -254,7 +249,7 @@ def test_the_terminal_names_known_parameters_to_check(
     rows[1] = dataclasses.replace(rows[1], symbol="Kq")
     monkeypatch.setattr(summary, "known_parameters", lambda rig, estimates: rows)
     assert found.model.name  # made with the parameters that the rig has, and kept
-    monkeypatch.setattr(found.state.rig, "own", {})
+    monkeypatch.setattr(found.rig, "own", {})
     assert "J_1 +63 %, Kq_1 +20 %; check J_1: further than usual" in found.summary()
 
 
@@ -262,7 +257,7 @@ def test_an_unlikely_name_is_put_as_a_perhaps(found: Diagnosis) -> None:
     extra = dataclasses.replace(
         found.effects[0], name="directional_gain", probability=0.3, indistinguishable_from=["flow_saturation"]
     )
-    text = sentence(_with(found, effects=[*found.effects, extra]).state)
+    text = sentence(dataclasses.replace(found, effects=[*found.effects, extra]))
     assert (
         "Perhaps also different flow gains" in text
         and "(or saturation of the flow: these logs cannot distinguish them)" in text

@@ -168,7 +168,7 @@ def test_logs_of_a_constant_command_determine_no_parameters(tmp_path: Path) -> N
     assert found.verdict == "calibration" and "These logs do not determine the known parameters" in text
     assert "command of channel 1 is constant" in text
     assert "still missing" not in text and "is enough" not in text
-    assert "Do not use the calibrated values" in next_step(found.state)
+    assert "Do not use the calibrated values" in next_step(found)
 
 
 def test_held_out_logs_of_a_hotter_coil_are_of_another_state(tmp_path: Path) -> None:
@@ -181,7 +181,7 @@ def test_held_out_logs_of_a_hotter_coil_are_of_another_state(tmp_path: Path) -> 
         assert found.verdict == "calibration" and "still missing" not in text
         assert ("seem to be of another rig or state: the coil current of channel 1" in text) == said
         assert ("Calibration is enough" in text) != said
-        assert ("same rig, valves and temperature" in next_step(found.state)) == said
+        assert ("same rig, valves and temperature" in next_step(found)) == said
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ def report_page(
     """The HTML page."""
     return render(
         files(__package__).joinpath("page.html"),
-        title=f"Diagnosis of {statements.log_names(state)}, model {state.model.name}, {date.today()}", version=__version__,
+        title=f"Diagnosis of {statements.log_names(state)}, model {state.rig.model.name}, {date.today()}", version=__version__,
         state=state, next_experiment=next_experiment, warnings=warnings, seconds=seconds, say=statements, words=words,
         catalogue=CATALOGUE, head=statements.headline(state), columns=statements.error_columns(state),
         parameters=[(p, statements.comment(state.rig, p)) for p in known_parameters(state.rig, state.models.shown)],

@@ -257,7 +257,7 @@ def effect_values(state: State, n: NamedEffect) -> list[tuple[str, str, str]]:
         (
             CATALOGUE[n.name].parameter(own).title,
             words.interval(p),
-            words.of_command(n.name, own, p.value, state.improved, c),
+            words.of_command(n.name, own, p.value, state.model, c),
         )
         for own, p in n.parameters.items()
     ]
