@@ -16,7 +16,7 @@ from .parts import Part, overlap, read_parts
 
 __all__ = ["read_logs"]
 
-#: A channel stands still if its speed (RMS) is below this share of the other channel's peak.
+#: A channel stands still if its speed (RMS) is below this share of the other channel's peak: what noise and a shared base move.
 STANDS_STILL = 0.02
 
 
