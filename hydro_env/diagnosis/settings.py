@@ -40,8 +40,8 @@ class Settings:
     false_alarm: float = 0.01
     #: Effects on a channel at most: one more than blind trials hide.
     max_effects: int = 3
-    #: A residual that is so many times the noise, more than twice its power, in a signal of a log, stays unexplained: the verdict
-    #: is `unknown`, ...
+    #: A residual that is this many times the noise, more than twice its power, in a signal of a log, stays unexplained: the
+    #: verdict is `unknown`, ...
     unexplained: float = 1.5
     #: ... unless what was found explains this share of it in `Fit.levels`, ...
     most_of_level: float = 0.5

@@ -48,7 +48,7 @@ class Part:
         return 1 if self.held is None else self.held.shape[1] // len(self.log)
 
     def first(self, rows: int) -> Part:
-        """The part with its first so many rows only."""
+        """The part with its first `rows` rows only."""
         held = None if self.held is None else self.held[:, : rows * self.finer]
         return replace(self, log=self.log.first(rows), inside=self.inside[:rows], held=held)
 

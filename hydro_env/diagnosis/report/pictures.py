@@ -18,10 +18,10 @@ __all__ = ["maps", "traces"]
 
 #: Points of a trace in a picture: one for each pixel of its width.
 POINTS = 900
-#: Signals that the calibrated model leaves off by so many times the noise have a picture.
+#: Signals that the calibrated model leaves off by this many times the noise have a picture.
 FAR_OFF = 2.0
-#: Beside errors of so many times the noise its band, of four standard deviations, takes less than half of a picture: what is left
-#: then has axes of its own.
+#: Beside errors of this many times the noise its band, of four standard deviations, takes less than half of a picture: what is
+#: left then has axes of its own.
 BAND_INVISIBLE = 5.0
 #: Room for numbers and a label on the left of a picture, inches.
 LEFT = 0.95

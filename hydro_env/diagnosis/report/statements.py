@@ -26,8 +26,8 @@ __all__ = [
 
 #: A name that is more likely wrong than right is not put forward as a fact.
 LIKELY = 0.5
-#: A placebo that leaves less than so many times what the names leave makes the proof weak, where calibration left so many times
-#: the noise. Words only: no verdict depends on them.
+#: A placebo that leaves less than this many times what the names leave makes the proof weak, where calibration left this many
+#: times the noise. Words only: no verdict depends on them.
 PLACEBO_NEAR, WORTH_PROVING = 1.15, 1.2
 _COLUMNS = (("noise", 9), ("before", 9), ("calibrated", 11), ("after", 9), ("placebo", 9))
 

@@ -42,7 +42,7 @@ _FITS = 0.6
 _BEYOND = 1.05
 #: A supply pressure that is further off than this factor is worth a warning: gauges and settings agree to a tenth.
 _SUPPLY = 1.2
-#: One reading leaves so many times less variance of a signal than another: no chance from 15 independent samples on (F-test at
+#: One reading leaves this many times less variance of a signal than another: no chance from 15 independent samples on (F-test at
 #: 1 %).
 _LESS = 4.0
 #: Fewest rows that are compared.

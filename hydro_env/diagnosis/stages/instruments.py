@@ -14,15 +14,15 @@ from .shaft import given_shaft, shaft_of
 
 __all__ = ["eccentric", "runs_apart"]
 
-#: A line once per turn stands out if it is so many times the largest of the lines at these four other orders, which no part of a
-#: motor has: of noise one in 24,000 does. Less than this share of a speed of 500 rpm is below its usual noise.
+#: A line once per turn stands out if it is this many times the largest of the lines at these four other orders, which no part of
+#: a motor has: of noise one in 24,000 does. Less than this share of a speed of 500 rpm is below its usual noise.
 STANDS_OUT, ORDERS, MIN_LINE = 5.0, (0.61, 0.77, 1.29, 1.43), 0.002
 #: Slower than this share of its peak a speed shows no line above its noise.
 SLOW = 0.1
 #: Lags are read in windows of this length, several times the rig's memory, up to this lag, a quarter of that memory, s.
 WINDOW_S, MAX_LAG_S = 2.0, 0.1
-#: Clocks run apart if the lag rises by so many s in a log, a control period, along a line that explains 96 % of it (misses it by
-#: this share, RMS), and at rates that differ by at most this share between signals, channels and logs.
+#: Clocks run apart if the lag rises by this many s in a log, a control period, along a line that explains 96 % of it (misses it
+#: by this share, RMS), and at rates that differ by at most this share between signals, channels and logs.
 RISE_S, OFF_LINE, DIFFERENT = 0.01, 0.2, 0.3
 
 

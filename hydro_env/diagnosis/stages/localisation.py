@@ -32,8 +32,8 @@ _FLOW = ("command, V", "flow over displacement, rpm", RPM)
 SHAFT_STEPS = 8
 #: An equation is listed that has this share of what all of them leave above their noise: less is rounded to nothing.
 LISTED = 0.02
-#: A regime is named if its mean square error is so many times that of all rows, and it holds neither next to nothing of them nor
-#: nearly all. Words only: nothing else depends on them.
+#: A regime is named if its mean square error is this many times that of all rows, and it holds neither next to nothing of them
+#: nor nearly all. Words only: nothing else depends on them.
 CONTRAST, MIN_ROWS, MAX_ROWS = 1.3, 0.03, 0.9
 
 

@@ -75,7 +75,7 @@ class Search:
         """What all accepted effects must pay for."""
         return sum(k.needed for k in self.accepted)
 
-    def afresh(self) -> Search:
+    def restarted(self) -> Search:
         """The search for another set of effects, from the calibrated estimates."""
         return Search(self.fit, self.calibrated, self.screening, self.seconds, progress=self.progress)
 

@@ -113,7 +113,7 @@ def select(search: Search) -> Search:
     compared = search.fit.settings.uses("compare_sets") or not search.accepted
     if not (whole and compared and _may_be_outdone(search, leads)):
         return search
-    other = search.afresh()
+    other = search.restarted()
     _search(other, not leads)
     return better_set(search, other)
 

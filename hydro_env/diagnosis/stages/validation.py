@@ -16,7 +16,7 @@ __all__ = ["AT_NOISE", "NAMED", "Proof", "Proofs", "prove", "run", "shown_unit",
 
 #: Where the form of an effect was corrected this model is compared besides: the named effects without that correction.
 NAMED = "named"
-#: A signal is at its noise up to so many times that: a fifth more power, which is more than the noise itself is uncertain by.
+#: A signal is at its noise up to this many times that: a fifth more power, which is more than the noise itself is uncertain by.
 AT_NOISE = 1.1
 
 

@@ -14,7 +14,7 @@ from .values import absent_effects, at_bounds
 
 __all__ = ["run"]
 
-#: The held-out logs are explained worse by the final model than by another one if its error is so many times that one's, and so
+#: The held-out logs are explained worse by the final model than by another one if its error is this many times that one's, and so
 #: many times the noise: differences that a reader would see.
 WORSE, WORSE_NOISE = 1.1, 1.3
 
