@@ -13,7 +13,7 @@ from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns
-from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate, in_best_form
+from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate
 from hydro_env.diagnosis.stages.elimination import prefer_form
 from hydro_env.diagnosis.stages.form_correction import (
     correct,
@@ -110,13 +110,9 @@ def test_a_second_effect_goes_where_another_form_of_the_first_explains_more() ->
     ]
     prefer_form(search)
     assert [k.effect for k in search.accepted] == ["flow_gain_nonlinearity"]
-    best = in_best_form(search.present[0], search.attempted)
-    assert best.effects() == ["flow_gain_nonlinearity", "opening_shape"]
-    assert fit.at_noise(best, 1.5) and not fit.at_noise(search.present[0], 5.0)
-    # A form that was tried beside another effect says nothing of this one alone.
-    beside = with_correction(both, "directional_gain", "opening_shape")
-    beside.cost = best.cost - 1e4
-    assert in_best_form(search.present[0], [*search.attempted, beside]) is best
+    best = search.form_of(search.present[0])
+    assert best is not None and best.estimate.effects() == ["flow_gain_nonlinearity", "opening_shape"]
+    assert fit.at_noise(best.estimate, 1.5) and not fit.at_noise(search.present[0], 5.0)
 
 
 def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ...plant import CATALOGUE
-from ...plant.catalogue.form_corrections import FAMILY
 from ..estimation import Estimate, Fit, Unknown
 from ..logs import Estimates, Logs, place_of
 
 __all__ = [
-    "ACCEPTED", "OUTDONE", "VANISHED", "Accepted", "Candidate", "Selection",
-    "in_best_form", "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
+    "ACCEPTED", "OUTDONE", "VANISHED", "Accepted", "Attempt", "Candidate", "Selection",
+    "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
 #: What becomes of a candidate, in words that the report shows.
@@ -74,10 +73,26 @@ class Accepted:
 
 
 @dataclass(frozen=True)
+class Attempt:
+    """An estimate with one correction of the form of an effect more, and by how much the cost must fall for it (`needed`)."""
+
+    effect: str
+    channel: int | None
+    correction: str
+    estimate: Estimate
+    needed: float
+
+    @property
+    def score(self) -> float:
+        """The cost with what the correction must pay for."""
+        return self.estimate.cost + self.needed
+
+
+@dataclass(frozen=True)
 class Selection:
     """The result: final estimates by channel (the same joint one for both where an effect of the rig was accepted), the
-    calibrated ones beside them, and the `logs` with the noise that they show. `attempted` are estimates with a correction of form
-    that were refitted on the way."""
+    calibrated ones beside them, and the `logs` with the noise that they show. `forms` are the best corrections of form of those
+    estimates for which any were tried."""
 
     logs: Logs
     calibrated: Estimates
@@ -85,25 +100,13 @@ class Selection:
     accepted: list[Accepted]
     candidates: list[Candidate]
     placebo: Estimates
-    attempted: list[Estimate] = field(default_factory=list)
+    forms: Mapping[Estimate, Attempt | None] = field(default_factory=dict)
 
-    def in_best_form(self, channel: int) -> Estimate:
-        """The estimate of a channel, with that correction of form that explains most of those that were refitted, if one does."""
-        return in_best_form(self.estimates[channel], self.attempted)
-
-    def best_forms(self) -> Estimates:
-        """`in_best_form` of all channels."""
-        return {c: self.in_best_form(c) for c in self.estimates}
-
-
-def in_best_form(found: Estimate, attempted: Sequence[Estimate]) -> Estimate:
-    """The estimate, or that one of its `attempted` corrections of form that explains more."""
-
-    def bare(estimate: Estimate) -> list[tuple[str, int | None]]:
-        own = (u for u in estimate.unknowns if not u.effect or CATALOGUE[u.effect].family != FAMILY)
-        return [(u.name, u.channel) for u in own]
-
-    return min([found, *(p for p in attempted if bare(p) == bare(found))], key=lambda p: p.cost)
+    def in_best_form(self) -> Estimates:
+        """The estimates, each with its best correction of form where that explains more."""
+        best = {c: self.forms.get(p) for c, p in self.estimates.items()}
+        pays = {c: t for c, t in best.items() if t is not None and t.estimate.cost < self.estimates[c].cost}
+        return {**self.estimates, **{c: t.estimate for c, t in pays.items()}}
 
 
 def penalty_per_parameter(fit: Fit) -> float:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, settle, solve
 from .candidates import AFTER_ROUNDS
 from .search import Search
@@ -29,7 +27,7 @@ def prefer_form(search: Search) -> None:
             outcome, gain = "another form of the others does better", fit.gain(less, present)
             search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, present)
             search.accepted.remove(one)
-            search.put(c, less := replace(less))
+            search.put(c, less)
             solve(search.long, [less], SETTLE_ITERATIONS)
 
 

@@ -9,7 +9,7 @@ and where nothing is named there is nothing to correct.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -27,11 +27,11 @@ from ..estimation import (
 )
 from ..logs import Estimates, changed, distinct
 from ..models.base import RigModel, given_effects
-from .candidates import Selection, penalty_per_parameter
+from .candidates import Attempt, Selection, penalty_per_parameter
 
 __all__ = [
-    "Attempt", "Correction", "Models", "attempts", "correct", "correct_all", "correct_placebo", "is_correction",
-    "refit_attempts", "run", "with_correction",
+    "Correction", "Models", "best_attempt", "correct", "correct_all", "correct_placebo", "is_correction", "run",
+    "with_correction",
 ]  # fmt: skip
 
 
@@ -40,6 +40,8 @@ TRY_ITERATIONS = 8
 #: Corrections of one estimate at most: in blind trials of blocks 340000 to 360000 a second one halved what four of five rigs left
 #: above the noise.
 MAX_CORRECTIONS = 2
+#: No corrections that were tried.
+NONE: Mapping[Estimate, Attempt | None] = {}
 
 
 @dataclass(frozen=True)
@@ -52,22 +54,6 @@ class Correction:
     channel: int | None
     fall: float
     changes: Mapping[tuple[int, str], float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """An estimate with one correction more, and by how much the cost must fall for it (`needed`)."""
-
-    effect: str
-    channel: int | None
-    correction: str
-    estimate: Estimate
-    needed: float
-
-    @property
-    def score(self) -> float:
-        """The cost with what the correction must pay for."""
-        return self.estimate.cost + self.needed
 
 
 @dataclass(frozen=True)
@@ -102,7 +88,7 @@ def run(given: Estimates, selection: Selection, verdict: str) -> Models:
     if verdict not in ("effects", "calibration") or not fit.settings.uses("correct_form"):
         return models
     named = [(k.effect, k.channel) for k in selection.accepted]
-    final, corrections = correct_all(fit, found, named, selection.attempted)
+    final, corrections = correct_all(fit, found, named, selection.forms)
     placebo = correct_placebo(fit, placebo, final, corrections)
     corrections = [_with_changes(selection.logs.held_out, final, k) for k in corrections]
     return replace(models, final=final, placebo=placebo, corrections=corrections)
@@ -139,10 +125,10 @@ def with_correction(estimate: Estimate, effect: str, correction: str, channel: i
 
 
 def correct(
-    fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]], begun: Sequence[Estimate] = ()
-) -> tuple[Estimate, list[Correction]]:
+    fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]], known: Mapping[Estimate, Attempt | None] = NONE
+) -> tuple[Estimate, list[Correction]]:  # fmt: skip
     """The estimate with those corrections of its effects `named` (with their channels) that pay for themselves; the estimate
-    itself if none does. Of `begun` see `refit_attempts`.
+    itself if none does. `known` are the best corrections of estimates for which they were tried.
     """
     kept: list[Correction] = []
     for number in range(MAX_CORRECTIONS):
@@ -150,19 +136,20 @@ def correct(
             break
         if number and far_from_noise(fit, estimate):
             break  # with the form put right that matters most, what is left is no matter of form
-        tries = [t for t in attempts(fit, estimate, named) if all(k.correction != t.correction for k in kept)]
-        if not tries:
+        if estimate in known:
+            best = known[estimate]
+        else:
+            best = best_attempt(fit, estimate, named, [k.correction for k in kept])
+        if best is None:
             break
-        refit_attempts(fit, tries, begun)
+        better = replace(best.estimate)
         if number == 0 and estimate.channel is not None:
-            grow_horizon(fit, [min((t.estimate for t in tries), key=lambda p: p.cost)])
-        best = min(tries, key=lambda t: t.score)
-        if best.score >= estimate.cost:
+            grow_horizon(fit, [better])
+        if better.cost + best.needed >= estimate.cost:
             break
-        solve(fit, [best.estimate], SETTLE_ITERATIONS)
-        fall = estimate.cost - best.estimate.cost
-        kept.append(Correction(best.effect, best.correction, best.channel, fall))
-        estimate = best.estimate
+        solve(fit, [better], SETTLE_ITERATIONS)
+        kept.append(Correction(best.effect, best.correction, best.channel, estimate.cost - better.cost))
+        estimate = better
     return estimate, kept
 
 
@@ -173,43 +160,34 @@ def given_on(fit: Fit, estimate: Estimate) -> list[tuple[str, int | None]]:
     return list(dict.fromkeys(every))
 
 
-def attempts(fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]]) -> list[Attempt]:
-    """The estimate with each correction of its effects `named` (with their channels) and of given ones, not yet refitted."""
-    found = []
+def best_attempt(
+    fit: Fit, estimate: Estimate, named: Sequence[tuple[str, int | None]], without: Collection[str] = ()
+) -> Attempt | None:
+    """The best of the estimates with a correction more of one of its effects `named` (with their channels) or of given ones,
+    refitted; None if there is none. Those `without` are left out.
+
+    The known parameters have moved to make up for the form, so they begin where they are and where they were given. Those of a
+    whole rig, whose simulations are slow, and those with a correction before this one begin where they are.
+    """
+    tries = []
     for effect, channel in dict.fromkeys([*named, *given_on(fit, estimate)]):
         for correction, repeated in CORRECTIONS.get(effect, {}).items():
-            if not fit.rig.has(correction, channel):
+            if not fit.rig.has(correction, channel) and correction not in without:
                 own = len(CATALOGUE[correction].parameters) - len(repeated)
                 more = with_correction(estimate, effect, correction, channel)
-                found.append(Attempt(effect, channel, correction, more, penalty_per_parameter(fit) * own))
-    return found
-
-
-def refit_attempts(fit: Fit, tries: Sequence[Attempt], begun: Sequence[Estimate] = ()) -> None:
-    """Improves what may become the best of all: the known parameters have moved to make up for the form, so they begin
-    where they are and where they were given. Those of a whole rig, whose simulations are slow, and those with a correction before
-    this one begin where they are; those that were refitted before, which are among `begun`, where that led."""
-    estimates = [t.estimate for t in tries]
-    again: dict[Estimate, Estimate] = {}
-    for p in estimates:
-        earlier = min((b for b in begun if _names(b) == _names(p)), key=lambda b: b.cost, default=None)
-        if earlier is not None:
-            p.q = earlier.q.copy()
-        elif p.channel is not None and sum(map(is_correction, p.effects())) == 1:
-            again[p] = p.from_given().in_all_directions()
-    every = [*estimates, *again.values()]
+                tries.append(Attempt(effect, channel, correction, more, penalty_per_parameter(fit) * own))
+    first = estimate.channel is not None and not any(map(is_correction, estimate.effects()))
+    again = {t.estimate: t.estimate.from_given().in_all_directions() for t in tries if first}
+    every = [*(t.estimate for t in tries), *again.values()]
     solve(fit, every, TRY_ITERATIONS, races=[every])
     for one, other in again.items():
         one.adopt(other)
-
-
-def _names(estimate: Estimate) -> list[tuple[str, int | None]]:
-    return [(u.name, u.channel) for u in estimate.unknowns]
+    return min(tries, key=lambda t: t.score, default=None)
 
 
 def correct_all(
-    fit: Fit, estimates: Estimates, named: Sequence[tuple[str, int | None]], begun: Sequence[Estimate] = ()
-) -> tuple[Estimates, list[Correction]]:
+    fit: Fit, estimates: Estimates, named: Sequence[tuple[str, int | None]], known: Mapping[Estimate, Attempt | None] = NONE
+) -> tuple[Estimates, list[Correction]]:  # fmt: skip
     """Every estimate with the corrections of what is `named` there: effects with their channel, None for those of the rig."""
     found: Estimates = dict(estimates)
     every: list[Correction] = []
@@ -217,7 +195,7 @@ def correct_all(
         names = [(effect, channel) for effect, channel in named if one.channel in (None, channel)]
         if not fit.rig.has_hidden_states or not (names or given_on(fit, one)) or fit.at_noise(one):
             continue
-        better, kept = correct(fit, one, names, begun)
+        better, kept = correct(fit, one, names, known)
         found.update(dict.fromkeys(fit.channels_of(one), better))
         every += kept
     return found, every

@@ -19,8 +19,8 @@ from ..estimation import (
     step_all,
 )
 from ..logs import Estimates
-from .candidates import Accepted, Candidate, penalty
-from .form_correction import Attempt, attempts, refit_attempts
+from .candidates import Accepted, Attempt, Candidate, penalty
+from .form_correction import best_attempt
 from .screening import Screening
 
 __all__ = ["Search", "short_refit"]
@@ -46,7 +46,6 @@ class Search:
     candidates: list[Candidate] = field(default_factory=list)
     placebo: Estimates = field(default_factory=dict)
     forms: dict[Estimate, Attempt | None] = field(default_factory=dict)
-    attempted: list[Estimate] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.present = self.present or dict(self.calibrated)
@@ -106,10 +105,7 @@ class Search:
     def form_of(self, estimate: Estimate) -> Attempt | None:
         """The estimate with the correction of form that explains most of what it leaves, with its price, if there is one."""
         if estimate not in self.forms:
-            found = attempts(self.fit, estimate, estimate.placed_effects())
-            refit_attempts(self.long, found)
-            self.forms[estimate] = min(found, key=lambda t: t.score, default=None)
-            self.attempted += [t.estimate for t in found]
+            self.forms[estimate] = best_attempt(self.long, estimate, estimate.placed_effects())
         return self.forms[estimate]
 
     def in_other_form(self, estimate: Estimate) -> Estimate:

@@ -87,7 +87,8 @@ def run(
     search = select(Search(logs.fit, own, screening, logs.seconds, progress=progress))
     fit = logs.fit.with_noise_seen_by(search.present)
     groups = search.calibrated, search.present, search.placebo
-    fit.rescore(list(dict.fromkeys(p for group in groups for p in group.values())))
+    tried = [t.estimate for t in search.forms.values() if t is not None]
+    fit.rescore(list(dict.fromkeys([*tried, *(p for group in groups for p in group.values())])))
     logs = replace(logs, fit=fit)
     return Selection(
         logs,
@@ -96,7 +97,7 @@ def run(
         search.accepted,
         search.candidates,
         search.placebo,
-        search.attempted,
+        search.forms,
     )
 
 

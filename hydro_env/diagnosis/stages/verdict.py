@@ -42,7 +42,7 @@ def decide(calibrated: Calibrated, selection: Selection) -> str:
     """The verdict by the fit logs."""
     fit, channels = selection.logs.fit, selection.logs.rig.channels
     given, first = calibrated.given, selection.calibrated
-    found = {c: selection.in_best_form(c) for c in channels}
+    found = selection.in_best_form()
     if selection.accepted:
         left = any(unexplained(fit, selection.estimates[c], c) for c in channels)
         mostly = all(mostly_explained(fit, first[c], found[c], c) for c in channels)
