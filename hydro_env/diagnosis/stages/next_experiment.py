@@ -29,7 +29,6 @@ from ..experiment_design import (
 )
 from ..models.dynamic_rig import DynamicRig
 from ..state import State
-from .candidates import Candidate
 from .naming import NamedEffect
 
 __all__ = ["FILE", "NextExperiment", "max_load", "operations", "questions", "run"]
@@ -120,32 +119,33 @@ def _tied(state: State, channel: int | None) -> dict[str, Estimate]:
     for effect in state.effects:
         if channel in (effect.channels or (None,)) and effect.indistinguishable_from:
             present = state.selection.estimates[state.rig.channels[0] if channel is None else channel]
-            others = {name: _estimate(state, name, channel) for name in effect.indistinguishable_from}
-            return {effect.name: present, **{n: e for n, e in others.items() if e is not None}}
+            tried = _tried(state, channel)
+            return {
+                effect.name: present,
+                **{n: tried[n] for n in effect.indistinguishable_from if n in tried},
+            }
     return {}
-
-
-def _estimate(state: State, name: str, channel: int | None) -> Estimate | None:
-    """The latest estimate with a candidate."""
-    tried = (
-        t.estimate for t in reversed(state.selection.candidates) if (t.effect, t.channel) == (name, channel)
-    )
-    return next((e for e in tried if e is not None and e.columns), None)
 
 
 def _best(state: State, channel: int | None) -> dict[str, Estimate]:
     """Where nothing is confirmed: the candidates of a channel that explain most of it."""
     if state.verdict != "unknown" and not state.best_guess:
         return {}
-    tried: dict[str, Candidate] = {}
-    for t in state.selection.candidates:
-        if t.channel == channel and t.estimate is not None and t.estimate.columns and t.gain > t.needed:
-            tried[t.effect] = t
-    best = sorted(tried.values(), key=lambda t: t.estimate.cost if t.estimate else np.inf)[:OPEN]
-    found = {t.effect: t.estimate for t in best if t.estimate is not None}
+    tried = _tried(state, channel, worthwhile=True)
+    found = dict(sorted(tried.items(), key=lambda item: item[1].cost)[:OPEN])
     if len(found) == 1 and channel is not None and state.models.calibrated[channel].columns:
         found[CALIBRATION] = state.models.calibrated[channel]
     return found
+
+
+def _tried(state: State, channel: int | None, worthwhile: bool = False) -> dict[str, Estimate]:
+    """The latest estimate with each candidate of a channel, or with those that paid for themselves."""
+    return {
+        t.effect: t.estimate
+        for t in state.selection.candidates
+        if t.channel == channel and t.estimate is not None and t.estimate.columns
+        if t.gain > t.needed or not worthwhile
+    }
 
 
 # --- in words ---------------------------------------------------------------------------------------------------------
