@@ -145,7 +145,8 @@ def correct(
         better = replace(best.estimate)
         if number == 0 and estimate.channel is not None:
             grow_horizon(fit, [better])
-        if better.cost + best.needed >= estimate.cost:
+        # As a further effect it pays in independent samples.
+        if better.cost + best.needed >= estimate.cost or fit.gain(estimate, better) < best.needed:
             break
         solve(fit, [better], SETTLE_ITERATIONS)
         kept.append(Correction(best.effect, best.correction, best.channel, estimate.cost - better.cost))
