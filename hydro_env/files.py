@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import errno
 import json
-import math
 import os
 import secrets
 import shutil
@@ -74,23 +73,18 @@ def to_json(data: Any, *, indent: int | None = None) -> str:
     """JSON that every reader takes: NumPy values become plain ones, and a number that is not finite, which
     JSON cannot hold, becomes null.
     """
-    return json.dumps(_plain(data), indent=indent, allow_nan=False, ensure_ascii=False)
+    from pydantic_core import to_jsonable_python
+
+    plain = to_jsonable_python(data, inf_nan_mode="null", fallback=_plain)
+    return json.dumps(plain, indent=indent, allow_nan=False, ensure_ascii=False)
 
 
 def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Path):
-        return str(value)
-    return value
+        return dict(value)
+    raise TypeError(f"no JSON of {type(value).__name__}")
 
 
 @contextmanager

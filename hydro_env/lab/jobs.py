@@ -17,29 +17,16 @@ from typing import Any
 
 from hydro_env.errors import InputError, InputWarning, to_install
 
-__all__ = ["Job", "Jobs", "Task"]
+__all__ = ["Job", "Jobs"]
 
 #: Spawned: neither the threads of the server nor those of Numba survive a fork.
 _CONTEXT = multiprocessing.get_context("spawn")
 
 
 @dataclass(frozen=True)
-class Task:
-    """What to do: "diagnose" or "inspect" logs with a model and a mapping; the results go to the folder `out`."""
-
-    what: str
-    fit: Sequence[Path]
-    held_out: Sequence[Path]
-    model: str
-    mapping: Path | None
-    out: Path
-
-
-@dataclass(frozen=True)
 class Job:
     """How a task stands. `state` is "running", "done", "failed" or "cancelled"."""
 
-    what: str
     state: str = "running"
     stage: str = "starting"
     share: float = 0.0
@@ -65,7 +52,7 @@ class Jobs:
 
     def start(self, what: str, fit: Sequence[Path], held_out: Sequence[Path] = (), model: str = "paper",
               mapping: Path | None = None) -> None:  # fmt: skip
-        """Starts a task. InputError while another one runs, or if `out` cannot be written."""
+        """Starts to "diagnose" or "inspect" logs. InputError while another one runs, or if `out` cannot be written."""
         if self.running:
             raise InputError("a diagnosis is running; cancel it first")
         try:
@@ -74,10 +61,12 @@ class Jobs:
             work = Path(tempfile.mkdtemp(prefix=".diagnosis-", dir=self._out))
         except OSError as problem:
             raise InputError(f"--out {self._out}: cannot write there ({problem.strerror})") from None
-        self._cancelled, self.latest = False, Job(what)
+        self._cancelled, self.latest = False, Job()
         messages, writer = _CONTEXT.Pipe(duplex=False)
-        task = Task(what, fit, held_out, model, mapping, work)
-        self._process = _CONTEXT.Process(target=_do, args=(task, writer), daemon=True)
+        task = {"diagnose": _diagnose, "inspect": _inspect}[what]
+        given = {"fit": [*map(str, fit)], "held_out": [*map(str, held_out)], "model": model, "out": work,
+                 "mapping": None if mapping is None else str(mapping)}  # fmt: skip
+        self._process = _CONTEXT.Process(target=_do, args=(task, given, writer), daemon=True)
         self._process.start()
         writer.close()  # so that the pipe ends with the process
         self._thread = threading.Thread(
@@ -135,7 +124,7 @@ class Jobs:
 
 
 # --- in the process -----------------------------------------------------------------------------------------------
-def _do(task: Task, messages: Connection) -> None:
+def _do(task: Callable[..., dict[str, str]], given: dict[str, Any], messages: Connection) -> None:
     """Does a task; each message has the words of `Job` that change."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which then ends this process
     speaking = threading.Lock()
@@ -154,18 +143,17 @@ def _do(task: Task, messages: Connection) -> None:
     warnings.simplefilter("once", InputWarning)
     warnings.showwarning = show
     try:
-        say(result={"diagnose": _diagnose, "inspect": _inspect}[task.what](task, say))
+        say(result=task(say, **given))
     except InputError as problem:
         say(problem=str(problem))
-    except ModuleNotFoundError as problem:
-        say(problem=f"this needs {problem.name}: {to_install('measured,report')}")
-    except OSError as problem:
-        say(problem=str(InputError(f"{problem.filename or 'a file'}: {problem.strerror or problem}")))
     except Exception as problem:
-        say(problem=str(InputError(f"the diagnosis failed: {type(problem).__name__}: {problem}")))
+        hint = f"; {to_install('measured,report')}" if isinstance(problem, ModuleNotFoundError) else ""
+        say(problem=str(InputError(f"the diagnosis failed: {problem!r}{hint}")))
 
 
-def _diagnose(task: Task, say: Callable[..., None]) -> dict[str, str]:
+def _diagnose(
+    say: Callable[..., None], fit: list[str], held_out: list[str], model: str, mapping: str | None, out: Path
+) -> dict[str, str]:
     from hydro_env.diagnosis import STAGES, command, workflow
 
     numbers = {text: number for number, (text, _) in enumerate(STAGES)}
@@ -177,14 +165,12 @@ def _diagnose(task: Task, say: Callable[..., None]) -> dict[str, str]:
             simulations += more
         say(stage=text, share=numbers.get(text, 0) / len(STAGES), simulations=simulations)
 
-    fit, held_out = [*map(str, task.fit)], [*map(str, task.held_out)]
-    mapping = None if task.mapping is None else str(task.mapping)
     if not held_out:
         fit, held_out = _in_two(fit, mapping)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    found = workflow.diagnose(fit, held_out, task.model, mapping, jobs=cores, progress=progress)
+    found = workflow.diagnose(fit, held_out, model, mapping, jobs=cores, progress=progress)
     say(stage="writing the report", share=1.0 - 1.0 / len(STAGES))
-    command.write(found, task.out)
+    command.write(found, out)
     return {"verdict": found.verdict, "summary": found.summary()}
 
 
@@ -198,8 +184,7 @@ def _in_two(fit: list[str], mapping: str | None) -> tuple[list[str], list[str]]:
     return [*fit[:-1], f"{fit[-1]}@{start:.6f}:{cut:.6f}"], [f"{fit[-1]}@{cut:.6f}:"]
 
 
-def _inspect(task: Task, say: Callable[..., None]) -> dict[str, str]:
+def _inspect(say: Callable[..., None], fit: list[str], mapping: str | None, **others: Any) -> dict[str, str]:
     from hydro_env.measured.inspect import shown
 
-    text, mapping = shown(str(task.fit[0]), None if task.mapping is None else str(task.mapping))
-    return {"text": text, "mapping": mapping}
+    return dict(zip(("text", "mapping"), shown(fit[0], mapping), strict=True))

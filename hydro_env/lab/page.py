@@ -93,17 +93,16 @@ class RigPage:
     def _follow(self, element: Any, choice: Callable[[Seen], Any]) -> None:
         self._followers.append(_Follower(element, choice, self._worker.seen))
 
-    def _select(
-        self, names: Any, label: str, choice: Callable[[Seen], Any], chosen: Callable[[Any], None]
-    ) -> Any:
-        """A field with a choice of the session; `chosen` is called with what the user takes."""
+    def _select(self, names: Any, label: str, field: str, change: Callable[[Session, Any], None]) -> Any:
+        """A field of the session's settings; `change` makes what the user takes."""
 
-        def changed(event: Any) -> None:
-            if event.value != choice(self._worker.seen):
-                chosen(event.value)
+        def chosen(event: Any) -> None:
+            if event.value != getattr(self._worker.seen.session.settings, field):
+                self._ask(lambda session: change(session, event.value))
 
-        element = ui.select(names, value=choice(self._worker.seen), label=label, on_change=changed)
-        self._follow(element.classes("w-full"), choice)
+        now = getattr(self._worker.seen.session.settings, field)
+        element = ui.select(names, value=now, label=label, on_change=chosen).classes("w-full")
+        self._follow(element, lambda seen: getattr(seen.session.settings, field))
         return element
 
     # --- what is seen ---------------------------------------------------------------------------------------------
@@ -156,7 +155,9 @@ class RigPage:
                 pause = ui.button(on_click=lambda: self._worker.pause(self._worker.seen.running))
                 self._says(pause, lambda seen: "Pause" if seen.running else "Go on")
                 quiet_button("Reset", lambda: self._ask(Session.reset))
-                self._select(TEMPOS, "speed of time", lambda seen: seen.tempo, self._worker.set_tempo)
+                tempo = ui.select(TEMPOS, value=self._worker.seen.tempo, label="speed of time")
+                tempo.on_value_change(lambda event: self._worker.set_tempo(event.value))
+                self._follow(tempo.classes("w-full"), lambda seen: seen.tempo)
             self._says(ui.label().classes("lab-soft"), _status)
             self._aloud = ui.checkbox("say the difference to a screen reader every 5 s", value=True)
 
@@ -165,20 +166,12 @@ class RigPage:
         chosen = self._worker.seen.session.settings.controller
         names = {chosen: chosen} | {name: name for name, entry in CONTROLLERS.items() if entry.available}
         with section("Controller"):
-            self._select(
-                names, "controller", lambda seen: seen.session.settings.controller,
-                lambda name: self._ask(lambda session: session.choose_controller(name)),
-            )  # fmt: skip
+            self._select(names, "controller", "controller", Session.choose_controller)
             self._says(ui.label(), _about)
             self._says(ui.label().classes("lab-soft"), lambda seen: seen.session.note)
-        scenarios = {MANUAL: "by hand"} | {
-            name: f"{name}: {each.summary}" for name, each in SCENARIOS.items()
-        }
+        names = {name: f"{name}: {each.summary}" for name, each in SCENARIOS.items()}
         with section("Scenario"):
-            self._select(
-                scenarios, "set-point", lambda seen: seen.session.settings.scenario,
-                lambda name: self._ask(lambda session: session.choose_scenario(name)),
-            )  # fmt: skip
+            self._select({MANUAL: "by hand"} | names, "set-point", "scenario", Session.choose_scenario)
             self._hand = ui.element("div").classes("w-full")
             self._show_hand()
 
@@ -219,29 +212,27 @@ class RigPage:
         settings = self._worker.seen.session.settings
         splits = {OWN: "own: the rig's pair"} | {name: name for name in (*SPLITS, *NAMED_PAIRS)}
 
-        def choose_preset(preset: str) -> None:
+        def choose_preset(session: Session, preset: str) -> None:
             # A model file that has valves of its own is driven with them.
-            def change(session: Session) -> None:
-                split = default_mismatch(preset, session.settings.split)
-                session.choose_valves(preset, split, session.settings.number)
+            split = default_mismatch(preset, session.settings.split)
+            session.choose_valves(preset, split, session.settings.number)
 
-            self._ask(change)
+        def choose_split(session: Session, split: str) -> None:
+            session.choose_valves(session.settings.preset, split, session.settings.number)
 
-        def choose_pair(_: Any) -> None:
-            pair = str(split.value), int(number.value or 0)
-            self._ask(lambda session: session.choose_valves(session.settings.preset, *pair))
+        def choose_number(_: Any) -> None:
+            now = int(number.value or 0)
+            self._ask(
+                lambda session: session.choose_valves(session.settings.preset, session.settings.split, now)
+            )
 
         with section("Valves"):
             rigs = self._uploads.rigs(settings.preset)
-            self._preset = self._select(
-                rigs, "preset or model", lambda seen: seen.session.settings.preset, choose_preset
-            )
+            self._preset = self._select(rigs, "preset or model", "preset", choose_preset)
             with ui.element("div").classes("lab-row"):
-                split = self._select(
-                    splits, "split of pairs", lambda seen: seen.session.settings.split, choose_pair
-                )
+                self._select(splits, "split of pairs", "split", choose_split)
                 number = ui.number("number of the pair", value=settings.number, min=0, step=1, precision=0)
-                number.on("change", choose_pair)
+                number.on("change", choose_number)
                 self._follow(number, lambda seen: seen.session.settings.number)
 
     def show_effects(self) -> None:
