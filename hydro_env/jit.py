@@ -13,7 +13,6 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
-import stat
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
@@ -106,8 +105,6 @@ def kept(name: str) -> bytes | None:
         return None
     path = folder / name
     try:
-        if not stat.S_ISREG(path.lstat().st_mode):  # reading a pipe or a device might never end
-            raise Damaged("it is no file")
         return verified(path.read_bytes())
     except FileNotFoundError:
         return None
@@ -169,8 +166,8 @@ def _usable(folder: Path) -> bool:
 
 
 @cache
-def _make_room(folder: Path, most: int) -> None:
-    """Removes the oldest files while all together are larger than `most` bytes; looks once in a process."""
+def _make_room(folder: Path, max_bytes: int) -> None:
+    """Removes the oldest files while all together are larger than `max_bytes`; looks once in a process."""
     files = []
     for path in folder.rglob("*"):
         with suppress(FileNotFoundError):  # another process makes room, too
@@ -178,7 +175,7 @@ def _make_room(folder: Path, most: int) -> None:
                 files.append((path.stat(), path))
     total = sum(about.st_size for about, _ in files)
     for about, path in sorted(files, key=lambda each: each[0].st_mtime):
-        if total <= most:
+        if total <= max_bytes:
             return
         path.unlink(missing_ok=True)
         total -= about.st_size

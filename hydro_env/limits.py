@@ -31,7 +31,7 @@ class Limits:
         return f"{kind} from {_short(self.low)} to {_short(self.high)}{self.unit and ' '}{self.unit}"
 
     def check(self, value: Any, name: str) -> Any:
-        """The value as int or float. InputError that begins with `name` for no number or one beyond the limits."""
+        """The value as int or float. InputError that begins with `name` for what is not a number or beyond the limits."""
         fits = isinstance(value, Integral if self.whole else Real) and not isinstance(value, bool)
         if not (fits and self.low <= value <= self.high):
             raise InputError(f"{name} is {shown(value)}, expected {self}")

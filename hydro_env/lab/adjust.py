@@ -81,7 +81,7 @@ class Slider:
 
         def distance(position: int) -> float:
             at = self.value(position)
-            return 0.0 if at == value else abs(at - value)  # infinity less itself is no number
+            return 0.0 if at == value else abs(at - value)  # infinity less itself is NaN
 
         return min(range(self.lowest, self.highest + 1), key=distance)
 

@@ -96,7 +96,7 @@ class Drop(Element, component="drop.js"):
         self.on("refused", lambda event: refused(str(event.args)))
 
 
-#: Of the rows of a snapshot, every so many are drawn.
+#: Rows of a snapshot per row drawn.
 EVERY = 2
 _GREY = "#8a8f98"
 

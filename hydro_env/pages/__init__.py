@@ -193,7 +193,7 @@ def svg(drawing: Figure, alt: str) -> Any:
 
 
 def _as_written(drawing: Figure) -> None:
-    """Shows all texts but the numbers at the axes as they are: a name with two "$" is no formula."""
+    """Shows all texts but the numbers at the axes as they are: a name with two "$" is not a formula."""
     from matplotlib.text import Text
 
     texts = list(drawing.texts)

@@ -28,7 +28,7 @@ from torch import nn
 from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.limits import Limits
-from hydro_env.reading import MOST_BYTES_OF_YAML, parse_yaml, read_text
+from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
 
 __all__ = ["ALGORITHMS", "ENV_ID", "Config", "Training", "read_config", "with_changes"]
@@ -106,7 +106,7 @@ class Config:
 
 def read_config(path: str | Path) -> Config:
     """Reads a training file. InputError, in one line that names file and key, for anything that is not right."""
-    return _config(Path(path), read_text(path, "a training file in YAML", most=MOST_BYTES_OF_YAML))
+    return _config(Path(path), read_text(path, "a training file in YAML", max_bytes=MAX_BYTES_OF_YAML))
 
 
 def with_changes(config: Config, *, steps: int | None = None, seed: int | None = None) -> Config:
