@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import logging
 import os
@@ -14,6 +15,7 @@ from types import ModuleType
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from numba import TypingError
 
 from hydro_env import jit
 from hydro_env.jit import compiled
@@ -167,3 +169,17 @@ def test_a_user_without_a_home_can_use_it(tmp_path: Path, home: str | None) -> N
     )
     assert done.returncode == 0 and done.stderr == "", done.stderr
     assert [path for path in tmp_path.iterdir() if path.name.startswith("hydro_env_")]
+
+
+def test_garbage_is_collected_again_after_compiling():
+    """Also after a function that cannot be compiled, and not where it was off before."""
+    one = compiled(lambda x: x + 1)
+    assert one(1) == 2 and gc.isenabled()
+    with pytest.raises(TypingError):
+        compiled(lambda x: x.nothing)(1)
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        assert one(1.0) == 2.0 and not gc.isenabled()
+    finally:
+        gc.enable()

@@ -116,8 +116,15 @@ def application(lab: Lab, port: int, key: str, ready: Callable[[], None] = lambd
 
     app.add_route("/upload", upload, methods=["POST"])
     app.add_route("/results/{folder}/{file}", result, methods=["GET"])
-    look: dict[str, Any] = {"title": TITLE, "dark": None, "language": "en-US", "tailwind": False}
-    ui.run_with(app, root=lab.page, show_welcome_message=False, **look)
+    ui.run_with(
+        app,
+        root=lab.page,
+        title=TITLE,
+        dark=None,
+        language="en-US",
+        tailwind=False,
+        show_welcome_message=False,
+    )
     return Guard(app, port, key)
 
 
@@ -147,8 +154,9 @@ def run(out: Path, settings: Settings | None = None, *, port: int = 8137, browse
 
         lab = Lab(out, Session(settings))
         served: Any = application(lab, port, key, ready)
-        for name in {"SIGINT", "SIGTERM", "SIGHUP"} & {*dir(signal)}:
-            signal.signal(getattr(signal, name), signal.default_int_handler)
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            if hasattr(signal, name):
+                signal.signal(getattr(signal, name), signal.default_int_handler)
         # What the server itself would say of a second Ctrl-C is of no use to anybody.
         config = uvicorn.Config(served, log_level="critical", timeout_graceful_shutdown=2)
         try:
