@@ -28,7 +28,10 @@ __all__ = ["in_processes"]
 def in_processes(
     tasks: Sequence[Any], function: Callable[[Any], Any], jobs: int
 ) -> Generator[tuple[int, Any], None, None]:
-    """Place and result of every task as they get done by `jobs` processes. Closing it ends the processes."""
+    """Place and result of every task as they get done by `jobs` processes. Closing it ends the processes.
+
+    RuntimeError if the first process ends before it can do anything, as in a script without `if __name__ == "__main__":`.
+    """
     waiting: deque[tuple[int, bytes, int]] = deque()  # place, pickled task, attempt
     running: dict[Any, tuple[tuple[int, bytes, int], Any]] = {}
     for place, task in enumerate(tasks):
@@ -45,15 +48,19 @@ def in_processes(
         else:
             pool.shutdown(wait=False)
 
+    pools = [_process() for _ in range(min(jobs, len(waiting)))]
+    begun = pools[0].submit(int) if pools else None
     try:
-        for _ in range(min(jobs, len(waiting))):
-            start(_process())
+        for pool in pools:
+            start(pool)
         while running:
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 (place, content, attempt), pool = running.pop(future)
                 try:
                     result = pickle.loads(future.result())
                 except BrokenProcessPool as death:
+                    if begun is not None and begun.done() and begun.exception():
+                        raise RuntimeError(f"processes cannot be started: they end {_how(death)}") from None
                     pool = _process()
                     if attempt < ATTEMPTS:
                         waiting.appendleft((place, content, attempt + 1))
