@@ -303,7 +303,9 @@ def _diagnosis(practice: Path, out: Path, seed: int) -> dict[str, Any]:
     diagnosis.run(
         logs["fit"], logs["sealed"], out, model=practice / "model.yaml", settings=Settings(seed=seed)
     )
-    found = read_json(out / "diagnosis.json", "what `hydro-env diagnose` wrote", max_bytes=MAX_BYTES_OF_RESULTS)
+    found = read_json(
+        out / "diagnosis.json", "what `hydro-env diagnose` wrote", max_bytes=MAX_BYTES_OF_RESULTS
+    )
     hidden = {effect["name"]: effect for effect in truth["effects"]}
     effects, parameters = [], []
     for effect in found["effects"]:

@@ -178,8 +178,8 @@ def rows_of(folder: Path) -> list[dict[str, Any]]:
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = read_json(path, "the trials of a run", max_bytes=MAX_BYTES_OF_RESULTS)["rows"]
-    return rows
+    found = read_json(path, "the trials of a run", max_bytes=MAX_BYTES_OF_RESULTS)
+    return list(found["rows"])
 
 
 def run_trials(
