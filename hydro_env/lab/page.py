@@ -37,19 +37,6 @@ def section(title: str) -> Iterator[None]:
         yield
 
 
-class _Follower:
-    """An element whose value follows a choice of the session, as another browser may have made it."""
-
-    def __init__(self, element: Any, choice: Callable[[Seen], Any], seen: Seen) -> None:
-        self._element, self._choice, self._last = element, choice, choice(seen)
-
-    def follow(self, seen: Seen) -> None:
-        """Takes the session's value over when that has changed."""
-        now = self._choice(seen)
-        if now != self._last:
-            self._last = self._element.value = now
-
-
 def step_to(most: float) -> float:
     """A step of 1, 10, 100, 0.1 ... with 50 to 500 of them to an end of a slider."""
     return float(10.0 ** floor(log10(most / 50.0)))
@@ -84,14 +71,22 @@ class RigPage:
         self._preset: Any = None
         self._shown_preset = worker.seen.session.settings.preset
         self._effects: list[tuple[Slider, SlidingNumber]] = []
-        self._followers: list[_Follower] = []
+        self._followed: list[Callable[[Seen], None]] = []
 
     def _says(self, element: Any, text: Callable[[Seen], str]) -> Any:
         """An element whose text follows the newest state."""
         return element.bind_text_from(self._worker, "seen", text)
 
     def _follow(self, element: Any, choice: Callable[[Seen], Any]) -> None:
-        self._followers.append(_Follower(element, choice, self._worker.seen))
+        """Lets an element take over a choice of the session when that changes, as another browser may have made it."""
+        last = choice(self._worker.seen)
+
+        def follow(seen: Seen) -> None:
+            nonlocal last
+            if (now := choice(seen)) != last:
+                last = element.value = now
+
+        self._followed.append(follow)
 
     def _select(self, names: Any, label: str, field: str, change: Callable[[Session, Any], None]) -> Any:
         """A field of the session's settings; `change` makes what the user takes."""
@@ -123,8 +118,8 @@ class RigPage:
         self._motors.show(seen)
         self._plots.show(seen)
         self._follow_rig(seen.session.settings.preset)
-        for follower in self._followers:
-            follower.follow(seen)
+        for follow in self._followed:
+            follow(seen)
 
     def _speak(self) -> None:
         seen, now = self._worker.seen, self._worker.seen.session.now
