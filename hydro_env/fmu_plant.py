@@ -24,16 +24,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
+from pydantic import BeforeValidator, Field, model_validator
 
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.plant import Plant, PlantModel
 from hydro_env.plant.plant import Lost
 from hydro_env.reading import check_file, read_yaml
 from hydro_env.units import UNITS, unit
+from hydro_env.validation import Number, Table, checked
 
 __all__ = ["FmuModel", "FmuRigs", "is_fmu", "load_fmu"]
 
@@ -101,7 +103,13 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
             f"{file}: is a program, so that using it runs code from the file; with --trust it is used"
         )
     description = _description(str(file))
-    rated, start, links = (None, {}, _own_names(description)) if mapping is None else _read(Path(mapping))
+    rated: float | None = None
+    start: dict[str, float] = {}
+    if mapping is None:
+        links = _own_names(description)
+    else:
+        given = checked(_Mapping, read_yaml(mapping, "a mapping of an FMU in YAML"), mapping)
+        rated, start, links = given.rated, given.start, given.links()
     variables = {v.name: v for v in description.modelVariables}
     for (name, channel), link in links.items():
         _check(
@@ -144,6 +152,11 @@ def _check(
         )
 
 
+def _by_name(entry: Any) -> Any:
+    """A variable's name alone stands for {variable: NAME}."""
+    return {"variable": entry} if isinstance(entry, str) else entry
+
+
 def _own_names(description: Any) -> dict[tuple[str, int], Link]:
     """The names that `hydro-env export fmu` gives, as far as they are there."""
     there = {v.name for v in description.modelVariables}
@@ -151,53 +164,66 @@ def _own_names(description: Any) -> dict[tuple[str, int], Link]:
     return {key: Link(name) for key, name in names.items() if name in there}
 
 
-def _read(path: Path) -> tuple[float | None, dict[str, float], dict[tuple[str, int], Link]]:
-    """Rated command, start values and links of a mapping file."""
-    data = read_yaml(path, "a mapping of an FMU in YAML")
-    known = ("schema", "rated", "start", "channel_1", "channel_2")
-    if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
-        raise InputError(f"{path}: schema should be {SCHEMA!r}")
-    for key in data:
-        if key not in known:
-            raise InputError(f"{path}: unknown key {shown(key)}: {suggestion(key, known)}")
-    start = data.get("start", {})
-    if not isinstance(start, Mapping):
-        raise InputError(f"{path}: start should be a table of variables and numbers")
-    links = {}
-    for channel in (0, 1):
-        table = data.get(f"channel_{channel + 1}")
-        if not isinstance(table, Mapping):
-            raise InputError(f"{path}: channel_{channel + 1} should be a table with command and speed")
-        for name, entry in table.items():
-            if name not in _SIGNALS:
-                raise InputError(
-                    f"{path}: channel_{channel + 1}: {shown(name)} is unknown: {suggestion(name, _SIGNALS)}"
-                )
-            links[name, channel] = _link(f"{path}: channel_{channel + 1}: {name}", name, entry)
-    values = {str(key): _number(f"{path}: start: {key}", value) for key, value in start.items()}
-    rated = _number(f"{path}: rated", data["rated"]) if "rated" in data else None
-    return rated, values, links
+# --- mapping files ----------------------------------------------------------------------------------------------------
+class _Variable(Table):
+    """A variable of the FMU, and what its numbers are."""
+
+    variable: str
+    unit: str = ""
+    sign: Number = 1.0
 
 
-def _number(where: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
-        raise InputError(f"{where} is {shown(value)}, expected a number")
-    return float(value)
+class _CommandVariable(Table):
+    """A variable that takes a command, in whatever unit `rated` has."""
+
+    variable: str
 
 
-def _link(where: str, name: str, entry: Any) -> Link:
-    entry = {"variable": entry} if isinstance(entry, str) else entry
-    known = ("variable",) if name == "command" else ("variable", "unit", "sign")
-    if not isinstance(entry, Mapping) or not isinstance(entry.get("variable"), str):
-        raise InputError(f"{where} should be {{variable: NAME}}")
-    for key in entry:
-        if key not in known:
-            raise InputError(f"{where}: unknown key {shown(key)}: {suggestion(key, known)}")
-    si = _SIGNALS[name][0]
-    own = unit(str(entry.get("unit", si)))
-    if own.quantity != UNITS[si].quantity or own.offset:
-        raise InputError(f"{where}: unit {own.name} is no unit of {UNITS[si].quantity}")
-    return Link(entry["variable"], own.scale * _number(f"{where}: sign", entry.get("sign", 1)))
+_Command = Annotated[_CommandVariable, BeforeValidator(_by_name)]
+_Signal = Annotated[_Variable, BeforeValidator(_by_name)]
+
+
+class _Channel(Table):
+    command: _Command | None = None
+    load: _Signal | None = None
+    speed: _Signal | None = None
+    measured_speed: _Signal | None = None
+    pressure: _Signal | None = None
+    current: _Signal | None = None
+    angle: _Signal | None = None
+
+    def links(self) -> dict[str, Link]:
+        """What each signal is linked to. ValueError for a unit of something else."""
+        found = {}
+        for name, (si, _) in _SIGNALS.items():
+            given = getattr(self, name)
+            if isinstance(given, _Variable):
+                own = unit(given.unit or si)
+                if own.quantity != UNITS[si].quantity or own.offset:
+                    raise ValueError(f"{name}: unit {own.name} is no unit of {UNITS[si].quantity}")
+                found[name] = Link(given.variable, own.scale * given.sign)
+            elif given is not None:
+                found[name] = Link(given.variable)
+        return found
+
+    @model_validator(mode="after")
+    def _units_fit(self) -> _Channel:
+        self.links()
+        return self
+
+
+class _Mapping(Table):
+    FORMAT = SCHEMA
+
+    rated: Number | None = None
+    start: dict[str, Number] = Field(default_factory=dict)
+    channel_1: _Channel
+    channel_2: _Channel
+
+    def links(self) -> dict[tuple[str, int], Link]:
+        """The links by (signal, channel 0 or 1)."""
+        channels = (self.channel_1, self.channel_2)
+        return {(name, c): link for c in (0, 1) for name, link in channels[c].links().items()}
 
 
 # --- the unit at work ------------------------------------------------------------------------------------------------

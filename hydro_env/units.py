@@ -135,3 +135,8 @@ def from_si(value: Any, name: str) -> Any:
     """`value` (a number or an array) given in SI, in unit `name`."""
     known = unit(name)
     return (value - known.offset) / known.scale if known.offset else value / known.scale
+
+
+def with_unit(value: float, name: str, digits: int = 6) -> str:
+    """A value as text with its unit; the unit "1" is not written."""
+    return f"{value:.{digits}g} {'' if name == '1' else name}".rstrip()

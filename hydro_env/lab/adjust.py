@@ -8,7 +8,7 @@ from math import inf, isinf
 from hydro_env.lab.rig import effects_offered
 from hydro_env.plant import CATALOGUE, Parameter
 from hydro_env.plant.catalogue import PORTS, Effect
-from hydro_env.units import BAR, MICROMETRE, MILLISECOND, RPM
+from hydro_env.units import BAR, MICROMETRE, MILLISECOND, RPM, with_unit
 
 __all__ = ["POSITIONS", "Slider", "effects_by_port", "sliders"]
 
@@ -90,10 +90,8 @@ class Slider:
         if isinf(value):
             return "none"
         p = self.parameter
-        unit, size = ("" if p.unit == "1" else p.unit), 1.0
-        if p.unit in _READABLE and p.high < _READABLE[p.unit][2]:
-            unit, size, _ = _READABLE[p.unit]
-        return f"{value / size:.3g} {unit}".strip()
+        unit, size, largest = _READABLE.get(p.unit, (p.unit, 1.0, inf))
+        return with_unit(value / size, unit, 3) if p.high < largest else with_unit(value, p.unit, 3)
 
 
 def sliders(effect: Effect, rated_V: tuple[float, float]) -> list[Slider]:

@@ -16,7 +16,6 @@ import importlib
 import logging
 import math
 import warnings
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from functools import cache
@@ -28,8 +27,8 @@ import numpy as np
 from hydro_env.errors import InputError, suggestion, to_install
 from hydro_env.measured.csv_file import CsvStyle, read_csv
 from hydro_env.measured.finding import Finding
-from hydro_env.measured.mat5_structure import check_structure
-from hydro_env.measured.table import MOST_VALUES, Table, check_size
+from hydro_env.measured.mat5 import read_mat5
+from hydro_env.measured.table import Table, check_size
 from hydro_env.reading import check_file
 
 __all__ = ["ENDINGS", "is_binary", "read_table"]
@@ -51,13 +50,20 @@ def read_table(path: Path, choose: Choose, style: CsvStyle | None = None) -> Tab
     """
     check_file(path, "a log")
     try:
-        return read_binary(path, choose) if is_binary(path) else read_csv(path, choose, style)
+        table = read_binary(path, choose) if is_binary(path) else read_csv(path, choose, style)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}); copy it anew") from None
     except MemoryError:
         raise InputError(
             f"{path}: does not fit into memory; export a shorter part, or fewer columns"
         ) from None
+    for name, values in table.columns.items():
+        if (infinite := np.isinf(values)).any():
+            raise InputError(
+                f"{path}: row {table.row(int(np.argmax(infinite)))}, column {name!r}: infinite; leave it empty, or NaN, where "
+                "nothing was measured"
+            )
+    return table
 
 
 def read_binary(path: Path, choose: Choose) -> Table:
@@ -114,17 +120,11 @@ def _numbers(path: Path, name: str, values: Any) -> np.ndarray:
             values = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64) / 1e9
         elif values.dtype.kind not in "biuf":
             values = np.array([np.nan if value is None else value for value in values.ravel()])
-        numbers = values.astype(float).ravel()
+        return values.astype(float).ravel()
     except (TypeError, ValueError):
         raise InputError(
             f"{path}: column {name!r} holds no numbers; a log's columns are plain numbers"
         ) from None
-    infinite = np.flatnonzero(np.isinf(numbers))
-    if len(infinite):
-        raise InputError(
-            f"{path}: row {infinite[0] + 1}, column {name!r}: infinite; put NaN where nothing was measured"
-        )
-    return numbers
 
 
 @contextmanager
@@ -183,43 +183,20 @@ def _mat(path: Path, units: dict[str, str]) -> Iterator[Columns]:
     from scipy.io.matlab import matfile_version
 
     if matfile_version(path)[0] == 1:
-        check_size(path, _unpacked_size(path) // 8)  # of what lies in structures as well
-        check_structure(path)
-    check_size(path, sum(math.prod(shape) for _, shape, _ in whosmat(path)))
-    content = loadmat(path, squeeze_me=True, struct_as_record=False)
-    named = {key: value for key, value in content.items() if not key.startswith("__")}
-    yield {name: lambda values=values: values for name, values in _vectors(named)}  # type: ignore[misc]
+        matrices = read_mat5(path)
+    else:
+        check_size(path, sum(math.prod(shape) for _, shape, _ in whosmat(path)))
+        matrices = {name: values for name, values in loadmat(path).items() if not name.startswith("__")}
+    yield {name: lambda values=values: values for name, values in _vectors(matrices)}  # type: ignore[misc]
 
 
-def _unpacked_size(path: Path) -> int:
-    """Bytes that the compressed elements of a MAT 5 file unpack to, without keeping them; stops where they are too many."""
-    size = 0
-    with open(path, "rb") as file:
-        file.seek(126)
-        order = "little" if file.read(2) == b"IM" else "big"
-        while len(tag := file.read(8)) == 8:
-            kind, length = (int.from_bytes(tag[n : n + 4], order) for n in (0, 4))  # type: ignore[arg-type]
-            end = file.tell() + length
-            unpack = zlib.decompressobj()
-            while kind == _MI_COMPRESSED and file.tell() < end and size <= 8 * MOST_VALUES:
-                packed = file.read(min(1 << 14, end - file.tell()))
-                size += len(unpack.decompress(packed))
-                if not packed:
-                    return size
-            file.seek(end)
-    return size
-
-
-def _vectors(content: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in content.items():
-        fields = getattr(value, "_fieldnames", None)
-        if fields:
-            yield from _vectors({field: getattr(value, field) for field in fields}, f"{prefix}{key}.")
-        elif isinstance(value, np.ndarray) and value.ndim == 1:
-            yield prefix + key, value
-        elif isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "biuf":
-            for number in range(value.shape[1] if value.shape[1] <= 64 < value.shape[0] else 0):
-                yield f"{prefix}{key}(:,{number + 1})", value[:, number]
+def _vectors(matrices: dict[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
+    for name, values in matrices.items():
+        if values.size > 1 and values.size == max(values.shape):
+            yield name, values.ravel()
+        elif values.ndim == 2 and values.shape[1] <= 64 < values.shape[0]:
+            for number in range(values.shape[1]):
+                yield f"{name}(:,{number + 1})", values[:, number]
 
 
 @contextmanager
@@ -304,18 +281,15 @@ def _check_channel(path: Path, group: Any, number: int) -> None:
     that lies outside its record: the library reads there unchecked."""
     channel = group.channels[number]
     blocks = type(channel).__module__.rpartition(".")[2]
-    constants = {"v4_blocks": "v4_constants", "v2_v3_blocks": "v2_v3_constants"}[blocks]
-    names = vars(importlib.import_module(f"asammdf.blocks.{constants}"))
     rule = channel.conversion
-    plain = {names.get(f"CONVERSION_TYPE_{kind}") for kind in _PLAIN_CONVERSIONS}
-    if rule is not None and rule.conversion_type not in plain:
+    if rule is not None and rule.conversion_type not in _ARITHMETIC[blocks]:
         raise InputError(
             f"{path}: the values of channel {channel.name!r} come from a formula or a table of texts in the file, which is "
             "never run; export physical values (no conversion, or a linear one)"
         )
     if blocks == "v4_blocks":
         # Of a channel with an attachment the library opens whatever file is named.
-        if channel.channel_type == names["CHANNEL_TYPE_VLSD"] or channel.attachment is not None:
+        if channel.channel_type == _VARIABLE_LENGTH or channel.attachment is not None:
             raise InputError(
                 f"{path}: column {channel.name!r} holds texts, blocks of bytes or an attached file, no numbers"
             )
@@ -357,10 +331,10 @@ def _tdms(path: Path, units: dict[str, str]) -> Iterator[Columns]:
 _TALKATIVE = (
     "asammdf", "nptdms.base_segment", "nptdms.reader", "nptdms.scaling", "nptdms.tdms_segment", "nptdms.types",
 )  # fmt: skip
-#: Conversions of MDF 3 and 4 that are arithmetic on numbers, by their names in asammdf.
-_PLAIN_CONVERSIONS = ("NON", "NONE", "LIN", "LINEAR", "RAT", "POLY", "EXPO", "LOGH", "TAB", "TABI", "RTAB")
-#: The type of a compressed element of a MAT 5 file ("MAT-File Format", The MathWorks).
-_MI_COMPRESSED = 15
+#: Conversions that are arithmetic on numbers, by the versions' modules in asammdf: none, linear, rational and tables of numbers;
+#: in MDF 3 also polynomials, exponentials and logarithms. And the type of channels whose samples are of any length.
+_ARITHMETIC = {"v4_blocks": {0, 1, 2, 4, 5, 6}, "v2_v3_blocks": {0, 1, 2, 6, 7, 8, 9, 65535}}
+_VARIABLE_LENGTH = 1
 
 BINARY: dict[str, tuple[Callable[[Path, dict[str, str]], AbstractContextManager[Columns]], str]] = {
     ".parquet": (_parquet, "Parquet"),

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hydro_env.errors import InputError
-from hydro_env.measured.csv_cells import MISSING, is_number, is_value, seconds
+from hydro_env.measured.cell_text import MISSING, is_number, is_value, seconds
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.names import bracketed, unit_of
 
@@ -217,7 +217,7 @@ def _kind(cell: str) -> str:
     if cell.lower() in MISSING:
         return "missing"
     comma = cell.count(",") == 1 and is_number(cell.replace(",", "."))
-    return "value" if comma or is_value(cell, True) or seconds(cell) is not None else "text"
+    return "value" if comma or is_value(cell) or seconds(cell) is not None else "text"
 
 
 def _named(cells: Sequence[str], delimiter: str, first: int, filled: int = 0) -> Header:

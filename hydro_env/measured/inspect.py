@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 import yaml
-from pydantic import ValidationError
 
 from ..errors import InputError
 from ..units import UNITS
+from ..validation import checked
 from .csv_file import CsvStyle
 from .formats import read_table
 from .gate import LARGEST
@@ -32,7 +32,6 @@ from .mapping import (
     Mapping,
     contract_columns,
     contract_mapping,
-    explain,
     load_begun,
 )
 from .names import unit_of, words
@@ -299,10 +298,9 @@ def _tried(path: Path, draft: _Draft) -> Proposal:
         return draft.proposal(None, "no channel with a command and a speed was found; name them by hand")
     while True:
         try:
-            log = read_log(path, Mapping.model_validate(content))
-        except (InputError, ValidationError) as error:
-            line = explain(error) if isinstance(error, ValidationError) else str(error)
-            line = line.removeprefix(f"{path}: ")
+            log = read_log(path, checked(Mapping, content, path))
+        except InputError as error:
+            line = str(error).removeprefix(f"{path}: ")
             if not _left_out(draft, line):
                 return draft.proposal(None, line)
             continue

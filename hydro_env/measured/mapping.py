@@ -30,11 +30,12 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from hydro_env.errors import InputError, nearest, shown, suggestion
+from hydro_env.errors import InputError, nearest
 from hydro_env.reading import read_yaml
 from hydro_env.units import to_si, unit
+from hydro_env.validation import Number, Table, checked
 
 __all__ = [
     "CHANNEL_SIGNALS",
@@ -45,7 +46,6 @@ __all__ = [
     "Source",
     "contract_columns",
     "contract_mapping",
-    "explain",
     "load_begun",
     "load_mapping",
 ]
@@ -96,26 +96,19 @@ CONTRACT_RIG = {
 }
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Part(_Strict):
+class Part(Table):
     """One column in one unit; `full_scale` (SI) is the value at fraction 1 where the unit is fraction or percent."""
 
     column: str
     unit: str
     sign: Literal[1, -1] = 1
-    scale: float = 1.0
-    offset: float = 0.0
-    full_scale: float | None = None
+    scale: Number = 1.0
+    offset: Number = 0.0
+    full_scale: Number | None = None
 
     @model_validator(mode="after")
     def _sensible(self) -> Part:
-        try:
-            quantity = unit(self.unit).quantity
-        except InputError as error:
-            raise ValueError(str(error)) from None
+        quantity = unit(self.unit).quantity
         if self.scale == 0.0:
             raise ValueError("scale is 0, so the signal would vanish; use sign: -1 to reverse it")
         if quantity == "fraction" and self.full_scale is None:
@@ -140,10 +133,10 @@ class Source(Part):
         return (self.column,) if self.minus is None else (self.column, self.minus.column)
 
 
-class Quantity(_Strict):
+class Quantity(Table):
     """A number with its unit."""
 
-    value: float
+    value: Number
     unit: str
 
     @property
@@ -151,7 +144,7 @@ class Quantity(_Strict):
         return float(to_si(self.value, self.unit))
 
 
-class Time(_Strict):
+class Time(Table):
     """The clock: a column of numbers, or rows at a fixed rate (rows per second)."""
 
     column: str | None = None
@@ -164,16 +157,13 @@ class Time(_Strict):
             raise ValueError(
                 "give either `column` (with its unit) or `sample_rate` (rows per second), not both or none"
             )
-        try:
-            quantity = unit(self.unit).quantity
-        except InputError as error:
-            raise ValueError(str(error)) from None
+        quantity = unit(self.unit).quantity
         if quantity != "time":
             raise ValueError(f"{self.unit} is a unit of {quantity}; time is in s, ms or us")
         return self
 
 
-class TableStyle(_Strict):
+class TableStyle(Table):
     """How the file is written where that is not recognised by itself."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None
@@ -183,7 +173,7 @@ class TableStyle(_Strict):
     si_suffixes: bool = False
 
 
-class ChannelMapping(_Strict):
+class ChannelMapping(Table):
     """One valve and its actuator; signals that are not recorded are left out."""
 
     actuator: Literal["motor", "cylinder"] = "motor"
@@ -206,10 +196,7 @@ class ChannelMapping(_Strict):
                 _check_unit(signal, source, self.actuator)
         if self.displacement is not None:
             wanted = _QUANTITY[self.actuator]["displacement"]
-            try:
-                quantity = unit(self.displacement.unit).quantity
-            except InputError as error:
-                raise ValueError(f"displacement: {error}") from None
+            quantity = unit(self.displacement.unit).quantity
             if quantity != wanted:
                 raise ValueError(
                     f"displacement of a {self.actuator}: {self.displacement.unit} is a unit of {quantity}; "
@@ -236,10 +223,11 @@ def _check_unit(signal: str, source: Source, actuator: str) -> None:
             )
 
 
-class Mapping(_Strict):
-    """A whole mapping file; `schema_` is written `schema` in the file."""
+class Mapping(Table):
+    """A whole mapping file."""
 
-    schema_: Literal["hydro_env/mapping/1"] = Field(alias="schema")
+    FORMAT = SCHEMA
+
     name: str = ""
     description: str = ""
     table: TableStyle = TableStyle()
@@ -280,16 +268,16 @@ class Mapping(_Strict):
 
 def load_mapping(path: str | Path) -> Mapping:
     """Reads a mapping file; `InputError` with one line naming file and key for anything that is wrong."""
-    return _validated(path, _read(path))
+    return checked(Mapping, read_yaml(path, "a mapping in YAML"), path)
 
 
 def load_begun(path: str | Path) -> Mapping | dict[str, Any]:
     """A whole mapping file as a mapping; the content of one that lacks the time or every channel. InputError as above."""
-    data = _read(path)
-    lacking = {key: value for key, value in _BLANK.items() if key not in data}
-    if "channel_2" in data:
+    data = read_yaml(path, "a mapping in YAML")
+    lacking = {key: value for key, value in _BLANK.items() if isinstance(data, dict) and key not in data}
+    if lacking and "channel_2" in data:
         lacking.pop("channel_1", None)
-    whole = _validated(path, data | lacking)
+    whole = checked(Mapping, data | lacking if lacking else data, path)
     return data if lacking else whole
 
 
@@ -298,49 +286,6 @@ _BLANK: dict[str, Any] = {
     "time": {"sample_rate": 1000},
     "channel_1": {"command": {"column": "?", "unit": "V"}, "speed": {"column": "?", "unit": "rpm"}},
 }
-
-
-def _read(path: str | Path) -> dict[str, Any]:
-    data = read_yaml(path, "a mapping in YAML")
-    if not isinstance(data, dict):
-        raise InputError(f"{path}: a mapping is a YAML table that starts with `schema: {SCHEMA}`")
-    if data.get("schema") != SCHEMA:
-        raise InputError(
-            f"{path}: schema is {shown(data.get('schema'))}; a mapping file says `schema: {SCHEMA}`"
-        )
-    return data
-
-
-def _validated(path: str | Path, data: dict[str, Any]) -> Mapping:
-    try:
-        return Mapping.model_validate(data)
-    except ValidationError as error:
-        raise InputError(f"{path}: {explain(error)}") from None
-
-
-def explain(error: ValidationError) -> str:
-    """The first complaint as one line: key, what is wrong, what would be right."""
-    # An unknown key often makes a required one missing, and is then the better explanation.
-    first = min(error.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
-    where = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        known = _keys(first["loc"][:-1])
-        return f"unknown key {shown(where)}; {suggestion(first['loc'][-1], known)}"
-    if first["type"] == "missing":
-        return f"key {where!r} is missing; it is required here"
-    message = first["msg"].removeprefix("Value error, ")
-    got = "" if first["type"] == "value_error" else f", got {shown(first['input'])}"
-    return f"key {where!r}: {message}{got}" if where else f"{message}{got}"
-
-
-def _keys(place: tuple[Any, ...]) -> list[str]:
-    """The keys that are known at a place of the mapping file."""
-    models: dict[str, type[BaseModel]] = {
-        "table": TableStyle, "time": Time, "channel_1": ChannelMapping, "channel_2": ChannelMapping,
-        "displacement": Quantity, "minus": Part,
-    }  # fmt: skip
-    model = models.get(str(place[-1]), Source) if place else Mapping
-    return [field.alias or name for name, field in model.model_fields.items()]
 
 
 _CHANNEL_COLUMN = re.compile(rf"({'|'.join(CHANNEL_SIGNALS)})_([12])_(\w+)")
@@ -376,7 +321,7 @@ def contract_mapping(names: tuple[str, ...], path: Path) -> Mapping:
         for signal, (column, symbol) in CONTRACT_RIG.items()
         if column in names
     }
-    return Mapping.model_validate({"schema": SCHEMA, "time": {"column": "time_s"}, **rig, **channels})
+    return Mapping.model_validate({"time": {"column": "time_s"}, **rig, **channels})
 
 
 def _missing(path: Path, column: str, names: tuple[str, ...]) -> InputError:

@@ -370,7 +370,7 @@ _ROWS = (
 #: What is simulated as the reference does it, from models that lie far apart (`python -m hydro_env.experiments.accuracy`):
 #: ten times the plausible range either way, and less where a stop would rebound for ever. A cylinder axis is a motor whose `D` is
 #: the piston area, or whose `Kq` is as much smaller: both are far outside of what motors have, and are simulated as well, as
-#: long as mass and line do not ring too fast (`accepted.check_channel`).
+#: long as mass and line do not ring too fast (`validation.check_channel`).
 _POSSIBLE: dict[str, tuple[float, float]] = {
     "D": (1e-7, 0.3),
     "Kq": (1e-6, 7.5),
