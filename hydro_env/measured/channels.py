@@ -23,85 +23,86 @@ _RATED = (
 _VACUUM = 1.5 * BAR  # no pressure is further below the atmosphere's, with half a bar for the sensor's zero
 _LIKE = 0.3  # a load pressure is the difference of the lines if it differs by less than this share of its own swing
 _CORRELATE = 20_000  # rows that suffice for a correlation
+_SIZED = ("command", "current", "pressure", "speed", "supply", "temperature", *LINES)
 _IN_MAPPING = "give the right unit in a mapping"
 
 
 def check_sizes(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
     """Magnitudes that point to a wrong unit."""
-    for channel in (0, 1):
-        named = mapping.channels[channel]
-        for signal in ("command", "current", "pressure", "speed", *LINES):
-            source = getattr(named, signal) if named else None
-            values = log.get(signal)
-            if source is not None and values is not None and log.has(signal, channel):
-                place = {"signal": signal, "channel": channel + 1, "column": source.column}
-                yield from _size(values[:, channel], log, channel, place, source)
-    for signal in ("supply", "temperature"):
-        source, values = getattr(mapping, signal), log.get(signal)
-        if source is not None and values is not None:
-            yield from _size(values, log, 0, {"signal": signal, "column": source.column}, source)
+    for signal, channel, source in mapping.sources():
+        values = log.get(signal)
+        if signal in _SIZED and values is not None and log.has(signal, channel):
+            one = values if channel is None else values[:, channel]
+            finite = one[np.isfinite(one)]
+            if len(finite) and finite.any():
+                yield from _size(log, signal, channel, source, finite)
     yield from _setpoint(log, mapping)
     yield from _supply(log, mapping)
 
 
 def _size(
-    values: np.ndarray, log: RigLog, channel: int, place: dict[str, Any], source: Source
+    log: RigLog, signal: str, channel: int | None, source: Source, finite: np.ndarray
 ) -> Iterator[Finding]:
-    finite = values[np.isfinite(values)]
-    if not len(finite):
-        return
-    peak = float(np.max(np.abs(finite)))
-    signal, column = place["signal"], place["column"]
-
-    def odd(seen: str, guess: str, sure: bool = False, unit: str = "") -> Finding:
-        fix: dict[str, Any] | None = None
-        if unit and "channel" in place:
-            fix = {f"channel_{place['channel']}": {signal: {"unit": unit}}}
-        elif unit:
-            fix = {signal: {"unit": unit}}
-        return Finding(
-            "unit", f"{column!r} peaks at {seen}: {guess}?", _IN_MAPPING, sure=sure, fix=fix, **place
-        )
-
-    if peak == 0.0:
-        return
-    # What the file's numbers would be in another unit: the reading so far undone.
+    peak, unit = float(np.max(np.abs(finite))), source.unit
+    moves = channel is not None and _moves(log, channel)
+    seen, guess, sure, right = (
+        "",
+        "",
+        False,
+        "",
+    )  # what the peak is, what may be wrong, whether it is, the right unit
     if signal in ("pressure", "supply", *LINES):
-        raw = peak / BAR if source.unit == "bar" else None
+        seen = f"{peak / BAR:.4g} bar"
         if peak > _RATED:
-            unit = "" if raw is None else "kPa" if raw < 60_000.0 else "Pa"
-            yield odd(f"{peak / BAR:.4g} bar", "is it in kPa, psi or Pa", peak > 2000 * BAR, unit)
+            guess, sure, right = (
+                "in kPa, psi or Pa",
+                peak > 2000 * BAR,
+                "kPa" if peak < 60_000.0 * BAR else "Pa",
+            )
         elif signal == "supply" and peak < 5 * BAR:
-            yield odd(f"{peak / BAR:.4g} bar", "is it in MPa", unit="" if raw is None else "MPa")
-        elif signal == "pressure" and peak < 0.7 * BAR and _moves(log, channel):
-            guess = "is it in bar" if source.unit in ("kPa", "mbar", "Pa") else "is it in MPa or 1000 psi"
-            yield odd(f"{peak / BAR:.3g} bar though the axis moves", guess)
+            guess, right = "in MPa", "MPa"
+        elif signal == "pressure" and peak < 0.7 * BAR and moves:
+            seen = f"{peak / BAR:.3g} bar though the axis moves"
+            guess = "in bar" if unit in ("kPa", "mbar", "Pa") else "in MPa or 1000 psi"
+        right = right if unit == "bar" else ""
+    elif signal == "speed" and log.kinds[channel or 0] == "cylinder":
+        seen = f"{peak:.4g} m/s"
+        if peak > 5.0:
+            guess, sure, right = "in mm/s", peak > 50.0, "mm/s" if unit == "m/s" else ""
     elif signal == "speed":
-        if log.kinds[channel] == "motor":
-            if peak > 6000 * RPM:
-                guess = "is it in rpm" if source.unit in ("rad/s", "Hz") else "is it in deg/s"
-                yield odd(f"{peak / RPM:.4g} rpm", guess)
-            elif peak < 80 * RPM and (log.setpoint is None or not np.ptp(np.nan_to_num(log.setpoint)) > 0.0):
-                shown = f"{peak / RPM:.4g} rpm"
-                yield odd(shown, f"slow motion, or {peak / RPM:.3g} rad/s")
-        elif peak > 5.0:
-            yield odd(f"{peak:.4g} m/s", "is it in mm/s", peak > 50.0, "mm/s" if source.unit == "m/s" else "")
-    elif signal == "command" and peak > 200.0:
-        yield odd(f"{peak:.4g} V", "is it in mV", peak > 2000.0, "mV" if source.unit == "V" else "")
-    elif signal == "command" and 99.5 < peak < 100.5 and source.unit == "V":
-        yield odd(f"{peak:.4g} V", "is it in percent of full scale")
-    elif signal == "command" and peak <= 1.05 and source.unit == "V":
-        yield odd(f"{peak:.4g} V", "is it a fraction of full scale")
-    elif signal == "current" and peak > 20.0:
-        yield odd(f"{peak:.4g} A", "is it in mA", peak > 100.0, "mA" if source.unit == "A" else "")
-    elif signal == "current" and peak < 0.005 and _moves(log, channel):
-        yield odd(
-            f"{1e3 * peak:.3g} mA though the axis moves",
-            "is it in A",
-            unit="A" if source.unit == "mA" else "",
-        )
-    elif signal == "temperature" and not 230.0 < float(np.median(finite)) < 430.0:
-        yield odd(f"{peak - 273.15:.4g} degC", "is it in K or degF")
+        seen = f"{peak / RPM:.4g} rpm"
+        if peak > 6000 * RPM:
+            guess = "in rpm" if unit in ("rad/s", "Hz") else "in deg/s"
+        elif peak < 80 * RPM and (log.setpoint is None or not np.ptp(np.nan_to_num(log.setpoint)) > 0.0):
+            guess = f"slow motion, or {peak / RPM:.3g} rad/s"
+    elif signal == "command":
+        seen = f"{peak:.4g} V"
+        if peak > 200.0:
+            guess, sure, right = "in mV", peak > 2000.0, "mV" if unit == "V" else ""
+        elif unit == "V" and 99.5 < peak < 100.5:
+            guess = "in percent of full scale"
+        elif unit == "V" and peak <= 1.05:
+            guess = "a fraction of full scale"
+    elif signal == "current":
+        seen = f"{peak:.4g} A"
+        if peak > 20.0:
+            guess, sure, right = "in mA", peak > 100.0, "mA" if unit == "A" else ""
+        elif peak < 0.005 and moves:
+            seen, guess, right = (
+                f"{1e3 * peak:.3g} mA though the axis moves",
+                "in A",
+                "A" if unit == "mA" else "",
+            )
+    elif not 230.0 < float(np.median(finite)) < 430.0:
+        seen, guess = f"{peak - 273.15:.4g} degC", "in K or degF"
+    if guess:
+        question = guess if guess.startswith("slow") else f"is it {guess}"
+        fix: dict[str, Any] = {signal: {"unit": right}}
+        if channel is not None:
+            fix = {f"channel_{channel + 1}": fix}
+        message = f"{source.column!r} peaks at {seen}: {question}?"
+        place = (signal, None if channel is None else channel + 1, source.column)
+        yield Finding("unit", message, _IN_MAPPING, *place, sure=sure, fix=fix if right else None)
 
 
 def _moves(log: RigLog, channel: int) -> bool:

@@ -15,7 +15,8 @@ import numpy as np
 from hydro_env.errors import InputError
 from hydro_env.measured.channels import check_channels, check_lines, check_sizes
 from hydro_env.measured.finding import Finding
-from hydro_env.measured.mapping import CHANNEL_SIGNALS, Mapping
+from hydro_env.measured.mapping import Mapping
+from hydro_env.measured.names import unit_of
 from hydro_env.measured.samples import check_samples
 from hydro_env.measured.table import Table
 from hydro_env.units import to_si, unit
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = [
     "LARGEST",
     "SETTLE_S",
-    "Spoilt",
+    "InvalidSamples",
     "after_gaps",
     "check_clock",
     "check_log",
@@ -43,7 +44,7 @@ _RESOLUTION_S = 1e-6  # clocks are read to the microsecond, and no rig is record
 _SHORTEST_S, _LONGEST_S = 1e-4, 0.5  # between the rows of usual logs of such rigs
 _FASTEST_S = 4e-5  # faster than 25 kHz only oscilloscopes record
 SETTLE_S = 1.0  # after a gap the state of a simulation is a guess for so long
-Spoilt = dict[tuple[str, int], np.ndarray]
+InvalidSamples = dict[tuple[str, int], np.ndarray]
 
 
 def check_clock(
@@ -198,46 +199,34 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, un
         yield Finding("time_unit", message, column=column)
 
 
-def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> tuple[list[Finding], Spoilt]:
+def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> tuple[list[Finding], InvalidSamples]:
     """What is suspicious about the values of a log, and which samples are no measurements of the rig.
 
-    `rows` (T,) are the lines of the file that hold the samples; spoilt samples come as masks (T,) by (signal, channel).
+    `rows` (T,) are the lines of the file that hold the samples; invalid ones come as masks (T,) by (signal, channel).
     """
     findings: list[Finding] = []
-    spoilt: Spoilt = {}
-    for signal in CHANNEL_SIGNALS:
-        for channel in (0, 1):
-            source = getattr(mapping.channels[channel], signal, None)
-            if source is None or not log.has(signal, channel):
-                continue
+    invalid: InvalidSamples = {}
+    for signal, channel, source in mapping.sources():
+        if channel is not None and log.has(signal, channel):
             found, bad = check_samples(log, signal, channel, rows, source.column)
             findings += found
             if bad.any():
-                spoilt[signal, channel] = bad
+                invalid[signal, channel] = bad
     findings += check_sizes(log, mapping)
     findings += check_channels(log, mapping)
     findings += check_lines(log, mapping)
-    return findings, spoilt
+    return findings, invalid
 
 
 def check_units(table: Table, mapping: Mapping) -> Iterator[Finding]:
     """Where the file itself gives a unit (a row of units, a unit in the binary file) and the mapping another one."""
-    parts: list[tuple[str, str, dict[str, Any]]] = []
-    if mapping.time.column is not None:
-        parts.append((mapping.time.column, mapping.time.unit, {}))
-    for number, channel in enumerate(mapping.channels):
-        for signal in CHANNEL_SIGNALS:
-            source = getattr(channel, signal) if channel else None
-            for part in (source, source.minus if source else None):
-                if part is not None:
-                    parts.append((part.column, part.unit, {"signal": signal, "channel": number + 1}))
+    parts: list[tuple[str | None, str, dict[str, Any]]] = [(mapping.time.column, mapping.time.unit, {})]
+    for signal, channel, source in mapping.sources():
+        place = {"signal": signal, "channel": None if channel is None else channel + 1}
+        parts += [(part.column, part.unit, place) for part in (source, source.minus) if part is not None]
     for column, read_as, place in parts:
-        said = table.units.get(column, "")
-        try:
-            same = unit(said) == unit(read_as)
-        except InputError:
-            continue
-        if said and not same:
+        said = table.units.get(column or "", "")
+        if said and (known := unit_of(said)) and known != unit(read_as):
             message = f"the file says that {column!r} is in {said}, it is read as {read_as}"
             yield Finding("unit", message, "give the right unit in a mapping", column=column, **place)
 

@@ -29,19 +29,17 @@ from .log_files import read_log
 from .mapping import (
     CHANNEL_SIGNALS,
     RIG_SIGNALS,
+    USUAL_UNITS,
     Mapping,
     contract_columns,
     contract_mapping,
     load_begun,
+    quantity_of,
 )
 from .names import unit_of, words
 
 __all__ = ["Proposal", "propose", "shown"]
 
-_SHOWN = {
-    "angular speed": "rpm", "linear speed": "mm/s", "pressure": "bar", "voltage": "V", "current": "A", "length": "mm",
-    "torque": "N m", "force": "N", "flow": "l/min", "temperature": "degC", "time": "s",
-}  # fmt: skip
 _CHANNELS = ("channel_1", "channel_2")
 _NEEDED = {"command": "V", "speed": "rpm"}
 
@@ -379,7 +377,7 @@ def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str
         for c in log.channels if values.ndim == 2 else (None,):
             if c is not None and not log.has(signal, c):
                 continue
-            name = _shown_unit(signal, log, c)
+            name = USUAL_UNITS[quantity_of(signal, log.kinds[log.channels[0] if c is None else c])]
             one = values if c is None else values[:, c]
             offset, scale = UNITS[name].offset, UNITS[name].scale
             quantiles = [(np.nanquantile(one, q) - offset) / scale for q in (0.0, 0.5, 1.0)]
@@ -390,9 +388,3 @@ def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str
     if not log.findings:
         lines.append("  nothing suspicious found")
     return "\n".join(lines), proposal.text
-
-
-def _shown_unit(signal: str, log: RigLog, channel: int | None) -> str:
-    quantities = QUANTITIES[signal]
-    linear = log.kinds[log.channels[0] if channel is None else channel] == "cylinder"
-    return _SHOWN[quantities[1] if linear and len(quantities) == 2 and signal != "command" else quantities[0]]

@@ -17,7 +17,7 @@ from hydro_env.measured.finding import Finding
 from hydro_env.measured.formats import read_table
 from hydro_env.measured.gate import (
     SETTLE_S,
-    Spoilt,
+    InvalidSamples,
     after_gaps,
     check_clock,
     check_log,
@@ -27,10 +27,8 @@ from hydro_env.measured.gate import (
 )
 from hydro_env.measured.log import HELD, RigLog, field_of
 from hydro_env.measured.mapping import (
-    CHANNEL_SIGNALS,
     CONTRACT,
     CONTRACT_RIG,
-    RIG_SIGNALS,
     Mapping,
     Part,
     Source,
@@ -107,20 +105,18 @@ def _from_table(table: Table, mapping: Mapping) -> RigLog:
             for channel in mapping.channels
         ),
         read_as={
-            f"{signal}_{number + 1}": (source.column, source.unit)
-            for number, channel in enumerate(mapping.channels)
-            if channel
-            for signal in CHANNEL_SIGNALS
-            if (source := getattr(channel, signal)) is not None
+            f"{signal}_{channel + 1}": (source.column, source.unit)
+            for signal, channel, source in mapping.sources()
+            if channel is not None
         },
         **{name: None if values is None else values[start:end] for name, values in signals.items()},  # type: ignore[arg-type]
     )
     if len(log) < 2:
         raise InputError(f"{table.path}: no two rows hold a command; a log needs at least two samples")
     findings += check_units(table, mapping)
-    found, spoilt = check_log(log, mapping, rows[start:end])
+    found, invalid = check_log(log, mapping, rows[start:end])
     return _with_load_pressure(
-        replace(_without(log, spoilt, unknown[start:end]), findings=(*findings, *found))
+        replace(_without(log, invalid, unknown[start:end]), findings=(*findings, *found))
     )
 
 
@@ -129,24 +125,19 @@ def _signals(
 ) -> dict[str, np.ndarray | None]:
     """The arrays of a `RigLog` in SI: (T, 2) of the channels, NaN where one lacks the signal, and (T,) of the rig."""
     signals: dict[str, np.ndarray | None] = {}
-    for signal in CHANNEL_SIGNALS:
-        columns: list[np.ndarray | None] = [None, None]
-        for index, channel in enumerate(mapping.channels):
-            source = getattr(channel, signal) if channel else None
-            columns[index] = _values(table, source, keep, findings) if source else None
-            if source and columns[index] is None and signal in ("command", "speed"):
-                raise InputError(
-                    f"{table.path}: column {source.column!r} is empty; {signal} is required of every channel"
-                )
-        count = max((len(column) for column in columns if column is not None), default=0)
-        if count:
-            signals[field_of(signal)] = np.column_stack(
-                [np.full(count, np.nan) if column is None else column for column in columns]
+    for signal, channel, source in mapping.sources():
+        values, name = _values(table, source, keep, findings), field_of(signal)
+        if channel is None:
+            signals[name] = values
+        elif values is not None:
+            both = signals.get(name)
+            if both is None:
+                both = signals[name] = np.full((len(values), 2), np.nan)
+            both[:, channel] = values
+        elif signal in ("command", "speed"):
+            raise InputError(
+                f"{table.path}: column {source.column!r} is empty; {signal} is required of every channel"
             )
-    for signal in RIG_SIGNALS:
-        source = getattr(mapping, signal)
-        if source is not None:
-            signals[signal] = _values(table, source, keep, findings)
     return signals
 
 
@@ -210,7 +201,7 @@ def _hold(
                     end = min(end, final)
                     hint += f", and the log ends with row {rows[final - 1]}: no command follows"
             hole = int(np.argmax(~known))
-            message = f"{np.sum(~known)} of {len(one)} cells of {column!r} hold no value, the first in row {rows[hole]}"
+            message = f"{column!r} holds no value in {np.sum(~known)} of {len(one)} cells, the first in row {rows[hole]}"
             place = {"channel": None if channel is None else channel + 1, "column": column}
             findings.append(Finding("missing_values", message, hint, signal, row=int(rows[hole]), **place))  # type: ignore[arg-type]
     return begin, end, unknown
@@ -234,8 +225,8 @@ def _unknown(time_s: np.ndarray, known: np.ndarray) -> tuple[int, np.ndarray]:
     return end, found
 
 
-def _without(log: RigLog, spoilt: Spoilt, unknown: np.ndarray) -> RigLog:
-    """The log with NaN in place of spoilt samples, of rows (T,) whose commands are `unknown`, and of what follows a long gap
+def _without(log: RigLog, invalid: InvalidSamples, unknown: np.ndarray) -> RigLog:
+    """The log with NaN in place of invalid samples, of rows (T,) whose commands are `unknown`, and of what follows a long gap
     unless that were most of the log."""
     late = after_gaps(log.time_s)
     late &= late.mean() < 0.5
@@ -243,13 +234,13 @@ def _without(log: RigLog, spoilt: Spoilt, unknown: np.ndarray) -> RigLog:
     changed: dict[str, np.ndarray | None] = {}
     for signal in MEASURED:
         values = log.get(signal)
-        if values is None or not (late.any() or any(name == signal for name, _ in spoilt)):
+        if values is None or not (late.any() or any(name == signal for name, _ in invalid)):
             continue
         values = values.copy()
         values[late] = np.nan
         for channel in (0, 1):
-            if (signal, channel) in spoilt:
-                values[spoilt[signal, channel], channel] = np.nan
+            if (signal, channel) in invalid:
+                values[invalid[signal, channel], channel] = np.nan
         changed[field_of(signal)] = None if signal != "speed" and np.isnan(values).all() else values
     return replace(log, **changed) if changed else log  # type: ignore[arg-type]
 

@@ -27,6 +27,7 @@ model that was given, with a flow gain `Kq` that makes its rad/s the m/s of the 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -45,9 +46,11 @@ __all__ = [
     "Mapping",
     "Source",
     "contract_columns",
+    "USUAL_UNITS",
     "contract_mapping",
     "load_begun",
     "load_mapping",
+    "quantity_of",
 ]
 
 SCHEMA = "hydro_env/mapping/1"
@@ -55,33 +58,6 @@ SCHEMA = "hydro_env/mapping/1"
 LINES = ("pressure_a", "pressure_b")
 CHANNEL_SIGNALS = ("command", "current", "pressure", "speed", "load", "spool", "flow", *LINES)
 RIG_SIGNALS = ("setpoint", "supply", "temperature")
-
-_QUANTITY = {
-    "motor": {
-        "speed": "angular speed",
-        "setpoint": "angular speed",
-        "load": "torque",
-        "displacement": "displacement",
-    },
-    "cylinder": {
-        "speed": "linear speed",
-        "setpoint": "linear speed",
-        "load": "force",
-        "displacement": "area",
-    },
-}
-#: A speed may be given as the position whose slope it is.
-_POSITION = {"motor": "angle", "cylinder": "length"}
-_COMMON = {
-    "command": "voltage", "current": "current", "pressure": "pressure", "spool": "length", "flow": "flow",
-    "supply": "pressure", "temperature": "temperature", "pressure_a": "pressure", "pressure_b": "pressure",
-}  # fmt: skip
-_EXAMPLE = {
-    "voltage": "V", "current": "A", "pressure": "bar", "length": "mm", "flow": "l/min",
-    "temperature": "degC", "time": "s",
-    "angular speed": "rpm", "linear speed": "m/s", "torque": "N m", "force": "N",
-    "displacement": "cm3/rev", "area": "m2",
-}  # fmt: skip
 
 # The columns of the rig log itself: signal -> (ending of the column name, unit).
 CONTRACT = {
@@ -94,6 +70,24 @@ CONTRACT_RIG = {
     "supply": ("supply_bar", "bar"),
     "temperature": ("temperature_C", "degC"),
 }
+#: What is measured on a cylinder where a motor has the former.
+_LINEAR = {"angular speed": "linear speed", "angle": "length", "torque": "force", "displacement": "area"}
+#: A speed may be given as the position whose slope it is.
+_POSITIONS = {"angular speed": "angle", "linear speed": "length"}
+#: The unit in which an engineer reads a quantity.
+USUAL_UNITS = {
+    "voltage": "V", "current": "A", "pressure": "bar", "length": "mm", "flow": "l/min", "temperature": "degC", "time": "s",
+    "angular speed": "rpm", "linear speed": "mm/s", "torque": "N m", "force": "N", "displacement": "cm3/rev", "area": "cm2",
+}  # fmt: skip
+
+
+def quantity_of(signal: str, actuator: str) -> str:
+    """What a signal, or the displacement, is measured as on a motor or a cylinder."""
+    if signal == "displacement":
+        found = "displacement"
+    else:
+        found = unit((CONTRACT | CONTRACT_RIG)[signal][1]).quantity
+    return found if actuator == "motor" else _LINEAR.get(found, found)
 
 
 class Part(Table):
@@ -191,35 +185,38 @@ class ChannelMapping(Table):
     @model_validator(mode="after")
     def _units_fit(self) -> ChannelMapping:
         for signal in CHANNEL_SIGNALS:
-            source = getattr(self, signal)
-            if source is not None:
+            if (source := getattr(self, signal)) is not None:
                 _check_unit(signal, source, self.actuator)
         if self.displacement is not None:
-            wanted = _QUANTITY[self.actuator]["displacement"]
+            wanted = quantity_of("displacement", self.actuator)
             quantity = unit(self.displacement.unit).quantity
             if quantity != wanted:
                 raise ValueError(
                     f"displacement of a {self.actuator}: {self.displacement.unit} is a unit of {quantity}; "
-                    f"use {_EXAMPLE[wanted]}"
+                    f"use {USUAL_UNITS[wanted]}"
                 )
         return self
 
 
 def _check_unit(signal: str, source: Source, actuator: str) -> None:
-    wanted = _QUANTITY[actuator].get(signal) or _COMMON[signal]
-    position = _POSITION[actuator] if signal == "speed" else ""
+    """ValueError for a unit of something else than the signal."""
+
+    def fitting(actuator: str) -> tuple[str, ...]:
+        quantity = quantity_of(signal, actuator)
+        return (quantity, _POSITIONS[quantity]) if signal == "speed" else (quantity,)
+
+    other = "cylinder" if actuator == "motor" else "motor"
     for part in (source, source.minus):
         if part is None:
             continue
         quantity = unit(part.unit).quantity
         if quantity == "fraction" and signal in ("command", "current", "spool"):
             continue
-        if quantity not in (wanted, position):
-            other = "cylinder" if actuator == "motor" else "motor"
-            fits_other = quantity in (_QUANTITY[other].get(signal), _POSITION[other] if position else "")
-            hint = f", or say `actuator: {other}`" if fits_other else ""
+        if quantity not in fitting(actuator):
+            hint = f", or say `actuator: {other}`" if quantity in fitting(other) else ""
+            wanted = USUAL_UNITS[quantity_of(signal, actuator)]
             raise ValueError(
-                f"{signal} of a {actuator}: {part.unit} is a unit of {quantity}; use {_EXAMPLE[wanted]}{hint}"
+                f"{signal} of a {actuator}: {part.unit} is a unit of {quantity}; use {wanted}{hint}"
             )
 
 
@@ -243,9 +240,8 @@ class Mapping(Table):
         present = [channel for channel in self.channels if channel is not None]
         if not present:
             raise ValueError("no channel: give channel_1, channel_2 or both, each with command and speed")
-        for signal in RIG_SIGNALS:
-            source = getattr(self, signal)
-            if source is not None:
+        for signal, channel, source in self.sources():
+            if channel is None:
                 _check_unit(signal, source, present[0].actuator)
         return self
 
@@ -254,16 +250,19 @@ class Mapping(Table):
         """Channel 1 and channel 2, None where absent."""
         return self.channel_1, self.channel_2
 
+    def sources(self) -> Iterator[tuple[str, int | None, Source]]:
+        """Signal, channel (0, 1; None of the rig) and source of all that is mapped."""
+        for channel in (None, 0, 1):
+            owner = self if channel is None else self.channels[channel]
+            for signal in RIG_SIGNALS if channel is None else CHANNEL_SIGNALS:
+                source = getattr(owner, signal, None)
+                if source is not None:
+                    yield signal, channel, source
+
     def columns(self) -> tuple[str, ...]:
         """Every column of the file that the mapping uses."""
-        sources = [getattr(self, signal) for signal in RIG_SIGNALS]
-        sources += [
-            getattr(channel, signal) for channel in self.channels if channel for signal in CHANNEL_SIGNALS
-        ]
         names = [self.time.column] if self.time.column else []
-        return tuple(
-            dict.fromkeys(names + [name for source in sources if source for name in source.columns()])
-        )
+        return tuple(dict.fromkeys(names + [n for _, _, source in self.sources() for n in source.columns()]))
 
 
 def load_mapping(path: str | Path) -> Mapping:
