@@ -28,14 +28,14 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.plant import Plant, PlantModel
 from hydro_env.plant.plant import Lost
 from hydro_env.reading import check_file, read_yaml
 from hydro_env.units import UNITS, unit
-from hydro_env.validation import Number, Table, checked
+from hydro_env.validation import Number, Table, checked, known
 
 __all__ = ["FmuModel", "FmuRigs", "is_fmu", "load_fmu"]
 
@@ -103,13 +103,7 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
             f"{file}: is a program, so that using it runs code from the file; with --trust it is used"
         )
     description = _description(str(file))
-    rated: float | None = None
-    start: dict[str, float] = {}
-    if mapping is None:
-        links = _own_names(description)
-    else:
-        given = checked(_Mapping, read_yaml(mapping, "a mapping of an FMU in YAML"), mapping)
-        rated, start, links = given.rated, given.start, given.links()
+    rated, start, links = (None, {}, _own_names(description)) if mapping is None else _read(mapping)
     variables = {v.name: v for v in description.modelVariables}
     for (name, channel), link in links.items():
         _check(
@@ -152,11 +146,6 @@ def _check(
         )
 
 
-def _by_name(entry: Any) -> Any:
-    """A variable's name alone stands for {variable: NAME}."""
-    return {"variable": entry} if isinstance(entry, str) else entry
-
-
 def _own_names(description: Any) -> dict[tuple[str, int], Link]:
     """The names that `hydro-env export fmu` gives, as far as they are there."""
     there = {v.name for v in description.modelVariables}
@@ -166,50 +155,29 @@ def _own_names(description: Any) -> dict[tuple[str, int], Link]:
 
 # --- mapping files ----------------------------------------------------------------------------------------------------
 class _Variable(Table):
-    """A variable of the FMU, and what its numbers are."""
+    """A variable of the FMU, and what its numbers are; those of a command are in the unit of `rated`."""
 
     variable: str
     unit: str = ""
     sign: Number = 1.0
 
+    def link(self, signal: str) -> Link:
+        """What it is for a signal. InputError for a unit of something else."""
+        si = _SIGNALS[signal][0]
+        own = unit(self.unit or si)
+        if signal == "command" and len(self.model_fields_set) > 1:
+            raise InputError("a command has neither unit nor sign: `rated` is its value at full command")
+        if own.quantity != UNITS[si].quantity or own.offset:
+            raise InputError(f"unit {own.name} is no unit of {UNITS[si].quantity}")
+        return Link(self.variable, own.scale * self.sign)
 
-class _CommandVariable(Table):
-    """A variable that takes a command, in whatever unit `rated` has."""
 
-    variable: str
-
-
-_Command = Annotated[_CommandVariable, BeforeValidator(_by_name)]
-_Signal = Annotated[_Variable, BeforeValidator(_by_name)]
+def _by_name(entry: Any) -> Any:
+    """A variable's name alone stands for {variable: NAME}."""
+    return {"variable": entry} if isinstance(entry, str) else entry
 
 
-class _Channel(Table):
-    command: _Command | None = None
-    load: _Signal | None = None
-    speed: _Signal | None = None
-    measured_speed: _Signal | None = None
-    pressure: _Signal | None = None
-    current: _Signal | None = None
-    angle: _Signal | None = None
-
-    def links(self) -> dict[str, Link]:
-        """What each signal is linked to. ValueError for a unit of something else."""
-        found = {}
-        for name, (si, _) in _SIGNALS.items():
-            given = getattr(self, name)
-            if isinstance(given, _Variable):
-                own = unit(given.unit or si)
-                if own.quantity != UNITS[si].quantity or own.offset:
-                    raise ValueError(f"{name}: unit {own.name} is no unit of {UNITS[si].quantity}")
-                found[name] = Link(given.variable, own.scale * given.sign)
-            elif given is not None:
-                found[name] = Link(given.variable)
-        return found
-
-    @model_validator(mode="after")
-    def _units_fit(self) -> _Channel:
-        self.links()
-        return self
+_Channel = dict[Annotated[str, known("signal", _SIGNALS)], Annotated[_Variable, BeforeValidator(_by_name)]]
 
 
 class _Mapping(Table):
@@ -220,10 +188,18 @@ class _Mapping(Table):
     channel_1: _Channel
     channel_2: _Channel
 
-    def links(self) -> dict[tuple[str, int], Link]:
-        """The links by (signal, channel 0 or 1)."""
-        channels = (self.channel_1, self.channel_2)
-        return {(name, c): link for c in (0, 1) for name, link in channels[c].links().items()}
+
+def _read(path: str | Path) -> tuple[float | None, dict[str, float], dict[tuple[str, int], Link]]:
+    """Rated command, start values and links of a mapping file."""
+    given = checked(_Mapping, read_yaml(path, "a mapping of an FMU in YAML"), path)
+    links = {}
+    for channel, variables in enumerate((given.channel_1, given.channel_2)):
+        for signal, variable in variables.items():
+            try:
+                links[signal, channel] = variable.link(signal)
+            except InputError as problem:
+                raise InputError(f"{path}: channel_{channel + 1}.{signal}: {problem}") from None
+    return given.rated, given.start, links
 
 
 # --- the unit at work ------------------------------------------------------------------------------------------------

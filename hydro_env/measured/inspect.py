@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Mapping as Table
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -237,48 +238,32 @@ def _source(guess: Guess) -> tuple[dict[str, Any], str, str]:
     return source, why, "; ".join(doubts)
 
 
+#: Units by signal, each with the largest size of numbers in it; a clock's size is its step.
+_BY_SIZE: dict[str, list[tuple[float, str]]] = {
+    "time": [(0.9, "s"), (500.0, "ms"), (inf, "us")],
+    "stroke": [(3.0, "m"), (inf, "mm")], "angle": [(7.0, "rad"), (inf, "deg")],
+    "pressure": [(1.0, "MPa"), (1500.0, "bar"), (5e4, "kPa"), (inf, "Pa")],
+    "command": [(1.05, "fraction"), (80.0, "V"), (101.0, "percent"), (inf, "")],
+    "speed": [(1.0, "m/s"), (5.0, "rad/s"), (inf, "rpm")],
+    "flow": [(0.01, "m3/s"), (inf, "l/min")], "current": [(10.0, "A"), (inf, "mA")],
+    "spool": [(inf, "mm")], "load": [(inf, "N m")], "temperature": [(inf, "degC")],
+}  # fmt: skip
+_STROKES = {"weg", "kolbenweg", "stroke", "hub", "piston", "kolben", "cyl", "zylinder", "cylinder"}
+
+
 def _unit_by_size(column: Column, signal: str) -> str:
     """The unit in which the magnitudes make sense, "" for a command that no unit suits."""
     size = float(np.quantile(np.abs(column.finite), 0.99))
     if signal == "time":
-        step = float(np.median(np.diff(column.finite)))
-        return "us" if step >= 500.0 else "ms" if step >= 0.9 else "s"
-    if signal == "position":
+        size = float(np.median(np.diff(column.finite)))
+    elif signal == "position":
         if "counts" in column.meant:
             return "rev"
-        if set(words(column.label)) & {
-            "weg",
-            "kolbenweg",
-            "stroke",
-            "hub",
-            "piston",
-            "kolben",
-            "cyl",
-            "zylinder",
-            "cylinder",
-        }:
-            return "mm" if size > 3.0 else "m"
-        return "deg" if size > 7.0 else "rad"
-    if signal in ("pressure", "supply"):
-        return "Pa" if size > 5e4 else "kPa" if size > 1500.0 else "bar" if size > 1.0 else "MPa"
-    if signal == "command":
-        known = column.unit[0] is None
-        return (
-            ""
-            if not known or size > 101.0
-            else "fraction"
-            if size <= 1.05
-            else "V"
-            if size <= 80.0
-            else "percent"
-        )
-    if signal in ("speed", "setpoint"):
-        return "rpm" if size > 5.0 else "m/s" if size < 1.0 else "rad/s"
-    if signal == "flow":
-        return "m3/s" if size < 0.01 else "l/min"
-    if signal == "current":
-        return "mA" if size > 10.0 else "A"
-    return {"spool": "mm", "load": "N m", "temperature": "degC"}[signal]
+        signal = "stroke" if _STROKES & set(words(column.label)) else "angle"
+    elif signal == "command" and column.unit[0] is not None:  # in a unit that no command has
+        return ""
+    rows = _BY_SIZE[{"supply": "pressure", "setpoint": "speed"}.get(signal, signal)]
+    return next(unit for largest, unit in rows if size <= largest)
 
 
 def _port(name: str) -> str:

@@ -55,21 +55,12 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 #: Faults of the speed sensors, which act on the measurement alone and so are no part of the plant.
-SENSOR_PARAMETERS: dict[str, Parameter] = {
-    "speed_sensor.stuck_from": Parameter(
-        "stuck_from",
-        "s",
-        inf,
-        0.0,
-        inf,
-        "assumed",
-        "time of the episode from which on the reading stays",
-        1.0,
-    ),
-    "speed_sensor.noise_factor": Parameter(
-        "noise_factor", "1", 1.0, 0.0, 100.0, "assumed", "noise over the usual noise", 20.0, log=True
-    ),
-}
+SENSOR_PARAMETERS = {
+    "speed_sensor.stuck_from": Parameter("stuck_from", "s", inf, 0.0, inf, typical=1.0, source="assumed",
+        note="time of the episode from which on the reading stays"),
+    "speed_sensor.noise_factor": Parameter("noise_factor", "1", 1.0, 0.0, 100.0, typical=20.0, log=True, source="assumed",
+        note="noise over the usual noise"),
+}  # fmt: skip
 
 #: The name of no mismatch at all: the plant's own pair of valves.
 OWN = "own"
@@ -81,38 +72,96 @@ CASE_STRIDE = 389
 MAX_DRAWS = 10_000
 
 
-@dataclass(frozen=True)
-class Range:
-    """What one parameter may be: per channel from `low` to `high`, evenly or (`log`) evenly in its logarithm.
+def _two(value: Any) -> tuple[float, float]:
+    """A number, or one for each of the two channels."""
+    try:
+        values = [value, value] if isinstance(value, str) or np.ndim(value) == 0 else list(value)
+        if len(values) != 2 or any(isinstance(each, bool) for each in values):
+            raise ValueError
+        pair = (float(values[0]), float(values[1]))
+        if np.isnan(pair).any():
+            raise ValueError
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{shown(value)} is neither a number nor one for each of the two channels") from None
+    return pair
 
-    `at_most` names a parameter drawn before that lowers the upper end; `shared` gives both channels the same value.
-    `meant_for` says for which value of the plant's own parameter the range holds: on a plant with another one, such as
-    a coil of another voltage, what is drawn is scaled by the plant's own value over `meant_for`.
+
+_Ends = Annotated[list[Number], Field(min_length=2, max_length=2)]
+
+
+class Range(Table):
+    """What one parameter may be, as in a file: `fixed` (a number, or one for each channel), or from low to high, evenly
+    (`uniform`) or evenly in its logarithm (`loguniform`).
+
+    `at_most` names a parameter drawn before that lowers the upper end. `meant_for` says for which value of the plant's own
+    parameter the range holds: on a plant with another one, such as a coil of another voltage, what is drawn is scaled by the
+    plant's own value over `meant_for`.
     """
 
-    low: tuple[float, float]
-    high: tuple[float, float]
-    log: bool = False
+    fixed: Annotated[Any, AfterValidator(_two)] = None
+    uniform: _Ends | None = None
+    loguniform: _Ends | None = None
     at_most: str | None = None
-    shared: bool = False
-    meant_for: float | None = None
+    meant_for: Annotated[Number, Field(gt=0.0)] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers(cls, data: Any) -> Any:
+        return data if isinstance(data, Mapping | Range) else {"fixed": data}
+
+    @model_validator(mode="after")
+    def _one_range(self) -> Range:
+        if [self.fixed, self.uniform, self.loguniform].count(None) != 2:
+            raise ValueError("expected a number, a pair, or uniform or loguniform: [low, high]")
+        low, high = self.ends
+        if not self.fixed and low > high:
+            raise ValueError(f"[{low:g}, {high:g}] is no range from low to high")
+        if self.loguniform and low <= 0.0:
+            raise ValueError(f"loguniform needs a low end above zero, found {low:g}")
+        return self
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The values of both channels, or the ends of the range."""
+        low, high = self.fixed or self.uniform or self.loguniform
+        return low, high
+
+    @property
+    def low(self) -> tuple[float, float]:
+        """The lower ends of both channels."""
+        return self.fixed or (self.ends[0],) * 2
+
+    @property
+    def high(self) -> tuple[float, float]:
+        """The upper ends of both channels."""
+        return self.fixed or (self.ends[1],) * 2
 
     def value(self, share: Floats, drawn: Mapping[str, Floats]) -> Floats:
-        """Values (n, 2) for shares (n, 2) in [0, 1) of the range, given the parameters `drawn` before."""
+        """Values (n, 2) for shares (n, 2) or (n, 1) in [0, 1) of the range, given the parameters `drawn` before."""
         low, high = np.array(self.low), np.array(self.high)
         if (low == high).all():
-            return np.broadcast_to(low, share.shape).copy()
-        if self.shared:
-            share = share[:, :1]
+            return np.broadcast_to(low, (len(share), 2)).copy()
         if self.at_most is not None:
             high = np.minimum(high, drawn[self.at_most])
-        if self.log:
+        if self.loguniform:
             return low * np.exp(share * np.log(high / low))
         return low + share * (high - low)
 
     def scaled(self, name: str, drawn: Floats, model: PlantModel) -> Floats:
         """What was drawn (n, 2), as it is on a plant of this model."""
         return drawn if self.meant_for is None else drawn * (np.array(model.pair(name)) / self.meant_for)
+
+    def check(self, name: str, before: Mapping[str, Range]) -> None:
+        """InputError for a range that this parameter, behind those above it, cannot have."""
+        _check_bounds(name, self.ends)
+        if self.fixed and name in _rig_parameters() and self.fixed[0] != self.fixed[1]:
+            raise InputError("both channels share this value; one number expected")
+        if self.at_most is not None and self.at_most not in before:
+            raise InputError(f"at_most: {shown(self.at_most)} is not among the parameters above it")
+        if self.at_most is not None and min(before[self.at_most].low) < self.ends[0]:
+            raise InputError(f"at_most: {self.at_most} may be lower than the low end {self.ends[0]:g}")
+        if self.meant_for is not None and name in SENSOR_PARAMETERS:
+            raise InputError("meant_for: a sensor's fault does not depend on the plant")
 
 
 @dataclass(frozen=True)
@@ -203,7 +252,7 @@ class Mismatch:
         shares = streams.random((len(self.ranges), 2), rows)
         values: dict[str, Floats] = {}
         for column, (name, each) in enumerate(self.ranges.items()):
-            values[name] = each.value(shares[:, column], values)
+            values[name] = each.value(_common(name, shares[:, column]), values)
         return values
 
     def _inside(self, values: Mapping[str, Floats]) -> NDArray[np.bool_]:
@@ -230,10 +279,15 @@ class Mismatch:
             fault, channel = names[number % len(names)], number // len(names) % 2
             faulty: dict[str, Floats] = {}
             for name, each in self.faults[fault].items():
-                faulty[name] = each.value(stream.random((1, 2)), faulty)
+                faulty[name] = each.value(_common(name, stream.random((1, 2))), faulty)
                 values[name][row, channel] = each.scaled(name, faulty[name], model)[0, channel]
             drawn.append(fault)
         return Pairs(values, tuple(drawn))
+
+
+def _common(name: str, share: Floats) -> Floats:
+    """Shares (n, 2) of a range, of a parameter of the rig (n, 1): both channels have one value."""
+    return share[:, :1] if name in _rig_parameters() else share
 
 
 def own_values(name: str, model: PlantModel) -> tuple[float, float]:
@@ -302,73 +356,6 @@ def default_mismatch(plant: Any, split: str = "train") -> str:
     return OWN if values_set_by(plant) & SPLITS[split].ranges.keys() else split
 
 
-def _two(value: Any) -> tuple[float, float]:
-    """A number, or one for each of the two channels."""
-    try:
-        values = [value, value] if isinstance(value, str) or np.ndim(value) == 0 else list(value)
-        if len(values) != 2 or any(isinstance(each, bool) for each in values):
-            raise ValueError
-        pair = (float(values[0]), float(values[1]))
-        if np.isnan(pair).any():
-            raise ValueError
-    except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{shown(value)} is neither a number nor one for each of the two channels") from None
-    return pair
-
-
-_Ends = Annotated[list[Number], Field(min_length=2, max_length=2)]
-
-
-class _RangeTable(Table):
-    """What stands in a file for one parameter; a number, or one for each channel, is `fixed`."""
-
-    fixed: Annotated[Any, AfterValidator(_two)] = None
-    uniform: _Ends | None = None
-    loguniform: _Ends | None = None
-    at_most: str | None = None
-    meant_for: Annotated[Number, Field(gt=0.0)] | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _numbers(cls, data: Any) -> Any:
-        return data if isinstance(data, Mapping) else {"fixed": data}
-
-    @model_validator(mode="after")
-    def _one_range(self) -> _RangeTable:
-        if [self.fixed, self.uniform, self.loguniform].count(None) != 2:
-            raise ValueError("expected a number, a pair, or uniform or loguniform: [low, high]")
-        low, high = self.ends
-        if not self.fixed and low > high:
-            raise ValueError(f"[{low:g}, {high:g}] is no range from low to high")
-        if self.loguniform and low <= 0.0:
-            raise ValueError(f"loguniform needs a low end above zero, found {low:g}")
-        return self
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """The values of both channels, or the ends of the range."""
-        low, high = self.fixed or self.uniform or self.loguniform or (0.0, 0.0)
-        return low, high
-
-    def of(self, name: str, before: Mapping[str, Range]) -> Range:
-        """The range of a parameter, behind those above it. InputError for a value that it cannot have."""
-        _check_bounds(name, self.ends)
-        shared = "." in name and name in _rig_parameters()
-        if self.fixed:
-            if shared and self.fixed[0] != self.fixed[1]:
-                raise InputError("both channels share this value; one number expected")
-            return Range(self.fixed, self.fixed)
-        low, high = self.ends
-        if self.at_most is not None and self.at_most not in before:
-            raise InputError(f"at_most: {shown(self.at_most)} is not among the parameters above it")
-        if self.at_most is not None and min(before[self.at_most].low) < low:
-            raise InputError(f"at_most: {self.at_most} may be lower than the low end {low:g}")
-        if self.meant_for is not None and name in SENSOR_PARAMETERS:
-            raise InputError("meant_for: a sensor's fault does not depend on the plant")
-        log = self.loguniform is not None
-        return Range((low, low), (high, high), log, self.at_most, shared, self.meant_for)
-
-
 def _check_bounds(name: str, pair: tuple[float, float]) -> None:
     """InputError for an unknown parameter, and for a value that no component has."""
     if name not in SENSOR_PARAMETERS:
@@ -380,15 +367,13 @@ def _check_bounds(name: str, pair: tuple[float, float]) -> None:
         raise InputError(f"{min(pair):g} is below zero")
 
 
-def _in_turn(tables: dict[str, _RangeTable], where: str) -> dict[str, Range]:
-    """The ranges by parameter; each may name one above it."""
-    found: dict[str, Range] = {}
-    for name, table in tables.items():
+def _check_all(ranges: dict[str, Range], where: str) -> None:
+    names = list(ranges)
+    for place, name in enumerate(names):
         try:
-            found[name] = table.of(name, found)
+            ranges[name].check(name, {each: ranges[each] for each in names[:place]})
         except InputError as problem:
             raise InputError(f"{where}: {name}: {problem}") from None
-    return found
 
 
 class _SplitFile(Table):
@@ -398,8 +383,8 @@ class _SplitFile(Table):
     entropy: Annotated[int, Strict(), Field(ge=0, lt=2**128)] = 0
     cases: Annotated[int, Strict(), Field(ge=1, lt=2**128)] | None = None
     outside: str | None = None
-    parameters: dict[str, _RangeTable]
-    faults: dict[str, dict[str, _RangeTable]] = Field(default_factory=dict)
+    parameters: dict[str, Range]
+    faults: dict[str, dict[str, Range]] = Field(default_factory=dict)
 
 
 def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
@@ -430,7 +415,10 @@ def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
 
 def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[str, Mismatch]) -> Mismatch:
     given = checked(_SplitFile, data, where)
-    ranges = _in_turn(given.parameters, where)
+    ranges = given.parameters
+    _check_all(ranges, where)
+    for fault, changed in given.faults.items():
+        _check_all(changed, f"{where}: faults.{fault}")
     outside: dict[str, Range] = {}
     if given.outside is not None:
         if given.outside not in others:
@@ -440,8 +428,7 @@ def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[
         outside = {key: bounds[key] for key in bounds if key in ranges}
         if all(r.low <= ranges[key].low and ranges[key].high <= r.high for key, r in outside.items()):
             raise InputError(f"{where}: outside: no range reaches beyond those of {given.outside!r}")
-    faults = {fault: _in_turn(what, f"{where}: faults.{fault}") for fault, what in given.faults.items()}
-    return Mismatch(name, ranges, given.entropy, given.cases, outside, faults, given.summary)
+    return Mismatch(name, ranges, given.entropy, given.cases, outside, given.faults, given.summary)
 
 
 def _unusual(name: str, given: Range) -> str:
