@@ -134,8 +134,8 @@ class Parameter:
 
 _ROWS = (
     # --- hydraulic motor: equations (1)-(3), Table I ---
-    Parameter("D", "m3/rad", 8.47e-6 / REVOLUTION, low=0.9 * 8.47e-6 / REVOLUTION, high=1.1 * 8.47e-6 / REVOLUTION, log=True, scaling={"D": 1.0},
-        note="displacement of the motor", source="paper, Table I: 8.47 cm3/rev"),
+    Parameter("D", "m3/rad", 8.47e-6 / REVOLUTION, low=0.9 * 8.47e-6 / REVOLUTION, high=1.1 * 8.47e-6 / REVOLUTION, log=True,
+        scaling={"D": 1.0}, note="displacement of the motor", source="paper, Table I: 8.47 cm3/rev"),
     Parameter("J", "kg m2", 0.0028, low=0.0014, high=0.0056, log=True, scaling=MOTOR_SIZE,
         note="inertia of motor and load", source="paper, Table I"),
     Parameter("B", "N m s/rad", 0.00045 / RPM, low=0.0, high=0.02, log=True, scaling=MOTOR_SIZE,
