@@ -10,7 +10,6 @@ import gzip
 import zlib
 from array import array
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
@@ -21,9 +20,10 @@ from hydro_env.errors import InputError, suggestion
 from hydro_env.measured.csv_cells import Cells
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.header import find_header
+from hydro_env.measured.mapping import TableStyle
 from hydro_env.measured.table import Table, check_size
 
-__all__ = ["CsvStyle", "read_csv"]
+__all__ = ["read_csv"]
 
 #: Lines in which the header is looked for, and lines read at a time behind them.
 _HEAD, _BLOCK = 1000, 20_000
@@ -33,20 +33,9 @@ _MAX_LINE = 131_072
 Choose = Callable[[tuple[str, ...]], Sequence[str]]
 
 
-@dataclass(frozen=True)
-class CsvStyle:
-    """How a CSV file is written; None is recognised from the file."""
-
-    delimiter: str | None = None
-    decimal: str | None = None
-    encoding: str | None = None
-    skip_rows: int = 0
-    si_suffixes: bool = False
-
-
-def read_csv(path: Path, choose: Choose, style: CsvStyle | None = None) -> Table:
+def read_csv(path: Path, choose: Choose, style: TableStyle | None = None) -> Table:
     """Reads the columns that `choose(header)` asks for; `InputError` names file, row and column of what is wrong."""
-    style = style or CsvStyle()
+    style = style or TableStyle()
     findings: list[Finding] = []
     try:
         encoding = style.encoding or _encoding(path, findings)
@@ -112,7 +101,7 @@ def _lines(path: Path, file: Any, findings: list[Finding]) -> Iterator[str]:
 
 
 def _read(
-    path: Path, lines: Iterator[str], choose: Choose, style: CsvStyle, findings: list[Finding]
+    path: Path, lines: Iterator[str], choose: Choose, style: TableStyle, findings: list[Finding]
 ) -> Table:
     first = 1 + sum(1 for _ in islice(lines, style.skip_rows))
     head: list[str] = []

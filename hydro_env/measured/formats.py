@@ -25,8 +25,9 @@ from typing import Any
 import numpy as np
 
 from hydro_env.errors import InputError, suggestion, to_install
-from hydro_env.measured.csv_file import CsvStyle, read_csv
+from hydro_env.measured.csv_file import read_csv
 from hydro_env.measured.finding import Finding
+from hydro_env.measured.mapping import TableStyle
 from hydro_env.measured.mat5 import read_mat5
 from hydro_env.measured.table import Table, check_size
 from hydro_env.reading import check_file
@@ -43,7 +44,7 @@ def is_binary(path: Path) -> bool:
     return (path.with_suffix("").suffix if path.suffix == ".gz" else path.suffix).lower() in BINARY
 
 
-def read_table(path: Path, choose: Choose, style: CsvStyle | None = None) -> Table:
+def read_table(path: Path, choose: Choose, style: TableStyle | None = None) -> Table:
     """Reads the columns that `choose(names)` asks for from a file of any format; `style` is that of a CSV file.
 
     `InputError` names the file and what would be right, of CSV also row and column.

@@ -21,7 +21,6 @@ import yaml
 from ..errors import InputError
 from ..units import UNITS
 from ..validation import checked
-from .csv_file import CsvStyle
 from .formats import read_table
 from .gate import LARGEST
 from .guess import QUANTITIES, Column, Guess, by_behaviour, guesses
@@ -32,6 +31,7 @@ from .mapping import (
     RIG_SIGNALS,
     USUAL_UNITS,
     Mapping,
+    TableStyle,
     contract_columns,
     contract_mapping,
     load_begun,
@@ -77,7 +77,7 @@ def propose(path: str | Path, begun: Table[str, Any] | None = None) -> Proposal:
     if the log cannot be read at all."""
     path, begun = Path(path), begun or {}
     draft = _Draft({"schema": "hydro_env/mapping/1", "name": re.sub(r"\W+", "_", path.name.split(".")[0])})
-    columns = _columns(path, CsvStyle(**begun.get("table", {})), draft.notes)
+    columns = _columns(path, TableStyle(**begun.get("table", {})), draft.notes)
     names = tuple(column.name for column in columns)
     if "time_s" in names and sum(name in contract_columns() for name in names) >= 3:
         draft.notes.append("the header is the rig log's own: no mapping is needed")
@@ -94,7 +94,7 @@ def propose(path: str | Path, begun: Table[str, Any] | None = None) -> Proposal:
     return _tried(path, draft)
 
 
-def _columns(path: Path, style: CsvStyle, notes: list[str]) -> list[Column]:
+def _columns(path: Path, style: TableStyle, notes: list[str]) -> list[Column]:
     """Every column of numbers of a file; `notes` gets the reasons why others are not read."""
     names: dict[str, str] = {}  # what a column is called, and the header's name of it
     left: set[str] = set()

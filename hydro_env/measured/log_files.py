@@ -12,7 +12,6 @@ import numpy as np
 
 from hydro_env.errors import InputError, nearest
 from hydro_env.files import replacing
-from hydro_env.measured.csv_file import CsvStyle
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.formats import read_table
 from hydro_env.measured.gate import (
@@ -58,7 +57,7 @@ def read_log(path: str | Path, mapping: Mapping | str | Path | None = None) -> R
         chosen[:] = [mapping or contract_mapping(names, path)]  # a second reading may see another header
         return chosen[0].columns()
 
-    table = read_table(path, choose, CsvStyle(**mapping.table.model_dump()) if mapping else None)
+    table = read_table(path, choose, mapping.table if mapping else None)
     if mapping is None:
         table.findings.extend(_unknown_columns(table))
     return _from_table(table, chosen[0])
@@ -174,36 +173,35 @@ def _hold(
     command, or soon behind them: what the valve was told there is not known.
     """
     begin, end, unknown = 0, len(rows), np.zeros(len(rows), bool)
-    for signal in HELD:
+    for signal, channel, source in mapping.sources():
         values = signals.get(field_of(signal))
-        if values is None:
+        if signal not in HELD or values is None:
             continue
-        for channel in range(values.shape[1]) if values.ndim == 2 else (None,):
-            one = values if channel is None else values[:, channel]
-            known = np.isfinite(one)
-            if known.all() or not known.any():
-                continue
-            named = mapping.channels[channel] if channel is not None else mapping
-            column = getattr(named, signal).column
-            last = np.maximum.accumulate(np.where(known, np.arange(len(one)), -1))
-            first = int(np.argmax(known))
-            one[:] = np.where(last >= 0, one[np.maximum(last, 0)], 0.0 if signal == "load" else one[first])
-            hint = "the value before is held"
-            if signal == "command":
-                final, long = _unknown(time_s, known)
-                unknown |= long
-                if long[first:final].any():
-                    hint += "; long holes, and the second after each, count for nothing"
-                if first > 0:
-                    begin = max(begin, first)
-                    hint += f", and the log begins with row {rows[first]}, the first that holds one"
-                if final < len(one):
-                    end = min(end, final)
-                    hint += f", and the log ends with row {rows[final - 1]}: no command follows"
-            hole = int(np.argmax(~known))
-            message = f"{column!r} holds no value in {np.sum(~known)} of {len(one)} cells, the first in row {rows[hole]}"
-            place = {"channel": None if channel is None else channel + 1, "column": column}
-            findings.append(Finding("missing_values", message, hint, signal, row=int(rows[hole]), **place))  # type: ignore[arg-type]
+        one = values if channel is None else values[:, channel]
+        known = np.isfinite(one)
+        if known.all() or not known.any():
+            continue
+        last = np.maximum.accumulate(np.where(known, np.arange(len(one)), -1))
+        first = int(np.argmax(known))
+        one[:] = np.where(last >= 0, one[np.maximum(last, 0)], 0.0 if signal == "load" else one[first])
+        hint = "the value before is held"
+        if signal == "command":
+            final, long = _unknown(time_s, known)
+            unknown |= long
+            if long[first:final].any():
+                hint += "; long holes, and the second after each, count for nothing"
+            if first > 0:
+                begin = max(begin, first)
+                hint += f", and the log begins with row {rows[first]}, the first that holds one"
+            if final < len(one):
+                end = min(end, final)
+                hint += f", and the log ends with row {rows[final - 1]}: no command follows"
+        hole = int(np.argmax(~known))
+        message = f"{source.column!r} holds no value in {np.sum(~known)} of {len(one)} cells, the first in row {rows[hole]}"
+        number = None if channel is None else channel + 1
+        findings.append(
+            Finding("missing_values", message, hint, signal, number, source.column, int(rows[hole]))
+        )
     return begin, end, unknown
 
 

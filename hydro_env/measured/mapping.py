@@ -45,6 +45,7 @@ __all__ = [
     "ChannelMapping",
     "Mapping",
     "Source",
+    "TableStyle",
     "contract_columns",
     "USUAL_UNITS",
     "contract_mapping",
@@ -158,7 +159,7 @@ class Time(Table):
 
 
 class TableStyle(Table):
-    """How the file is written where that is not recognised by itself."""
+    """How a CSV file is written; None is recognised from the file."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None
     decimal: Literal[".", ","] | None = None

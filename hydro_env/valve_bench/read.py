@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from hydro_env.errors import InputError, suggestion
-from hydro_env.measured.csv_file import CsvStyle
 from hydro_env.measured.finding import SPELLING
 from hydro_env.measured.formats import ENDINGS, read_table
+from hydro_env.measured.mapping import TableStyle
 from hydro_env.measured.names import named_unit
 from hydro_env.reading import check_file
 from hydro_env.units import Unit, to_si, unit
@@ -58,7 +58,7 @@ def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | 
         found.update(_chosen(path, columns, names))
         return list(found.values())
 
-    table = read_table(path, choose, CsvStyle(si_suffixes=True))
+    table = read_table(path, choose, TableStyle(si_suffixes=True))
     findings = [each.message for each in table.findings if each.code not in SPELLING]
     cells = np.array([table.columns[column] for column in found.values()])
     whole = np.isfinite(cells).all(axis=0)

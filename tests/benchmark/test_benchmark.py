@@ -479,7 +479,10 @@ def test_bad_input_is_refused_with_one_line(tmp_path, changed, message):
     [
         ("- 1", "table"),
         ("splits: {val: 2}\nscenarios: [sine]\nmetrics: [speed]", "unknown metric 'speed'"),
-        ("splits: {val: two}\nscenarios: [sine]\nmetrics: [tracking_mae_rpm]", "splits.val is 'two', should be a whole number"),
+        (
+            "splits: {val: two}\nscenarios: [sine]\nmetrics: [tracking_mae_rpm]",
+            "splits.val is 'two', should be a whole number",
+        ),
         ("splits: {val: 2}\nscenario: [sine]\nmetrics: [tracking_mae_rpm]", "did you mean 'scenarios'"),
         ("splits: [", "YAML"),
         (

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from hydro_env.errors import InputError
 from hydro_env.measured import csv_cells, csv_file
 from hydro_env.measured.csv_cells import Cells
-from hydro_env.measured.csv_file import CsvStyle, read_csv
+from hydro_env.measured.csv_file import read_csv
 from hydro_env.measured.header import Header
+from hydro_env.measured.mapping import TableStyle
 
 NUMBERS = st.one_of(
     st.floats(allow_nan=False, allow_infinity=False).map(repr),
@@ -51,7 +52,7 @@ def texts() -> st.SearchStrategy[tuple[str, str]]:
     return text()
 
 
-def outcome(path: Path, style: CsvStyle) -> Any:
+def outcome(path: Path, style: TableStyle) -> Any:
     """What reading the file gives: the table and what was said about it, or the error."""
     try:
         table = read_csv(path, lambda names: ["c", "a"], style)
@@ -76,7 +77,7 @@ def test_both_readers_give_the_same(
 ) -> None:
     path = tmp_path_factory.mktemp("csv") / "log.csv"
     path.write_bytes(text[0].encode())
-    style = CsvStyle(delimiter=text[1], si_suffixes=suffixes)
+    style = TableStyle(delimiter=text[1], si_suffixes=suffixes)
     with mock.patch.object(csv_file, "_BLOCK", block):
         with mock.patch.object(csv_cells, "_LONG", 0):
             found = outcome(path, style)

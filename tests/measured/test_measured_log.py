@@ -255,7 +255,11 @@ channel_2: {command: {column: i, unit: V}, speed: {column: n, unit: rad/s}}
         ("column: t, unit: ms", "unit: ms", "give either `column`"),
         ("unit: cm2", "unit: cm3/rev", "displacement of a cylinder"),
         ("{column: U", "[column: U", " line 8: not YAML"),
-        ("actuator: cylinder", "actuator: winch", "channel_1.actuator is 'winch', should be 'motor' or 'cylinder'"),
+        (
+            "actuator: cylinder",
+            "actuator: winch",
+            "channel_1.actuator is 'winch', should be 'motor' or 'cylinder'",
+        ),
     ],
 )
 def test_a_wrong_mapping_is_named(tmp_path: Path, old: str, new: str, expected: str) -> None:
