@@ -16,7 +16,7 @@ import importlib
 import logging
 import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from functools import cache
 from pathlib import Path
@@ -35,8 +35,8 @@ from hydro_env.reading import check_file
 __all__ = ["ENDINGS", "is_binary", "read_table"]
 
 Choose = Callable[[tuple[str, ...]], Sequence[str]]
-#: The columns of an open file by name, each a function that reads it.
-Columns = dict[str, Callable[[], Any]]
+#: The names of the columns of an open file, and what reads one of them.
+Opened = tuple[Iterable[str], Callable[[str], Any]]
 
 
 def is_binary(path: Path) -> bool:
@@ -78,16 +78,16 @@ def read_binary(path: Path, choose: Choose) -> Table:
     columns: dict[str, np.ndarray] = {}
     with _collected_warnings() as warned:
         try:
-            with reader(path, units) as available:
+            with reader(path, units) as (available, read):
                 names = tuple(available)
                 if not names:
                     raise ValueError("no columns")
                 for name in choose(names):
-                    if name not in available:
+                    if name not in names:
                         raise InputError(
                             f"{path}: column {name!r} is not in the file; {suggestion(name, names)}"
                         )
-                    columns[name] = _numbers(path, name, available[name]())
+                    columns[name] = _numbers(path, name, read(name))
                     check_size(path, len(columns[name]) * len(columns))
         except (InputError, MemoryError):
             raise
@@ -158,27 +158,20 @@ def _library(name: str, path: Path) -> Any:
 
 
 @contextmanager
-def _parquet(path: Path, units: dict[str, str]) -> Iterator[Columns]:
+def _parquet(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     parquet = _library("pyarrow.parquet", path)
     with parquet.ParquetFile(path) as file:
-
-        def column(name: str) -> Callable[[], Any]:
-            def read() -> Any:
-                check_size(path, file.metadata.num_rows)
-                return file.read([name]).column(0).to_numpy()
-
-            return read
-
-        yield {name: column(name) for name in file.schema_arrow.names}
+        check_size(path, file.metadata.num_rows)
+        yield file.schema_arrow.names, lambda name: file.read([name]).column(0).to_numpy()
 
 
 @contextmanager
-def _mat(path: Path, units: dict[str, str]) -> Iterator[Columns]:
+def _mat(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     with open(path, "rb") as file:
         is_hdf = b"MATLAB 7.3" in file.read(128)
     if is_hdf:
-        with _mat73(path) as columns:
-            yield columns
+        with _mat73(path) as opened:
+            yield opened
         return
     from scipy.io import loadmat, whosmat
     from scipy.io.matlab import matfile_version
@@ -188,7 +181,8 @@ def _mat(path: Path, units: dict[str, str]) -> Iterator[Columns]:
     else:
         check_size(path, sum(math.prod(shape) for _, shape, _ in whosmat(path)))
         matrices = {name: values for name, values in loadmat(path).items() if not name.startswith("__")}
-    yield {name: lambda values=values: values for name, values in _vectors(matrices)}  # type: ignore[misc]
+    vectors = dict(_vectors(matrices))
+    yield vectors, vectors.__getitem__
 
 
 def _vectors(matrices: dict[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
@@ -201,34 +195,34 @@ def _vectors(matrices: dict[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]
 
 
 @contextmanager
-def _mat73(path: Path) -> Iterator[Columns]:
+def _mat73(path: Path) -> Iterator[Opened]:
     h5py = _library("h5py", path)
-    columns: Columns = {}
+    places: dict[str, tuple[Any, Any]] = {}
     with h5py.File(path, "r") as file:
-
-        def read(item: Any, row: int | None = None) -> Any:
-            check_size(path, item.size)
-            if item.external or item.is_virtual:
-                raise InputError(f"{path}: {item.name} lies in another file; save the values themselves")
-            return item[()] if row is None else item[row]
 
         def visit(name: str, item: Any) -> None:
             if not isinstance(item, h5py.Dataset) or name.startswith("#") or not item.shape:
                 return
             dotted = name.replace("/", ".")
             if item.size == max(item.shape):
-                columns[dotted] = lambda: read(item)
+                places[dotted] = item, ()
             elif item.ndim == 2 and item.shape[0] <= 64 < item.shape[1]:
                 # MATLAB writes column by column, so a matrix lies on its side here.
-                for row in range(item.shape[0]):
-                    columns[f"{dotted}(:,{row + 1})"] = lambda row=row: read(item, row)  # type: ignore[misc]
+                places.update({f"{dotted}(:,{row + 1})": (item, row) for row in range(item.shape[0])})
+
+        def read(name: str) -> Any:
+            item, row = places[name]
+            check_size(path, item.size)
+            if item.external or item.is_virtual:
+                raise InputError(f"{path}: {item.name} lies in another file; save the values themselves")
+            return item[row]
 
         file.visititems(visit)
-        yield columns
+        yield places, read
 
 
 @contextmanager
-def _mdf(path: Path, units: dict[str, str]) -> Iterator[Columns]:
+def _mdf(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     asammdf = _library("asammdf", path)
     # Bus logging would read databases that the file brings along.
     with closing(asammdf.MDF(path, process_bus_logging=False)) as file:
@@ -248,33 +242,31 @@ def _mdf(path: Path, units: dict[str, str]) -> Iterator[Columns]:
         def clock() -> np.ndarray:
             return max((clock_of(number) for number in range(len(file.groups))), key=len)
 
-        def column(group: int, number: int) -> Callable[[], Any]:
-            def read() -> Any:
-                _check_channel(path, file.groups[group], number)
-                signal = file.get(group=group, index=number)
-                own, common, values = clock_of(group), clock(), signal.samples
-                if len(values) < len(own):  # samples that the file marks as invalid are left out
-                    values = np.full(len(own), np.nan)
-                    values[np.searchsorted(own, signal.timestamps)] = signal.samples.astype(float)
-                if len(own) == len(common) and np.array_equal(own, common):
-                    return values
-                # A slower raster holds its last value until the next one; before its first sample nothing is known.
-                last = np.searchsorted(own, common, side="right") - 1
-                return np.where(last >= 0, values[np.maximum(last, 0)].astype(float), np.nan)
+        def read(name: str) -> Any:
+            if name not in places:
+                return clock()
+            group, number = places[name]
+            _check_channel(path, file.groups[group], number)
+            signal = file.get(group=group, index=number)
+            own, common, values = clock_of(group), clock(), signal.samples
+            if len(values) < len(own):  # samples that the file marks as invalid are left out
+                values = np.full(len(own), np.nan)
+                values[np.searchsorted(own, signal.timestamps)] = signal.samples.astype(float)
+            if len(own) == len(common) and np.array_equal(own, common):
+                return values
+            # A slower raster holds its last value until the next one; before its first sample nothing is known.
+            last = np.searchsorted(own, common, side="right") - 1
+            return np.where(last >= 0, values[np.maximum(last, 0)].astype(float), np.nan)
 
-            return read
-
-        columns: Columns = {}
+        places: dict[str, tuple[int, int]] = {}
         for name, ((group, number), *_) in file.channels_db.items():
             if file.groups[group].channel_dependencies[number]:  # a structure or an array, no signal
                 continue
-            columns[name] = column(group, number)
+            places[name] = group, number
             channel = file.groups[group].channels[number]
-            unit = getattr(channel, "unit", "") or getattr(channel.conversion, "unit", "")
-            if unit:
+            if unit := getattr(channel, "unit", "") or getattr(channel.conversion, "unit", ""):
                 units[name] = str(unit)
-        columns.setdefault("time_s", clock)
-        yield columns
+        yield dict.fromkeys((*places, "time_s")), read
 
 
 def _check_channel(path: Path, group: Any, number: int) -> None:
@@ -307,25 +299,27 @@ def _check_channel(path: Path, group: Any, number: int) -> None:
 
 
 @contextmanager
-def _tdms(path: Path, units: dict[str, str]) -> Iterator[Columns]:
+def _tdms(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     tdms = _library("nptdms", path)
     with tdms.TdmsFile.open(path) as file:
         channels = [channel for group in file.groups() for channel in group.channels()]
         names = [channel.name for channel in channels]
-        columns: Columns = {}
-        for channel in channels:
-
-            def read(channel: Any = channel) -> Any:
-                check_size(path, len(channel))
-                return channel[:]
-
-            name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
-            columns[name] = read
+        columns = {
+            each.name if names.count(each.name) == 1 else f"{each.group_name}/{each.name}": each
+            for each in channels
+        }
+        for name, channel in columns.items():
             if channel.properties.get("unit_string"):
                 units[name] = str(channel.properties["unit_string"])
-        if "time_s" not in columns and channels and "wf_increment" in channels[0].properties:
-            columns["time_s"] = lambda: channels[0].time_track()
-        yield columns
+        clocked = channels and "wf_increment" in channels[0].properties
+
+        def read(name: str) -> Any:
+            if name not in columns:
+                return channels[0].time_track()
+            check_size(path, len(columns[name]))
+            return columns[name][:]
+
+        yield dict.fromkeys((*columns, *(("time_s",) if clocked else ()))), read
 
 
 #: Loggers of the libraries that print unless asked not to.
@@ -337,7 +331,7 @@ _TALKATIVE = (
 _ARITHMETIC = {"v4_blocks": {0, 1, 2, 4, 5, 6}, "v2_v3_blocks": {0, 1, 2, 6, 7, 8, 9, 65535}}
 _VARIABLE_LENGTH = 1
 
-BINARY: dict[str, tuple[Callable[[Path, dict[str, str]], AbstractContextManager[Columns]], str]] = {
+BINARY: dict[str, tuple[Callable[[Path, dict[str, str]], AbstractContextManager[Opened]], str]] = {
     ".parquet": (_parquet, "Parquet"),
     ".mat": (_mat, "a MAT file"),
     ".mf4": (_mdf, "MDF 4"),
