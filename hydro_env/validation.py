@@ -62,7 +62,7 @@ class Table(BaseModel):
 
     FORMAT: ClassVar[str] = ""
 
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False, defer_build=True)
 
     @classmethod
     def known_keys(cls) -> Collection[str]:

@@ -193,15 +193,15 @@ def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> tuple[list[Fin
 
 def check_units(table: Table, mapping: Mapping) -> Iterator[Finding]:
     """Where the file itself gives a unit (a row of units, a unit in the binary file) and the mapping another one."""
-    parts: list[tuple[str | None, str, dict[str, Any]]] = [(mapping.time.column, mapping.time.unit, {})]
+    parts: list[tuple[Any, ...]] = [(mapping.time.column, mapping.time.unit, None, None)]
     for signal, channel, source in mapping.sources():
-        place = {"signal": signal, "channel": None if channel is None else channel + 1}
-        parts += [(part.column, part.unit, place) for part in (source, source.minus) if part is not None]
-    for column, read_as, place in parts:
+        number = None if channel is None else channel + 1
+        parts += [(part.column, part.unit, signal, number) for part in (source, source.minus) if part]
+    for column, read_as, signal, number in parts:
         said = table.units.get(column or "", "")
         if said and (known := unit_of(said)) and known != unit(read_as):
             message = f"the file says that {column!r} is in {said}, it is read as {read_as}"
-            yield Finding("unit", message, "give the right unit in a mapping", column=column, **place)
+            yield Finding("unit", message, "give the right unit in a mapping", signal, number, column)
 
 
 def jump_size(time: np.ndarray) -> float:

@@ -22,7 +22,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
-from math import inf
+from math import inf, nan
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -123,7 +123,7 @@ class Range(Table):
     @property
     def ends(self) -> tuple[float, float]:
         """The values of both channels, or the ends of the range."""
-        low, high = self.fixed or self.uniform or self.loguniform
+        low, high = self.fixed or self.uniform or self.loguniform or (nan, nan)
         return low, high
 
     @property
