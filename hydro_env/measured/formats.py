@@ -53,7 +53,7 @@ def read_table(path: Path, choose: Choose, style: TableStyle | None = None) -> T
     try:
         table = read_binary(path, choose) if is_binary(path) else read_csv(path, choose, style)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); copy it anew") from None
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); copy it again") from None
     except MemoryError:
         raise InputError(
             f"{path}: does not fit into memory; export a shorter part, or fewer columns"

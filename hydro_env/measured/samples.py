@@ -27,8 +27,8 @@ _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer whi
 _MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse
 _LEVEL_ROWS = 0.38  # share of second differences below half a step, if those of noise and rounding are normal
 _SPIKE = 0.1  # a spike that the machine could do, but for no reason, stands out by this share of the signal's swing
-_SPIKE_NEAR = 6.0  # ... by so many times what four of five rows nearby are off at most, some eight standard deviations of noise
-_SPIKE_NOISE = 8.0  # ... by so many of the signal's median steps, again eight standard deviations
+_SPIKE_NEAR = 6.0  # ... by this many times what four of five rows nearby are off at most, some eight standard deviations of noise
+_SPIKE_NOISE = 8.0  # ... by this many of the signal's median steps, again eight standard deviations
 _SPIKE_PERIOD = 2e-3  # s, in slower logs only speeds are searched for spikes
 _BURST_S = 0.5  # windows in which a disturbance is looked for
 _BURST_RATIO = 6.0  # the fast part of a disturbed signal stands out of its usual one by more
@@ -231,7 +231,7 @@ def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]
 
 
 def _command_near(one: _Signal, row: int, rows: int) -> float:
-    """How far the command moves within so many rows of a row, as a share of its swing in the log."""
+    """How far the command moves within `rows` rows of a row, as a share of its swing in the log."""
     if not one.swing > 0.0:
         return 0.0
     near = one.command[max(0, row - rows) : row + rows]
@@ -309,7 +309,7 @@ def _silent(one: _Signal) -> None:
 
 
 def _at_limits(one: _Signal, least: float) -> Iterator[tuple[str, float, np.ndarray]]:
-    """The smallest and the largest value, if runs of at least so many rows have it, and which runs these are."""
+    """The smallest and the largest value, if runs of at least `least` rows have it, and which runs these are."""
     starts, lengths = one.runs
     for limit, name in ((np.nanmin(one.values), "smallest"), (np.nanmax(one.values), "largest")):
         long = (one.values[starts] == limit) & (lengths >= least)

@@ -36,7 +36,7 @@ class Table:
 
 
 def check_size(path: Path, values: int) -> None:
-    """InputError if a log of so many numbers (rows times columns) is too large to read."""
+    """InputError if a log of `values` numbers (rows times columns) is too large to read."""
     if values > MAX_VALUES:
         raise InputError(
             f"{path}: holds or claims more than {MAX_VALUES:,} numbers (ten signals for a day at 1 kHz); "

@@ -122,7 +122,7 @@ class Parameter:
 
     def plausible(self, size: float) -> tuple[float, float]:
         """The plausible bounds of a base parameter on a rig whose motor has `size` times the displacement of the table's: those
-        of what `GROWS` with it are so many times the table's."""
+        of what `GROWS` with it are `size` times the table's."""
         factor = size if self.name in GROWS else 1.0
         return factor * self.low, factor * self.high
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ..errors import InputError
 from ..units import with_unit
 from .catalogue import CATALOGUE
-from .friction import LEAST_FRICTION, MOST_PEAK
+from .friction import MIN_FRICTION, MAX_PEAK
 from .parameters import Parameter
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def check_channel(model: PlantModel, channel: int, where: str) -> None:
     names = ("alpha", "R", "k", "Fc", "Fs", "x_max", "k_stop", "u_rated", "D", "J", "V", "beta")
     values = {name: model.value(name, channel) for name in names}
     greater, lesser = max(values["Fc"], values["Fs"]), min(values["Fc"], values["Fs"])
-    least_friction = min(LEAST_FRICTION, greater / MOST_PEAK)
+    least_friction = min(MIN_FRICTION, greater / MAX_PEAK)
     if lesser < (1.0 - _AT_END) * least_friction:
         raise InputError(
             f"{where}: channel {channel + 1} has {values['Fc']:g} N of Coulomb and {values['Fs']:g} N of static friction;"

@@ -68,7 +68,7 @@ OWN = "own"
 MISMATCH_STREAM = 0
 #: Cases of successive episodes of one seed lie this far apart, so that the rows of a batch meet different ones.
 CASE_STRIDE = 389
-#: Times that a pair is drawn anew until it lies outside the ranges that it is to leave.
+#: Times that a pair is drawn again until it lies outside the ranges that it is to leave.
 MAX_DRAWS = 10_000
 
 

@@ -50,7 +50,7 @@ class Reference:
 class Scenario:
     """`duration` in s and `course(time, stream)` -> set-point (len(time),) in rpm, loads (len(time), 2) in N m.
 
-    A `random` scenario draws its course anew in each episode from `stream`, a NumPy generator; the others must not use it. One
+    A `random` scenario draws another course in each episode from `stream`, a NumPy generator; the others must not use it. One
     that draws many `together` gets `Streams` of n episodes instead and returns set-points (n, len(time)), loads
     (n, len(time), 2).
     """
@@ -244,7 +244,7 @@ def load_scenario(source: str | Mapping[str, Any] | Scenario) -> Scenario:
 
 
 def _rows(width: int) -> AfterValidator:
-    """For a step table of so many columns, whose times rise."""
+    """For a step table of `width` columns, whose times rise."""
 
     def check(rows: Any) -> Floats:
         try:
