@@ -130,7 +130,10 @@ def _columns(path: Path, style: TableStyle, notes: list[str]) -> list[Column]:
 def _fill(draft: _Draft, columns: list[Column]) -> None:
     """Puts the most likely column of each signal into the draft."""
     nameless = all(column.label.isdecimal() for column in columns)
-    found = by_behaviour(columns) if nameless else sorted(guesses(columns), key=lambda guess: -guess.score)
+    found = by_behaviour(columns) if nameless else list(guesses(columns))
+    found.sort(
+        key=lambda guess: (guess.signal == "position", -guess.score)
+    )  # a speed is better than its position
     for column in columns:
         if all(column is not guess.column for guess in found):
             known = ", ".join(sorted(column.meant - {"unknown", "symbol", "valve"}))
@@ -138,21 +141,13 @@ def _fill(draft: _Draft, columns: list[Column]) -> None:
             why = f"{known}, nothing that a mapping has" if known and why == "not recognised" else why
             draft.notes.append(f"{column.name!r}: {why}, left out")
     channels: dict[int, dict[str, Any]] = {1: {}, 2: {}}
-    positions: list[Guess] = []
     for guess in found:
         if guess.channel > 2:
             draft.notes.append(
                 f"{guess.column.name!r}: {guess.signal} of channel {guess.channel}, left out; a log has two"
             )
-        elif guess.signal == "position":
-            positions.append(guess)
         else:
             _put(draft, channels.get(guess.channel, draft.content), guess)
-    for guess in positions:
-        if "speed" in channels[guess.channel]:
-            draft.notes.append(f"{guess.column.name!r}: a position, left out; there is a speed")
-        else:
-            _put(draft, channels[guess.channel], guess)
     if "time" not in draft.content:
         draft.content["time"] = {"sample_rate": 1000}
         draft.open.append("time.sample_rate: no clock was found; put the rows per second")

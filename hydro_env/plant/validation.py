@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ..errors import InputError
 from ..units import with_unit
 from .catalogue import CATALOGUE
-from .friction import MIN_FRICTION, MAX_PEAK
+from .friction import MAX_PEAK, MIN_FRICTION
 from .parameters import Parameter
 
 if TYPE_CHECKING:
