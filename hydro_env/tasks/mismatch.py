@@ -107,7 +107,7 @@ class Range(Table):
     @model_validator(mode="before")
     @classmethod
     def _numbers(cls, data: Any) -> Any:
-        return data if isinstance(data, Mapping | Range) else {"fixed": data}
+        return data if isinstance(data, Mapping | Range) else {"fixed": _two(data)}
 
     @model_validator(mode="after")
     def _one_range(self) -> Range:
