@@ -35,7 +35,7 @@ from hydro_env.plant import Plant, PlantModel
 from hydro_env.plant.plant import Lost
 from hydro_env.reading import check_file, read_yaml
 from hydro_env.units import UNITS, unit
-from hydro_env.validation import Number, Table, checked, known
+from hydro_env.validation import FileTable, Number, checked, known
 
 __all__ = ["FmuModel", "FmuRigs", "is_fmu", "load_fmu"]
 
@@ -154,7 +154,7 @@ def _own_names(description: Any) -> dict[tuple[str, int], Link]:
 
 
 # --- mapping files ----------------------------------------------------------------------------------------------------
-class _Variable(Table):
+class _Variable(FileTable):
     """A variable of the FMU, and what its numbers are; those of a command are in the unit of `rated`."""
 
     variable: str
@@ -180,7 +180,7 @@ def _by_name(entry: Any) -> Any:
 _Channel = dict[Annotated[str, known("signal", _SIGNALS)], Annotated[_Variable, BeforeValidator(_by_name)]]
 
 
-class _Mapping(Table):
+class _Mapping(FileTable):
     FORMAT = SCHEMA
 
     rated: Number | None = None

@@ -1,6 +1,6 @@
 """What the files of users may hold: a pydantic model describes each format, and whatever is wrong is one line.
 
-    class Suite(Table):
+    class Suite(FileTable):
         splits: dict[str, Count]
 
     suite = checked(Suite, read_yaml(path, "a suite in YAML"), path)
@@ -27,7 +27,7 @@ from pydantic_core import PydanticCustomError
 
 from hydro_env.errors import InputError, shown, suggestion
 
-__all__ = ["Count", "Number", "NumberOrInfinity", "Table", "checked", "explain", "known"]
+__all__ = ["Count", "Number", "NumberOrInfinity", "FileTable", "checked", "known"]
 
 #: What pydantic says, and what engineers do.
 _WORDS = {
@@ -40,7 +40,7 @@ _WORDS = {
     "a valid tuple": "a list",
 }
 
-M = TypeVar("M", bound="Table")
+M = TypeVar("M", bound="FileTable")
 
 
 def _no_truth_value(value: Any) -> Any:
@@ -57,7 +57,7 @@ Count = Annotated[int, BeforeValidator(_no_truth_value), Field(ge=1, le=10**15)]
 """A whole number of at least 1."""
 
 
-class Table(BaseModel):
+class FileTable(BaseModel):
     """A table of a file, with no keys but its fields. The key `schema` of a whole file has to be its `FORMAT`, if it has one."""
 
     FORMAT: ClassVar[str] = ""
@@ -102,10 +102,10 @@ def checked(kind: type[M], data: Any, where: str | Path) -> M:
     try:
         return kind.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{where}: {explain(error)}") from None
+        raise InputError(f"{where}: {_explain(error)}") from None
 
 
-def explain(error: ValidationError) -> str:
+def _explain(error: ValidationError) -> str:
     """The first thing that is wrong, in one line: key, what was found, what would be right."""
     first = error.errors(include_url=False)[0]
     place = ".".join(str(part) for part in first["loc"] if part != "[key]")

@@ -8,17 +8,17 @@ import pytest
 from pydantic import Field
 
 from hydro_env.errors import InputError
-from hydro_env.validation import Count, Number, Table, checked, known
+from hydro_env.validation import Count, FileTable, Number, checked, known
 
 
-class Part(Table):
+class Part(FileTable):
     """A table within the file."""
 
     size: Annotated[Number, Field(ge=0.0, le=2.0)]
     kind: Annotated[str, known("kind", ("round", "square"))] = "round"
 
 
-class Whole(Table):
+class Whole(FileTable):
     """A file."""
 
     FORMAT = "hydro_env/whole/1"

@@ -11,12 +11,12 @@ from pydantic import Field
 
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import parse_yaml, read_yaml
-from hydro_env.validation import Count, Table, checked
+from hydro_env.validation import Count, FileTable, checked
 
 __all__ = ["Suite", "check_names", "load_suite", "shipped_suites"]
 
 
-class Suite(Table):
+class Suite(FileTable):
     """`splits` maps a split to its number of cases; `scenarios` and `metrics` are names."""
 
     name: str

@@ -137,28 +137,28 @@ class Cells:
         text = text.strip()
         if text.lower() in MISSING:
             return math.nan
+        seen = f"({text!r} in row {line}), read"
         if self._has_decimal_comma(text):
-            if not self.decimal_comma and self.decimal is None:
-                message = f"numbers are written with a decimal comma ({text!r} in row {line}), read so"
-                self.findings.append(
-                    Finding("decimal_comma", message, "write decimal points", column=name, row=line)
-                )
-                self.decimal_comma = True
+            if self.decimal is None:
+                message = f"numbers are written with a decimal comma {seen} so"
+                self._note("decimal_comma", message, name, line, "write decimal points")
+            self.decimal_comma = True
             return float(text.replace(",", "."))
         stamp = seconds(text)
         if stamp is not None:
-            if not any(f.code == "time_stamps" for f in self.findings):
-                message = f"times are written as dates or hours ({text!r} in row {line}), read as seconds"
-                self.findings.append(Finding("time_stamps", message, column=name, row=line))
+            self._note("time_stamps", f"times are written as dates or hours {seen} as seconds", name, line)
             return stamp
         if self.si_suffixes and has_suffix(text):
-            if not any(f.code == "si_suffixes" for f in self.findings):
-                message = f"numbers carry suffixes ({text!r} in row {line}), read so"
-                self.findings.append(Finding("si_suffixes", message, column=name, row=line))
+            self._note("si_suffixes", f"numbers carry suffixes {seen} so", name, line)
             return float(text[:-1]) * SI_SUFFIX[text[-1]]
         raise InputError(
             f"{self.path}: row {line}, column {name!r}: {text!r} is not a number; {self._hint(text, name)}"
         )
+
+    def _note(self, code: str, message: str, name: str, line: int, hint: str = "") -> None:
+        """Notes a spelling where it is first seen."""
+        if all(each.code != code for each in self.findings):
+            self.findings.append(Finding(code, message, hint, column=name, row=line))
 
     def _has_decimal_comma(self, text: str) -> bool:
         # With another delimiter a comma inside a number can only be the decimal mark (or, far rarer, thousands).

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping as Table
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -72,7 +71,7 @@ class _Draft:
         )
 
 
-def propose(path: str | Path, begun: Table[str, Any] | None = None) -> Proposal:
+def propose(path: str | Path, begun: dict[str, Any] | None = None) -> Proposal:
     """Looks at a log and proposes a mapping that keeps what `begun`, the content of a mapping file, says already. InputError
     if the log cannot be read at all."""
     path, begun = Path(path), begun or {}
@@ -325,7 +324,7 @@ def _channels(content: dict[str, Any]) -> list[dict[str, Any]]:
     return [content[key] for key in _CHANNELS if key in content]
 
 
-def _merge(content: dict[str, Any], fix: Table[str, Any]) -> None:
+def _merge(content: dict[str, Any], fix: dict[str, Any]) -> None:
     for key, value in fix.items():
         if isinstance(value, dict):
             _merge(content.setdefault(key, {}), value)

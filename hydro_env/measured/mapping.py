@@ -36,7 +36,7 @@ from pydantic import Field, model_validator
 from hydro_env.errors import InputError, nearest
 from hydro_env.reading import read_yaml
 from hydro_env.units import to_si, unit
-from hydro_env.validation import Number, Table, checked
+from hydro_env.validation import FileTable, Number, checked
 
 __all__ = [
     "CHANNEL_SIGNALS",
@@ -91,7 +91,7 @@ def quantity_of(signal: str, actuator: str) -> str:
     return found if actuator == "motor" else _LINEAR.get(found, found)
 
 
-class Part(Table):
+class Part(FileTable):
     """One column in one unit; `full_scale` (SI) is the value at fraction 1 where the unit is fraction or percent."""
 
     column: str
@@ -128,7 +128,7 @@ class Source(Part):
         return (self.column,) if self.minus is None else (self.column, self.minus.column)
 
 
-class Quantity(Table):
+class Quantity(FileTable):
     """A number with its unit."""
 
     value: Number
@@ -139,7 +139,7 @@ class Quantity(Table):
         return float(to_si(self.value, self.unit))
 
 
-class Time(Table):
+class Time(FileTable):
     """The clock: a column of numbers, or rows at a fixed rate (rows per second)."""
 
     column: str | None = None
@@ -158,7 +158,7 @@ class Time(Table):
         return self
 
 
-class TableStyle(Table):
+class TableStyle(FileTable):
     """How a CSV file is written; None is recognised from the file."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None
@@ -168,7 +168,7 @@ class TableStyle(Table):
     si_suffixes: bool = False
 
 
-class ChannelMapping(Table):
+class ChannelMapping(FileTable):
     """One valve and its actuator; signals that are not recorded are left out."""
 
     actuator: Literal["motor", "cylinder"] = "motor"
@@ -221,7 +221,7 @@ def _check_unit(signal: str, source: Source, actuator: str) -> None:
             )
 
 
-class Mapping(Table):
+class Mapping(FileTable):
     """A whole mapping file."""
 
     FORMAT = SCHEMA

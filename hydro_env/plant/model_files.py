@@ -38,7 +38,7 @@ from pydantic import ConfigDict, Field
 from ..errors import InputError, InputWarning, shown, suggestion
 from ..reading import parse_yaml, read_yaml
 from ..units import RPM, with_unit
-from ..validation import Number, NumberOrInfinity, Table, checked
+from ..validation import FileTable, Number, NumberOrInfinity, checked
 from .catalogue import CATALOGUE
 from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, parameter_of
 from .parameters import PARAMETERS
@@ -52,7 +52,7 @@ _SIDES = {"channel_1": (0,), "channel_2": (1,), "both": (0, 1), "rig": (0, 1)}
 MAX_FILES = 5
 
 
-class _Channel(Table):
+class _Channel(FileTable):
     """The valve and the base parameters of one channel, or of both."""
 
     model_config = ConfigDict(extra="allow")
@@ -65,7 +65,7 @@ class _Channel(Table):
         return ("valve", *PARAMETERS)
 
 
-class _ModelFile(Table):
+class _ModelFile(FileTable):
     """What stands in a model file."""
 
     FORMAT = SCHEMA

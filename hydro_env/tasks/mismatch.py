@@ -36,7 +36,7 @@ from ..plant.model_files import values_set_by
 from ..reading import parse_yaml, read_yaml
 from ..streams import Streams
 from ..units import with_unit
-from ..validation import Number, Table, checked
+from ..validation import FileTable, Number, checked
 
 __all__ = [
     "NAMED_PAIRS",
@@ -89,7 +89,7 @@ def _two(value: Any) -> tuple[float, float]:
 _Ends = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
 
-class Range(Table):
+class Range(FileTable):
     """What one parameter may be, as in a file: `fixed` (a number, or one for each channel), or from low to high, evenly
     (`uniform`) or evenly in its logarithm (`loguniform`).
 
@@ -376,7 +376,7 @@ def _check_all(ranges: dict[str, Range], where: str) -> None:
             raise InputError(f"{where}: {name}: {problem}") from None
 
 
-class _SplitFile(Table):
+class _SplitFile(FileTable):
     """A split: the keys of `splits.yaml`."""
 
     summary: str = ""

@@ -23,7 +23,7 @@ from pydantic import AfterValidator, Field
 from ..errors import InputError, shown, suggestion
 from ..streams import Streams
 from ..units import RPM
-from ..validation import Number, Table, checked
+from ..validation import FileTable, Number, checked
 
 __all__ = ["NOMINAL_TORQUE", "SCENARIOS", "Reference", "Scenario", "load_scenario"]
 
@@ -262,7 +262,7 @@ def _rows(width: int) -> AfterValidator:
     return AfterValidator(check)
 
 
-class _StepTables(Table):
+class _StepTables(FileTable):
     """A scenario as users write it, times in s."""
 
     name: str = "custom"

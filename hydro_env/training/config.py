@@ -31,7 +31,7 @@ from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError
 from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
-from hydro_env.validation import Count, Number, Table, checked, known
+from hydro_env.validation import Count, FileTable, Number, checked, known
 
 __all__ = ["ALGORITHMS", "ENV_ID", "Config", "Training", "read_config", "with_changes"]
 
@@ -47,7 +47,7 @@ NotNegative = Annotated[Number, Field(ge=0.0)]
 Scenario = Annotated[str, known("scenario", SCENARIOS)]
 
 
-class Training(Table):
+class Training(FileTable):
     """The table `training`.
 
     Attributes:
@@ -169,7 +169,7 @@ ARGUMENTS: dict[str, Any] = {
 }
 
 
-class _Environment(Table):
+class _Environment(FileTable):
     """The table of the environment, beside the algorithm's arguments."""
 
     n_envs: Count = 1
@@ -199,7 +199,7 @@ def _with_arguments(algorithm: str) -> type[_Environment]:
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
-class _File(Table):
+class _File(FileTable):
     training: Training
     environment: dict[str, Any] = Field(alias="HydraulicSync-v0")
 

@@ -11,7 +11,7 @@ from pydantic_core import PydanticCustomError
 
 from hydro_env.files import write_json
 from hydro_env.reading import read_json
-from hydro_env.validation import Table, checked
+from hydro_env.validation import FileTable, checked
 
 __all__ = ["SCHEMA", "GainsFile", "read_gains", "write_gains"]
 
@@ -46,14 +46,14 @@ def _tuned_at(tuning: dict[str, Any]) -> dict[str, Any]:
 Gains = dict[str, Annotated[Any, AfterValidator(_per_channel)]]
 
 
-class OtherPeriod(Table):
+class OtherPeriod(FileTable):
     """Gains of a control period beside that of the file."""
 
     gains: Gains
     tuning: dict[str, Any] = Field(default_factory=dict)
 
 
-class GainsFile(Table):
+class GainsFile(FileTable):
     """`controller` names the control law, `gains` holds a number or a number per channel for each of its
     gains. `periods` holds gains of other control periods by their length in s as text, "0.005"; those of `gains` belong to
     the period that `tuning` names. `plant` is what the controller drives wherever it is scored, for one that belongs to other
