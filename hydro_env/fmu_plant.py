@@ -24,16 +24,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
+from pydantic import BeforeValidator, Field
 
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.plant import Plant, PlantModel
 from hydro_env.plant.plant import Lost
 from hydro_env.reading import check_file, read_yaml
 from hydro_env.units import UNITS, unit
+from hydro_env.validation import FileTable, Number, checked, known
 
 __all__ = ["FmuModel", "FmuRigs", "is_fmu", "load_fmu"]
 
@@ -101,7 +103,7 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
             f"{file}: is a program, so that using it runs code from the file; with --trust it is used"
         )
     description = _description(str(file))
-    rated, start, links = (None, {}, _own_names(description)) if mapping is None else _read(Path(mapping))
+    rated, start, links = (None, {}, _own_names(description)) if mapping is None else _read(mapping)
     variables = {v.name: v for v in description.modelVariables}
     for (name, channel), link in links.items():
         _check(
@@ -151,53 +153,53 @@ def _own_names(description: Any) -> dict[tuple[str, int], Link]:
     return {key: Link(name) for key, name in names.items() if name in there}
 
 
-def _read(path: Path) -> tuple[float | None, dict[str, float], dict[tuple[str, int], Link]]:
+# --- mapping files ----------------------------------------------------------------------------------------------------
+class _Variable(FileTable):
+    """A variable of the FMU, and what its numbers are; those of a command are in the unit of `rated`."""
+
+    variable: str
+    unit: str = ""
+    sign: Number = 1.0
+
+    def link(self, signal: str) -> Link:
+        """What it is for a signal. InputError for a unit of something else."""
+        si = _SIGNALS[signal][0]
+        own = unit(self.unit or si)
+        if signal == "command" and len(self.model_fields_set) > 1:
+            raise InputError("a command has neither unit nor sign: `rated` is its value at full command")
+        if own.quantity != UNITS[si].quantity or own.offset:
+            raise InputError(f"unit {own.name} is no unit of {UNITS[si].quantity}")
+        return Link(self.variable, own.scale * self.sign)
+
+
+def _by_name(entry: Any) -> Any:
+    """A variable's name alone stands for {variable: NAME}."""
+    return {"variable": entry} if isinstance(entry, str) else entry
+
+
+_Channel = dict[Annotated[str, known("signal", _SIGNALS)], Annotated[_Variable, BeforeValidator(_by_name)]]
+
+
+class _Mapping(FileTable):
+    FORMAT = SCHEMA
+
+    rated: Number | None = None
+    start: dict[str, Number] = Field(default_factory=dict)
+    channel_1: _Channel
+    channel_2: _Channel
+
+
+def _read(path: str | Path) -> tuple[float | None, dict[str, float], dict[tuple[str, int], Link]]:
     """Rated command, start values and links of a mapping file."""
-    data = read_yaml(path, "a mapping of an FMU in YAML")
-    known = ("schema", "rated", "start", "channel_1", "channel_2")
-    if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
-        raise InputError(f"{path}: schema should be {SCHEMA!r}")
-    for key in data:
-        if key not in known:
-            raise InputError(f"{path}: unknown key {shown(key)}: {suggestion(key, known)}")
-    start = data.get("start", {})
-    if not isinstance(start, Mapping):
-        raise InputError(f"{path}: start should be a table of variables and numbers")
+    given = checked(_Mapping, read_yaml(path, "a mapping of an FMU in YAML"), path)
     links = {}
-    for channel in (0, 1):
-        table = data.get(f"channel_{channel + 1}")
-        if not isinstance(table, Mapping):
-            raise InputError(f"{path}: channel_{channel + 1} should be a table with command and speed")
-        for name, entry in table.items():
-            if name not in _SIGNALS:
-                raise InputError(
-                    f"{path}: channel_{channel + 1}: {shown(name)} is unknown: {suggestion(name, _SIGNALS)}"
-                )
-            links[name, channel] = _link(f"{path}: channel_{channel + 1}: {name}", name, entry)
-    values = {str(key): _number(f"{path}: start: {key}", value) for key, value in start.items()}
-    rated = _number(f"{path}: rated", data["rated"]) if "rated" in data else None
-    return rated, values, links
-
-
-def _number(where: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
-        raise InputError(f"{where} is {shown(value)}, expected a number")
-    return float(value)
-
-
-def _link(where: str, name: str, entry: Any) -> Link:
-    entry = {"variable": entry} if isinstance(entry, str) else entry
-    known = ("variable",) if name == "command" else ("variable", "unit", "sign")
-    if not isinstance(entry, Mapping) or not isinstance(entry.get("variable"), str):
-        raise InputError(f"{where} should be {{variable: NAME}}")
-    for key in entry:
-        if key not in known:
-            raise InputError(f"{where}: unknown key {shown(key)}: {suggestion(key, known)}")
-    si = _SIGNALS[name][0]
-    own = unit(str(entry.get("unit", si)))
-    if own.quantity != UNITS[si].quantity or own.offset:
-        raise InputError(f"{where}: unit {own.name} is no unit of {UNITS[si].quantity}")
-    return Link(entry["variable"], own.scale * _number(f"{where}: sign", entry.get("sign", 1)))
+    for channel, variables in enumerate((given.channel_1, given.channel_2)):
+        for signal, variable in variables.items():
+            try:
+                links[signal, channel] = variable.link(signal)
+            except InputError as problem:
+                raise InputError(f"{path}: channel_{channel + 1}.{signal}: {problem}") from None
+    return given.rated, given.start, links
 
 
 # --- the unit at work ------------------------------------------------------------------------------------------------

@@ -200,16 +200,12 @@ def _start(seed: Integers) -> Integers:
     return states
 
 
-def _without_arrays(function: Any) -> Any:
-    return compiled(function, allocates=False)
-
-
 def _threaded(function: Any) -> Any:
-    return compiled(function, nogil=True, allocates=False)
+    return compiled(function, nogil=True)
 
 
 # --- uniform numbers ----------------------------------------------------------------------------------------------
-@_without_arrays
+@compiled
 def _word_of_64(states, i):
     """The next 64 bits of a stream."""
     word, half = np.uint64(0xFFFFFFFF), np.uint64(32)
@@ -226,7 +222,7 @@ def _word_of_64(states, i):
     return mixed >> turn | mixed << (-turn & np.uint64(63))
 
 
-@_without_arrays
+@compiled
 def _bits(states, i):
     """The next 32 bits of a stream: PCG64 gives twice as many at a time."""
     left = states[i, _LEFT]
@@ -238,7 +234,7 @@ def _bits(states, i):
     return both & np.uint64(0xFFFFFFFF)
 
 
-@_without_arrays
+@compiled
 def _fill_uniform(states, rows, out):
     """Fills row k of `out` with `Generator.random()` of stream rows[k]."""
     for k in range(rows.size):
@@ -272,12 +268,12 @@ _WIDTHS, _INSIDE, _HEIGHTS = _strips()
 _TAIL_32, _INVERSE_TAIL_32 = np.float32(_TAIL), np.float32(1.0 / _TAIL)
 
 
-@_without_arrays
+@compiled
 def _share(states, i):
     return np.float32(_bits(states, i) >> np.uint64(8)) * np.float32(2.0**-24)
 
 
-@_without_arrays
+@compiled
 def _normal(states, i):
     """The next `Generator.standard_normal(dtype=float32)` of stream i."""
     while True:

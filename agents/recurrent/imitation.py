@@ -52,7 +52,7 @@ class Teacher:
         """Takes in the next observation (num_rigs, 9), in which stands what was sent; `followed`: whether that was the law's."""
         law, sent = self._law, observation[:, SENT].astype(float)
         law.sent = sent
-        law.shaper.unshaped[:] = np.where(followed[:, None], law.shaper.unshaped, sent)
+        law.shaper.replace(~followed[:, None], sent)
         law.update(observation)
 
     def restart(self, rigs: NDArray[np.int64], observation: NDArray[Any]) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from hydro_env.benchmark.report import scores_page, scores_table
 from hydro_env.benchmark.statistics import Summary, gap_closed, probability_of_improvement, summarise
-from hydro_env.benchmark.suite import Suite, check_suite, load_suite
+from hydro_env.benchmark.suite import Suite, check_names, load_suite
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
 from hydro_env.controllers.rollout import roll_out
@@ -102,7 +102,7 @@ class Selection:
         shipped = Path(self.suite).suffix == ""
         if splits is None and shipped and default_mismatch(plant) == OWN:
             splits = [OWN]
-        chosen = check_suite(suite.narrowed(splits, self.scenarios, self.cases), known, "benchmark")
+        chosen = check_names(suite.narrowed(splits, self.scenarios, self.cases), known, "benchmark")
         for split, wanted in chosen.splits.items():
             listed = None if split == OWN else SPLITS[split].cases
             if listed is not None and wanted > listed:

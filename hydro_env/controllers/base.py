@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hydro_env.controllers.estimation.nominal import SPOOL_RATE
 from hydro_env.controllers.input_guard import InputGuard, guarded
-from hydro_env.controllers.input_shaping import three_taps
+from hydro_env.controllers.input_shaping import InputShaper
 from hydro_env.envs.observation import Measurements, decode
 from hydro_env.errors import InputError, suggestion
 from hydro_env.plant import PARAMETERS
@@ -149,21 +149,19 @@ class Controller:
             )
         if not self._started:
             self.sent = np.clip(measured.command, -1.0, 1.0).astype(float)
-            self.__spacing, self.__outer = three_taps(SPOOL_RATE, self.period)
-            self.__asked = [self.sent] * (2 * self.__spacing + 1)
+            self.__shaper = InputShaper(SPOOL_RATE, self.period, self.sent)
             self.start(measured)
             self._started = True
         most = self.gains.get("slew", inf) * FRACTION_PER_V * self.period
-        last = self.__asked[-1]
+        last = self.__shaper.past[-1]
         self.limits = np.maximum(last - most, -1.0), np.minimum(last + most, 1.0)
         self.asked = self.command(measured)
         low, high = self.limits
         # `np.clip` does the same in three times the time.
-        self.__asked = [*self.__asked[1:], np.minimum(np.maximum(self.asked, low), high)]
+        limited = np.minimum(np.maximum(self.asked, low), high)
+        smooth = self.__shaper.step(limited)
         share = self.gains.get("shape", 0.0)
-        ends, middle = self.__asked[0] + self.__asked[-1], self.__asked[self.__spacing]
-        smooth = self.__outer * ends + (1.0 - 2.0 * self.__outer) * middle
-        self.sent = np.minimum(np.maximum(self.__asked[-1] + share * (smooth - self.__asked[-1]), -1.0), 1.0)
+        self.sent = np.minimum(np.maximum(limited + share * (smooth - limited), -1.0), 1.0)
         return self.sent
 
     def start(self, measured: Measurements) -> None:

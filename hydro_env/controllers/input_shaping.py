@@ -5,7 +5,31 @@ from __future__ import annotations
 
 from math import cos, pi
 
-__all__ = ["three_taps"]
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["InputShaper", "three_taps"]
+
+Floats = NDArray[np.float64]
+
+
+class InputShaper:
+    """The filter for commands (num_rigs, 2), whose `past` values are kept, oldest first."""
+
+    def __init__(self, rate: float, period: float, command: Floats) -> None:
+        """For a mode of `rate` 1/s, sampled every `period` s; `command` was in force for long."""
+        self.spacing, self.outer = three_taps(rate, period)
+        self.past = [command] * (2 * self.spacing)
+
+    def step(self, command: Floats) -> Floats:
+        """The filtered command of this sample."""
+        ends, middle = command + self.past[0], self.past[self.spacing]
+        self.past = [*self.past[1:], command]
+        return self.outer * ends + (1.0 - 2.0 * self.outer) * middle
+
+    def replace(self, where: NDArray[np.bool_], command: Floats) -> None:
+        """Goes on as if `command` had been in force for long `where`, (num_rigs, 1) or (num_rigs, 2)."""
+        self.past = [np.where(where, command, each) for each in self.past]
 
 
 def three_taps(rate: float, period: float) -> tuple[int, float]:

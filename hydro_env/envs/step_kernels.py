@@ -40,7 +40,7 @@ _TO_BAR = 1.0 / BAR
 
 
 def _threaded(function):
-    return compiled(function, nogil=True, allocates=False)
+    return compiled(function, nogil=True)
 
 
 @_threaded

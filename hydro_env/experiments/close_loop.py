@@ -34,7 +34,7 @@ from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import PlantModel
 from hydro_env.practice.generate import constants_of
 from hydro_env.practice.reference.forms import Constants
-from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
+from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 from hydro_env.tasks import Trace, compute, load_scenario
 
 __all__ = [
@@ -356,7 +356,7 @@ def read(folder: Path) -> dict[str, Any]:
     """What `write` wrote. InputError if there is no such result."""
     what = f"a result of `hydro-env close-loop --out {folder}`"
     data, traces = (
-        read_json(folder / name, what, most=MOST_BYTES_OF_RESULTS)
+        read_json(folder / name, what, max_bytes=MAX_BYTES_OF_RESULTS)
         for name in ("close_loop.json", "traces.json")
     )
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:

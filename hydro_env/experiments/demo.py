@@ -27,7 +27,7 @@ from hydro_env.experiments.shaft_animation import animation, record
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import COLOURS, beside_results, figure, legend, png, render, svg
 from hydro_env.practice import command as hide
-from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
+from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 
 __all__ = ["run"]
 
@@ -298,12 +298,14 @@ def _front(scores: dict[str, Any], cells: dict[Any, Any], shown: dict[str, str])
 # --- 3. the diagnosis -------------------------------------------------------------------------------------------------
 def _diagnosis(practice: Path, out: Path, seed: int) -> dict[str, Any]:
     hide.run(HIDDEN, practice, seed=seed)
-    truth = read_json(practice / "truth.json", "what `hydro-env hide` wrote", most=MOST_BYTES_OF_RESULTS)
+    truth = read_json(practice / "truth.json", "what `hydro-env hide` wrote", max_bytes=MAX_BYTES_OF_RESULTS)
     logs = {kind: [practice / name for name in truth["logs"][kind]] for kind in ("fit", "sealed")}
     diagnosis.run(
         logs["fit"], logs["sealed"], out, model=practice / "model.yaml", settings=Settings(seed=seed)
     )
-    found = read_json(out / "diagnosis.json", "what `hydro-env diagnose` wrote", most=MOST_BYTES_OF_RESULTS)
+    found = read_json(
+        out / "diagnosis.json", "what `hydro-env diagnose` wrote", max_bytes=MAX_BYTES_OF_RESULTS
+    )
     hidden = {effect["name"]: effect for effect in truth["effects"]}
     effects, parameters = [], []
     for effect in found["effects"]:

@@ -12,12 +12,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from hydro_env.plant import PARAMETERS, Plant, PlantModel
-from hydro_env.plant.accepted import accepted
 from hydro_env.plant.catalogue import CATALOGUE
 from hydro_env.plant.kernel import Kernel
 from hydro_env.plant.kernel.driver import ATTEMPTS_PER_S, MOST_ATTEMPTS, SWEEPS
 from hydro_env.plant.model import parameter_of
 from hydro_env.plant.plant import LONGEST_DELAY
+from hydro_env.plant.validation import accepted
 from hydro_env.units import RPM
 
 from .translate import Arr, Num, Translator, literal, plain_functions

@@ -27,14 +27,12 @@ class Recording:
 
     def __init__(self, seed: int) -> None:
         self._stream = np.random.default_rng(seed)
-        self._rows: dict[str, list[Floats]] = {
-            name: [] for name in ("setpoint", "command", "load", *RECORDED)
-        }
+        self._periods: list[dict[str, Floats]] = []
 
     @property
     def seconds(self) -> float:
         """How long it is, s."""
-        return len(self._rows["setpoint"]) * PERIOD
+        return len(self._periods) * PERIOD
 
     def add(
         self,
@@ -46,19 +44,19 @@ class Recording:
     ) -> None:
         """Adds a control period: what was in force, (2,) each, the sensors' noise at its beginning (6,), and what
         `LiveRig.hold` recorded."""
-        self._rows["setpoint"].append(np.full((SAMPLES, 1), setpoint_rpm))
-        self._rows["command"].append(np.tile(command_V, (SAMPLES, 1)))
-        self._rows["load"].append(np.tile(load_Nm, (SAMPLES, 1)))
+        rows = {"setpoint": np.full((SAMPLES, 1), setpoint_rpm)}
+        rows |= {"command": np.tile(command_V, (SAMPLES, 1)), "load": np.tile(load_Nm, (SAMPLES, 1))}
         for name in RECORDED:
             sensor = SENSORS[_READ[name]]
             errors = self._stream.standard_normal((SAMPLES, 2))
             errors[0] = noise[_NOISE[name]]
             shown = signals[name] / sensor.size + sensor.noise * errors
-            self._rows[name].append(np.round(shown / sensor.resolution) * sensor.resolution)
+            rows[name] = np.round(shown / sensor.resolution) * sensor.resolution
+        self._periods.append(rows)
 
     def text(self) -> str:
         """The log as CSV."""
-        rows = {name: np.vstack(blocks) for name, blocks in self._rows.items()}
+        rows = {name: np.vstack([period[name] for period in self._periods]) for name in self._periods[0]}
         columns = {
             "time_s": np.arange(len(rows["setpoint"])) * PERIOD / SAMPLES,
             "setpoint_rpm": rows["setpoint"][:, 0],

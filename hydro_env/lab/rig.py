@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 from math import inf
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,7 +80,7 @@ class LiveRig:
     """One rig that runs on for as long as it is stepped: `sense`, then `hold`, once a control period.
 
     All effects of the catalogue are compiled in, so that each may be set at any time; neutral ones change no bit. `noise` is a
-    factor on the sensors' noise. Row for row it is what the environment does with the same course; it has no end and no reward.
+    factor on the sensors' noise. Row for row it does what the environment does with the same reference, without end and reward.
 
     InputError for an unknown plant.
     """
@@ -103,7 +101,7 @@ class LiveRig:
 
     # --- valves and effects ---------------------------------------------------------------------------------------
     def take_pair(self, split: str, number: int) -> None:
-        """Puts in a pair of valves: that of a number in a split, or the preset's own for `own`. Effects that were set stay.
+        """Puts in a pair of valves: that of a number in a split, or the preset's own for `own`. Effects set by hand are kept.
 
         InputError for an unknown split or a number beyond its list.
         """
@@ -203,12 +201,3 @@ class LiveRig:
     def noise(self) -> Floats:
         """What the sensors added last, standard normal: speeds, currents, pressures, (6,)."""
         return self._noise[0].astype(float)
-
-    @property
-    def lost(self) -> str:
-        """What the simulation could not follow, "" if nothing; the rig is at rest then."""
-        return str(next(iter(self.plant.lost), ""))
-
-    def twin(self) -> Any:
-        """A copy of the plant as it is, for controllers that know it."""
-        return copy.deepcopy(self.plant)

@@ -8,8 +8,8 @@ import secrets
 import signal
 import socket
 import webbrowser
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from hydro_env.files import write_text
 from hydro_env.lab.diagnosis_page import DiagnosisPage
 from hydro_env.lab.guard import Guard
 from hydro_env.lab.jobs import Jobs
-from hydro_env.lab.page import RigPage, style
+from hydro_env.lab.page import RigPage
 from hydro_env.lab.session import Session, Settings
 from hydro_env.lab.uploads import YAML_ENDINGS, Uploads
 from hydro_env.lab.worker import Worker
@@ -65,12 +65,10 @@ class Lab:
     def page(self) -> None:
         """Builds the page for a browser."""
         ui.page_title(TITLE)
-        ui.add_css(style())
+        ui.add_css(Path(__file__).with_name("style.css"))
         ui.colors(primary="#0b62a8")
-        rig, diagnosis = (
-            RigPage(self.worker, self.uploads),
-            DiagnosisPage(self.worker, self.uploads, self.jobs),
-        )
+        rig = RigPage(self.worker, self.uploads)
+        diagnosis = DiagnosisPage(self.worker, self.uploads, self.jobs)
         with ui.element("main").classes("lab"):
             with ui.element("header"):
                 ui.html(f"<h1>{TITLE}</h1>", sanitize=False, tag="div")
@@ -130,20 +128,6 @@ def application(lab: Lab, port: int, key: str, ready: Callable[[], None] = lambd
     return Guard(app, port, key)
 
 
-@contextmanager
-def _listening(port: int) -> Iterator[socket.socket]:
-    """A socket on the loopback address. InputError if the port is taken."""
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listener.bind((HOST, port))
-        except OSError as problem:
-            raise InputError(
-                f"--port {port}: cannot be used ({problem.strerror}); name another one"
-            ) from None
-        yield listener
-
-
 def run(out: Path, settings: Settings | None = None, *, port: int = 8137, browser: bool = True) -> None:
     """Serves the page until Ctrl-C, or until the terminal or the system ends it. `settings` are what it begins with; `port` 0
     takes any that is free.
@@ -153,7 +137,13 @@ def run(out: Path, settings: Settings | None = None, *, port: int = 8137, browse
     there = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not (there.is_dir() and os.access(there, os.W_OK)):
         raise InputError(f"--out {out}: cannot write there; name a folder that can be written")
-    with _listening(port) as listener:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((HOST, port))
+        except OSError as problem:
+            cause = f"cannot be used ({problem.strerror}); name another one"
+            raise InputError(f"--port {port}: {cause}") from None
         port, key = listener.getsockname()[1], secrets.token_urlsafe(16)
         address = f"http://{HOST}:{port}/?key={key}"
 

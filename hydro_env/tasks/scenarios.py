@@ -14,15 +14,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import pi
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import AfterValidator, Field
 
 from ..errors import InputError, shown, suggestion
-from ..limits import Limits
 from ..streams import Streams
 from ..units import RPM
+from ..validation import FileTable, Number, checked
 
 __all__ = ["NOMINAL_TORQUE", "SCENARIOS", "Reference", "Scenario", "load_scenario"]
 
@@ -33,10 +34,8 @@ Floats = NDArray[np.float64]
 #: paper's weaker valve V2 without dead zone, but only 0.8 N m for the weaker valve of the weakest twentieth of the
 #: pairs of `train`. So nearly all pairs can do what the scenarios ask.
 NOMINAL_TORQUE = 0.8
-#: Of a scenario of step tables.
-DURATION = Limits(1e-4, 1e5, unit="s")
 #: Largest time (s), set-point (rpm) and load (N m) of a step table.
-MOST = 1e6
+LARGEST = 1e6
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class Reference:
 class Scenario:
     """`duration` in s and `course(time, stream)` -> set-point (len(time),) in rpm, loads (len(time), 2) in N m.
 
-    A `random` scenario draws its course anew in each episode from `stream`, a NumPy generator; the others must not use it. One
+    A `random` scenario draws another course in each episode from `stream`, a NumPy generator; the others must not use it. One
     that draws many `together` gets `Streams` of n episodes instead and returns set-points (n, len(time)), loads
     (n, len(time), 2).
     """
@@ -240,27 +239,33 @@ def load_scenario(source: str | Mapping[str, Any] | Scenario) -> Scenario:
         raise InputError(
             f"scenario is {shown(source)}, expected a name ({', '.join(SCENARIOS)}) or a mapping of step tables"
         )
-    known = ("name", "duration", "setpoint_rpm", "load_Nm")
-    for key in source:
-        if key not in known:
-            raise InputError(f"scenario: unknown key {shown(key)}: {suggestion(key, known)}")
-    duration = DURATION.check(source.get("duration"), "scenario: duration")
-    if not isinstance(source.get("name", ""), str):
-        raise InputError(f"scenario: name is {shown(source['name'])}, expected text")
-    setpoint = _read_table(source.get("setpoint_rpm", ()), 2, "setpoint_rpm")
-    load = _read_table(source.get("load_Nm", ()), 3, "load_Nm")
-    return _tables(source.get("name", "custom"), "step tables", duration, setpoint, load)
+    given = checked(_StepTables, source, "scenario")
+    return _tables(given.name, "step tables", given.duration, given.setpoint_rpm, given.load_Nm)
 
 
-def _read_table(rows: Any, width: int, key: str) -> Floats:
-    try:
-        table = np.asarray(rows, dtype=float).reshape(-1, width)
-        fits = len(table) == len(rows)
-    except (TypeError, ValueError, OverflowError):
-        fits = False
-    if not fits:
-        columns = "[time, value]" if width == 2 else "[time, channel 1, channel 2]"
-        raise InputError(f"scenario: {key}: expected rows {columns}")
-    if not (np.abs(table) <= MOST).all() or (np.diff(table[:, 0]) <= 0.0).any():
-        raise InputError(f"scenario: {key}: times must rise and all values lie within +-{MOST:g}")
-    return table
+def _rows(width: int) -> AfterValidator:
+    """For a step table of `width` columns, whose times rise."""
+
+    def check(rows: Any) -> Floats:
+        try:
+            table = np.asarray(rows, dtype=float).reshape(-1, width)
+            fits = len(table) == len(rows)
+        except (TypeError, ValueError, OverflowError):
+            fits = False
+        if not fits:
+            columns = "[time, value]" if width == 2 else "[time, channel 1, channel 2]"
+            raise ValueError(f"expected rows {columns}")
+        if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0.0).any():
+            raise ValueError(f"times must rise and all values lie within +-{LARGEST:g}")
+        return table
+
+    return AfterValidator(check)
+
+
+class _StepTables(FileTable):
+    """A scenario as users write it, times in s."""
+
+    name: str = "custom"
+    duration: Annotated[Number, Field(ge=1e-4, le=1e5)]
+    setpoint_rpm: Annotated[Any, _rows(2)] = ()
+    load_Nm: Annotated[Any, _rows(3)] = ()

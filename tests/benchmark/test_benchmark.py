@@ -458,7 +458,7 @@ def test_third_party_controllers(tmp_path):
         ({"scenarios": ["setpoint_step"]}, "did you mean 'setpoint_steps'"),
         ({"suite": "fulll"}, "did you mean 'full'"),
         ({"suite": "nowhere.yaml"}, "no such file"),
-        ({"cases": 0}, "at least 1"),
+        ({"cases": 0}, "is 0, should be greater than or equal to 1"),
         ({"jobs": 0}, "jobs"),
         ({"plant": "papr"}, "papr"),
         ({"cases": 2000}, "there are 1000 pairs"),
@@ -479,7 +479,10 @@ def test_bad_input_is_refused_with_one_line(tmp_path, changed, message):
     [
         ("- 1", "table"),
         ("splits: {val: 2}\nscenarios: [sine]\nmetrics: [speed]", "unknown metric 'speed'"),
-        ("splits: {val: two}\nscenarios: [sine]\nmetrics: [tracking_mae_rpm]", "number of cases"),
+        (
+            "splits: {val: two}\nscenarios: [sine]\nmetrics: [tracking_mae_rpm]",
+            "splits.val is 'two', should be a whole number",
+        ),
         ("splits: {val: 2}\nscenario: [sine]\nmetrics: [tracking_mae_rpm]", "did you mean 'scenarios'"),
         ("splits: [", "YAML"),
         (

@@ -307,7 +307,9 @@ def test_a_gains_file_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         if law.endswith("Mine")
         else {**make_controller("cross_coupled").gains, "Kp": 0.04}
     )
-    write_gains("größe_1.json", GainsFile(law, {key: float(value) for key, value in gains.items()}))
+    write_gains(
+        "größe_1.json", GainsFile(controller=law, gains={key: float(value) for key, value in gains.items()})
+    )
     trust = ["--trust"] if law.endswith("Mine") else []
     for kind in ("c", "st"):
         with pytest.raises(SystemExit) as ended:

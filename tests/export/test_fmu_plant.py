@@ -159,7 +159,7 @@ def test_the_command(units: list[Path], tmp_path: Path) -> None:
         (MAPPING.replace("rated: 73", "rated: much"), "rated is 'much'"),
         (MAPPING.replace("sign:", "sing:"), "unknown key 'sing'"),
         (MAPPING.replace("start: {channel_2.Kq", "start: {channel_3.Kq"), "has no variable 'channel_3.Kq'"),
-        ("- 1\n", "schema should be"),
+        ("- 1\n", "expected a table"),
     ],
 )
 def test_bad_mapping(units: list[Path], tmp_path: Path, mapping: str, says: str) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.classical.reference import DoublePole
-from hydro_env.controllers.input_shaping import three_taps
+from hydro_env.controllers.input_shaping import InputShaper
 from hydro_env.plant import Plant, PlantModel
 from hydro_env.waveforms import triangle
 
@@ -91,8 +91,7 @@ class ModelInverse(Controller):
         self._past = [self._reference.speed] * (LAG + 1)
         self._sum = np.zeros((n, 2))
         rate = float(np.mean(np.sqrt(self._motor["k"] / self._motor["m"])))
-        self._spacing, self._outer = three_taps(rate, self.period)
-        self._asked = [measured.command.astype(float)] * (2 * self._spacing + 1)
+        self._shaper = InputShaper(rate, self.period, measured.command.astype(float))
 
     def command(self, measured: Measurements) -> Floats:
         kp, ti, ks, blend = (_column(self.gains[key]) for key in ("Kp", "Ti", "Ks", "blend"))
@@ -104,10 +103,7 @@ class ModelInverse(Controller):
         flow = self._flow(self._reference.speed[:, None], asked + grown)
         beyond = np.where(flow > 0.0, flow > self._largest[:, 0], -flow > self._largest[:, 1])
         self._sum = np.where(beyond & (error * flow > 0.0), self._sum, grown)  # no further into a limit
-        command = self._inverse(flow, blend)
-        self._asked = [*self._asked[1:], command]
-        ends, middle = self._asked[0] + self._asked[-1], self._asked[self._spacing]
-        return self._outer * ends + (1.0 - 2.0 * self._outer) * middle
+        return self._shaper.step(self._inverse(flow, blend))
 
     def _flow(self, speed: Floats, acceleration: Floats) -> Floats:
         """What the model's motors take without load, m3/s: eq. (1) and (3)."""

@@ -7,8 +7,8 @@ It knows nothing of the drawn valves. Its parts, in the order of a control perio
 * `Reference`: one speed for both motors.
 * `Crossing`: looks for an edge that is unknown when the flow has to change its direction.
 * `Feedback`: the flow each motor is to get.
-* `DeadZoneCompensation` and `Shaper`: the estimated curves turn flow into commands; three successive commands are averaged so
-  that the spool's lightly damped mode stays at rest. A sudden load on one motor alone is answered without that delay.
+* `DeadZoneCompensation` and `InputShaper`: the estimated curves turn flow into commands; three successive commands are averaged
+  so that the spool's lightly damped mode stays at rest. A sudden load on one motor alone is answered without that delay.
 * `Planner`, if there is one: plans the next commands of both valves together instead. Two spools with different ways to their
   edges begin to flow at different times when commands are averaged, which parts the motors at every start and every crossing.
 
@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.estimator import Estimator, EstimatorSettings
-from hydro_env.controllers.estimation.nominal import FLOWING, Motor
-from hydro_env.controllers.mpc.compensation import CompensationSettings, DeadZoneCompensation, Shaper
+from hydro_env.controllers.estimation.nominal import FLOWING, SPOOL_RATE, Motor
+from hydro_env.controllers.input_shaping import InputShaper
+from hydro_env.controllers.mpc.compensation import CompensationSettings, DeadZoneCompensation
 from hydro_env.controllers.mpc.crossing import Crossing, CrossingSettings
 from hydro_env.controllers.mpc.feedback import Feedback, FeedbackSettings
 from hydro_env.controllers.mpc.planner import HORIZON, Planner, PlannerSettings, Scene, predict_delayed
@@ -69,7 +70,8 @@ class FlowController:
         self.crossing = Crossing(s.crossing, n, period)
         self.feedback = Feedback(s.feedback, s.motor, n, period)
         self.reference = Reference(s.reference, s.motor, n, period, self.feedback.remembered)
-        self.compensation, self.shaper = DeadZoneCompensation(s.compensation), Shaper(n, period)
+        self.compensation = DeadZoneCompensation(s.compensation)
+        self.shaper = InputShaper(SPOOL_RATE, period, np.zeros((n, 2)))
         self.planner = Planner(s.planner, n, self.estimator.channel) if s.planner else None
         self._plans = self.planner is not None and self.planner.fits(period)
         # periods by which speeds follow the reference
@@ -86,10 +88,12 @@ class FlowController:
         self.crossing.reset(rows)
         self.feedback.reset(rows, seen.speed)
         self.reference.reset(rows, seen.setpoint, seen.speed)
-        self.shaper.reset(rows, seen.command)
         if self.planner:
             self.planner.reset(rows, seen.command)
         self.setpoint[rows], self.sent[rows], self.wanted[rows] = seen.setpoint, seen.command, 0.0
+        begun = np.zeros((len(self.sent), 1), bool)
+        begun[rows] = True
+        self.shaper.replace(begun, self.sent)
 
     def update(self, observation: NDArray[np.floating[Any]]) -> None:
         """Takes in the next observation of all rigs and decides what flow they are to get."""
@@ -122,9 +126,13 @@ class FlowController:
         idle = (self.crossing.state.active | probing)[:, None]
         self.wanted = np.where(idle, 0.0, flow)
         last = self.sent
-        sent = self.shaper.step(asked, self.feedback.state.sudden)
+        # A share of each command is not filtered where a load is sudden.
+        sudden, newest = self.feedback.state.sudden[:, None], np.clip(asked, -1.0, 1.0)
+        smooth = self.shaper.step(newest)
+        self.shaper.past = [each + sudden * (newest - each) for each in self.shaper.past]
+        sent = np.clip(smooth + sudden * (newest - smooth), -1.0, 1.0)
         led = self.probing.lead(sent, e.spool, e.valves, e.channel)
-        self.shaper.unshaped[:] = np.where(led, sent, self.shaper.unshaped)
+        self.shaper.replace(led, sent)
         if self.planner and self._plans:
             sent = self._plan(sent, last)
         self.sent = sent
@@ -138,7 +146,7 @@ class FlowController:
         poor = np.any(sensors.unsound | (sensors.state.noise > self.planner.settings.noisiest), axis=1)
         planned = ~(self.crossing.state.active | self.probing.active | poor)
         # the plain way to the aim: what the shaper would send if the flow stayed as it is asked for
-        plain, final = np.empty_like(self.planner.plan), shaper.unshaped[-1]
+        plain, final = np.empty_like(self.planner.plan), shaper.past[-1]
         plain[..., 0] = averaged
         plain[..., 1] = averaged + (1.0 - 2.0 * shaper.outer) * (final - last)
         plain[..., 2:] = final[..., None]
@@ -153,5 +161,5 @@ class FlowController:
         scene = Scene(place, motor, load, edge, valves.gain, last, aim, heavier)
         sent = self.planner.step(planned, plain, scene)
         # what the average goes on from
-        shaper.unshaped[:] = np.where(planned[:, None], sent, shaper.unshaped)
+        shaper.replace(planned[:, None], sent)
         return sent

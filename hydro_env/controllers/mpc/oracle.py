@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
-from hydro_env.controllers.mpc.shooting import DAMPING, END, HORIZON, SAMPLES, Best, Course, improve, keep
+from hydro_env.controllers.mpc.shooting import END, HORIZON, MIN_DAMPING, SAMPLES, Task, cost, improve
 from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
 from hydro_env.units import RPM
 
@@ -79,8 +79,6 @@ class Oracle(Controller):
         self._travel = _travel(twin, self.period)
         self._motor = _motor(twin, self._step)
         self._copies = _copies(twin, np.arange(n))
-        # Commands, and twice what they lead to: fresh memory for every search takes longer than to fill it.
-        self._room = [np.empty((signals, END + 1, n, 2)) for signals in (1, 3, 3)]
         stroke = get("x_max")
         self._margin = MARGIN * stroke
         self._most = np.minimum(1.0, TRAVEL * stroke * get("k") * get("R") / (get("alpha") * self._rated))
@@ -107,20 +105,18 @@ class Oracle(Controller):
         """Improves every plan for its `turns` (N,); one that would still let the motors fall apart is restarted, for
         longer: the way of a single descent is at times blocked by a stop or a spool that sticks.
         """
-        course = Course(
-            self._sent, ahead, self._most, self._margin, self._travel, self._motor, *self._weights
-        )
+        task = Task(self._sent, ahead, self._most, self._margin, self._travel, self._motor, *self._weights)
         start = self._plan
         found, lowest = start.copy(), np.empty(len(start))
         speed = np.empty((HORIZON, len(start), 2))
         for count in np.unique(turns):
             rows = np.flatnonzero(turns == count)
-            found[rows], lowest[rows], speed[:, rows] = self._descend(rows, count, start, course, load)
+            found[rows], lowest[rows], speed[:, rows] = self._descend(rows, count, start, task, load)
         for attempt in RETRIES:
             poor = np.flatnonzero(np.abs(speed[:2, :, 0] - speed[:2, :, 1]).max(axis=0) > APART)
             if not len(poor):
                 break
-            other, reached, instead = self._descend(poor, attempt, start, course, load)
+            other, reached, instead = self._descend(poor, attempt, start, task, load)
             # Motors that stay at rest are in step too but get nowhere.
             late, later = (np.abs(e[-1] - ahead[poor, -1:]).sum(axis=1) for e in (speed[:, poor], instead))
             better = (reached < lowest[poor]) & (later < late + APART)
@@ -129,46 +125,44 @@ class Oracle(Controller):
         self._plan = found
 
     def _descend(
-        self, rows: NDArray[np.int64], turns: int, start: Floats, course: Course, load: Floats
+        self, rows: NDArray[np.int64], turns: int, start: Floats, task: Task, load: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """Plans (n, HORIZON, 2) of the n rigs `rows`, their costs (n,) and the speeds (HORIZON, n, 2) they lead to at control
         instants, after at most `turns` of Levenberg and Marquardt: copies of the rigs drive the plan, and a change that did not
         help is taken back and tried smaller.
         """
         assert self._twin is not None
-        plan, load, rated, course = start[rows], np.take(load, rows, 1), self._rated[rows], course.of(rows)
+        plan, load, task = start[rows], np.take(load, rows, 1), task.of(rows)
         n = len(rows)
         every, going = n == len(start), np.arange(n)
         copies = self._copies if every else self._copies.select(rows)
         signals = np.array([copies.row_of(name) for name in ("speed", "flow", "spool")])
-        motion = _room_for(n, self._room[2])
-        best = Best(plan.copy(), np.full(n, np.inf), motion, np.full(n, DAMPING))
+        best, lowest, motion = plan.copy(), np.full(n, np.inf), np.empty((3, END + 1, n, 2))
+        damping = np.full(n, MIN_DAMPING)
         for turn in range(turns):
             copies.take_state(self._twin, None if every and len(going) == n else rows[going])
-            (volts,), seen = (_room_for(len(going), each) for each in self._room[:2])
-            # The last command stays: what follows its last sample is not looked at.
-            held = (plan[going] * rated[going, None]).transpose(1, 0, 2).reshape(HORIZON, 1, -1)
-            volts[:-1].reshape(HORIZON, SAMPLES, -1)[:] = held
-            volts[-1] = volts[-2]
-            copies.run_into(seen, volts, load, self._step, signals)
-            # Out of standstill the way leads over a ridge: at first a plan need not be better than the one before.
-            keep(going, plan, turn < FREE * turns, seen, course, best)
+            volts = np.repeat(plan[going] * self._rated[rows[going], None], SAMPLES, axis=1)
+            volts = np.append(volts, volts[:, -1:], axis=1)  # what follows the last sample is not looked at
+            seen = np.empty((3, END + 1, len(going), 2))
+            copies.run_into(seen, volts.transpose(1, 0, 2), load, self._step, signals)
+            reached = cost(plan[going], seen, task.of(going))
+            # The cost is not convex at standstill: at first a plan need not be better than the one before.
+            better = (reached < lowest[going]) | (turn < FREE * turns)
+            damping[going] *= np.where(better, 0.25, 8.0)
+            np.maximum(damping, MIN_DAMPING, out=damping)
+            kept = going[better]
+            best[kept], lowest[kept], motion[:, :, kept] = plan[kept], reached[better], seen[:, :, better]
             if turn == turns - 1:
                 break
-            moved = improve(going, plan, course, best)
+            plan[going] = improve(best[going], motion[:, :, going], damping[going], task.of(going))
+            moved = np.abs(plan[going] - best[going]).max(axis=(1, 2))
             settled, moving = going[moved <= SETTLED], np.flatnonzero(moved > SETTLED)
-            best.plan[settled] = plan[settled]
+            best[settled] = plan[settled]
             if not len(moving):
                 break
             if len(moving) < len(going):
                 going, load, copies = going[moving], np.take(load, moving, 1), copies.select(moving)
-        return best.plan, best.cost, motion[0][SAMPLES::SAMPLES].copy()
-
-
-def _room_for(n: int, room: Floats) -> Floats:
-    """Memory for signals of n rigs, (signals, T, n, 2), in that of more of them."""
-    signals, rows, most, _ = room.shape
-    return room.reshape(-1)[: room.size // most * n].reshape(signals, rows, n, 2)
+        return best, lowest, motion[0][SAMPLES::SAMPLES].copy()
 
 
 def _copies(plant: Plant, rows: NDArray[np.int64]) -> Plant:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.nominal import TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel, substep, valve_flow
+from hydro_env.controllers.mpc.linear_algebra import solve_positive_definite
 from hydro_env.controllers.mpc.reference import ReferenceState
 from hydro_env.controllers.settings import HAND, TUNED, setting
 from hydro_env.jit import compiled
@@ -321,27 +322,6 @@ def _of_commands(plan, c, sent, moves, swing, m, work):
 
 
 @compiled
-def _solve(square, slope, move):
-    """move = -square^-1 slope, by Cholesky in place; of `square` the lower triangle is read."""
-    for p in range(COMMANDS):
-        for q in range(p + 1):
-            rest = square[p, q]
-            for k in range(q):
-                rest -= square[p, k] * square[q, k]
-            square[p, q] = np.sqrt(max(rest, 1e-12)) if p == q else rest / square[q, q]
-    for p in range(COMMANDS):
-        rest = -slope[p]
-        for k in range(p):
-            rest -= square[p, k] * move[k]
-        move[p] = rest / square[p, p]
-    for p in range(COMMANDS - 1, -1, -1):
-        rest = move[p]
-        for k in range(p + 1, COMMANDS):
-            rest -= square[k, p] * move[k]
-        move[p] = rest / square[p, p]
-
-
-@compiled
 def _copy(source, plan):
     """Copies a plan (2, H) into another: one by one, since for `plan[:] = source` Numba compiles texts of errors for seconds."""
     for c in range(2):
@@ -361,7 +341,9 @@ def _improve(plan, i, cost, s, w, m, work):
                 work.square[k, :] = 0.0
                 work.square[:, k] = 0.0
                 work.square[k, k], work.slope[k] = 1.0, 0.0
-    _solve(work.square, work.slope, work.move)
+    for k in range(COMMANDS):
+        work.move[k] = -work.slope[k]
+    solve_positive_definite(work.square, work.move, COMMANDS)
     size = 1.0
     for _ in range(TRIES):
         for c in range(2):

@@ -20,7 +20,7 @@ from ...files import write_json
 from ...plant import CATALOGUE, PlantModel, simulate
 from ...plant.sensors import NOISE
 from ...practice.generate import Practice, make_practice
-from ...reading import MOST_BYTES_OF_RESULTS, read_json
+from ...reading import MAX_BYTES_OF_RESULTS, read_json
 from ...units import BAR, RPM
 from .cases import GROUPS, Case
 from .judging import covered, hidden_in, judge
@@ -178,8 +178,8 @@ def rows_of(folder: Path) -> list[dict[str, Any]]:
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = read_json(path, "the trials of a run", most=MOST_BYTES_OF_RESULTS)["rows"]
-    return rows
+    found = read_json(path, "the trials of a run", max_bytes=MAX_BYTES_OF_RESULTS)
+    return list(found["rows"])
 
 
 def run_trials(

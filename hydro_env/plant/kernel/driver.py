@@ -75,9 +75,7 @@ def copy(typing: Any, to: Any, place: Any, source: Any, first: Any, count: Any) 
 
 
 def _nogil(function: Any) -> Any:
-    return compiled(
-        function, nogil=True, allocates=False
-    )  # threads may step plants of their own side by side
+    return compiled(function, nogil=True)  # threads may step plants of their own side by side
 
 
 @_nogil

@@ -6,14 +6,15 @@ import math
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
+from ..units import with_unit
 from .catalogue import CATALOGUE
-from .friction import LEAST_FRICTION, MOST_PEAK
+from .friction import MAX_PEAK, MIN_FRICTION
 from .parameters import Parameter
 
 if TYPE_CHECKING:
     from .model import PlantModel
 
-__all__ = ["accepted", "check_channel", "inside", "out_of_range", "with_unit"]
+__all__ = ["accepted", "check_channel", "inside", "out_of_range"]
 
 #: Room for the rounding of a value that stands at an end.
 _AT_END = 1e-9
@@ -26,8 +27,8 @@ def out_of_range(value: float, p: Parameter) -> str:
     low, high = p.possible
     if value == p.neutral or inside(value, p.possible):
         return ""
-    ends = f"{low:g} to {with_unit(high, p)}" if high < math.inf else f"{with_unit(low, p)} or more"
-    return f"{with_unit(value, p)} is out of range; {p.title} is {ends}"
+    ends = f"{low:g} to {with_unit(high, p.unit)}" if high < math.inf else f"{with_unit(low, p.unit)} or more"
+    return f"{with_unit(value, p.unit)} is out of range; {p.title} is {ends}"
 
 
 def accepted(ends: tuple[float, float]) -> tuple[float, float]:
@@ -48,7 +49,7 @@ def check_channel(model: PlantModel, channel: int, where: str) -> None:
     names = ("alpha", "R", "k", "Fc", "Fs", "x_max", "k_stop", "u_rated", "D", "J", "V", "beta")
     values = {name: model.value(name, channel) for name in names}
     greater, lesser = max(values["Fc"], values["Fs"]), min(values["Fc"], values["Fs"])
-    least_friction = min(LEAST_FRICTION, greater / MOST_PEAK)
+    least_friction = min(MIN_FRICTION, greater / MAX_PEAK)
     if lesser < (1.0 - _AT_END) * least_friction:
         raise InputError(
             f"{where}: channel {channel + 1} has {values['Fc']:g} N of Coulomb and {values['Fs']:g} N of static friction;"
@@ -74,8 +75,3 @@ def check_channel(model: PlantModel, channel: int, where: str) -> None:
             f"{where}: channel {channel + 1}: D is {values['D']:g}; with these J, V and beta {largest:.3g} m3/rad or less can be"
             " simulated"
         )
-
-
-def with_unit(value: float, parameter: Parameter) -> str:
-    """A value as text, with its unit."""
-    return f"{value:g}" if parameter.unit == "1" else f"{value:g} {parameter.unit}"
