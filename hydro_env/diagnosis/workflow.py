@@ -144,7 +144,7 @@ def find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> Sta
     calibrated = do(rattling.run, calibrated, calibrated.estimates)
     while True:
         screened = do(screening.run, calibrated.logs, calibrated.estimates, calibrated.backlashes)
-        selected = do(selection.run, calibrated, screened, say)
+        selected = do(selection.run, calibrated, screened)
         # An effect that explains more may have hidden a coupling that rattles: then all is selected beside that.
         following = do(rattling.run, calibrated, selected.in_best_form())
         if following is calibrated:

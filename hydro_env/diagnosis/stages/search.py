@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -41,7 +41,6 @@ class Search:
     screening: Sequence[Screening]
     seconds: float
     present: Estimates = field(default_factory=dict)
-    progress: Callable[[str], None] = lambda text: None
     accepted: list[Accepted] = field(default_factory=list)
     candidates: list[Candidate] = field(default_factory=list)
     placebo: Estimates = field(default_factory=dict)
@@ -76,7 +75,7 @@ class Search:
 
     def restarted(self) -> Search:
         """The search for another set of effects, from the calibrated estimates."""
-        return Search(self.fit, self.calibrated, self.screening, self.seconds, progress=self.progress)
+        return Search(self.fit, self.calibrated, self.screening, self.seconds)
 
     def put(self, channel: int, estimate: Estimate) -> None:
         """Makes an estimate the present one: of its channel, or of both where it is the rig's."""

@@ -8,7 +8,7 @@ compared with one that has an effect of the whole rig.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from ..estimation import (
@@ -76,15 +76,11 @@ class Contest:
         self.gains = {effect: fit.gain(before, p) for effect, p in best.items()}
 
 
-def run(
-    calibrated: Calibrated,
-    screening: Sequence[Screening],
-    progress: Callable[[str], None] = lambda text: None,
-) -> Selection:
+def run(calibrated: Calibrated, screening: Sequence[Screening]) -> Selection:
     """Selects effects and estimates the noise again."""
     logs, copies = calibrated.logs, {p: replace(p) for p in calibrated.estimates.values()}
     own = {c: copies[p] for c, p in calibrated.estimates.items()}
-    search = select(Search(logs.fit, own, screening, logs.seconds, progress=progress))
+    search = select(Search(logs.fit, own, screening, logs.seconds))
     fit = logs.fit.with_noise_seen_by(search.present)
     groups = search.calibrated, search.present, search.placebo
     tried = [t.estimate for t in search.forms.values() if t is not None]
@@ -127,7 +123,6 @@ def _search(search: Search, rig_first: bool) -> None:
     if not rig_first:
         _forward(search, first, of_channels)
     if len(channels) == 2:
-        search.progress("effects of the whole rig")
         select_rig_effects(search)
     if any(k.channel is None for k in search.accepted):
         if rig_first:
@@ -136,7 +131,6 @@ def _search(search: Search, rig_first: bool) -> None:
         _forward(search, [c for c in channels if _worth_another(search, c)])
     if search.fit.rig.has_hidden_states:
         drop_unneeded(search)
-        search.progress("can any of them be left out?")
         prefer_form(search)
 
 
@@ -190,10 +184,8 @@ def _forward(search: Search, channels: list[int], screening: Sequence[Screening]
         if not channels:
             break
         if number > 1:
-            search.progress(f"round {number}: screening what is left")
             here = {c: search.present[c] for c in channels}
             screening = screen(search.fit, here, search.names, search.seconds, search.screening)
-        search.progress(f"round {number}: refitting candidates")
         # Channels that are estimated together take turns: what one of them gets changes the model of both.
         turns = [[c] for c in channels] if search.of_rig else [channels]
         accepted = [c for turn in turns for c in _round(search, turn, screening, number)]
