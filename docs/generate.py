@@ -448,15 +448,6 @@ def episodes() -> str:
     return _table(head, rows)
 
 
-def splits_short() -> str:
-    """The splits in one line each."""
-    rows = [
-        [f"`{name}`", split.cases or "unlimited", split.summary.partition(":")[2].strip() or split.summary]
-        for name, split in SPLITS.items()
-    ]
-    return _table(["split", "pairs", "what they are"], rows)
-
-
 def threshold() -> str:
     """The reward threshold of the registered specification."""
     spec = gymnasium.spec("HydraulicSync-v0")
@@ -876,7 +867,7 @@ PARTS: dict[str, Callable[[], str]] = {
     for made in (
         parameters, presets, preset_values, effects, twins, form_corrections, severities, sensors, form_constants, losses,
         controllers, gains, law_settings, searches, splits, faults, scenarios, metrics, suites, environment, batch, packages,
-        observation, reward, episodes, splits_short, threshold,
+        observation, reward, episodes, threshold,
         diagnosis_stages,
         diagnosis_settings, commands, log_columns, units, scores, scores_short,
         classical, agents, accuracy, speed, speed_commands, speed_short, costs, trials, naming, diagnosis_short,
