@@ -55,7 +55,6 @@ from hydro_env.practice.hidden import SEVERITIES
 from hydro_env.practice.recorder import SENSORS
 from hydro_env.practice.reference.forms import CONSTANTS
 from hydro_env.tasks import METRICS, SCENARIOS
-from hydro_env.tasks.mismatch import SPLITS
 from hydro_env.units import BAR, RPM, UNITS
 
 HERE = Path(__file__).parent
