@@ -443,7 +443,7 @@ def episodes() -> str:
         [f"`{s.name}`", s.summary, f"{s.duration:g} s", s.steps(period), "yes" if s.random else ""]
         for s in SCENARIOS.values()
     ]
-    head = ["scenario", "what is driven", "length", f"steps at {period:g} s", "drawn anew in each episode"]
+    head = ["scenario", "what is driven", "length", f"steps at {period:g} s", "random in each episode"]
     return _table(head, rows)
 
 
