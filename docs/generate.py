@@ -830,7 +830,11 @@ def _counts() -> list[tuple[str, int, int]]:
     return [
         ("single effects named", sum(r["set"] for r in single), len(single)),
         ("pairs with both effects named", sum(r["both"] for r in pairs), len(pairs)),
-        ("rigs without a missing effect where one is named or guessed", sum(r["alarm"] for r in none), len(none)),
+        (
+            "rigs without a missing effect where one is named or guessed",
+            sum(r["alarm"] for r in none),
+            len(none),
+        ),
         ("held-out speed within 1.3 times the noise", sum(r["sealed"] for r in single), len(single)),
     ]
 
@@ -840,8 +844,8 @@ def diagnosis_short() -> str:
     (_, named, single), (_, both, pairs), (_, alarms, none), _ = _counts()
     return (
         f"In blind trials against an independent simulator, {named} of {single} single effects and {both} of {pairs} pairs were "
-        f"named, exactly or as declared indistinguishable. An effect was named or guessed in {alarms} of {none} rigs that lack none "
-        "([all trials](docs/blind_trials.md))."
+        f"named, exactly or as declared indistinguishable. An effect was named or guessed in {alarms} of {none} rigs that lack "
+        "none ([all trials](docs/blind_trials.md))."
     )
 
 
