@@ -13,13 +13,14 @@ from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
 from hydro_env.errors import InputError, place_of
 from hydro_env.files import write_json, write_text
+from hydro_env.ir.reader import TranslationError
 from hydro_env.plant import Plant, load_model
 
 from .c_code import c_code
+from .c_printer import identifier
 from .structured_text import structured_text
 from .symbols import TraceError
 from .tracing import Program, trace
-from .translate import TranslationError, identifier
 
 __all__ = ["c_files", "onnx_file", "program_of", "st_file"]
 

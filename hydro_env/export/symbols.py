@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 __all__ = [
-    "Block", "Expr", "Items", "Kernel", "MaskedRows", "Place", "RowNumbers", "Symbols", "TraceError", "cast", "constant",
-    "expressions_in", "forget", "item", "known", "leaf", "operate", "symbols",
+    "Block", "Expr", "Items", "Kernel", "MaskedRows", "Place", "RowNumbers", "Symbols", "TraceError", "below", "cast", "constant",
+    "forget", "item", "known", "leaf", "operate", "symbols",
 ]  # fmt: skip
 
 #: Elements from which on an operation stays together.
@@ -114,17 +114,28 @@ class Place:
         self.number, self.kind, self.shape = number, kind, shape
 
 
-def expressions_in(tree: Any) -> list[Expr]:
+def _expressions_in(tree: Any) -> list[Expr]:
     """The expressions among the arguments of a call."""
     if isinstance(tree, Expr):
         return [tree]
     if isinstance(tree, MaskedRows):
         return [tree.mask]
     if isinstance(tree, dict):
-        return [x for each in tree.values() for x in expressions_in(each)]
+        return [x for each in tree.values() for x in _expressions_in(each)]
     if isinstance(tree, list):
-        return [x for each in tree for x in expressions_in(each)]
+        return [x for each in tree for x in _expressions_in(each)]
     return []
+
+
+def below(node: Any) -> list[Any]:
+    """What an expression, block or call is computed from."""
+    if isinstance(node, Expr):
+        return list(node.args)
+    if isinstance(node, Items):
+        return [node.call]
+    if isinstance(node, Kernel):
+        return [x for row in node.before for x in row] + _expressions_in(node.arguments)
+    return [x for row in node.operands for x in row]
 
 
 #: Expressions of the trace at hand by what they are: equal ones are one.

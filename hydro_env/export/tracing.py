@@ -1,17 +1,15 @@
 """A controller of one rig as a program: its own `act` is run on symbols, and what it keeps between samples becomes the state.
 
-While a controller is traced, its modules get a stand-in for NumPy whose new arrays hold expressions, and compiled functions
-are recorded instead of run. The first sample is traced by itself, since a controller sets its state from it; then samples are
-traced until the same program comes out again.
+A copy of the controller is traced, of classes from copies of their modules (`copies`). There NumPy is a stand-in whose new arrays
+hold expressions, and compiled functions are recorded instead of run. The first sample is traced by itself, since a controller
+sets its state from it; then samples are traced until the same program comes out again.
 """
 
 from __future__ import annotations
 
 import copy
 import inspect
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any
@@ -19,8 +17,10 @@ from typing import Any
 import numpy as np
 
 from hydro_env.envs.observation import LIMIT, OBSERVATION, SCALES
+from hydro_env.ir.reader import Reader
 
-from .kernels import Kernels
+from .copies import Copies
+from .kernels import kernel_call
 from .symbols import (
     Expr,
     Items,
@@ -30,9 +30,9 @@ from .symbols import (
     RowNumbers,
     Symbols,
     TraceError,
+    below,
     cast,
     constant,
-    expressions_in,
     forget,
     item,
     known,
@@ -45,11 +45,11 @@ __all__ = ["MEASURED", "Program", "StateArray", "trace"]
 
 #: What a controller is given, in this order, SI: rad/s, A, Pa; commands as fractions of the rated one.
 MEASURED = OBSERVATION
-#: One controller is traced at a time.
+#: One controller is traced at a time: equal expressions of a trace are one object.
 _TRACING = Lock()
 #: Samples after which what is kept has taken its form, or never will.
 MOST_SAMPLES = 50
-#: Rooms of the package whose modules controllers are made of.
+#: What the names of modules begin with that controllers are made of.
 _TRACED = ("hydro_env.controllers.", "hydro_env.envs.observation")
 
 
@@ -130,8 +130,8 @@ class _Numpy:
 class _Recorder:
     """A compiled function of a traced module: with symbols among its arguments it is recorded, else run."""
 
-    def __init__(self, function: Any, kernels: Kernels) -> None:
-        self._function, self._kernels = function, kernels
+    def __init__(self, function: Any, reader: Reader) -> None:
+        self._function, self._reader = function, reader
         self.py_func = function.py_func
 
     def __call__(self, *arguments: Any) -> None:
@@ -146,7 +146,7 @@ class _Recorder:
                     call.arrays.append(array)
                     call.before.append(array.elements())
         call.arguments = [_frozen(each, seen) for each in arguments]
-        for place in self._kernels.of(call).written:
+        for place in kernel_call(call, self._reader).written:
             array = call.arrays[place]
             after = Items(call, place, array.kind, array.size)
             made = symbols((item(after, n) for n in range(array.size)), array.shape)
@@ -181,31 +181,20 @@ def _frozen(value: Any, seen: dict[int, int]) -> Any:
     return value
 
 
-@contextmanager
-def _symbolic(own: set[str]) -> Iterator[None]:
-    """Controllers' modules, and those named in `own`, with the stand-ins in place."""
-    stand_in, kernels = _Numpy(), Kernels()
-    changed: list[tuple[dict[str, Any], str, Any]] = []
-    recorders: dict[int, _Recorder] = {}
-    try:
-        for name, module in list(sys.modules.items()):
-            if not name.startswith(_TRACED) and name not in own:
-                continue
-            space = vars(module)
-            for key, value in list(space.items()):
-                if value is np:
-                    changed.append((space, key, value))
-                    space[key] = stand_in
-                elif hasattr(value, "py_func") and hasattr(value, "signatures"):
-                    changed.append((space, key, value))
-                    space[key] = recorders.setdefault(id(value), _Recorder(value, kernels))
-                elif type(value) is np.ndarray and value.dtype.kind in "bif":
-                    changed.append((space, key, value))
-                    space[key] = known(value)
-        yield
-    finally:
-        for space, key, value in reversed(changed):
-            space[key] = value
+def _copies(own: set[str]) -> Copies:
+    """Copies of controllers' modules, and of those named in `own`, in which numbers may be symbols."""
+    reader = Reader()
+    recorders: dict[Any, _Recorder] = {}
+
+    def private(name: str) -> bool:
+        return name.startswith(_TRACED) or name in own
+
+    def changed(value: Any, original: Any) -> Any:
+        if hasattr(value, "py_func") and hasattr(value, "signatures"):
+            return recorders.setdefault(original, _Recorder(original, reader))
+        return known(value) if type(value) is np.ndarray and value.dtype.kind in "bif" else value
+
+    return Copies(private, _Numpy(), changed)
 
 
 # --- the state ---------------------------------------------------------------------------------------------------------
@@ -264,14 +253,12 @@ def _commands(sent: Any, given: dict[tuple[str, int], Expr]) -> None:
 
 
 def trace(controller: Any, period: float, name: str) -> Program:
-    """The program of a controller at a control period in s. TraceError, in one line, for what cannot be followed.
-
-    Meanwhile no other thread may use a controller: their modules hold the stand-ins.
-    """
+    """The program of a controller at a control period in s. TraceError, in one line, for what cannot be followed."""
     program = Program(name, period)
     own = {kind.__module__ for kind in type(controller).__mro__} - {"builtins"}
-    with _TRACING, _symbolic(own):
+    with _TRACING:
         forget()
+        controller = _copies(own).of(controller)
         controller.reset(1, period)
         _commands(_sample(controller), program.first)
         kept = _kept_by(controller)
@@ -373,16 +360,9 @@ def _needed(roots: list[Expr]) -> set[tuple[str, int]]:
         if id(node) in seen:
             continue
         seen.add(id(node))
-        if isinstance(node, Expr):
-            if node.op == "leaf":
-                found.add(node.value)
-            stack += node.args
-        elif isinstance(node, Items):
-            stack.append(node.call)
-        elif isinstance(node, Kernel):
-            stack += [x for row in node.before for x in row] + expressions_in(node.arguments)
-        else:
-            stack += [x for row in node.operands for x in row]
+        if isinstance(node, Expr) and node.op == "leaf":
+            found.add(node.value)
+        stack += below(node)
     return found
 
 

@@ -15,6 +15,7 @@ from typing import Any
 from hydro_env.jit import keep, kept
 
 from ..catalogue import Effect
+from ..catalogue.effect import helpers_of
 from .codegen import Module, module_text
 
 __all__ = ["module_of"]
@@ -46,8 +47,14 @@ def _identity(effect: Effect) -> str:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, FunctionType):
-        code = value.__code__
-        return code.co_code, code.co_consts, code.co_names, code.co_varnames
+        code, called = value.__code__, helpers_of(value)
+        return (
+            code.co_code,
+            code.co_consts,
+            code.co_names,
+            code.co_varnames,
+            [_plain(each) for each in called.values()],
+        )
     if isinstance(value, Mapping):
         return [(key, _plain(each)) for key, each in value.items()]
     if isinstance(value, tuple | list):
