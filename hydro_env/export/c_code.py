@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hydro_env.controllers.input_guard import HOLD, MOST, held_samples
-from hydro_env.ir.nodes import assigned, names_read, without_unread
+from hydro_env.ir.nodes import without_unread
 from hydro_env.ir.reader import Reader
 
 from .c_printer import RESERVED, TYPES, identifier, source, statements, variables
@@ -33,10 +33,8 @@ def c_code(program: Program, version: str, about: str) -> CCode:
     for which, assignments in (("first", program.first), ("next", program.next)):
         schedule = Schedule(assignments, reader, "s->")
         changing = {made.name for made in reader.functions.values() if made.written}
-        body = without_unread(schedule.body, changing)
-        used = {**names_read(body), **dict.fromkeys(assigned(body), 1)}
-        lines = variables({own: kind for own, kind in schedule.variables.items() if own in used})
-        lines += ["(void)measured;"] * ("measured" not in used) + statements(body)
+        body, declared = without_unread(schedule.body, schedule.variables, changing)
+        lines = [*variables(declared), "(void)measured;", *statements(body)]
         head = f"static void {which}_sample({name}_state *s, const double *measured, double *command) {{"
         bodies.append("\n".join([head, *("    " + line for line in lines), "}", ""]))
     state = "".join(f"    {TYPES[each.kind]} {each.name}[{each.size}];\n" for each in program.state)

@@ -48,7 +48,7 @@ MEASURED = OBSERVATION
 #: One controller is traced at a time: equal expressions of a trace are one object.
 _TRACING = Lock()
 #: Samples after which what is kept has taken its form, or never will.
-MOST_SAMPLES = 50
+MAX_SAMPLES = 50
 #: What the names of modules begin with that controllers are made of.
 _TRACED = ("hydro_env.controllers.", "hydro_env.envs.observation")
 
@@ -290,7 +290,7 @@ def _settled(controller: Any) -> Any:
     """The controller some samples later, when the same arrays are the same objects from sample to sample: at the beginning a
     history may hold one array several times."""
     before: list[list[str]] = []
-    for _ in range(MOST_SAMPLES):
+    for _ in range(MAX_SAMPLES):
         controller = copy.deepcopy(controller)
         kept = _kept_by(controller)
         _as_state(controller, set(kept), kept)
@@ -299,7 +299,7 @@ def _settled(controller: Any) -> Any:
         if now == before:
             return controller
         before = now
-    raise TraceError(f"what it keeps between samples has not settled after {MOST_SAMPLES} samples")
+    raise TraceError(f"what it keeps between samples has not settled after {MAX_SAMPLES} samples")
 
 
 def _together(controller: Any) -> dict[int, list[str]]:

@@ -9,7 +9,7 @@ from typing import Any
 
 __all__ = [
     "KINDS", "Assign", "Break", "Continue", "Expr", "For", "Function", "If", "Return", "Run", "Statement", "Store", "Table",
-    "add", "assigned", "cast", "const", "mul", "names_read", "op", "var", "wider", "without_unread",
+    "add", "cast", "const", "mul", "names_read", "op", "var", "wider", "without_unread",
 ]  # fmt: skip
 
 #: Kinds of numbers, from the narrowest to the widest; "float" is in single precision.
@@ -217,19 +217,17 @@ def names_read(body: Iterable[Statement]) -> Counter[str]:
     return found
 
 
-def assigned(body: Iterable[Statement]) -> set[str]:
-    """The variables that statements assign."""
-    return {each.name for each in _walk(body) if isinstance(each, Assign | For)}
-
-
-def without_unread(body: list[Statement], changing: set[str]) -> list[Statement]:
-    """Statements without assignments to variables that nothing reads, unless they call a function that is `changing` arrays."""
-    while True:
-        read = names_read(body)
-        kept = _kept(body, read, changing)
-        if sum(1 for _ in _walk(kept)) == sum(1 for _ in _walk(body)):
-            return kept
-        body = kept
+def without_unread(
+    body: list[Statement], declared: dict[str, tuple[str, int]], changing: set[str]
+) -> tuple[list[Statement], dict[str, tuple[str, int]]]:
+    """Statements without assignments to variables that nothing reads, unless they call a function that is `changing` arrays; and
+    the declared variables that are left."""
+    read = names_read(body)
+    kept = _kept(body, read, changing)
+    if sum(1 for _ in _walk(kept)) < sum(1 for _ in _walk(body)):
+        return without_unread(kept, declared, changing)
+    used = {each.name for each in _walk(kept) if isinstance(each, Assign | For)} | set(+read)
+    return kept, {name: kind for name, kind in declared.items() if name in used}
 
 
 def _kept(body: list[Statement], read: Counter[str], changing: set[str]) -> list[Statement]:

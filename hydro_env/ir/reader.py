@@ -12,6 +12,7 @@ import ast
 import inspect
 import math
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
@@ -34,7 +35,6 @@ from .nodes import (
     Store,
     Table,
     add,
-    assigned,
     cast,
     const,
     mul,
@@ -260,14 +260,13 @@ class Reader:
 
     def _read(self, source: Source, names: dict[str, Value], given: list[tuple[str, str, bool]]) -> Function:
         body = _Body(self, source, names)
-        statements = body.read()
+        changing = {made.name for made in self.functions.values() if made.written}
+        statements, variables = without_unread(body.read(), body.declared, changing)
         used = names_read(statements)
         name = self.unused(source.node.name.strip("_"))
         self._results[name], self._kept[name] = body.result, [used[each] > 0 for each, _, _ in given]
         outputs = [(own, kind, True) for kind, own in body.outputs]
         parameters = [*compress(given, self._kept[name]), *outputs]
-        stores = assigned(statements)
-        variables = {own: kind for own, kind in body.declared.items() if used[own] or own in stores}
         result = body.result.kind if isinstance(body.result, Expr) else ""
         written = body.written | {own for own, _, _ in outputs}
         return Function(name, parameters, variables, statements, result, written)
@@ -282,6 +281,15 @@ def _pairs(inner: Iterable[Value], outer: Iterable[Value]) -> Iterator[tuple[Arr
             yield from _pairs(one.fields.values(), other.fields.values())
 
 
+def _stored(node: ast.AST) -> Iterator[str]:
+    """The variables that statements store to."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.Name) and isinstance(child.ctx, ast.Store):
+            yield child.id
+        elif isinstance(child, ast.stmt | ast.Tuple):
+            yield from _stored(child)
+
+
 # --- functions --------------------------------------------------------------------------------------------------------
 class _Body:
     """One function for arguments of known types."""
@@ -291,16 +299,14 @@ class _Body:
         self.kinds: dict[str, str] = {}
         self.written: set[str] = set()
         self.parameters = {each.name for each, _ in _pairs(names.values(), names.values())}
-        stores = [
-            n.id for n in ast.walk(self.node) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
-        ]
+        stores = Counter(_stored(self.node))
         self.stored = set(stores)
-        self.once = {name for name in self.stored if stores.count(name) == 1 and name not in names}
+        self.once = {name for name, count in stores.items() if count == 1 and name not in names}
 
     def read(self) -> list[Statement]:
         """The statements of the function."""
         while True:  # until no variable has to be wider than it was thought to be
-            before = dict(self.kinds)
+            self.widened = False
             self.names = dict(self.given)
             self.declared: dict[str, tuple[str, int]] = {}
             self.count = 0
@@ -311,9 +317,8 @@ class _Body:
                 if isinstance(value, Expr) and name in self.stored:
                     self._assign(name, value, into)  # a variable of the function's own
             self.block(self.node.body, into)
-            if before == self.kinds:
-                changing = {made.name for made in self.whole.functions.values() if made.written}
-                return without_unread(into, changing)
+            if not self.widened:
+                return into
 
     def fail(self, node: ast.AST, why: str = "cannot be translated") -> TranslationError:
         return TranslationError(f"{self.node.name}: {ast.unparse(node).splitlines()[0]!r} {why}")
@@ -480,7 +485,9 @@ class _Body:
 
     def _variable(self, name: str, kind: str) -> str:
         """A variable of this kind at least."""
-        kind = self.kinds[name] = wider(self.kinds.get(name, kind), kind)
+        before = self.kinds.get(name, kind)
+        kind = self.kinds[name] = wider(before, kind)
+        self.widened |= kind != before
         own = f"{self.whole.safe(name)}_own" if name in self.given else self.whole.safe(name)
         self.declared[own] = kind, 0
         self.names[name] = var(own, kind)

@@ -82,7 +82,7 @@ def _nogil(function: Any) -> Any:
 def delay(at, cells, ring, lasted, head, period):  # type: ignore[no-untyped-def]
     """Where the time of a lane has come, the command of that time goes to the valve, until the next other one's time comes.
 
-    ring (slots, lanes): the commands of the rows up to this one, in slot `head`, which lasted so many s (slots,). Times count
+    ring (slots, lanes): the commands of the rows up to this one, in slot `head`, and their durations, s (slots,). Times count
     from the beginning of this row, and equal commands are one: so what went before a reset changes no bit.
     """
     lanes, slots = 2 * at[HALF], ring.shape[0]

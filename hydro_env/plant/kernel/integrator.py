@@ -102,9 +102,9 @@ ERRORS = {
 }
 #: The tolerance is at most this share of the speed that the fully open valve gives the motor, down to this share of itself.
 SHARE, MIN_SHARE = 3e-4, 0.01
-#: A spool in motion may be late by so many s for each rad/s of the tolerance: its weight grows with its speed.
+#: A spool in motion may be late by this, s, for each rad/s of the tolerance: its weight grows with its speed.
 LATE = 1.8e-4
-#: The same of a state of an effect: this part of its size for each rad/s of the tolerance, and so many s late.
+#: The same of a state of an effect: this part of its size for each rad/s of the tolerance, and this late, s.
 OWN_ERROR, OWN_LATE = 0.025, 1.8e-4
 
 
