@@ -11,7 +11,6 @@ import copy
 import inspect
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ from .symbols import (
     below,
     cast,
     constant,
-    forget,
+    interned,
     item,
     known,
     leaf,
@@ -45,8 +44,6 @@ __all__ = ["MEASURED", "Program", "StateArray", "trace"]
 
 #: What a controller is given, in this order, SI: rad/s, A, Pa; commands as fractions of the rated one.
 MEASURED = OBSERVATION
-#: One controller is traced at a time: equal expressions of a trace are one object.
-_TRACING = Lock()
 #: Samples after which what is kept has taken its form, or never will.
 MAX_SAMPLES = 50
 #: What the names of modules begin with that controllers are made of.
@@ -137,7 +134,7 @@ class _Recorder:
     def __call__(self, *arguments: Any) -> None:
         if not any(_has_symbols(each) for each in arguments):
             return self._function(*arguments)
-        call = Kernel(self._function, arguments)
+        call = Kernel(self._function, list(arguments))
         seen: dict[int, int] = {}
         for each in arguments:
             for array in _arrays_of(each):
@@ -148,7 +145,7 @@ class _Recorder:
         call.arguments = [_frozen(each, seen) for each in arguments]
         for place in kernel_call(call, self._reader).written:
             array = call.arrays[place]
-            after = Items(call, place, array.kind, array.size)
+            after = Items(call, place, array.kind)
             made = symbols((item(after, n) for n in range(array.size)), array.shape)
             array.view(np.ndarray)[...] = made.view(np.ndarray)
         return None
@@ -256,8 +253,7 @@ def trace(controller: Any, period: float, name: str) -> Program:
     """The program of a controller at a control period in s. TraceError, in one line, for what cannot be followed."""
     program = Program(name, period)
     own = {kind.__module__ for kind in type(controller).__mro__} - {"builtins"}
-    with _TRACING:
-        forget()
+    with interned():
         controller = _copies(own).of(controller)
         controller.reset(1, period)
         _commands(_sample(controller), program.first)
