@@ -56,11 +56,7 @@ class StateArray:
 
     name: str
     kind: str
-    shape: tuple[int, ...]
-
-    @property
-    def size(self) -> int:
-        return int(np.prod(self.shape, dtype=int))
+    size: int
 
 
 @dataclass
@@ -118,10 +114,6 @@ class _Numpy:
     @staticmethod
     def arange(*bounds: Any) -> Any:
         return np.arange(*bounds).view(RowNumbers)
-
-    @staticmethod
-    def stack(arrays: Any, axis: int = 0) -> Any:
-        return np.stack(arrays, axis=axis)
 
 
 class _Recorder:
@@ -384,7 +376,7 @@ def _fill(
         if not mine or any(each.name == name for each in program.state):
             continue
         size = max(n for p, n in kept if p == path) + 1
-        program.state.append(StateArray(name, kept[path, mine[0]].kind, (size,)))
+        program.state.append(StateArray(name, kept[path, mine[0]].kind, size))
         for n in sorted(mine):
             program.first[name, n] = kept[path, n]
             if not (after[path, n].op == "leaf" and after[path, n].value == (name, n)):

@@ -32,8 +32,8 @@ from typing import Any
 from ..parameters import PARAMETERS, Parameter
 
 __all__ = [
-    "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "arguments", "helpers_of", "register", "separating_experiment",
-    "unregister",
+    "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "arguments", "called_by", "helpers_of", "register",
+    "separating_experiment", "unregister",
 ]  # fmt: skip
 
 #: Ports in the order in which the signal passes them.
@@ -62,8 +62,16 @@ def helpers_of(law: Callable[..., Any]) -> dict[str, FunctionType]:
     return {name: known[name] for name in law.__code__.co_names if isinstance(known.get(name), FunctionType)}
 
 
-def _is_costly(law: Callable[..., Any]) -> bool:
-    return any(helper.__name__ in TRANSCENDENTAL or _is_costly(helper) for helper in helpers_of(law).values())
+def called_by(law: Callable[..., Any]) -> dict[FunctionType, None]:
+    """All functions that a law calls, directly or through others."""
+    found: dict[FunctionType, None] = {}
+    waiting = list(helpers_of(law).values())
+    while waiting:
+        helper = waiting.pop()
+        if helper not in found:
+            found[helper] = None
+            waiting += helpers_of(helper).values()
+    return found
 
 
 @dataclass(frozen=True)
@@ -181,7 +189,8 @@ class Effect:
     @property
     def is_cheap(self) -> bool:
         """Whether the effect costs next to nothing where it is compiled in but neutral."""
-        costly = self.delays_command or len(self.states) > 1 or any(map(_is_costly, self.laws.values()))
+        called = {helper.__name__ for law in self.laws.values() for helper in called_by(law)}
+        costly = self.delays_command or len(self.states) > 1 or called & TRANSCENDENTAL
         return self.scope == "channel" and not costly
 
 

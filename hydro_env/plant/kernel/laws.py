@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import Any
 
 from .. import vector_math
-from ..catalogue.effect import helpers_of
+from ..catalogue.effect import called_by, helpers_of
 from .fused import fuse
 
 __all__ = ["LawError", "check", "check_law", "parse", "texts"]
@@ -64,22 +64,11 @@ def parse(function: Function) -> ast.FunctionDef:
 # --- checks -----------------------------------------------------------------------------------------------------------
 def check_law(law: Function) -> None:
     """LawError, in one line, if a law, or a function that it calls, cannot run on many lanes at once."""
-    for function in (law, *_called(law)):
-        if function in _called(function):
+    functions: list[Function] = [law, *called_by(law)]
+    for function in functions:
+        if function in called_by(function):
             raise LawError(f"{function.__name__}: calls itself", function.__code__.co_firstlineno)
         check(parse(function), {*vector_math.__all__, *helpers_of(function)})
-
-
-def _called(function: Function) -> dict[Function, None]:
-    """All functions that a function calls, directly or through others."""
-    found: dict[Function, None] = {}
-    waiting = list(helpers_of(function).values())
-    while waiting:
-        helper = waiting.pop()
-        if helper not in found:
-            found[helper] = None
-            waiting += helpers_of(helper).values()
-    return found
 
 
 def check(function: ast.FunctionDef, known: Collection[str]) -> None:
@@ -113,7 +102,7 @@ def texts(functions: Mapping[str, Function]) -> list[str]:
     for name, function in functions.items():
         check_law(function)
         for own, text in (
-            *((_name(each), _text(each, _name(each))) for each in _called(function)),
+            *((_name(each), _text(each, _name(each))) for each in called_by(function)),
             (name, _text(function, name)),
         ):
             if found.setdefault(own, text) != text:
