@@ -498,6 +498,10 @@ class _Body:
             case Expr() if value.known is None or name not in self.once:
                 own = self._variable(name, value.kind)
                 into.append(Assign(own, cast(value, self.kinds[name])))
+            case Arr() | Rec() | Tup() if (
+                name not in self.once
+            ):  # which one it is would depend on the way that led here
+                raise TranslationError(f"{self.node.name}: {name!r} stands for several arrays")
             case Arr(offset=offset) if offset.known is None:  # what it is computed from may change
                 self.names[name] = replace(value, offset=self._held(offset, into))
             case _:

@@ -84,6 +84,13 @@ def refused_size(x, pair):
     x[0] = room[0]
 
 
+def refused_choice(x, pair):
+    row = pair.rows[0]
+    if x[0] > 0.0:
+        row = pair.rows[1]
+    x[0] = row[0]
+
+
 def arguments() -> tuple[np.ndarray, Pair]:
     random = np.random.default_rng(2)
     return random.normal(size=SIZE), Pair(random.normal(size=(2, 4)), 0.7)
@@ -115,7 +122,7 @@ def test_c_does_what_python_does(function: Callable[..., Any], tmp_path: Path) -
     assert np.array_equal(x, expected) and np.array_equal(pair.rows, other.rows)
 
 
-@pytest.mark.parametrize("function", [refused_loop, refused_size])
+@pytest.mark.parametrize("function", [refused_loop, refused_size, refused_choice])
 def test_what_c_cannot_say_is_refused_by_name(function: Callable[..., Any]) -> None:
     with pytest.raises(TranslationError, match=function.__name__):
         translated(function)
