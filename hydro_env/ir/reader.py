@@ -15,6 +15,7 @@ import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from itertools import compress
 from typing import Any
 
@@ -531,9 +532,8 @@ class _Body:
             case ast.BinOp(left, ast.Pow(), right):
                 return self._power(node, self.number(left, into), self.number(right, into).known, into)
             case ast.BinOp(left, operator, right) if type(operator) in _BINARY:
-                return self._operation(
-                    _BINARY[type(operator)], [self.number(each, into) for each in (left, right)]
-                )
+                numbers = [self.number(each, into) for each in (left, right)]
+                return self._operation(_BINARY[type(operator)], numbers)
             case ast.BoolOp(operator, parts):
                 return self._logic(isinstance(operator, ast.And), [self.number(p, into) for p in parts])
             case ast.UnaryOp(ast.USub(), operand):
@@ -588,13 +588,10 @@ class _Body:
         indices: list[Expr | slice] = []
         for each in index.elts if isinstance(index, ast.Tuple) else [index]:
             if isinstance(each, ast.Slice):
-                ends = [
-                    None if end is None else self.number(end, into).known for end in (each.lower, each.upper)
-                ]
-                asked = [end for end in (each.lower, each.upper) if end is not None]
-                if each.step is not None or len(asked) != sum(end is not None for end in ends):
+                first, last = (end and self.number(end, into) for end in (each.lower, each.upper))
+                if each.step is not None or any(end and end.known is None for end in (first, last)):
                     raise self.fail(node)
-                indices.append(slice(*ends))
+                indices.append(slice(first and first.known, last and last.known))
             else:
                 indices.append(self.number(each, into))
         return self._element(base, indices, node)
@@ -690,12 +687,9 @@ class _Body:
         if short not in _MATH:
             raise self.fail(node)
         kind = wider(*(each.kind for each in values)) if _MATH[short] else "double"
-        result = (
-            op(short, *values[:2], kind=kind) if short in ("min", "max") else op(short, *values, kind=kind)
-        )
-        for each in values[2:] if short in ("min", "max") else ():
-            result = op(short, result, each, kind=kind)
-        return result
+        if short in ("min", "max"):
+            return reduce(lambda a, b: op(short, a, b, kind=kind), values)
+        return op(short, *values, kind=kind)
 
     def _function(self, function: Any, values: list[Value], into: list[Statement]) -> Value:
         called = self.whole.call(function, values)
