@@ -153,7 +153,8 @@ def _move(estimate: Estimate, j: int, size: float) -> Vector:
     """The change of q for the derivative by unknown j: of it alone, or of a direction of `SCALED_TOGETHER`."""
     step = -size if estimate.q[j] + size > estimate.bounds[1][j] else size
     name = estimate.unknowns[j].name
-    # The forces not with every size of step: which derivative leads into a local minimum and which out of it is a matter of luck.
+    # The forces not with the smallest step: logs know their common scale least, so that it shows the roughness of stiction alone,
+    # and fits end in local minima of the spool's friction.
     if name in estimate.together and (name != "k" or size != DIFFERENCE_STEPS[1]):
         return scaled(estimate.unknowns, estimate.q, j, step)
     move = np.zeros(len(estimate.unknowns))
