@@ -137,7 +137,7 @@ def _estimated(
     stop_if_sure(findings, rig, accept)
     fit, calibrated, outliers = calibrated_fit(fit, chosen)
     fine, _ = without_outliers(fine, calibrated)
-    refine(fit.on(fit.rig.for_long_refits()), fit.on(fine.for_long_refits()), calibrated.values())
+    refine(fit, fit.on(fine), calibrated.values())
     for one in dict.fromkeys(calibrated.values()):
         if one.unknowns and one.columns:
             one.intervals = intervals_of(fit, one)

@@ -6,7 +6,7 @@ simulations serves all of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -27,22 +27,14 @@ DIFFERENCE_STEPS = (0.15, 0.04, 0.4)
 STEP_FACTORS = (4.0, 2.0, 1.0, 0.4, 0.1)
 #: Longest step in any coordinate of q: three standard deviations of its prior.
 MAX_STEP = 3.0
-#: Starts of an estimate that are nearer than this in every q, about the smallest step of differences, have met.
-MET = 0.05
 #: An iteration is idle if it takes away less than this share of what the cost is above that of the noise alone. Where something
 #: is missing, the other parameters creep for long, and to no use: they move again once it is there.
 #: Twenty idle iterations would take away a hundredth.
 IDLE_SHARE = 0.0005
 
 
-def solve(
-    fit: Fit, estimates: Sequence[Estimate], iterations: int = 4, tolerance: float = 2.0,
-    races: Sequence[Sequence[Estimate]] = (),
-) -> None:  # fmt: skip
+def solve(fit: Fit, estimates: Sequence[Estimate], iterations: int = 4, tolerance: float = 2.0) -> None:
     """Improves all estimates, in place.
-
-    `races` are starts of the same estimate, or competing candidates, improved in the same way, of which only the best one will
-    be used: one that cannot become the best any more ends early (`_out_of_race`).
 
     An estimate ends early once no step size of the differences lowers its cost by `tolerance` (two: what a parameter must gain
     at least, Akaike 1974) or `IDLE_SHARE`, or one does not and it is at the noise already. One that brings `columns` along (from
@@ -51,7 +43,6 @@ def solve(
     fit.evaluate([p for p in estimates if not p.simulated])
     live = [p for p in estimates if p.unknowns and np.isfinite(p.cost)]
     stalled = dict.fromkeys(live, 0)
-    falls: dict[Estimate, list[float]] = {p: [] for p in live}
     floors = {p: fit.cost_of_noise(p) for p in live}
     for iteration in range(iterations):
         if not live:
@@ -64,13 +55,10 @@ def solve(
             # A point that was simulated for a derivative may be better than every step along it.
             p.improve(*point)
         for p in live:
-            fall = before[p] - p.cost
-            idle = fall < max(tolerance, IDLE_SHARE * (p.cost - floors[p]))
+            idle = before[p] - p.cost < max(tolerance, IDLE_SHARE * (p.cost - floors[p]))
             quiet = idle and fit.at_noise(p)
             stalled[p] = len(DIFFERENCE_STEPS) if quiet else stalled[p] + 1 if idle else 0
-            falls[p].append(fall)
-        out = {p for race in races for p in _out_of_race(race, falls, iterations - iteration - 1, tolerance)}
-        live = [p for p in live if stalled[p] < len(DIFFERENCE_STEPS) and p not in out]
+        live = [p for p in live if stalled[p] < len(DIFFERENCE_STEPS)]
 
 
 def step_all(fit: Fit, live: Sequence[Estimate], factors: Sequence[float] = STEP_FACTORS) -> None:
@@ -92,23 +80,6 @@ def _bounded_step(estimate: Estimate, matrix: Vector, side: Vector) -> Vector:
     low, high = np.maximum(low - estimate.q, -MAX_STEP), np.minimum(high - estimate.q, MAX_STEP)
     low, high = np.minimum(low, 0.0) - 1e-9, np.maximum(high, 0.0) + 1e-9
     return minimum_in_box((vectors * scale) @ vectors.T, side, low, high)
-
-
-def _out_of_race(
-    race: Sequence[Estimate], falls: Mapping[Estimate, Sequence[float]], left: int, tolerance: float
-) -> Iterator[Estimate]:
-    """The starts that have met the best one, or do not reach it in the iterations that are left if every one of these is as good
-    as the best of the last ones, one of each size of step."""
-    best = min(race, key=lambda p: p.cost)
-    for p in race:
-        recent = falls.get(p, [])[-len(DIFFERENCE_STEPS) :]
-        if p is best or len(recent) < len(DIFFERENCE_STEPS):
-            continue
-        behind = p.cost - best.cost
-        same = [u.name for u in p.unknowns] == [u.name for u in best.unknowns]  # forms may race, too
-        met = same and behind < tolerance and float(np.max(np.abs(p.q - best.q), initial=0.0)) < MET
-        if met or behind > left * max(recent):
-            yield p
 
 
 # --- derivatives ----------------------------------------------------------------------------------------------------------
@@ -182,7 +153,8 @@ def _move(estimate: Estimate, j: int, size: float) -> Vector:
     """The change of q for the derivative by unknown j: of it alone, or of a direction of `SCALED_TOGETHER`."""
     step = -size if estimate.q[j] + size > estimate.bounds[1][j] else size
     name = estimate.unknowns[j].name
-    # The forces not with every size of step: which derivative leads into a local minimum and which out of it is a matter of luck.
+    # The forces not with the smallest step: logs know their common scale least, so that it shows the roughness of stiction alone,
+    # and fits end in local minima of the spool's friction.
     if name in estimate.together and (name != "k" or size != DIFFERENCE_STEPS[1]):
         return scaled(estimate.unknowns, estimate.q, j, step)
     move = np.zeros(len(estimate.unknowns))

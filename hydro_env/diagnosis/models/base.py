@@ -216,10 +216,6 @@ class RigModel:
         """The same model with the simulated speed of these channels drawn to the measured one; none: simulated freely."""
         return self
 
-    def for_long_refits(self) -> RigModel:
-        """The same model, quicker where few effects are refitted for long."""
-        return self
-
     def close(self) -> None:
         """Ends what the model holds open."""
 

@@ -87,8 +87,6 @@ class DynamicRig(RigModel):
         self._declared = frozenset(model.declared)
         names = [*PARAMETERS, *(f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters)]
         self._unequal = {name for name in names if model.value(name, 0) != model.value(name, 1)}
-        #: Whether a set of effects has a kernel of its own, see `kernel`.
-        self.own_kernels = False
         library = {*self.candidates(), *without}
         cheap = {n: e for n, e in CATALOGUE.items() if n in library and e.is_cheap}
         leaks = frozenset(n for n, e in cheap.items() if "leakage" in e.laws)
@@ -107,9 +105,6 @@ class DynamicRig(RigModel):
             progress=self.progress,
             without=self.without,
         )
-
-    def for_long_refits(self) -> DynamicRig:
-        return view(self, own_kernels=True)
 
     def following(self, channels: Collection[int]) -> DynamicRig:
         # An uneven log is simulated on a finer grid than it is measured on.
@@ -223,17 +218,14 @@ class DynamicRig(RigModel):
         """The effects to compile in; what is neutral changes no bit, but costs time.
 
         So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for those of
-        the leakage, one for each other one, and one for it and those it is combined with. Long refits are many of few effects:
-        there is one kernel for these and all corrections of their form."""
+        the leakage, one for each other one, and one for it and those it is combined with; and one for an effect with all
+        corrections of its form."""
         effects = effects - self._declared
-        if self._of_few(effects):
-            forms = {name for effect in effects for name in CORRECTIONS.get(effect, {})}
-            return tuple(n for n in CATALOGUE if n in effects or n in forms)
-        wanted = effects.union(*(group for group in self._shared if group & effects))
+        if any(CATALOGUE[n].family == FAMILY for n in effects):
+            wanted = effects.union(name for effect in effects for name in CORRECTIONS.get(effect, {}))
+        else:
+            wanted = effects.union(*(group for group in self._shared if group & effects))
         return tuple(n for n in CATALOGUE if n in wanted)
-
-    def _of_few(self, effects: Collection[str]) -> bool:
-        return self.own_kernels or any(CATALOGUE[n].family == FAMILY for n in effects)
 
     def close(self) -> None:
         """Ends the threads, if there are any."""

@@ -28,7 +28,7 @@ def prefer_form(search: Search) -> None:
             search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, present)
             search.accepted.remove(one)
             search.put(c, less)
-            solve(search.long, [less], SETTLE_ITERATIONS)
+            solve(search.fit, [less], SETTLE_ITERATIONS)
 
 
 def drop_unneeded(search: Search) -> None:
@@ -40,11 +40,11 @@ def drop_unneeded(search: Search) -> None:
         if before is None or far_from_noise(fit, before):
             continue
         tries = _without(present, before, own[0].effect)
-        solve(search.long, tries, SETTLE_ITERATIONS, races=[[present, *tries]])
+        solve(search.fit, tries, SETTLE_ITERATIONS)
         less = min(tries, key=lambda p: p.cost)
         if fit.gain(less, present) >= own[0].needed:
             # Little more than noise is left either way, and how far each is from its minimum may be all that parts them.
-            settle(search.long, [less, present])
+            settle(search.fit, [less, present])
         gain = fit.gain(less, present)
         if gain < own[0].needed:
             outcome = "the known parameters do as well, from where it led them"

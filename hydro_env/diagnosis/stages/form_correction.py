@@ -84,7 +84,7 @@ def run(given: Estimates, selection: Selection, verdict: str) -> Models:
     """Corrects the form of what is named or given, and of the placebos as much."""
     found, placebo = selection.estimates, selection.placebo
     models = Models(given, selection.calibrated, found, given if verdict == "none" else found, placebo)
-    fit = selection.logs.fit.on(selection.logs.rig.for_long_refits())
+    fit = selection.logs.fit
     if verdict not in ("effects", "calibration") or not fit.settings.uses("correct_form"):
         return models
     named = [(k.effect, k.channel) for k in selection.accepted]
@@ -180,7 +180,7 @@ def best_attempt(
     first = estimate.channel is not None and not any(map(is_correction, estimate.effects()))
     again = {t.estimate: t.estimate.from_given().in_all_directions() for t in tries if first}
     every = [*(t.estimate for t in tries), *again.values()]
-    solve(fit, every, TRY_ITERATIONS, races=[every])
+    solve(fit, every, TRY_ITERATIONS)
     for one, other in again.items():
         one.adopt(other)
     return min(tries, key=lambda t: t.score, default=None)
@@ -204,7 +204,7 @@ def correct_all(
 
 def correct_placebo(fit: Fit, placebo: Estimates, final: Estimates, kept: Sequence[Correction]) -> Estimates:
     """The placebos with as many corrections as the named effects of their channels have, untested: their own ones where there
-    are some, else the same. Each is refitted as long as it can still reach what was found."""
+    are some, else the same. Each is refitted as long as what was found."""
     found = dict(placebo)
     for c, estimate in placebo.items():
         for number, k in enumerate(k for k in kept if k.channel in (None, c)):
@@ -215,8 +215,7 @@ def correct_placebo(fit: Fit, placebo: Estimates, final: Estimates, kept: Sequen
                 continue
             found[c] = estimate = with_correction(estimate, effect, name, k.channel)
     if new := {c: p for c, p in found.items() if p is not placebo[c]}:
-        races = [[final[c], p] for c, p in new.items()]
-        solve(fit, list(new.values()), TRY_ITERATIONS + SETTLE_ITERATIONS, races=races)
+        solve(fit, list(new.values()), TRY_ITERATIONS + SETTLE_ITERATIONS)
     return found
 
 

@@ -42,7 +42,7 @@ def select_rig_effects(search: Search) -> None:
     if not tries:
         return
     short_refit(fit, tries)
-    solve(fit, tries, SETTLE_ITERATIONS, races=[tries])
+    solve(fit, tries, SETTLE_ITERATIONS)
     best, *others = sorted(tries, key=lambda p: p.cost + penalty(fit, p.label))
     for p in (best, *others):
         gain = fit.gain(before, p)

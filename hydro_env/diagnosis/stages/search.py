@@ -50,11 +50,6 @@ class Search:
         self.present = self.present or dict(self.calibrated)
 
     @property
-    def long(self) -> Fit:
-        """For refits that are to go far."""
-        return self.fit.on(self.fit.rig.for_long_refits())
-
-    @property
     def names(self) -> list[str]:
         """The candidates that act on one channel."""
         return [n for n in self.fit.rig.candidates() if CATALOGUE[n].scope == "channel"]
@@ -97,14 +92,14 @@ class Search:
     # --- refits -----------------------------------------------------------------------------------------------------------
     def settle(self, estimates: Sequence[Estimate]) -> None:
         """Improves estimates as far as they go, in place."""
-        solve(self.long, estimates, SETTLE_ITERATIONS)
+        solve(self.fit, estimates, SETTLE_ITERATIONS)
         if self.fit.rig.has_hidden_states:
-            solve(self.long, grow_horizon(self.long, estimates), SETTLE_ITERATIONS)
+            solve(self.fit, grow_horizon(self.fit, estimates), SETTLE_ITERATIONS)
 
     def form_of(self, estimate: Estimate) -> Attempt | None:
         """The estimate with the correction of form that explains most of what it leaves, with its price, if there is one."""
         if estimate not in self.forms:
-            self.forms[estimate] = best_attempt(self.long, estimate, estimate.placed_effects())
+            self.forms[estimate] = best_attempt(self.fit, estimate, estimate.placed_effects())
         return self.forms[estimate]
 
     def in_other_form(self, estimate: Estimate) -> Estimate:

@@ -200,7 +200,7 @@ def _set_placebos(search: Search, channels: Sequence[int], screening: Sequence[S
     search.placebo = {c: search.calibrated[c].extended(best[c].effect, best[c].start, c) for c in channels}
     placebos = list(search.placebo.values())
     short_refit(search.fit, placebos)
-    solve(search.long, placebos, SETTLE_ITERATIONS)
+    solve(search.fit, placebos, SETTLE_ITERATIONS)
 
 
 def _round(search: Search, channels: Sequence[int], screening: Sequence[Screening], number: int) -> list[int]:
@@ -223,9 +223,8 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
         _compete_on_beginning(search, contests)
     accepted = [k.channel for k in contests if _accept_best(search, k, number)]
     if number == 1:
-        # As far as what was accepted has been, unless they cannot reach it any more.
-        races = [[search.present[c], search.placebo[c]] for c in accepted]
-        solve(search.long, [search.placebo[c] for c in accepted], SETTLE_ITERATIONS, races=races)
+        # As far as what was accepted has been.
+        solve(search.fit, [search.placebo[c] for c in accepted], SETTLE_ITERATIONS)
     return accepted
 
 
@@ -254,12 +253,11 @@ def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
         names.append([n for n in search.names if n in shows - here])
     presents = [(k.channel, search.present[k.channel]) for k in left]
     found = best_on_early_window(fit, presents, names) if left else []
-    # The others race among themselves, since the best so far has been refitted for longer; then the best of them is, too.
+    # The best so far has been refitted for longer; then the best of the others is, too.
     leaders = [k.refits.pop(0) for k in left]
     for k, own in zip(left, found, strict=True):
         k.refits += own
-    races = [k.refits for k in left]
-    solve(fit, [p for race in races for p in race], SETTLE_ITERATIONS, races=races)
+    solve(fit, [p for k in left for p in k.refits], SETTLE_ITERATIONS)
     for k in left:
         k.rank(search)
     search.settle([p for k in left for p in k.refits[:1]])

@@ -11,5 +11,4 @@ __all__ = ["run"]
 
 def run(logs: Logs, models: Models) -> Models:
     """Refines the estimates that are reported."""
-    coarse, fine = (logs.fit.on(rig.for_long_refits()) for rig in (logs.rig, logs.fine))
-    return models.changed(lambda estimates: refine(coarse, fine, estimates))
+    return models.changed(lambda estimates: refine(logs.fit, logs.fit.on(logs.fine), estimates))
