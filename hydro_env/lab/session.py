@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hydro_env.benchmark.report import NEEDS
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.errors import InputError
-from hydro_env.lab.recording import LONGEST, Recording
+from hydro_env.lab.recording import MAX_SECONDS, Recording
 from hydro_env.lab.rig import PERIOD, LiveRig, Reach, Reading
 from hydro_env.limits import Limits
 from hydro_env.tasks import Reference, load_scenario
@@ -167,7 +167,7 @@ class Session:
     # --- recording ------------------------------------------------------------------------------------------------
     def record(self) -> None:
         """Puts the rig to rest and begins a log, so that a diagnosis can simulate it from there. It ends with `stop_recording`,
-        a reset, or after `recording.LONGEST` seconds; its text then stands in `finished_log`."""
+        a reset, or after `recording.MAX_SECONDS` seconds; its text then stands in `finished_log`."""
         self.reset()
         self._recording = Recording(int(self._stream().integers(2**32)))
 
@@ -193,7 +193,7 @@ class Session:
         if self._recording is not None and rows is not None:
             command = np.clip(action, -1.0, 1.0) * self._rig.rated
             self._recording.add(setpoint, command, load, self._rig.noise, rows)
-            if self._recording.seconds >= LONGEST:
+            if self._recording.seconds >= MAX_SECONDS:
                 self._stop_recording()
         if lost := next(iter(self._rig.plant.lost), ""):
             self.reset()
