@@ -31,30 +31,13 @@ VISCOSITY_DRIFT = Effect(
     signature="slow opposite trends of leakage and friction",
     source="leakage ~ 1/viscosity, viscous friction ~ viscosity",
     parameters=(
-        Parameter(
-            "change",
-            "1",
-            0.0,
-            low=-2.0,
-            high=2.0,
-            typical=-0.7,
-            note="log of final over initial viscosity",
-            source="20 K of warming halve the viscosity of HLP 46",
-        ),
-        Parameter(
-            "time_constant",
-            "s",
-            100.0,
-            low=3.0,
-            high=3000.0,
-            log=True,
-            role="time_constant",
-            note="time constant of the warming",
-            source="assumed",
-        ),
+        Parameter("change", "1", 0.0, low=-2.0, high=2.0, typical=-0.7,
+            note="log of final over initial viscosity", source="20 K of warming halve the viscosity of HLP 46"),
+        Parameter("time_constant", "s", 100.0, low=3.0, high=3000.0, log=True, role="time_constant",
+            note="time constant of the warming", source="assumed"),
     ),
     laws={"leakage_coefficient": _drift_leakage, "viscous_friction": _drift_friction},
-)
+)  # fmt: skip
 
 
 #: In the order in which they act.

@@ -82,10 +82,8 @@ CORNER_SHAPE = correction(
     "corner_shape", "opening", "corners of the opening are rounded",
     (
         # A radial clearance rounds an overlap by micrometres, round ports a saturation by a large part of the travel.
-        Parameter(
-            "rounding", "m", 0.0, 0.0, 3e-4, NO_PHYSICS, "half the travel over which a corner is rounded", 1e-5,
-            scaling=SPOOL_TRAVEL,
-        ),
+        Parameter("rounding", "m", 0.0, 0.0, 3e-4, NO_PHYSICS, "half the travel over which a corner is rounded", 1e-5,
+            scaling=SPOOL_TRAVEL),
         repeated("turn", "1", 1.0, -1.0, 1.0),
         repeated("corner_positive", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
         repeated("corner_negative", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
@@ -299,13 +297,6 @@ BRISTLE_SHAPE = correction(
 
 #: In the order in which they act.
 EFFECTS = (
-    PLAY_SHAPE,
-    KNEE_SHAPE,
-    CORNER_SHAPE,
-    OPENING_SHAPE,
-    ORIFICE_SHAPE,
-    PRELOAD_SHAPE,
-    CENTRING_SHAPE,
-    STOP_SHAPE,
+    PLAY_SHAPE, KNEE_SHAPE, CORNER_SHAPE, OPENING_SHAPE, ORIFICE_SHAPE, PRELOAD_SHAPE, CENTRING_SHAPE, STOP_SHAPE,
     BRISTLE_SHAPE,
-)
+)  # fmt: skip
