@@ -11,6 +11,7 @@ import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -114,9 +115,7 @@ class Jobs:
             return replace(job, state="failed", problem=job.problem or died)
         folder = ""
         if any(work.iterdir()):
-            number = 1
-            while (place := self._out / f"diagnosis_{number}").exists():
-                number += 1
+            place = next(place for n in count(1) if not (place := self._out / f"diagnosis_{n}").exists())
             work.chmod(0o755)
             work.rename(place)
             folder = place.name

@@ -86,7 +86,6 @@ class LiveRig:
     """
 
     def __init__(self, plant: str = "paper_dead_zone", *, noise: float = 1.0, seed: int = 0) -> None:
-        self.preset = plant
         self.model = load_model(plant)
         self.reach = reach_of(self.model)
         self._offered = effects_offered()

@@ -10,6 +10,7 @@ import socket
 import webbrowser
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -50,9 +51,7 @@ class Lab:
 
     def _keep_log(self, text: str) -> None:
         self.out.mkdir(parents=True, exist_ok=True)
-        number = 1
-        while (path := self.out / f"log_{number}.csv").exists():
-            number += 1
+        path = next(path for n in count(1) if not (path := self.out / f"log_{n}.csv").exists())
         write_text(path, text)
         self.uploads.add(path, path.name, "fit")
 
@@ -116,15 +115,8 @@ def application(lab: Lab, port: int, key: str, ready: Callable[[], None] = lambd
 
     app.add_route("/upload", upload, methods=["POST"])
     app.add_route("/results/{folder}/{file}", result, methods=["GET"])
-    ui.run_with(
-        app,
-        root=lab.page,
-        title=TITLE,
-        dark=None,
-        language="en-US",
-        tailwind=False,
-        show_welcome_message=False,
-    )
+    look: dict[str, Any] = {"title": TITLE, "dark": None, "language": "en-US", "tailwind": False}
+    ui.run_with(app, root=lab.page, show_welcome_message=False, **look)
     return Guard(app, port, key)
 
 
@@ -142,8 +134,9 @@ def run(out: Path, settings: Settings | None = None, *, port: int = 8137, browse
         try:
             listener.bind((HOST, port))
         except OSError as problem:
-            cause = f"cannot be used ({problem.strerror}); name another one"
-            raise InputError(f"--port {port}: {cause}") from None
+            raise InputError(
+                f"--port {port}: cannot be used ({problem.strerror}); name another one"
+            ) from None
         port, key = listener.getsockname()[1], secrets.token_urlsafe(16)
         address = f"http://{HOST}:{port}/?key={key}"
 

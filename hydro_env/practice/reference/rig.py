@@ -33,7 +33,7 @@ class ReferenceRig:
 
     `forms` as in `FORMS`, with these `constants` (`forms.draw`; default: `forms.MIDDLE`) where they are "different"; `method`
     one of SciPy's "LSODA" (fast), "BDF", "Radau" (the strictest); `tolerance` is the relative one, absolute ones follow from
-    the scale of each state. The integration starts afresh at every change of a command or load, so no solver steps over a
+    the scale of each state. The integration restarts at every change of a command or load, so no solver steps over a
     jump. InputError for an unknown model or one with a user's effect, for which there are no independent equations;
     ValueError for an unknown form.
     """
@@ -61,10 +61,8 @@ class ReferenceRig:
         sets: tuple[tuple[int, ...], ...] = ((0, 1),) if coupled else ((0,), (1,))
         self._groups = [Group(self.model, members, self.forms, self.constants) for members in sets]
         self.time = 0.0
-        self._coming: tuple[list[tuple[float, float]], ...] = (
-            [],
-            [],
-        )  # (when, voltage) on its way, by channel
+        # (when, voltage) on its way, by channel
+        self._coming: tuple[list[tuple[float, float]], ...] = ([], [])
 
     def signals(self) -> dict[str, Array]:
         """All `REFERENCE_SIGNALS` now, each (2,)."""
