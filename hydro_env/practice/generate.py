@@ -49,6 +49,7 @@ SCHEMA = "hydro_env/truth/1"
 PLAYED = "played"
 
 
+#: Numbers of the settings: factor on the noise, fraction of base parameters, s, rows per second, and the seed.
 _LIMITS = {
     "noise": Limits(0.0, 100.0),
     "base_error": Limits(0.0, 0.5),
