@@ -53,25 +53,21 @@ class HydraulicSyncVecEnv(VecEnv):
         """Begins an episode in every row, with the seeds of `seed` and options of `set_options` if there are any. As
         Stable-Baselines3 has it, the options hold for this episode, and not for those after it."""
         seeds = self._seeds if any(each is not None for each in self._seeds) else None
-        groups: list[tuple[dict[str, Any], list[int]]] = []
+        groups: dict[int, list[int]] = {}  # rows with the same options, by the first of them
         for row, options in enumerate(self._options):
-            for known, rows in groups:
-                if known is options or not (known or options):
-                    rows.append(row)
-                    break
-            else:
-                groups.append((options, [row]))
+            first = next(
+                n for n, known in enumerate(self._options) if known is options or not (known or options)
+            )
+            groups.setdefault(first, []).append(row)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         observation = np.empty((self.num_envs, self.observation_space.shape[0]), np.float32)  # type: ignore[index]
-        for options, rows in groups:
-            mask = np.zeros(self.num_envs, np.bool_)
-            mask[rows] = True
-            masked = options if mask.all() else {**options, "reset_mask": mask}
-            seen, info = self.batch.reset(seed=seeds, options=masked)
+        for first, rows in groups.items():
+            mask = np.isin(np.arange(self.num_envs), rows)
+            seen, info = self.batch.reset(seed=seeds, options={**self._options[first], "reset_mask": mask})
             observation[rows] = seen[rows]
             for row in rows:
                 infos[row] = _row(info, row)
-        self.batch.held[:] = None
+        self.batch.forget_options()
         self.reset_infos = infos
         self._reset_seeds()
         self._reset_options()

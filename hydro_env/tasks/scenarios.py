@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field
 
 from ..errors import InputError, shown, suggestion
-from ..streams import Streams
+from ..streams import Component, Streams
 from ..units import RPM
 from ..validation import FileTable, Number, checked
 
@@ -72,9 +72,10 @@ class Scenario:
         return steps
 
     def reference(self, period: float, stream: np.random.Generator | None = None) -> Reference:
-        """The course on the grid of a control period in s. `stream` is a generator of PCG64, as NumPy's default is."""
+        """The course on the grid of a control period in s; a random one is drawn from `stream`."""
         if self.together and stream is not None:
-            setpoints, loads = self.courses(period, Streams.of(stream.bit_generator))
+            seed = int(stream.integers(2**63))
+            setpoints, loads = self.courses(period, Streams(Component.SCENARIO, [seed], [0]))
             return Reference(setpoints[0], loads[0])
         setpoint, load = self.course(_grid(self.steps(period), period), stream)
         return Reference(np.asarray(setpoint, dtype=float) * RPM, np.asarray(load, dtype=float))
@@ -85,7 +86,7 @@ class Scenario:
         if self.together:
             setpoint, load = self.course(_grid(self.steps(period), period), streams)
             return setpoint * RPM, load
-        rows = range(len(streams.states)) if self.random else ()
+        rows = range(len(streams)) if self.random else ()
         found = [self.reference(period, streams.generator(row)) for row in rows] or [self.reference(period)]
         return np.stack([each.setpoint for each in found]), np.stack([each.load for each in found])
 
@@ -156,7 +157,7 @@ def _random_steps(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
     changes = 0.2 * gaps[:, :1] + np.concatenate([first, np.cumsum(0.3 + 1.7 * gaps[:, 1:], axis=1)], axis=1)
     setpoint = _held_together(time, changes, np.where(rests < 0.1, 0.0, 600.0 * (2.0 * levels - 1.0)))
     load = np.zeros((*setpoint.shape, 2))
-    loaded = np.flatnonzero(streams.random(()) < 2.0 / 3.0)
+    loaded = np.flatnonzero(streams.random(1)[:, 0] < 2.0 / 3.0)
     for channel in (0, 1):
         gaps, levels = streams.random((2, most), loaded).swapaxes(0, 1)
         torque = NOMINAL_TORQUE * (2.0 * levels - 1.0)

@@ -220,7 +220,11 @@ def test_options_hold_until_the_next_reset(mode):
         batch.step(action)
     own = own_course(batch, 1), own_course(batch, 0)
     assert (own[0] == 99.0).all() and own[1][0] == 300.0
-    assert batch._case[[0, 2]].tolist() == [7, 9] and batch._episode.tolist() == [1, 2, 1]
+    assert batch._randomisation.case[[0, 2]].tolist() == [7, 9] and batch._randomisation.episode.tolist() == [
+        1,
+        2,
+        1,
+    ]
     batch.reset()
     assert own_course(batch, 1)[0] == 300.0
 
