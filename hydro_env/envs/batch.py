@@ -129,11 +129,6 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.render_mode = render_mode
         self.reward = load_reward(reward)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {
-            **type(self).metadata,
-            "render_fps": max(1, round(1.0 / self.control_period)),
-            "autoreset_mode": self.autoreset_mode,
-        }
         # First of what takes room, so that a batch that cannot fit is refused in its words.
         made = self._make_plant(() if self.mismatch is None else self.mismatch.effects)
         width = FRAME * self.history
@@ -153,6 +148,11 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._recorder = None if render_mode is None else Recorder(self.num_envs, width)
 
     def _make_spaces(self) -> None:
+        self.metadata = {
+            **type(self).metadata,
+            "render_fps": max(1, round(1.0 / self.control_period)),
+            "autoreset_mode": self.autoreset_mode,
+        }
         width = (FRAME + ERRORS * self.errors) * self.history
         self.single_observation_space = spaces.Box(-LIMIT, LIMIT, (width,), np.float32)
         self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
@@ -196,7 +196,6 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         mask = self._mask(options.pop("reset_mask", None))
         rows = np.flatnonzero(mask)
         self._begin(rows, seed, **options)
-        self._begun = bool((self._randomisation.episode >= 0).all())
         if isinstance(seed, int | np.integer):
             super().reset(seed=int(seed))
         self._held[rows] = number = max(self._options) + 1 if options else 0
@@ -360,8 +359,9 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._randomisation.start(state, episodes, self.control_period)
         self._set_profiles(episodes, scenario)
         self.plant.reset(None if rows.size == self.num_envs else rows)
-        # `COLUMNS` that this plant has.
+        self._begun = bool((self._randomisation.episode >= 0).all())
         lines = self.plant.get("mean_line_pressure").any()
+        #: `COLUMNS` that this plant has.
         self.columns = {key: column for key, column in COLUMNS.items() if key != _OF_LINES or lines}
         if self._recorder is not None:
             self._recorder.clear(rows)

@@ -60,14 +60,16 @@ def encode(setpoint: Floats, load: Floats) -> tuple[Integers, Floats]:
 
     Segments that a profile has fewer than P start at `NEVER`, as the one after the last does.
     """
-    values = np.concatenate([setpoint[..., None], load], axis=2)
-    bits = values.view(np.int64)  # 0.0 and -0.0 are not the same
-    begins = np.ones(values.shape[:2], np.bool_)
-    begins[:, 1:] = (bits[:, 1:] != bits[:, :-1]).any(axis=2)
+    begins = np.zeros(setpoint.shape, np.bool_)
+    begins[:, 0] = True
+    for values in (setpoint, load[..., 0], load[..., 1]):
+        bits = values.view(np.int64)  # 0.0 and -0.0 are not the same
+        begins[:, 1:] |= bits[:, 1:] != bits[:, :-1]
     count = begins.sum(axis=1)
     row, period = np.nonzero(begins)
     place = np.arange(row.size) - (np.cumsum(count) - count)[row]
-    most = int(count.max())
-    starts, levels = np.full((len(values), most + 1), NEVER, np.int32), np.zeros((len(values), most, 3))
-    starts[row, place], levels[row, place] = period, values[row, period]
+    width = int(count.max())
+    starts, levels = np.full((count.size, width + 1), NEVER, np.int32), np.zeros((count.size, width, 3))
+    starts[row, place] = period
+    levels[row, place, 0], levels[row, place, 1:] = setpoint[row, period], load[row, period]
     return starts, levels

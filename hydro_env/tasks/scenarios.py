@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import pi
 from typing import Annotated, Any
 
@@ -108,19 +108,12 @@ def _held(time: Floats, changes: Floats, values: Floats) -> Floats:
 
 def _tables(name: str, summary: str, duration: float, setpoint: ArrayLike, load: ArrayLike = ()) -> Scenario:
     """A scenario from step tables; loads in N m."""
+    tables = np.asarray(setpoint, float).reshape(-1, 2), np.asarray(load, float).reshape(-1, 3)
+    return Scenario(name, summary, duration, partial(_table_course, *tables))
 
-    course = _TableCourse(np.asarray(setpoint, float).reshape(-1, 2), np.asarray(load, float).reshape(-1, 3))
-    return Scenario(name, summary, duration, course)
 
-
-@dataclass(frozen=True, eq=False)
-class _TableCourse:
-    setpoint: Floats
-    load: Floats
-
-    def __call__(self, time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
-        setpoint = _held(time, self.setpoint[:, 0], self.setpoint[:, 1])
-        return setpoint, _held(time, self.load[:, 0], self.load[:, 1:])
+def _table_course(setpoint: Floats, load: Floats, time: Floats, stream: None) -> tuple[Floats, Floats]:
+    return _held(time, setpoint[:, 0], setpoint[:, 1]), _held(time, load[:, 0], load[:, 1:])
 
 
 def _share(rows: Sequence[tuple[float, float, float]]) -> Floats:
