@@ -135,13 +135,8 @@ class HydraulicSyncVecEnv(VecEnv):
 
         ValueError for what steps or resets the rows; the VecEnv does that.
         """
-        if method_name in ("reset", "step", "advance"):
-            raise ValueError(
-                f"{method_name} concerns all rows: call it on the VecEnv, options go to set_options"
-            )
-        answer = getattr(self.batch, method_name)(*method_args, **method_kwargs)
-        own = method_name == "render" and answer is not None
-        return [answer[row] if own else answer for row in self._rows(indices)]
+        answers = self.batch.call(method_name, *method_args, **method_kwargs)
+        return [answers[row] for row in self._rows(indices)]
 
     def env_is_wrapped(
         self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: Indices = None

@@ -379,7 +379,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         for begin in range(0, rows.size, _CHUNK):
             part = slice(begin, begin + _CHUNK)
             streams = episodes.streams(Component.SCENARIO, part)
-            starts, levels = encode(*scenario.courses(self.control_period, streams))
+            starts, levels = encode(*scenario.profiles(self.control_period, streams))
             need = profiles.bytes_with(levels.shape[1]) + self.plant.memory.nbytes
             self._check_memory(need, f"episodes of {self._steps(scenario)} steps")
             profiles.put(rows[part], starts, levels)

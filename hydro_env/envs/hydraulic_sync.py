@@ -224,7 +224,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return None if frames is None else frames[0]
 
     def _show(self) -> None:
-        """With "human", shows every so many control periods, so that the film runs in real time."""
+        """With "human", shows some of the control periods, so that the film runs in real time."""
         if self._window is None:
             return
         every = max(1, round(1.0 / (PICTURES * self.batch.control_period)))

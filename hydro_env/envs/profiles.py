@@ -45,7 +45,7 @@ class Profiles:
         self.levels[rows + 1, : levels.shape[1]] = levels
 
     def bytes_with(self, segments: int) -> float:
-        """Memory of the tables if each row has a profile of its own with at most so many segments."""
+        """Bytes of the tables if each row has a profile of its own with at most this number of segments."""
         return (self.num_rows + 1) * (28.0 * max(segments, self.levels.shape[1]) + 4.0)
 
     def decoded(self, number: int, periods: int) -> Reference:

@@ -117,7 +117,7 @@ class Window:
         self._closed = False
 
     def show(self, picture: Picture, per_second: float) -> None:
-        """Shows a picture (height, width, 3), so many in a second at most."""
+        """Shows a picture (height, width, 3), at most `per_second` of them in a second."""
         if self._closed:
             return
         pygame = self._pygame

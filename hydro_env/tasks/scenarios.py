@@ -75,12 +75,12 @@ class Scenario:
         """The course on the grid of a control period in s; a random one is drawn from `stream`."""
         if self.together and stream is not None:
             seed = int(stream.integers(2**63))
-            setpoints, loads = self.courses(period, Streams(Component.SCENARIO, [seed], [0]))
+            setpoints, loads = self.profiles(period, Streams(Component.SCENARIO, [seed], [0]))
             return Reference(setpoints[0], loads[0])
         setpoint, load = self.course(_grid(self.steps(period), period), stream)
         return Reference(np.asarray(setpoint, dtype=float) * RPM, np.asarray(load, dtype=float))
 
-    def courses(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
+    def profiles(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
         """Set-points (n, T + 1) in rad/s and loads (n, T + 1, 2) in N m, each row as `reference` with its stream has it; of a
         scenario that is not random one row for all."""
         if self.together:
@@ -133,7 +133,7 @@ def _disturbance(time: Floats, stream: np.random.Generator | None) -> tuple[Floa
 
 
 def _held_together(time: Floats, changes: Floats, values: Floats) -> Floats:
-    """`_held` of n courses: changes, in their order, and values (n, m) give (n, len(time))."""
+    """`_held` of n profiles: changes, in their order, and values (n, m) give (n, len(time))."""
     count, most = values.shape
     edges, padded = np.zeros((count, most + 2), np.int64), np.zeros((count, most + 1))
     edges[:, 1:-1], edges[:, -1] = time.searchsorted(changes), time.size
