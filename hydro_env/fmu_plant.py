@@ -53,15 +53,8 @@ _NEEDED = ("command", "speed")
 _RATED = ("channel_1.u_rated", "channel_2.u_rated")
 #: Rows of the memory: what a `Plant` shows the environment, and the rated commands.
 _ROWS = (
-    "speed",
-    "angle",
-    "measured_speed",
-    "current",
-    "pressure",
-    "diverged",
-    "mean_line_pressure",
-    "u_rated",
-)
+    "speed", "angle", "measured_speed", "current", "pressure", "diverged", "mean_line_pressure", "u_rated",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

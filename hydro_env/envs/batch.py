@@ -211,7 +211,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         if given is None:
             return np.ones(self.num_envs, np.bool_)
         try:
-            mask = np.asarray(given)
+            mask = np.array(given)
         except ValueError:
             raise InputError(f"reset: reset_mask is {shown(given)}, expected a mask of rows") from None
         if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():

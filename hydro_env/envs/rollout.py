@@ -33,9 +33,8 @@ class Rollout:
     def __init__(
         self, plant: PlantLike, period: float, width: int, deviation: Floats, weights: Floats, threads: int
     ) -> None:
-        self.period, self.width, self.deviation, self.weights, self.threads = (
-            period, width, deviation, weights, threads,
-        )  # fmt: skip
+        self.period, self.width, self.threads = period, width, threads
+        self.deviation, self.weights = deviation, weights
         self.rows = np.arange(plant.num_rigs)
         self.state: NDArray[Any] = np.zeros(plant.num_rigs, STATE)
         self.profiles = Profiles(plant.num_rigs)
