@@ -124,6 +124,7 @@ def normal(words, place):
         above = ((59.109374720 * r + 159.29113202) * r + 50.434271938) * r + 3.3871327179
         return off * above / (((67.187563600 * r + 78.757757664) * r + 17.895169469) * r + 1.0)
     depth = sqrt(-log(min(share, 1.0 - share))) - 1.6
-    above = ((0.17023821103 * depth + 1.3067284816) * depth + 2.7568153900) * depth + 1.4234372777
-    size = above / ((0.12021132975 * depth + 0.73700164250) * depth + 1.0)
+    size = (((0.17023821103 * depth + 1.3067284816) * depth + 2.7568153900) * depth + 1.4234372777) / (
+        (0.12021132975 * depth + 0.73700164250) * depth + 1.0
+    )
     return size if off > 0.0 else -size
