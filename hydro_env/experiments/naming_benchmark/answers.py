@@ -11,13 +11,14 @@ speed_2_rpm, a row for each of commands.csv) or `model` (a model file) is option
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, Field
 
 from ...errors import InputError, shown, suggestion
 from ...plant import CATALOGUE
 from ...reading import read_json
+from ...validation import FileTable, Number, checked, known
 
 __all__ = ["answer", "read_answer", "read_answers"]
 
@@ -25,30 +26,20 @@ SCHEMA = "hydro_env/naming_answer/1"
 
 
 class _Named(BaseModel):
-    model_config = ConfigDict(strict=True)
-
-    name: str
+    name: Annotated[str, known("effect", CATALOGUE)]
     channel: Literal["1", "2", "both", "rig"]
-    probability: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
-
-    @field_validator("name")
-    @classmethod
-    def _known(cls, name: str) -> str:
-        if name not in CATALOGUE:
-            raise ValueError(f"unknown effect {shown(name)}: {suggestion(name, CATALOGUE)}")
-        return name
+    probability: Annotated[Number, Field(ge=0.0, le=1.0)] = 0.0
 
 
-class _Answer(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
+class _Answer(FileTable):
+    FORMAT: ClassVar[str] = SCHEMA
 
-    schema_: Annotated[Literal["hydro_env/naming_answer/1"], Field(alias="schema")]
     rig: str
     verdict: Literal["none", "calibration", "effects", "unknown"]
     effects: list[_Named]
     prediction: str | None = None
     model: str | None = None
-    seconds: Annotated[float, Field(ge=0.0)] | None = None
+    seconds: Annotated[Number, Field(ge=0.0)] | None = None
 
 
 def answer(
@@ -82,15 +73,7 @@ def read_answers(folder: Path, rigs: list[str], first: int | None = None) -> dic
 def read_answer(path: Path, rig: str) -> dict[str, Any]:
     """One answer. InputError that names file and key."""
     data: dict[str, Any] = read_json(path, "an answer of the naming benchmark")
-    try:
-        found = _Answer.model_validate(data)
-    except ValidationError as problem:
-        first = problem.errors()[0]
-        key = ".".join(map(str, first["loc"])) or "answer"
-        if first["type"] == "extra_forbidden":
-            known = [name.rstrip("_") for name in _Answer.model_fields]
-            raise InputError(f"{path}: unknown key {shown(key)}: {suggestion(key, known)}") from None
-        raise InputError(f"{path}: {key} is {shown(first['input'])}: {first['msg']}") from None
+    found = checked(_Answer, data, path)
     if found.rig != rig:
         raise InputError(f"{path}: rig is {shown(found.rig)}, expected {rig!r}")
     if (found.verdict == "effects") != bool(found.effects):
