@@ -126,7 +126,7 @@ def _trained(work: Work, model: Path, folder: Path, config: Config, command: str
     own = replace(
         config,
         env_kwargs={**config.env_kwargs, "plant": str(model), "mismatch": None},
-        training=replace(config.training, seed=work.seed),
+        training=config.training.model_copy(update={"seed": work.seed}),
     )
     train(own, folder, resume=(folder / "config.yml").is_file(), command=command, bar=bar)
     return folder / "policy.npz"

@@ -350,7 +350,7 @@ def test_the_agent_beside_the_controllers(
     config = replace(
         whole, num_envs=4, num_steps=64, hyper={**whole.hyper, "n_steps": 8, "batch_size": 32, "n_epochs": 1},
         env_kwargs={**whole.env_kwargs, "max_episode_steps": 20},
-        training=replace(whole.training, evaluate_pairs=1),
+        training=whole.training.model_copy(update={"evaluate_pairs": 1}),
     )  # fmt: skip
 
     def go(config: Any) -> dict[str, Any]:
