@@ -41,8 +41,8 @@ ALLOWED = {
     "fmu_plant": "errors reading units validation plant",
     "export": "errors files plant units envs controllers",
     "training": "errors files reading validation pickles units tasks controllers sb3",
-    "experiments": "errors files reading limits units validation pages waveforms parallel plant practice tasks measured envs valve_bench"
-    " controllers diagnosis benchmark",
+    "experiments": "errors files reading limits units validation pages waveforms parallel plant practice tasks measured envs"
+    " valve_bench controllers diagnosis benchmark",
     "lab": "errors files reading limits units streams pages plant practice tasks measured envs controllers diagnosis benchmark",
     "cli": "errors files limits units plant practice tasks measured valve_bench controllers datasets diagnosis benchmark"
     " training experiments export fmu_plant lab",
