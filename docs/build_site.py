@@ -91,13 +91,15 @@ def _pages(repository: str | None) -> dict[str, str | bytes]:
 
 
 def _order(pages: dict[str, Any]) -> list[Any]:
-    """The navigation: a section for each heading of the index, then the API."""
+    """The navigation: a section for each heading of the index with the pages that it lists first, then the API."""
     nav: list[Any] = [{"Home": "index.md"}]
+    seen: set[str] = set()
     for section in re.split(r"^## ", pages["index.md"], flags=re.M)[1:]:
         heading, _, text = section.partition("\n")
         targets = dict.fromkeys(target for _, _, target, _ in LINK.findall(text))
-        if listed := [target for target in targets if target.endswith(".md")]:
+        if listed := [target for target in targets if target.endswith(".md") and target not in seen]:
             nav.append({heading: listed})
+            seen |= set(listed)
     nav.append({"API": [name for name in pages if name.startswith("api/")]})
     missing = {name for name in pages if name.endswith(".md")} - set(re.findall(r"[\w./]+\.md", str(nav)))
     if missing:

@@ -83,7 +83,7 @@ def crane(folder: Path) -> list[dict[str, Any]]:
 def _overlap(found: Diagnosis) -> dict[str, list[float]]:
     """Value and interval of the overlap in both directions, per cent of full command."""
     values = next((e.parameters for e in found.effects if e.name == "dead_zone"), {})
-    model, channel = found.model, found.state.rig.channels[0]
+    model, channel = found.model, found.rig.channels[0]
     full = model.value("alpha", channel) * model.value("u_rated", channel)
     share = 100.0 * model.value("k", channel) * model.value("R", channel) / full
     return {name: [share * x for x in (v.value, v.low, v.high)] for name, v in values.items()}

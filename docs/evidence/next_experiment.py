@@ -30,7 +30,7 @@ import numpy as np
 
 from hydro_env.diagnosis import Diagnosis, Settings, diagnose
 from hydro_env.diagnosis.experiment_design import SECONDS, commands_csv, random_design
-from hydro_env.diagnosis.stages.next_experiment import most_load
+from hydro_env.diagnosis.stages.next_experiment import max_load
 from hydro_env.errors import run_command
 from hydro_env.experiments.coverage import by_channel
 from hydro_env.files import write_json, write_text
@@ -68,12 +68,10 @@ def run_rig(seed: int, hidden: Sequence[str], jobs: int = 1) -> dict[str, Any]:
         begin = time.process_time()
         first = _diagnosed(folder, [], jobs)
         row = {"seed": seed, "hidden": list(hidden), "first": _answer(first, truth), "open": _open(first)}
-        proposed, rng = first.state.next_experiment, np.random.default_rng([seed, 7])
+        proposed, rng = first.next_experiment, np.random.default_rng([seed, 7])
         commands = {
             "proposed": proposed.csv() if proposed is not None else None,
-            "random": commands_csv(
-                *random_design(first.state.model, Settings(), rng, most_load(first.state))
-            ),
+            "random": commands_csv(*random_design(first.rig.model, Settings(), rng, max_load(first))),
         }
         for kind in SECOND if row["open"] else ():
             row[kind] = None

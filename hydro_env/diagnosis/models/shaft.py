@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-
-from .filters import one_pole
+from scipy.signal import lfilter
 
 __all__ = ["shaft_speed"]
 
@@ -21,4 +20,4 @@ def shaft_speed(
     keep = float(np.exp(-period * friction / inertia))
     between = 0.5 * (pressure[1:] + pressure[:-1])
     torque = np.concatenate([[0.0], displacement * between - load[:-1]])
-    return one_pole((1.0 - keep) / friction * torque, keep)
+    return np.asarray(lfilter([(1.0 - keep) / friction], [1.0, -keep], torque))

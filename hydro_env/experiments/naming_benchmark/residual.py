@@ -25,13 +25,13 @@ from scipy.signal import savgol_filter
 from ...diagnosis.estimation import Estimate, Fit, noise_floor
 from ...diagnosis.input.checks import read_logs
 from ...diagnosis.input.parts import filled
+from ...diagnosis.logs import Logs
 from ...diagnosis.models.base import Request
 from ...diagnosis.models.dynamic_rig import DynamicRig
 from ...diagnosis.settings import Settings
 from ...diagnosis.stages import calibration, consistency
-from ...diagnosis.stages.naming import estimated_model
 from ...diagnosis.stages.validation import prove
-from ...diagnosis.state import State
+from ...diagnosis.stages.values import estimated_model
 from ...plant import BUILT_IN, CATALOGUE, PlantModel, load_model
 from ...reading import read_json
 
@@ -69,12 +69,9 @@ def begin(folder: Path) -> Start:
     model = load_model(folder / "model.yaml")
     rig = DynamicRig(model, parts, without=frozenset(BUILT_IN) - frozenset(about["candidates"]))
     fine, others = rig.with_parts(parts, False), rig.with_parts(held_out, True)
-    state = State(model, Fit(rig, {}, Settings()), fine, others, held_out)
-    for stage in (consistency.run, calibration.run):
-        state = stage(state)
-    errors = prove(
-        others, {"before": state.given, "calibrated": state.calibrated, "after": state.calibrated}
-    ).errors
+    found = calibration.run(consistency.run(Logs(Fit(rig, {}, Settings()), fine, others)))
+    estimates = found.estimates
+    errors = prove(others, {"before": found.given, "calibrated": estimates, "after": estimates}).errors
 
     def above(which: str) -> tuple[int, ...]:
         return tuple(
@@ -83,8 +80,8 @@ def begin(folder: Path) -> Start:
 
     missing = above("calibrated")
     verdict = "unknown" if missing else "calibration" if above("before") else "none"
-    found = model if verdict == "none" else estimated_model(rig, state.calibrated, "calibrated")
-    return Start(rig, state.calibrated, found, verdict, missing, time.process_time() - start)
+    best = model if verdict == "none" else estimated_model(rig, estimates, "calibrated")
+    return Start(rig, estimates, best, verdict, missing, time.process_time() - start)
 
 
 @dataclass(frozen=True)

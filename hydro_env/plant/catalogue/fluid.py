@@ -6,15 +6,20 @@ from ..parameters import Parameter
 from ..vector_math import exp
 from .effect import Effect
 
-__all__ = ["EFFECTS"]
+__all__ = ["EFFECTS", "drifted"]
+
+
+def drifted(change, time, time_constant):
+    """A factor whose logarithm goes from 0 to `change`."""
+    return exp(change * (1.0 - exp(-time / time_constant)))
 
 
 def _drift_leakage(leakage_coefficient, change, time, time_constant):
-    return leakage_coefficient * exp(-change * (1.0 - exp(-time / time_constant)))
+    return leakage_coefficient * drifted(-change, time, time_constant)
 
 
 def _drift_friction(viscous_friction, change, time, time_constant):
-    return viscous_friction * exp(change * (1.0 - exp(-time / time_constant)))
+    return viscous_friction * drifted(change, time, time_constant)
 
 
 VISCOSITY_DRIFT = Effect(

@@ -5,21 +5,26 @@ from __future__ import annotations
 from math import inf
 
 from ..parameters import SPOOL_FORCE, SPOOL_TRAVEL, SUPPLY_PRESSURE, Parameter
-from ..vector_math import sign, tanh
+from ..vector_math import positive, sign, tanh
 from .effect import Effect, State
 
-__all__ = ["EFFECTS"]
+__all__ = ["EFFECTS", "turning_width"]
 
 
 def _hysteresis_force(force, amplitude, loop):
     return force - amplitude * loop
 
 
-def _loop_rate(loop, current_rate, amplitude, width, alpha):
-    # Bouc-Wen with n = 1 and beta = gamma: rate-independent, saturates at +-1 (loop opposes the change of current).
+def turning_width(amplitude, width, alpha):
+    """The change of current that turns the loop, A."""
     # Never so narrow that more current would mean less force, which no magnet does and which would not be stable.
     least = 2.0 * amplitude / alpha
-    return (current_rate - abs(current_rate) * loop) / (width if width > least else least)
+    return width if width > least else least
+
+
+def _loop_rate(loop, current_rate, amplitude, width, alpha):
+    # Bouc-Wen with n = 1 and beta = gamma: rate-independent, saturates at +-1 (loop opposes the change of current).
+    return (current_rate - abs(current_rate) * loop) / turning_width(amplitude, width, alpha)
 
 
 MAGNETIC_HYSTERESIS = Effect(
@@ -133,8 +138,7 @@ SPRING_PRELOAD = Effect(
 
 
 def _flow_force(force, spool, pressure, coefficient, supply_pressure):
-    drop = supply_pressure - sign(spool) * pressure
-    return force - coefficient * spool * (drop if drop > 0.0 else 0.0)
+    return force - coefficient * spool * positive(supply_pressure - sign(spool) * pressure)
 
 
 FLOW_FORCE = Effect(

@@ -6,7 +6,7 @@ from dataclasses import replace
 from math import inf
 
 from ..parameters import MOTOR_SIZE, SUPPLY_PRESSURE, Parameter
-from ..vector_math import clip, sign, sqrt
+from ..vector_math import clip, positive, sign, sqrt
 from .effect import Effect, State
 
 __all__ = ["BOTH_LINES", "EFFECTS"]
@@ -79,13 +79,17 @@ LINE_LOSS = Effect(
 # The lift of an open relief valve is given as the pressure above the setting that would hold it there. Dry friction lets it rest
 # between the line on which it opens and the one on which it closes; without friction both are the dead zone of the setting.
 # Each direction has its own valve, which lags on its own.
+def _lift_at_rest(lift, size, relief_pressure, hysteresis):
+    low = size - relief_pressure * (1.0 + 0.5 * hysteresis)
+    high = size - relief_pressure * (1.0 - 0.5 * hysteresis)
+    return clip(lift, positive(low), positive(high))
+
+
 def _crossport_relief(
     leakage, pressure, lift, lift_back, relief_pressure, conductance, hysteresis, time_constant
 ):
     size = abs(pressure)
-    low = size - relief_pressure * (1.0 + 0.5 * hysteresis)
-    high = size - relief_pressure * (1.0 - 0.5 * hysteresis)
-    held = clip(lift if pressure > 0.0 else lift_back, low if low > 0.0 else 0.0, high if high > 0.0 else 0.0)
+    held = _lift_at_rest(lift if pressure > 0.0 else lift_back, size, relief_pressure, hysteresis)
     lifted = lift + lift_back if time_constant > 0.0 else held
     # Below its setting it is open only as it lags or sticks; its flow then falls with the root of the pressure.
     share = size / relief_pressure
@@ -94,9 +98,7 @@ def _crossport_relief(
 
 
 def _lift_rate(lift, pressure, way, relief_pressure, hysteresis, time_constant):
-    low = way * pressure - relief_pressure * (1.0 + 0.5 * hysteresis)
-    high = way * pressure - relief_pressure * (1.0 - 0.5 * hysteresis)
-    held = clip(lift, low if low > 0.0 else 0.0, high if high > 0.0 else 0.0)
+    held = _lift_at_rest(lift, way * pressure, relief_pressure, hysteresis)
     # Without friction and lag the pressure says it all; a lift that fades for ever would only cost time.
     moves = 1.0 if hysteresis > 0.0 or time_constant > 0.0 else 0.0
     return moves * (held - lift) / (time_constant if time_constant > 1e-4 else 1e-4)
@@ -177,7 +179,7 @@ def _gained_at_the_edges(mean_pressure, opening, drive, bulk_modulus, V, Kq, sup
     # it is the one drive of both edges; as the load pressure moves no oil there, the mean alone does.
     off = abs(mean_pressure)
     beyond = sqrt(off - drive if drive < 0.0 else 0.0) + sign(off + drive) * sqrt(abs(off + drive))
-    back = 2.0 * sqrt(off - drive if off > drive else 0.0)
+    back = 2.0 * sqrt(positive(off - drive))
     forth = off / sqrt(drive if drive > 1e-12 else 1e-12)
     apart = beyond if drive <= 0.0 else back if drive < 0.5 * off else forth
     return -bulk_modulus / (2.0 * V * supply_pressure) * Kq * abs(opening) * sign(mean_pressure) * apart
@@ -207,20 +209,24 @@ BOTH_LINES = Effect(
 )
 
 
-def _external_leakage(leakage, pressure, mean_pressure, conductance, supply_pressure):
+# Pressure of a line above the tank's; half: 0.5 for the line that drives in the positive direction, -0.5 for the other one.
+def _line_pressure(half, pressure, mean_pressure, supply_pressure):
     middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle + 0.5 * pressure
-    b = middle - 0.5 * pressure
-    line = a if conductance > 0.0 else b
-    return leakage + 0.5 * conductance * (line if line > 0.0 else 0.0)
+    return positive(middle + half * pressure)
+
+
+def _leaking_line(pressure, mean_pressure, conductance, supply_pressure):
+    return _line_pressure(0.5 if conductance > 0.0 else -0.5, pressure, mean_pressure, supply_pressure)
+
+
+def _external_leakage(leakage, pressure, mean_pressure, conductance, supply_pressure):
+    line = _leaking_line(pressure, mean_pressure, conductance, supply_pressure)
+    return leakage + 0.5 * conductance * line
 
 
 def _drained(mean_pressure, pressure, bulk_modulus, V, conductance, supply_pressure):
-    middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle + 0.5 * pressure
-    b = middle - 0.5 * pressure
-    line = a if conductance > 0.0 else b
-    return -bulk_modulus / (2.0 * V * supply_pressure) * abs(conductance) * (line if line > 0.0 else 0.0)
+    line = _leaking_line(pressure, mean_pressure, conductance, supply_pressure)
+    return -bulk_modulus / (2.0 * V * supply_pressure) * abs(conductance) * line
 
 
 EXTERNAL_LEAKAGE = Effect(
@@ -251,20 +257,22 @@ EXTERNAL_LEAKAGE = Effect(
 )
 
 
-# Pressures by which the lines are below the one at which their check valves open.
-def _made_up(leakage, pressure, mean_pressure, conductance, opening_pressure, supply_pressure):
+# Pressure by which a line is below the one at which its check valve opens; `half` as in `_line_pressure`.
+def _suction(half, pressure, mean_pressure, opening_pressure, supply_pressure):
     middle = opening_pressure - 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle - 0.5 * pressure
-    b = middle + 0.5 * pressure
-    return leakage - 0.5 * conductance * ((a if a > 0.0 else 0.0) - (b if b > 0.0 else 0.0))
+    return positive(middle - half * pressure)
+
+
+def _made_up(leakage, pressure, mean_pressure, conductance, opening_pressure, supply_pressure):
+    a = _suction(0.5, pressure, mean_pressure, opening_pressure, supply_pressure)
+    b = _suction(-0.5, pressure, mean_pressure, opening_pressure, supply_pressure)
+    return leakage - 0.5 * conductance * (a - b)
 
 
 def _filled(mean_pressure, pressure, bulk_modulus, V, conductance, opening_pressure, supply_pressure):
-    middle = opening_pressure - 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle - 0.5 * pressure
-    b = middle + 0.5 * pressure
-    drawn = conductance * ((a if a > 0.0 else 0.0) + (b if b > 0.0 else 0.0))
-    return bulk_modulus / (2.0 * V * supply_pressure) * drawn
+    a = _suction(0.5, pressure, mean_pressure, opening_pressure, supply_pressure)
+    b = _suction(-0.5, pressure, mean_pressure, opening_pressure, supply_pressure)
+    return bulk_modulus / (2.0 * V * supply_pressure) * (conductance * (a + b))
 
 
 ANTI_CAVITATION = Effect(
@@ -352,18 +360,15 @@ LINE_VOLUME = Effect(
 
 
 def _case_drain(leakage, pressure, mean_pressure, conductance, supply_pressure):
-    middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle + 0.5 * pressure
-    b = middle - 0.5 * pressure
-    return leakage + 0.5 * conductance * ((a if a > 0.0 else 0.0) - (b if b > 0.0 else 0.0))
+    a = _line_pressure(0.5, pressure, mean_pressure, supply_pressure)
+    b = _line_pressure(-0.5, pressure, mean_pressure, supply_pressure)
+    return leakage + 0.5 * conductance * (a - b)
 
 
 def _drained_alike(mean_pressure, pressure, bulk_modulus, V, conductance, supply_pressure):
-    middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle + 0.5 * pressure
-    b = middle - 0.5 * pressure
-    both = (a if a > 0.0 else 0.0) + (b if b > 0.0 else 0.0)
-    return -bulk_modulus / (2.0 * V * supply_pressure) * conductance * both
+    a = _line_pressure(0.5, pressure, mean_pressure, supply_pressure)
+    b = _line_pressure(-0.5, pressure, mean_pressure, supply_pressure)
+    return -bulk_modulus / (2.0 * V * supply_pressure) * conductance * (a + b)
 
 
 CASE_DRAIN = Effect(

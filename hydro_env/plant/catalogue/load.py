@@ -80,12 +80,16 @@ ECCENTRIC_LOAD = Effect(
 )
 
 
-def _backlash_torque(torque, twist, speed, load_speed, gap, stiffness, damping, load, inertia):
+def _contact_torque(twist, speed, load_speed, gap, stiffness, damping):
     half = 0.5 * gap
     wound = twist - clip(twist, -half, half)
     # The damper grows over the first 20 mrad of winding, so that a blow begins smoothly.
     contact = stiffness * wound + damping * (speed - load_speed) * clip(abs(wound) * 50.0, 0.0, 1.0)
-    contact = contact if contact * wound > 0.0 else 0.0
+    return contact if contact * wound > 0.0 else 0.0
+
+
+def _backlash_torque(torque, twist, speed, load_speed, gap, stiffness, damping, load, inertia):
+    contact = _contact_torque(twist, speed, load_speed, gap, stiffness, damping)
     # The logged load acts behind the coupling.
     return torque - contact + (load if inertia > 0.0 else 0.0)
 
@@ -95,11 +99,7 @@ def _twist_rate(twist, speed, load_speed, inertia):
 
 
 def _load_speed_rate(load_speed, twist, speed, gap, stiffness, damping, load, inertia):
-    half = 0.5 * gap
-    wound = twist - clip(twist, -half, half)
-    # The damper grows over the first 20 mrad of winding, so that a blow begins smoothly.
-    contact = stiffness * wound + damping * (speed - load_speed) * clip(abs(wound) * 50.0, 0.0, 1.0)
-    contact = contact if contact * wound > 0.0 else 0.0
+    contact = _contact_torque(twist, speed, load_speed, gap, stiffness, damping)
     return (contact - load) / inertia if inertia > 0.0 else 0.0
 
 

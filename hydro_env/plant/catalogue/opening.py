@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 
 from ..parameters import SPOOL_TRAVEL, SUPPLY_PRESSURE, Parameter
-from ..vector_math import clip, sqrt
+from ..vector_math import clip, positive, sqrt
 from .effect import Effect
 
 __all__ = ["EFFECTS"]
@@ -102,8 +102,8 @@ def _underlap_flow(flow, opening, drive, pressure, Kq, underlap_positive, underl
     share = way * pressure / supply_pressure
     here = drive if opening != 0.0 else drive - share
     there = here + 2.0 * share
-    back = sqrt(there if there > 0.0 else 0.0) - sqrt(here if here > 0.0 else 0.0)
-    return flow - way * Kq * (other if other > 0.0 else 0.0) * back
+    back = sqrt(positive(there)) - sqrt(positive(here))
+    return flow - way * Kq * positive(other) * back
 
 
 UNDERLAP = Effect(

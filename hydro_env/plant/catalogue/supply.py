@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..parameters import Parameter
 from .effect import Effect, State
 
-__all__ = ["EFFECTS"]
+__all__ = ["EFFECTS", "steady_droop"]
 
 
 def _supply_droop(drive, droop):
@@ -16,9 +16,14 @@ def _lower_lines(mean_line_pressure, droop):
     return mean_line_pressure * (1.0 - droop)
 
 
-def _droop_rate(droop, own_flow, other_flow, relative_drop, time_constant):
+def steady_droop(own_flow, other_flow, relative_drop):
+    """The droop that flows which last lead to."""
     # 8.1778e-4 m3/s (49 l/min) is the flow of two nominal valves at the rated command; a fixed one, whatever the valves.
-    return (relative_drop * (abs(own_flow) + abs(other_flow)) / 8.1778e-4 - droop) / time_constant
+    return relative_drop * (abs(own_flow) + abs(other_flow)) / 8.1778e-4
+
+
+def _droop_rate(droop, own_flow, other_flow, relative_drop, time_constant):
+    return (steady_droop(own_flow, other_flow, relative_drop) - droop) / time_constant
 
 
 SUPPLY_DROOP = Effect(

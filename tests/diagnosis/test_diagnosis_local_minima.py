@@ -1,11 +1,10 @@
-"""Local minima: directions that only ratios tell, restarts from the model as given, fits to a growing horizon."""
+"""Local minima: directions that only ratios tell, starts from the model as given, fits to a growing horizon."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,11 +20,10 @@ from hydro_env.diagnosis.estimation import (
     effect_unknowns,
     grow_horizon,
     noise_of,
-    restart_friction,
     scaled,
     solve,
 )
-from hydro_env.diagnosis.estimation.growing_horizon import beginning_of
+from hydro_env.diagnosis.estimation.early_window import early_window_of
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request, Segment, Segments
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
@@ -201,7 +199,7 @@ def test_the_beginning_of_a_log_is_simulated_as_in_the_whole(tmp_path: Path) -> 
     make_practice((), seed=2, duration=4.0, rate=500.0, runs=("fit_1", "fit_2")).write(tmp_path)
     parts = read_parts([tmp_path / "fit_1.csv", tmp_path / "fit_2.csv"], None)
     rig = DynamicRig(load_model("paper"), parts)
-    short = beginning_of(rig, 0.3)
+    short = early_window_of(rig, 0.3)
     request = [Request(c, {"k": 1.1e4}) for c in (0, 1)]
     whole, part = rig.predict(request), short.predict(request)
     for c in (0, 1):
@@ -216,34 +214,3 @@ def test_every_size_and_shape_is_a_start_where_the_whole_list_is_wanted() -> Non
     few, many = effect_starts(eccentric, 12.0), effect_starts(eccentric, 12.0, whole=True)
     assert {row["amplitude"] for row in few} < {row["amplitude"] for row in many}
     assert {row["phase"] for row in few} == {row["phase"] for row in many}
-
-
-def test_only_what_is_not_white_begins_anew(tmp_path: Path) -> None:
-    make_practice([], duration=3.0, rate=500.0, runs=("fit_2",)).write(tmp_path)
-    rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_2.csv"], None))
-    fit = _fit(rig)
-    estimates = [Estimate(0, base_unknowns(rig, 0), np.zeros(len(base_unknowns(rig, 0)))) for _ in (0, 1)]
-    friction = [u.name for u in estimates[1].unknowns].index("Fc")
-    estimates[1].q[friction] = -0.2
-    fit.evaluate(estimates)
-    assert [fit.is_white(p) for p in estimates] == [True, False]
-    differentiate(fit, estimates)
-    assert restart_friction(fit, estimates) == [estimates[1]]
-    assert fit.is_white(estimates[1])
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_white_noise_is_told_from_a_slow_error_of_a_hundredth_of_its_power(seed: int) -> None:
-    rng, samples = np.random.default_rng(seed), 12000
-    noise = rng.standard_normal(samples)
-    slow = 0.1 * np.sqrt(2.0) * np.sin(5.0e-3 * np.arange(samples))
-    segment = Segment(0, 0, "speed", noise, np.arange(samples), np.ones(samples, bool), 1e-3)
-    segment.place = slice(0, samples)
-    segment.inside[100:150] = False
-    fit = Fit(SimpleNamespace(segments={0: Segments([segment])}, channels=(0,)), {(0, "speed"): 1.0})
-
-    def is_white(error: np.ndarray) -> bool:
-        return fit.is_white(Estimate(0, [], np.zeros(0), simulated={0: error}))
-
-    assert is_white(np.zeros(samples))
-    assert not is_white(slow)

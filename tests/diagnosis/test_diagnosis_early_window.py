@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_env.diagnosis.estimation import Estimate, Fit, best_on_beginnings, could_pay, noise_of
+from hydro_env.diagnosis.estimation import Estimate, Fit, best_on_early_window, could_pay, noise_of
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns, calibrate
@@ -42,7 +42,7 @@ def test_the_hidden_effect_is_first_on_the_beginning_of_the_logs(tmp_path: Path)
     fit = Fit(rig, noise_of(rig, {0: given}))
     base = calibrate(fit, 6)[0]
     names = ["load_bias", "sensor_offset", "eccentric_load", "null_offset", "flow_force"]
-    (found,) = best_on_beginnings(fit, [(0, base)], [names])
+    (found,) = best_on_early_window(fit, [(0, base)], [names])
     assert found[0].label == "eccentric_load" and {p.label for p in found} <= {*names}
     values = found[0].values(0)
     assert values["eccentric_load.amplitude"] == pytest.approx(0.15, rel=0.2)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from .estimate import Estimate
@@ -12,20 +10,22 @@ from .noise import effective_samples
 
 __all__ = [
     "could_pay",
-    "explained_share",
+    "far_from_noise",
     "mostly_explained",
-    "nearly_explained",
     "unexplained",
 ]
 
-#: Signals above so many times the noise count where power is compared.
+#: Signals above this many times the noise count where power is compared: three quarters of their power are missing.
 CLEARLY_ABOVE = 2.0
-#: A residual (in `Fit.levels`, summed over the signals) that is too small to speak of something unknown.
+#: A residual (in `Fit.levels`, summed over the signals) that is too small to speak of something unknown: errors of 1.15 times the
+#: noise in one signal.
 SMALL_SUM = 0.15
-#: Share of the residual (in `Fit.levels`) that may be left where next to nothing is.
-NEXT_TO_NOTHING = 0.15
-#: A log whose mean square error is above so many times the noise's could pay for an effect, if its deviance is worth so much.
+#: A log whose mean square error is above this many times the noise's (1.02 squared, as `Fit.at_noise`) could pay for an effect,
+#: if its deviance is worth one parameter of a library of 200 (`candidates.penalty`).
 ABOVE_NOISE, WORTH = 1.04, 20.0
+#: A residual (`Fit.level`) up to which a local minimum may be the cause, errors of 2.1 times the noise; what a missing effect
+#: leaves is larger.
+SMALL_LEVEL = 1.0
 
 
 def could_pay(fit: Fit, estimate: Estimate, channel: int) -> bool:
@@ -65,16 +65,6 @@ def mostly_explained(fit: Fit, before: Estimate, after: Estimate, c: int) -> boo
     return by_level or by_power
 
 
-def nearly_explained(fit: Fit, before: Estimate, after: Estimate, c: int) -> bool:
-    """Whether next to nothing of the residual that `before` leaves on channel c is left by `after`, by level."""
-    old, new = (sum(fit.levels(each.simulated[c], c).values()) for each in (before, after))
-    return new < max(SMALL_SUM, NEXT_TO_NOTHING * old)
-
-
-def explained_share(fit: Fit, before: Estimate, after: Estimate, channels: Sequence[int]) -> float:
-    """Share of the residual (in `Fit.levels`) that is explained, in the signal where it is largest."""
-    best = 0.0
-    for c in channels:
-        old, new = (fit.levels(p.simulated[c], c) for p in (before, after))
-        best = max([best, *(1.0 - new[s] / old[s] for s in old if old[s] > 0.01)])
-    return best
+def far_from_noise(fit: Fit, estimate: Estimate) -> bool:
+    """Whether more is left than a local minimum leaves."""
+    return fit.level(estimate) > SMALL_LEVEL
