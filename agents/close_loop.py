@@ -21,7 +21,7 @@ from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.errors import InputError, run_command
 from hydro_env.experiments import close_loop
 from hydro_env.experiments.close_loop_summary import SOURCES, collect, summary
-from hydro_env.experiments.truth_drive import drive
+from hydro_env.experiments.closed_loop_reference import drive
 from hydro_env.files import write_json
 from hydro_env.plant import load_model
 from hydro_env.practice.generate import constants_of
@@ -126,7 +126,7 @@ def _trained(work: Work, model: Path, folder: Path, config: Config, command: str
     own = replace(
         config,
         env_kwargs={**config.env_kwargs, "plant": str(model), "mismatch": None},
-        training=replace(config.training, seed=work.seed),
+        training=config.training.model_copy(update={"seed": work.seed}),
     )
     train(own, folder, resume=(folder / "config.yml").is_file(), command=command, bar=bar)
     return folder / "policy.npz"

@@ -6,6 +6,7 @@ The pages are read from where they lie, and what is built is a copy of them in w
 * the changelog and its like, which lie beside docs/ where GitHub looks for them, are pages, too;
 * a notebook is a page like the others, with the outputs that `docs/run_notebooks.py` left in it, and can be downloaded;
 * each public module has a page of its docstrings;
+* of docs/evidence, which is for a checkout, only the results are there;
 * links to source files lead to the repository (`repo_url` in docs/site.yml), or are plain text as long as there is none.
 
 A warning, such as one of a link that leads nowhere, is an error.
@@ -75,6 +76,8 @@ def _pages(repository: str | None) -> dict[str, str | bytes]:
     found: dict[str, str | bytes] = {}
     for path in sorted(DOCS.rglob("*")):
         place = path.relative_to(DOCS).as_posix()
+        if place == "evidence/README.md":
+            continue
         if path.suffix == ".ipynb":
             found |= {f"notebooks/{name}": content for name, content in _notebook(path).items()}
         if path.is_file() and path.suffix in (".md", ".ipynb", ".png", ".json", ".js"):

@@ -2,7 +2,7 @@
 
 A generated part stands between `<!-- generated: NAME -->` and `<!-- end -->` and is never edited by hand;
 tests/project/test_docs.py checks that all are up to date. The reference is made from the code, measured results from
-docs/results.json. To publish new results, name the files that hold them:
+docs/evidence/results.json. To publish new results, name the files that hold them:
 
     python docs/generate.py scores/scores.json speed/speed.json      # of `hydro-env benchmark` and `hydro-env speed`
     python docs/generate.py licences                                 # of the installed packages
@@ -21,7 +21,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
-from importlib import metadata
+from importlib import import_module, metadata
 from itertools import combinations
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -43,7 +43,7 @@ from hydro_env.diagnosis import STAGES, Settings
 from hydro_env.envs import HydraulicSyncEnv, HydraulicSyncVectorEnv, Reward
 from hydro_env.envs.observation import LIMIT, NOISE, OBSERVATION, SCALES
 from hydro_env.envs.step_kernels import COLUMNS
-from hydro_env.experiments import blind_trials, naming_benchmark
+from hydro_env.experiments.naming_benchmark import scoring
 from hydro_env.measured import mapping
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, model_files, parameter_of, preset_names
 from hydro_env.plant.catalogue import separating_experiment
@@ -59,7 +59,8 @@ from hydro_env.units import BAR, RPM, UNITS
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
-RESULTS = HERE / "results.json"
+EVIDENCE = HERE / "evidence"
+RESULTS = EVIDENCE / "results.json"
 LICENCES = HERE / "licences.json"
 
 
@@ -805,20 +806,27 @@ def costs() -> str:
     return _table(["what", "value"], rows)
 
 
+def _evidence(name: str) -> Any:
+    """A module of docs/evidence, also where this file runs as a script."""
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))
+    return import_module(f"docs.evidence.{name}")
+
+
 def _trial_rows() -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = json.loads((HERE / "trials.json").read_text(encoding="utf-8"))["rows"]
+    rows: list[dict[str, Any]] = json.loads((EVIDENCE / "trials.json").read_text(encoding="utf-8"))["rows"]
     return rows
 
 
 def trials() -> str:
     """Counts of the blind trials and every one that failed."""
-    return blind_trials.table(_trial_rows()).strip()
+    return _evidence("blind_trials").table(_trial_rows()).strip()
 
 
 def naming() -> str:
     """The naming benchmark: methods, and what the diagnosis says of its certainty."""
-    scores = json.loads((HERE / "naming.json").read_text(encoding="utf-8"))
-    return f"The first {scores['rigs']} rigs of seed {scores['seed']}.\n\n{naming_benchmark.table(scores)}"
+    scores = json.loads((EVIDENCE / "naming.json").read_text(encoding="utf-8"))
+    return f"The first {scores['rigs']} rigs of seed {scores['seed']}.\n\n{scoring.table(scores)}"
 
 
 def _counts() -> list[tuple[str, int, int]]:
@@ -851,7 +859,7 @@ def diagnosis_short() -> str:
 
 def diagnosis_results() -> str:
     """How often the diagnosis is right, by kind of test."""
-    naming = json.loads((HERE / "naming.json").read_text(encoding="utf-8"))["summary"]
+    naming = json.loads((EVIDENCE / "naming.json").read_text(encoding="utf-8"))["summary"]
     own, other = (next(r for r in naming if r["method"] == name) for name in ("diagnose", "certify"))
     tables = _results()["tables"]
     rows = [["blind trials", what, f"{count} of {total}"] for what, count, total in _counts()]
@@ -878,7 +886,7 @@ PARTS: dict[str, Callable[[], str]] = {
     )
 }  # fmt: skip
 PARTS["mapping_file"] = lambda: _docstring(mapping)
-PARTS["blind_trials_help"] = lambda: _docstring(blind_trials)
+PARTS["blind_trials_help"] = lambda: _docstring(_evidence("blind_trials"))
 PARTS["model_file"] = lambda: _docstring(model_files)
 
 

@@ -2,27 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import parse_yaml, read_yaml
-from hydro_env.validation import Count, FileTable, checked
+from hydro_env.tasks import METRICS, OWN, SCENARIOS, SPLITS
+from hydro_env.validation import Count, FileTable, checked, known
 
-__all__ = ["Suite", "check_names", "load_suite", "shipped_suites"]
+__all__ = ["Suite", "load_suite", "shipped_suites"]
+
+Split = Annotated[str, known("split", (*SPLITS, OWN))]
+Scenario = Annotated[str, known("scenario", SCENARIOS)]
+Metric = Annotated[str, known("metric", METRICS)]
 
 
 class Suite(FileTable):
     """`splits` maps a split to its number of cases; `scenarios` and `metrics` are names."""
 
     name: str
-    splits: Annotated[dict[str, Count], Field(min_length=1)]
-    scenarios: Annotated[tuple[str, ...], Field(min_length=1)]
-    metrics: Annotated[tuple[str, ...], Field(min_length=1)]
+    splits: Annotated[dict[Split, Count], Field(min_length=1)]
+    scenarios: Annotated[tuple[Scenario, ...], Field(min_length=1)]
+    metrics: Annotated[tuple[Metric, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Suite:
+        for what, names in (("scenario", self.scenarios), ("metric", self.metrics)):
+            for name in names:
+                if names.count(name) > 1:
+                    raise ValueError(f"{what} {shown(name)} is named more than once")
+        for split, cases in self.splits.items():
+            listed = None if split == OWN else SPLITS[split].cases
+            if listed is not None and cases > listed:
+                raise ValueError(
+                    f"split {split!r}: {cases} cases are asked for, there are {listed} pairs of valves"
+                )
+        return self
 
     def narrowed(
         self,
@@ -42,44 +61,21 @@ class Suite(FileTable):
         return checked(Suite, self.model_dump() | changed, "benchmark")
 
 
-def shipped_suites() -> list[Suite]:
-    """The suites of the package."""
-    return [checked(Suite, {"name": name, **table}, "suite.yaml") for name, table in _shipped().items()]
-
-
-def _shipped() -> Any:
+def shipped_suites() -> dict[str, Suite]:
+    """The suites of the package by name."""
     text = files("hydro_env.benchmark").joinpath("suite.yaml").read_text(encoding="utf-8")
-    return parse_yaml(text, "suite.yaml")
+    tables = parse_yaml(text, "suite.yaml")
+    return {name: checked(Suite, {"name": name, **table}, "suite.yaml") for name, table in tables.items()}
 
 
-def load_suite(
-    spec: str | Path, *, splits: Iterable[str], scenarios: Iterable[str], metrics: Iterable[str]
-) -> Suite:
-    """A suite by name or YAML file. The keyword arguments are the names that exist; InputError names what
-    does not.
-    """
-    known = {"splits": list(splits), "scenarios": list(scenarios), "metrics": list(metrics)}
-    own = _shipped()
+def load_suite(spec: str | Path) -> Suite:
+    """A suite by name or YAML file. InputError for anything else."""
+    own, path = shipped_suites(), Path(spec)
     if str(spec) in own:
-        name, table, where = str(spec), own[str(spec)], "suite.yaml"
-    else:
-        path = Path(spec)
-        if path.suffix not in (".yaml", ".yml"):
-            raise InputError(
-                f"unknown suite {shown(str(spec))}: {suggestion(spec, own)}, or the path of a .yaml file"
-            )
-        name, table, where = path.stem, read_yaml(path, "a suite in YAML"), str(path)
-    named = {"name": name, **table} if isinstance(table, dict) else table
-    return check_names(checked(Suite, named, where), known, where)
-
-
-def check_names(suite: Suite, known: Mapping[str, Iterable[str]], where: str) -> Suite:
-    """The suite itself, or an InputError that names the first thing in it that does not exist, or stands there twice."""
-    for key in ("splits", "scenarios", "metrics"):
-        names = list(getattr(suite, key))
-        for name in names:
-            if name not in known[key]:
-                raise InputError(f"{where}: unknown {key[:-1]} {shown(name)}: {suggestion(name, known[key])}")
-            if names.count(name) > 1:
-                raise InputError(f"{where}: {key[:-1]} {shown(name)} is named more than once")
-    return suite
+        return own[str(spec)]
+    if path.suffix not in (".yaml", ".yml"):
+        raise InputError(
+            f"unknown suite {shown(str(spec))}: {suggestion(spec, own)}, or the path of a .yaml file"
+        )
+    table = read_yaml(path, "a suite in YAML")
+    return checked(Suite, {"name": path.stem, **table} if isinstance(table, dict) else table, path)

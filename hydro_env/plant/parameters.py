@@ -192,7 +192,7 @@ _ROWS = (
         note="limit of the command, both ways", source="paper, Fig. 2: 730 mA over R = 100 Ohm"),
 )  # fmt: skip
 
-#: What is simulated as the reference does it, from models that lie far apart (`python -m hydro_env.experiments.accuracy`):
+#: What is simulated as the reference does it, from models that lie far apart (`python -m docs.evidence.accuracy`):
 #: ten times the plausible range either way, and less where a stop would rebound for ever. A cylinder axis is a motor whose `D` is
 #: the piston area, or whose `Kq` is as much smaller: both are far outside of what motors have, and are simulated as well, as
 #: long as mass and line do not ring too fast (`validation.check_channel`).

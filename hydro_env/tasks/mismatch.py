@@ -34,7 +34,7 @@ from ..errors import InputError, InputWarning, shown, suggestion
 from ..plant import CATALOGUE, Parameter, PlantModel, parameter_of
 from ..plant.model_files import values_set_by
 from ..reading import parse_yaml, read_yaml
-from ..streams import Streams
+from ..streams import Component, Streams
 from ..units import with_unit
 from ..validation import FileTable, Number, checked
 
@@ -64,8 +64,6 @@ SENSOR_PARAMETERS = {
 
 #: The name of no mismatch at all: the plant's own pair of valves.
 OWN = "own"
-#: Component of the streams of an episode from which pairs are drawn.
-MISMATCH_STREAM = 0
 #: Cases of successive episodes of one seed lie this far apart, so that the rows of a batch meet different ones.
 CASE_STRIDE = 389
 #: Times that a pair is drawn again until it lies outside the ranges that it is to leave.
@@ -223,7 +221,10 @@ class Mismatch:
             still = np.zeros((count, 2))
             fixed = {name: r.scaled(name, r.value(still, {}), model) for name, r in self.ranges.items()}
             return Pairs(fixed, ("",) * count)
-        streams = self._streams(seeds, episodes, cases)
+        if cases[0] >= 0:
+            streams = Streams(Component.CASE, [0] * count, cases, self.entropy)
+        else:
+            streams = Streams(Component.PAIR, seeds, episodes, self.entropy)
         values = self._draw(streams)
         again = self._inside(values)
         for _ in range(MAX_DRAWS):
@@ -241,12 +242,6 @@ class Mismatch:
         if not self.faults:
             return Pairs(values, ("",) * count)
         return self._with_faults(values, streams, cases, model)
-
-    def _streams(self, seeds: Sequence[int], episodes: Sequence[int], cases: Sequence[int]) -> Streams:
-        entropy = [self.entropy] * len(seeds)
-        if cases[0] >= 0:
-            return Streams.seeded([entropy], [cases])
-        return Streams.seeded([entropy, seeds], [episodes, [MISMATCH_STREAM] * len(seeds)])
 
     def _draw(self, streams: Streams, rows: NDArray[np.int64] | slice = slice(None)) -> dict[str, Floats]:
         shares = streams.random((len(self.ranges), 2), rows)
@@ -272,14 +267,14 @@ class Mismatch:
         for name in self.parameters:
             if name not in values:
                 values[name] = np.tile(own_values(name, model), (len(cases), 1))
+        chosen = (streams.random(1)[:, 0] * 2 * len(names)).astype(int) if cases[0] < 0 else cases
+        shares = streams.random((max(map(len, self.faults.values())), 1, 2))
         drawn = []
-        for row, case in enumerate(cases):
-            stream = streams.generator(row)
-            number = case if case >= 0 else int(stream.integers(2 * len(names)))
+        for row, number in enumerate(chosen):
             fault, channel = names[number % len(names)], number // len(names) % 2
             faulty: dict[str, Floats] = {}
-            for name, each in self.faults[fault].items():
-                faulty[name] = each.value(_common(name, stream.random((1, 2))), faulty)
+            for (name, each), share in zip(self.faults[fault].items(), shares[row], strict=False):
+                faulty[name] = each.value(_common(name, share), faulty)
                 values[name][row, channel] = each.scaled(name, faulty[name], model)[0, channel]
             drawn.append(fault)
         return Pairs(values, tuple(drawn))

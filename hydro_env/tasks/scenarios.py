@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import pi
 from typing import Annotated, Any
 
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, Field
 
 from ..errors import InputError, shown, suggestion
-from ..streams import Streams
+from ..streams import Component, Streams
 from ..units import RPM
 from ..validation import FileTable, Number, checked
 
@@ -72,20 +72,21 @@ class Scenario:
         return steps
 
     def reference(self, period: float, stream: np.random.Generator | None = None) -> Reference:
-        """The course on the grid of a control period in s. `stream` is a generator of PCG64, as NumPy's default is."""
+        """The course on the grid of a control period in s; a random one is drawn from `stream`."""
         if self.together and stream is not None:
-            setpoints, loads = self.courses(period, Streams.of(stream.bit_generator))
+            seed = int(stream.integers(2**63))
+            setpoints, loads = self.profiles(period, Streams(Component.SCENARIO, [seed], [0]))
             return Reference(setpoints[0], loads[0])
         setpoint, load = self.course(_grid(self.steps(period), period), stream)
         return Reference(np.asarray(setpoint, dtype=float) * RPM, np.asarray(load, dtype=float))
 
-    def courses(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
+    def profiles(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
         """Set-points (n, T + 1) in rad/s and loads (n, T + 1, 2) in N m, each row as `reference` with its stream has it; of a
         scenario that is not random one row for all."""
         if self.together:
             setpoint, load = self.course(_grid(self.steps(period), period), streams)
             return setpoint * RPM, load
-        rows = range(len(streams.states)) if self.random else ()
+        rows = range(len(streams)) if self.random else ()
         found = [self.reference(period, streams.generator(row)) for row in rows] or [self.reference(period)]
         return np.stack([each.setpoint for each in found]), np.stack([each.load for each in found])
 
@@ -107,19 +108,12 @@ def _held(time: Floats, changes: Floats, values: Floats) -> Floats:
 
 def _tables(name: str, summary: str, duration: float, setpoint: ArrayLike, load: ArrayLike = ()) -> Scenario:
     """A scenario from step tables; loads in N m."""
+    tables = np.asarray(setpoint, float).reshape(-1, 2), np.asarray(load, float).reshape(-1, 3)
+    return Scenario(name, summary, duration, partial(_table_course, *tables))
 
-    course = _TableCourse(np.asarray(setpoint, float).reshape(-1, 2), np.asarray(load, float).reshape(-1, 3))
-    return Scenario(name, summary, duration, course)
 
-
-@dataclass(frozen=True, eq=False)
-class _TableCourse:
-    setpoint: Floats
-    load: Floats
-
-    def __call__(self, time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
-        setpoint = _held(time, self.setpoint[:, 0], self.setpoint[:, 1])
-        return setpoint, _held(time, self.load[:, 0], self.load[:, 1:])
+def _table_course(setpoint: Floats, load: Floats, time: Floats, stream: None) -> tuple[Floats, Floats]:
+    return _held(time, setpoint[:, 0], setpoint[:, 1]), _held(time, load[:, 0], load[:, 1:])
 
 
 def _share(rows: Sequence[tuple[float, float, float]]) -> Floats:
@@ -139,7 +133,7 @@ def _disturbance(time: Floats, stream: np.random.Generator | None) -> tuple[Floa
 
 
 def _held_together(time: Floats, changes: Floats, values: Floats) -> Floats:
-    """`_held` of n courses: changes, in their order, and values (n, m) give (n, len(time))."""
+    """`_held` of n profiles: changes, in their order, and values (n, m) give (n, len(time))."""
     count, most = values.shape
     edges, padded = np.zeros((count, most + 2), np.int64), np.zeros((count, most + 1))
     edges[:, 1:-1], edges[:, -1] = time.searchsorted(changes), time.size
@@ -156,7 +150,7 @@ def _random_steps(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
     changes = 0.2 * gaps[:, :1] + np.concatenate([first, np.cumsum(0.3 + 1.7 * gaps[:, 1:], axis=1)], axis=1)
     setpoint = _held_together(time, changes, np.where(rests < 0.1, 0.0, 600.0 * (2.0 * levels - 1.0)))
     load = np.zeros((*setpoint.shape, 2))
-    loaded = np.flatnonzero(streams.random(()) < 2.0 / 3.0)
+    loaded = np.flatnonzero(streams.random(1)[:, 0] < 2.0 / 3.0)
     for channel in (0, 1):
         gaps, levels = streams.random((2, most), loaded).swapaxes(0, 1)
         torque = NOMINAL_TORQUE * (2.0 * levels - 1.0)

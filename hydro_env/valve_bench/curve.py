@@ -7,7 +7,7 @@ averaged. Signals keep the unit of the valve's input (A, V, m, or a fraction); f
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,10 +45,6 @@ class Curve:
     time: Floats | None = None
     travel_per_signal: float | None = None
     findings: tuple[str, ...] = ()
-
-    def noting(self, *findings: str) -> Curve:
-        """The same curve with further findings."""
-        return replace(self, findings=(*self.findings, *findings))
 
 
 def resolution(values: Floats) -> float:

@@ -23,7 +23,7 @@ from hydro_env.cli import run
 from hydro_env.controllers.learned.policy import RECURRENT_SCHEMA, SCHEMA, NumpyPolicy, read_policy
 from hydro_env.errors import InputError
 from hydro_env.training import checkpoint
-from hydro_env.training.config import read_config
+from hydro_env.training.config import read_config, with_changes
 from hydro_env.training.lock import alone_in
 from hydro_env.training.train import make_model, train
 from tests.damage import damages
@@ -99,6 +99,17 @@ def test_bad_configuration_ends_with_status_2(tmp_path, capsys):
     assert run(["train", "--config", str(path), "--out", str(tmp_path / "run")]) == 2
     said = capsys.readouterr().err
     assert said.startswith("error: ") and said.count("\n") == 1
+
+
+def test_runs_of_different_seeds_share_no_episode():
+    met = set()
+    for seed in range(3):
+        config = with_changes(read_config(PPO), seed=seed)
+        model = make_model(config)
+        model.env.reset()
+        gains = model.env.unwrapped.batch.pairs["Kq"]
+        met |= {pair.tobytes() for pair in gains}
+    assert len(met) == 3 * config.num_envs > 3
 
 
 @pytest.mark.parametrize("path", [PPO, SAC], ids=["ppo", "sac"])

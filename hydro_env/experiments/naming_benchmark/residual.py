@@ -39,7 +39,7 @@ __all__ = ["Equation", "Start", "begin", "equations"]
 
 Array = NDArray[np.float64]
 
-#: A speed of the validation log within so many times its noise counts as explained.
+#: A speed of the validation log within this multiple of its noise counts as explained.
 EXPLAINED = 1.3
 #: Width of the filter that smooths and differentiates, s.
 WIDTH = 0.03
@@ -110,11 +110,13 @@ def equations(start: Start, channel: int) -> list[Equation]:
         segments = {s.signal: s for s in rig.segments[channel] if s.log == log}
         speed = segments["speed"]
         measured = {n: filled(s.measured) for n, s in segments.items()}
-        courses = [{n: r[channel][s.place] for n, s in segments.items()} for r in simulated]
+        simulations = [{n: r[channel][s.place] for n, s in segments.items()} for r in simulated]
         command = part.log.command_V[speed.rows, channel] / rig.model.value("u_rated", channel)
-        base = courses[0]
+        base = simulations[0]
         errors = _sides(start, channel, {n: measured[n] - base[n] for n in base}, speed.period)
-        terms = [_sides(start, channel, {n: c[n] - base[n] for n in base}, speed.period) for c in courses[1:]]
+        terms = [
+            _sides(start, channel, {n: c[n] - base[n] for n in base}, speed.period) for c in simulations[1:]
+        ]
         for name, error in errors.items():
             noise = max(noise_floor(error, np.ones(error.size, bool), speed.period), 1e-30)
             own = {key: t[name] / noise for key, t in zip(keys[1:], terms, strict=True)}

@@ -1,6 +1,6 @@
 """What the next experiment is worth: blind rigs whose first logs leave names open, then one proposed and one random experiment.
 
-    python -m hydro_env.experiments.next_experiment --out DIR [--seed N] [--rigs N] [--minutes M] [--jobs N]
+    python -m docs.evidence.next_experiment --out DIR [--seed N] [--rigs N] [--minutes M] [--jobs N]
 
 Each rig hides one effect that the catalogue declares alike with others, of medium size and on one channel, and has base
 parameters up to 15 % off the given model's; noise, sizes and forms as in `blind_trials`. The first log is 6 s of closed-loop
@@ -28,17 +28,19 @@ from typing import Any
 
 import numpy as np
 
-from ..diagnosis import Diagnosis, Settings, diagnose
-from ..diagnosis.experiment_design import SECONDS, commands_csv, random_design
-from ..diagnosis.stages.next_experiment import max_load
-from ..errors import run_command
-from ..files import write_json, write_text
-from ..limits import CORES, SEEDS, Limits
-from ..plant import BUILT_IN, CATALOGUE
-from ..practice.generate import PLAYED, make_practice
-from ..reading import read_json
+from hydro_env.diagnosis import Diagnosis, Settings, diagnose
+from hydro_env.diagnosis.experiment_design import SECONDS, commands_csv, random_design
+from hydro_env.diagnosis.stages.next_experiment import max_load
+from hydro_env.errors import run_command
+from hydro_env.experiments.coverage import by_channel
+from hydro_env.files import write_json, write_text
+from hydro_env.limits import CORES, SEEDS, Limits
+from hydro_env.plant import BUILT_IN, CATALOGUE
+from hydro_env.practice.generate import PLAYED, make_practice
+from hydro_env.reading import read_json
+
 from .blind_trials.cases import BASE_ERROR
-from .blind_trials.judging import SEALED_WITHIN, hidden_in, judge
+from .blind_trials.judging import HELD_OUT_WITHIN, judge
 from .blind_trials.running import method
 from .blind_trials.tables import markdown
 
@@ -95,7 +97,7 @@ def _open(found: Diagnosis) -> bool:
 
 def _answer(found: Diagnosis, truth: Mapping[str, Any]) -> dict[str, Any]:
     data = found.as_dict()
-    judged = judge(data, hidden_in(truth), truth["verdict"])
+    judged = judge(data, by_channel(truth["effects"]), truth["verdict"])
     names = {n for e in data["effects"] for n in (e["name"], *e["indistinguishable_from"])}
     kept = {k: judged[k] for k in ("verdict", "named", "right", "set", "worst")}
     return kept | {
@@ -111,7 +113,7 @@ def decided(rows: Sequence[Mapping[str, Any]], kind: str) -> int:
 
 
 def run(out: Path, seed: int, rigs: int, minutes: float = math.inf, jobs: int = 1) -> list[dict[str, Any]]:
-    """Runs rigs until so many left names open, or the time is over; returns all rows of the folder."""
+    """Runs rigs until `rigs` of them left names open, or the time is over; returns all rows of the folder."""
     from tqdm import tqdm
 
     out.mkdir(parents=True, exist_ok=True)
@@ -181,7 +183,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         cells.append([
             what, f"{decided(own, kind)} of {len(own)}", sum(a["right"] for a in answers), sum(a["set"] for a in answers),
             f"{np.mean(names):.1f}" if names else "-", f"{np.exp(np.mean(np.log(left))):.1f}" if answers else "-",
-            int(np.sum(left <= SEALED_WITHIN)),
+            int(np.sum(left <= HELD_OUT_WITHIN)),
         ])  # fmt: skip
     return "\n".join(markdown(head, cells)) + "\n"
 

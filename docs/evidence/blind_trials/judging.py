@@ -8,24 +8,16 @@ from dataclasses import asdict, dataclass
 from statistics import NormalDist
 from typing import Any
 
-from ...plant import CATALOGUE, PARAMETERS
+from hydro_env.experiments import coverage
+from hydro_env.experiments.coverage import by_channel
+from hydro_env.plant import CATALOGUE, parameter_of
 
-__all__ = ["CRITERIA", "SEALED_WITHIN", "Criterion", "covered", "hidden_in", "judge", "summary"]
+__all__ = ["CRITERIA", "HELD_OUT_WITHIN", "Criterion", "covered", "judge", "summary"]
 
-#: A sealed speed error counts as explained within this multiple of the noise.
-SEALED_WITHIN = 1.3
+#: A held-out speed error counts as explained within this multiple of the noise.
+HELD_OUT_WITHIN = 1.3
 #: Width of an interval of 90 % of a normal distribution, as a share of that of 95 %.
 WIDTH_90 = NormalDist().inv_cdf(0.95) / NormalDist().inv_cdf(0.975)
-
-
-def sides(channel: str) -> tuple[str, ...]:
-    """The channels that "both" means."""
-    return ("1", "2") if channel == "both" else (channel,)
-
-
-def hidden_in(truth: Mapping[str, Any]) -> set[tuple[str, str]]:
-    """(effect, channel) of the content of truth.json."""
-    return {(h["name"], c) for h in truth["effects"] for c in sides(h["channel"])}
 
 
 def judge(
@@ -37,13 +29,10 @@ def judge(
     `form` is what the true values in the catalogue's form leave of each speed (`running.practice_logs`).
     """
     expected = "unknown" if unlisted else expected
-    named = {(e["name"], c) for e in data["effects"] for c in sides(e["channel"])}
-    tied = {
-        (n, c)
-        for e in data["effects"]
-        for n in (e["name"], *e["indistinguishable_from"])
-        for c in sides(e["channel"])
-    }
+    named = by_channel(data["effects"])
+    tied = by_channel(
+        {**e, "name": n} for e in data["effects"] for n in (e["name"], *e["indistinguishable_from"])
+    )
     word = data["verdict"]
     names = word == "effects" and truth <= tied and len(named) <= len(truth)
     # Declared not to be told from calibration: true, but no name was given, so it is counted apart.
@@ -66,18 +55,18 @@ def judge(
 
 
 def _gap(gap: Mapping[str, Mapping[str, float]], form: Mapping[str, float]) -> dict[str, Any]:
-    """What the diagnosis leaves on the sealed log, against the noise, the true values and the placebo."""
+    """What the diagnosis leaves on the held-out log, against the noise, the true values and the placebo."""
     speeds = {k: v for k, v in gap.items() if k.startswith("speed")}
     least = {k: max(form.get(k, 0.0), v["noise"]) for k, v in speeds.items()}
     score = {
         m: sum(math.log(max(v[m] / v["noise"], 1.0)) for v in gap.values()) for m in ("after", "placebo")
     }
     return {
-        "sealed": all(v["after"] <= SEALED_WITHIN * v["noise"] for v in speeds.values()),
+        "sealed": all(v["after"] <= HELD_OUT_WITHIN * v["noise"] for v in speeds.values()),
         "sealed_named": all(
-            v.get("named", v["after"]) <= SEALED_WITHIN * v["noise"] for v in speeds.values()
+            v.get("named", v["after"]) <= HELD_OUT_WITHIN * v["noise"] for v in speeds.values()
         ),
-        "sealed_form": all(v["after"] <= SEALED_WITHIN * least[k] for k, v in speeds.items()),
+        "sealed_form": all(v["after"] <= HELD_OUT_WITHIN * least[k] for k, v in speeds.items()),
         "placebo": score["placebo"] < score["after"] - 0.05,
         "worst": max((v["after"] / v["noise"] for v in speeds.values()), default=math.nan),
         "form": max((least[k] / v["noise"] for k, v in speeds.items()), default=math.nan),
@@ -86,54 +75,31 @@ def _gap(gap: Mapping[str, Mapping[str, float]], form: Mapping[str, float]) -> d
 
 # --- intervals --------------------------------------------------------------------------------------------------------
 def covered(data: Mapping[str, Any], truth: Mapping[str, Any]) -> dict[str, Any]:
-    """How many true values lie inside the published intervals of a diagnosis.
+    """`coverage.covered` with `at_90`: how many true values of each kind are inside intervals of 90 %, which are the published
+    ones of 95 % narrowed as those of a normal distribution."""
+    counts = coverage.covered(_narrowed(data), truth)
+    return {**coverage.covered(data, truth), "at_90": {kind: counts[kind][0] for kind in ("base", "effects")}}
 
-    `base` and `effects` are [inside, all]: base parameters that were calibrated, and parameters of effects that were named
-    rightly, channel and all. `outside` names those that are not inside. `at_90` is how many of each are inside intervals of
-    90 %, which are the published ones of 95 % narrowed as those of a normal distribution.
-    """
-    wrong = truth["base_parameters"]
-    base = {n: (wrong.get(n, {"value": e["nominal"]})["value"], e) for n, e in data["calibrated"].items()}
-    true = {(h["name"], h["channel"]): h["parameters"] for h in truth["effects"]}
-    effects = {
-        f"{e['name']}.{n}": (true[e["name"], e["channel"]][n]["value"], interval)
+
+def _narrowed(data: Mapping[str, Any]) -> dict[str, Any]:
+    """A diagnosis with intervals of 90 %."""
+    effects = [
+        {**e, "parameters": {n: _narrow(f"{e['name']}.{n}", own) for n, own in e["parameters"].items()}}
         for e in data["effects"]
-        if (e["name"], e["channel"]) in true
-        for n, interval in e["parameters"].items()
-    }
-    inside, at_90 = (
-        {
-            n: value is not None and _inside(value, entry, width, _logarithmic(n))
-            for n, (value, entry) in (base | effects).items()
-        }
-        for width in (1.0, WIDTH_90)
-    )
-    return {
-        "base": [sum(inside[n] for n in base), len(base)],
-        "effects": [sum(inside[n] for n in effects), len(effects)],
-        "outside": [n for n, yes in inside.items() if not yes],
-        "at_90": {
-            "base": sum(at_90[n] for n in base),
-            "effects": sum(at_90[n] for n in effects),
-        },
-    }
+    ]
+    calibrated = {n: _narrow(n.rsplit("_", 1)[0], own) for n, own in data["calibrated"].items()}
+    return {"calibrated": calibrated, "effects": effects}
 
 
-def _logarithmic(name: str) -> bool:
-    """Whether a parameter, `D_1` or `dead_zone.overlap`, varies by factors."""
-    effect, _, own = name.rpartition(".")
-    return (CATALOGUE[effect].parameter(own) if effect else PARAMETERS[own.rsplit("_", 1)[0]]).log
-
-
-def _inside(true: float, entry: Mapping[str, float], width: float, logarithmic: bool) -> bool:
-    """Whether a true value lies inside an interval whose halves are taken `width` times as wide, in the scale in which the
-    parameter varies."""
-    value, low, high = entry["value"], entry["low"], entry["high"]
-    if width == 1.0:
-        return low <= true <= high
-    if logarithmic and min(true, value, low) > 0.0:
-        true, value, low, high = map(math.log, (true, value, low, high))
-    return value - width * (value - low) <= true <= value + width * (high - value)
+def _narrow(name: str, entry: Mapping[str, float]) -> dict[str, float]:
+    """The interval of a parameter, `D` or `dead_zone.overlap`, narrowed in the scale in which it varies."""
+    log = parameter_of(name).log
+    value, ends = entry["value"], (entry["low"], entry["high"])
+    if log and min(value, *ends) > 0.0:
+        low, high = (value * (end / value) ** WIDTH_90 for end in ends)
+    else:
+        low, high = (value + WIDTH_90 * (end - value) for end in ends)
+    return {**entry, "low": low, "high": high}
 
 
 # --- what is asked for --------------------------------------------------------------------------------------------------

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from docs.evidence.measured_machines import MAPPINGS, RUNS, crane_table, run
 from hydro_env.errors import InputError
-from hydro_env.experiments.measured_machines import MAPPINGS, RUNS, crane_table, run
 
 
 def test_without_recordings_one_line_says_what_is_missing(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""`python -m hydro_env.experiments.blind_trials`, see the package."""
+"""`python -m docs.evidence.blind_trials`, see the package."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import argparse
 import math
 from pathlib import Path
 
-from ...diagnosis import RULES
-from ...errors import run_command
-from ...limits import CORES, SEEDS, Limits
+from hydro_env.diagnosis import RULES
+from hydro_env.errors import run_command
+from hydro_env.limits import CORES, SEEDS, Limits
+
 from .ablation import ablation_table, folder_without, write_ablation
 from .cases import EMPTY, GROUPS, Case, cases
 from .judging import summary

@@ -1,6 +1,6 @@
 """The paper's own gap: its tables alone give a speed difference of 13 rpm where it reports 175. What could be missing?
 
-    python -m hydro_env.experiments.paper_gap --out DIR
+    python -m docs.evidence.paper_gap --out DIR
 
 There are no logs, so nothing can be fitted or proved; there are four published facts. Every effect of the catalogue is put on
 valve V1, small to as large as is plausible, all in one batch, and asked:
@@ -23,9 +23,8 @@ from typing import Any
 import numpy as np
 
 from hydro_env.errors import run_command
-from hydro_env.experiments.paper_calibration import PUBLISHED_STEPS_RPM
 from hydro_env.experiments.paper_rig import SETPOINT_STEPS, Traces, equal_again_after, run_paper
-from hydro_env.experiments.reproduce import EQUAL_WITHIN_RPM
+from hydro_env.experiments.reproduce import EQUAL_WITHIN_RPM, PUBLISHED_STEPS_RPM
 from hydro_env.files import write_json
 from hydro_env.plant import CATALOGUE, Effect, Parameter, load_model, simulate
 

@@ -1,6 +1,6 @@
 """How accurately models are simulated that lie far apart, within the ranges that are accepted.
 
-    python -m hydro_env.experiments.accuracy --out DIR [--models N] [--commands KIND ...] [--seconds S] [--sample N] [--seed N]
+    python -m docs.evidence.accuracy --out DIR [--models N] [--commands KIND ...] [--seconds S] [--sample N] [--seed N]
 
 Models are drawn around every preset: a third of the base parameters and, in three of four, one to three effects are anywhere
 within the accepted ranges. Each is driven for S seconds by smooth, stepped, uniform, Gaussian and bang-bang commands of full
@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 
 COMMANDS = ("smooth", "steps", "uniform", "gaussian", "bang_bang")
 PERIOD = 0.01
-#: What is right: an error of the speed (RMS) of so many rpm, or of this share of the speed.
+#: What is right: an error of the speed (RMS) in rpm, or as a share of the speed.
 TOLERANCE_RPM, TOLERANCE_SHARE = 0.1, 1e-4
 #: By which share commands are smaller, and how many times as much the speed changes where motions separate.
 NUDGE, GROWTH = 1e-6, 100.0

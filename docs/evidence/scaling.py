@@ -1,6 +1,6 @@
 """How the batch environment scales: steps a second over the number of environments and over threads, time of a reset, memory.
 
-    python -m hydro_env.experiments.scaling --out DIR [--most 1000000] [--threads 1 2] [--seconds 2]
+    python -m docs.evidence.scaling --out DIR [--most 1000000] [--threads 1 2] [--seconds 2]
 
 writes scaling.md (a table), scaling.json and scaling.png. Each size is measured in a process of its own, by the clock, in
 float64 under slow motion, so that the figures hold for an idle machine with as many cores as threads.
@@ -126,7 +126,7 @@ def main() -> None:
     for threads, size in tqdm(
         [(threads, size) for threads in options.threads for size in sizes], desc="sizes"
     ):
-        command = [sys.executable, "-m", "hydro_env.experiments.scaling", "--only", str(size)]
+        command = [sys.executable, "-m", "docs.evidence.scaling", "--only", str(size)]
         command += ["--threads", str(threads), "--seconds", str(options.seconds)]
         rows.append(json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout))
     write_json(options.out / "scaling.json", {"schema": "hydro_env/scaling/1", "rows": rows})

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import compiled
+from hydro_env.jit import compiled
 
 __all__ = ["SIGNALS", "Axis", "simulate"]
 

@@ -1,6 +1,6 @@
-"""How often the diagnosis is right on rigs of a simulator with other equations: four edges, two lines (`practice.four_edges`).
+"""How often the diagnosis is right on rigs of a simulator with other equations: four edges, two lines (`four_edges`).
 
-    python -m hydro_env.experiments.four_edge_rigs --out DIR [--seed N] [--only CASE ...] [--logs DIR] [--jobs N]
+    python -m docs.evidence.four_edge_rigs --out DIR [--seed N] [--only CASE ...] [--logs DIR] [--jobs N]
 
 Each case hides what such a machine has (`CASES`) on a rig of its own: spool, orifices, lines and motors up to 10 % off the data
 sheet, sizes of what is hidden drawn from 0.8 to 1.25 times the given ones. The model that is to be improved is what an engineer
@@ -29,18 +29,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..diagnosis import diagnose
-from ..errors import run_command
-from ..files import write_json, write_text
-from ..limits import CORES, SEEDS
-from ..plant import PlantModel, load_model
-from ..practice.four_edges import Axis, simulate
-from ..practice.recorder import log_text
-from ..reading import read_json
-from ..units import BAR, RPM
-from .blind_trials.judging import sides
+from hydro_env.diagnosis import diagnose
+from hydro_env.errors import run_command
+from hydro_env.experiments.coverage import by_channel
+from hydro_env.files import write_json, write_text
+from hydro_env.limits import CORES, SEEDS
+from hydro_env.plant import PlantModel, load_model
+from hydro_env.practice.recorder import log_text
+from hydro_env.reading import read_json
+from hydro_env.units import BAR, RPM
+
 from .blind_trials.running import method
 from .blind_trials.tables import markdown
+from .four_edges import Axis, simulate
 
 __all__ = ["CASES", "Case", "engineers_model", "judged", "logs", "run", "table"]
 
@@ -240,9 +241,9 @@ def judged(case: Case, data: Mapping[str, Any]) -> dict[str, Any]:
     each = [
         {f"{n}:{c}" for n in (e["name"], *e["indistinguishable_from"])}
         for e in data["effects"]
-        for c in sides(e["channel"])
+        for _, c in by_channel([e])
     ]
-    named = {f"{e['name']}:{c}" for e in data["effects"] for c in sides(e["channel"])}
+    named = {f"{n}:{c}" for n, c in by_channel(data["effects"])}
     effects, expected = data["verdict"] == "effects", {*case.names}
     fits = effects and bool(expected) and expected <= set().union(*each) and len(named) == len(expected)
     ends = data["verdict"] in case.verdicts and (data["verdict"] == "unknown" or not named)
@@ -309,7 +310,7 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         ["a false name given as proven", sum(r["false_name"] for r in rows)],
         ["held-out speeds within 1.3 times the noise", sum(r["worst"] <= 1.3 for r in rows)],
     ]
-    head = markdown(["of so many rigs", str(len(rows))], counts)
+    head = markdown(["rigs", str(len(rows))], counts)
     cells = [
         [
             r["case"], r["seed"], _expected(r["case"]), r["verdict"] + (", best guess" if r["best_guess"] else ""),

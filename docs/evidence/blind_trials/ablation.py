@@ -13,8 +13,9 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-from ...errors import InputError
-from ...files import write_json, write_text
+from hydro_env.errors import InputError
+from hydro_env.files import write_json, write_text
+
 from .cases import WITH_NAME
 from .running import rows_of
 from .tables import markdown, share

@@ -20,6 +20,8 @@ from hydro_env.units import RPM
 
 __all__ = ["drive"]
 
+#: Relative tolerance of the solver.
+TOLERANCE = 1e-6
 #: Sensors of the observation, in its order.
 SENSORS = ("measured_speed", "current", "pressure")
 
@@ -34,7 +36,6 @@ def drive(
     constants: Constants | None = None,
     control_period: float = 0.01,
     noise: float = 1.0,
-    tolerance: float = 1e-6,
 ) -> Trace:
     """Lets a controller drive one episode from rest on the reference simulator; a trace of one rig (N = 1).
 
@@ -48,19 +49,16 @@ def drive(
         constants: of these forms; None: the middle ones.
         control_period: s.
         noise: factor on the sensors' noise, as in the environment.
-        tolerance: relative one of the solver.
 
     InputError for an unknown scenario; ValueError for a command that is not finite.
     """
-    course_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
-    course = load_scenario(scenario).reference(control_period, np.random.default_rng(course_seed))
+    profile_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
+    profile = load_scenario(scenario).reference(control_period, np.random.default_rng(profile_seed))
     stream, levels = np.random.default_rng(noise_seed), noise_levels(noise)
-    rig, rated = (
-        ReferenceRig(truth, forms=forms, constants=constants, tolerance=tolerance),
-        np.array(truth.pair("u_rated")),
-    )
+    rig = ReferenceRig(truth, forms=forms, constants=constants, tolerance=TOLERANCE)
+    rated = np.array(truth.pair("u_rated"))
     controller.reset(1, control_period)
-    rows = len(course.setpoint)
+    rows = len(profile.setpoint)
     speed, angle, command = np.empty((rows, 1, 2)), np.empty((rows, 1)), np.zeros((rows, 1, 2))
     now, last = rig.signals(), np.zeros(2)
     for n in range(rows):
@@ -70,11 +68,11 @@ def drive(
             break
         seen = np.concatenate([now[name] for name in SENSORS]) / SCALES[1:7]
         seen = seen + levels * stream.standard_normal(levels.size)
-        frame = np.concatenate([[course.setpoint[n] / SCALES[0]], seen, last])
+        frame = np.concatenate([[profile.setpoint[n] / SCALES[0]], seen, last])
         action = np.asarray(controller.act(np.clip(frame, -LIMIT, LIMIT).astype(np.float32)[None]))[0]
         if not np.isfinite(action).all():
             raise ValueError(f"act returned a command that is not finite at {n * control_period:g} s")
         command[n, 0] = last = np.clip(action, -1.0, 1.0)
-        part = rig.advance(last * rated, course.load[n], control_period, 1)
+        part = rig.advance(last * rated, profile.load[n], control_period, 1)
         now = {name: values[-1] for name, values in part.items()}
-    return Trace(control_period, course.setpoint[:, None] / RPM, speed, angle, command[:-1])
+    return Trace(control_period, profile.setpoint[:, None] / RPM, speed, angle, command[:-1])

@@ -1,6 +1,6 @@
 """A loader crane and a servo valve that others measured: verdicts on held-out logs, and figures of the valve.
 
-    python -m hydro_env.experiments.measured_machines DATA --out DIR
+    python -m docs.evidence.measured_machines DATA --out DIR
 
 DATA holds the recordings, which are not part of this package (no licence is stated for them), in the folders
 
@@ -19,12 +19,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..diagnosis import Diagnosis, diagnose
-from ..errors import InputError, run_command
-from ..files import write_json, write_text
-from ..pages import COLOURS, RC, png
-from ..valve_bench import Columns
-from . import valve_test
+from hydro_env.diagnosis import Diagnosis, diagnose
+from hydro_env.errors import InputError, run_command
+from hydro_env.experiments import valve_test
+from hydro_env.files import write_json, write_text
+from hydro_env.pages import COLOURS, RC, png
+from hydro_env.valve_bench import Columns
+from hydro_env.valve_bench.bench import Sweeps
+
 from .blind_trials.tables import markdown
 
 __all__ = ["RUNS", "Run", "run"]
@@ -112,10 +114,12 @@ def servo_valve(folder: Path, out: Path) -> dict[str, Any]:
     (out / "flow_gain").mkdir(parents=True, exist_ok=True)
     (out / "leakage").mkdir(parents=True, exist_ok=True)
     leakage = [str(folder / f"leakage_period_{s:g}.txt.gz") for s in SWEEP_PERIODS]
-    gain = valve_test.Settings(columns=COLUMNS, pictures=False)
-    rates = valve_test.Settings(columns=COLUMNS, sweep_periods=SWEEP_PERIODS, one_valve=True, pictures=False)
-    flow = valve_test.run(out / "flow_gain", [str(folder / "flow_gain.txt.gz")], gain, progress=False)
-    leak = valve_test.run(out / "leakage", leakage, rates, progress=False)
+    rates = Sweeps(columns=COLUMNS, periods=SWEEP_PERIODS, one_valve=True)
+    quiet: dict[str, Any] = {"pictures": False, "progress": False}
+    flow = valve_test.run(
+        out / "flow_gain", [str(folder / "flow_gain.txt.gz")], Sweeps(columns=COLUMNS), **quiet
+    )
+    leak = valve_test.run(out / "leakage", leakage, rates, **quiet)
     return {"flow_gain": flow["valves"][0], "leakage": leak["valves"][0]}
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_env.experiments.paper_gap import Answer, _crossing, _values, table
+from docs.evidence.paper_gap import Answer, _crossing, _values, table
 from hydro_env.plant import CATALOGUE
 
 

@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 
+from docs.evidence import blind_trials as trials
+from docs.evidence.blind_trials import __main__ as command
+from docs.evidence.blind_trials import running
+from docs.evidence.blind_trials.ablation import folder_without, write_ablation
+from docs.evidence.blind_trials.judging import covered
+from docs.evidence.blind_trials.running import Running
 from hydro_env.diagnosis import RULES
 from hydro_env.errors import InputError
-from hydro_env.experiments import blind_trials as trials
-from hydro_env.experiments.blind_trials import __main__ as command
-from hydro_env.experiments.blind_trials import running
-from hydro_env.experiments.blind_trials.ablation import folder_without, write_ablation
-from hydro_env.experiments.blind_trials.judging import covered
-from hydro_env.experiments.blind_trials.running import Running
 from hydro_env.files import write_json
 from hydro_env.plant import BUILT_IN, CATALOGUE
 from hydro_env.practice.hidden import parse_effects

@@ -15,15 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...diagnosis import Settings, diagnose
-from ...files import write_json
-from ...plant import CATALOGUE, PlantModel, simulate
-from ...plant.sensors import NOISE
-from ...practice.generate import Practice, make_practice
-from ...reading import MAX_BYTES_OF_RESULTS, read_json
-from ...units import BAR, RPM
+import hydro_env
+from hydro_env.diagnosis import Settings, diagnose
+from hydro_env.experiments.coverage import by_channel
+from hydro_env.files import write_json
+from hydro_env.plant import CATALOGUE, PlantModel, simulate
+from hydro_env.plant.sensors import NOISE
+from hydro_env.practice.generate import Practice, make_practice
+from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
+from hydro_env.units import BAR, RPM
+
 from .cases import GROUPS, Case
-from .judging import covered, hidden_in, judge
+from .judging import covered, judge
 
 __all__ = ["SCHEMA", "Running", "line", "method", "practice_logs", "rows_of", "run_case", "run_trials"]
 
@@ -51,7 +54,7 @@ class Running:
 
 def method() -> str:
     """Hash of the sources of diagnosis and plant, without the report: rows with the same one ran on the same method."""
-    package = Path(__file__).parents[2]
+    package = Path(hydro_env.__file__).parent
     sources = [p for room in ("diagnosis", "plant") for p in sorted((package / room).rglob("*.py"))]
     sources = [p for p in sources if p.parent.name != "report"]
     return hashlib.sha256(b"".join(p.read_bytes() for p in sources)).hexdigest()[:10]
@@ -61,7 +64,7 @@ def method() -> str:
 def practice_logs(case: Case, folder: Path, how: Running = Running()) -> None:
     """Makes the logs of a trial in `folder`, unless they are there, and form.json beside them.
 
-    form.json says what the true values in the catalogue's form leave of each speed on the sealed log, RMS in rpm, noise and
+    form.json says what the true values in the catalogue's form leave of each speed on the held-out log, RMS in rpm, noise and
     all; and `strength`, how far the hidden effects move the recorded signal of the fit logs that they move most, RMS in
     multiples of its noise.
     """
@@ -147,7 +150,7 @@ def run_case(case: Case, how: Running = Running()) -> dict[str, Any]:
             settings=Settings(rules_off=how.rules_off),
         ).as_dict()
         seconds, cpu_s = time.perf_counter() - begin, time.process_time() - cpu
-    hidden = hidden_in(truth)
+    hidden = by_channel(truth["effects"])
     tried = [t for t in data["trials"] if t["refitted"] and t["gain"] > 0.5 * t["needed"]]
     visible = [data["detectable"].get(name, {}).get(c) for name, c in hidden]
     return {
@@ -178,8 +181,7 @@ def rows_of(folder: Path) -> list[dict[str, Any]]:
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:
-    found = read_json(path, "the trials of a run", max_bytes=MAX_BYTES_OF_RESULTS)
-    return list(found["rows"])
+    return list(read_json(path, "the trials of a run", max_bytes=MAX_BYTES_OF_RESULTS)["rows"])
 
 
 def run_trials(

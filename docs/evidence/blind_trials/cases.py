@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...plant import BUILT_IN, CATALOGUE, Effect
+from hydro_env.plant import BUILT_IN, CATALOGUE, Effect
 
 __all__ = ["EMPTY", "GROUPS", "WITH_NAME", "Case", "cases", "commands"]
 
@@ -131,7 +131,7 @@ def commands(rows: Sequence[Mapping[str, Any]]) -> list[str]:
                 whole.append(group)
             elif every & own:
                 part.append(group)
-        start = f"python -m hydro_env.experiments.blind_trials --seed {block} --out DIR"
+        start = f"python -m docs.evidence.blind_trials --seed {block} --out DIR"
         start += f" --empty {empty}" if empty else ""
         if whole:
             found.append(f"{start} --groups {' '.join(whole)}")

@@ -1,16 +1,16 @@
 """How often the diagnosis is right: blind trials on practice logs of the independent simulator, and what each rule is worth.
 
-    python -m hydro_env.experiments.blind_trials --out DIR [--groups medium two ...] [--seed N] [--minutes M] [--slice K/N]
+    python -m docs.evidence.blind_trials --out DIR [--groups medium two ...] [--seed N] [--minutes M] [--slice K/N]
         [--jobs N] [--empty N] [--only SEED FIRST-LAST ...]
-    python -m hydro_env.experiments.blind_trials --out DIR --write docs         # publishes what is in DIR, no new trial
-    python -m hydro_env.experiments.blind_trials --out DIR --logs LOGS --make   # practice logs for later trials only
-    python -m hydro_env.experiments.blind_trials --out DIR --without-rule NAME  # the same trials without a rule
-    python -m hydro_env.experiments.blind_trials --out DIR --ablation           # table: what is worse or better without it
+    python -m docs.evidence.blind_trials --out DIR --write docs/evidence   # publishes what is in DIR, no new trial
+    python -m docs.evidence.blind_trials --out DIR --logs LOGS --make      # practice logs for later trials only
+    python -m docs.evidence.blind_trials --out DIR --without-rule NAME     # the same trials without a rule
+    python -m docs.evidence.blind_trials --out DIR --ablation              # table: what is worse or better without it
 
 A trial hides effects in a rig whose base parameters are up to 15 % off the given model's, each channel alone, with noise and
 quantisation. The rig is `practice.reference` with the "different" forms: SciPy's stiff solver, no line of physics in common
 with what is fitted, and every effect in another shape than the catalogue's where one exists. Sizes, forms and manoeuvres are
-drawn anew for every seed. Groups of trials:
+drawn again for every seed. Groups of trials:
 
     nothing     nothing hidden and the model right
     parameters  nothing hidden, only parameters wrong
@@ -24,7 +24,7 @@ drawn anew for every seed. Groups of trials:
 
 Trials that DIR holds already are not run again, so a run may be interrupted and continued. Slices write files of their own
 (trials_K_of_N.json) and may run side by side. Each row says by a hash of the sources which method it ran on, how much the
-*true* values in the catalogue's form leave on the sealed log (`form`: less than that no naming of effects can reach), and how
+*true* values in the catalogue's form leave on the held-out log (`form`: less than that no naming of effects can reach), and how
 far the hidden effects move the signals (`strength`).
 
 cases     what is hidden, and the frozen seeds

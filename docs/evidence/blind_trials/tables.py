@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...files import write_text
+from hydro_env.experiments.coverage import reliability_lines
+from hydro_env.files import write_text
+
 from .cases import GROUPS, WITH_NAME, commands
-from .judging import SEALED_WITHIN, summary
-from .reliability import of_trials, reliability_lines
+from .judging import HELD_OUT_WITHIN, summary
+from .reliability import of_trials
 from .running import SCHEMA
 
 __all__ = ["markdown", "publish", "share", "table"]
@@ -151,11 +153,11 @@ def _within(seconds: Sequence[float]) -> str:
 
 
 def _rough(rows: Sequence[Row]) -> list[str]:
-    """Correct names whose model does not explain the sealed log."""
+    """Correct names whose model does not explain the held-out log."""
     rough = [r for r in rows if (r["right"] or r["set"]) and r["verdict"] == "effects" and not r["sealed"]]
     each = [f"{', '.join(r['hidden'])} ({r['group']}) {r['worst']:.2f} ({r['form']:.2f})" for r in rough]
     return [
-        f"Correctly named, but the held-out speed error stays above {SEALED_WITHIN:g} times the noise (in brackets what the "
+        f"Correctly named, but the held-out speed error stays above {HELD_OUT_WITHIN:g} times the noise (in brackets what the "
         f"true values in the catalogue's functional form leave): {'; '.join(each) or 'none'}."
     ]
 

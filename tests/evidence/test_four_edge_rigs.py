@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_env.experiments import four_edge_rigs
-from hydro_env.experiments.four_edge_rigs import CASES, engineers_model, judged, logs, run
+from docs.evidence import four_edge_rigs
+from docs.evidence.four_edge_rigs import CASES, engineers_model, judged, logs, run
+from docs.evidence.four_edges import Axis
 from hydro_env.plant import CATALOGUE
-from hydro_env.practice.four_edges import Axis
 
 
 def _said(verdict: str, *named: str, beside: tuple[str, ...] = (), guess: bool = False) -> dict[str, Any]:

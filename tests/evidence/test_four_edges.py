@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from hydro_env.experiments.four_edge_rigs import RATED, engineers_model
+from docs.evidence.four_edge_rigs import RATED, engineers_model
+from docs.evidence.four_edges import TANK, Axis, simulate
 from hydro_env.plant import Plant
-from hydro_env.practice.four_edges import TANK, Axis, simulate
 from hydro_env.units import RPM
 
 SUPPLY = 121e5

@@ -20,7 +20,7 @@ from ..plant import Plant, PlantModel
 from ..tasks.mismatch import NAMED_PAIRS, SPLITS, default_mismatch
 from ..tasks.scenarios import SCENARIOS
 
-__all__ = ["made_spec"]
+__all__ = ["env_spec"]
 
 #: Arguments under which a return means the same as with those registered, for which the threshold was measured.
 SAME_TASK = {
@@ -36,10 +36,10 @@ SAME_TASK = {
 }
 
 
-def made_spec(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
+def env_spec(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
     """The specification that Gymnasium gives to a new environment, with the length of its episodes in steps; without a
     reward threshold where the arguments make it another task. What is made from it, or from its JSON, is the same environment. An
-    argument that no name or file could stand for is left as it is: a scenario with a course of its own, a mismatch in code."""
+    argument that no name or file could stand for is left as it is: a scenario with a function of its own, a mismatch in code."""
     if spec is None:
         return None
     registered = registry[spec.id].kwargs if spec.id in registry else {}

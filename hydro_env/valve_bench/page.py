@@ -7,6 +7,7 @@ from importlib.resources import files
 from typing import Any
 
 from hydro_env import __version__
+from hydro_env.pages import render
 
 __all__ = ["gain_of", "page"]
 
@@ -19,9 +20,9 @@ NOTHING = "–"
 def page(data: Mapping[str, Any], curves: Any, rates: Any) -> str:
     """The HTML page. `data` is the content of valve_test.json, `curves` and `rates` the pictures, as `pages.svg` makes them, or
     None."""
-    from hydro_env.pages import render
-
     valves = data["valves"]
+    checks = [(valve["name"], valve["rate_check"]) for valve in valves]
+    driven = data["synchronisation"]["pairs"] if data["synchronisation"] else []
     return render(
         files(__package__).joinpath("valve_test.html"),
         title=f"Valve test: {', '.join(valve['name'] for valve in valves)}",
@@ -31,11 +32,15 @@ def page(data: Mapping[str, Any], curves: Any, rates: Any) -> str:
         sides=_sides(valves),
         loops=_loops(valves),
         leakage=_leakage(valves),
-        checks=[(valve["name"], valve["rate_check"]["verdict"], valve["rate_check"]["reason"]) for valve in valves],
+        checks=[(name, check["verdict"], check["reason"]) for name, check in checks],
         findings=[each for valve in valves for each in (*valve["findings"], *valve["rate_check"]["findings"])]
         + data["findings"],
         pairs=[(" and ".join(pair["valves"]), f"{pair['distance_percent']:.1f}") for pair in data["pairs"]],
-        driven=_driven(data["synchronisation"]),
+        driven=[
+            (row["controller"], " and ".join(row["valves"]), f"{row['max_speed_difference_rpm']:.1f}",
+             f"{row['tracking_mae_rpm']:.1f}")
+            for row in driven
+        ],
     )  # fmt: skip
 
 
@@ -68,22 +73,17 @@ def _sides(valves: Sequence[Valve]) -> tuple[list[str], list[list[str]]]:
     heads = ["dead zone, %", "dead zone ±, %", "flow begins at, %", "flow ends at, %", f"gain, {unit}", "linearity, %",
              "maximum flow, l/min", "saturated from, %"]  # fmt: skip
     rows = []
-    for valve in valves:
-        rated = valve["rated_signal"]["value"]
-        for direction in ("positive", "negative"):
-            side = valve[direction]
-            if side is None:
-                continue
-            share = {
-                key: side[key] and 100.0 * side[key] / rated
-                for key in ("opens_at", "closes_at", "saturates_at")
-            }
-            rows.append([
-                valve["name"], direction, _percent(side["dead_zone_percent"]),
-                _spread(100.0 * side["dead_zone_uncertainty"] / rated), _percent(share["opens_at"]),
-                _percent(share["closes_at"]), f"{gain(valve, side):#.4g}", _percent(side["linearity_percent"]),
-                _percent(side["maximum_flow_lpm"]), _percent(share["saturates_at"]),
-            ])  # fmt: skip
+    for valve, direction in ((v, d) for v in valves for d in ("positive", "negative") if v[d] is not None):
+        side, rated = valve[direction], valve["rated_signal"]["value"]
+        at = {
+            key: side[key] and 100.0 * side[key] / rated for key in ("opens_at", "closes_at", "saturates_at")
+        }
+        rows.append([
+            valve["name"], direction, _percent(side["dead_zone_percent"]),
+            _spread(100.0 * side["dead_zone_uncertainty"] / rated), _percent(at["opens_at"]), _percent(at["closes_at"]),
+            f"{gain(valve, side):#.4g}", _percent(side["linearity_percent"]), _percent(side["maximum_flow_lpm"]),
+            _percent(at["saturates_at"]),
+        ])  # fmt: skip
     return heads, rows
 
 
@@ -101,15 +101,6 @@ def _loops(valves: Sequence[Valve]) -> tuple[list[str], list[list[str]]]:
         ]
         for valve in valves
     ]  # fmt: skip
-
-
-def _driven(found: Mapping[str, Any] | None) -> list[list[str]]:
-    """Rows of the table of what the pairs do under each controller."""
-    return [
-        [row["controller"], " and ".join(row["valves"])]
-        + [f"{row[metric]:.1f}" for metric in ("max_speed_difference_rpm", "tracking_mae_rpm")]
-        for row in (found["pairs"] if found else ())
-    ]
 
 
 def _leakage(valves: Sequence[Valve]) -> list[list[str]]:
