@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from hydro_env import __version__
 from hydro_env.controllers import make_controller
-from hydro_env.controllers.rollout import roll_out
+from hydro_env.controllers.rollout import SIGNALS, Step, roll_out
 from hydro_env.errors import InputError, place_of, suggestion, to_install
 from hydro_env.plant import load_model, preset_names
 from hydro_env.streams import Component, Streams
@@ -51,8 +51,7 @@ EVALUATION = "test_interp"
 AT_ONCE = 100
 #: HDF5 takes half as much again as the arrays themselves; as a whole number to be safe. Bytes of one write.
 HDF5_OVERHEAD, BLOCK = 2, 2**20
-#: True signals that are kept, by their names in the environment's `info`. Costs begin with the first step.
-SIGNALS = ("setpoint_rpm", "speed_rpm", "angle_difference_deg")
+#: What is kept of the environment's `info` beside the true signals; costs begin with the first step.
 COSTS = ("cost_difference", "cost_travel")
 
 
@@ -219,47 +218,27 @@ class _RandomActions:
         return 2.0 * self._streams.random(2) - 1.0
 
 
-class _Record:
-    """Keeps what the environment gave, one array per instant with a row per rig."""
-
-    def begin(self, observation: NDArray[np.float32], info: dict[str, Any]) -> None:
-        self.drawn = info
-        self.observations = [observation]
-        self.actions: list[NDArray[np.float32]] = []
-        self.rewards: list[Floats] = []
-        self.signals = {key: [info[key]] for key in SIGNALS}
-        self.signals |= {key: [np.zeros(len(observation))] for key in COSTS}
-
-    def step(
-        self,
-        action: Floats,
-        observation: NDArray[np.float32],
-        reward: Floats,
-        info: dict[str, Any],
-    ) -> None:
-        self.actions.append(action.astype(np.float32))
-        self.observations.append(observation)
-        self.rewards.append(reward)
-        for key, rows in self.signals.items():
-            rows.append(info[key])
-
-
 def _episodes(
     task: Task, seeds: Sequence[int], where: dict[str, Any]
 ) -> tuple[list[EpisodeBuffer], list[dict[str, Any]]]:
     """The episodes of these seeds, and what each drew."""
     from minari.data_collector import EpisodeBuffer
 
-    record = _Record()
+    kept: list[Step] = []
     try:
-        roll_out(task.driver(seeds), seeds, recorder=record, **where)
+        roll_out(task.driver(seeds), seeds, steps=kept, **where)
     except Exception as problem:
         place = place_of(problem)
         if not place and not isinstance(problem, ValueError):
             raise
         raise InputError(f"controller {task.controller}: {problem}{place and f' ({place})'}") from None
-    observations, actions, rewards = map(np.array, (record.observations, record.actions, record.rewards))
-    signals = {key: np.array(rows) for key, rows in record.signals.items()}
+    first, *steps = kept
+    observations = np.array([step.observation for step in kept])
+    actions = np.array([step.action for step in steps], np.float32)
+    rewards = np.array([step.reward for step in steps])
+    signals = {key: np.array([step.info[key] for step in kept]) for key in SIGNALS}
+    for key in COSTS:
+        signals[key] = np.array([np.zeros(len(seeds)), *(step.info[key] for step in steps)])
     last = np.arange(len(rewards)) == len(rewards) - 1
     buffers = [
         EpisodeBuffer(
@@ -273,11 +252,11 @@ def _episodes(
         )
         for row, seed in enumerate(seeds)
     ]
-    pairs = {name: pair for name, pair in record.drawn["mismatch"].items() if not name.startswith("_")}
+    pairs = {name: pair for name, pair in first.info["mismatch"].items() if not name.startswith("_")}
     drawn = [
         {
-            "case": int(record.drawn["case"][row]),
-            "fault": str(record.drawn["fault"][row]),
+            "case": int(first.info["case"][row]),
+            "fault": str(first.info["fault"][row]),
             "return": float(rewards[:, row].sum()),
             **{f"mismatch/{name}": pair[row] for name, pair in pairs.items()},
         }

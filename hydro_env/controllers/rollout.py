@@ -6,49 +6,31 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import inf
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Controller, Floats
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
+from hydro_env.errors import shown
 from hydro_env.tasks import Trace, compute
 
-__all__ = ["Episodes", "Recorder", "roll_out"]
+__all__ = ["Episodes", "Step", "roll_out"]
 
 
-class Recorder(Protocol):
-    """Is shown all that the environment gave in a roll-out, with one row per rig. It may keep the arrays."""
-
-    def begin(self, observation: NDArray[np.float32], info: dict[str, Any]) -> None:
-        """After the reset."""
-
-    def step(
-        self, action: Floats, observation: NDArray[np.float32], reward: Floats, info: dict[str, Any]
-    ) -> None:
-        """After each control period; `action` (num_rigs, 2) is within [-1, 1] and was applied as float32."""
+SIGNALS = "setpoint_rpm", "speed_rpm", "angle_difference_deg"
+"""True signals of the environment's `info` that the metrics need."""
 
 
-class _TraceRecorder:
-    """Keeps what the metrics need."""
+class Step(NamedTuple):
+    """What the environment gave after a control period, with one row per rig; `action` (num_rigs, 2) within [-1, 1] is applied
+    as float32. Action and reward are missing after the reset."""
 
-    def begin(self, observation: NDArray[np.float32], info: dict[str, Any]) -> None:
-        self.signals = {
-            key: [np.array(info[key])] for key in ("setpoint_rpm", "speed_rpm", "angle_difference_deg")
-        }
-        self.commands: list[Floats] = []
-
-    def step(
-        self, action: Floats, observation: NDArray[np.float32], reward: Floats, info: dict[str, Any]
-    ) -> None:
-        self.commands.append(action)
-        for key, rows in self.signals.items():
-            rows.append(np.array(info[key]))
-
-    def trace(self, period: float) -> Trace:
-        signals = {key: np.array(rows) for key, rows in self.signals.items()}
-        return Trace(period=period, command=np.array(self.commands), **signals)
+    observation: NDArray[np.float32]
+    info: dict[str, Any]
+    action: Floats | None = None
+    reward: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -77,14 +59,14 @@ def roll_out(
     control_period: float = 0.01,
     limit: float = inf,
     dtype: str = "float64",
-    recorder: Recorder | None = None,
+    steps: list[Step] | None = None,
 ) -> Episodes:
     """Lets a controller drive one episode per seed, all at once. Row i is what a reset with `seeds[i]` draws.
 
     A controller whose `needs` is not "measurements" is shown a copy of the plant beforehand, and the loads to come if
     it is "everything". What the controller raises is passed on; ValueError if it returns something that is no command,
     or if a rig diverges; TimeoutError if it has taken more than `limit` s by itself, looked at after every `act`.
-    `dtype` is that of the plant; `recorder` is shown everything as it happens.
+    `dtype` is that of the plant; `steps` receives all that the environment gives.
     """
     env = HydraulicSyncVectorEnv(
         len(seeds),
@@ -95,10 +77,10 @@ def roll_out(
         dtype=dtype,
     )
     observation, info = env.reset(seed=[int(seed) for seed in seeds])
-    kept = _TraceRecorder()
-    recorders: list[Recorder] = [kept] if recorder is None else [kept, recorder]
-    for each in recorders:
-        each.begin(observation, info)
+    signals = {key: [np.array(info[key])] for key in SIGNALS}
+    commands: list[Floats] = []
+    if steps is not None:
+        steps.append(Step(observation, info))
     _inform(controller, env)
     controller.reset(len(seeds), control_period)
     faults = tuple(str(fault) for fault in info["fault"])
@@ -115,14 +97,19 @@ def roll_out(
         if spent > limit:
             raise TimeoutError(f"took more than {limit:g} s for {len(sizes)} steps of {len(seeds)} rigs")
         observation, reward, terminated, truncated, info = env.step(action.astype(np.float32))
-        for each in recorders:
-            each.step(action, observation, reward, info)
+        commands.append(action)
+        for key, rows in signals.items():
+            rows.append(np.array(info[key]))
+        if steps is not None:
+            steps.append(Step(observation, info, action, reward))
         returns += reward
         if terminated.any():
             case = int(np.argmax(terminated))
             raise ValueError(f"case {case}: {info['termination'][case]}")
         done = np.asarray(truncated)
-    return Episodes(kept.trace(control_period), faults, float(np.median(sizes)), returns)
+    arrays = {key: np.array(rows) for key, rows in signals.items()}
+    trace = Trace(period=control_period, command=np.array(commands), **arrays)
+    return Episodes(trace, faults, float(np.median(sizes)), returns)
 
 
 def _inform(controller: Any, env: HydraulicSyncVectorEnv) -> None:
@@ -138,23 +125,15 @@ def _checked(action: Any, num_rigs: int) -> Floats:
     """The action as commands (num_rigs, 2), not limited yet; ValueError if it is none."""
     try:
         given = np.asarray(action)
-    except ValueError:
-        raise ValueError(
-            f"act returned rows of different lengths, expected the shape ({num_rigs}, 2)"
-        ) from None
-    if given.dtype.kind not in "fiub":
-        raise ValueError(f"act returned {_kind(action, given)}, expected an array ({num_rigs}, 2) of numbers")
-    if given.shape != (num_rigs, 2):
-        raise ValueError(f"act returned the shape {given.shape}, expected ({num_rigs}, 2)")
-    command = given.astype(float)
-    finite = np.isfinite(command)
-    if not finite.all():
-        raise ValueError(
-            f"act returned a command that is not finite for case {int(np.argmin(finite.all(axis=1)))}"
+    except ValueError:  # rows of different lengths
+        given = np.array(None)
+    if given.dtype.kind not in "fiub" or given.shape != (num_rigs, 2):
+        found = (
+            f"the shape {given.shape} of {given.dtype}" if isinstance(action, np.ndarray) else shown(action)
         )
+        raise ValueError(f"act returned {found}, expected an array ({num_rigs}, 2) of numbers")
+    command = given.astype(float)
+    finite = np.isfinite(command).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"act returned a command that is not finite for case {int(np.argmin(finite))}")
     return command
-
-
-def _kind(action: Any, given: NDArray[Any]) -> str:
-    words = {"c": "complex numbers", "U": "text", "S": "text", "O": "objects"}
-    return "None" if action is None else words.get(given.dtype.kind, str(given.dtype))

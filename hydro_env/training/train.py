@@ -37,7 +37,7 @@ from hydro_env.training.config import Config
 from hydro_env.training.evaluate import evaluate
 from hydro_env.training.export import export_policy
 from hydro_env.training.lock import alone_in
-from hydro_env.training.policy_env import PolicyVecEnv
+from hydro_env.training.policy_env import TrainingRigs
 
 __all__ = ["make_model", "train"]
 
@@ -179,24 +179,17 @@ def make_model(config: Config) -> BaseAlgorithm:
         "scenario": "random_steps",
         "control_period": 0.01,
         **config.env_kwargs,
+        **make_interface(config.training.interface).env_kwargs(),
     }
     try:
         rigs = HydraulicSyncVecEnv(config.num_envs, **env_kwargs)
     except TypeError as problem:
         raise InputError(f"{config.path}: env_kwargs: {problem}") from None
     rigs.set_options(staggered(rigs))
-    env = PolicyVecEnv(rigs, make_interface(config.training.interface))
+    env, seed = TrainingRigs(rigs), config.training.seed
     try:
-        return config.algorithm(config.policy, env, seed=config.training.seed, device="cpu", **config.hyper)
-    except (
-        TypeError,
-        ValueError,
-        ArithmeticError,
-        AssertionError,
-        AttributeError,
-        MemoryError,
-        RuntimeError,
-    ) as problem:
+        return config.algorithm(config.policy, env, seed=seed, device="cpu", **config.hyper)
+    except Exception as problem:  # whatever the algorithm does not take
         said = " ".join(str(problem).split()) or type(problem).__name__
         raise InputError(f"{config.path}: {said}") from None
 

@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 from hydro_env.cli import run
 from hydro_env.controllers.learned.policy import RECURRENT_SCHEMA, SCHEMA, NumpyPolicy, read_policy
+from hydro_env.controllers.learned.policy_interface import make_interface
 from hydro_env.errors import InputError
 from hydro_env.training import checkpoint
 from hydro_env.training.config import read_config, with_changes
@@ -119,7 +120,7 @@ def test_exported_policy_equals_the_original(tmp_path, path):
     model, _ = checkpoint.restore(checkpoint.latest(tmp_path / "run" / "checkpoints"), config.algorithm)
     from hydro_env.training.export import export_policy
 
-    export_policy(model, tmp_path / "last.npz", model.env.interface.table(), {})
+    export_policy(model, tmp_path / "last.npz", make_interface(config.training.interface).table(), {})
     network = NumpyPolicy(tmp_path / "last.npz").network
     inputs = np.random.default_rng(0).normal(0.0, 2.0, (500, network.num_inputs)).astype(np.float32)
     expected, _ = model.predict(inputs, deterministic=True)

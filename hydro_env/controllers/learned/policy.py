@@ -11,8 +11,6 @@ inputs), `v` (3 H, H) and the biases `b` and `c` (3 H,) stand for the reset gate
 
 from __future__ import annotations
 
-import io
-import math
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -35,9 +33,9 @@ RECURRENT_SCHEMA = "hydro_env/policy/3"
 
 Floats = NDArray[np.floating[Any]]
 
-MOST_BYTES = 2**26
+MAX_BYTES = 2**26
 """Size of all arrays of a policy file together; a network of some hundred units has less than 1 MiB."""
-MOST_LAYERS, MOST_UNITS, MOST_WEIGHT = 32, 4096, 1e6
+MAX_LAYERS, MAX_UNITS, MAX_WEIGHT = 32, 4096, 1e6
 """Layers of a network, units of a layer (every rig of a batch keeps the values of a layer), and size of a weight, with which
 sums stay finite in single precision."""
 
@@ -140,7 +138,7 @@ class Network:
 
 def _product(hidden: Floats, weight: Floats) -> Floats:
     """`hidden @ weight.T`, each row for itself: one product of the whole batch rounds differently with every size of the
-    batch, and stiction turns a last bit into another course.
+    batch, and stiction turns a last bit into another trajectory.
     """
     product: Floats = (hidden[..., None, :] @ weight.T)[..., 0, :]
     return product
@@ -152,9 +150,7 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
     check_file(path, "a policy file")
     try:
         arrays = _arrays(path)
-    except (
-        Exception
-    ) as problem:  # the readers of zip, deflate and npy each have their own errors for what is damaged
+    except Exception as problem:  # zip, deflate and npy each have their own errors for what is damaged
         reason = f"{type(problem).__name__}: {problem}"
         raise InputError(
             f"{path}: is no policy file, it should be an npz of plain arrays (hydro_env.training.export); {reason}"
@@ -177,87 +173,49 @@ def read_policy(path: str | Path) -> tuple[Network, dict[str, Any]]:
 
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of an npz by name. Any error for a damaged file, one with pickled objects or too large a one: no more than
-    `MOST_BYTES` are unpacked, whatever the file says of itself, and no array is made larger than what was unpacked.
-    """
-    arrays: dict[str, NDArray[Any]] = {}
-    left = MOST_BYTES
-    with zipfile.ZipFile(path) as archive:
-        for entry in archive.infolist():
-            name = entry.filename.removesuffix(".npy")
-            if name in arrays:
-                raise ValueError(f"{shown(name)} is there twice")
-            with archive.open(entry) as file:
-                data = file.read(left + 1)
-            left -= len(data)
-            if left < 0:
-                raise ValueError(f"it holds more than {MOST_BYTES / 2**20:g} MiB")
-            arrays[name] = _array(data)
-    return arrays
-
-
-def _array(data: bytes) -> NDArray[Any]:
-    """The array of an npy file that has just as many bytes as its header asks for."""
-    file = io.BytesIO(data)
-    version = np.lib.format.read_magic(file)
-    header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    shape, by_columns, dtype = header[version](file)
-    rest = data[file.tell() :]
-    if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(rest):
-        raise ValueError(f"an array {shown(shape)} of {shown(dtype)} does not fit its {len(rest)} bytes")
-    return np.ndarray(shape, dtype, rest, order="F" if by_columns else "C")
+    """The arrays of an npz by name. Any error for a damaged file, one with pickled objects or too large a one."""
+    with zipfile.ZipFile(path) as archive:  # which unpacks no more of an entry than its size says
+        if sum(entry.file_size for entry in archive.infolist()) > MAX_BYTES:
+            raise ValueError(f"it holds more than {MAX_BYTES / 2**20:g} MiB")
+    with np.load(path, allow_pickle=False) as arrays:
+        return {name: np.asarray(array) for name, array in arrays.items()}
 
 
 def _layers(path: Path, arrays: dict[str, NDArray[Any]]) -> list[Dense | Gru]:
     count = sum(name.startswith("w") for name in arrays)
-    recurrent = {n for n in range(count - 1) if f"v{n}" in arrays}
-    wanted = {f"{kind}{n}" for n in range(count) for kind in ("wbvc" if n in recurrent else "wb")}
-    if not 0 < count <= MOST_LAYERS or set(arrays) != wanted:
+    kinds = ["wbvc" if f"v{n}" in arrays and n < count - 1 else "wb" for n in range(count)]
+    names = [[f"{letter}{n}" for letter in kind] for n, kind in enumerate(kinds)]
+    if not 0 < count <= MAX_LAYERS or set(arrays) != {name for each in names for name in each}:
         raise InputError(
             f"{path}: holds {', '.join(sorted(arrays)) or 'no weights'}; it should hold w0, b0, w1, b1, ... of at most"
-            f" {MOST_LAYERS} layers, and v, c beside those of a recurrent one, which is not the last"
+            f" {MAX_LAYERS} layers, and v, c beside those of a recurrent one, which is not the last"
         )
     layers: list[Dense | Gru] = []
-    for n in range(count):
-        _check_numbers(path, n, arrays)
-        layers.append(_gru(path, n, arrays) if n in recurrent else _dense(path, n, arrays))
-        inputs = layers[n].weight.shape[1]
-        if n and inputs != layers[n - 1].outputs:
-            raise InputError(
-                f"{path}: w{n} takes {inputs} inputs, the layer before has {layers[n - 1].outputs} outputs"
-            )
+    for each in names:
+        layers.append(_layer(path, {name: arrays[name] for name in each}, layers[-1] if layers else None))
     return layers
 
 
-def _check_numbers(path: Path, n: int, arrays: dict[str, NDArray[Any]]) -> None:
-    """InputError unless the arrays of layer n hold numbers that can be reckoned with, and not too many."""
-    for name in (f"{kind}{n}" for kind in "wbvc" if f"{kind}{n}" in arrays):
-        array = arrays[name]
-        if array.dtype.kind != "f":
-            raise InputError(f"{path}: {name} should hold floating-point numbers")
-        if array.ndim and max(array.shape) > MOST_UNITS:
-            raise InputError(f"{path}: {name} {array.shape}: a layer has at most {MOST_UNITS} units")
-        if array.size and not np.abs(array).max() <= MOST_WEIGHT:
-            raise InputError(f"{path}: {name} holds a value that is not finite, or beyond {MOST_WEIGHT:g}")
-
-
-def _dense(path: Path, n: int, arrays: dict[str, NDArray[Any]]) -> Dense:
-    weight, bias = arrays[f"w{n}"], arrays[f"b{n}"]
-    if weight.ndim != 2 or bias.shape != weight.shape[:1] or not min(weight.shape) >= 1:
-        raise InputError(
-            f"{path}: w{n} {weight.shape} and b{n} {bias.shape} do not fit: (out, in) and (out,)"
-        )
-    return Dense(weight, bias)
-
-
-def _gru(path: Path, n: int, arrays: dict[str, NDArray[Any]]) -> Gru:
-    weight, bias, back, back_bias = (arrays[f"{kind}{n}"] for kind in "wbvc")
-    units = back.shape[-1] if back.ndim == 2 else 0
-    fits = weight.ndim == 2 and min(weight.shape) >= 1 and weight.shape[0] == 3 * units
-    if not (fits and back.shape == (3 * units, units) and bias.shape == back_bias.shape == (3 * units,)):
-        shapes = ", ".join(f"{kind}{n} {arrays[f'{kind}{n}'].shape}" for kind in "wbvc")
-        raise InputError(f"{path}: {shapes} do not fit: (3 H, in), (3 H,), (3 H, H) and (3 H,)")
-    return Gru(weight, bias, back, back_bias)
+def _layer(path: Path, own: dict[str, NDArray[Any]], before: Dense | Gru | None) -> Dense | Gru:
+    """A layer of its arrays, by name. InputError unless their shapes fit and they hold numbers in single precision's reach."""
+    for name, array in own.items():
+        fits = array.dtype.kind == "f" and 0 < max(array.shape, default=0) <= MAX_UNITS
+        if not fits or not np.abs(array).max(initial=0.0) <= MAX_WEIGHT:
+            raise InputError(
+                f"{path}: {name} should hold floating-point numbers, finite and not beyond {MAX_WEIGHT:g}, of at most"
+                f" {MAX_UNITS} units"
+            )
+    weight, gates = (
+        next(iter(own.values())),
+        len(own) - 1,
+    )  # one gate of a dense layer, three of a recurrent one
+    units, inputs = weight.shape[0] // gates, before.outputs if before else weight.shape[-1]
+    shapes = [(gates * units, inputs), (gates * units,), (gates * units, units), (gates * units,)][: len(own)]
+    if [array.shape for array in own.values()] != shapes or min(units, inputs) < 1:
+        found = ", ".join(f"{name} {array.shape}" for name, array in own.items())
+        wanted = ", ".join(map(str, shapes))
+        raise InputError(f"{path}: {found} do not fit each other and the layer before: expected {wanted}")
+    return Gru(*own.values()) if gates == 3 else Dense(*own.values())
 
 
 class NumpyPolicy:
@@ -277,13 +235,11 @@ class NumpyPolicy:
             self.interface = make_interface(self.metadata.get("interface"))
         except InputError as problem:
             raise InputError(f"{path}: interface: {problem}") from None
-        if (self.network.num_inputs, self.network.num_outputs) != (
-            self.interface.num_features,
-            self.interface.num_actions,
-        ):
+        wanted = self.interface.num_features, self.interface.num_actions
+        if (self.network.num_inputs, self.network.num_outputs) != wanted:
             raise InputError(
                 f"{path}: the network takes {self.network.num_inputs} inputs and gives {self.network.num_outputs} "
-                f"outputs, its interface wants {self.interface.num_features} and {self.interface.num_actions}"
+                f"outputs, its interface wants {wanted[0]} and {wanted[1]}"
             )
         self.reset(1, 0.01)
 

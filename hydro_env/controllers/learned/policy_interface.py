@@ -1,26 +1,31 @@
 """What a policy's network sees of the rig, and how its outputs become valve commands.
 
-The same code runs in training (`hydro_env.training`) and in the shipped controllers, so that what was trained is what runs.
+In training the environment does the same by its arguments `history`, `increment` and `errors`: see `env_kwargs`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.envs.observation import with_errors
+from hydro_env.envs.observation import ERRORS, FRAME, with_errors
 from hydro_env.errors import InputError, shown
 from hydro_env.limits import Limits
 
 __all__ = ["FramesInterface", "make_interface"]
 
-FRAMES = Limits(1, 999, whole=True)
+#: What the keys of an interface's table may be, beside `kind` and `errors`; `width` is that of an observation.
+LIMITS = {
+    "frames": Limits(1, 999, whole=True),
+    "width": Limits(FRAME, FRAME, whole=True),
+    "increment": Limits(0.0, 2.0),
+}
 
 Floats = NDArray[np.floating[Any]]
-Rows = NDArray[Any]
 
 
 def make_interface(table: Any) -> FramesInterface:
@@ -34,62 +39,65 @@ def make_interface(table: Any) -> FramesInterface:
     kind = given.pop("kind", None)
     if kind != "frames":
         raise InputError(f"kind {shown(kind)} is unknown; there is frames")
-    limits = {"frames": FRAMES, "width": FRAMES, "increment": Limits(0.0, 2.0), "errors": None}
+    errors = given.pop("errors", False)
+    if not isinstance(errors, bool):
+        raise InputError(f"errors {shown(errors)} should be true or false")
     for key, value in given.items():
-        if key not in limits:
-            raise InputError(f"{shown(key)} is unknown; known for kind 'frames' are {', '.join(limits)}")
-        within = limits[key]
-        if within is not None:
-            given[key] = within.check(value, key)
-        elif not isinstance(value, bool):
-            raise InputError(f"{key} {shown(value)} should be true or false")
-    return FramesInterface(**given)
+        if key not in LIMITS:
+            raise InputError(
+                f"{shown(key)} is unknown; known for kind 'frames' are {', '.join(LIMITS)}, errors"
+            )
+        given[key] = LIMITS[key].check(value, key)
+    given.pop("width", None)
+    return FramesInterface(**given, errors=errors)
 
 
+@dataclass
 class FramesInterface:
     """Stands between the observations of a batch of rigs and a network.
 
-    The network sees the last `frames` observations of `width` numbers each, newest last. Its outputs are the commands; with
-    `increment` they are changes of the commands, in fractions of it, and the commands so far are the newest frame's last two
-    numbers. `errors`: see `hydro_env.envs.observation.with_errors`.
+    The network sees the last `frames` observations, newest last. Its outputs are the commands; with `increment` they are
+    changes of the commands, in fractions of it, and the commands so far are the newest frame's last two numbers. `errors`: see
+    `hydro_env.envs.observation.with_errors`.
 
     Inputs of the network have the shape (num_rigs, `num_features`), its outputs (num_rigs, `num_actions`).
     """
 
-    num_actions = 2
+    frames: int = 1
+    increment: float = 0.0
+    errors: bool = False
+    num_actions: ClassVar[int] = 2
 
-    def __init__(self, frames: int = 1, width: int = 9, increment: float = 0.0, errors: bool = False) -> None:
-        self.frames, self.width, self.increment = int(frames), int(width), float(increment)
-        self.errors = errors
-        self.num_features = self.frames * (self.width + 3 * errors)
+    @property
+    def num_features(self) -> int:
+        return self.frames * (FRAME + ERRORS * self.errors)
 
     def table(self) -> dict[str, Any]:
         """What `make_interface` needs to build the same interface."""
-        table: dict[str, Any] = {"kind": "frames", "frames": self.frames, "width": self.width}
+        table: dict[str, Any] = {"kind": "frames", "frames": self.frames, "width": FRAME}
         changed = {"increment": self.increment, "errors": self.errors}
         return table | {key: value for key, value in changed.items() if value}
+
+    def env_kwargs(self) -> dict[str, Any]:
+        """Arguments of an environment whose observations are the network's inputs and whose actions are its outputs."""
+        return {"history": self.frames, "increment": self.increment or None, "errors": self.errors}
 
     def start(self, observation: Floats) -> Floats:
         """Inputs at the first observation of all rigs; forgets everything before."""
         self._seen = np.tile(self._newest(observation), (1, self.frames))
-        return self._inputs(self._seen)
-
-    def restart(self, rows: Rows, observation: Floats) -> Floats:
-        """Inputs at the first observation of some rigs (indices), whose episodes begin anew."""
-        self._seen[rows] = np.tile(self._newest(observation), (1, self.frames))
-        return self._inputs(self._seen[rows])
+        return self._inputs()
 
     def see(self, observation: Floats) -> Floats:
         """Inputs at the next observation of all rigs, a control period later."""
-        self._seen = np.concatenate([self._seen[:, self.width :], self._newest(observation)], axis=1)
-        return self._inputs(self._seen)
+        self._seen = np.concatenate([self._seen[:, FRAME:], self._newest(observation)], axis=1)
+        return self._inputs()
 
-    def _inputs(self, seen: NDArray[np.float32]) -> Floats:
-        return with_errors(seen) if self.errors else seen.copy()
+    def _inputs(self) -> Floats:
+        return with_errors(self._seen) if self.errors else self._seen
 
     def _newest(self, observation: Floats) -> NDArray[np.float32]:
         """The newest frame, whatever history the environment adds."""
-        return np.asarray(observation, dtype=np.float32)[:, -self.width :]
+        return np.asarray(observation, dtype=np.float32)[:, -FRAME:]
 
     def command(self, outputs: Floats) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for the network's outputs at the inputs seen last."""
