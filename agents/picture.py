@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.true_map import true_map
 from hydro_env.controllers import make_controller
-from hydro_env.controllers.estimation.valve_map import true_map
 from hydro_env.controllers.mpc.flow_control import ProbingFlow
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.files import write_bytes
@@ -47,7 +47,7 @@ def course(name: str, case: int, seconds: float = 3.0) -> dict[str, NDArray[np.f
         rows["speed"].append(info["speed_rpm"][0].copy())
         action = controller.act(observation)
         edge = np.full((2, 2), np.nan)
-        if isinstance(controller, ProbingFlow):
+        if isinstance(controller, ProbingFlow) and controller.law is not None:
             edge = controller.law.estimator.valves.state.edge[0].copy()
         rows["edge"].append(edge)
         rows["command"].append(np.array(action[0]))

@@ -23,7 +23,7 @@ from agents.recurrent.rigs import KNOWN, Rigs
 from agents.recurrent.settings import MILLION, Settings
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.controllers.mpc.planner import PlannerSettings
-from hydro_env.envs.observation import OBSERVATION, SCALES
+from hydro_env.envs.observation import OBSERVATION, SCALES, decode
 
 __all__ = ["NOTES", "ImitationStage", "Teacher"]
 
@@ -42,7 +42,7 @@ class Teacher:
 
     def __init__(self, observation: NDArray[Any], period: float) -> None:
         self._law = FlowController(LAW)
-        self._law.start(observation, period)
+        self._law.start(decode(observation), period)
 
     def command(self) -> NDArray[np.float64]:
         """What the law would send, (num_rigs, 2)."""
@@ -53,11 +53,11 @@ class Teacher:
         law, sent = self._law, observation[:, SENT].astype(float)
         law.sent = sent
         law.shaper.replace(~followed[:, None], sent)
-        law.update(observation)
+        law.update(decode(observation))
 
     def restart(self, rigs: NDArray[np.int64], observation: NDArray[Any]) -> None:
         """Begins anew with the first observations (n, 9) of some rigs."""
-        self._law.restart(rigs, observation)
+        self._law.restart(rigs, decode(observation))
 
     def notes(self) -> NDArray[np.float64]:
         """What the law knows, (num_rigs, NOTES), scaled to about one: spools, loads, speeds, reference, phase."""

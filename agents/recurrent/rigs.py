@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from agents.recurrent.course import TRAINING
 from agents.recurrent.settings import Settings
-from hydro_env.controllers.estimation.valve_map import true_map
+from agents.true_map import true_map
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
 from hydro_env.plant import Plant

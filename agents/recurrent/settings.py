@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from hydro_env.controllers.settings import HAND, from_table, setting
-from hydro_env.errors import InputError, suggestion
+from hydro_env.controllers.settings import HAND, setting
+from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 
-__all__ = ["Gradient", "Imitation", "Sizes", "Settings", "Training", "read_settings"]
+__all__ = ["Gradient", "Imitation", "Sizes", "Settings", "Training", "from_table", "read_settings"]
 
+S = TypeVar("S")
 MILLION = 1e6
 ENV = {"plant": "paper_dead_zone", "mismatch": "train"}
 
@@ -128,3 +130,21 @@ def read_settings(path: Path) -> Settings:
             if getattr(read[name], key) < 1:
                 raise InputError(f"{path}: {name}: {key} should be at least 1")
     return Settings(**read, env=env, text=text)
+
+
+def from_table(kind: type[S], table: Mapping[str, Any], where: str = "") -> S:
+    """Settings of a dataclass from a table; fields that are left out keep their default. InputError, which begins with `where`,
+    for anything else."""
+    known = {each.name: each for each in fields(kind)}  # type: ignore[arg-type]
+    values = {}
+    for key, value in table.items():
+        if key not in known:
+            raise InputError(f"{where}{shown(key)} is unknown: {suggestion(key, known)}")
+        default: Any = known[key].default
+        if isinstance(default, bool):
+            if not isinstance(value, bool):
+                raise InputError(f"{where}{key} {shown(value)} should be true or false")
+        elif isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < 1e5:
+            raise InputError(f"{where}{key} {shown(value)} should be a number from 0 to 100000")
+        values[key] = type(default)(value)
+    return kind(**values)

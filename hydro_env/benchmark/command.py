@@ -188,7 +188,7 @@ def run(
 def _specs(controllers: Sequence[Any]) -> list[Any]:
     """The controllers with "all" and files spelt out, less those for another plant; one that is also named by itself comes
     once."""
-    own = [entry for entry in CONTROLLERS.values() if entry.available and not entry.apart]
+    own = [entry for entry in CONTROLLERS.values() if not entry.apart]
     controllers = [
         each
         for spec in controllers

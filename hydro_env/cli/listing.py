@@ -48,7 +48,7 @@ def _block(kind: str, entries: list[dict[str, Any]]) -> str:
 def _controllers() -> list[dict[str, Any]]:
     from hydro_env.controllers.registry import CONTROLLERS
 
-    return [{"name": each.name, "summary": each.summary} for each in CONTROLLERS.values() if each.available]
+    return [{"name": each.name, "summary": each.summary} for each in CONTROLLERS.values()]
 
 
 def _effects() -> list[dict[str, Any]]:

@@ -91,8 +91,7 @@ def roll_out(
         returned = _checked(controller.act(observation), len(seeds))
         spent += perf_counter() - began
         action = np.minimum(np.maximum(returned, -1.0), 1.0)
-        # A law with an `act` of its own has no `asked`.
-        asked = getattr(controller, "asked", returned) if isinstance(controller, Controller) else returned
+        asked = controller.asked if isinstance(controller, Controller) else returned
         sizes.append(np.abs(asked).astype(np.float32))
         if spent > limit:
             raise TimeoutError(f"took more than {limit:g} s for {len(sizes)} steps of {len(seeds)} rigs")

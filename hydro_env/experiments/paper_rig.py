@@ -87,10 +87,10 @@ def run_paper(
     plant.set("u_rated", 1e6)
     plant.set("x_max", 9e-3)
     plant.reset()
-    pid = Pid(TABLE_III["Kp"], TABLE_III["Ti"], TABLE_III["Td"], low=-inf, high=inf)
-    pid.start(PERIOD, np.zeros((num_rigs, 2)))
+    pid = Pid(PERIOD, np.zeros((num_rigs, 2)), TABLE_III["Kp"], TABLE_III["Ti"], TABLE_III["Td"])
+    limits = -inf, inf
     # The derivative acts on the first step too, as it does in a continuous controller.
-    pid.step(np.zeros((num_rigs, 2)))
+    pid.step(np.zeros((num_rigs, 2)), limits=limits)
 
     steps = round(profile.duration / PERIOD)
     every = round(1e-3 / PERIOD)
@@ -102,7 +102,7 @@ def run_paper(
     peak = np.zeros(num_rigs)
     for n in range(steps):
         speed = plant.speed / RPM
-        command = pid.step(setpoint[n] - speed)
+        command = pid.step(setpoint[n] - speed, limits=limits)
         if n % every == 0:
             speeds[n // every], commands[n // every] = speed, command
         if time[n] >= peak_from:

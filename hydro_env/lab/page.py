@@ -159,7 +159,7 @@ class RigPage:
     def show_controller(self) -> None:
         """The controller, and what drives it."""
         chosen = self._worker.seen.session.settings.controller
-        names = {chosen: chosen} | {name: name for name, entry in CONTROLLERS.items() if entry.available}
+        names = {chosen: chosen} | {name: name for name in CONTROLLERS}
         with section("Controller"):
             self._select(names, "controller", "controller", Session.choose_controller)
             self._says(ui.label(), _about)

@@ -15,9 +15,9 @@ from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettin
 from hydro_env.controllers.mpc.planner import (
     HORIZON,
     Planner,
+    PlannerNumbers,
     PlannerSettings,
     Scene,
-    Weights,
     Work,
     cost_of,
     improve_plans,
@@ -25,6 +25,8 @@ from hydro_env.controllers.mpc.planner import (
     predict_delayed,
 )
 from hydro_env.controllers.rollout import roll_out
+from hydro_env.controllers.settings import numbers
+from hydro_env.envs.observation import decode
 from hydro_env.plant import load_model, simulate
 from hydro_env.units import RPM
 
@@ -35,6 +37,12 @@ STEPS = 8
 def channel(friction=0.0, **settings):
     """The channel's model at 10 ms; `friction` as a share of the rated command."""
     return channel_of(SpoolSettings(friction=friction / STICTION, **settings), Motor(), 0.01, HORIZON)
+
+
+def weights(apart, moves, swing, corner, turns):
+    """Beside 1 for the distance from the aim."""
+    changed = PlannerSettings(apart=apart, moves=moves, swing=swing, corner=corner, turns=turns)
+    return numbers(PlannerNumbers, changed)
 
 
 def scene(place, motor, load, edge, gain, sent, aim):
@@ -58,9 +66,9 @@ class Alone:
 
     def act(self, observation):
         if self.started:
-            self.law.update(observation)
+            self.law.update(decode(observation))
         else:
-            self.law.start(observation, self.period)
+            self.law.start(decode(observation), self.period)
             self.started = True
         return self.law.command()
 
@@ -82,7 +90,7 @@ def test_modelled_spool_goes_where_the_plants_spool_goes():
 
 
 def test_slope_of_the_cost_is_that_of_its_differences():
-    r, w, work = channel(), Weights(30.0, 1.0, 100.0, 100.0, 2.0, 1), Work.of(STEPS)
+    r, w, work = channel(), weights(30.0, 100.0, 100.0, 2.0, 1), Work.of(STEPS)
     place = [[0.3, 0.4], [2.0, -1.0], [0.3, 0.4]]
     s = scene(
         place,
@@ -107,7 +115,7 @@ def test_slope_of_the_cost_is_that_of_its_differences():
 
 def test_matrix_of_the_normal_equations_is_the_change_of_the_slope():
     """With a cost that is a sum of squares throughout, the lower triangle that is read."""
-    r, w, work = channel(), Weights(30.0, 1.0, 100.0, 100.0, 1e6, 1), Work.of(STEPS)
+    r, w, work = channel(), weights(30.0, 100.0, 100.0, 1e6, 1), Work.of(STEPS)
     place = [[0.3, 0.4], [2.0, -1.0], [0.3, 0.4]]
     load, edge = [0.1, 0.3], np.full((2, 2), 0.02)
     s = scene(place, [20.0, 22.0], load, edge, [0.8, 0.7], [0.3, 0.4], np.linspace(21.0, 25.0, HORIZON + 1))
@@ -131,7 +139,7 @@ def test_speeds_are_foreseen_as_the_plant_makes_them():
     rng, off = np.random.default_rng(0), []
     r, w, work = (
         channel(friction=0.85 * STICTION),
-        Weights(1.0, 1.0, 1.0, 1.0, 1.0, 1),
+        weights(1.0, 1.0, 1.0, 1.0, 1),
         Work.of(STEPS),
     )
     for _ in range(16):
@@ -154,7 +162,7 @@ def test_speeds_are_foreseen_as_the_plant_makes_them():
 
 def test_a_plan_at_the_commands_limits_is_the_best_there_is():
     """Motors that are to hurry and to meet: no command of the plan can be moved, within the limits, so that it costs less."""
-    r, w, work = channel(), Weights(300.0, 1.0, 650.0, 3000.0, 1.5, 40), Work.of(STEPS)
+    r, w, work = channel(), weights(300.0, 650.0, 3000.0, 1.5, 40), Work.of(STEPS)
     place = [[0.8, 0.8], [0.0, 0.0], [0.8, 0.8]]
     s = scene(
         place,
@@ -178,7 +186,7 @@ def test_a_plan_at_the_commands_limits_is_the_best_there_is():
 
 def test_the_valve_with_the_longer_way_sets_out_first():
     """From rest, with dead zones of 2 and 20 %: both motors are to begin to turn in the same period."""
-    r, w, work = channel(), Weights(300.0, 1.0, 1000.0, 1000.0, 2.0, 20), Work.of(STEPS)
+    r, w, work = channel(), weights(300.0, 1000.0, 1000.0, 2.0, 20), Work.of(STEPS)
     edge, none = [[0.02, 0.02], [0.20, 0.20]], np.zeros(2)
     s = scene(np.zeros((3, 2)), none, none, edge, [0.8, 0.8], none, [0.0, 1.0, 2.0, 3.0, 4.0])
     plan, plain = np.zeros((1, 2, HORIZON)), np.tile([[[0.1], [0.28]]], (1, 1, HORIZON))

@@ -18,6 +18,7 @@ from hydro_env.controllers.mpc.flow_controller import FlowController
 from hydro_env.controllers.registry import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.envs import HydraulicSyncVectorEnv
+from hydro_env.envs.observation import decode
 from hydro_env.errors import InputError
 
 SHIPPED = sorted((Path(__file__).parents[2] / "hydro_env" / "controllers" / "policies").glob("*.npz"))
@@ -106,18 +107,18 @@ def test_the_valves_are_known_before_the_first_step():
     driving tells the gains."""
     env, observation, edge, gain = rigs_and_truth()
     law = FlowController()
-    law.start(observation, 0.01)
+    law.start(decode(observation), 0.01)
     valves = law.estimator.valves.state
     guess = valves.edge[..., 0] - edge, valves.gain - gain
     for _ in range(20):
         observation, *_, info = env.step(law.command())
         assert np.abs(info["speed_rpm"]).max() < 60.0
-        law.update(observation)
+        law.update(decode(observation))
     assert np.abs(info["angle_difference_deg"]).max() < 20.0
     assert np.std(valves.edge[..., 0] - edge) < 0.3 * np.std(guess[0])
     for _ in range(60):
         observation, *_ = env.step(law.command())
-        law.update(observation)
+        law.update(decode(observation))
     assert np.std(valves.gain - gain) < 0.3 * np.std(guess[1])
 
 

@@ -7,7 +7,7 @@ from hydro_env.controllers.estimation.estimator import EstimatorSettings
 from hydro_env.controllers.estimation.sensor_supervision import SensorSettings, SensorSupervision
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
 from hydro_env.envs import HydraulicSyncVectorEnv
-from hydro_env.envs.observation import NOISE, Measurements
+from hydro_env.envs.observation import NOISE, Measurements, decode
 from hydro_env.plant import load_model
 from hydro_env.units import RPM
 
@@ -20,12 +20,12 @@ def drive(seconds=1.0, plant="paper_dead_zone", mismatch="val", noise=1.0, super
     observation, _ = env.reset(seed=list(range(RIGS)))
     estimator = EstimatorSettings(sensors=SensorSettings(active=supervised))
     law, largest = FlowController(FlowSettings(estimator=estimator, planner=None)), np.zeros(RIGS)
-    law.start(observation, 0.01)
+    law.start(decode(observation), 0.01)
     for step in range(round(seconds / 0.01)):
         observation, *_, info = env.step(law.command())
         if at_step is not None:
             observation = at_step(step, observation)
-        law.update(observation)
+        law.update(decode(observation))
         largest = np.maximum(largest, np.abs(info["speed_difference_rpm"]))
     return law.estimator, largest, env
 

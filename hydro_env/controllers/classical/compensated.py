@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_env.controllers.base import OUTPUT_SHAPING, Controller, Floats, Gain, Measurements
-from hydro_env.controllers.classical.cross_coupling import COUPLING, FILTER, SIDES
-from hydro_env.controllers.classical.pid import KP, TI, Pid, per_rpm
-from hydro_env.controllers.classical.reference import FirstOrder
+from hydro_env.controllers.base import OUTPUT_SHAPING, Floats, Gain, Measurements
+from hydro_env.controllers.classical.cross_coupling import CrossCoupled
 from hydro_env.controllers.estimation.bench_map import on_the_bench
 from hydro_env.controllers.estimation.nominal import Motor
 from hydro_env.controllers.estimation.valve_map import ValveMap
@@ -16,9 +14,10 @@ from hydro_env.plant import Plant
 __all__ = ["Compensated"]
 
 MOTOR = Motor()
+BLEND = Gain("blend", "1", 1e-3, 0.1, summary="share of the rated flow below which the inverse is a ramp")
 
 
-class Compensated(Controller):
+class Compensated(CrossCoupled):
     """Asks for flow, and turns flow into a command by the inverse of each valve's measured curve.
 
     The flow that the smoothed set-point takes is fed forward; a cross-coupled PI corrects it. Needs both
@@ -26,20 +25,7 @@ class Compensated(Controller):
     """
 
     needs = "bench"
-    GAINS = (
-        KP,
-        TI,
-        *COUPLING,
-        FILTER,
-        Gain(
-            "blend",
-            "1",
-            1e-3,
-            0.1,
-            summary="flow, as a share of the rated, below which the inverse is a ramp",
-        ),
-        *OUTPUT_SHAPING,
-    )
+    GAINS = (*CrossCoupled.FOLLOWING, BLEND, *OUTPUT_SHAPING)
     valves: ValveMap | None = None
 
     def prepare(self, plant: Plant) -> None:
@@ -50,19 +36,17 @@ class Compensated(Controller):
             raise RuntimeError(
                 f"{self.name} needs prepare(plant) before the episode: it identifies the valves on a bench"
             )
-        self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
-        self._track = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"])
-        self._couple = Pid(per_rpm(self.gains["Kc"]), self.gains["Tic"])
-        self._track.start(self.period, np.zeros_like(measured.speed))
-        self._couple.start(self.period, np.zeros((len(measured.speed), 1)))
+        super().start(measured)
+
+    def _in_force(self, measured: Measurements) -> Floats:
+        return np.zeros_like(measured.speed)
 
     def command(self, measured: Measurements) -> Floats:
         assert self.valves is not None
         before = self._reference.value
         reference = self._reference.step(measured.setpoint)
         ahead = MOTOR.demand(reference, (reference - before) / self.period, 0.0)[:, None]
-        behind = measured.speed[:, 1:] - measured.speed[:, :1]
-        correction = SIDES * self._couple.step(behind)
+        correction = self._correction(measured)
         integral = self._track.integral
         flow = self._track.step(reference[:, None] - measured.speed, ahead + correction)
         asked = self.valves.command(flow, self.gains["blend"])

@@ -31,23 +31,30 @@ class CrossCoupled(Controller):
     The motor that is ahead is held back as much as the other is pushed, so that they meet in the middle.
     """
 
-    GAINS: ClassVar[tuple[Gain, ...]] = (KP, TI, *COUPLING, FILTER, *OUTPUT_SHAPING)
+    FOLLOWING = (KP, TI, *COUPLING, FILTER)
+    GAINS: ClassVar[tuple[Gain, ...]] = (*FOLLOWING, *OUTPUT_SHAPING)
 
     def start(self, measured: Measurements) -> None:
         self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
-        self._track = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"])
-        self._track.start(self.period, measured.command)
-        self._couple = Pid(per_rpm(self.gains["Kc"]), self.gains["Tic"])
-        self._couple.start(self.period, np.zeros((len(measured.speed), 1)))
+        self._track = Pid(self.period, self._in_force(measured), per_rpm(self.gains["Kp"]), self.gains["Ti"])
+        apart = np.zeros((len(measured.speed), 1))
+        self._couple = Pid(self.period, apart, per_rpm(self.gains["Kc"]), self.gains["Tic"])
+
+    def _in_force(self, measured: Measurements) -> Floats:
+        """What the PI of each motor starts with, (num_rigs, 2)."""
+        return measured.command
 
     def command(self, measured: Measurements) -> Floats:
         return self._follow(self._reference.step(measured.setpoint), measured)
 
     def _follow(self, reference: Floats, measured: Measurements) -> Floats:
+        correction = self._correction(measured)
+        return self._track.step(reference[:, None] - measured.speed, correction, self.limits)
+
+    def _correction(self, measured: Measurements) -> Floats:
+        """What the coupling adds, (num_rigs, 2)."""
         behind = measured.speed[:, 1:] - measured.speed[:, :1]  # how far motor 1 is behind motor 2
-        return self._track.step(
-            reference[:, None] - measured.speed, SIDES * self._couple.step(behind), self.limits
-        )
+        return SIDES * self._couple.step(behind)
 
 
 class RelativeCoupled(Controller):
@@ -72,8 +79,7 @@ class RelativeCoupled(Controller):
 
     def start(self, measured: Measurements) -> None:
         self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
-        self._pid = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"])
-        self._pid.start(self.period, measured.command)
+        self._pid = Pid(self.period, measured.command, per_rpm(self.gains["Kp"]), self.gains["Ti"])
 
     def command(self, measured: Measurements) -> Floats:
         lag = measured.speed[:, ::-1] - measured.speed
@@ -120,14 +126,13 @@ class MasterSlave(Controller):
 
     def start(self, measured: Measurements) -> None:
         self._reference = FirstOrder(np.mean(measured.speed, axis=1), self.gains["filter"], self.period)
-        kp = np.stack(
-            np.broadcast_arrays(np.ravel(self.gains["Kp"]), np.ravel(self.gains["Kp_slave"])), axis=-1
+        kp, ti = (
+            np.stack(
+                np.broadcast_arrays(*(np.ravel(self.gains[key]) for key in (name, f"{name}_slave"))), axis=-1
+            )
+            for name in ("Kp", "Ti")
         )
-        ti = np.stack(
-            np.broadcast_arrays(np.ravel(self.gains["Ti"]), np.ravel(self.gains["Ti_slave"])), axis=-1
-        )
-        self._pid = Pid(per_rpm(kp), ti)
-        self._pid.start(self.period, measured.command)
+        self._pid = Pid(self.period, measured.command, per_rpm(kp), ti)
 
     def command(self, measured: Measurements) -> Floats:
         aim = np.stack([self._reference.step(measured.setpoint), measured.speed[:, 0]], axis=1)

@@ -8,7 +8,7 @@ limit (conditional integration, which needs no parameter of its own), be it of t
 from __future__ import annotations
 
 from math import inf
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,43 +40,29 @@ def per_rpm(gain: ArrayLike) -> Floats:
 
 
 class Pid:
-    """u = kp (e + 1/ti int e dt + td de/dt) + feedforward, limited to [low, high]; vectorised by
-    broadcasting.
-    """
+    """u = kp (e + 1/ti int e dt + td de/dt) + feedforward, limited; vectorised by broadcasting."""
 
     def __init__(
         self,
+        period: float,
+        output: ArrayLike,
         kp: ArrayLike,
         ti: ArrayLike,
         td: ArrayLike = 0.0,
-        *,
         filter_rate: float = 100.0,
-        low: float = -1.0,
-        high: float = 1.0,
     ) -> None:
+        """Starts with the output that is in force, at a sample time of `period` s, without a derivative kick."""
         self.kp, self.ti, self.td = (np.asarray(value, dtype=float) for value in (kp, ti, td))
-        self.filter_rate, self.low, self.high = filter_rate, low, high
-        self.period = 0.0
-        self.integral: Floats = np.zeros(())
-        self.derivative: Floats = np.zeros(())
+        self.period, self.filter_rate = period, filter_rate
+        self.integral: Floats = np.array(output, dtype=float)
+        self.derivative: Floats = np.zeros_like(self.integral)
         self._last_error: Floats | None = None
 
-    def start(self, period: float, output: ArrayLike) -> None:
-        """Starts with the output that is in force, at a sample time of `period` s, without a derivative
-        kick.
-        """
-        self.period = period
-        self.integral = np.array(output, dtype=float)
-        self.derivative = np.zeros_like(self.integral)
-        self._last_error = None
-
     def step(
-        self, error: Floats, feedforward: Floats | float = 0.0, limits: tuple[Floats, Floats] | None = None
+        self, error: Floats, feedforward: Floats | float = 0.0, limits: tuple[Any, Any] = (-1.0, 1.0)
     ) -> Floats:
-        """The output for this sample's error; both have the shape of the output at the start. `limits` hold for this
-        sample, instead of [low, high].
-        """
-        low, high = (self.low, self.high) if limits is None else limits
+        """The output for this sample's error, both of the shape of the output at the start, within this sample's `limits`."""
+        low, high = limits
         change = error - (error if self._last_error is None else self._last_error)
         self._last_error = error
         rate = self.filter_rate * self.period
@@ -97,8 +83,8 @@ class PidController(Controller):
     GAINS: ClassVar[tuple[Gain, ...]] = (KP, TI, TD, *OUTPUT_SHAPING)
 
     def start(self, measured: Measurements) -> None:
-        self._pid = Pid(per_rpm(self.gains["Kp"]), self.gains["Ti"], self.gains["Td"])
-        self._pid.start(self.period, measured.command)
+        kp, ti, td = per_rpm(self.gains["Kp"]), self.gains["Ti"], self.gains["Td"]
+        self._pid = Pid(self.period, measured.command, kp, ti, td)
 
     def command(self, measured: Measurements) -> Floats:
         return self._pid.step(measured.setpoint[:, None] - measured.speed, limits=self.limits)

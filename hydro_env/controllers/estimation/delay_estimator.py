@@ -13,12 +13,12 @@ from hydro_env.controllers.base import Floats
 from hydro_env.controllers.settings import HAND, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
-__all__ = ["LONGEST", "DelayEstimator", "DelaySettings"]
+__all__ = ["MAX_DELAY", "DelayEstimator", "DelaySettings"]
 
 Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice
 
-LONGEST = 2
+MAX_DELAY = 2
 """Longest delay that is recognised, periods."""
 
 
@@ -42,8 +42,8 @@ class DelayEstimator:
     def __init__(self, settings: DelaySettings, num_rigs: int) -> None:
         self._numbers = numbers(DelayNumbers, settings)
         self.periods = np.zeros(num_rigs, int)
-        self._position = np.zeros((LONGEST + 2, num_rigs, 2))
-        self._misses = np.zeros((LONGEST + 1, num_rigs, 2))
+        self._position = np.zeros((MAX_DELAY + 2, num_rigs, 2))
+        self._misses = np.zeros((MAX_DELAY + 1, num_rigs, 2))
         self._flow: Floats = np.zeros((num_rigs, 2))
 
     def reset(self, rows: Rows, position: Floats, flow: Floats) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
-from hydro_env.controllers.estimation.delay_estimator import LONGEST, DelayEstimator, DelaySettings
+from hydro_env.controllers.estimation.delay_estimator import MAX_DELAY, DelayEstimator, DelaySettings
 from hydro_env.controllers.estimation.motor_filter import MotorFilter, MotorFilterSettings
 from hydro_env.controllers.estimation.nominal import FLOW_NOISE, FLOWING, NOMINAL, RATED_FLOW, Motor
 from hydro_env.controllers.estimation.sensor_supervision import SensorSettings, SensorSupervision
@@ -54,7 +54,7 @@ class Estimator:
         self.motors = MotorFilter(settings.motors, num_rigs, period)
         self.sensors = SensorSupervision(settings.sensors, num_rigs, period, motor.leakage)
         self.delay = DelayEstimator(settings.delay, num_rigs)
-        self.sent, self._places = np.zeros((LONGEST + 1, *pair)), np.zeros((LONGEST + 1, 2, *pair))
+        self.sent, self._places = np.zeros((MAX_DELAY + 1, *pair)), np.zeros((MAX_DELAY + 1, 2, *pair))
         self.flow: Floats = np.zeros(pair)
         self.flow_noise: Floats = np.ones(pair)
         self._pressure = np.zeros(pair)

@@ -32,20 +32,12 @@ TORQUE_NOISE = DISPLACEMENT * PRESSURE_NOISE
 class MotorFilterSettings:
     """What the filter expects of loads and of its own model."""
 
-    together: float = setting(
-        0.006, "N m", "random walk of the loads' mean in a period, standard deviation", TUNED
-    )
+    together: float = setting(0.006, "N m", "random walk of the loads' mean in a period", TUNED)
     apart: float = setting(0.0005, "N m", "and of half their difference", TUNED)
     changed: float = setting(0.06, "1", "share of a change of torque that its integral may have wrong", TUNED)
-    unsampled: float = setting(
-        0.5, "1", "share of the torque between samples that the model may have wrong", TUNED
-    )
-    sudden: float = setting(
-        4.0, "1", "standard deviations from which on a miss is a load that has jumped", HAND
-    )
-    twice: float = setting(
-        8.0, "1", "product of two misses in a row, in variances, that counts as one too", TUNED
-    )
+    unsampled: float = setting(0.5, "1", "share of the torque between samples that may be wrong", TUNED)
+    sudden: float = setting(4.0, "1", "a miss that shows a load's jump, standard deviations", HAND)
+    twice: float = setting(8.0, "1", "product of two misses in a row that does, variances", TUNED)
 
 
 MotorFilterNumbers: Any = numbers_of(MotorFilterSettings)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from hydro_env.units import BAR, RPM
 
 __all__ = [
     "FLOW_NOISE", "FLOWING", "NOMINAL", "PRESSURE_NOISE", "RATED_FLOW", "RATED_TRAVEL", "SPEED_NOISE", "SPOOL_RATE",
-    "STICTION", "TUNED_PERIOD", "Motor", "MotorModel",
+    "STICTION", "TUNED_PERIOD", "Motor",
 ]  # fmt: skip
 
 Floats = NDArray[np.float64]
@@ -46,31 +45,13 @@ TUNED_PERIOD = 0.01
 """The control period that rates and gains were tuned at, s."""
 
 
-class MotorModel(NamedTuple):
-    """A motor and the control period (s) for compiled code: flows that speed, torque and acceleration take; `coasting` 1/s."""
-
-    period: float
-    per_speed: float
-    per_torque: float
-    per_acceleration: float
-    coasting: float
-    inertia: float
-
-
 @dataclass(frozen=True)
 class Motor:
     """Flow, as a share of the rated one, that torque, speed and acceleration of a motor take (eq. 1 and 2)."""
 
     leakage: float = setting(1.0, "1", "leakage relative to the paper's motor", "Table I")
-    compliance: float = setting(
-        0.0, "1e-12 m3/Pa", "flow into the lines per rate of the pressure", "none in (1)"
-    )
-    mode: float = setting(
-        0.0,
-        "1/s",
-        "rate at which the speed follows a flow, where the leakage does not set it",
-        "0 for the paper's motor",
-    )
+    compliance: float = setting(0.0, "1e-12 m3/Pa", "flow into the lines per pressure rate", "none in (1)")
+    mode: float = setting(0.0, "1/s", "rate to a flow's speed; 0: by the leakage", "the paper's motor")
 
     @property
     def per_torque(self) -> float:
@@ -89,11 +70,6 @@ class Motor:
     def rate(self) -> float:
         """Rate at which a motor without flow coasts down, 1/s."""
         return self.per_speed / self.per_acceleration
-
-    def model(self, period: float) -> MotorModel:
-        """The same for compiled code."""
-        flows = self.per_speed, self.per_torque, self.per_acceleration
-        return MotorModel(period, *flows, self.rate, NOMINAL["J"])
 
     def demand(self, speed: Floats, acceleration: Floats | float, load: Floats | float) -> Floats:
         """The share of the rated flow that a speed (rad/s), an acceleration (rad/s2) and a load (N m) take."""

@@ -44,30 +44,14 @@ class SensorSettings:
     """From when on a sensor is held for noisy, lagging or stuck."""
 
     active: bool = setting(True, "", "whether readings are supervised at all")
-    noisy: float = setting(
-        1.7, "1", "multiple of a speed's usual noise; estimates from three samples scatter up to it", HAND
-    )
-    noisy_pressure: float = setting(
-        1.4, "1", "the same of the pressures, of which all four sensors tell", HAND
-    )
-    forgetting: float = setting(
-        0.02, "1", "share of a new square in the noise's mean: memory of 50 samples", HAND
-    )
-    settled: float = setting(
-        15.0, "1", "samples for which the reference has been steady before noise is measured", HAND
-    )
-    bend: float = setting(
-        8.0, "1", "bend of a reading, in standard deviations, from which on it tells of a lag", HAND
-    )
-    lagging: float = setting(
-        0.014, "s", "lag from which on readings are corrected; a load's step looks like 0.01", HAND
-    )
-    model: float = setting(
-        1.4 * RPM, "rad/s", "error of the integrated torque in a period, standard deviation", HAND
-    )
-    rate: float = setting(
-        3.0, "1/s", "how fast the integrated torque is drawn to a doubtful reading or the flow", HAND
-    )
+    noisy: float = setting(1.7, "1", "noise of a speed that counts as unusual, of usual", HAND)
+    noisy_pressure: float = setting(1.4, "1", "and of the pressures: all four sensors tell of it", HAND)
+    forgetting: float = setting(0.02, "1", "share of a new square in the noise's mean", HAND)
+    settled: float = setting(15.0, "1", "samples of a steady reference before noise is measured", HAND)
+    bend: float = setting(8.0, "1", "bend of a reading that tells of a lag, standard deviations", HAND)
+    lagging: float = setting(0.014, "s", "lag that is corrected; a load's step looks like 0.01", HAND)
+    model: float = setting(1.4 * RPM, "rad/s", "standard deviation of a period's integrated torque", HAND)
+    rate: float = setting(3.0, "1/s", "pace from integrated torque to a doubtful reading or flow", HAND)
 
 
 SensorNumbers: Any = numbers_of(SensorSettings)

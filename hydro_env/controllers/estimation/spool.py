@@ -35,15 +35,14 @@ class SpoolSettings:
     friction: float = setting(0.85, "1", "Coulomb friction relative to the nominal stiction", TUNED)
     substep: float = setting(1.25e-3, "s", "step of the model", "a 24th of the spool's period")
     coil: float = setting(1e-3, "s", "time constant of the coil", "L / R, Table II")
-    pressure_lag: float = setting(
-        5e-4, "s", "lag of the pressure behind the flow", "V / (beta Km), Tables I and II"
-    )
+    pressure_lag: float = setting(5e-4, "s", "lag of the pressure behind the flow", "V / (beta Km)")
     stop: float = setting(1.16, "1", "end stops, in rated travels", "1 mm of the nominal valve")
 
 
 class Channel(NamedTuple):
     """The modelled channel for compiled code: substeps of `step` s, `steps` a period."""
 
+    period: float  # of control, s
     steps: int
     step: float
     rate: float  # of the spool's mode, 1/s
@@ -84,7 +83,7 @@ def channel_of(settings: SpoolSettings, motor: Motor, period: float, horizon: in
     lag = settings.pressure_lag
     fresh = 0.5 - lag / step * (1.0 - lag / step * (1.0 - exp(-step / lag)))
     return Channel(
-        steps, step, rate, decay, grip, late, late_mean, settings.stop, motor.per_speed, motor.per_torque,
+        period, steps, step, rate, decay, grip, late, late_mean, settings.stop, motor.per_speed, motor.per_torque,
         motor.per_acceleration, fresh, np.array(travel), np.array(swing),
     )  # fmt: skip
 

@@ -31,34 +31,20 @@ Rows = NDArray[Any] | slice
 class ValveSettings:
     """Prior, random walks and noise of the estimate."""
 
-    nearest: float = setting(
-        0.04, "1", "an edge lies at most so far on the other side", "null offsets to 30 um"
-    )
+    nearest: float = setting(0.04, "1", "most of an edge on the other side", "null offsets to 30 um")
     farthest: float = setting(0.26, "1", "and at most so far", "dead zones to 200 um, null offsets to 30 um")
-    gain: float = setting(
-        0.82, "1", "mean flow gain of valves of this type", "Kq 0.65 to 1 of the nominal one"
-    )
-    gain_scatter: float = setting(
-        0.12, "1", "its standard deviation", "the same range, and the coil's resistance"
-    )
+    gain: float = setting(0.82, "1", "mean flow gain of this type", "Kq 0.65 to 1 of the nominal one")
+    gain_scatter: float = setting(0.12, "1", "its standard deviation", "the same range, and that of R")
     drift: float = setting(0.03, "1/sqrt(s)", "random walk of the edge, which friction shifts", TUNED)
     gain_drift: float = setting(0.004, "1/sqrt(s)", "random walk of the gain", TUNED)
-    still: float = setting(
-        0.0165, "1", "standard deviation of the modelled position of a spool at rest", TUNED
-    )
+    still: float = setting(0.0165, "1", "standard deviation of a resting spool's modelled position", TUNED)
     moving: float = setting(0.06, "1", "and per amplitude of its swing", TUNED)
     first: float = setting(0.0065, "1", "standard deviation of an edge at the first flow seen there", TUNED)
-    moved: float = setting(
-        0.1, "1", "swing from which on the walks go at full pace: friction shifts edges", TUNED
-    )
+    moved: float = setting(0.1, "1", "swing at which the walks have full pace: friction shifts edges", TUNED)
     idle: float = setting(0.05, "1", "share of that pace at which they go on while the spool rests", TUNED)
     unused: float = setting(0.02, "1/sqrt(s)", "random walk of the edge of the other direction", TUNED)
-    stale: float = setting(
-        0.02, "1", "standard deviation up to which that edge is forgotten", "4 um of travel"
-    )
-    noise: float = setting(
-        FLOW_NOISE, "1", "standard deviation of the measured flow", "sensor noise through eq. (1)"
-    )
+    stale: float = setting(0.02, "1", "standard deviation where forgetting that edge ends", "4 um of travel")
+    noise: float = setting(FLOW_NOISE, "1", "standard deviation of the measured flow", "sensors, eq. (1)")
 
 
 ValveNumbers: Any = numbers_of(ValveSettings)

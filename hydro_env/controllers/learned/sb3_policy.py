@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.envs.batch import INCREMENT
-from hydro_env.envs.observation import OBSERVATION, with_errors
+from hydro_env.envs.observation import ERRORS, FRAME, with_errors
 from hydro_env.errors import InputError, InputWarning
 from hydro_env.reading import check_file
 
@@ -45,20 +45,15 @@ class Sb3Policy:
             )
         self._model = _algorithm(path, policy).load(path, device="cpu")
         observed, acted = self._model.observation_space.shape, self._model.action_space.shape
-        width, self._errors = len(OBSERVATION), False
-        if (
-            observed is not None
-            and len(observed) == 1
-            and observed[0] % width
-            and not observed[0] % (width + 3)
-        ):
-            width, self._errors = width + 3, True
-        if observed is None or len(observed) != 1 or observed[0] % width or acted != (2,):
+        widths = [
+            n for n in (FRAME, FRAME + ERRORS) if observed and len(observed) == 1 and not observed[0] % n
+        ]
+        if not widths or acted != (2,):
             raise InputError(
                 f"{path}: observations {observed} and actions {acted} are not those of HydraulicSync-v0: "
-                f"({len(OBSERVATION)} for each frame,), or {len(OBSERVATION) + 3} with its errors, and (2,)"
+                f"({FRAME} for each frame,), or {FRAME + ERRORS} with its errors, and (2,)"
             )
-        self._history = observed[0] // width
+        self._history, self._errors = observed[0] // widths[0], widths[0] > FRAME
         if increment is None:
             said = (
                 f"{path}: does not say whether its actions are commands or changes of them: {path}:increment=0 for commands,"
@@ -78,7 +73,7 @@ class Sb3Policy:
     @guarded
     def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
         """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n)."""
-        newest = np.asarray(observation, dtype=np.float32)[:, -len(OBSERVATION) :]
+        newest = np.asarray(observation, dtype=np.float32)[:, -FRAME:]
         self._frames = [*(self._frames or [newest] * self._history), newest][-self._history :]
         frames = np.concatenate(self._frames, axis=1)
         action, self._state = self._model.predict(

@@ -1,43 +1,22 @@
-"""Dead-zone compensation: from the flow asked for to the command that is sent."""
+"""Dead-zone compensation: from the flow asked for to the command that is sent, by the inverse of the estimated flow curves."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from hydro_env.controllers.base import Floats
-from hydro_env.controllers.estimation.valve_estimator import ValveState
 from hydro_env.controllers.mpc.reference import capacity
-from hydro_env.controllers.settings import setting
 from hydro_env.jit import compiled
 
-__all__ = ["CompensationSettings", "DeadZoneCompensation"]
+__all__ = ["compensate"]
 
-
-@dataclass(frozen=True)
-class CompensationSettings:
-    """How the jump over the dead zone is smoothed."""
-
-    blend: float = setting(0.01, "1", "flow below which the jump is a ramp", "just above what counts as flow")
-
-
-class DeadZoneCompensation:
-    """The inverse of the estimated flow curves."""
-
-    def __init__(self, settings: CompensationSettings) -> None:
-        self._blend = settings.blend
-
-    def command(self, flow: Floats, valves: ValveState) -> Floats:
-        """Commands (num_rigs, 2) for flows (num_rigs, 2), which are lowered in place where a valve is at its limit: both give
-        way, so that the motors stay together."""
-        command = np.empty_like(flow)
-        _invert(self._blend, flow, valves, command)
-        return command
+BLEND = 0.01
+"""Flow below which the jump over the dead zone is a ramp: just above what counts as flow."""
 
 
 @compiled
-def _invert(blend, flow, valves, command):
+def compensate(flow, valves, command):
+    """Fills in commands (N, 2) for flows (N, 2), which are lowered in place where a valve is at its limit: both give way, so that
+    the motors stay together. valves: `ValveState`."""
     for i in range(flow.shape[0]):
         excess = 0.0
         for c in range(2):
@@ -48,4 +27,4 @@ def _invert(blend, flow, valves, command):
             positive, negative = valves.edge[i, c, 0], valves.edge[i, c, 1]
             middle, opening = 0.5 * (positive - negative), abs(flow[i, c]) / valves.gain[i, c]
             beyond = -(negative + opening) if flow[i, c] < 0.0 else positive + opening
-            command[i, c] = middle + min(abs(flow[i, c]) / blend, 1.0) * (beyond - middle)
+            command[i, c] = middle + min(abs(flow[i, c]) / BLEND, 1.0) * (beyond - middle)

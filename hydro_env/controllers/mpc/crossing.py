@@ -26,9 +26,7 @@ class CrossingSettings:
     """When an edge is searched during a crossing, and how fast."""
 
     search: float = setting(9.3, "1/s", "pace of the spools, rated commands a second", TUNED)
-    known: float = setting(
-        0.0235, "1", "standard deviation of an edge below which it is not looked for", TUNED
-    )
+    known: float = setting(0.0235, "1", "standard deviation of an edge that is not looked for", TUNED)
 
 
 class CrossingState(NamedTuple):

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
-from hydro_env.controllers.estimation.delay_estimator import LONGEST
+from hydro_env.controllers.estimation.delay_estimator import MAX_DELAY
 from hydro_env.controllers.estimation.motor_filter import MotorState
 from hydro_env.controllers.estimation.nominal import TUNED_PERIOD, Motor
+from hydro_env.controllers.estimation.spool import Channel
 from hydro_env.controllers.mpc.reference import ReferenceState
 from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.jit import compiled
@@ -51,10 +52,8 @@ class FeedbackNumbers(NamedTuple):
     jump: float
     gain: float  # what a longer period leaves of the gains
     mode: bool
-    share_period: (
-        float  # of the way to the final speed (or of an acceleration, s), in a period and in the lead
-    )
-    share_lead: float
+    share_period: float  # of the way to the final speed (or of an acceleration, s), in a period
+    share_lead: float  # and in the lead
     whole: int  # periods of the delay, and the part of one
     part: float
     pause: int
@@ -75,16 +74,17 @@ class FeedbackState(NamedTuple):
 class Feedback:
     """Holds a `FeedbackState` in `state`, whose arrays keep their place."""
 
-    def __init__(self, settings: FeedbackSettings, motor: Motor, num_rigs: int, period: float) -> None:
+    def __init__(self, settings: FeedbackSettings, motor: Motor, channel: Channel, num_rigs: int) -> None:
+        period = channel.period
         spans = np.array([period, settings.lead * TUNED_PERIOD])
         if motor.mode:
             shares = 1.0 - np.exp(-motor.mode * spans)
         else:
             shares = spans * (1.0 - 0.5 * motor.rate * TUNED_PERIOD)
         whole = int(settings.delay / period)
-        self.remembered = whole + 2 + LONGEST
+        self.remembered = whole + 2 + MAX_DELAY
         """References that the error looks back on."""
-        self._motor = motor.model(period)
+        self._channel = channel
         self._numbers = FeedbackNumbers(
             settings.track, settings.couple, settings.late,
             # a difference of speeds over half the time is twice as noisy; slower sampling allows less feedback
@@ -96,12 +96,12 @@ class Feedback:
         self.state = FeedbackState(
             np.zeros(pair), np.zeros(pair), np.zeros(num_rigs), np.zeros(num_rigs), np.zeros(num_rigs, int)
         )
-        self._wanted = np.zeros((LONGEST + 1, *pair))
+        self._wanted = np.zeros((MAX_DELAY + 1, *pair))
 
     def reset(self, rows: Rows, speed: Floats) -> None:
         """The flow that holds the speeds (n, 2)."""
         f = self.state
-        f.flow[rows], f.apart[rows], f.behind[rows] = self._motor.per_speed * speed, 0.0, 0.0
+        f.flow[rows], f.apart[rows], f.behind[rows] = self._channel.per_speed * speed, 0.0, 0.0
         f.sudden[rows], f.pause[rows] = 0.0, 0
         self._wanted[:, rows] = 0.0
 
@@ -123,7 +123,7 @@ class Feedback:
         self._wanted = np.concatenate([wanted[None], self._wanted[:-1]])
         f, speed = self.state, np.ascontiguousarray(speed)
         _sudden(self._numbers, motors.miss, noise, probing, f)
-        _ask(self._numbers, self._motor, speed, motors.torque, delay, self._wanted, reference, f)
+        _ask(self._numbers, self._channel, speed, motors.torque, delay, self._wanted, reference, f)
 
 
 @compiled

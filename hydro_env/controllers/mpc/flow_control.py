@@ -14,15 +14,19 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hydro_env.controllers.base import Controller, Floats, Gain
+from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
 from hydro_env.controllers.estimation.bench_map import on_the_bench
+from hydro_env.controllers.estimation.delay_estimator import DelaySettings
+from hydro_env.controllers.estimation.estimator import EstimatorSettings
+from hydro_env.controllers.estimation.nominal import Motor
+from hydro_env.controllers.estimation.spool import SpoolSettings
+from hydro_env.controllers.estimation.valve_estimator import ValveSettings
 from hydro_env.controllers.estimation.valve_map import ValveMap
-from hydro_env.controllers.input_guard import guarded
+from hydro_env.controllers.mpc.crossing import CrossingSettings
+from hydro_env.controllers.mpc.feedback import FeedbackSettings
 from hydro_env.controllers.mpc.flow_controller import FlowController, FlowSettings
-from hydro_env.controllers.settings import from_table
+from hydro_env.controllers.mpc.probing import ProbingSettings
+from hydro_env.controllers.mpc.reference import ReferenceSettings
 from hydro_env.plant import Plant
 
 __all__ = ["AdaptiveFlow", "BenchFlow", "ProbingFlow", "RigFlow"]
@@ -51,15 +55,27 @@ class ProbingFlow(Controller):
     settings = FlowSettings()
     """Beneath the gains."""
 
+    law: FlowController | None = None
+
     def reset(self, num_rigs: int, control_period: float) -> None:
         super().reset(num_rigs, control_period)
-        gains = {name: float(value) for name, value in self.gains.items()}
+        self.law = None
+
+    def command(self, measured: Measurements) -> Floats:
+        if self.law is None:
+            self.law = self._begun(measured)
+        else:
+            self.law.update(measured)
+        return self.law.command()
+
+    def _begun(self, measured: Measurements) -> FlowController:
+        """The law with these gains, after the first measurements."""
+        s, gains = self.settings, {name: float(value) for name, value in self.gains.items()}
 
         def tuned(part: Any, *names: str) -> Any:
             return replace(part, **{name: gains[name] for name in names if name in gains})
 
-        s = self.settings
-        self.law = FlowController(
+        law = FlowController(
             replace(
                 s,
                 reference=tuned(s.reference, "rate", "rise", "fall"),
@@ -67,45 +83,25 @@ class ProbingFlow(Controller):
                 crossing=tuned(s.crossing, "search"),
             )
         )
-
-    @guarded
-    def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
-        if len(observation) != self._num_rigs:
-            raise ValueError(
-                f"{self.name} was reset for {self._num_rigs} rigs, got {len(observation)} observations"
-            )
-        if self._started:
-            self.law.update(observation)
-        else:
-            self._begin(observation)
-            self._started = True
-        self.sent = self.law.command()
-        return self.sent
-
-    def _begin(self, observation: NDArray[np.floating[Any]]) -> None:
-        self.law.start(observation, self.period)
+        law.start(measured, self.period)
+        return law
 
 
-RIG = from_table(
-    FlowSettings,
-    {
-        "motor": {"leakage": 0.01666, "compliance": 0.0625, "mode": 23.2},
-        "estimator": {
-            "spool": {"damping": 0.3, "friction": 0.54},
-            "valves": {
-                "drift": 0.0247, "gain_drift": 0.0085, "still": 0.016, "moving": 0.346, "first": 0.0056, "idle": 1.0,
-                "unused": 0.0,
-            },
-            "delay": {"certain": 12.0, "most": 100.0, "loose": 0.0},
-        },
-        "reference": {"doubt": 2.9, "capacity": 1.0, "foresight": 0.0},
-        "probing": {"led": False, "detect": 0.0047, "patience": 0.0},
-        "crossing": {"known": 0.0135},
-        "feedback": {"track": 30.0, "couple": 60.0, "delay": 0.0114, "lead": 1.23, "late": 0.78},
-        "planner": None,
-    },
-    "",
-)  # fmt: skip
+RIG = FlowSettings(
+    motor=Motor(leakage=0.01666, compliance=0.0625, mode=23.2),
+    estimator=EstimatorSettings(
+        spool=SpoolSettings(damping=0.3, friction=0.54),
+        valves=ValveSettings(
+            drift=0.0247, gain_drift=0.0085, still=0.016, moving=0.346, first=0.0056, idle=1.0, unused=0.0
+        ),
+        delay=DelaySettings(certain=12.0, most=100.0, loose=0.0),
+    ),
+    reference=ReferenceSettings(doubt=2.9, capacity=1.0, foresight=0.0),
+    probing=ProbingSettings(led=False, detect=0.0047, patience=0.0),
+    crossing=CrossingSettings(known=0.0135),
+    feedback=FeedbackSettings(track=30.0, couple=60.0, delay=0.0114, lead=1.23, late=0.78),
+    planner=None,
+)
 """For the preset `rig`, whose motors hardly leak and follow the flow. Found by an evolution strategy on pairs of `train`."""
 
 
@@ -139,11 +135,11 @@ class BenchFlow(ProbingFlow):
     def prepare(self, plant: Plant) -> None:
         self.valves = on_the_bench(plant)
 
-    def _begin(self, observation: NDArray[np.floating[Any]]) -> None:
+    def _begun(self, measured: Measurements) -> FlowController:
         if self.valves is None:
             raise RuntimeError(
                 f"{self.name} needs prepare(plant) before the episode: it identifies the valves on a bench"
             )
-        super()._begin(observation)
-        estimate = self.law.estimator.valves
-        estimate.begin_with(self.valves.edge, self.valves.gain.mean(axis=-1), *SURE)
+        law = super()._begun(measured)
+        law.estimator.valves.begin_with(self.valves.edge, self.valves.gain.mean(axis=-1), *SURE)
+        return law

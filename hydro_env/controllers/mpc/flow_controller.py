@@ -7,7 +7,7 @@ It knows nothing of the drawn valves. Its parts, in the order of a control perio
 * `Reference`: one speed for both motors.
 * `Crossing`: looks for an edge that is unknown when the flow has to change its direction.
 * `Feedback`: the flow each motor is to get.
-* `DeadZoneCompensation` and `InputShaper`: the estimated curves turn flow into commands; three successive commands are averaged
+* `compensate` and `InputShaper`: the estimated curves turn flow into commands; three successive commands are averaged
   so that the spool's lightly damped mode stays at rest. A sudden load on one motor alone is answered without that delay.
 * `Planner`, if there is one: plans the next commands of both valves together instead. Two spools with different ways to their
   edges begin to flow at different times when commands are averaged, which parts the motors at every start and every crossing.
@@ -27,13 +27,13 @@ from hydro_env.controllers.base import Floats
 from hydro_env.controllers.estimation.estimator import Estimator, EstimatorSettings
 from hydro_env.controllers.estimation.nominal import FLOWING, SPOOL_RATE, Motor
 from hydro_env.controllers.input_shaping import InputShaper
-from hydro_env.controllers.mpc.compensation import CompensationSettings, DeadZoneCompensation
+from hydro_env.controllers.mpc.compensation import compensate
 from hydro_env.controllers.mpc.crossing import Crossing, CrossingSettings
 from hydro_env.controllers.mpc.feedback import Feedback, FeedbackSettings
 from hydro_env.controllers.mpc.planner import HORIZON, Planner, PlannerSettings, Scene, predict_delayed
 from hydro_env.controllers.mpc.probing import Probing, ProbingSettings
 from hydro_env.controllers.mpc.reference import Reference, ReferenceSettings
-from hydro_env.envs.observation import decode
+from hydro_env.envs.observation import Measurements
 
 __all__ = ["FlowController", "FlowSettings"]
 
@@ -51,7 +51,6 @@ class FlowSettings:
     probing: ProbingSettings = field(default_factory=ProbingSettings)
     crossing: CrossingSettings = field(default_factory=CrossingSettings)
     feedback: FeedbackSettings = field(default_factory=FeedbackSettings)
-    compensation: CompensationSettings = field(default_factory=CompensationSettings)
     planner: PlannerSettings | None = field(default_factory=PlannerSettings)
 
 
@@ -61,16 +60,15 @@ class FlowController:
     def __init__(self, settings: FlowSettings | None = None) -> None:
         self.settings = settings or FlowSettings()
 
-    def start(self, observation: NDArray[np.floating[Any]], period: float) -> None:
-        """Begins with the first observation (num_rigs, n) of all rigs; forgets everything before. `period` in s."""
-        s, n = self.settings, len(observation)
+    def start(self, seen: Measurements, period: float) -> None:
+        """Begins with the first measurements of all rigs; forgets everything before. `period` in s."""
+        s, n = self.settings, len(seen.speed)
         self.period = period
         self.estimator = Estimator(s.estimator, s.motor, n, period, HORIZON)
         self.probing = Probing(s.probing, n, period)
         self.crossing = Crossing(s.crossing, n, period)
-        self.feedback = Feedback(s.feedback, s.motor, n, period)
-        self.reference = Reference(s.reference, s.motor, n, period, self.feedback.remembered)
-        self.compensation = DeadZoneCompensation(s.compensation)
+        self.feedback = Feedback(s.feedback, s.motor, self.estimator.channel, n)
+        self.reference = Reference(s.reference, self.estimator.channel, n, self.feedback.remembered)
         self.shaper = InputShaper(SPOOL_RATE, period, np.zeros((n, 2)))
         self.planner = Planner(s.planner, n, self.estimator.channel) if s.planner else None
         self._plans = self.planner is not None and self.planner.fits(period)
@@ -78,11 +76,10 @@ class FlowController:
         self._response = s.planner.behind if s.planner else s.feedback.delay / period
         self.setpoint: Floats = np.zeros(n)
         self.sent, self.wanted = np.zeros((2, n, 2))
-        self.restart(np.arange(n), observation)
+        self.restart(np.arange(n), seen)
 
-    def restart(self, rows: Rows, observation: NDArray[np.floating[Any]]) -> None:
-        """Begins anew with the first observations of some rigs (indices)."""
-        seen = decode(np.asarray(observation))
+    def restart(self, rows: Rows, seen: Measurements) -> None:
+        """Begins again with the first measurements of some rigs (indices)."""
         self.estimator.reset(rows, seen)
         self.probing.reset(rows)
         self.crossing.reset(rows)
@@ -95,17 +92,11 @@ class FlowController:
         begun[rows] = True
         self.shaper.replace(begun, self.sent)
 
-    def update(self, observation: NDArray[np.floating[Any]]) -> None:
-        """Takes in the next observation of all rigs and decides what flow they are to get."""
+    def update(self, seen: Measurements) -> None:
+        """Takes in the next measurements of all rigs and decides what flow they are to get."""
         e, reference, crossing = self.estimator, self.reference.state, self.crossing.state
         steady = ~(crossing.active | self.probing.active) & (np.abs(reference.acceleration) < 1.0)
-        seen = e.update(
-            decode(np.asarray(observation)),
-            self.sent,
-            steady,
-            self.probing.flowing,
-            self.probing.settings.sweep,
-        )
+        seen = e.update(seen, self.sent, steady, self.probing.flowing, self.probing.settings.sweep)
         valves, motors = e.valves.state, e.motors.state
         self.setpoint = self.reference.foresee(seen.setpoint, self._response)
         self.probing.update(seen.setpoint, self.reference.smooth, e.flow, e.flow_noise, valves.unknown)
@@ -120,7 +111,8 @@ class FlowController:
         e, probing = self.estimator, self.probing.active
         valves = e.valves.state
         flow = self.feedback.state.flow.copy()
-        asked = self.compensation.command(flow, valves)
+        asked = np.empty_like(flow)
+        compensate(flow, valves, asked)
         self.crossing.steer(asked, e.flow, FLOWING * e.flow_noise, valves)
         self.probing.steer(asked, e.valves.middle)
         idle = (self.crossing.state.active | probing)[:, None]

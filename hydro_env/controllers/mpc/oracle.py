@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from hydro_env.controllers.base import Controller, Floats, Gain, Measurements
+from hydro_env.controllers.linear_channel import linear_rates
 from hydro_env.controllers.mpc.shooting import END, HORIZON, MIN_DAMPING, SAMPLES, Task, cost, improve
 from hydro_env.plant import CATALOGUE, PARAMETERS, Plant
 from hydro_env.units import RPM
@@ -178,14 +179,9 @@ def _travel(plant: Plant, period: float) -> Floats:
     """Travel of every spool in m, (N, 2, HORIZON SAMPLES + 1), at the samples after a command of 1 that lasts one period:
     coil, back-EMF, mass and spring, (5) and (6), without friction and stops.
     """
-    get = plant.get
-    mass = get("m")
     rates = np.zeros((plant.num_rigs, 2, 4, 4))  # current, travel, speed, command
-    rates[..., 0, 0], rates[..., 0, 2] = -get("R") / get("L"), -get("alpha") / get("L")
-    rates[..., 0, 3] = get("u_rated") / get("L")
-    rates[..., 1, 2] = 1.0
-    rates[..., 2, 0], rates[..., 2, 1] = get("alpha") / mass, -get("k") / mass
-    rates[..., 2, 2] = -(get("C") + get("s2")) / mass
+    rates[..., :3, :3] = linear_rates(plant.get)[..., :3, :3]
+    rates[..., 0, 3] = plant.get("u_rated") / plant.get("L")
     held = expm(rates * (period / SAMPLES))
     state = np.zeros((plant.num_rigs, 2, 4))
     state[..., 3] = 1.0
@@ -202,10 +198,6 @@ def _motor(plant: Plant, step: float) -> Floats:
     """Pressure and speed of every motor a step later, (N, 2, 2, 3): from pressure, speed and the travel of the spool, (1),
     (2) and (8), without what effects add.
     """
-    get = plant.get
-    stiffness = get("beta") / get("V")
     rates = np.zeros((plant.num_rigs, 2, 3, 3))
-    rates[..., 0, 0], rates[..., 0, 1] = -stiffness * get("Km"), -stiffness * get("D")
-    rates[..., 0, 2] = stiffness * get("Kq")
-    rates[..., 1, 0], rates[..., 1, 1] = get("D") / get("J"), -get("B") / get("J")
+    rates[..., :2, :] = linear_rates(plant.get)[..., 3:, [3, 4, 1]]
     return np.ascontiguousarray(expm(rates * step)[..., :2, :])

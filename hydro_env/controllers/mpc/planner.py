@@ -1,6 +1,6 @@
 """The receding-horizon planner: the next commands of both valves, so that the motors keep together.
 
-A plan holds the commands of the next few control periods and is improved in every period anew, by steps of Gauss and Newton on
+A plan holds the commands of the next few control periods and is improved in every period, by steps of Gauss and Newton on
 a model of spools, valves and motors (direct single shooting; Diehl et al., Real-time optimization, J. Process Control 12, 2002).
 The motor follows its flow by (1) and (2). The cost adds up
 
@@ -26,16 +26,16 @@ from hydro_env.controllers.estimation.nominal import TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel, substep, valve_flow
 from hydro_env.controllers.mpc.linear_algebra import solve_positive_definite
 from hydro_env.controllers.mpc.reference import ReferenceState
-from hydro_env.controllers.settings import HAND, TUNED, setting
+from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 from hydro_env.units import RPM
 
 __all__ = [
     "HORIZON",
     "Planner",
+    "PlannerNumbers",
     "PlannerSettings",
     "Scene",
-    "Weights",
     "Work",
     "improve_plans",
     "predict_delayed",
@@ -53,7 +53,7 @@ CLOSED = 0.3
 TRIES, SMALLER = 3, 0.35
 """How often a step is tried, and by how much smaller each time."""
 STUCK, AWAY = 0.6, 10.0 * RPM
-"""A plan that leaves this share of a larger distance from the aim is restarted from the plain way to the aim."""
+"""A plan that leaves this share of a larger distance from the aim is restarted from the plan of the feedback."""
 
 
 @dataclass(frozen=True)
@@ -63,32 +63,18 @@ class PlannerSettings:
     apart: float = setting(300.0, "1", "of the squared speed difference", TUNED)
     moves: float = setting(650.0, "rad2/s2", "of the squared moves of a command", TUNED)
     swing: float = setting(3000.0, "rad2/s2", "of the squared swing at the end", TUNED)
-    corner: float = setting(
-        14.0, "rpm", "difference from which on its cost grows faster than its square", TUNED
-    )
+    corner: float = setting(14.0 * RPM, "rad/s", "difference where its cost exceeds its square", TUNED)
     turns: int = setting(3, "1", "steps of Gauss and Newton a period", HAND)
     behind: float = setting(1.95, "periods", "how long after the reference the speeds are to follow", TUNED)
-    ahead: float = setting(30.0, "rpm", "no farther are the speeds asked to move at once", TUNED)
-    wrong: float = setting(
-        2e-4, "1", "mean square of the flow's innovation that doubles the moves' weight", TUNED
-    )
+    ahead: float = setting(30.0 * RPM, "rad/s", "no farther are the speeds asked to move at once", TUNED)
+    wrong: float = setting(2e-4, "1", "mean square innovation that doubles the moves' weight", TUNED)
     memory: float = setting(0.1, "1", "share of a new square in that mean", TUNED)
     worst: float = setting(0.02, "1", "most that one square counts", TUNED)
     heaviest: float = setting(6.0, "1", "largest factor on the moves' weight", TUNED)
-    noisiest: float = setting(
-        4.0, "1", "multiple of a speed's usual noise up to which commands are planned", TUNED
-    )
+    noisiest: float = setting(4.0, "1", "noise of a speed up to which commands are planned, of usual", TUNED)
 
 
-class Weights(NamedTuple):
-    """Of the difference, the distance from the aim, the moves, the swing at the end; `corner` in rad/s; `turns`."""
-
-    apart: float
-    aim: float
-    moves: float
-    swing: float
-    corner: float
-    turns: int
+PlannerNumbers: Any = numbers_of(PlannerSettings)
 
 
 class Scene(NamedTuple):
@@ -118,13 +104,18 @@ class Work(NamedTuple):
     slope: Floats
     move: Floats
     tried: Floats
+    x: Floats
+    v: Floats
+    coil: Floats
+    flow: Floats
+    speed: Floats
 
     @classmethod
     def of(cls, steps: int) -> Work:
         empty = np.empty
         return cls(
             empty((2, HORIZON + 1)), empty((2, 2)), empty((2, HORIZON * steps)), np.zeros((HORIZON + 1, COMMANDS)),
-            empty((COMMANDS, COMMANDS)), empty(COMMANDS), empty(COMMANDS), empty((2, HORIZON)),
+            empty((COMMANDS, COMMANDS)), empty(COMMANDS), empty(COMMANDS), empty((2, HORIZON)), *empty((5, 2)),
         )  # fmt: skip
 
 
@@ -132,9 +123,8 @@ class Planner:
     """`plan` (num_rigs, 2, HORIZON): commands of the next periods. Only for the control period it was tuned at."""
 
     def __init__(self, settings: PlannerSettings, num_rigs: int, channel: Channel) -> None:
-        s = self.settings = settings
+        self.settings, self._numbers = settings, numbers(PlannerNumbers, settings)
         self._channel, self._work = channel, Work.of(channel.steps)
-        self._weights = Weights(s.apart, 1.0, s.moves, s.swing, s.corner * RPM, s.turns)
         self.plan, self._mean = np.zeros((num_rigs, 2, HORIZON)), np.zeros(num_rigs)
 
     @staticmethod
@@ -152,7 +142,7 @@ class Planner:
         self.plan[..., :-1] = self.plan[..., 1:].copy()
         self.plan[~planned] = plain[~planned, :, :1]
         rows = np.flatnonzero(planned)
-        improve_plans(self.plan, plain, rows, scene, self._weights, self._channel, self._work)
+        improve_plans(self.plan, plain, rows, scene, self._numbers, self._channel, self._work)
         return np.where(planned[:, None], self.plan[..., 0], plain[..., 0])
 
     def move_weights(self, innovation: Floats, acceleration: Floats) -> Floats:
@@ -179,72 +169,71 @@ class Planner:
             else:
                 aim[:, k] = reference.speed - reference.acceleration * back * period
         off = aim[:, 0] - np.mean(motor, axis=1)
-        return aim - (off - np.clip(off, -s.ahead * RPM, s.ahead * RPM))[:, None]
+        return aim - (off - np.clip(off, -s.ahead, s.ahead))[:, None]
 
 
 @compiled
 def predict_delayed(late, sent, place, motor, load, edge, gain, m):
     """Spools `place` (3, N, 2) and speeds `motor` (N, 2), in place, after the commands that are on their way: the `late` (N,)
     newest ones of `sent` (periods, N, 2), newest first."""
-    push = m.step / m.per_acceleration
     for i in range(late.size):
         for c in range(2):
             x, v, coil, speed = place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c]
             drag = m.per_torque * load[i, c]
-            before, _ = valve_flow(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
+            flow, _ = valve_flow(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
             for k in range(late[i] - 1, -1, -1):
                 for _ in range(m.steps):
+                    before = flow
                     x, v, coil = substep(x, v, coil, sent[k, i, c], m)
                     flow, _ = valve_flow(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
-                    speed += push * (before + m.fresh * (flow - before) - m.per_speed * speed - drag)
-                    before = flow
+                    speed = turn(speed, before, flow, drag, m)
             place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c] = x, v, coil, speed
+
+
+@compiled
+def turn(speed, before, flow, drag, m):
+    """A motor's speed after a substep in which the flow changes; `drag`: the flow that its load takes."""
+    return speed + m.step / m.per_acceleration * (
+        before + m.fresh * (flow - before) - m.per_speed * speed - drag
+    )
 
 
 @compiled
 def cost_of(plan, i, s, w, m, work):
     """The cost of a plan (2, H) of rig i; fills `speeds`, `ends` and `opened` of `work`."""
-    # Both spools in one loop: one's next step does not wait for the other's.
-    push, gain, edge, place = m.step / m.per_acceleration, s.gain[i], s.edge[i], s.place[:, i]
-    x0, v0, coil0, speed0, drag0 = (
-        place[0, 0],
-        place[1, 0],
-        place[2, 0],
-        s.motor[i, 0],
-        m.per_torque * s.load[i, 0],
+    gain, edge, x, v, coil, flow, speed = (
+        s.gain[i],
+        s.edge[i],
+        work.x,
+        work.v,
+        work.coil,
+        work.flow,
+        work.speed,
     )
-    x1, v1, coil1, speed1, drag1 = (
-        place[0, 1],
-        place[1, 1],
-        place[2, 1],
-        s.motor[i, 1],
-        m.per_torque * s.load[i, 1],
-    )
-    before0, before1 = s.sent[i, 0], s.sent[i, 1]
-    work.speeds[0, 0], work.speeds[1, 0] = speed0, speed1
-    last0, _ = valve_flow(x0, edge[0, 0], edge[0, 1], gain[0])
-    last1, _ = valve_flow(x1, edge[1, 0], edge[1, 1], gain[1])
-    total, moves = 0.0, w.moves * s.heavier[i]
+    for c in range(2):
+        x[c], v[c], coil[c], speed[c] = s.place[0, i, c], s.place[1, i, c], s.place[2, i, c], s.motor[i, c]
+        flow[c], _ = valve_flow(x[c], edge[c, 0], edge[c, 1], gain[c])
+        work.speeds[c, 0] = speed[c]
+    total, weight = 0.0, w.moves * s.heavier[i]
     for k in range(HORIZON):
-        command0, command1 = plan[0, k], plan[1, k]
         for n in range(k * m.steps, (k + 1) * m.steps):
-            x0, v0, coil0 = substep(x0, v0, coil0, command0, m)
-            x1, v1, coil1 = substep(x1, v1, coil1, command1, m)
-            flow0, open0 = valve_flow(x0, edge[0, 0], edge[0, 1], gain[0])
-            flow1, open1 = valve_flow(x1, edge[1, 0], edge[1, 1], gain[1])
-            speed0 += push * (last0 + m.fresh * (flow0 - last0) - m.per_speed * speed0 - drag0)
-            speed1 += push * (last1 + m.fresh * (flow1 - last1) - m.per_speed * speed1 - drag1)
-            last0, last1 = flow0, flow1
-            work.opened[0, n] = 1.0 if open0 else CLOSED
-            work.opened[1, n] = 1.0 if open1 else CLOSED
-        work.speeds[0, k + 1], work.speeds[1, k + 1] = speed0, speed1
-        total += moves * ((command0 - before0) ** 2 + (command1 - before1) ** 2)
-        before0, before1 = command0, command1
-    ends = work.ends
-    ends[0, 0], ends[0, 1] = x0 - before0, v0 / m.rate
-    ends[1, 0], ends[1, 1] = x1 - before1, v1 / m.rate
-    total += w.swing * (ends[0, 0] ** 2 + ends[0, 1] ** 2 + ends[1, 0] ** 2 + ends[1, 1] ** 2)
-    return _add_speeds(total, work.speeds, s.aim[i], w)
+            for c in range(2):  # innermost, so that one spool's step does not wait for the other's
+                before = flow[c]
+                x[c], v[c], coil[c] = substep(x[c], v[c], coil[c], plan[c, k], m)
+                flow[c], opened = valve_flow(x[c], edge[c, 0], edge[c, 1], gain[c])
+                speed[c] = turn(speed[c], before, flow[c], m.per_torque * s.load[i, c], m)
+                work.opened[c, n] = 1.0 if opened else CLOSED
+        moves = 0.0
+        for c in range(2):
+            work.speeds[c, k + 1] = speed[c]
+            moves += (plan[c, k] - (s.sent[i, c] if k == 0 else plan[c, k - 1])) ** 2
+        total += weight * moves
+    swing = 0.0
+    for c in range(2):
+        work.ends[c, 0], work.ends[c, 1] = x[c] - plan[c, HORIZON - 1], v[c] / m.rate
+        for d in range(2):
+            swing += work.ends[c, d] ** 2
+    return _add_speeds(total + w.swing * swing, work.speeds, s.aim[i], w)
 
 
 @compiled
@@ -253,7 +242,7 @@ def _add_speeds(total, speeds, aim, w):
     for k in range(1, HORIZON + 1):
         apart, off = speeds[0, k] - speeds[1, k], 0.5 * (speeds[0, k] + speeds[1, k]) - aim[k]
         square = apart * apart
-        total += w.apart * square * (1.0 + 0.5 * square / (w.corner * w.corner)) + 2.0 * w.aim * off * off
+        total += w.apart * square * (1.0 + 0.5 * square / (w.corner * w.corner)) + 2.0 * off * off
     return total
 
 
@@ -272,9 +261,9 @@ def normal_equations(plan, i, s, w, m, work):
             sign = 1.0 - 2.0 * c
             for j in range(k):
                 b, a = c * HORIZON + j, change[k, c * HORIZON + j]
-                slope[b] += (weight * apart * sign + w.aim * off) * a
+                slope[b] += (weight * apart * sign + off) * a
                 for d in range(c + 1):
-                    both = ((weight if d == c else -weight) + 0.5 * w.aim) * a
+                    both = ((weight if d == c else -weight) + 0.5) * a
                     for n in range(HORIZON):
                         square[b, d * HORIZON + n] += both * change[k, d * HORIZON + n]
     for c in range(2):
@@ -284,9 +273,9 @@ def normal_equations(plan, i, s, w, m, work):
 @compiled
 def _sensitivity(gain, m, work):
     """How speeds at the control instants change with each command: the spool's travel, where the valve is open, integrated."""
-    # Both motors in one loop: one's next substep does not wait for the other's.
     push, change, opened = m.step / m.per_acceleration, work.change, work.opened
     keep = 1.0 - push * m.per_speed
+    # Both motors in one loop: one's next substep does not wait for the other's.
     for j in range(HORIZON):
         turned0 = turned1 = risen0 = risen1 = 0.0
         for k in range(j, HORIZON):
@@ -361,7 +350,7 @@ def _improve(plan, i, cost, s, w, m, work):
 @compiled
 def improve_plans(plans, plain, rows, s, w, m, work):
     """Improves the plans (N, 2, H) of the rigs `rows`, in place. plain (N, 2, H): another plan to begin with, where it is better.
-    s: `Scene`, w: `Weights`, m: `Channel`, work: `Work`."""
+    s: `Scene`, w: `PlannerNumbers`, m: `Channel`, work: `Work`."""
     for i in rows:
         plan, now = plans[i], 0.5 * (s.motor[i, 0] + s.motor[i, 1])
         other = cost_of(plain[i], i, s, w, m, work)
@@ -377,7 +366,7 @@ def improve_plans(plans, plain, rows, s, w, m, work):
                 if not reached < cost:
                     break
                 cost = reached
-            # out of standstill the way leads over a ridge: a plan that stays behind it is restarted beyond
+            # the cost is not convex at standstill: a plan that stays there is restarted from the feedback's plan
             away = s.aim[i, HORIZON] - now
             left = s.aim[i, HORIZON] - 0.5 * (work.speeds[0, HORIZON] + work.speeds[1, HORIZON])
             if attempt == 1 or abs(away) < AWAY or left * away < STUCK * away * away:

@@ -49,9 +49,7 @@ class ProbingSettings:
     again: float = setting(0.006, "1", "flow that then ends it", TUNED)
     begin: float = setting(2.5, "periods", "how far a led sweep is to be after two periods", TUNED)
     back: float = setting(1.4, "periods", "the same after it has turned", TUNED)
-    least: float = setting(
-        0.04, "1", "distance behind its first edge at which a spool is a period later", TUNED
-    )
+    least: float = setting(0.04, "1", "distance behind its first edge a period after it", TUNED)
     clear: float = setting(0.5, "1", "or this share of its way from rest, where that is more", TUNED)
     home: float = setting(0.42, "1", "and at its second edge, as a share of the dead zone", TUNED)
     patience: float = setting(250.0, "rpm", "smoothly moving set-point below which probing goes on", TUNED)

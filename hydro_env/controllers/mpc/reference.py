@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.controllers.base import Floats
-from hydro_env.controllers.estimation.nominal import TUNED_PERIOD, Motor
+from hydro_env.controllers.estimation.nominal import NOMINAL, TUNED_PERIOD
+from hydro_env.controllers.estimation.spool import Channel
 from hydro_env.controllers.estimation.valve_estimator import ValveState
 from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
@@ -20,6 +21,7 @@ __all__ = ["Reference", "ReferenceSettings", "ReferenceState", "capacity"]
 Bools = NDArray[np.bool_]
 Rows = NDArray[Any] | slice
 
+INERTIA = NOMINAL["J"]
 SMOOTH = 25.0 * RPM
 """Change of the set-point in a period up to which it is taken to go on, rad/s: 2500 rpm/s at 10 ms."""
 
@@ -33,9 +35,7 @@ class ReferenceSettings:
     fall: float = setting(4.0, "1", "how many times as fast it may fall", TUNED)
     doubt: float = setting(5.5, "1", "an unknown gain divides that rise by 1 + doubt", TUNED)
     capacity: float = setting(0.94, "1", "share of the weaker valve's capacity that may be used", TUNED)
-    foresight: float = setting(
-        1.0, "1", "how far a smoothly moving set-point is foreseen, in response times", HAND
-    )
+    foresight: float = setting(1.0, "1", "response times by which a smooth set-point is foreseen", HAND)
 
 
 ReferenceNumbers: Any = numbers_of(ReferenceSettings)
@@ -54,11 +54,9 @@ class ReferenceState(NamedTuple):
 class Reference:
     """Holds a `ReferenceState` in `state`, whose arrays keep their place."""
 
-    def __init__(
-        self, settings: ReferenceSettings, motor: Motor, num_rigs: int, period: float, remembered: int
-    ) -> None:
-        self.settings, self._motor = settings, motor.model(period)
-        self._numbers, self._period = numbers(ReferenceNumbers, settings), period
+    def __init__(self, settings: ReferenceSettings, channel: Channel, num_rigs: int, remembered: int) -> None:
+        self.settings, self._channel, period = settings, channel, channel.period
+        self._numbers = numbers(ReferenceNumbers, settings)
         # at longer periods more goes wrong before it is seen: flow rises by less
         self._growth = settings.rise * min(1.0, TUNED_PERIOD / period) ** 1.5 * period
         speed, acceleration, flow = np.zeros((3, num_rigs))
@@ -81,7 +79,7 @@ class Reference:
         self.smooth = np.abs(slope) < SMOOTH
         goes_on = self.smooth & (np.abs(slope - self._slope) < 0.2 * SMOOTH)
         self._setpoint, self._slope = setpoint, slope
-        periods = self.settings.foresight * (1.0 / (self.settings.rate * self._period) + response)
+        periods = self.settings.foresight * (1.0 / (self.settings.rate * self._channel.period) + response)
         foreseen: Floats = setpoint + np.where(goes_on, periods * slope, 0.0)
         return foreseen
 
@@ -91,7 +89,7 @@ class Reference:
         """One period towards the set-point (num_rigs,). `speed`, `torque` (num_rigs, 2): of the motors. Where it `coasts`,
         it goes on as a motor without flow does, where it `rests`, at the motors' speed."""
         readings = np.ascontiguousarray(setpoint), np.ascontiguousarray(speed), torque
-        _advance(self._numbers, self._growth, self._motor, *readings, valves, coasts, rests, self.state)
+        _advance(self._numbers, self._growth, self._channel, *readings, valves, coasts, rests, self.state)
 
 
 @compiled
@@ -112,7 +110,9 @@ def _advance(s, growth, m, setpoint, speed, torque, valves, coasts, rests, r):
         if coasts[i] or rests[i]:
             r.speed[i] = motors
             mean_load = (torque[i, 0] + torque[i, 1]) / 2.0
-            r.acceleration[i] = 0.0 if rests[i] else -m.coasting * motors - mean_load / m.inertia
+            r.acceleration[i] = (
+                0.0 if rests[i] else -m.per_speed / m.per_acceleration * motors - mean_load / INERTIA
+            )
             r.history[:, i] = motors
         else:
             r.speed[i] += m.period * faster

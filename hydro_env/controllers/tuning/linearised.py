@@ -19,6 +19,7 @@ import numpy as np
 
 from hydro_env.controllers.base import RPM, Floats
 from hydro_env.controllers.classical.pid import TABLE_III
+from hydro_env.controllers.linear_channel import linear_rates
 from hydro_env.controllers.tuning.gains import GainsFile, write_gains
 from hydro_env.errors import InputError
 from hydro_env.plant import PlantModel, load_model
@@ -34,17 +35,9 @@ def linear_plant(model: PlantModel, channel: int) -> tuple[Floats, Floats, Float
 
     States: current, spool travel and speed, pressure, motor speed, in SI units.
     """
-    p = {name: float(model.value(name, channel)) for name in
-         ("R", "L", "alpha", "k", "C", "s2", "m", "Kq", "D", "Km", "V", "beta", "J", "B")}  # fmt: skip
-    stiffness = p["beta"] / p["V"]
-    a = np.zeros((5, 5))
-    a[0, 0], a[0, 2] = -p["R"] / p["L"], -p["alpha"] / p["L"]
-    a[1, 2] = 1.0
-    a[2, 0], a[2, 1], a[2, 2] = p["alpha"] / p["m"], -p["k"] / p["m"], -(p["C"] + p["s2"]) / p["m"]
-    a[3, 1], a[3, 3], a[3, 4] = stiffness * p["Kq"], -stiffness * p["Km"], -stiffness * p["D"]
-    a[4, 3], a[4, 4] = p["D"] / p["J"], -p["B"] / p["J"]
+    a = linear_rates(lambda name: np.array(model.value(name, channel), float))
     b, c = np.zeros(5), np.zeros(5)
-    b[0], c[4] = 1.0 / p["L"], 1.0 / RPM
+    b[0], c[4] = 1.0 / model.value("L", channel), 1.0 / RPM
     return a, b, c
 
 
