@@ -25,6 +25,7 @@ from typing import IO, Any
 import numba
 import numpy as np
 from numba.core import event
+from numba.core.caching import IndexDataCacheFile
 
 from hydro_env.files import write_bytes
 from hydro_env.pickles import Damaged, distrust, sign, verified
@@ -49,9 +50,21 @@ def compiled(function: Callable[..., Any], *, nogil: bool = False) -> Callable[.
     others = hashlib.sha256(repr(_held(function)).encode()).hexdigest()[:16]
     before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder / others)
     try:
-        return numba.njit(cache=True, **options)(function)
+        made = numba.njit(cache=True, **options)(function)
     finally:
         numba.config.CACHE_DIR = before
+    made._cache._cache_file.__class__ = _Index
+    return made
+
+
+class _Index(IndexDataCacheFile):
+    """What is kept of a function, by the types of its arguments: nothing where a type of another version is gone."""
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except Exception:  # whatever a class that has changed makes of its pickle
+            return {}
 
 
 def _held(function: Any) -> list[object]:
