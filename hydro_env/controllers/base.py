@@ -27,13 +27,18 @@ __all__ = [
     "RPM",
     "SHAPE",
     "SLEW",
+    "Bools",
     "Controller",
     "Floats",
     "Gain",
     "Measurements",
+    "Rows",
 ]
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Rows = NDArray[Any] | slice
+"""Rigs, as an index of arrays."""
 
 FRACTION_PER_V = 1.0 / PARAMETERS["u_rated"].nominal
 """One volt of command as a fraction of the rated command."""

@@ -9,17 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["HOLD", "MOST", "InputGuard", "guarded", "held_samples"]
+__all__ = ["HOLD", "MAX_VALUE", "InputGuard", "guarded", "held_samples"]
 
 #: How long the last good value of an input stands in for it, s.
 HOLD = 0.05
 #: What is greater is as good as infinite: a value that says "absent" where a language has no NaN.
-MOST = 1e300
+MAX_VALUE = 1e300
 
 
 def held_samples(period: float) -> int:
@@ -43,27 +43,22 @@ class InputGuard:
         if self._good is None or self._missed is None or self._good.shape != observation.shape:
             self._good = np.zeros_like(observation)
             self._missed = np.full(observation.shape, self._most + 1)
-        there = np.abs(observation, dtype=float) <= MOST
+        there = np.abs(observation, dtype=float) <= MAX_VALUE
         self._missed = np.where(there, 0, np.minimum(self._missed, self._most) + 1)
         self._good = np.where(there, observation, self._good)
         self.fault = np.any(self._missed > self._most, axis=1)
         return self._good
 
 
-class _Guarded(Protocol):
-    guard: InputGuard
+Act = Callable[[Any, NDArray[Any]], NDArray[Any]]
 
 
-C = TypeVar("C", bound=_Guarded)
-Act = Callable[[C, NDArray[Any]], NDArray[Any]]
-
-
-def guarded(act: Act[C]) -> Act[C]:
+def guarded(act: Act) -> Act:
     """The method `act` behind the `guard` that the controller made in `reset`. In a batch some of whose rigs have all inputs, the
     state of the others follows their last good values."""
 
     @wraps(act)
-    def safe(self: C, observation: NDArray[Any]) -> NDArray[Any]:
+    def safe(self: Any, observation: NDArray[Any]) -> NDArray[Any]:
         seen = self.guard.seen(np.asarray(observation))
         fault = self.guard.fault
         if fault.size and fault.all():

@@ -22,8 +22,8 @@ def controllers_in(path: str) -> list[str]:
     InputError if the file cannot be run or has none.
     """
     module = _load_file(Path(path))
-    own = [value for value in vars(module).values() if isinstance(value, type)]
-    names = [kind.__name__ for kind in own if kind.__module__ == module.__name__ and _drives(kind)]
+    own = [each for each in vars(module).values() if getattr(each, "__module__", "") == module.__name__]
+    names = [each.__name__ for each in own if isinstance(each, type) and not _lacking(each)]
     names = [name for name in names if not name.startswith("_")]
     if not names:
         raise InputError(f"{path}: has no class with the methods 'reset' and 'act'")
@@ -42,23 +42,20 @@ def loaded(text: str) -> Any:
 
 def checked(controller: Any, text: str) -> Any:
     """The controller. InputError if it lacks a method that a controller has."""
-    for method in ("reset", "act"):
-        if not callable(getattr(controller, method, None)):
-            raise InputError(f"{text}: is no controller, it has no method {method!r}")
+    if lacking := _lacking(controller):
+        raise InputError(f"{text}: is no controller, it has no method {lacking[0]!r}")
     return controller
 
 
-def _drives(kind: type) -> bool:
-    return all(callable(getattr(kind, method, None)) for method in ("reset", "act"))
+def _lacking(controller: Any) -> list[str]:
+    """Methods of a controller that an object or a class does not have."""
+    return [name for name in ("reset", "act") if not callable(getattr(controller, name, None))]
 
 
 def _import(where: str) -> ModuleType:
     try:
         return importlib.import_module(where)
-    except (
-        Exception,
-        SystemExit,
-    ) as problem:  # a user's module may fail in any way, and not every text is the name of one
+    except (Exception, SystemExit) as problem:  # a module may fail in any way; not every text names one
         raise InputError(f"{where}: cannot be imported ({type(problem).__name__}: {problem})") from None
 
 

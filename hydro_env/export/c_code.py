@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hydro_env.controllers.input_guard import HOLD, MOST, held_samples
+from hydro_env.controllers.input_guard import HOLD, MAX_VALUE, held_samples
 from hydro_env.ir.nodes import without_unread
 from hydro_env.ir.reader import Reader
 
@@ -41,7 +41,7 @@ def c_code(program: Program, version: str, about: str) -> CCode:
     header, step = (
         template(file).substitute(
             name=name, guard=name.upper(), period=repr(program.period), about=about, version=version, measured=len(MEASURED),
-            hold=f"{HOLD:g}", samples=held_samples(program.period), state=state, most=MOST,
+            hold=f"{HOLD:g}", samples=held_samples(program.period), state=state, most=MAX_VALUE,
         )
         for file in ("controller.h", "controller.c")
     )  # fmt: skip

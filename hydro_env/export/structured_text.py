@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from hydro_env.controllers.input_guard import HOLD, MOST, held_samples
+from hydro_env.controllers.input_guard import HOLD, MAX_VALUE, held_samples
 from hydro_env.ir.nodes import Assign, Expr, For, Statement, Store, Table
 from hydro_env.ir.reader import Reader
 
@@ -59,7 +59,7 @@ def structured_text(program: Program, version: str, about: str) -> str:
         name=identifier(program.name), period=repr(program.period), about=about, version=version, inputs=inputs, state=state,
         variables="".join(f"    {name} : {_type(*each)};\n" for name, each in variables.items()),
         constants="".join(map(_table, reader.tables.values())), gathered=gathered, hold=HOLD, samples=samples, last=last,
-        most=_literal(MOST, "double").partition("#")[2], first=bodies[0], next=bodies[1],
+        most=_literal(MAX_VALUE, "double").partition("#")[2], first=bodies[0], next=bodies[1],
     )  # fmt: skip
 
 

@@ -61,17 +61,10 @@ class Run(BaseCallback):
         super().__init__()
         self.config, self.out, self.command, self.progress = config, out, command, progress
         self.report = report
-        self._bar = tqdm(
-            total=config.num_steps,
-            initial=progress["steps"],
-            unit="step",
-            unit_scale=True,
-            disable=not bar,
-            leave=True,
-        )
+        total, begun = config.num_steps, progress["steps"]
+        self._bar = tqdm(total=total, initial=begun, unit="step", unit_scale=True, disable=not bar)
         self._since = time.monotonic() - progress["seconds"]
         self._cpu_since = time.process_time() - progress["cpu_seconds"]
-        self._checked = 0
 
     @property
     def steps(self) -> int:
@@ -124,17 +117,14 @@ class Run(BaseCallback):
         tracking = np.mean([scores["tracking_mae_rpm"] for scores in each.values()])
         tail = np.mean([scores["max_speed_difference_rpm_p95"] for scores in each.values()])
         score = float(difference + training.tracking_weight * tracking + training.tail_weight * tail)
-        scores = each[training.evaluate_scenarios[0]]
-        times = self.times()
-        point = {"steps": self.steps, **times, "score": score, **scores, "scenarios": each}
-        self.progress["curve"].append(point)
+        first, times = training.evaluate_scenarios[0], self.times()
+        scores = each[first]
+        self.progress["curve"].append(
+            {"steps": self.steps, **times, "score": score, **scores, "scenarios": each}
+        )
         if score < self.progress["best"]:
             self.progress["best"] = score
-            val = {
-                "pairs": training.evaluate_pairs,
-                "score": score,
-                "scenario": training.evaluate_scenarios[0],
-            }
+            val = {"pairs": training.evaluate_pairs, "score": score, "scenario": first}
             val = {**val, **scores, "scenarios": each}
             self._export(self.out / "policy.npz", {**about, **times, "val": val})
         candidate.unlink()
@@ -174,15 +164,10 @@ def staggered(rigs: HydraulicSyncVecEnv, groups: int = 16) -> list[dict[str, Any
 
 def make_model(config: Config) -> BaseAlgorithm:
     """An untrained model in its environment."""
-    env_kwargs = {
-        "mismatch": "train",
-        "scenario": "random_steps",
-        "control_period": 0.01,
-        **config.env_kwargs,
-        **make_interface(config.training.interface).env_kwargs(),
-    }
+    usual = {"mismatch": "train", "scenario": "random_steps", "control_period": 0.01}
+    seen = make_interface(config.training.interface).env_kwargs()
     try:
-        rigs = HydraulicSyncVecEnv(config.num_envs, **env_kwargs)
+        rigs = HydraulicSyncVecEnv(config.num_envs, **{**usual, **config.env_kwargs, **seen})
     except TypeError as problem:
         raise InputError(f"{config.path}: env_kwargs: {problem}") from None
     rigs.set_options(staggered(rigs))
@@ -212,14 +197,8 @@ def train(
             model, progress = checkpoint.restore(newest, config.algorithm)
         else:
             model = make_model(config)
-            progress = {
-                "steps": 0,
-                "seconds": 0.0,
-                "cpu_seconds": 0.0,
-                "evaluated": 0,
-                "best": float("inf"),
-                "curve": [],
-            }
+            times = {"seconds": 0.0, "cpu_seconds": 0.0}
+            progress = {"steps": 0, **times, "evaluated": 0, "best": float("inf"), "curve": []}
             write_bytes(out / "config.yml", config.text.encode())
         model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
         run = Run(config, out, command, progress, bar, report)

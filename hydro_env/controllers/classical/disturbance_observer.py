@@ -21,7 +21,7 @@ __all__ = ["DisturbanceObserver"]
 MOTOR = Motor()
 SPOOL = SpoolSettings(damping=0.15, friction=0.0, coil=1e-6)
 """The rated spool, linear: more damping takes the place of friction and coil."""
-MOST = 1.0
+MAX_DISTURBANCE = 1.0
 """No disturbance is taken to be larger than the rated command."""
 
 
@@ -54,7 +54,7 @@ class DisturbanceObserver(Controller):
         self._to_disturbance = (1.0 - pole) ** 2 / self._per_flow
         # The command in force is right as it is: what the rated motor would not need of it is the disturbance.
         wanted = self._wanted(measured)
-        self.disturbance: Floats = np.clip(wanted - measured.command, -MOST, MOST)
+        self.disturbance: Floats = np.clip(wanted - measured.command, -MAX_DISTURBANCE, MAX_DISTURBANCE)
         self._fresh = True
 
     def command(self, measured: Measurements) -> Floats:
@@ -72,7 +72,9 @@ class DisturbanceObserver(Controller):
         expected = self._decay * self._model + self._per_flow * (opening + self.disturbance)
         miss = measured.speed - expected
         self._model = expected + self._to_speed * miss
-        self.disturbance = np.clip(self.disturbance + self._to_disturbance * miss, -MOST, MOST)
+        self.disturbance = np.clip(
+            self.disturbance + self._to_disturbance * miss, -MAX_DISTURBANCE, MAX_DISTURBANCE
+        )
 
     def _wanted(self, measured: Measurements) -> Floats:
         """What the rated motor would need, a share of the rated command, (num_rigs, 2)."""

@@ -61,13 +61,7 @@ class ModelInverse(Controller):
         Gain("Kp", "1/s", 2.0, 40.0, summary="acceleration per error to the reference speed"),
         Gain("Ti", "s", 0.03, 1.0, summary="integral time on that error"),
         Gain("Ks", "1/s", 2.0, 80.0, summary="acceleration per distance to the mean of both motors"),
-        Gain(
-            "blend",
-            "1",
-            1e-3,
-            0.1,
-            summary="flow, as a share of the largest, below which the inverse is a ramp",
-        ),
+        Gain("blend", "1", 1e-3, 0.1, summary="share of the largest flow below which the inverse is a ramp"),
     )
 
     def __init__(self, name: str | None = None, /, *, model: PlantModel, **gains: Any) -> None:
@@ -78,12 +72,8 @@ class ModelInverse(Controller):
         self._largest = np.stack([self._flows[-1], -self._flows[0]], axis=1)  # (2 channels, 2 directions)
         # Where the flow begins in either direction, (2 directions, 2 channels).
         small = 2e-3 * self._largest.max()
-        self._edges = np.array(
-            [
-                [self._commands[np.argmax(self._flows[:, c] > small)] for c in (0, 1)],
-                [self._commands[::-1][np.argmax(self._flows[::-1, c] < -small)] for c in (0, 1)],
-            ]
-        )
+        opens, closes = np.argmax(self._flows > small, axis=0), np.argmax(self._flows[::-1] < -small, axis=0)
+        self._edges = np.stack([self._commands[opens], self._commands[::-1][closes]])
 
     def start(self, measured: Measurements) -> None:
         n = len(measured.speed)
@@ -124,9 +114,8 @@ class ModelInverse(Controller):
 
     def _inverse(self, flow: Floats, blend: Floats) -> Floats:
         """Commands for flows, both (num_rigs, 2); the jump over the dead zone is a ramp for flows below `blend`."""
-        command = np.stack(
-            [np.interp(flow[:, c], *_rising(self._flows[:, c], self._commands)) for c in (0, 1)], axis=1
-        )
+        curves = [_rising(self._flows[:, c], self._commands) for c in (0, 1)]
+        command = np.stack([np.interp(flow[:, c], *curves[c]) for c in (0, 1)], axis=1)
         share = np.clip(np.abs(flow) / (blend * self._largest.max()), 0.0, 1.0)
         middle = 0.5 * (self._edges[0] + self._edges[1])
         edge = np.where(flow < 0.0, self._edges[1], self._edges[0])

@@ -7,16 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Bools, Floats, Rows
 from hydro_env.controllers.settings import HAND, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
 __all__ = ["MAX_DELAY", "DelayEstimator", "DelaySettings"]
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[Any] | slice
 
 MAX_DELAY = 2
 """Longest delay that is recognised, periods."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Floats, Rows
 from hydro_env.controllers.estimation.delay_estimator import MAX_DELAY, DelayEstimator, DelaySettings
 from hydro_env.controllers.estimation.motor_filter import MotorFilter, MotorFilterSettings
 from hydro_env.controllers.estimation.nominal import FLOW_NOISE, FLOWING, NOMINAL, RATED_FLOW, Motor
@@ -19,7 +18,6 @@ from hydro_env.envs.observation import Measurements
 
 __all__ = ["Estimator", "EstimatorSettings"]
 
-Rows = NDArray[Any] | slice
 
 LEAKAGE_TORQUE = RATED_FLOW / NOMINAL["Km"] * NOMINAL["D"]
 """Torque of the rated flow through the nominal leakage, N m."""

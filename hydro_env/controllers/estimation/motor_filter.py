@@ -3,7 +3,7 @@
 The pressure tells what turns a shaft far better than a speed sensor tells how fast it turns, so between two readings the
 speed is integrated (eq. 2), and a reading corrects it and the load by as much as it is worth. Both loads change together more
 easily than against each other. A load that jumps shows in a reading far off what was expected, or in two in a row; then it
-is held for unknown, of both motors together or against each other, and found anew from this reading and the next ones.
+is held for unknown, of both motors together or against each other, and found again from this reading and the next ones.
 """
 
 from __future__ import annotations
@@ -14,14 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Floats, Rows
 from hydro_env.controllers.estimation.nominal import NOMINAL, PRESSURE_NOISE, SPEED_NOISE
 from hydro_env.controllers.settings import HAND, TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
 __all__ = ["MotorFilter", "MotorFilterSettings", "MotorState"]
 
-Rows = NDArray[Any] | slice
 
 INERTIA, DISPLACEMENT, FRICTION = (NOMINAL[name] for name in ("J", "D", "B"))
 TORQUE_NOISE = DISPLACEMENT * PRESSURE_NOISE

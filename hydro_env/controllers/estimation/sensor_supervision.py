@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Bools, Floats, Rows
 from hydro_env.controllers.estimation.nominal import (
     FLOW_NOISE,
     NOMINAL,
@@ -28,11 +27,9 @@ from hydro_env.units import RPM
 
 __all__ = ["SensorSettings", "SensorState", "SensorSupervision"]
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[Any] | slice
 
 KEPT, SHARE = np.array([3, 6, 8]), np.array([0.51, 0.446, 0.326])
-"""Of the first 4, 8 and 12 readings at rest so many count, the quietest, and the mean of their squares for noise of variance 1
+"""How many of the first 4, 8 and 12 readings at rest count, the quietest, and the mean of their squares for noise of variance 1
 (order statistics of the chi-square distribution with one degree of freedom)."""
 INERTIA, DISPLACEMENT, FRICTION, LEAKAGE = (NOMINAL[name] for name in ("J", "D", "B", "Km"))
 LEAK_NOISE, TURN_NOISE = LEAKAGE * PRESSURE_NOISE / RATED_FLOW, DISPLACEMENT * SPEED_NOISE / RATED_FLOW
@@ -104,7 +101,7 @@ class SensorSupervision:
         return np.where((s.noise > 1.0) | (s.pressure_noise > 1.0), heard / FLOW_NOISE, 1.0)
 
     def reset(self, rows: Rows, seen: Measurements) -> None:
-        """Begins anew with the first readings, taken at rest."""
+        """Begins again with the first readings, taken at rest."""
         s = self.state
         s.speed[rows] = seen.speed
         self._read[:, rows], self._pressure[:, rows] = seen.speed, seen.pressure

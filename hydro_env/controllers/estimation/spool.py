@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Floats, Rows
 from hydro_env.controllers.estimation.nominal import SPOOL_RATE, STICTION, Motor
 from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.jit import compiled
@@ -23,8 +23,6 @@ __all__ = [
     "Channel", "SpoolModel", "SpoolSettings", "channel_of", "deadbeat_position", "deadbeat_state", "follow",
     "substep", "valve_flow",
 ]  # fmt: skip
-
-Rows = NDArray[Any] | slice
 
 
 @dataclass(frozen=True)

@@ -16,15 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Floats, Rows
 from hydro_env.controllers.estimation.nominal import FLOW_NOISE, FLOWING
 from hydro_env.controllers.estimation.spool import SpoolModel
 from hydro_env.controllers.settings import TUNED, numbers, numbers_of, setting
 from hydro_env.jit import compiled
 
 __all__ = ["ValveEstimator", "ValveSettings", "ValveState"]
-
-Rows = NDArray[Any] | slice
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.input_guard import InputGuard, guarded
-from hydro_env.controllers.learned.policy_interface import make_interface
+from hydro_env.controllers.learned.policy_interface import Policy, make_interface
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.reading import check_file, parse_json
 
@@ -218,14 +217,8 @@ def _layer(path: Path, own: dict[str, NDArray[Any]], before: Dense | Gru | None)
     return Gru(*own.values()) if gates == 3 else Dense(*own.values())
 
 
-class NumpyPolicy:
-    """A policy file as a controller: `reset`, then `act` once a control period, one row per rig.
-
-    `needs` and `plant` as in `hydro_env.controllers.base.Controller`: it knows nothing but the measurements.
-    """
-
-    needs = "measurements"
-    plant: str | None = None
+class NumpyPolicy(Policy):
+    """A policy file as a controller."""
 
     def __init__(self, path: str | Path, name: str | None = None, dtype: type = np.float32) -> None:
         network, self.metadata = read_policy(path)
@@ -243,23 +236,7 @@ class NumpyPolicy:
             )
         self.reset(1, 0.01)
 
-    def reset(self, num_rigs: int, control_period: float) -> None:
-        """Forgets the last episode. The policy drives at any control period (s) in the same way."""
-        self._num_rigs, self._fresh = int(num_rigs), True
-        self.guard = InputGuard(self._num_rigs, control_period)
-
-    @guarded
-    def act(self, observation: Floats) -> Floats:
-        """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
-        observation = np.asarray(observation)
-        if observation.ndim != 2 or len(observation) != self._num_rigs:
-            raise ValueError(
-                f"{self.name} was reset for {self._num_rigs} rigs, got observations {observation.shape}"
-            )
-        if self._fresh:
-            inputs = self.interface.start(observation)
+    def outputs(self, inputs: Floats, fresh: bool) -> Floats:
+        if fresh:
             self._states = self.network.start(len(inputs))
-            self._fresh = False
-        else:
-            inputs = self.interface.see(observation)
-        return self.interface.command(self.network(inputs, self._states))
+        return self.network(inputs, self._states)

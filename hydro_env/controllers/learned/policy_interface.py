@@ -12,11 +12,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.controllers.input_guard import InputGuard, guarded
 from hydro_env.envs.observation import ERRORS, FRAME, with_errors
 from hydro_env.errors import InputError, shown
 from hydro_env.limits import Limits
 
-__all__ = ["FramesInterface", "make_interface"]
+__all__ = ["FramesInterface", "Policy", "make_interface"]
 
 #: What the keys of an interface's table may be, beside `kind` and `errors`; `width` is that of an observation.
 LIMITS = {
@@ -105,3 +106,38 @@ class FramesInterface:
         return (
             np.clip(self._seen[:, -2:] + self.increment * outputs, -1.0, 1.0) if self.increment else outputs
         )
+
+
+class Policy:
+    """A network behind an interface as a controller: `reset`, then `act` once a control period, one row per rig.
+
+    Subclasses implement `outputs`. `needs` and `plant` as in `hydro_env.controllers.base.Controller`: it knows nothing but the
+    measurements.
+    """
+
+    needs = "measurements"
+    plant: str | None = None
+    name: str
+    interface: FramesInterface
+
+    def reset(self, num_rigs: int, control_period: float) -> None:
+        """Forgets the last episode. The policy drives at any control period (s) in the same way."""
+        self._num_rigs, self._fresh = int(num_rigs), True
+        self.guard = InputGuard(self._num_rigs, control_period)
+
+    @guarded
+    def act(self, observation: Floats) -> Floats:
+        """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n) as the environment gives them."""
+        observation = np.asarray(observation)
+        if observation.ndim != 2 or len(observation) != self._num_rigs:
+            raise ValueError(
+                f"{self.name} was reset for {self._num_rigs} rigs, got observations {observation.shape}"
+            )
+        inputs = self.interface.start(observation) if self._fresh else self.interface.see(observation)
+        outputs = self.outputs(inputs, self._fresh)
+        self._fresh = False
+        return self.interface.command(outputs)
+
+    def outputs(self, inputs: Floats, fresh: bool) -> Floats:
+        """What the network gives for its inputs, which are `fresh` where an episode begins."""
+        raise NotImplementedError

@@ -13,19 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
-from hydro_env.controllers.input_guard import InputGuard, guarded
+from hydro_env.controllers.learned.policy_interface import Floats, FramesInterface, Policy
 from hydro_env.envs.batch import INCREMENT
-from hydro_env.envs.observation import ERRORS, FRAME, with_errors
+from hydro_env.envs.observation import ERRORS, FRAME
 from hydro_env.errors import InputError, InputWarning
 from hydro_env.reading import check_file
 
 __all__ = ["Sb3Policy"]
 
 
-class Sb3Policy:
+class Sb3Policy(Policy):
     """Drives with the deterministic action of a saved agent; one that was trained with `history` gets its frames, one that was
     trained with `increment` (HydraulicSyncIncrement-v0: 0.3) changes its commands by its actions. One that was trained behind
     `with_errors` is recognised by its number of inputs. The file does not say whether actions are commands (`increment` 0) or
@@ -37,7 +35,8 @@ class Sb3Policy:
 
     def __init__(self, path: Path, name: str, trust: bool, increment: float | None = None) -> None:
         self.name = name
-        self._increment = INCREMENT.check(increment, f"{path}: increment") if increment else None
+        self._state: Any = None
+        changes = INCREMENT.check(increment, f"{path}: increment") if increment else 0.0
         policy = _kind_of_policy(path)
         if not trust:
             raise InputError(
@@ -53,40 +52,24 @@ class Sb3Policy:
                 f"{path}: observations {observed} and actions {acted} are not those of HydraulicSync-v0: "
                 f"({FRAME} for each frame,), or {FRAME + ERRORS} with its errors, and (2,)"
             )
-        self._history, self._errors = observed[0] // widths[0], widths[0] > FRAME
+        errors = widths[0] > FRAME
+        self.interface = FramesInterface(observed[0] // widths[0], changes, errors)
         if increment is None:
             said = (
                 f"{path}: does not say whether its actions are commands or changes of them: {path}:increment=0 for commands,"
                 f" {path}:increment=0.3 for an agent of HydraulicSyncIncrement"
             )
-            if self._errors:
+            if errors:
                 raise InputError(said)
             warnings.warn(f"{said}. Taken as commands", InputWarning, stacklevel=2)
 
-    def reset(self, num_rigs: int, control_period: float) -> None:
-        """Forgets the last episode."""
-        self.guard = InputGuard(num_rigs, control_period)
-        self._state: Any = None
-        self._first = np.ones(num_rigs, dtype=bool)
-        self._frames: list[NDArray[Any]] = []
-
-    @guarded
-    def act(self, observation: NDArray[np.floating[Any]]) -> Floats:
-        """Commands (num_rigs, 2) in [-1, 1] for observations (num_rigs, n)."""
-        newest = np.asarray(observation, dtype=np.float32)[:, -FRAME:]
-        self._frames = [*(self._frames or [newest] * self._history), newest][-self._history :]
-        frames = np.concatenate(self._frames, axis=1)
+    def outputs(self, inputs: Floats, fresh: bool) -> Floats:
+        state = None if fresh else self._state
+        begun = np.full(len(inputs), fresh)
         action, self._state = self._model.predict(
-            with_errors(frames) if self._errors else frames,
-            state=self._state,
-            episode_start=self._first,
-            deterministic=True,
+            inputs, state=state, episode_start=begun, deterministic=True
         )
-        self._first = np.zeros_like(self._first)
-        action = np.asarray(action, dtype=float)
-        if self._increment is None:
-            return action
-        return np.clip(newest[:, -2:] + self._increment * np.clip(action, -1.0, 1.0), -1.0, 1.0)
+        return np.asarray(action, dtype=float)
 
 
 def _kind_of_policy(path: Path) -> str:

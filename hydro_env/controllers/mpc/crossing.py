@@ -4,21 +4,17 @@ other, while the reference coasts as a motor without flow does."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Bools, Floats, Rows
 from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD
 from hydro_env.controllers.estimation.valve_estimator import ValveState
 from hydro_env.controllers.settings import TUNED, setting
 from hydro_env.jit import compiled
 
 __all__ = ["Crossing", "CrossingSettings", "CrossingState"]
-
-Bools = NDArray[np.bool_]
-Rows = NDArray[Any] | slice
 
 
 @dataclass(frozen=True)

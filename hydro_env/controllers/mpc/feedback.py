@@ -8,12 +8,12 @@ recognised, so that it can be answered without delay.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Bools, Floats, Rows
 from hydro_env.controllers.estimation.delay_estimator import MAX_DELAY
 from hydro_env.controllers.estimation.motor_filter import MotorState
 from hydro_env.controllers.estimation.nominal import TUNED_PERIOD, Motor
@@ -24,8 +24,6 @@ from hydro_env.jit import compiled
 
 __all__ = ["Feedback", "FeedbackSettings", "FeedbackState"]
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[Any] | slice
 
 PAUSE = 0.15
 """Least time between two answers to sudden loads, s; set by hand."""

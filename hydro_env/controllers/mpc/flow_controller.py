@@ -18,12 +18,10 @@ Where a speed sensor is poor, while a rig probes or crosses, and at control peri
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Floats, Rows
 from hydro_env.controllers.estimation.estimator import Estimator, EstimatorSettings
 from hydro_env.controllers.estimation.nominal import FLOWING, SPOOL_RATE, Motor
 from hydro_env.controllers.input_shaping import InputShaper
@@ -36,9 +34,6 @@ from hydro_env.controllers.mpc.reference import Reference, ReferenceSettings
 from hydro_env.envs.observation import Measurements
 
 __all__ = ["FlowController", "FlowSettings"]
-
-Bools = NDArray[np.bool_]
-Rows = NDArray[Any] | slice
 
 
 @dataclass(frozen=True)

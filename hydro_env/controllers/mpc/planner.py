@@ -19,9 +19,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Bools, Floats, Rows
 from hydro_env.controllers.estimation.nominal import TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel, substep, valve_flow
 from hydro_env.controllers.mpc.linear_algebra import solve_positive_definite
@@ -41,8 +40,6 @@ __all__ = [
     "predict_delayed",
 ]
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[Any] | slice
 
 HORIZON = 4
 """Control periods that are planned: longer than the spool's period of 30 ms."""

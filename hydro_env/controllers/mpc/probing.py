@@ -10,12 +10,10 @@ has found it goes back within a period, so that little flows on the way.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Bools, Floats, Rows
 from hydro_env.controllers.estimation.nominal import FLOWING, TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel, SpoolModel, deadbeat_position, deadbeat_state
 from hydro_env.controllers.estimation.valve_estimator import ValveEstimator
@@ -24,8 +22,6 @@ from hydro_env.units import RPM
 
 __all__ = ["Probing", "ProbingSettings"]
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[Any] | slice
 
 AT_REST = 5.0 * RPM
 """Set-point up to which the rig counts as at rest, rad/s."""

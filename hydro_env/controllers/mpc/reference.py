@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_env.controllers.base import Floats
+from hydro_env.controllers.base import Bools, Floats, Rows
 from hydro_env.controllers.estimation.nominal import NOMINAL, TUNED_PERIOD
 from hydro_env.controllers.estimation.spool import Channel
 from hydro_env.controllers.estimation.valve_estimator import ValveState
@@ -18,8 +17,6 @@ from hydro_env.units import RPM
 
 __all__ = ["Reference", "ReferenceSettings", "ReferenceState", "capacity"]
 
-Bools = NDArray[np.bool_]
-Rows = NDArray[Any] | slice
 
 INERTIA = NOMINAL["J"]
 SMOOTH = 25.0 * RPM

@@ -128,15 +128,12 @@ def search(wanted: Search, near: Mapping[str, float] | None = None) -> dict[str,
     names = [gain.name for gain in law.GAINS]
     generation = cases * POPULATION * len(task.scenarios)
     generations = wanted.episodes // generation - 1
-    spent = 0
 
     def costs(genes: Floats) -> Floats:
         """Costs (candidates,) of genes (gains, candidates), all candidates and pairs in one batch."""
-        nonlocal spent
         count = genes.shape[1]
         columns = np.repeat(_values(law, genes), cases, axis=1)[:, :, None]
         tried = law(task.law, **dict(zip(names, columns, strict=True)))
-        spent += cases * count * len(task.scenarios)
         return costs_of(tried, count, task, seeds, wanted.period, bar)
 
     bounds = _bounds(law)
@@ -155,11 +152,8 @@ def search(wanted: Search, near: Mapping[str, float] | None = None) -> dict[str,
     gains = {key: float(f"{value:.4g}") for key, value in zip(names, _values(law, found.x), strict=True)}
     if gains.get("slew", 0.0) * FRACTION_PER_V * wanted.period >= 2.0:
         del gains["slew"]  # the whole range within one period: no limit
-    done = {
-        "trials": POPULATION * (generations + 1),
-        "episodes": spent,
-        "cost_rpm": float(f"{found.fun:.5g}"),
-    }
+    trials, spent = POPULATION * found.nfev, generation * found.nfev  # SciPy counts generations
+    done = {"trials": trials, "episodes": spent, "cost_rpm": float(f"{found.fun:.5g}")}
     return {"gains": gains, "tuning": _account(wanted, task, generations, near is not None) | done}
 
 
