@@ -101,18 +101,13 @@ class Work(NamedTuple):
     slope: Floats
     move: Floats
     tried: Floats
-    x: Floats
-    v: Floats
-    coil: Floats
-    flow: Floats
-    speed: Floats
 
     @classmethod
     def of(cls, steps: int) -> Work:
         empty = np.empty
         return cls(
             empty((2, HORIZON + 1)), empty((2, 2)), empty((2, HORIZON * steps)), np.zeros((HORIZON + 1, COMMANDS)),
-            empty((COMMANDS, COMMANDS)), empty(COMMANDS), empty(COMMANDS), empty((2, HORIZON)), *empty((5, 2)),
+            empty((COMMANDS, COMMANDS)), empty(COMMANDS), empty(COMMANDS), empty((2, HORIZON)),
         )  # fmt: skip
 
 
@@ -176,61 +171,70 @@ def predict_delayed(late, sent, place, motor, load, edge, gain, m):
     for i in range(late.size):
         for c in range(2):
             x, v, coil, speed = place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c]
-            drag = m.per_torque * load[i, c]
-            flow, _ = valve_flow(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
+            valve, each, drag = edge[i, c], gain[i, c], m.per_torque * load[i, c]
+            flow, _ = valve_flow(x, valve[0], valve[1], each)
             for k in range(late[i] - 1, -1, -1):
                 for _ in range(m.steps):
-                    before = flow
-                    x, v, coil = substep(x, v, coil, sent[k, i, c], m)
-                    flow, _ = valve_flow(x, edge[i, c, 0], edge[i, c, 1], gain[i, c])
-                    speed = turn(speed, before, flow, drag, m)
+                    x, v, coil, speed, flow, _ = _move(
+                        x, v, coil, speed, flow, sent[k, i, c], valve, each, drag, m
+                    )
             place[0, i, c], place[1, i, c], place[2, i, c], motor[i, c] = x, v, coil, speed
 
 
 @compiled
-def turn(speed, before, flow, drag, m):
-    """A motor's speed after a substep in which the flow changes; `drag`: the flow that its load takes."""
-    return speed + m.step / m.per_acceleration * (
-        before + m.fresh * (flow - before) - m.per_speed * speed - drag
-    )
+def _move(x, v, coil, speed, flow, command, edge, gain, drag, m):
+    """A channel after a substep: spool, coil, speed of the motor, flow, and whether the valve is open. `drag`: the flow that the
+    load takes."""
+    x, v, coil = substep(x, v, coil, command, m)
+    after, opened = valve_flow(x, edge[0], edge[1], gain)
+    push = m.step / m.per_acceleration
+    speed += push * (flow + m.fresh * (after - flow) - m.per_speed * speed - drag)
+    return x, v, coil, speed, after, 1.0 if opened else CLOSED
 
 
 @compiled
 def cost_of(plan, i, s, w, m, work):
     """The cost of a plan (2, H) of rig i; fills `speeds`, `ends` and `opened` of `work`."""
-    gain, edge, x, v, coil, flow, speed = (
-        s.gain[i],
-        s.edge[i],
-        work.x,
-        work.v,
-        work.coil,
-        work.flow,
-        work.speed,
+    # Both channels in one loop: one's next step does not wait for the other's.
+    a, b, gain, opened = s.edge[i, 0], s.edge[i, 1], s.gain[i], work.opened
+    x0, v0, coil0, speed0, drag0 = (
+        s.place[0, i, 0],
+        s.place[1, i, 0],
+        s.place[2, i, 0],
+        s.motor[i, 0],
+        s.load[i, 0],
     )
-    for c in range(2):
-        x[c], v[c], coil[c], speed[c] = s.place[0, i, c], s.place[1, i, c], s.place[2, i, c], s.motor[i, c]
-        flow[c], _ = valve_flow(x[c], edge[c, 0], edge[c, 1], gain[c])
-        work.speeds[c, 0] = speed[c]
+    x1, v1, coil1, speed1, drag1 = (
+        s.place[0, i, 1],
+        s.place[1, i, 1],
+        s.place[2, i, 1],
+        s.motor[i, 1],
+        s.load[i, 1],
+    )
+    drag0, drag1 = m.per_torque * drag0, m.per_torque * drag1
+    flow0, _ = valve_flow(x0, a[0], a[1], gain[0])
+    flow1, _ = valve_flow(x1, b[0], b[1], gain[1])
+    work.speeds[0, 0], work.speeds[1, 0] = speed0, speed1
     total, weight = 0.0, w.moves * s.heavier[i]
     for k in range(HORIZON):
         for n in range(k * m.steps, (k + 1) * m.steps):
-            for c in range(2):  # innermost, so that one spool's step does not wait for the other's
-                before = flow[c]
-                x[c], v[c], coil[c] = substep(x[c], v[c], coil[c], plan[c, k], m)
-                flow[c], opened = valve_flow(x[c], edge[c, 0], edge[c, 1], gain[c])
-                speed[c] = turn(speed[c], before, flow[c], m.per_torque * s.load[i, c], m)
-                work.opened[c, n] = 1.0 if opened else CLOSED
+            x0, v0, coil0, speed0, flow0, open0 = _move(
+                x0, v0, coil0, speed0, flow0, plan[0, k], a, gain[0], drag0, m
+            )
+            x1, v1, coil1, speed1, flow1, open1 = _move(
+                x1, v1, coil1, speed1, flow1, plan[1, k], b, gain[1], drag1, m
+            )
+            opened[0, n], opened[1, n] = open0, open1
+        work.speeds[0, k + 1], work.speeds[1, k + 1] = speed0, speed1
         moves = 0.0
         for c in range(2):
-            work.speeds[c, k + 1] = speed[c]
             moves += (plan[c, k] - (s.sent[i, c] if k == 0 else plan[c, k - 1])) ** 2
         total += weight * moves
-    swing = 0.0
-    for c in range(2):
-        work.ends[c, 0], work.ends[c, 1] = x[c] - plan[c, HORIZON - 1], v[c] / m.rate
-        for d in range(2):
-            swing += work.ends[c, d] ** 2
-    return _add_speeds(total + w.swing * swing, work.speeds, s.aim[i], w)
+    ends, last = work.ends, HORIZON - 1
+    ends[0, 0], ends[0, 1] = x0 - plan[0, last], v0 / m.rate
+    ends[1, 0], ends[1, 1] = x1 - plan[1, last], v1 / m.rate
+    total += w.swing * (ends[0, 0] ** 2 + ends[0, 1] ** 2 + ends[1, 0] ** 2 + ends[1, 1] ** 2)
+    return _add_speeds(total, work.speeds, s.aim[i], w)
 
 
 @compiled
