@@ -311,7 +311,7 @@ REASONS = {
     "Raises": "RuntimeError: out of oil",
     "NotANumber": "not finite for case 0",
     "WrongShape": r"shape \(2,\) of .*, expected an array \(4, 2\)",
-    "Text": "of <U",
+    "Text": r"returned \[\[.full., ",
     "Nothing": "returned None",
     "Ragged": r"expected an array \(4, 2\) of numbers",
     "Complex": "of complex128, expected",
