@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from hydro_env.errors import run_command
 from hydro_env.files import write_bytes, write_json
 from hydro_env.limits import CORES, Limits
-from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
+from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 from hydro_env.training.recipes import RECIPES, recipe
 
 __all__ = ["LADDER", "lines", "main", "training_file"]
@@ -138,7 +138,7 @@ def train(arguments: argparse.Namespace, command: str) -> None:
         )
         final[name] = summary["rows"]
         paths = [out / name / f"seed_{each['seed']}" / "curve.json" for each in summary["seeds"]]
-        curves[name] = [read_json(path, "a learning curve", most=MOST_BYTES_OF_RESULTS) for path in paths]
+        curves[name] = [read_json(path, "a learning curve", max_bytes=MAX_BYTES_OF_RESULTS) for path in paths]
         for each in summary["failed"]:
             print(f"{name}, seed {each['seed']} failed: {each['reason']}", file=sys.stderr)
     measured = {

@@ -21,11 +21,11 @@ from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.errors import InputError, run_command
 from hydro_env.experiments import close_loop
 from hydro_env.experiments.close_loop_summary import SOURCES, collect, summary
-from hydro_env.experiments.truth_drive import drive
+from hydro_env.experiments.closed_loop_reference import drive
 from hydro_env.files import write_json
 from hydro_env.plant import load_model
 from hydro_env.practice.generate import constants_of
-from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
+from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 from hydro_env.training.config import Config, read_config
 from hydro_env.training.train import train
 
@@ -92,7 +92,7 @@ def run(
                 for name in close_loop.SCENARIOS
             }
             write_json(kept, {**origin, "drives": drives}, indent=None)
-        done = read_json(kept, "the drives of an agent", most=MOST_BYTES_OF_RESULTS)
+        done = read_json(kept, "the drives of an agent", max_bytes=MAX_BYTES_OF_RESULTS)
         if {key: done[key] for key in origin} != origin:
             raise InputError(f"{kept}: is of another training file or model; name another --out")
         about = {
@@ -126,7 +126,7 @@ def _trained(work: Work, model: Path, folder: Path, config: Config, command: str
     own = replace(
         config,
         env_kwargs={**config.env_kwargs, "plant": str(model), "mismatch": None},
-        training=replace(config.training, seed=work.seed),
+        training=config.training.model_copy(update={"seed": work.seed}),
     )
     train(own, folder, resume=(folder / "config.yml").is_file(), command=command, bar=bar)
     return folder / "policy.npz"

@@ -19,7 +19,7 @@ from typing import Any
 from agents.recurrent.settings import read_settings
 from hydro_env.errors import InputError, run_command
 from hydro_env.files import write_bytes
-from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json, read_yaml
+from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json, read_yaml
 from hydro_env.training.config import read_config
 
 __all__ = ["draw", "read_curves"]
@@ -38,7 +38,7 @@ def read_curves(runs: Sequence[Path]) -> list[dict[str, Any]]:
         for folder in folders:
             algorithm, seed = _trained(folder / "config.yml")
             points = read_json(
-                folder / "curve.json", "the curve of a training run", most=MOST_BYTES_OF_RESULTS
+                folder / "curve.json", "the curve of a training run", max_bytes=MAX_BYTES_OF_RESULTS
             )
             found.append({"run": folder.name, "algorithm": algorithm, "seed": seed, "points": points})
     return found

@@ -21,6 +21,7 @@ from hydro_env.controllers.mpc.flow_control import ProbingFlow
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.files import write_bytes
 from hydro_env.limits import Limits
+from hydro_env.plant import Plant
 
 __all__ = ["course", "draw"]
 
@@ -34,6 +35,7 @@ def course(name: str, case: int, seconds: float = 3.0) -> dict[str, NDArray[np.f
     kwargs: dict[str, Any] = {"plant": servo, "mismatch": None} if servo else {"mismatch": "val"}
     env = HydraulicSyncVectorEnv(1, scenario="setpoint_steps", **kwargs)
     observation, info = env.reset(seed=[case])
+    assert isinstance(env.plant, Plant)
     controller = make_controller(name)
     if getattr(controller, "needs", "measurements") != "measurements":
         controller.prepare(copy.deepcopy(env.plant))

@@ -90,6 +90,7 @@ def drive(controller: Any, cases: Sequence[int], condition: Condition) -> dict[s
     )  # fmt: skip
     observation, info = env.reset(options={"case": list(cases)}, seed=[int(case) for case in cases])
     controller.reset(len(cases), condition.period)
+    assert isinstance(env.plant, Plant)
     names = ("Kq", "dead_zone.overlap_positive", "dead_zone.overlap_negative")
     begin = {name: env.plant.get(name) for name in names}
     signals = {key: [np.array(info[key])] for key in ("setpoint_rpm", "speed_rpm", "angle_difference_deg")}

@@ -109,7 +109,7 @@ def _prepare(config: Config, seeds: Sequence[int], out: Path) -> None:
 
 def _train_seed(seed: int, *, config: Config, out: Path, pairs: int, command: str) -> dict[str, Any]:
     """Trains a seed, or what is left of it, and scores its policy; this is what runs on an engine."""
-    own = dataclasses.replace(config, training=dataclasses.replace(config.training, seed=seed))
+    own = dataclasses.replace(config, training=config.training.model_copy(update={"seed": seed}))
     folder = out / f"seed_{seed}"
     progress = train(own, folder, resume=(folder / "config.yml").is_file(), command=command, bar=False)
     best = min(progress["curve"], key=lambda row: row["score"])

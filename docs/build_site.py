@@ -6,6 +6,7 @@ The pages are read from where they lie, and what is built is a copy of them in w
 * the changelog and its like, which lie beside docs/ where GitHub looks for them, are pages, too;
 * a notebook is a page like the others, with the outputs that `docs/run_notebooks.py` left in it, and can be downloaded;
 * each public module has a page of its docstrings;
+* of docs/evidence, which is for a checkout, only the results are there;
 * links to source files lead to the repository (`repo_url` in docs/site.yml), or are plain text as long as there is none.
 
 A warning, such as one of a link that leads nowhere, is an error.
@@ -75,6 +76,8 @@ def _pages(repository: str | None) -> dict[str, str | bytes]:
     found: dict[str, str | bytes] = {}
     for path in sorted(DOCS.rglob("*")):
         place = path.relative_to(DOCS).as_posix()
+        if place == "evidence/README.md":
+            continue
         if path.suffix == ".ipynb":
             found |= {f"notebooks/{name}": content for name, content in _notebook(path).items()}
         if path.is_file() and path.suffix in (".md", ".ipynb", ".png", ".json", ".js"):
@@ -88,13 +91,15 @@ def _pages(repository: str | None) -> dict[str, str | bytes]:
 
 
 def _order(pages: dict[str, Any]) -> list[Any]:
-    """The navigation: a section for each heading of the index, then the API."""
+    """The navigation: a section for each heading of the index with the pages that it lists first, then the API."""
     nav: list[Any] = [{"Home": "index.md"}]
+    seen: set[str] = set()
     for section in re.split(r"^## ", pages["index.md"], flags=re.M)[1:]:
         heading, _, text = section.partition("\n")
         targets = dict.fromkeys(target for _, _, target, _ in LINK.findall(text))
-        if listed := [target for target in targets if target.endswith(".md")]:
+        if listed := [target for target in targets if target.endswith(".md") and target not in seen]:
             nav.append({heading: listed})
+            seen |= set(listed)
     nav.append({"API": [name for name in pages if name.startswith("api/")]})
     missing = {name for name in pages if name.endswith(".md")} - set(re.findall(r"[\w./]+\.md", str(nav)))
     if missing:

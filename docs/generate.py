@@ -2,7 +2,7 @@
 
 A generated part stands between `<!-- generated: NAME -->` and `<!-- end -->` and is never edited by hand;
 tests/project/test_docs.py checks that all are up to date. The reference is made from the code, measured results from
-docs/results.json. To publish new results, name the files that hold them:
+docs/evidence/results.json. To publish new results, name the files that hold them:
 
     python docs/generate.py scores/scores.json speed/speed.json      # of `hydro-env benchmark` and `hydro-env speed`
     python docs/generate.py licences                                 # of the installed packages
@@ -21,7 +21,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
-from importlib import metadata
+from importlib import import_module, metadata
 from itertools import combinations
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -39,11 +39,11 @@ from hydro_env.cli.help import EXAMPLES
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.mpc.flow_controller import FlowSettings
-from hydro_env.diagnosis import RULES, STAGES, Settings
+from hydro_env.diagnosis import STAGES, Settings
 from hydro_env.envs import HydraulicSyncEnv, HydraulicSyncVectorEnv, Reward
 from hydro_env.envs.observation import LIMIT, NOISE, OBSERVATION, SCALES
 from hydro_env.envs.step_kernels import COLUMNS
-from hydro_env.experiments import blind_trials, naming_benchmark
+from hydro_env.experiments.naming_benchmark import scoring
 from hydro_env.measured import mapping
 from hydro_env.plant import CATALOGUE, PARAMETERS, load_model, model_files, parameter_of, preset_names
 from hydro_env.plant.catalogue import separating_experiment
@@ -55,12 +55,12 @@ from hydro_env.practice.hidden import SEVERITIES
 from hydro_env.practice.recorder import SENSORS
 from hydro_env.practice.reference.forms import CONSTANTS
 from hydro_env.tasks import METRICS, SCENARIOS
-from hydro_env.tasks.mismatch import SPLITS
 from hydro_env.units import BAR, RPM, UNITS
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
-RESULTS = HERE / "results.json"
+EVIDENCE = HERE / "evidence"
+RESULTS = EVIDENCE / "results.json"
 LICENCES = HERE / "licences.json"
 
 
@@ -370,11 +370,6 @@ def diagnosis_stages() -> str:
     return _table(["", "module in `hydro_env/diagnosis/stages`", "stage", "what it does"], rows)
 
 
-def diagnosis_rules() -> str:
-    """What `rules_off` can switch off."""
-    return _table(["rule", "what it does"], [[f"`{name}`", what] for name, what in sorted(RULES.items())])
-
-
 def diagnosis_settings() -> str:
     """The fields of `Settings` with the comments above them."""
     rows = []
@@ -449,17 +444,8 @@ def episodes() -> str:
         [f"`{s.name}`", s.summary, f"{s.duration:g} s", s.steps(period), "yes" if s.random else ""]
         for s in SCENARIOS.values()
     ]
-    head = ["scenario", "what is driven", "length", f"steps at {period:g} s", "drawn anew in each episode"]
+    head = ["scenario", "what is driven", "length", f"steps at {period:g} s", "random in each episode"]
     return _table(head, rows)
-
-
-def splits_short() -> str:
-    """The splits in one line each."""
-    rows = [
-        [f"`{name}`", split.cases or "unlimited", split.summary.partition(":")[2].strip() or split.summary]
-        for name, split in SPLITS.items()
-    ]
-    return _table(["split", "pairs", "what they are"], rows)
 
 
 def threshold() -> str:
@@ -508,15 +494,6 @@ def commands() -> str:
     return "\n\n".join(parts)
 
 
-def commands_short() -> str:
-    """The commands and their first lines."""
-    rows = [
-        [f"`hydro-env {name}`", (command.help or "").strip().splitlines()[0]]
-        for name, command in _commands().items()
-    ]
-    return _table(["command", "what it does"], rows)
-
-
 def log_columns() -> str:
     rows = [["`time_s`", "s"]]
     rows += [
@@ -546,19 +523,7 @@ SCORES = (
     ("test_extrap", "setpoint_steps", "set-point steps, `test_extrap`"),
 )
 SCENARIOS_OF_VAL = ("setpoint_steps", "load_step", "staircase", "sine", "unequal_load", "disturbance")
-SHORT = (
-    "pid_paper",
-    "pid_tuned",
-    "cross_coupled",
-    "compensated",
-    "probing_flow",
-    "bench_flow",
-    "servo_pid",
-    "oracle",
-    "ppo",
-    "sac",
-    "gru",
-)
+SHORT = ("pid_paper", "pid_tuned", "cross_coupled", "probing_flow", "servo_pid", "oracle", "ppo", "gru")
 SPEED = (
     "machine", "single", "batch", "commands", "error_rpm", "error_float32_rpm", "tolerance_rpm",
     "memory_bytes_per_env", "effects", "start",
@@ -729,7 +694,7 @@ def scores() -> str:
 
 
 def scores_short() -> str:
-    return _scores(_scored("test_interp")[1], SHORT, SCORES[:3], (PEAK, TRACKING))
+    return _scores(_scored("test_interp")[1], SHORT, SCORES[:2], (PEAK, TRACKING))
 
 
 def classical() -> str:
@@ -765,18 +730,6 @@ def agents() -> str:
     return f"{_origin(found)}\n\n{_table(['controller', *head], rows)}"
 
 
-def variation() -> str:
-    """Command variation and 95th percentile of the peak on `test_interp`."""
-    found = _results()["tables"]["agents"]
-    rows = []
-    for name in dict.fromkeys(row[0] for row in found["rows"]):
-        own = {row[2]: row for row in found["rows"] if row[0] == name and row[1] == "test_interp"}
-        if own["setpoint_steps"][7]:
-            rows.append([name, own["setpoint_steps"][4], *(row[7] for row in own.values())])
-    scenarios = [f"`{row[2]}`" for row in found["rows"][:5]]
-    return _table(["controller", "95th percentile of the peak, rpm", *(f"{s}, 1/s" for s in scenarios)], rows)
-
-
 def speed() -> str:
     found = _results()["speed"]
     rows = [
@@ -799,26 +752,27 @@ def speed() -> str:
     return f"{_origin(found)}\n\n{_table(head, rows)}"
 
 
-def speed_commands() -> str:
-    """By kind of command."""
-    found = _results()["speed"]
-    rows = [
-        [
-            f"`{r['plant']}`",
-            r["kind"].replace("_", "-"),
-            r["dtype"],
-            f"{r['env_steps_per_s']:,.0f}",
-            f"{r['plant_steps_per_s']:,.0f}",
-            f"{r['steps_a_period']:.0f}",
-            f"{r['error_rpm']:.2g}",
-        ]
-        for r in found["commands"]
+def _by_command(value: Callable[[dict[str, Any]], str]) -> str:
+    """A row per plant and precision, a column per kind of command."""
+    rows = _results()["speed"]["commands"]
+    kinds = list(dict.fromkeys(r["kind"] for r in rows))
+    cells = {(r["plant"], r["dtype"], r["kind"]): value(r) for r in rows}
+    table = [
+        [f"`{plant}`", dtype, *(cells[plant, dtype, kind] for kind in kinds)]
+        for plant, dtype in dict.fromkeys((r["plant"], r["dtype"]) for r in rows)
     ]
-    head = [
-        "plant", "command", "precision", "environment steps per s", "plant alone", "steps of a channel in 10 ms",
-        "largest error, rpm",
-    ]  # fmt: skip
-    return f"{found['commands'][0]['num_envs']} rigs, one thread.\n\n{_table(head, rows)}"
+    return _table(["plant", "precision", *(kind.replace("_", "-") for kind in kinds)], table)
+
+
+def accuracy() -> str:
+    """Largest error of a speed by kind of command, rpm."""
+    errors = _by_command(lambda r: f"{r['error_rpm']:.2g}")
+    return f"{_origin(_results()['speed'])}\n\n{errors}"
+
+
+def speed_commands() -> str:
+    """Environment steps a second, in brackets the steps of a channel in a control period."""
+    return _by_command(lambda r: f"{r['env_steps_per_s']:,.0f} ({r['steps_a_period']:.0f})")
 
 
 def speed_short() -> str:
@@ -827,30 +781,21 @@ def speed_short() -> str:
     double = [r for r in found["commands"] if r["dtype"] == "float64"]
 
     def rates(plant: str) -> str:
-        rows = sorted((r for r in double if r["plant"] == plant), key=lambda r: -r["env_steps_per_s"])
-        said = (
-            f"{r['env_steps_per_s']:,.0f} under {r['kind'].replace('_', '-')} commands"
-            for r in (rows[0], rows[-1])
-        )
-        return f"`{plant}` {', '.join(said)}"
+        rates = sorted((r["env_steps_per_s"] for r in double if r["plant"] == plant), reverse=True)
+        return f"`{plant}` {rates[0]:,.0f} to {rates[-1]:,.0f}"
 
     return (
-        f"Environment steps per second on one thread, {double[0]['num_envs']} rigs in float64: {rates('paper_dead_zone')};"
-        f" {rates('rig')}. "
-        "The largest speed error against SciPy's stiff solver under any of the kinds measured is "
+        f"Environment steps per second, {double[0]['num_envs']} rigs on one thread, smooth to bang-bang commands: "
+        f"{rates('paper_dead_zone')}, {rates('rig')}. Largest speed error against SciPy's stiff solver: "
         f"{found['error_rpm']['worst_against_reference']:.2g} rpm."
     )
 
 
-def error() -> str:
+def costs() -> str:
     found = _results()["speed"]
-    double, single = (found[key]["worst_against_reference"] for key in ("error_rpm", "error_float32_rpm"))
     start, cost = found["start"], found["effects"]
     rows = [
         ["one environment, time for a step", f"{1e6 / found['single']['env_steps_per_s']:.0f} us"],
-        ["largest error of a speed against SciPy's stiff solver, float64", f"{double:.2g} rpm"],
-        ["the same, float32", f"{single:.2g} rpm"],
-        ["tolerance of a speed, by which steps are chosen", f"{found['tolerance_rpm']:g} rpm"],
         ["a step of a channel, base plant", f"{cost['base_ns']:.0f} ns"],
         ["a step of a channel, with a dead zone", f"{cost['dead_zone_ns']:.0f} ns"],
         ["a step of a channel, every effect compiled in", f"{cost['all_neutral_ns']:.0f} ns"],
@@ -861,35 +806,71 @@ def error() -> str:
     return _table(["what", "value"], rows)
 
 
+def _evidence(name: str) -> Any:
+    """A module of docs/evidence, also where this file runs as a script."""
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))
+    return import_module(f"docs.evidence.{name}")
+
+
 def _trial_rows() -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = json.loads((HERE / "trials.json").read_text(encoding="utf-8"))["rows"]
+    rows: list[dict[str, Any]] = json.loads((EVIDENCE / "trials.json").read_text(encoding="utf-8"))["rows"]
     return rows
 
 
 def trials() -> str:
     """Counts of the blind trials and every one that failed."""
-    return blind_trials.table(_trial_rows()).strip()
+    return _evidence("blind_trials").table(_trial_rows()).strip()
 
 
 def naming() -> str:
     """The naming benchmark: methods, and what the diagnosis says of its certainty."""
-    scores = json.loads((HERE / "naming.json").read_text(encoding="utf-8"))
-    return f"The first {scores['rigs']} rigs of seed {scores['seed']}.\n\n{naming_benchmark.table(scores)}"
+    scores = json.loads((EVIDENCE / "naming.json").read_text(encoding="utf-8"))
+    return f"The first {scores['rigs']} rigs of seed {scores['seed']}.\n\n{scoring.table(scores)}"
+
+
+def _counts() -> list[tuple[str, int, int]]:
+    """What the blind trials count: what, how many, of how many."""
+    rows = _trial_rows()
+    single = [r for r in rows if r["group"] == "medium"]
+    pairs = [r for r in rows if r["group"] == "two"]
+    none = [r for r in rows if r["group"] in ("nothing", "parameters")]
+    return [
+        ("single effects named", sum(r["set"] for r in single), len(single)),
+        ("pairs with both effects named", sum(r["both"] for r in pairs), len(pairs)),
+        (
+            "rigs without a missing effect where one is named or guessed",
+            sum(r["alarm"] for r in none),
+            len(none),
+        ),
+        ("held-out speed within 1.3 times the noise", sum(r["sealed"] for r in single), len(single)),
+    ]
 
 
 def diagnosis_short() -> str:
     """The README's sentence on the blind trials."""
-    rows = _trial_rows()
-    single = [r for r in rows if r["group"] == "medium"]
-    none = [r for r in rows if r["group"] in ("nothing", "parameters")]
-    pairs = [r for r in rows if r["group"] == "two"]
-    named, both = sum(r["set"] for r in single), sum(r["both"] for r in pairs)
+    (_, named, single), (_, both, pairs), (_, alarms, none), _ = _counts()
     return (
-        f"In blind trials against an independent simulator, {named} of {len(single)} single effects and {both} of {len(pairs)} "
-        "pairs drawn at random were named, exactly or as one of effects that are declared indistinguishable, and a name was "
-        f"given, as a guess or as an answer, in {sum(r['alarm'] for r in none)} of {len(none)} rigs without a missing effect "
-        "([all trials](docs/blind_trials.md))."
+        f"In blind trials against an independent simulator, {named} of {single} single effects and {both} of {pairs} pairs were "
+        f"named, exactly or as declared indistinguishable. An effect was named or guessed in {alarms} of {none} rigs that lack "
+        "none ([all trials](docs/blind_trials.md))."
     )
+
+
+def diagnosis_results() -> str:
+    """How often the diagnosis is right, by kind of test."""
+    naming = json.loads((EVIDENCE / "naming.json").read_text(encoding="utf-8"))["summary"]
+    own, other = (next(r for r in naming if r["method"] == name) for name in ("diagnose", "certify"))
+    tables = _results()["tables"]
+    rows = [["blind trials", what, f"{count} of {total}"] for what, count, total in _counts()]
+    for what, key in (("effects named", "name"), ("rigs with a false name", "false_name")):
+        counts = (f"{r[key]['count']} of {r[key]['of']}" for r in (own, other))
+        rows.append(["naming benchmark", what, "{}; {} by `certify`".format(*counts)])
+    rigs, right = tables["four_edge_rigs"]["rows"][:2]
+    for seed, total, count in zip(tables["four_edge_rigs"]["head"][1:], rigs[1:], right[1:], strict=True):
+        rows.append(["rigs of another simulator", f"verdict and names right, {seed}", f"{count} of {total}"])
+    rows += [["next experiment", f"decided: {row[0]}", row[1]] for row in tables["next_experiment"]["rows"]]
+    return _table(["test", "what is counted", "result"], rows)
 
 
 PARTS: dict[str, Callable[[], str]] = {
@@ -897,15 +878,15 @@ PARTS: dict[str, Callable[[], str]] = {
     for made in (
         parameters, presets, preset_values, effects, twins, form_corrections, severities, sensors, form_constants, losses,
         controllers, gains, law_settings, searches, splits, faults, scenarios, metrics, suites, environment, batch, packages,
-        observation, reward, episodes, splits_short, threshold,
+        observation, reward, episodes, threshold,
         diagnosis_stages,
-        diagnosis_rules,
-        diagnosis_settings, commands, commands_short, log_columns, units, scores, scores_short,
-        classical, agents, variation, speed, speed_commands, speed_short, error, trials, naming, diagnosis_short, licences,
+        diagnosis_settings, commands, log_columns, units, scores, scores_short,
+        classical, agents, accuracy, speed, speed_commands, speed_short, costs, trials, naming, diagnosis_short,
+        diagnosis_results, licences,
     )
 }  # fmt: skip
 PARTS["mapping_file"] = lambda: _docstring(mapping)
-PARTS["blind_trials_help"] = lambda: _docstring(blind_trials)
+PARTS["blind_trials_help"] = lambda: _docstring(_evidence("blind_trials"))
 PARTS["model_file"] = lambda: _docstring(model_files)
 
 

@@ -19,7 +19,7 @@ _INCREMENT = {"increment": 0.3, "history": 2, "errors": True}
 _SMALL = {"tracking": 0.08, "difference": 0.18, "variation": 0.002}
 
 # Thresholds: mean return of `cross_coupled` in the default task, rounded (`python -m agents.baselines --lines --pairs 500`).
-# Episodes end themselves: see `envs.made_spec`.
+# Episodes end themselves: see `envs.env_spec`.
 for _id, _arguments, _threshold in (
     ("HydraulicSync-v0", {}, -150.0),
     ("HydraulicSyncIncrement-v0", _INCREMENT, -150.0),

@@ -28,6 +28,7 @@ from hydro_env.controllers import make_controller
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.errors import InputError, place_of, suggestion, to_install
 from hydro_env.plant import load_model, preset_names
+from hydro_env.streams import Component, Streams
 from hydro_env.tasks import OWN, SPLITS, load_scenario
 
 if TYPE_CHECKING:
@@ -46,8 +47,6 @@ SPLITS_RECORDED = ("train", "test_interp")
 DEFAULT_SCENARIO = "random_steps"
 #: Pairs on which what was learned from a data set is to be scored.
 EVALUATION = "test_interp"
-#: Components of an episode with a random stream are numbered: 0 to 2 are the environment's own.
-ACTION_STREAM = 3
 #: Rigs that are driven at once, which bounds the memory.
 AT_ONCE = 100
 #: HDF5 takes half as much again as the arrays themselves; as a whole number to be safe. Bytes of one write.
@@ -210,15 +209,14 @@ class _RandomActions:
     """Actions (n, 2) drawn evenly from [-1, 1], each rig's from a stream of its own seed."""
 
     def __init__(self, seeds: Sequence[int]) -> None:
-        sources = (np.random.SeedSequence(seed, spawn_key=(0, ACTION_STREAM)) for seed in seeds)
-        self._streams = [np.random.Generator(np.random.PCG64(source)) for source in sources]
+        self._streams = Streams(Component.ACTIONS, seeds, [0] * len(seeds))
 
     def reset(self, num_rigs: int, control_period: float) -> None:
         """Nothing: an object drives one episode."""
 
     def act(self, observation: NDArray[np.float32]) -> Floats:
         """The next action of each rig."""
-        return np.array([stream.uniform(-1.0, 1.0, 2) for stream in self._streams])
+        return 2.0 * self._streams.random(2) - 1.0
 
 
 class _Record:

@@ -28,7 +28,7 @@ __all__ = [
 SIMILAR = 0.5
 #: Letters of a message, and of a value shown in it.
 MESSAGE, VALUE = 1200, 80
-#: So long after an interruption is gone it was lost, s: what ends by it is done by then.
+#: Time after which an interruption whose exception is gone counts as lost, s: what ends by it is done by then.
 LOST = 1.0
 
 

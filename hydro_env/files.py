@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import errno
 import json
-import math
 import os
+import secrets
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -28,18 +27,16 @@ __all__ = ["naming", "output_folder", "replacing", "to_json", "write_bytes", "wr
 @contextmanager
 def replacing(path: Path) -> Iterator[IO[bytes]]:
     """A file to write bytes to, which takes the place of `path` when the block ends without an error."""
+    temporary = path.with_name(_hidden(path))
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                yield file
-            os.chmod(temporary, 0o666 & ~_umask())
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
+        with open(temporary, "xb") as file:
+            yield file
+        os.replace(temporary, path)
     except OSError as problem:
         raise OSError(problem.errno, problem.strerror or str(problem), str(path)) from None
+    finally:
+        with suppress(OSError):  # in its place, or never made
+            temporary.unlink()
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -76,23 +73,18 @@ def to_json(data: Any, *, indent: int | None = None) -> str:
     """JSON that every reader takes: NumPy values become plain ones, and a number that is not finite, which
     JSON cannot hold, becomes null.
     """
-    return json.dumps(_plain(data), indent=indent, allow_nan=False, ensure_ascii=False)
+    from pydantic_core import to_jsonable_python
+
+    plain = to_jsonable_python(data, inf_nan_mode="null", fallback=_plain)
+    return json.dumps(plain, indent=indent, allow_nan=False, ensure_ascii=False)
 
 
 def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Path):
-        return str(value)
-    return value
+        return dict(value)
+    raise TypeError(f"no JSON of {type(value).__name__}")
 
 
 @contextmanager
@@ -111,7 +103,8 @@ def output_folder(out: str | Path) -> Iterator[Path]:
         if not out.is_dir():
             made = _make_parents(out)
         # Inside `out` where that exists: its parent may belong to somebody else or to another disk.
-        work = Path(tempfile.mkdtemp(dir=out if out.is_dir() else out.parent, prefix=f".{out.name}-"))
+        work = (out if out.is_dir() else out.parent) / _hidden(out)
+        work.mkdir()
     except OSError as problem:
         _remove(made)
         reason = problem.strerror or problem
@@ -121,18 +114,17 @@ def output_folder(out: str | Path) -> Iterator[Path]:
     try:
         with naming(out):
             yield work
-            os.chmod(work, 0o777 & ~_umask())
             if out.is_dir():
                 _move_into(work, out)
             else:
                 os.replace(work, out)
-    except OSError as problem:
-        if problem.filename and (place := Path(problem.filename).absolute()).is_relative_to(work.absolute()):
-            problem.filename = str(out / place.relative_to(work.absolute()))
-        _remove(made, work)
-        raise
-    except BaseException:
-        _remove(made, work)
+    except BaseException as problem:
+        shutil.rmtree(work, ignore_errors=True)
+        _remove(made)
+        if isinstance(problem, OSError) and problem.filename:
+            place = Path(problem.filename).absolute()
+            if place.is_relative_to(work.absolute()):
+                problem.filename = str(out / place.relative_to(work.absolute()))
         raise
 
 
@@ -145,21 +137,18 @@ def _make_parents(out: Path) -> list[Path]:
     return missing
 
 
-def _remove(folders: list[Path], work: Path | None = None) -> None:
-    """Removes the folder `work` with its content, and `folders` as far as they are empty, innermost first."""
-    if work is not None:
-        shutil.rmtree(work, ignore_errors=True)
-    for folder in folders:
-        try:
+def _remove(folders: list[Path]) -> None:
+    """Removes `folders` as far as they are empty, innermost first."""
+    with suppress(OSError):  # never made, or somebody else has put something there
+        for folder in folders:
             folder.rmdir()
-        except OSError:  # never made, or somebody else has put something there
-            return
 
 
 def _move_into(work: Path, out: Path) -> None:
     """Moves what is in `work` to `out` and removes `work`. If a move fails, `out` is as it was before."""
+    replaced = out / _hidden(out)
     try:
-        replaced = Path(tempfile.mkdtemp(dir=out, prefix=f".{out.name}-"))
+        replaced.mkdir()
     except OSError as problem:
         raise OSError(problem.errno, problem.strerror, str(out)) from None
     moves: list[tuple[Path, Path]] = []
@@ -190,8 +179,6 @@ def _move_into(work: Path, out: Path) -> None:
     shutil.rmtree(work, ignore_errors=True)
 
 
-def _umask() -> int:
-    """The umask, which can only be read by setting it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _hidden(path: Path) -> str:
+    """A name for what is to become `path`."""
+    return f".{path.name}-{secrets.token_hex(4)}"

@@ -18,22 +18,25 @@ environment's. An FMU has valves of its own, so there is nothing to draw: the sp
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
+from pydantic import BeforeValidator, Field
 
 from hydro_env.errors import InputError, shown, suggestion
 from hydro_env.plant import Plant, PlantModel
 from hydro_env.plant.plant import Lost
 from hydro_env.reading import check_file, read_yaml
 from hydro_env.units import UNITS, unit
+from hydro_env.validation import FileTable, Number, checked, known
 
 __all__ = ["FmuModel", "FmuRigs", "is_fmu", "load_fmu"]
 
@@ -48,7 +51,10 @@ _SIGNALS = {
 _NEEDED = ("command", "speed")
 #: What an exported rig calls its rated commands.
 _RATED = ("channel_1.u_rated", "channel_2.u_rated")
-_NO_ROWS = np.zeros(0, np.int64)
+#: Rows of the memory: what a `Plant` shows the environment, and the rated commands.
+_ROWS = (
+    "speed", "angle", "measured_speed", "current", "pressure", "diverged", "mean_line_pressure", "u_rated",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -75,9 +81,8 @@ class FmuModel(PlantModel):
         links = {f"{name}_{c + 1}": [link.variable, link.factor] for (name, c), link in self.links.items()}
         return {**super().to_dict(), "fmu": digest, "links": links, "start": dict(self.start)}
 
-    def make_plant(self, num_rigs: int, dtype: DTypeLike = np.float64, **options: Any) -> FmuRigs:
-        """Rigs of this kind; the other options of a `Plant` mean nothing here. InputError if the FMU cannot be loaded, and for
-        another dtype."""
+    def make_plant(self, num_rigs: int, dtype: DTypeLike = np.float64) -> FmuRigs:
+        """Rigs of this kind. InputError if the FMU cannot be loaded, and for another dtype than float64."""
         if np.dtype(dtype) != self.dtype:
             raise InputError(
                 f"{self.name}: an FMU computes in float64; dtype {np.dtype(dtype)} is not possible"
@@ -101,7 +106,7 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
             f"{file}: is a program, so that using it runs code from the file; with --trust it is used"
         )
     description = _description(str(file))
-    rated, start, links = (None, {}, _own_names(description)) if mapping is None else _read(Path(mapping))
+    rated, start, links = (None, {}, _own_names(description)) if mapping is None else _read(mapping)
     variables = {v.name: v for v in description.modelVariables}
     for (name, channel), link in links.items():
         _check(
@@ -151,53 +156,53 @@ def _own_names(description: Any) -> dict[tuple[str, int], Link]:
     return {key: Link(name) for key, name in names.items() if name in there}
 
 
-def _read(path: Path) -> tuple[float | None, dict[str, float], dict[tuple[str, int], Link]]:
+# --- mapping files ----------------------------------------------------------------------------------------------------
+class _Variable(FileTable):
+    """A variable of the FMU, and what its numbers are; those of a command are in the unit of `rated`."""
+
+    variable: str
+    unit: str = ""
+    sign: Number = 1.0
+
+    def link(self, signal: str) -> Link:
+        """What it is for a signal. InputError for a unit of something else."""
+        si = _SIGNALS[signal][0]
+        own = unit(self.unit or si)
+        if signal == "command" and len(self.model_fields_set) > 1:
+            raise InputError("a command has neither unit nor sign: `rated` is its value at full command")
+        if own.quantity != UNITS[si].quantity or own.offset:
+            raise InputError(f"unit {own.name} is no unit of {UNITS[si].quantity}")
+        return Link(self.variable, own.scale * self.sign)
+
+
+def _by_name(entry: Any) -> Any:
+    """A variable's name alone stands for {variable: NAME}."""
+    return {"variable": entry} if isinstance(entry, str) else entry
+
+
+_Channel = dict[Annotated[str, known("signal", _SIGNALS)], Annotated[_Variable, BeforeValidator(_by_name)]]
+
+
+class _Mapping(FileTable):
+    FORMAT = SCHEMA
+
+    rated: Number | None = None
+    start: dict[str, Number] = Field(default_factory=dict)
+    channel_1: _Channel
+    channel_2: _Channel
+
+
+def _read(path: str | Path) -> tuple[float | None, dict[str, float], dict[tuple[str, int], Link]]:
     """Rated command, start values and links of a mapping file."""
-    data = read_yaml(path, "a mapping of an FMU in YAML")
-    known = ("schema", "rated", "start", "channel_1", "channel_2")
-    if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
-        raise InputError(f"{path}: schema should be {SCHEMA!r}")
-    for key in data:
-        if key not in known:
-            raise InputError(f"{path}: unknown key {shown(key)}: {suggestion(key, known)}")
-    start = data.get("start", {})
-    if not isinstance(start, Mapping):
-        raise InputError(f"{path}: start should be a table of variables and numbers")
+    given = checked(_Mapping, read_yaml(path, "a mapping of an FMU in YAML"), path)
     links = {}
-    for channel in (0, 1):
-        table = data.get(f"channel_{channel + 1}")
-        if not isinstance(table, Mapping):
-            raise InputError(f"{path}: channel_{channel + 1} should be a table with command and speed")
-        for name, entry in table.items():
-            if name not in _SIGNALS:
-                raise InputError(
-                    f"{path}: channel_{channel + 1}: {shown(name)} is unknown: {suggestion(name, _SIGNALS)}"
-                )
-            links[name, channel] = _link(f"{path}: channel_{channel + 1}: {name}", name, entry)
-    values = {str(key): _number(f"{path}: start: {key}", value) for key, value in start.items()}
-    rated = _number(f"{path}: rated", data["rated"]) if "rated" in data else None
-    return rated, values, links
-
-
-def _number(where: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
-        raise InputError(f"{where} is {shown(value)}, expected a number")
-    return float(value)
-
-
-def _link(where: str, name: str, entry: Any) -> Link:
-    entry = {"variable": entry} if isinstance(entry, str) else entry
-    known = ("variable",) if name == "command" else ("variable", "unit", "sign")
-    if not isinstance(entry, Mapping) or not isinstance(entry.get("variable"), str):
-        raise InputError(f"{where} should be {{variable: NAME}}")
-    for key in entry:
-        if key not in known:
-            raise InputError(f"{where}: unknown key {shown(key)}: {suggestion(key, known)}")
-    si = _SIGNALS[name][0]
-    own = unit(str(entry.get("unit", si)))
-    if own.quantity != UNITS[si].quantity or own.offset:
-        raise InputError(f"{where}: unit {own.name} is no unit of {UNITS[si].quantity}")
-    return Link(entry["variable"], own.scale * _number(f"{where}: sign", entry.get("sign", 1)))
+    for channel, variables in enumerate((given.channel_1, given.channel_2)):
+        for signal, variable in variables.items():
+            try:
+                links[signal, channel] = variable.link(signal)
+            except InputError as problem:
+                raise InputError(f"{path}: channel_{channel + 1}.{signal}: {problem}") from None
+    return given.rated, given.start, links
 
 
 # --- the unit at work ------------------------------------------------------------------------------------------------
@@ -233,16 +238,9 @@ class _Unit:
         self._model, description = model, _description(model.file)
         self._old = description.fmiVersion == "2.0"
         reference = {v.name: v.valueReference for v in description.modelVariables}
-        self._in = [
-            (key, reference[link.variable], link.factor)
-            for key, link in model.links.items()
-            if _SIGNALS[key[0]][1]
-        ]
-        self._out = [
-            (key, reference[link.variable], link.factor)
-            for key, link in model.links.items()
-            if not _SIGNALS[key[0]][1]
-        ]
+        links = [(key, reference[link.variable], link.factor) for key, link in model.links.items()]
+        self._in = [link for link in links if _SIGNALS[link[0][0]][1]]
+        self._out = [link for link in links if not _SIGNALS[link[0][0]][1]]
         self._start = [(reference[name], value) for name, value in model.start.items()]
         try:
             self._unit = fmpy.instantiate_fmu(_unpacked(model.file).name, description, "CoSimulation")
@@ -283,12 +281,31 @@ class _Unit:
         return {key: factor * float(v) for (key, _, factor), v in zip(self._out, values, strict=True)}
 
 
-class FmuRigs(Plant):
-    """Instances of an FMU as a `Plant`: commands, loads and signals as there; parameters belong to the FMU."""
+class FmuRigs:
+    """Instances of an FMU, driven like a `Plant`: commands, loads and signals as there, but parameters belong to the FMU."""
+
+    effects = ()
+    angle_acts = True  # it is the FMU's own, or integrated here
+    lost: tuple[Lost, ...] = ()  # a foreign FMU does not say what it cannot follow
 
     def __init__(self, model: FmuModel, num_rigs: int = 1) -> None:
+        self.model, self.num_rigs = model, num_rigs
         self._units = [_Unit(model) for _ in range(num_rigs)]
-        super().__init__(model, num_rigs, block=1)
+        self.memory = np.zeros((1, len(_ROWS), 2 * num_rigs))
+        #: The same by row, channel and rig.
+        self._cells = self.memory.reshape(-1, 2, num_rigs)
+        self._cells[self.row_of("u_rated")] = np.array(model.pair("u_rated"))[:, None]
+        self.reset()
+
+    def row_of(self, name: str) -> int:
+        """Number of the row of `memory` that holds a signal or the rated commands. KeyError for anything else."""
+        if name not in _ROWS:
+            raise KeyError(f"{name}: an FMU shows {', '.join(_ROWS)} alone")
+        return _ROWS.index(name)
+
+    def get(self, name: str) -> Floats:
+        """A signal of every rig, (num_rigs, 2), as a copy. KeyError for one that an FMU does not show."""
+        return self._cells[self.row_of(name)].T.copy()
 
     def set_values(self, values: Mapping[str, ArrayLike], rows: ArrayLike | None = None) -> None:
         """InputError for any value: its parameters are the FMU's."""
@@ -299,55 +316,51 @@ class FmuRigs(Plant):
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Puts all rigs, or `rows` (indices or mask), back to their start."""
-        for i in (
-            range(self.num_rigs) if rows is None else np.arange(self.num_rigs)[np.asarray(rows)].reshape(-1)
-        ):
-            self._units[int(i)].reset()
-        super().reset(rows)
+        chosen = np.arange(self.num_rigs)[slice(None) if rows is None else np.asarray(rows)]
+        for i in chosen.tolist():
+            self._units[i].reset()
+            self._cells[: self.row_of("u_rated"), :, i] = 0.0
+            self._show(i, 0.0)
 
-    def _advance(
-        self, command_V: Floats, load_Nm: Floats, period: float,
-        rows: NDArray[np.int64] = _NO_ROWS, every: int = 1, out: Floats | None = None,
-    ) -> None:  # fmt: skip
-        if not len(command_V):
-            for i in range(self.num_rigs):
-                self._show(i, 0.0)
-        for t in range(len(command_V)):
-            if rows.size and out is not None and t % every == 0:
-                out[:, t // every] = np.transpose(self._memory[:, rows, :], (1, 0, 2))
-            for i, unit_of in enumerate(self._units):
-                command = command_V[t, i if command_V.shape[1] > 1 else 0]
-                load = load_Nm[t if len(load_Nm) > 1 else 0, i if load_Nm.shape[1] > 1 else 0]
-                try:
-                    unit_of.step(command, load, period)
-                except Exception as problem:
-                    raise InputError(
-                        f"{self.model.name}: the FMU refuses a step at {unit_of.time:g} s: {problem}"
-                    ) from None
-                self._show(i, period)
+    def make_room(self, period: float) -> None:
+        """Nothing: delays are the FMU's."""
+
+    def hold(self, command_V: Floats, load_Nm: Floats, period: float) -> None:
+        """Holds commands and loads (num_rigs, 2) over a period in s. InputError if the FMU refuses."""
+        self.hold_rigs(slice(None), command_V, load_Nm, period)
+
+    def hold_rigs(self, rigs: slice, command_V: Floats, load_Nm: Floats, period: float) -> None:
+        """`hold` for a range of rigs."""
+        for i in range(self.num_rigs)[rigs]:
+            try:
+                self._units[i].step(command_V[i], load_Nm[i], period)
+            except Exception as problem:
+                raise InputError(
+                    f"{self.model.name}: the FMU refuses a step at {self._units[i].time:g} s: {problem}"
+                ) from None
+            self._show(i, period)
+
+    def turn(self, rows: int) -> None:
+        """Nothing: delays are the FMU's."""
 
     def _show(self, i: int, period: float) -> None:
-        """Puts what an instance shows into the memory."""
-        memory, seen = self._memory[i], self._units[i].signals()
-        speed, angle = self.row_of("speed"), self.row_of("angle")
-        before = memory[speed].copy()
+        """Puts what an instance shows after a period into the memory: zero for what it does not show or what is not finite."""
+        seen, cells = self._units[i].signals(), dict(zip(_ROWS, self._cells[:, :, i], strict=True))
+        before = cells["speed"].copy()
+        for (name, c), value in seen.items():
+            cells[name][c] = value
         for c in (0, 1):
-            memory[speed, c] = seen["speed", c]
-            memory[self.row_of("measured_speed"), c] = seen.get(("measured_speed", c), seen["speed", c])
-            for name in ("pressure", "current"):
-                memory[self.row_of(name), c] = seen.get((name, c), 0.0)
-            turned = memory[angle, c] + 0.5 * period * (before[c] + memory[speed, c])
-            memory[angle, c] = seen.get(("angle", c), turned)
-        memory[self.row_of("time")] = self._units[i].time
-        lost = not all(np.isfinite(value) for value in seen.values())
-        memory[self.row_of("diverged")] = 1.0 if lost else 0.0
-        if lost:
-            memory[: self.row_of("time")] = 0.0
+            if ("angle", c) not in seen:
+                cells["angle"][c] += 0.5 * period * (before[c] + cells["speed"][c])
+            if ("measured_speed", c) not in seen:
+                cells["measured_speed"][c] = cells["speed"][c]
+        if not all(np.isfinite(value) for value in seen.values()):
+            self._cells[: self.row_of("u_rated"), :, i] = 0.0
+            cells["diverged"][:] = 1.0
 
-    @property
-    def lost(self) -> list[Lost]:
-        """Nothing, as a foreign FMU does not say what it cannot follow."""
-        return []
+    def copy(self) -> Plant:
+        """InputError, as for `copy` and `pickle`."""
+        return copy.deepcopy(self)  # type: ignore[return-value]
 
     def __getstate__(self) -> dict[str, Any]:
         """InputError for whatever copies or pickles the rigs: the FMU need not be able to copy itself."""

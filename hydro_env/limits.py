@@ -31,7 +31,7 @@ class Limits:
         return f"{kind} from {_short(self.low)} to {_short(self.high)}{self.unit and ' '}{self.unit}"
 
     def check(self, value: Any, name: str) -> Any:
-        """The value as int or float. InputError that begins with `name` for no number or one beyond the limits."""
+        """The value as int or float. InputError that begins with `name` for what is not a number or beyond the limits."""
         fits = isinstance(value, Integral if self.whole else Real) and not isinstance(value, bool)
         if not (fits and self.low <= value <= self.high):
             raise InputError(f"{name} is {shown(value)}, expected {self}")
@@ -43,9 +43,7 @@ class Limits:
             value = (int if self.whole else float)(text)
         except ValueError:
             raise InputError(f"{name} is {shown(text)}, expected {self}") from None
-        if not self.low <= value <= self.high:
-            raise InputError(f"{name} is {_cut(text)}, expected {self}")
-        return value
+        return self.check(value, name)
 
     def __call__(self, text: str) -> Any:
         """The same as the `type` of an option of argparse."""
@@ -53,10 +51,6 @@ class Limits:
             return self.read(text, "the value")
         except InputError as problem:
             raise argparse.ArgumentTypeError(str(problem)) from None
-
-
-def _cut(text: str) -> str:
-    return text.strip() if len(text) <= 40 else f"{text[:40]}..."
 
 
 def _short(value: float) -> str:

@@ -11,7 +11,7 @@ import os
 import stat
 from pathlib import Path
 
-__all__ = ["Damaged", "distrust", "seal", "unseal"]
+__all__ = ["Damaged", "distrust", "sign", "verified"]
 
 _LENGTH = hashlib.sha256().digest_size
 
@@ -20,13 +20,13 @@ class Damaged(ValueError):
     """Bytes that are not what was written."""
 
 
-def seal(content: bytes) -> bytes:
+def sign(content: bytes) -> bytes:
     """The content behind its SHA-256 checksum."""
     return hashlib.sha256(content).digest() + content
 
 
-def unseal(data: bytes) -> bytes:
-    """The content that `seal` was given. Damaged if a byte has changed or is missing."""
+def verified(data: bytes) -> bytes:
+    """The content that `sign` was given. Damaged if a byte has changed or is missing."""
     content = data[_LENGTH:]
     if hashlib.sha256(content).digest() != data[:_LENGTH]:
         raise Damaged("its content does not match its checksum")

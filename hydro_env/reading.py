@@ -27,8 +27,8 @@ import yaml
 from hydro_env.errors import InputError, shown
 
 __all__ = [
-    "MOST_BYTES_OF_RESULTS",
-    "MOST_BYTES_OF_YAML",
+    "MAX_BYTES_OF_RESULTS",
+    "MAX_BYTES_OF_YAML",
     "check_file",
     "parse_json",
     "parse_yaml",
@@ -37,13 +37,13 @@ __all__ = [
     "read_yaml",
 ]
 
-MOST_BYTES_OF_YAML = 2**17
+MAX_BYTES_OF_YAML = 2**17
 """Size of a YAML file; the largest of the package has 10 kB. PyYAML takes some seconds for as much."""
-MOST_BYTES = 2**20
+MAX_BYTES = 2**20
 """Size of any other file that is written by hand."""
-MOST_BYTES_OF_RESULTS = 2**28
+MAX_BYTES_OF_RESULTS = 2**28
 """Size of a JSON file that a command wrote."""
-MOST_VALUES = 10**6
+MAX_VALUES = 10**6
 """Values in a file written by hand, each alias counted as what it stands for."""
 DEPTH = 40
 """Tables and lists inside each other."""
@@ -70,16 +70,16 @@ def check_file(path: str | Path, what: str) -> None:
     raise InputError(f"{path}: {problem}; expected {what}")
 
 
-def read_text(path: str | Path, what: str, *, most: int = MOST_BYTES) -> str:
+def read_text(path: str | Path, what: str, *, max_bytes: int = MAX_BYTES) -> str:
     """The text of a UTF-8 file. InputError that says that `what` is expected ("a model in YAML") for anything else."""
     check_file(path, what)
     try:
         with Path(path).open("rb") as file:
-            data = file.read(most + 1)
+            data = file.read(max_bytes + 1)
     except OSError as problem:
         raise InputError(f"{path}: cannot be read ({problem.strerror}); expected {what}") from None
-    if len(data) > most:
-        raise InputError(f"{path}: larger than {most / 2**20:g} MiB; expected {what}")
+    if len(data) > max_bytes:
+        raise InputError(f"{path}: larger than {max_bytes / 2**20:g} MiB; expected {what}")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
@@ -91,12 +91,12 @@ def read_text(path: str | Path, what: str, *, most: int = MOST_BYTES) -> str:
 
 def read_yaml(path: str | Path, what: str) -> Any:
     """The content of a YAML file. InputError that names the file and `what` is expected."""
-    return parse_yaml(read_text(path, what, most=MOST_BYTES_OF_YAML), str(path))
+    return parse_yaml(read_text(path, what, max_bytes=MAX_BYTES_OF_YAML), str(path))
 
 
-def read_json(path: str | Path, what: str, *, most: int = MOST_BYTES) -> Any:
+def read_json(path: str | Path, what: str, *, max_bytes: int = MAX_BYTES) -> Any:
     """The content of a JSON file. InputError that names the file and `what` is expected."""
-    return parse_json(read_text(path, what, most=most), str(path), most_values=most)
+    return parse_json(read_text(path, what, max_bytes=max_bytes), str(path), max_values=max_bytes)
 
 
 # --- YAML -------------------------------------------------------------------------------------------------------------
@@ -120,7 +120,7 @@ class _Loader(yaml.SafeLoader):
             return super().construct_object(node, deep)  # type: ignore[no-untyped-call]
         except (ValueError, IndexError, KeyError):
             kind = node.tag.replace(_TAG, "!!")
-            raise _problem(node, f"{shown(node.value)} is no {kind}, or is too long") from None
+            raise _problem(node, f"{shown(node.value)} is not a {kind}, or is too long") from None
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         taken: set[str] = set()
@@ -132,7 +132,7 @@ class _Loader(yaml.SafeLoader):
                     f"the key {key_node.value!r} is a truth value in YAML; in quotes it is a name",
                 )
             if not isinstance(key, str):
-                raise _problem(key_node, f"the key {shown(key)} is no text; in quotes it is a name")
+                raise _problem(key_node, f"the key {shown(key)} is not text; in quotes it is a name")
             if key in taken:
                 raise _problem(key_node, f"the key {shown(key)} is given twice")
             taken.add(key)
@@ -176,12 +176,12 @@ def parse_yaml(text: str, where: str) -> Any:
         raise InputError(f"{where}{line_of}: not YAML: {getattr(error, 'problem', None) or error}") from None
     except RecursionError:
         raise _too_deep(where) from None
-    _check(data, where, MOST_VALUES)
+    _check(data, where, MAX_VALUES)
     return data
 
 
 # --- JSON -------------------------------------------------------------------------------------------------------------
-def parse_json(text: str, where: str, *, most_values: int = MOST_VALUES) -> Any:
+def parse_json(text: str, where: str, *, max_values: int = MAX_VALUES) -> Any:
     """The content of a JSON text. InputError, naming `where`, for what is none; see the module."""
     try:
         data = json.loads(text, object_pairs_hook=_table, parse_constant=_refused, parse_int=_whole)
@@ -191,7 +191,7 @@ def parse_json(text: str, where: str, *, most_values: int = MOST_VALUES) -> Any:
         raise InputError(f"{where}: {error}") from None
     except RecursionError:
         raise _too_deep(where) from None
-    _check(data, where, most_values)
+    _check(data, where, max_values)
     return data
 
 
@@ -205,7 +205,7 @@ def _table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _refused(constant: str) -> Any:
-    raise ValueError(f"not JSON: {constant} is no number of JSON")
+    raise ValueError(f"not JSON: {constant} is not a JSON number")
 
 
 def _whole(digits: str) -> int:
@@ -219,14 +219,16 @@ def _too_deep(where: str) -> InputError:
     return InputError(f"{where}: nested too deep; at most {DEPTH} tables and lists stand inside each other")
 
 
-def _check(data: Any, where: str, most: int) -> None:
+def _check(data: Any, where: str, max_values: int) -> None:
     """InputError for data too deep, too many, or of which a text or number cannot be used. Aliases are followed each time."""
     waiting, count = [(data, 0)], 0
     while waiting:
         value, depth = waiting.pop()
         count += 1
-        if count > most:
-            raise InputError(f"{where}: more than {most} values, an alias counted as what it stands for")
+        if count > max_values:
+            raise InputError(
+                f"{where}: more than {max_values} values, an alias counted as what it stands for"
+            )
         if isinstance(value, dict | list):
             if depth == DEPTH:
                 raise _too_deep(where)

@@ -53,25 +53,21 @@ class HydraulicSyncVecEnv(VecEnv):
         """Begins an episode in every row, with the seeds of `seed` and options of `set_options` if there are any. As
         Stable-Baselines3 has it, the options hold for this episode, and not for those after it."""
         seeds = self._seeds if any(each is not None for each in self._seeds) else None
-        groups: list[tuple[dict[str, Any], list[int]]] = []
+        groups: dict[int, list[int]] = {}  # rows with the same options, by the first of them
         for row, options in enumerate(self._options):
-            for known, rows in groups:
-                if known is options or not (known or options):
-                    rows.append(row)
-                    break
-            else:
-                groups.append((options, [row]))
+            first = next(
+                n for n, known in enumerate(self._options) if known is options or not (known or options)
+            )
+            groups.setdefault(first, []).append(row)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         observation = np.empty((self.num_envs, self.observation_space.shape[0]), np.float32)  # type: ignore[index]
-        for options, rows in groups:
-            mask = np.zeros(self.num_envs, np.bool_)
-            mask[rows] = True
-            masked = options if mask.all() else {**options, "reset_mask": mask}
-            seen, info = self.batch.reset(seed=seeds, options=masked)
+        for first, rows in groups.items():
+            mask = np.isin(np.arange(self.num_envs), rows)
+            seen, info = self.batch.reset(seed=seeds, options={**self._options[first], "reset_mask": mask})
             observation[rows] = seen[rows]
             for row in rows:
                 infos[row] = _row(info, row)
-        self.batch.held[:] = None
+        self.batch.forget_options()
         self.reset_infos = infos
         self._reset_seeds()
         self._reset_options()
@@ -139,13 +135,8 @@ class HydraulicSyncVecEnv(VecEnv):
 
         ValueError for what steps or resets the rows; the VecEnv does that.
         """
-        if method_name in ("reset", "step", "advance"):
-            raise ValueError(
-                f"{method_name} concerns all rows: call it on the VecEnv, options go to set_options"
-            )
-        answer = getattr(self.batch, method_name)(*method_args, **method_kwargs)
-        own = method_name == "render" and answer is not None
-        return [answer[row] if own else answer for row in self._rows(indices)]
+        answers = self.batch.call(method_name, *method_args, **method_kwargs)
+        return [answers[row] for row in self._rows(indices)]
 
     def env_is_wrapped(
         self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: Indices = None

@@ -21,16 +21,12 @@ REVOLUTION = 2.0 * math.pi  # rad
 RPM = REVOLUTION / 60.0  # rad/s
 DEGREE = math.pi / 180.0  # rad
 BAR = 1.0e5  # Pa
-KILOPASCAL = 1.0e3  # Pa
-MEGAPASCAL = 1.0e6  # Pa
-PSI = 6894.757293168361  # Pa
 LPM = 1.0e-3 / 60.0  # m3/s
 GPM = 3.785411784e-3 / 60.0  # m3/s, the US gallon of valve data sheets
 MILLIMETRE = 1.0e-3  # m
 MICROMETRE = 1.0e-6  # m
 MILLISECOND = 1.0e-3  # s
 MILLIAMPERE = 1.0e-3  # A
-PERCENT = 1.0e-2
 ZERO_CELSIUS = 273.15  # K
 
 
@@ -73,11 +69,11 @@ UNITS: dict[str, Unit] = _table(
     ("A", "current", 1.0),
     ("mA", "current", MILLIAMPERE),
     ("Pa", "pressure", 1.0),
-    ("kPa", "pressure", KILOPASCAL),
-    ("MPa", "pressure", MEGAPASCAL),
+    ("kPa", "pressure", 1.0e3),
+    ("MPa", "pressure", 1.0e6),
     ("bar", "pressure", BAR),
     ("mbar", "pressure", 100.0),
-    ("psi", "pressure", PSI),
+    ("psi", "pressure", 6894.757293168361),
     ("m3/s", "flow", 1.0),
     ("l/min", "flow", LPM),
     ("l/s", "flow", 1.0e-3),
@@ -96,7 +92,7 @@ UNITS: dict[str, Unit] = _table(
     ("m3/rad", "displacement", 1.0),
     ("cm3/rev", "displacement", 1.0e-6 / REVOLUTION),
     ("fraction", "fraction", 1.0),
-    ("percent", "fraction", PERCENT),
+    ("percent", "fraction", 1.0e-2),
 )
 
 # Other spellings found in headers, folded to lower case without blanks, dots and middle dots.
@@ -139,3 +135,8 @@ def from_si(value: Any, name: str) -> Any:
     """`value` (a number or an array) given in SI, in unit `name`."""
     known = unit(name)
     return (value - known.offset) / known.scale if known.offset else value / known.scale
+
+
+def with_unit(value: float, name: str, digits: int = 6) -> str:
+    """A value as text with its unit; the unit "1" is not written."""
+    return f"{value:.{digits}g} {'' if name == '1' else name}".rstrip()

@@ -23,11 +23,9 @@ class FullDisk:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, root: Path) -> None:
         self.root, self.count, self.full_at = root, 0, None
-        self._handles: dict[int, Path] = {}
         for module, name, wrap in (
-            (builtins, "open", self._opening), (io, "open", self._opening), (os, "fdopen", self._fdopen),
-            (tempfile, "mkstemp", self._mkstemp), (tempfile, "mkdtemp", self._making), (os, "mkdir", self._mkdir),
-            (os, "replace", self._replace), (os, "rename", self._replace),
+            (builtins, "open", self._opening), (io, "open", self._opening), (os, "replace", self._replace),
+            (tempfile, "mkdtemp", self._making), (os, "mkdir", self._mkdir), (os, "rename", self._replace),
         ):  # fmt: skip
             monkeypatch.setattr(module, name, wrap(getattr(module, name)))
 
@@ -55,21 +53,6 @@ class FullDisk:
             return _File(real(file, mode, *args, **kwargs), self, file)
 
         return opened
-
-    def _fdopen(self, real: Callable[..., Any]) -> Callable[..., Any]:
-        def opened(handle: int, *args: Any, **kwargs: Any) -> Any:
-            return _File(real(handle, *args, **kwargs), self, self._handles.pop(handle, Path(os.devnull)))
-
-        return opened
-
-    def _mkstemp(self, real: Callable[..., Any]) -> Callable[..., Any]:
-        def made(*args: Any, **kwargs: Any) -> Any:
-            self.write(kwargs.get("dir") or os.devnull)
-            handle, name = real(*args, **kwargs)
-            self._handles[handle] = Path(name)
-            return handle, name
-
-        return made
 
     def _making(self, real: Callable[..., Any]) -> Callable[..., Any]:
         def made(*args: Any, **kwargs: Any) -> Any:

@@ -38,9 +38,6 @@ class LinearRig:
         total = values.get("J", PARAMETERS["J"].nominal) / PARAMETERS["J"].nominal * np.sin(3.0 * self.time)
         return total + sum(values.get(name, 0.0) * curve for name, curve in self.curves.items())
 
-    def for_long_refits(self) -> "LinearRig":
-        return self
-
     def has(self, effect: str, channel: int | None) -> bool:
         return False
 

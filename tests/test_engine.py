@@ -146,7 +146,7 @@ def test_stored_results_are_not_made_again(tmp_path):
     assert {2, 3} < set(calls) and len(calls) == 3  # failed; not to be kept; damaged
 
 
-def test_a_damaged_result_is_made_anew(tmp_path):
+def test_a_damaged_result_is_computed_again(tmp_path):
     """Also one that would still load, as another number."""
     store = Store(tmp_path / "cells", str)
     store.put(1, 1234567)
@@ -279,7 +279,7 @@ def test_ray_gives_the_same(cluster, tmp_path):
 
 @pytest.mark.slow
 def test_ray_node_with_another_hydro_env(cluster, monkeypatch):
-    monkeypatch.setattr("hydro_env.parallel.fingerprint", lambda: "something else")
+    monkeypatch.setattr("hydro_env.parallel.ray_engine.fingerprint", lambda: "something else")
     with pytest.raises(InputError, match="another hydro_env"):
         run([1], numbers, engine="ray", progress=False)
 

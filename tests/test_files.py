@@ -128,12 +128,11 @@ def test_output_folder_is_as_before_when_a_move_fails(
 def test_a_full_disk_is_met_with_the_name_of_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(handle, mode):
-        os.close(handle)
-        return open("/dev/full", mode)
+    def full(file, mode="r", *more, real=open, **named):
+        return real("/dev/full", "wb") if mode == "xb" else real(file, mode, *more, **named)
 
     (tmp_path / "a.txt").write_text("old")
-    monkeypatch.setattr(os, "fdopen", full)
+    monkeypatch.setattr("builtins.open", full)
     with pytest.raises(OSError) as caught, output_folder(tmp_path) as folder:
         write_text(folder / "a.txt", "new")
     assert (caught.value.filename, caught.value.errno) == (str(tmp_path / "a.txt"), errno.ENOSPC)

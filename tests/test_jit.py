@@ -8,7 +8,7 @@ import logging
 import os
 import subprocess
 import sys
-from collections import namedtuple
+import threading
 from pathlib import Path
 from types import ModuleType
 
@@ -44,8 +44,8 @@ def calling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Writes `called`, with a factor and a summand, and imports `calling` as a new process would."""
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("HYDRO_ENV_CACHE", str(tmp_path / "cache"))
-    jit._say.cache_clear()
-    jit._usable.cache_clear()
+    for each in (jit._say, jit._usable, jit._make_room):
+        each.cache_clear()
     (tmp_path / "calling.py").write_text(CALLING)
 
     def imported(factor: float, summand: float) -> ModuleType:
@@ -72,45 +72,36 @@ def test_what_was_compiled_is_loaded(calling) -> None:
     assert (sum(first.stats.cache_hits.values()), sum(again.stats.cache_hits.values())) == (0, 1)
 
 
-def test_processes_that_save_at_the_same_time_keep_their_own_code(calling) -> None:
-    """Each has begun before the others have saved anything."""
-    one, other, later = (calling(2.0, 1.0).outer for _ in range(3))
-    one(1.0)
-    other(1)  # whole numbers: another signature of the same function
-    assert (later(1.5), later(3)) == (5.0, 8.0)
-    assert sum(later.stats.cache_hits.values()) == 2
-
-
-def test_a_tuple_type_with_other_fields_is_another_type(calling, tmp_path: Path) -> None:
-    """Code for (low, high) must not serve a class of the same name with (high, low)."""
-    low = compiled(_lower)
-    for fields in (("low", "high"), ("high", "low")):
-        kind = namedtuple("Limits", fields)
-        assert low(kind(low=1.0, high=2.0)) == 1.0
-
-
-def _lower(limits):
-    return limits.low
+@pytest.mark.skipif(jit.fcntl is None, reason="no locks of this kind")
+def test_a_process_waits_while_another_one_compiles(calling, tmp_path: Path) -> None:
+    """Two that save at once would mix up their files."""
+    outer, results = calling(2.0, 1.0).outer, []
+    thread = threading.Thread(target=lambda: results.append(outer(1.0)))
+    with (tmp_path / "cache" / "machine_code" / "lock").open("wb") as lock:
+        jit.fcntl.flock(lock, jit.fcntl.LOCK_EX)
+        thread.start()
+        thread.join(0.3)
+        assert results == []
+    thread.join()
+    assert results == [4.0]
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
-def test_damaged_machine_code_is_compiled_again(calling, tmp_path: Path, caplog, data: st.DataObject) -> None:
-    """Whatever bytes of whichever file are lost or changed, even if they still load: one line, and right results."""
-    folder = tmp_path / "cache" / "machine_code"
+def test_a_damaged_file_is_removed(calling, tmp_path: Path, caplog, data: st.DataObject) -> None:
+    """Whatever bytes are lost or changed: one line, and the file counts as not there."""
     jit._say.cache_clear()
     caplog.clear()
-    assert calling(2.0, 1.0).inner(1.0) == 2.0
-    (path,) = folder.iterdir()
+    jit.keep("x.o", b"machine code")
+    path = tmp_path / "cache" / "machine_code" / "x.o"
     whole = path.read_bytes()
     damaged = data.draw(damages(whole))
     path.write_bytes(damaged)
-    assert calling(2.0, 1.0).inner(1.0) == 2.0
     changed = damaged != whole
+    assert jit.kept("x.o") == (None if changed else b"machine code")
     assert [record.levelno for record in caplog.records] == [logging.WARNING] * changed
     assert all("damaged machine code" in record.getMessage() for record in caplog.records)
-    again = calling(2.0, 1.0).inner
-    assert again(1.0) == 2.0 and sum(again.stats.cache_hits.values()) == 1
+    assert path.exists() != changed
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no permissions of this kind")
@@ -120,7 +111,7 @@ def test_code_that_others_could_have_written_is_not_read(calling, tmp_path: Path
     jit._usable.cache_clear()
     again = calling(2.0, 1.0).outer
     assert again(1.0) == 4.0
-    assert again.stats.cache_path != str(tmp_path / "cache" / "machine_code")
+    assert not again.stats.cache_path.startswith(str(tmp_path / "cache" / "machine_code"))
     (line,) = {record.getMessage() for record in caplog.records}
     assert "other users can write there" in line and "chmod go-w" in line
 
@@ -129,8 +120,8 @@ def test_a_full_disk_only_costs_time(calling, monkeypatch: pytest.MonkeyPatch, c
     def full(*arguments):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(jit.os, "replace", full)
-    assert calling(2.0, 1.0).outer(1.0) == 4.0
+    monkeypatch.setattr(jit, "write_bytes", full)
+    jit.keep("x.o", b"machine code")
     (line,) = [record.getMessage() for record in caplog.records]
     assert "cannot be kept there (No space left on device)" in line
 

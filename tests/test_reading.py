@@ -19,7 +19,7 @@ from hydro_env.errors import InputError
 from hydro_env.measured import load_mapping, read_log
 from hydro_env.plant import load_effects, load_model
 from hydro_env.practice.played import plans_of
-from hydro_env.reading import DEPTH, MOST_BYTES_OF_YAML, parse_json, parse_yaml, read_yaml
+from hydro_env.reading import DEPTH, MAX_BYTES_OF_YAML, parse_json, parse_yaml, read_yaml
 from hydro_env.valve_bench import read_curve
 
 LETTERS = st.characters(exclude_categories=["Cs", "Cc"])
@@ -81,7 +81,7 @@ def test_any_bytes_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory,
     [
         ("[" * 400 + "]" * 400, "nested too deep"),
         ("[" * (DEPTH + 1) + "]" * (DEPTH + 1), "nested too deep"),
-        ("a: !!int foo", "line 1: not YAML: 'foo' is no !!int"),
+        ("a: !!int foo", "line 1: not YAML: 'foo' is not a !!int"),
         ("a:\n  b: " + "9" * 5000, "line 2: not YAML: .* is too long"),
         ("a: 1\nb: !!set {c}", "line 2: not YAML: the tag '!!set' is not known here"),
         ("a: !!python/object/apply:os.system [ls]", "is not known here"),
@@ -89,7 +89,7 @@ def test_any_bytes_are_read_or_refused(tmp_path_factory: pytest.TempPathFactory,
         (LAUGHS, "more than"),
         ('a: "\\ud800"', "cannot be written"),
         ("a: b\0", "line 1: not YAML: it holds the character"),
-        ("1: a", "the key 1 is no text"),
+        ("1: a", "the key 1 is not text"),
         ("\ta: 1", "line 1"),
     ],
 )  # fmt: skip
@@ -112,7 +112,7 @@ def test_another_encoding_is_named(tmp_path: Path, encoding: str) -> None:
 
 
 def test_a_large_or_endless_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "x.yaml").write_bytes(b"#" * (MOST_BYTES_OF_YAML + 1))
+    (tmp_path / "x.yaml").write_bytes(b"#" * (MAX_BYTES_OF_YAML + 1))
     with pytest.raises(InputError, match="larger than"):
         read_yaml(tmp_path / "x.yaml", "a model")
     with pytest.raises(InputError, match="/dev/zero: a pipe or a device"):
@@ -157,7 +157,7 @@ def test_a_pipe_or_a_folder_is_refused(tmp_path: Path, ending: str, read: Callab
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ('{"a": NaN}', "NaN is no number"),
+        ('{"a": NaN}', "NaN is not a JSON number"),
         ('{"a": 1, "a": 2}', "'a' is given twice"),
         ("[" * 100_000, "nested too deep"),
         ("9" * 5000, "more than 40 digits"),

@@ -13,6 +13,7 @@ from agents.recurrent.settings import Settings
 from hydro_env.controllers.estimation.valve_map import true_map
 from hydro_env.envs.batch import HydraulicSyncVectorEnv
 from hydro_env.errors import InputError
+from hydro_env.plant import Plant
 
 __all__ = ["KNOWN", "Rigs"]
 
@@ -45,13 +46,18 @@ class Rigs:
     def num_rigs(self) -> int:
         return self.env.num_envs
 
+    @property
+    def plant(self) -> Plant:
+        assert isinstance(self.env.plant, Plant)
+        return self.env.plant
+
     def inputs(self) -> torch.Tensor:
         """What the network sees, (num_rigs, 18)."""
         return torch.from_numpy(np.concatenate([self.before, self.observation], axis=1))
 
     def valves(self) -> NDArray[np.float64]:
         """Gain and edges of every valve, (num_rigs, KNOWN), scaled to about one: what a network should find out and keep."""
-        true = true_map(self.env.plant)
+        true = true_map(self.plant)
         n = self.num_rigs
         return np.concatenate(
             [9.0 * (true.gain[..., 0] - 0.82), 14.0 * (true.edge.reshape(n, 4) - 0.11)], axis=1

@@ -8,7 +8,7 @@ from typing import Any
 
 from hydro_env.controllers.settings import HAND, from_table, setting
 from hydro_env.errors import InputError, suggestion
-from hydro_env.reading import MOST_BYTES_OF_YAML, parse_yaml, read_text
+from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 
 __all__ = ["Gradient", "Imitation", "Sizes", "Settings", "Training", "read_settings"]
 
@@ -108,7 +108,7 @@ class Settings:
 
 def read_settings(path: Path) -> Settings:
     """Reads a training file. InputError, in one line that names file and key, for anything that is not right."""
-    text = read_text(path, "a training file in YAML", most=MOST_BYTES_OF_YAML)
+    text = read_text(path, "a training file in YAML", max_bytes=MAX_BYTES_OF_YAML)
     data = parse_yaml(text, str(path))
     tables = {"network": Sizes, "imitation": Imitation, "gradient": Gradient, "training": Training}
     if not isinstance(data, dict) or not all(isinstance(table, dict) for table in data.values()):

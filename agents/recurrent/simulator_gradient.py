@@ -167,7 +167,7 @@ class GradientStage:
         stream = np.random.default_rng([settings.training.seed, 1, done])
         self.rigs = Rigs(settings, s.rigs, s.window, seed=int(stream.integers(2**40)))
         self.optimiser = torch.optim.Adam(policy.parameters(), lr=s.rate, betas=(0.9, 0.98))
-        self._slopes = Slopes(self.rigs.env.plant, self.rigs.env.control_period, stream)
+        self._slopes = Slopes(self.rigs.plant, self.rigs.env.control_period, stream)
         self._slopes.match(self.rigs.env.pairs)
         self._state = torch.zeros(s.rigs, policy.units)
         self._updates = 0

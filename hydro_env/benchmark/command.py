@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import importlib.util
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +21,7 @@ import numpy as np
 
 from hydro_env.benchmark.report import scores_page, scores_table
 from hydro_env.benchmark.statistics import Summary, gap_closed, probability_of_improvement, summarise
-from hydro_env.benchmark.suite import Suite, check_suite, load_suite
+from hydro_env.benchmark.suite import Suite, load_suite
 from hydro_env.controllers.base import Floats
 from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
 from hydro_env.controllers.rollout import roll_out
@@ -34,7 +34,7 @@ from hydro_env.pages import beside_results
 from hydro_env.parallel import Failure, Store, check_engine
 from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import load_model
-from hydro_env.tasks import METRICS, OWN, SCENARIOS, SPLITS, Trace, default_mismatch, never_settled
+from hydro_env.tasks import METRICS, OWN, SPLITS, Trace, default_mismatch, never_settled
 
 __all__ = ["SCHEMA", "Conditions", "Selection", "run"]
 
@@ -51,13 +51,13 @@ DTYPE = "float32"
 LIMIT = 600.0
 """S that a controller may take for one split and scenario, by default: 200 rigs for 8 s are 160,000 commands to each valve."""
 
-MOST_LETTERS = 200
+MAX_LETTERS = 200
 """Of a controller's name."""
 
 TRACE_METRIC = "max_speed_difference_rpm"
 """By which a cell's typical (median) and worst case are chosen, whose traces the page shows."""
 TRACE_SAMPLES = 120
-"""The page keeps about so many samples of a trace, those with the largest difference."""
+"""How many samples of a trace the page keeps, about: those with the largest difference."""
 
 
 @dataclass
@@ -93,23 +93,10 @@ class Selection:
     def load(self, plant: Any) -> Suite:
         """The suite. A plant file that sets what the splits would draw is driven with its own pair of valves, unless the splits
         are named here or in a suite file. InputError for a name that does not exist."""
-        known: dict[str, Iterable[str]] = {
-            "splits": [*SPLITS, OWN],
-            "scenarios": SCENARIOS,
-            "metrics": METRICS,
-        }
-        suite, splits = load_suite(self.suite, **known), self.splits
-        shipped = Path(self.suite).suffix == ""
+        splits, shipped = self.splits, Path(self.suite).suffix == ""
         if splits is None and shipped and default_mismatch(plant) == OWN:
             splits = [OWN]
-        chosen = check_suite(suite.narrowed(splits, self.scenarios, self.cases), known, "benchmark")
-        for split, wanted in chosen.splits.items():
-            listed = None if split == OWN else SPLITS[split].cases
-            if listed is not None and wanted > listed:
-                raise InputError(
-                    f"split {split!r}: {wanted} cases are asked for, there are {listed} pairs of valves"
-                )
-        return chosen
+        return load_suite(self.suite).narrowed(splits, self.scenarios, self.cases)
 
 
 @dataclass(frozen=True)
@@ -236,9 +223,9 @@ def _cells(specs: Sequence[Any], suite: Suite, trust: bool) -> Iterator[Cell]:
 
 def _text(spec: Any, key: str, value: Any) -> str:
     """What a controller says of itself. InputError for what tables and pages cannot show in a line."""
-    if not isinstance(value, str) or not 0 < len(value) <= MOST_LETTERS or not value.isprintable():
+    if not isinstance(value, str) or not 0 < len(value) <= MAX_LETTERS or not value.isprintable():
         raise InputError(
-            f"controller {shown(spec)}: its {key} is {shown(value)}, expected text of 1 to {MOST_LETTERS} printable letters"
+            f"controller {shown(spec)}: its {key} is {shown(value)}, expected text of 1 to {MAX_LETTERS} printable letters"
         )
     return value
 
@@ -304,11 +291,13 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
     if done.typical_command > 1.0:
         note = f"half of its commands are {done.typical_command:.3g} or more, and 1 was applied instead: a command is a fraction"
         note += " of the rated one, not a voltage"
-    distinct = {id(values): values for values in metrics.values()}  # two names stand for the command's travel
+    distinct = {
+        METRICS[name].of: values for name, values in metrics.items()
+    }  # the command's travel has two names
     summarised = {
-        key: summarise(values, strata=done.faults, seed=conditions.seed) for key, values in distinct.items()
+        of: summarise(values, strata=done.faults, seed=conditions.seed) for of, values in distinct.items()
     }
-    summaries = {name: summarised[id(values)] for name, values in metrics.items()}
+    summaries = {name: summarised[METRICS[name].of] for name in metrics}
     traces = _kept(done.trace, metrics[TRACE_METRIC])
     unsettled = int(np.sum(never_settled(done.trace)))
     return replace(cell, metrics=metrics, summaries=summaries, unsettled=unsettled, traces=traces, note=note)
@@ -375,24 +364,21 @@ def _scores(cells: list[Cell], suite: Suite, conditions: Conditions) -> dict[str
             {**_place(*key), "iqm": s.iqm, "ci95": list(s.ci95), "cvar95": s.cvar95, "n": s.n}
             for key, s in summaries.items()
         ],
-        "failed": [
-            {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, "reason": cell.failure}
-            for cell in cells
-            if cell.failure is not None
-        ],
-        "never_settled": [
-            {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, "cases": cell.unsettled}
-            for cell in cells
-            if cell.unsettled
-        ],
-        "notes": [
-            {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, "note": cell.note}
-            for cell in cells
-            if cell.note
-        ],
+        "failed": _told(cells, "reason", lambda cell: cell.failure),
+        "never_settled": _told(cells, "cases", lambda cell: cell.unsettled),
+        "notes": _told(cells, "note", lambda cell: cell.note),
         "improvement": _improvement(cells, suite, baseline),
         "gap_closed": _gaps_closed(summaries, baseline),
     }
+
+
+def _told(cells: list[Cell], key: str, of: Callable[[Cell], Any]) -> list[dict[str, Any]]:
+    """What there is to be told of cells, under `key`, each with its place."""
+    return [
+        {"controller": cell.name, "split": cell.split, "scenario": cell.scenario, key: value}
+        for cell in cells
+        if (value := of(cell))
+    ]
 
 
 def _drawn_over(plant: Any, split: str) -> list[str]:

@@ -5,7 +5,7 @@ The set follows Agarwal et al., "Deep Reinforcement Learning at the Edge of the 
 and a figure for the worst cases, which decide whether a controller may run a machine. Every metric here is
 a cost: smaller is better.
 
-`scipy.stats.bootstrap` has no strata and draws anew for every metric, which takes several times as long; the other
+`scipy.stats.bootstrap` has no strata and draws again for every metric; the other
 figures are not in SciPy.
 """
 

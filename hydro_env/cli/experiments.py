@@ -33,7 +33,7 @@ def reproduce(
     with writing(out) as folder:
         from hydro_env.experiments import reproduce as work
 
-        print(work.summary(work.run(folder, pictures=pictures)))
+        print(work.summary(work.run(folder, pictures=pictures).numbers))
 
 
 def speed(

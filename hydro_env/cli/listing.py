@@ -108,7 +108,7 @@ def _suites() -> list[dict[str, Any]]:
             "summary": f"{', '.join(f'{count} pairs of {split}' for split, count in each.splits.items())}; "
             f"{', '.join(each.scenarios)}",
         }
-        for each in shipped_suites()
+        for each in shipped_suites().values()
     ]
 
 

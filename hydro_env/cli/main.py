@@ -20,32 +20,19 @@ from hydro_env.errors import InputError, InputWarning, place_of, shown, stopped_
 __all__ = ["main", "run", "spread"]
 
 GARBAGE = 1_000_000
-"""Objects that are made before Python looks for cyclic garbage, 700 by default. Imports, Numba and fits make many that stay: of
-a diagnosis that search took a tenth, with 50 thousand a twentieth. The most memory in use is the same, a demo's a tenth more."""
+"""Objects that are made before Python looks for cyclic garbage, 700 by default. Imports, Numba and fits make many that stay, and
+to search them again and again takes longer than what there is to find is worth."""
 EXTRAS = {
-    "plotly": "report",
-    "jinja2": "report",
-    "matplotlib": "report",
-    "pandas": "measured",
-    "pyarrow": "measured",
-    "asammdf": "measured",
-    "nptdms": "measured",
-    "pygame": "render",
-    "torch": "agents",
-    "filelock": "agents",
-    "tensorboard": "agents",
-    "stable_baselines3": "agents",
-    "sb3_contrib": "agents",
-    "onnx": "agents",
-    "onnxruntime": "agents",
+    "report": "plotly jinja2 matplotlib",
+    "measured": "pandas asammdf nptdms",
+    "render": "pygame",
+    "agents": "torch filelock tensorboard stable_baselines3 sb3_contrib onnx onnxruntime",
     "ray": "ray",
-    "fmpy": "fmu",
-    "pysindy": "naming",
-    "nicegui": "lab",
-    "fastapi": "lab",
-    "uvicorn": "lab",
+    "fmu": "fmpy",
+    "naming": "pysindy",
+    "lab": "nicegui fastapi uvicorn",
 }
-"""Which extra of the package holds an optional library."""
+"""Which optional libraries an extra of the package holds."""
 
 
 class _PatientOutput:
@@ -106,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         sys.stdout.flush()
     except OSError as problem:
         status = _fail(f"{problem.filename}: {problem.strerror}")
-    gc.freeze()  # the end of the process would go through everything for garbage once more: 0.3 s after a diagnosis
+    gc.freeze()  # the end of the process would go through everything for garbage once more
     sys.exit(status)
 
 
@@ -151,10 +138,11 @@ def _run(arguments: Sequence[str] | None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _fail(INTERRUPTED, status=130)
     except ModuleNotFoundError as problem:
-        extra = EXTRAS.get((problem.name or "").partition(".")[0])
-        if extra is None:
-            raise
-        return _fail(f"this needs {problem.name}: {to_install(extra)}")
+        library = (problem.name or "").partition(".")[0]
+        for extra, libraries in EXTRAS.items():
+            if library in libraries.split():
+                return _fail(f"this needs {problem.name}: {to_install(extra)}")
+        raise
     except OSError as problem:
         where = f"{problem.filename}: " if problem.filename else ""
         return _fail(f"{where}{problem.strerror or problem}")

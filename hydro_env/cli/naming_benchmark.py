@@ -39,7 +39,7 @@ def make(
     """
     from tqdm import tqdm
 
-    from hydro_env.experiments import naming_benchmark as work
+    from hydro_env.experiments.naming_benchmark.sets import make_set
 
     with tqdm(total=rigs, unit="rig", disable=None) as bar:
 
@@ -47,7 +47,7 @@ def make(
             bar.set_description(name)
             bar.update()
 
-        work.make_set(out, rigs, seed, say)
+        make_set(out, rigs, seed, say)
     print(f"Written to {out}: rigs/ for the methods, truth/ for scoring alone")
 
 
@@ -63,20 +63,21 @@ def run(
     """
     from tqdm import tqdm
 
-    from hydro_env.experiments import naming_benchmark as work
+    from hydro_env.experiments.naming_benchmark.methods import METHODS, run_method
+    from hydro_env.experiments.naming_benchmark.sets import read_set
 
-    names = list(work.METHODS) if method == ["all"] else method
+    names = list(METHODS) if method == ["all"] else method
     for name in names:
-        if name not in work.METHODS:
-            raise InputError(f"unknown method {name!r}: {suggestion(name, work.METHODS)}")
-    total = len(names) * len(work.read_set(set_folder)["rigs"])
+        if name not in METHODS:
+            raise InputError(f"unknown method {name!r}: {suggestion(name, METHODS)}")
+    total = len(names) * len(read_set(set_folder)["rigs"])
     with tqdm(total=total, unit="answer", disable=None) as bar:
 
         def say(text: str) -> None:
             bar.set_description(text)
             bar.update()
 
-        work.run_method(names, set_folder, out, say)
+        run_method(names, set_folder, out, say)
     print(f"Written to {out}: {', '.join(f'{name}/' for name in names)}")
 
 
@@ -89,21 +90,21 @@ def score(
     out: Out,
     first: Annotated[
         int | None,
-        number("--first", within=Limits(1, 10_000, whole=True), help="Only so many rigs, from the first."),
+        number("--first", within=Limits(1, 10_000, whole=True), help="Only the first N rigs."),
     ] = None,
 ) -> None:
     """Score answers against the truth.
 
     Writes naming.json and naming.md; the first method is compared with the others.
     """
-    from hydro_env.experiments import naming_benchmark as work
+    from hydro_env.experiments.naming_benchmark import scoring
 
     methods = {path.resolve().name: path for path in answers}
     if len(methods) < len(answers):
         raise InputError("two folders of answers have the same name; a folder's name is that of its method")
     with writing(out) as folder:
-        scores = work.score(set_folder, methods, first)
+        scores = scoring.score(set_folder, methods, first)
         write_json(folder / "naming.json", scores)
-        text = work.table(scores)
+        text = scoring.table(scores)
         write_text(folder / "naming.md", text + "\n")
         print(text)

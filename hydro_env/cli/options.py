@@ -80,14 +80,12 @@ def writing(out: Path) -> Iterator[Path]:
     print(f"{time.perf_counter() - start:.1f} s. Written to {out}: {', '.join(written)}")
 
 
-MOST_NUMBERS = 100
+MAX_NUMBERS = 100
 
 
 def numbers(option: str, text: str, within: Limits) -> tuple[float, ...]:
     """`5,20,80` as numbers within limits, none for an empty text."""
-    parts = [part for part in text.split(",", MOST_NUMBERS) if part.strip()]
-    if len(parts) > MOST_NUMBERS:
-        raise InputError(
-            f"{option} is {shown(text)}: at most {MOST_NUMBERS} numbers with commas between them"
-        )
+    parts = [part for part in text.split(",", MAX_NUMBERS) if part.strip()]
+    if len(parts) > MAX_NUMBERS:
+        raise InputError(f"{option} is {shown(text)}: at most {MAX_NUMBERS} numbers with commas between them")
     return tuple(within.read(part, option) for part in parts)

@@ -82,21 +82,16 @@ def valve_test(
     with writing(out) as folder:
         from hydro_env.experiments import valve_test as work
         from hydro_env.valve_bench import Columns
+        from hydro_env.valve_bench.bench import Sweeps
 
         columns = Columns(
             signal=signal_column, flow=flow_column, time=time_column, signal_unit=signal_unit, flow_unit=flow_unit,
             time_unit=time_unit, rated=rated, row_period=row_period,
         )  # fmt: skip
-        settings = work.Settings(
-            signal=signal,
-            seconds=times,
-            columns=columns,
-            sweep_periods=numbers("--sweep-period", sweep_period, MEASURED_SWEEP),
-            one_valve=one_valve,
-            controllers=()
-            if controllers == "none"
-            else tuple(each.strip() for each in controllers.split(",")),
-            seeds=seeds,
-            pictures=pictures,
+        periods = numbers("--sweep-period", sweep_period, MEASURED_SWEEP)
+        names = [] if controllers == "none" else [each.strip() for each in controllers.split(",")]
+        sweeps = Sweeps(signal, times, columns, periods, one_valve)
+        data = work.run(
+            folder, valves or work.VALVES, sweeps, controllers=names, seeds=seeds, pictures=pictures
         )
-        print(work.summary(work.run(folder, valves or work.default_valves(), settings)))
+        print(work.summary(data))

@@ -56,7 +56,7 @@ def write(found: Diagnosis, folder: Path) -> None:
     needed. A page that fails costs only the page."""
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "diagnosis.json", found.as_dict())
-    commands = found.state.next_experiment.csv() if found.state.next_experiment else None
+    commands = found.next_experiment.csv() if found.next_experiment else None
     if commands is not None:
         write_text(folder / NEXT_EXPERIMENT, commands)
     found.model.to_yaml(folder / "model.yaml", source="diagnosis of logs")

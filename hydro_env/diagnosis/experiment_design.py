@@ -8,8 +8,8 @@ machine keeps to exactly (`FORM`), and what either model's parameters leave open
 allow. What another value of a parameter would make up for counts for nothing. Box and Hill (1967), Technometrics 9, 57;
 Buzzi-Ferraris and others (1984), Chem. Eng. Sci. 39, 81.
 
-What the held-out logs will show. Their commands and loads are known beforehand, and estimates that the logs allow may give
-courses far apart there: the scale of all torques is open where no load acted. The criterion is how far they would still be apart
+What the held-out logs will show. Their commands and loads are known beforehand, and simulations of estimates that the logs allow
+may be far apart there: the scale of all torques is open where no load acted. The criterion is how far they would still be apart
 with the experiment's log (V-optimality; Atkinson, Donev and Tobias 2007, Optimum Experimental Designs, section 10.6).
 
 Search: the best of some random experiments, then coordinate exchange, Meyer and Nachtsheim (1995), Technometrics 37, 60: one
@@ -33,7 +33,7 @@ from ..measured import RigLog
 from ..plant import PlantModel
 from ..plant.sensors import NOISE
 from ..waveforms import triangle
-from .estimation import Estimate, Fit, intervals_of
+from .estimation import Estimate, Fit, intervals_of, replica_differences
 from .input.parts import Part
 from .models.base import BLOCK_S, UNITS, Request
 from .models.dynamic_rig import DynamicRig
@@ -45,17 +45,18 @@ __all__ = [
 
 Array = np.ndarray
 
-#: Period of the commands and length of an experiment, s; rests at both ends and pieces in between, in periods.
+#: Period of the commands and length of an experiment, s; rests at both ends, longer than the shaft's memory (`input.duration`),
+#: and pieces in between, in periods.
 PERIOD, SECONDS = 0.01, 12.0
 REST, PIECE, PIECES = 24, 192, 6
-#: Random experiments to begin with, and random pieces of which the best takes a place.
+#: Random experiments to begin with, and random pieces of which the best takes a place: two blocks of the kernel, and one.
 FIRST, PIECES_TRIED = 16, 8
-#: An effect may do this much more or less than its law says: less of a difference tells forms apart, not effects.
+#: An effect may do this much more or less than its law says (`naming.SHAPE_BY_FORM`): less of a difference tells forms apart, not
+#: effects.
 FORM = 0.1
-#: Beside an estimate's `id`: the same without any effect.
-NO_EFFECT = "no effect"
-#: Where every experiment goes beyond the pressure limit, commands are taken smaller by this factor, so many times at most.
-SMALLER, TIMES_SMALLER = 0.6, 5
+#: Where every experiment goes beyond the pressure limit, commands are taken smaller by this factor, this many times at most: down
+#: to an eighth.
+SMALLER, MAX_TIMES_SMALLER = 0.6, 5
 
 
 @dataclass(frozen=True)
@@ -71,8 +72,8 @@ class Question:
 
 @dataclass(frozen=True)
 class Operation:
-    """What an estimate of a channel is to predict: `apart` (draws, draws) are mean products of how far the courses of its draws
-    are from its own on the held-out logs, in units of the noise, so that the trace is the mean square of all of them."""
+    """What an estimate of a channel is to predict: `apart` (draws, draws) are mean products of how far the simulations of its
+    draws are from its own on the held-out logs, in units of the noise, so that the trace is the mean square of all of them."""
 
     estimate: Estimate
     apart: Array
@@ -92,7 +93,7 @@ class Design:
 
 
 # --- the family of experiments ----------------------------------------------------------------------------------------
-def _piece(rng: np.random.Generator, size: float, most_load: float) -> Array:
+def _piece(rng: np.random.Generator, size: float, max_load: float) -> Array:
     """A random piece (PIECE, 2). The command is a triangle, steps, a sine of rising frequency or a constant. In half of the
     pieces a load is on, from the beginning or from somewhere in the piece."""
     x = np.arange(PIECE) / PIECE
@@ -106,9 +107,7 @@ def _piece(rng: np.random.Generator, size: float, most_load: float) -> Array:
         np.sin(np.pi * 4.0 * cycles * x * x),
         np.ones(PIECE),
     )[kind]
-    load = (
-        rng.uniform(-most_load, most_load) * rng.integers(2) * (x >= rng.uniform(0.0, 0.7) * rng.integers(2))
-    )
+    load = rng.uniform(-max_load, max_load) * rng.integers(2) * (x >= rng.uniform(0.0, 0.7) * rng.integers(2))
     return size * np.column_stack([np.clip(middle + swing * wave, -1.0, 1.0), load])
 
 
@@ -126,19 +125,17 @@ def _whole(pieces: Array, limits: Settings) -> Array:
     return out
 
 
-def _drawn(
-    rng: np.random.Generator, count: int, size: float, most_load: float, pieces: int = PIECES
-) -> Array:
+def _drawn(rng: np.random.Generator, count: int, size: float, max_load: float, pieces: int = PIECES) -> Array:
     """Pieces (count, pieces, PIECE, 2, 2) of random experiments."""
-    found = [[[_piece(rng, size, most_load) for _ in (0, 1)] for _ in range(pieces)] for _ in range(count)]
+    found = [[[_piece(rng, size, max_load) for _ in (0, 1)] for _ in range(pieces)] for _ in range(count)]
     return np.moveaxis(np.array(found), 2, 3)
 
 
 def random_design(
-    model: PlantModel, limits: Settings, rng: np.random.Generator, most_load: float = 0.0
+    model: PlantModel, limits: Settings, rng: np.random.Generator, max_load: float = 0.0
 ) -> tuple[Array, Array]:
     """A random experiment of the family: commands (T, 2) in V and loads (T, 2) in N m."""
-    found = _whole(_drawn(rng, 1, 1.0, most_load)[0], limits)
+    found = _whole(_drawn(rng, 1, 1.0, max_load)[0], limits)
     return found[..., 0] * np.array(model.pair("u_rated")), found[..., 1]
 
 
@@ -206,16 +203,11 @@ def _scale(fit: Fit, models: Iterable[Estimate], channel: int, signal: str) -> f
 
 def operation_of(held_out: Fit, estimate: Estimate, channel: int) -> Operation | None:
     """What an estimate with intervals is to predict of a channel on the held-out logs; None without intervals."""
-    if estimate.intervals is None:
+    differences = [np.nan_to_num(rows) for _, rows in replica_differences(held_out, estimate, channel)]
+    if not differences:
         return None
-    draws = estimate.intervals.draws
-    first, *others = held_out.rig.predict([estimate.request(), *(estimate.request(q) for q in draws)])
-    off = []
-    for s in held_out.rig.segments[channel]:
-        rows = np.array([(each[channel] - first[channel])[s.place][s.used] for each in others])
-        off.append(np.nan_to_num(rows) / held_out.noise[channel, s.signal])
-    joined = np.concatenate(off, axis=1) / np.sqrt(len(draws))
-    return Operation(estimate, joined @ joined.T / joined.shape[1])
+    joined = np.concatenate(differences, axis=1)
+    return Operation(estimate, joined @ joined.T / joined.size)
 
 
 @dataclass(frozen=True)
@@ -228,83 +220,70 @@ class Trial:
     operations: Mapping[int, Operation] = field(default_factory=dict)
 
     @cached_property
-    def _models(self) -> dict[int, tuple[Estimate, Array]]:
-        """All estimates, by their `id`, with others that the logs allow as well (draws, k)."""
-        models = [p for question in self.questions for p in question.models.values()]
-        models += [each.estimate for each in self.operations.values()]
-        return {id(p): (p, (p.intervals or intervals_of(self.fit, p)).draws) for p in models}
+    def _requests(self) -> list[list[Request]]:
+        """For every model of every question, then for every operation: the estimate, the same without the effect in question (or
+        without any), and others that the logs allow as well."""
+        models = [(p, p.without(name)) for question in self.questions for name, p in question.models.items()]
+        models += [(o.estimate, _without_effects(o.estimate)) for o in self.operations.values()]
+        draws = {p: (p.intervals or intervals_of(self.fit, p)).draws for p, _ in models}
+        return [[p.request(), bare.request(), *(p.request(q) for q in draws[p])] for p, bare in models]
 
     def run(self, experiments: Array) -> tuple[list[_Answers], dict[int, Array], Array]:
         """Simulates experiments (n, T, 2, 2): answers to the questions; by channel the mean squares (n,) by which estimates
         would still be apart on the held-out logs; whether a channel is allowed (n, 2)."""
+        tables, allowed = self._simulate(experiments)
+        ensembles = iter(tables)
+        answers = []
+        for question in self.questions:
+            own = dict(zip(question.models, ensembles, strict=False))
+            # One of the models may be of the whole rig, another one of a channel alone.
+            shared = sorted(set.intersection(*(set(table) for table in own.values())))
+            scales = {c: self._scales(question.models.values(), c) for c in shared}
+            of = {name: {c: table[c] / scales[c] for c in shared} for name, table in own.items()}
+            answers.append(_Answers(question, of))
+        return (
+            answers,
+            {c: self._left(c, table[c]) for c, table in zip(self.operations, ensembles, strict=True)},
+            allowed,
+        )
+
+    def _simulate(self, experiments: Array) -> tuple[list[dict[int, Array]], Array]:
+        """What the requests of each model show, by channel (requests, n, signals, T), and whether a channel is allowed (n, 2)."""
         rig = self.fit.rig
         assert isinstance(rig, DynamicRig)
         parts = [_part(each, rig.model, n) for n, each in enumerate(experiments)]
         own = DynamicRig(rig.model, parts, jobs=rig.jobs, progress=rig.progress, without=rig.without)
-        requests: dict[tuple[int, str], list[Request]] = {
-            (key, ""): [p.request(), *(p.request(q) for q in draws)]
-            for key, (p, draws) in self._models.items()
-        }
-        for o in self.operations.values():
-            requests[id(o.estimate), NO_EFFECT] = [_without_effects(o.estimate).request()]
-        for question in self.questions:
-            requests |= {(id(p), name): [p.without(name).request()] for name, p in question.models.items()}
         try:
-            results = iter(own.predict([one for each in requests.values() for one in each]))
+            results = own.predict([r for each in self._requests for r in each])
         finally:
             own.close()
-        allowed = np.ones((len(parts), 2), bool)
-        signals = list(UNITS)
-        found: dict[tuple[int, str], dict[int, Array]] = {}
-        for key, each in requests.items():
-            tables: dict[int, list[Array]] = {}
-            for result in itertools.islice(results, len(each)):
-                for c, values in result.items():
-                    by_log = [
-                        [values[s.place] for s in own.segments[c] if s.log == n] for n in range(len(parts))
-                    ]
-                    table = np.array(by_log)
-                    peak = np.abs(table[:, signals.index("pressure")]).max(axis=-1)
-                    # A comparison with NaN is false: what diverges is not allowed either.
-                    allowed[:, c] &= peak <= _most_pressure(rig.model, c, self.fit.settings)
-                    tables.setdefault(c, []).append(np.nan_to_num(table))
-            found[key] = {c: np.array(rows) for c, rows in tables.items()}
-        answers = [self._answers(question, found) for question in self.questions]
-        left = {
-            c: self._left(c, found[id(o.estimate), ""][c], found[id(o.estimate), NO_EFFECT][c][0])
-            for c, o in self.operations.items()
-        }
-        return answers, left, allowed
+        # The segments of a channel are all signals of the first experiment, then those of the next one.
+        every = [{c: v.reshape(len(parts), len(UNITS), -1) for c, v in result.items()} for result in results]
+        allowed, pressure = np.ones((len(parts), 2), bool), [*UNITS].index("pressure")
+        for table in every:
+            for c, values in table.items():
+                peak = np.abs(values[:, pressure]).max(axis=-1)
+                # A comparison with NaN is false: what diverges is not allowed either.
+                allowed[:, c] &= peak <= _max_pressure(rig.model, c, self.fit.settings)
+        each = iter(every)
+        grouped = [[*itertools.islice(each, len(requests))] for requests in self._requests]
+        return [{c: np.nan_to_num([t[c] for t in own]) for c in own[0]} for own in grouped], allowed
 
-    def _in_noise(self, models: Iterable[Estimate], channel: int, table: Array) -> Array:
-        """Courses (..., signals, T) in units of what cannot be known of a signal."""
+    def _scales(self, models: Iterable[Estimate], channel: int) -> Array:
+        """What cannot be known of each signal (signals, 1)."""
         models = list(models)
-        return table / np.array([_scale(self.fit, models, channel, s) for s in UNITS])[:, None]
+        return np.array([[_scale(self.fit, models, channel, signal)] for signal in UNITS])
 
-    def _answers(self, question: Question, found: Mapping[tuple[int, str], Mapping[int, Array]]) -> _Answers:
-        of: dict[str, dict[int, Array]] = {}
-        # One of the models may be of the whole rig, another one of a channel alone.
-        shared = set.intersection(*(set(found[id(p), ""]) for p in question.models.values()))
-        for name, p in question.models.items():
-            whole, bare = found[id(p), ""], found[id(p), name]
-            of[name] = {
-                c: self._in_noise(
-                    question.models.values(), c, np.concatenate([whole[c][:1], bare[c], whole[c][1:]])
-                )
-                for c in sorted(shared)
-            }
-        return _Answers(question, of)
-
-    def _left(self, channel: int, rows: Array, bare: Array) -> Array:
-        """Mean squares (n,) by which the courses on the held-out logs would still be apart, in units of the noise; `rows`
-        (1 + draws, n, signals, T), `bare` (n, signals, T) without any effect."""
+    def _left(self, channel: int, table: Array) -> Array:
+        """Mean squares (n,) by which the simulations of the held-out logs would still be apart, in units of the noise, of the
+        `table` (2 + draws, n, signals, T) of an operation."""
         operation = self.operations[channel]
-        both = np.concatenate([rows, bare[None]])
-        seen = self._in_noise([operation.estimate], channel, both)[:, :, self.logged()]
-        left = np.empty(rows.shape[1])
+        seen = (table / self._scales([operation.estimate], channel))[:, :, self.logged()]
+        left = np.empty(table.shape[1])
         for n in range(left.size):
-            known = 1.0 / np.sqrt(1.0 + FORM**2 * _power(seen[0, n] - seen[-1, n]))
-            off = ((seen[1:-1, n] - seen[0, n]) * known).reshape(len(seen) - 2, -1) / np.sqrt(len(seen) - 2)
+            whole, bare, *draws = seen[:, n]
+            known = 1.0 / np.sqrt(1.0 + FORM**2 * _power(whole - bare))
+            off = ((np.array(draws) - whole) * known).reshape(len(draws), -1) / np.sqrt(len(draws))
             left[n] = np.trace(np.linalg.solve(np.eye(len(off)) + off @ off.T, operation.apart))
         return left
 
@@ -329,7 +308,7 @@ class Trial:
         return np.where(allowed, found, -np.inf)
 
 
-def _most_pressure(model: PlantModel, channel: int, limits: Settings) -> float:
+def _max_pressure(model: PlantModel, channel: int, limits: Settings) -> float:
     """The load pressure of a channel that no model may exceed, Pa."""
     if limits.pressure_limit is not None:
         return limits.pressure_limit
@@ -357,14 +336,14 @@ def _part(experiment: Array, model: PlantModel, number: int) -> Part:
 
 
 # --- the search -------------------------------------------------------------------------------------------------------
-def best_design(trial: Trial, rng: np.random.Generator, most_load: float = 0.0) -> Design | None:
+def best_design(trial: Trial, rng: np.random.Generator, max_load: float = 0.0) -> Design | None:
     """The experiment that was found to show best what is open; None where none keeps below the pressure limit.
 
-    `most_load`: largest load in N m.
+    `max_load`: largest load in N m.
     """
     settings, size = trial.fit.settings, 1.0
-    for _ in range(TIMES_SMALLER):
-        pieces = _drawn(rng, FIRST, size, most_load)
+    for _ in range(MAX_TIMES_SMALLER):
+        pieces = _drawn(rng, FIRST, size, max_load)
         scores = trial.scores(_whole(pieces, settings))
         if np.isfinite(scores).any(axis=0).all():
             break
@@ -376,7 +355,7 @@ def best_design(trial: Trial, rng: np.random.Generator, most_load: float = 0.0) 
     reached = scores[best, [0, 1]]
     for place in range(PIECES):
         tried = np.repeat(chosen[None], PIECES_TRIED, axis=0)
-        tried[:, place] = _drawn(rng, PIECES_TRIED, size, most_load, 1)[:, 0]
+        tried[:, place] = _drawn(rng, PIECES_TRIED, size, max_load, 1)[:, 0]
         scores = trial.scores(_whole(tried, settings))
         best = np.argmax(scores, axis=0)
         for c in (0, 1):

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ..files import write_text
-from ..plant import CATALOGUE, PlantModel
+from ..plant import CATALOGUE
+from .logs import place_of
 from .stages.form_correction import Correction
-from .stages.naming import NamedEffect, effect_values, estimated_model, known_parameters
+from .stages.next_experiment import NextExperiment
 from .stages.screening import detectable, hidden_by_calibration
 from .stages.validation import shown_unit, signal_key
+from .stages.values import effect_values, known_parameters
 from .state import State
 
 __all__ = ["SCHEMA", "Diagnosis"]
@@ -21,49 +22,24 @@ SCHEMA = "hydro_env/diagnosis/1"
 
 
 @dataclass(frozen=True)
-class Diagnosis:
-    """What was found. `state` holds the estimates, simulated signals and proofs behind it; `seconds` is the time it took."""
+class Diagnosis(State):
+    """What was found, with the estimates, simulated signals and proofs behind it; `seconds` is the time it took."""
 
-    state: State
+    next_experiment: NextExperiment | None
+    warnings: list[str]
     seconds: float
-
-    @property
-    def verdict(self) -> str:
-        """`none`: the model as given explains the logs; `calibration`: adjusting known parameters does; `effects`: the named
-        effects do; `unknown`: something is missing that the catalogue does not explain."""
-        return self.state.verdict
-
-    @property
-    def best_guess(self) -> bool:
-        """Whether the named effects are only the best guess, see `State.best_guess`."""
-        return self.state.best_guess
-
-    @property
-    def effects(self) -> list[NamedEffect]:
-        return self.state.effects
-
-    @property
-    def warnings(self) -> list[str]:
-        return self.state.warnings
-
-    @cached_property
-    def model(self) -> PlantModel:
-        """The model with what was found; the one given where nothing is missing."""
-        if self.verdict == "none":
-            return self.state.model
-        return estimated_model(self.state.rig, self.state.final, f"{self.state.model.name} diagnosed")
 
     def report(self, path: str | Path) -> None:
         """Writes the report, an HTML page that needs no network. Needs the extra `report`."""
         from .report.page import report_page
 
-        write_text(Path(path), report_page(self))
+        write_text(Path(path), report_page(self, self.next_experiment, self.warnings, self.seconds))
 
     def summary(self) -> str:
         """The report in about twenty lines of text."""
         from .report.summary import summary
 
-        return summary(self)
+        return summary(self, self.next_experiment, self.warnings)
 
     def as_dict(self) -> dict[str, Any]:
         """The content of diagnosis.json, of schema `SCHEMA`.
@@ -71,41 +47,38 @@ class Diagnosis:
         `best_guess`, `trials`, `warnings`, `hidden_by_calibration` and `shape_corrections` go beyond the contract. Where there
         are shape corrections, "after" is the model with them, "named" in `gap` the one with the effects alone.
         """
-        state = self.state
-        logs = (*state.rig.parts, *state.held_out_parts)
+        logs = (*self.rig.parts, *self.logs.held_out.parts)
+        known = known_parameters(self.rig, self.models.shown)
         return {
             "schema": SCHEMA,
             "verdict": self.verdict,
             "best_guess": self.best_guess,
             "effects": [n.as_dict() for n in self.effects],
-            "where": [p.as_dict() for p in state.locations],
-            "calibrated": {
-                p.name: {"nominal": p.nominal, **vars(p.estimate)}
-                for p in known_parameters(state.rig, state.shown)
-            },
-            "gap": {"sealed": state.on_held_out.as_dict(), "fit": state.on_fit.as_dict()},
-            "shape_corrections": [self._correction(k) for k in state.corrections],
-            "next_experiment": state.next_experiment.as_dict() if state.next_experiment else None,
-            "detectable": detectable(state.screening),
-            "hidden_by_calibration": hidden_by_calibration(state.screening),
+            "where": [p.as_dict() for p in self.locations],
+            "calibrated": {p.name: {"nominal": p.nominal, **vars(p.estimate)} for p in known},
+            "gap": {"sealed": self.proofs.held_out.as_dict(), "fit": self.proofs.fit.as_dict()},
+            "shape_corrections": [self._correction(k) for k in self.models.corrections],
+            "next_experiment": self.next_experiment.as_dict() if self.next_experiment else None,
+            "detectable": detectable(self.screening),
+            "hidden_by_calibration": hidden_by_calibration(self.screening),
             "seconds": round(self.seconds, 1),
             "log_sha256": {p.log.name: p.log.sha256 for p in logs},
-            "trials": [t.as_dict() for t in state.selection.candidates],
+            "trials": [t.as_dict() for t in self.selection.candidates],
             "warnings": self.warnings,
         }
 
     def _correction(self, kept: Correction) -> dict[str, Any]:
         """What a shape correction corrects, its numbers, and its size as RMS change of the signals on the held-out logs."""
-        state = self.state
-        first = state.rig.channels[0] if kept.channel is None else kept.channel
-        values = effect_values(state.final[first], kept.correction, first)
+        rig, final = self.rig, self.models.final
+        first = rig.channels[0] if kept.channel is None else kept.channel
+        values = effect_values(final[first], kept.correction, first)
         sizes = {
-            signal_key(state.held_out, signal, c): size / shown_unit(state.held_out, signal, c)[1]
+            signal_key(rig, signal, c): size / shown_unit(rig, signal, c)[1]
             for (c, signal), size in kept.changes.items()
         }
         return {
             "effect": kept.effect, "correction": kept.correction, "what": CATALOGUE[kept.correction].summary,
-            "channel": "rig" if kept.channel is None else str(kept.channel + 1), "note": "shape correction, not physics",
+            "channel": place_of(kept.channel), "note": "shape correction, not physics",
             "parameters": {name: vars(p) for name, p in values.items()},
-            "changes": sizes, "fall": round(float(kept.fall), 1), "held_out": round(float(kept.fall_on_left_out), 1),
+            "changes": sizes, "fall": round(float(kept.fall), 1),
         }  # fmt: skip

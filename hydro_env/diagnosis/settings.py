@@ -1,7 +1,7 @@
 """What may be set for a diagnosis, and which of its rules are switched off.
 
 A rule is a step that rescues a fit or questions a name. Each has a switch, so that an ablation can measure what it is worth:
-`diagnose(..., settings=Settings(rules_off=["restart_friction"]))`. The names are declared beside the rules, with `rule`.
+`diagnose(..., settings=Settings(rules_off=["grow_horizon"]))`.
 """
 
 from __future__ import annotations
@@ -11,16 +11,22 @@ from dataclasses import dataclass
 
 from ..errors import InputError, nearest
 
-__all__ = ["RULES", "Settings", "rule"]
+__all__ = ["RULES", "Settings"]
 
 #: What each rule does, by its name.
-RULES: dict[str, str] = {}
-
-
-def rule(name: str, what: str) -> str:
-    """Declares a rule that can be switched off; returns its name."""
-    RULES[name] = what
-    return name
+RULES = {
+    "compare_sets": "compare a set of local effects with one that has an effect of the whole rig",
+    "compete_on_beginning": "compare all candidates on the beginning of the logs where the best one leaves something",
+    "correct_form": "correct the form of named effects",
+    "doubt_left": "reject names that leave much of a signal of the fit logs, whatever their form",
+    "doubt_neutral": "reject names whose interval holds the neutral value",
+    "doubt_worse": "reject names that make a signal worse of the held-out logs",
+    "drop_unneeded": "drop an effect that the known parameters replace, from where it led them",
+    "follow_speed": "follow the measured speed where a coupling rattles, which multiplies every difference",
+    "grow_horizon": "fit what is far from the noise to the beginning of the logs first",
+    "restart_friction": "restart the calibration with other spool friction where a little more than noise is left",
+    "prefer_form": "drop an effect if another form of those beside it explains more",
+}
 
 
 @dataclass(frozen=True)
@@ -32,22 +38,21 @@ class Settings:
 
     #: Accepted chance of one superfluous effect: the `p` of PASTIS (Gerardos and Ronceray 2025).
     false_alarm: float = 0.01
-    #: Effects on a channel at most.
+    #: Effects on a channel at most: one more than blind trials hide.
     max_effects: int = 3
-    #: An effect must explain this share of what is left above the noise, in the signal where it explains most.
-    least_share: float = 0.05
-    #: A residual that is so many times the noise, in a signal of a log, stays unexplained: the verdict is `unknown`, ...
+    #: A residual that is this many times the noise, more than twice its power, in a signal of a log, stays unexplained: the
+    #: verdict is `unknown`, ...
     unexplained: float = 1.5
     #: ... unless what was found explains this share of it in `Fit.levels`, ...
     most_of_level: float = 0.5
     #: ... or this share in power.
     most_of_power: float = 0.8
-    #: Competing candidates whose gain is less than this share behind count as indistinguishable.
+    #: Competing candidates whose gain is less than this share behind count as indistinguishable: the laws of machines differ as
+    #: much.
     tied_share: float = 0.1
-    #: Factor on a deviance by which competing candidates fall behind: models are never exact, so a likelihood is tempered.
+    #: Factor on a deviance by which competing candidates fall behind: models are never exact, so a likelihood is tempered
+    #: (power likelihood; Holmes and Walker 2017), here to the share above.
     temper: float = 0.1
-    #: Share of the power above the noise that the named effects must explain on the held-out logs.
-    confirmed_share: float = 0.25
     #: Command of the next experiment at most, as a share of the rated one, ...
     command_limit: float = 1.0
     #: ... its rate of change in rated commands per second, ...

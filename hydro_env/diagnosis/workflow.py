@@ -1,4 +1,4 @@
-"""The diagnosis as a list of stages over one state: from logs to a verdict, its reasons and an improved model.
+"""The diagnosis as stages, each a function of what it needs of those before: from logs to a verdict, its reasons and a model.
 
     found = diagnose(["fit_1.csv", "fit_2.csv"], ["held_out.csv"], model="paper")
     print(found.verdict, found.effects)
@@ -13,19 +13,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import fields
 from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from ..errors import InputError
 from ..measured import Mapping, RigLog
 from ..plant import PlantModel, load_model
 from .estimation import Fit
 from .input.checks import read_logs
 from .input.parts import Part
+from .logs import Logs
 from .models.base import RigModel
-from .models.dynamic_rig import DynamicRig
-from .models.steady_valve import SteadyValve
+from .models.choice import rig_model
 from .result import Diagnosis
 from .settings import Settings
 from .stages import (
@@ -52,7 +54,7 @@ __all__ = ["STAGES", "diagnose"]
 #: The settings unless others are given.
 DEFAULT = Settings()
 #: The stages in their order, each with what a progress bar says.
-STAGES: tuple[tuple[str, Callable[[State], State]], ...] = (
+STAGES: tuple[tuple[str, Callable[..., Any]], ...] = (
     ("model as given", consistency.run),
     ("calibrating known parameters", calibration.run),
     ("does a coupling rattle?", rattling.run),
@@ -62,13 +64,17 @@ STAGES: tuple[tuple[str, Callable[[State], State]], ...] = (
     ("locating the residual", localisation.run),
     ("correcting the form of what is named", form_correction.run),
     ("settling on the minimum", settling.run),
-    ("validation on held-out logs", validation.run),
     ("uncertainty", uncertainty.run),
+    ("validation on held-out logs", validation.run),
     ("verdict of the held-out logs", verdict.confirm),
     ("naming", naming.run),
     ("next experiment", next_experiment.run),
     ("warnings", warnings.run),
 )
+_TEXTS = {stage: text for text, stage in STAGES}
+
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
 
 
 def diagnose(
@@ -103,34 +109,58 @@ def diagnose(
         doing = text
         progress(doing, 0)
 
+    def rig_of(parts: list[Part]) -> RigModel:
+        return rig_model(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
+
     # Threads of the linear algebra would wait for each other and for those that simulate: its matrices are narrow.
-    with threadpool_limits(1, "blas"):
+    with threadpool_limits(1, "blas"), ExitStack() as at_end:
         say(doing)
         parts, held_out = read_logs(fit, sealed, mapping, accept)
-        rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
-        parts, held_out = row_times.settled(rig, parts), row_times.settled(rig, held_out)
-        rig.close()
-        rig = _rig(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
+        with closing(rig_of(parts)) as first:
+            parts, held_out = row_times.settled(first, parts), row_times.settled(first, held_out)
+        rig = at_end.enter_context(closing(rig_of(parts)))
         # Where the dynamics are simulated, the proof has a tighter tolerance than the fit.
-        fine = rig.with_parts(parts, False) if rig.has_hidden_states else rig
-        others = rig.with_parts(held_out, True)
-        state = State(given, Fit(rig, {}, settings), fine, others, held_out, frozenset(accept), say)
-        try:
-            for text, stage in STAGES:
-                say(text)
-                state = stage(state)
-        finally:
-            for one in (rig, fine, others):
-                one.close()
-    return Diagnosis(state, time.perf_counter() - begin)
+        fine = at_end.enter_context(closing(rig.with_parts(parts, False))) if rig.has_hidden_states else rig
+        others = at_end.enter_context(closing(rig.with_parts(held_out, True)))
+        logs = Logs(Fit(rig, {}, settings), fine, others)
+        state = find(logs, accept, say)
+        say(_TEXTS[next_experiment.run])
+        proposed = next_experiment.run(state)
+        say(_TEXTS[warnings.run])
+        said = warnings.run(state)
+    found = {each.name: getattr(state, each.name) for each in fields(state)}
+    return Diagnosis(**found, next_experiment=proposed, warnings=said, seconds=time.perf_counter() - begin)
 
 
-def _rig(
-    model: PlantModel, parts: list[Part], steady: bool, jobs: int, count: Callable[[int], None], without: frozenset[str]
-) -> RigModel:  # fmt: skip
-    kinds = {part.log.kinds[c] for part in parts for c in part.log.channels}
-    if len(kinds) > 1:
-        raise InputError("the mapping mixes motors and cylinders; diagnose one kind at a time")
-    if steady or kinds == {"cylinder"}:
-        return SteadyValve(model, parts, progress=count, without=without)
-    return DynamicRig(model, parts, jobs=jobs, progress=count, without=without)
+def find(logs: Logs, accept: Collection[str], say: Callable[[str], None]) -> State:
+    """All stages that find something, in their order, each with what it needs of those before."""
+
+    def do(stage: Callable[Given, Result], *needs: Given.args, **more: Given.kwargs) -> Result:
+        say(_TEXTS[stage])
+        return stage(*needs, **more)
+
+    given = do(consistency.run, logs, accept)
+    calibrated = do(calibration.run, given)
+    calibrated = do(rattling.run, calibrated, calibrated.estimates)
+    while True:
+        screened = do(screening.run, calibrated.logs, calibrated.estimates, calibrated.backlashes)
+        selected = do(selection.run, calibrated, screened)
+        # An effect that explains more may have hidden a coupling that rattles: then all is selected beside that.
+        following = do(rattling.run, calibrated, selected.in_best_form())
+        if following is calibrated:
+            break
+        calibrated = following
+    logs = selected.logs
+    first = do(verdict.decide, calibrated, selected)
+    locations = do(localisation.run, logs.rig, selected.calibrated, first)
+    models = do(form_correction.run, calibrated.given, selected, first)
+    models = do(settling.run, logs, models)
+    models = do(uncertainty.run, logs, models)
+    unknown = list(uncertainty.undetermined(logs.rig, models.shown))
+    proofs = do(validation.run, logs, models)
+    found = do(verdict.confirm, selected, first, models, proofs, not unknown)
+    effects = do(naming.run, selected, screened, found)
+    return State(
+        logs, calibrated.findings, screened, selected, locations, found.verdict, found.models, found.proofs, effects, unknown,
+        found.elsewhere, found.doubts,
+    )  # fmt: skip

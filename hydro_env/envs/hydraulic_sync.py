@@ -16,8 +16,10 @@ from ..errors import InputError, shown
 from ..plant import Plant, PlantModel
 from ..tasks.mismatch import Mismatch
 from ..tasks.scenarios import Scenario
-from .batch import SEED, HydraulicSyncVectorEnv
-from .made_spec import made_spec
+from .batch import HydraulicSyncVectorEnv
+from .env_spec import env_spec
+from .plants import PlantLike
+from .randomisation import SEED
 from .render import PICTURES, Window
 from .reward import Reward
 
@@ -172,10 +174,10 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = made_spec(spec, self.batch.episode_steps)
+        self._spec = env_spec(spec, self.batch.episode_steps)
 
     @property
-    def plant(self) -> Plant:
+    def plant(self) -> PlantLike:
         """The plant, a batch of one."""
         return self.batch.plant
 
@@ -205,22 +207,11 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One control period; see the class. ValueError for an action that is not two finite real numbers."""
         observation, true, reward, terminated, truncated = self.batch.advance([action])
-        row = true[0]
-        values = row.tolist()
+        row, values = true[0], true[0].tolist()
         info: dict[str, Any] = {
-            "speed_rpm": row[0:2],
-            "setpoint_rpm": values[2],
-            "speed_difference_rpm": values[3],
-            "command_V": row[4:6],
-            "angle_difference_deg": values[6],
-            "reward_tracking": values[7],
-            "reward_difference": values[8],
-            "reward_variation": values[9],
-            "cost_difference": values[10],
-            "cost_travel": values[11],
+            key: row[column] if isinstance(column, slice) else values[column]
+            for key, column in self.batch.columns.items()
         }
-        if self.batch.has_lines:
-            info["lowest_line_pressure_bar"] = values[12]
         ended = bool(terminated[0])
         if ended:
             info["termination"] = self.batch.reasons(terminated)[0]
@@ -233,7 +224,7 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         return None if frames is None else frames[0]
 
     def _show(self) -> None:
-        """With "human", shows every so many control periods, so that the film runs in real time."""
+        """With "human", shows some of the control periods, so that the film runs in real time."""
         if self._window is None:
             return
         every = max(1, round(1.0 / (PICTURES * self.batch.control_period)))

@@ -29,7 +29,7 @@ ACROSS, DOWN = 32, 24
 #: It is drawn this many times larger, then reduced, so that lines are smooth.
 FINER = 2
 #: Range of the axis of the speeds, rpm; faster rigs have a multiple of it.
-MOST_RPM = 800.0
+MAX_RPM = 800.0
 
 _WHITE, _GRID, _BLACK = "#ffffff", "#d8dade", "#303030"
 _COLOURS = ("#1f6fb4", "#e8710a")  # motor and valve 1, 2
@@ -94,7 +94,7 @@ class Recorder:
         speeds = [(past[:, _SETPOINT], _BLACK), *zip(past[:, _SPEED].T, _COLOURS, strict=True)]
         commands = list(zip(past[:, _COMMAND].T, _COLOURS, strict=True))
         fastest = float(np.nanmax(np.abs([values for values, _ in speeds]), initial=1.0))
-        most = MOST_RPM * math.ceil(fastest / MOST_RPM)
+        most = MAX_RPM * math.ceil(fastest / MAX_RPM)
         page.axes((10.9, 16.6), "speed, rpm", time, most, 0.5 * most, speeds)
         page.axes((18.6, 21.8), "command, V", time, rated, rated, commands)
         page.times(23.0, time)
@@ -117,7 +117,7 @@ class Window:
         self._closed = False
 
     def show(self, picture: Picture, per_second: float) -> None:
-        """Shows a picture (height, width, 3), so many in a second at most."""
+        """Shows a picture (height, width, 3), at most `per_second` of them in a second."""
         if self._closed:
             return
         pygame = self._pygame

@@ -17,30 +17,29 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hydro_env.controllers import make_controller
+from hydro_env.diagnosis import diagnose
 from hydro_env.errors import InputError, suggestion
 from hydro_env.experiments import close_loop_tuning as tuning
 from hydro_env.experiments.close_loop_summary import METRICS, SOURCES, collect, table
-from hydro_env.experiments.truth_drive import drive
+from hydro_env.experiments.closed_loop_reference import drive
+from hydro_env.experiments.coverage import by_channel
 from hydro_env.files import write_json, write_text
 from hydro_env.pages import beside_results
 from hydro_env.parallel import Failure, Store
 from hydro_env.parallel import run as run_tasks
 from hydro_env.plant import PlantModel
-from hydro_env.practice.generate import constants_of
-from hydro_env.practice.reference.forms import Constants
-from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
+from hydro_env.practice.generate import constants_of, make_practice
+from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 from hydro_env.tasks import Trace, compute, load_scenario
 
-__all__ = [
-    "CASES", "SCENARIOS", "SCHEMA", "SHIPPED", "Rig", "RigTask", "Score", "Settings", "make_rig", "read", "run", "score",
-    "scored", "write", "write_rigs",
-]  # fmt: skip
+__all__ = ["CASES", "SCENARIOS", "Settings", "read", "run", "scored", "write"]
 
 SCHEMA = "hydro_env/close_loop/1"
 #: What is hidden, by the name of the case.
@@ -60,6 +59,33 @@ SHIPPED = ("cross_coupled", "adaptive_flow", "probing_flow")
 
 # --- rigs ---------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
+class Rig:
+    """A hidden truth (the content of truth.json) and what the diagnosis made of its logs: `wrong`, `repaired` and `true` models
+    by `SOURCES`, and the content of diagnosis.json."""
+
+    case: str
+    seed: int
+    models: Mapping[str, PlantModel]
+    truth: Mapping[str, Any]
+    diagnosis: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        return f"{self.case}_{self.seed}"
+
+    def row(self) -> dict[str, Any]:
+        """What the table of rigs says."""
+        verdict, named = self.diagnosis["verdict"], by_channel(self.diagnosis["effects"])
+        right = verdict == self.truth["verdict"] and named == by_channel(self.truth["effects"])
+        speeds = {k: v for k, v in self.diagnosis["gap"]["sealed"].items() if k.startswith("speed")}
+        return {
+            "rig": self.name, "case": self.case, "seed": self.seed, "forms": self.truth["forms"],
+            "hidden": self.truth["effects"], "verdict": verdict, "named": sorted(f"{n}:{c}" for n, c in named),
+            "right": right, "sealed_rpm": {k: {m: v[m] for m in ("noise", "before", "after")} for k, v in speeds.items()},
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
 class RigTask:
     """A rig to be made and diagnosed."""
 
@@ -67,8 +93,7 @@ class RigTask:
     seed: int
     duration: float = 12.0
 
-    @property
-    def name(self) -> str:
+    def __str__(self) -> str:
         return f"{self.case}_{self.seed}"
 
     @property
@@ -80,53 +105,17 @@ class RigTask:
         """Seed of the practice logs: no two rigs share one."""
         return 100 * list(CASES).index(self.case) + self.seed
 
-
-@dataclass(frozen=True)
-class Rig:
-    """A hidden truth and what the diagnosis made of its logs: `wrong`, `repaired` and `true` models by `SOURCES`."""
-
-    case: str
-    seed: int
-    forms: str
-    models: Mapping[str, PlantModel]
-    truth: Mapping[str, Any]
-    diagnosis: Mapping[str, Any]
-
-    @property
-    def name(self) -> str:
-        return f"{self.case}_{self.seed}"
-
-    def row(self) -> dict[str, Any]:
-        """What the table of rigs says."""
-        from hydro_env.experiments.blind_trials import judge
-
-        sides = {"both": ("1", "2")}
-        hidden = {
-            (e["name"], c) for e in self.truth["effects"] for c in sides.get(e["channel"], (e["channel"],))
-        }
-        judged = judge(dict(self.diagnosis), hidden, self.truth["verdict"])
-        speeds = {k: v for k, v in self.diagnosis["gap"]["sealed"].items() if k.startswith("speed")}
-        return {
-            "rig": self.name, "case": self.case, "seed": self.seed, "forms": self.forms, "hidden": self.truth["effects"],
-            "verdict": judged["verdict"], "named": judged["named"], "right": judged["right"],
-            "sealed_rpm": {k: {m: v[m] for m in ("noise", "before", "after")} for k, v in speeds.items()},
-        }  # fmt: skip
-
-
-def make_rig(task: RigTask) -> Rig:
-    """Hides, logs and diagnoses."""
-    from hydro_env.diagnosis import diagnose
-    from hydro_env.practice.generate import make_practice
-
-    practice = make_practice(
-        CASES[task.case], model="paper", base_error=BASE_ERROR, seed=task.number, duration=task.duration
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        practice.write(Path(folder))
-        logs = [Path(folder) / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
-        found = diagnose(logs[:2], logs[2:], model=Path(folder) / "model.yaml")
-    models = {"wrong": practice.given, "repaired": found.model, "true": practice.true}
-    return Rig(task.case, task.seed, practice.truth["forms"], models, practice.truth, found.as_dict())
+    def run(self) -> Rig:
+        """Hides, logs and diagnoses."""
+        practice = make_practice(
+            CASES[self.case], model="paper", base_error=BASE_ERROR, seed=self.number, duration=self.duration
+        )
+        with tempfile.TemporaryDirectory() as folder:
+            practice.write(Path(folder))
+            logs = [Path(folder) / f"{name}.csv" for name in ("fit_1", "fit_2", "sealed")]
+            found = diagnose(logs[:2], logs[2:], model=Path(folder) / "model.yaml")
+        models = {"wrong": practice.given, "repaired": found.model, "true": practice.true}
+        return Rig(self.case, self.seed, models, practice.truth, found.as_dict())
 
 
 def write_rigs(folder: Path, rigs: Sequence[Rig]) -> None:
@@ -143,36 +132,40 @@ def write_rigs(folder: Path, rigs: Sequence[Rig]) -> None:
 # --- scores -------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Score:
-    """A controller that drives a hidden rig. `gains` of a law, tuned on `source`; None: a shipped controller."""
+    """A controller that drives a hidden rig. `gains` of a law, tuned on the model `source`; None: a shipped controller."""
 
     controller: str
     source: str
-    rig: str
+    rig: Rig
     scenario: str
-    model: PlantModel
-    gains: Mapping[str, Any] | None
-    truth: PlantModel
-    forms: str
-    constants: Constants | None
-    seed: int
+    gains: Mapping[str, Any] | None = None
+
+    def __str__(self) -> str:
+        return f"{self.controller} {self.source} {self.rig.name} {self.scenario}"
+
+    def row(self) -> dict[str, Any]:
+        """What the scores say of it."""
+        return {
+            "controller": self.controller, "tuned_on": self.source, "rig": self.rig.name, "case": self.rig.case,
+            "seed": self.rig.seed, "scenario": self.scenario,
+        }  # fmt: skip
 
     @property
     def key(self) -> str:
-        model = _text(self.model) if self.gains is not None else ""
-        gains = json.dumps(self.gains)
-        rig = f"{_text(self.truth)} {self.forms} {json.dumps(self.constants)}"
-        return f"score {self.controller} {gains} {model} {rig} {self.scenario} {self.seed}"
+        model = "" if self.gains is None else _text(self.rig.models[self.source])
+        truth = self.rig.truth
+        rig = f"{_text(self.rig.models['true'])} {truth['forms']} {json.dumps(constants_of(truth))} {self.rig.seed}"
+        return f"score {self.controller} {json.dumps(self.gains)} {model} {rig} {self.scenario}"
 
-
-def score(task: Score) -> dict[str, Any]:
-    """What `scored` keeps of the drive."""
-    controller = (
-        make_controller(task.controller)
-        if task.gains is None
-        else tuning.LAWS[task.controller].build(task.controller, task.model, task.gains)
-    )
-    drawn: dict[str, Any] = {"forms": task.forms, "constants": task.constants}
-    return scored(drive(controller, task.truth, task.scenario, task.seed, **drawn))
+    def run(self) -> dict[str, Any]:
+        """What `scored` keeps of the drive."""
+        rig, name = self.rig, self.controller
+        if self.gains is None:
+            controller: Any = make_controller(name)
+        else:
+            controller = tuning.LAWS[name].build(name, rig.models[self.source], self.gains)
+        forms = {"forms": rig.truth["forms"], "constants": constants_of(rig.truth)}
+        return scored(drive(controller, rig.models["true"], self.scenario, rig.seed, **forms))
 
 
 def scored(trace: Trace) -> dict[str, Any]:
@@ -189,14 +182,7 @@ def _text(model: PlantModel) -> str:
 
 def _work(task: Any) -> Any:
     """Any task; one function, so that one store serves them all."""
-    match task:
-        case RigTask():
-            return make_rig(task)
-        case tuning.Tuning():
-            return tuning.tune(task)
-        case Score():
-            return score(task)
-    raise TypeError(type(task))
+    return task.run()
 
 
 # --- all of it ------------------------------------------------------------------------------------------------------------
@@ -225,8 +211,6 @@ class Settings:
                 raise InputError(f"unknown case {case!r}: {suggestion(case, CASES)}")
         if self.seeds < 1 or self.seed < 0 or self.seed + self.seeds > 100:
             raise InputError(f"seeds {self.seed} to {self.seed + self.seeds - 1}: 0 to 99 are right")
-        if self.generations < 2:
-            raise InputError(f"generations is {self.generations}; at least 2 are right")
 
     def rigs(self) -> list[RigTask]:
         """The rigs to be made."""
@@ -262,27 +246,20 @@ def run(
     def done(tasks: Sequence[Any], unit: str) -> list[tuple[Any, Any]]:
         """Tasks with their results; those that failed are noted and left out."""
         results = list(zip(tasks, work(tasks, unit=unit), strict=True))
-        failed.extend({"task": _label(t), "reason": r.reason} for t, r in results if isinstance(r, Failure))
+        failed.extend({"task": str(t), "reason": r.reason} for t, r in results if isinstance(r, Failure))
         return [(t, r) for t, r in results if not isinstance(r, Failure)]
 
     rigs = [rig for _, rig in done(settings.rigs(), "rig")]
     if not rigs:
         raise InputError(f"no rig could be made: {failed[0]['reason']}")
-    tuned = {_tuning_key(t): found for t, found in done(_tunings(rigs, settings.generations), "tuning")}
-    of = {rig.name: rig for rig in rigs}
-    scores = [
-        {"controller": task.controller, "tuned_on": task.source, "rig": task.rig, "case": of[task.rig].case,
-         "seed": of[task.rig].seed, "scenario": task.scenario, **result}
-        for task, result in done(_drives(rigs, tuned), "drive")
-    ]  # fmt: skip
+    wanted = [(rig, _tuning(rig, *each, settings)) for rig in rigs for each in product(tuning.LAWS, SOURCES)]
+    tuned = dict(done(list(dict.fromkeys(task for _, task in wanted)), "tuning"))
+    scores = [{**task.row(), **result} for task, result in done(_drives(wanted, tuned), "drive")]
     data = {
         "schema": SCHEMA,
         "settings": _settings_row(settings, rigs),
         "rigs": [rig.row() for rig in rigs],
-        "gains": [
-            {"controller": law, "tuned_on": source, "rig": name or None, "seed": number, **found}
-            for (law, source, name, number), found in tuned.items()
-        ],
+        "gains": [{**task.row(), **found} for task, found in tuned.items()],
         "scores": scores,
         "summary": collect(scores),
         "failed": failed,
@@ -292,40 +269,19 @@ def run(
     return data
 
 
-def _tunings(rigs: Sequence[Rig], generations: int) -> list[tuning.Tuning]:
-    """Every law on every model, once on the wrong one, which rigs of a seed share."""
-    tasks = [
-        tuning.Tuning(
-            law, source, "" if source == "wrong" else rig.name, rig.models[source], rig.seed, generations
-        )
-        for rig in rigs
-        for law in tuning.LAWS
-        for source in SOURCES
-    ]
-    return list({_tuning_key(task): task for task in tasks}.values())
+def _tuning(rig: Rig, law: str, source: str, settings: Settings) -> tuning.Tuning:
+    """A law on a model of a rig; the wrong model is one for all rigs of a seed."""
+    name = "" if source == "wrong" else rig.name
+    return tuning.Tuning(law, source, name, rig.models[source], rig.seed, settings.generations)
 
 
-def _tuning_key(task: tuning.Tuning) -> tuple[str, str, str, int]:
-    return task.law, task.source, task.rig, task.seed
-
-
-def _drives(rigs: Sequence[Rig], tuned: Mapping[tuple[str, str, str, int], Any]) -> list[Score]:
-    """Every tuned and every shipped controller on every rig and scenario."""
+def _drives(wanted: Sequence[tuple[Rig, tuning.Tuning]], tuned: Mapping[tuning.Tuning, Any]) -> list[Score]:
+    """Every law that could be tuned and every shipped controller, on every rig and scenario."""
     drives = []
-    for rig in rigs:
-        common: dict[str, Any] = {
-            "rig": rig.name, "truth": rig.models["true"], "forms": rig.forms, "constants": constants_of(rig.truth),
-            "seed": rig.seed,
-        }  # fmt: skip
-        for scenario in SCENARIOS:
-            for law in tuning.LAWS:
-                for source in SOURCES:
-                    found = tuned.get((law, source, "" if source == "wrong" else rig.name, rig.seed))
-                    if found is not None:
-                        own = {"model": rig.models[source], "gains": found["gains"]}
-                        drives.append(Score(law, source, scenario=scenario, **own, **common))
-            own = {"model": rig.models["wrong"], "gains": None}
-            drives += [Score(name, "none", scenario=scenario, **own, **common) for name in SHIPPED]
+    for rig, scenario in product({rig.name: rig for rig, _ in wanted}.values(), SCENARIOS):
+        own = [task for other, task in wanted if other is rig and task in tuned]
+        drives += [Score(each.law, each.source, rig, scenario, tuned[each]["gains"]) for each in own]
+        drives += [Score(name, "none", rig, scenario) for name in SHIPPED]
     return drives
 
 
@@ -334,7 +290,8 @@ def _settings_row(settings: Settings, rigs: Sequence[Rig]) -> dict[str, Any]:
         "cases": {case: list(CASES[case]) for case in settings.cases}, "seeds": [settings.seed, settings.seeds],
         "base_error": BASE_ERROR, "log_s": settings.duration, "tuned_on": load_scenario(tuning.TUNED_ON).name,
         "episodes_of_a_tuning": tuning.TUNING_EPISODES * tuning.POPULATION * settings.generations,
-        "weight": tuning.WEIGHT, "truth": "practice.reference, forms: " + ", ".join(sorted({rig.forms for rig in rigs})),
+        "weight": tuning.WEIGHT,
+        "truth": "practice.reference, forms: " + ", ".join(sorted({rig.truth["forms"] for rig in rigs})),
     }  # fmt: skip
 
 
@@ -356,7 +313,7 @@ def read(folder: Path) -> dict[str, Any]:
     """What `write` wrote. InputError if there is no such result."""
     what = f"a result of `hydro-env close-loop --out {folder}`"
     data, traces = (
-        read_json(folder / name, what, most=MOST_BYTES_OF_RESULTS)
+        read_json(folder / name, what, max_bytes=MAX_BYTES_OF_RESULTS)
         for name in ("close_loop.json", "traces.json")
     )
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
@@ -367,8 +324,3 @@ def read(folder: Path) -> dict[str, Any]:
 
 def _of(row: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(row[key] for key in ("controller", "tuned_on", "rig", "scenario"))
-
-
-def _label(task: Any) -> str:
-    parts = [getattr(task, name, "") for name in ("law", "controller", "source", "rig", "name", "scenario")]
-    return " ".join(str(part) for part in parts if part)

@@ -1,6 +1,6 @@
 """What closing the loop shows: means over hidden rigs with their intervals, as rows, as a table and as text.
 
-Intervals are 95 % percentile bootstrap ones of the mean over rigs: cases are drawn anew, and in each of them its seeds.
+Intervals are 95 % percentile bootstrap ones of the mean over rigs: cases are drawn again, and in each of them its seeds.
 """
 
 from __future__ import annotations
@@ -27,40 +27,37 @@ def collect(scores: Sequence[Mapping[str, Any]], seed: int = 0) -> list[dict[str
     rows hold `wrong`, `repaired`, `true` as {mean, ci95}; `change`: mean on the repaired model over that on the wrong one,
     less 1; `better`: on how many rigs it was lower. Shipped controllers have `none` alone.
     """
-    rows = []
-    kinds = dict.fromkeys((s["controller"], s["tuned_on"] == "none", s["scenario"]) for s in scores)
-    for controller, shipped, scenario in kinds:
-        own = [s for s in scores if s["controller"] == controller and s["scenario"] == scenario]
-        own = [s for s in own if (s["tuned_on"] == "none") == shipped]
-        for metric in METRICS:
-            values: dict[str, dict[tuple[str, int], float]] = {}
-            for s in own:
-                values.setdefault(s["tuned_on"], {})[s["case"], s["seed"]] = s["metrics"][metric]
-            rigs = sorted(set.intersection(*(set(each) for each in values.values())))
-            drawn = _drawn(rigs, seed)
-            table = {source: np.array([each[rig] for rig in rigs]) for source, each in values.items()}
-            means = {source: each[drawn].mean(axis=1) for source, each in table.items()}
-            row: dict[str, Any] = {
-                "controller": controller,
-                "scenario": scenario,
-                "metric": metric,
-                "n": len(rigs),
-            }
-            for source, each in table.items():
-                row[source] = {"mean": float(each.mean()), "ci95": _interval(means[source])}
-            if {"wrong", "repaired"} <= table.keys():
-                before, after = table["wrong"], table["repaired"]
-                row["change"] = {
-                    "mean": float(after.mean() / before.mean() - 1.0),
-                    "ci95": _interval(means["repaired"] / means["wrong"] - 1.0),
-                }
-                row["better"] = int(np.sum(after < before))
-            rows.append(row)
-    return rows
+    groups: dict[tuple[str, bool, str], list[Mapping[str, Any]]] = {}
+    for s in scores:
+        groups.setdefault((s["controller"], s["tuned_on"] == "none", s["scenario"]), []).append(s)
+    return [
+        {"controller": controller, "scenario": scenario, "metric": metric, **_compared(own, metric, seed)}
+        for (controller, _, scenario), own in groups.items()
+        for metric in METRICS
+    ]
+
+
+def _compared(scores: Sequence[Mapping[str, Any]], metric: str, seed: int) -> dict[str, Any]:
+    """A controller on a scenario: means of a metric by model over the rigs that all models have, and the change."""
+    values: dict[str, dict[tuple[str, int], float]] = {}
+    for s in scores:
+        values.setdefault(s["tuned_on"], {})[s["case"], s["seed"]] = s["metrics"][metric]
+    rigs = sorted(set.intersection(*(set(each) for each in values.values())))
+    drawn = _drawn(rigs, seed)
+    of = {source: np.array([each[rig] for rig in rigs]) for source, each in values.items()}
+    means = {source: each[drawn].mean(axis=1) for source, each in of.items()}
+    row: dict[str, Any] = {"n": len(rigs)}
+    for source, each in of.items():
+        row[source] = {"mean": float(each.mean()), "ci95": _interval(means[source])}
+    if {"wrong", "repaired"} <= of.keys():
+        mean = float(of["repaired"].mean() / of["wrong"].mean() - 1.0)
+        row["change"] = {"mean": mean, "ci95": _interval(means["repaired"] / means["wrong"] - 1.0)}
+        row["better"] = int(np.sum(of["repaired"] < of["wrong"]))
+    return row
 
 
 def _drawn(rigs: Sequence[tuple[str, int]], seed: int) -> Any:
-    """Places of the rigs in every resample (RESAMPLES, n): cases drawn anew, and in each of them as many of its seeds."""
+    """Places of the rigs in every resample (RESAMPLES, n): cases drawn again, and in each of them as many of its seeds."""
     stream = np.random.default_rng(seed)
     cases = [np.flatnonzero([case == each for case, _ in rigs]) for each in dict.fromkeys(c for c, _ in rigs)]
     size = max(len(each) for each in cases)  # cases of equal weight, also if a rig of one of them failed
@@ -85,29 +82,29 @@ def table(data: Mapping[str, Any]) -> str:
     for name, shipped in dict.fromkeys((r["controller"], "none" in r) for r in data["summary"]):
         for scenario in dict.fromkeys(r["scenario"] for r in data["summary"]):
             largest, rms, tracking = (by[name, shipped, scenario, metric] for metric in METRICS)
+            sources = ("none",) if shipped else SOURCES
+            cells = [
+                f"{name} as shipped" if shipped else name,
+                scenario,
+                *(_shown(largest[s]) for s in sources),
+            ]
             if shipped:
-                cells = [_shown(largest["none"]), "", "", "", ""]
-                rest = [f"{row['none']['mean']:.1f}" for row in (rms, tracking)]
-                name_shown = f"{name} as shipped"
+                cells += [""] * 4
             else:
-                change = largest["change"]
-                low, high = (100.0 * v for v in change["ci95"])
-                cells = [_shown(largest[source]) for source in SOURCES]
-                cells += [
-                    f"{100.0 * change['mean']:+.0f} % [{low:+.0f}, {high:+.0f}]",
-                    f"{largest['better']} of {largest['n']}",
-                ]
-                rest = [
-                    ", ".join(f"{row[source]['mean']:.1f}" for source in SOURCES) for row in (rms, tracking)
-                ]
-                name_shown = name
-            lines.append(f"| {name_shown} | {scenario} | {' | '.join([*cells, *rest])} |")
+                cells += [_change(largest), f"{largest['better']} of {largest['n']}"]
+            cells += [", ".join(f"{row[s]['mean']:.1f}" for s in sources) for row in (rms, tracking)]
+            lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
 def _shown(entry: Mapping[str, Any]) -> str:
     low, high = entry["ci95"]
     return f"{entry['mean']:.1f} [{low:.1f}, {high:.1f}]"
+
+
+def _change(row: Mapping[str, Any]) -> str:
+    low, high = (100.0 * v for v in row["change"]["ci95"])
+    return f"{100.0 * row['change']['mean']:+.0f} % [{low:+.0f}, {high:+.0f}]"
 
 
 def summary(data: Mapping[str, Any]) -> str:
@@ -123,11 +120,9 @@ def summary(data: Mapping[str, Any]) -> str:
         if "none" in row:
             lines.append(f"{start} as shipped, without information on the rig: {_shown(row['none'])}")
             continue
-        low, high = (100.0 * v for v in row["change"]["ci95"])
         lines.append(
             f"{start} tuned on the model as given {_shown(row['wrong'])}, on the repaired one {_shown(row['repaired'])}, "
-            f"on the true one {_shown(row['true'])}: {100.0 * row['change']['mean']:+.0f} % [{low:+.0f}, {high:+.0f}], "
-            f"better on {row['better']} of {row['n']}"
+            f"on the true one {_shown(row['true'])}: {_change(row)}, better on {row['better']} of {row['n']}"
         )
     lines += [f"failed: {each['task']}: {each['reason']}" for each in data["failed"]]
     return "\n".join(lines)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import log
 from typing import Any
@@ -19,7 +19,7 @@ from hydro_env.controllers.classical.pid import PidController
 from hydro_env.controllers.rollout import roll_out
 from hydro_env.plant import PlantModel
 
-__all__ = ["GENERATIONS", "LAWS", "Law", "Tuning", "tune"]
+__all__ = ["GENERATIONS", "LAWS", "Law", "Tuning"]
 
 #: What is tuned on, how often a candidate drives it, and the rpm of tracking error that one rpm of difference is worth.
 TUNED_ON, TUNING_EPISODES, WEIGHT = "random_drives", 4, 2.0
@@ -32,9 +32,7 @@ class Law:
     a tuner would buy synchronisation with tracking or the other way round, and nothing could be compared. `each` are gains
     with a value for each channel."""
 
-    summary: str
-    make: Callable[..., Controller]
-    gains: tuple[Gain, ...]
+    kind: type[Controller]
     fixed: Mapping[str, float] = field(default_factory=dict)
     each: tuple[str, ...] = ()
     model: bool = False
@@ -42,31 +40,20 @@ class Law:
     def build(self, name: str, model: PlantModel, gains: Mapping[str, Any]) -> Controller:
         """The controller with these gains; those laws that are made from a model get `model`."""
         given = {"model": model} if self.model else {}
-        return self.make(name, **given, **self.fixed, **gains)
+        return self.kind(name, **given, **self.fixed, **gains)
 
     def genes(self) -> list[tuple[Gain, int | None]]:
         """What is searched: gains, twice those that each channel has of its own."""
-        free = [gain for gain in self.gains if gain.default is None and gain.name not in self.fixed]
+        free = [gain for gain in self.kind.GAINS if gain.default is None and gain.name not in self.fixed]
         return [(g, c) for g in free for c in ((0, 1) if g.name in self.each else (None,))]
 
 
 LAWS: dict[str, Law] = {
-    "pid": Law(
-        "the paper's law: a PID on each motor, gains of its own for each valve",
-        PidController,
-        PidController.GAINS,
-        each=("Kp", "Ti"),
-    ),
-    "cross_coupled": Law(
-        "PI with a PI on the speed difference", CrossCoupled, CrossCoupled.GAINS, fixed={"filter": 0.067}
-    ),
-    "model_inverse": Law(
-        "feed-forward and inverse valve curves read off the model, and feedback",
-        ModelInverse,
-        ModelInverse.GAINS,
-        fixed={"rate": 30.0},
-        model=True,
-    ),
+    # the paper's law: a PID on each motor, gains of its own for each valve
+    "pid": Law(PidController, each=("Kp", "Ti")),
+    "cross_coupled": Law(CrossCoupled, fixed={"filter": 0.067}),
+    # feed-forward and inverse valve curves read off the model, and feedback
+    "model_inverse": Law(ModelInverse, fixed={"rate": 30.0}, model=True),
 }
 
 
@@ -76,45 +63,53 @@ class Tuning:
 
     law: str
     source: str
-    rig: str  # "" on the wrong model, which all rigs share
-    model: PlantModel
+    rig: str  # "" on the wrong model, which all rigs of a seed share
+    model: PlantModel = field(compare=False)
     seed: int
     generations: int = GENERATIONS
+
+    def __str__(self) -> str:
+        return f"{self.law} {self.source} {self.rig}".strip()
 
     @property
     def key(self) -> str:
         return f"tuning {self.law} {self.seed} {self.generations} {json.dumps(self.model.to_dict(), sort_keys=True)}"
 
+    def row(self) -> dict[str, Any]:
+        """What the gains say of it."""
+        return {"controller": self.law, "tuned_on": self.source, "rig": self.rig or None, "seed": self.seed}
 
-def tune(task: Tuning) -> dict[str, Any]:
-    """The gains with the least mean cost on the task's own model, and that cost in rpm."""
-    law = LAWS[task.law]
-    genes = law.genes()
-    seeds = [task.seed * 1000 + n for n in range(TUNING_EPISODES)]
+    def run(self) -> dict[str, Any]:
+        """The gains with the least mean cost on the task's own model, and that cost in rpm."""
+        law = LAWS[self.law]
+        genes = law.genes()
+        seeds = [self.seed * 1000 + n for n in range(TUNING_EPISODES)]
 
-    def gains_of(points: Floats) -> dict[str, Floats]:
-        """Gains (candidates, 1 or 2) of points (genes, candidates)."""
-        made: dict[str, list[Floats]] = {}
-        for (gain, _), row in zip(genes, points, strict=True):
-            made.setdefault(gain.name, []).append(np.exp(row) if gain.log else row)
-        return {name: np.stack(rows, axis=-1) for name, rows in made.items()}
+        def gains_of(points: Floats) -> dict[str, Floats]:
+            """Gains (candidates, 1 or 2) of points (genes, candidates)."""
+            made: dict[str, list[Floats]] = {}
+            for (gain, _), row in zip(genes, points, strict=True):
+                made.setdefault(gain.name, []).append(np.exp(row) if gain.log else row)
+            return {name: np.stack(rows, axis=-1) for name, rows in made.items()}
 
-    def mean_costs(points: Floats) -> Floats:
-        count = points.shape[1]
-        gains = {name: np.repeat(value, len(seeds), axis=0) for name, value in gains_of(points).items()}
-        tried = law.build(task.law, task.model, gains)
-        done = roll_out(tried, seeds * count, plant=task.model, mismatch=None, scenario=TUNED_ON)
-        costs = done.metrics(["tracking_mae_rpm", "max_speed_difference_rpm"])
-        cost = costs["tracking_mae_rpm"] + WEIGHT * costs["max_speed_difference_rpm"]
-        return cost.reshape(count, len(seeds)).mean(axis=1)
+        def mean_costs(points: Floats) -> Floats:
+            count = points.shape[1]
+            gains = {name: np.repeat(value, len(seeds), axis=0) for name, value in gains_of(points).items()}
+            tried = law.build(self.law, self.model, gains)
+            done = roll_out(tried, seeds * count, plant=self.model, mismatch=None, scenario=TUNED_ON)
+            costs = done.metrics(["tracking_mae_rpm", "max_speed_difference_rpm"])
+            cost = costs["tracking_mae_rpm"] + WEIGHT * costs["max_speed_difference_rpm"]
+            return cost.reshape(count, len(seeds)).mean(axis=1)
 
-    bounds = np.array([(log(g.low), log(g.high)) if g.log else (g.low, g.high) for g, _ in genes])
-    first = qmc.LatinHypercube(len(genes), rng=np.random.default_rng(task.seed)).random(POPULATION)
-    found = differential_evolution(
-        mean_costs, bounds, init=bounds[:, 0] + first * (bounds[:, 1] - bounds[:, 0]), maxiter=task.generations - 1,
-        rng=np.random.default_rng(task.seed), vectorized=True, updating="deferred", mutation=(0.4, 0.9),
-        recombination=0.9, polish=False, tol=0.0,
-    )  # fmt: skip
-    best = {name: [float(f"{v:.4g}") for v in value[0]] for name, value in gains_of(found.x[:, None]).items()}
-    gains = {name: value if len(value) > 1 else value[0] for name, value in best.items()}
-    return {"gains": gains, "cost_rpm": float(found.fun)}
+        bounds = np.array([(log(g.low), log(g.high)) if g.log else (g.low, g.high) for g, _ in genes])
+        first = qmc.LatinHypercube(len(genes), rng=np.random.default_rng(self.seed)).random(POPULATION)
+        found = differential_evolution(
+            mean_costs, bounds, init=bounds[:, 0] + first * (bounds[:, 1] - bounds[:, 0]), maxiter=self.generations - 1,
+            rng=np.random.default_rng(self.seed), vectorized=True, updating="deferred", mutation=(0.4, 0.9),
+            recombination=0.9, polish=False, tol=0.0,
+        )  # fmt: skip
+        best = {
+            name: [float(f"{v:.4g}") for v in value[0]] for name, value in gains_of(found.x[:, None]).items()
+        }
+        gains = {name: value if len(value) > 1 else value[0] for name, value in best.items()}
+        return {"gains": gains, "cost_rpm": float(found.fun)}

@@ -25,9 +25,9 @@ from hydro_env.diagnosis import command as diagnosis
 from hydro_env.experiments import reproduce
 from hydro_env.experiments.shaft_animation import animation, record
 from hydro_env.files import write_json, write_text
-from hydro_env.pages import COLOURS, beside_results, figure, legend, png, render, svg
+from hydro_env.pages import COLOURS, beside_results, figure, png, render, svg
 from hydro_env.practice import command as hide
-from hydro_env.reading import MOST_BYTES_OF_RESULTS, read_json
+from hydro_env.reading import MAX_BYTES_OF_RESULTS, read_json
 
 __all__ = ["run"]
 
@@ -53,20 +53,14 @@ GAPS = (
 )
 
 
-class _Clock:
-    """Says what is being done and remembers how long it took."""
-
-    def __init__(self) -> None:
-        self.parts: list[dict[str, Any]] = []
-
-    @contextmanager
-    def part(self, name: str) -> Iterator[None]:
-        tqdm.write(f"{name} ...")
-        start = time.perf_counter()
-        yield
-        seconds = time.perf_counter() - start
-        self.parts.append({"name": name, "seconds": seconds})
-        tqdm.write(f"{name}: {seconds:.1f} s")
+@contextmanager
+def _timed(name: str, seconds: dict[str, float]) -> Iterator[None]:
+    """Says what is being done, and keeps in `seconds` how long it took."""
+    tqdm.write(f"{name} ...")
+    start = time.perf_counter()
+    yield
+    seconds[name] = time.perf_counter() - start
+    tqdm.write(f"{name}: {seconds[name]:.1f} s")
 
 
 def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
@@ -80,50 +74,59 @@ def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
     Returns the content of demo.json: the numbers of the page and the seconds of each part.
     """
     out = Path(out)
-    clock = _Clock()
-    with clock.part("the paper's experiment"):
-        paper = _paper(_folder(out, "reproduce"))
-    with clock.part("scoreboard"):
-        board = _board(_scored(_folder(out, "benchmark"), seed, jobs))
-    with clock.part("diagnosis"):
-        finding = _diagnosis(_folder(out, "practice"), _folder(out, "diagnosis"), seed)
+    seconds: dict[str, float] = {}
+    for name in ("reproduce", "benchmark", "practice", "diagnosis"):
+        (out / name).mkdir()
+    with _timed("the paper's experiment", seconds):
+        paper = reproduce.run(out / "reproduce")
+    with _timed("scoreboard", seconds):
+        quick, conditions = benchmark.Selection("quick"), benchmark.Conditions(seed=seed)
+        scores = benchmark.run(out / "benchmark", selection=quick, conditions=conditions, jobs=jobs)
+    with _timed("diagnosis", seconds):
+        finding = _diagnosis(out / "practice", out / "diagnosis", seed)
+    shown = {(scenario, metric) for scenario, metric, _ in BOARD}
     result = {
         "schema": "hydro_env/demo/1",
-        "paper": paper["numbers"],
-        "scores": board["numbers"],
-        "diagnosis": finding["numbers"],
-        "seconds": {part["name"]: part["seconds"] for part in clock.parts},
+        "paper": {key: paper.numbers[key] for key in ("setpoint_steps", "load_step")},
+        "scores": [row for row in scores["rows"] if (row["scenario"], row["metric"]) in shown],
+        "diagnosis": finding,
+        "seconds": seconds,
     }
     write_json(out / "demo.json", result)
     with beside_results(out / "index.html"):
-        png(paper["drawing"], out / "demo.png")
-        write_text(out / "index.html", page(paper, board, finding, clock.parts))
+        png(reproduce.draw_steps(paper), out / "demo.png")
+        speeds = svg(
+            reproduce.draw_steps(paper),
+            "speeds of both motors in the paper's experiment and their difference",
+        )
+        gaps = svg(_gaps(finding["gap"]["sealed"]), "error on the held-out log before and after")
+        links = sorted(f"reproduce/{path.name}" for path in (out / "reproduce").iterdir())
+        parts = (
+            {**paper.numbers, "picture": speeds, "links": links},
+            _board(scores),
+            {**finding, "picture": gaps},
+        )
+        write_text(out / "index.html", page(*parts, seconds))
     return result
 
 
 def page(
-    paper: dict[str, Any], board: dict[str, Any], finding: dict[str, Any], parts: list[dict[str, Any]]
+    paper: dict[str, Any], board: dict[str, Any], finding: dict[str, Any], seconds: dict[str, float]
 ) -> str:
-    """The HTML page; `parts` are the names and seconds of the parts."""
+    """The HTML page; `paper` is the content of reproduce.json with `picture` and `links`, `seconds` are those of each part."""
     from markupsafe import Markup
 
     return render(
         files(__package__).joinpath("demo.html"),
         title="Two hydraulic motors, two unequal valves",
         version=__version__,
-        seconds=sum(part["seconds"] for part in parts),
-        parts=parts,
+        seconds=seconds,
         rig=Markup(files(__package__).joinpath("demo_rig.html").read_text(encoding="utf-8")),
         paper=paper,
         board=board,
         finding=finding,
+        short=_short,
     )
-
-
-def _folder(out: Path, name: str) -> Path:
-    folder = out / name
-    folder.mkdir()
-    return folder
 
 
 def _short(value: float | None) -> str:
@@ -137,63 +140,7 @@ def _short(value: float | None) -> str:
     return text.rstrip("0").rstrip(".") if float(text) == round(value) and value == round(value) else text
 
 
-# --- 1. the paper's experiment ----------------------------------------------------------------------------------------
-RIGS = (("tables", "the tables alone"), ("dead_zone", "with the dead zone"))
-"""What reproduce's traces hold, and how the page calls it."""
-
-
-def _paper(out: Path) -> dict[str, Any]:
-    numbers = reproduce.run(out)
-    steps, load = numbers["setpoint_steps"], numbers["load_step"]
-    traces = np.genfromtxt(out / "traces.csv", delimiter=",", names=True)
-    alt = "speeds of both motors in the paper's experiment and their difference"
-    return {
-        "published": _short(steps["published_rpm"]),
-        "tables_only": _short(steps["tables_only_rpm"]),
-        "with_dead_zone": _short(steps["with_dead_zone_rpm"]),
-        "overlap": _short(steps["overlap_V1_m"] * 1e6),
-        "equal_again": _short(steps["equal_again_after_s"]),
-        "equal_within": _short(steps["equal_again_within_rpm"]),
-        "published_again": _short(steps["published_equal_again_after_s"]),
-        "load_published": _short(load["published_rpm"]),
-        "load_simulated": _short(load["simulated_rpm"]),
-        "nominal_torque": _short(load["nominal_torque_Nm"]),
-        "largest_command": _short(load["largest_command_V"]),
-        "links": sorted(f"{out.name}/{path.name}" for path in out.iterdir()),
-        "picture": svg(_drawing(traces, steps["published_rpm"]), alt),
-        "drawing": _drawing(traces, steps["published_rpm"]),
-        "numbers": {"setpoint_steps": steps, "load_step": load},
-    }
-
-
-def _drawing(traces: Any, published: float) -> Any:
-    """Speeds of both motors on each rig, and below them the differences beside the published one."""
-    drawing, axes = figure(len(RIGS) + 1, height=1.9)
-    time, last = traces["time_s"], axes[-1]
-    for axis, (key, label), colour in zip(axes, RIGS, (COLOURS[4], COLOURS[3]), strict=False):
-        speeds = [traces[f"{key}_speed_{motor}_rpm"] for motor in (1, 2)]
-        axis.plot(time, traces["setpoint_rpm"], color=COLOURS[4], linewidth=0.9, label="set-point")
-        for motor, speed in enumerate(speeds):
-            axis.plot(time, speed, color=COLOURS[motor], label=f"motor {motor + 1}")
-        axis.set_title(f"Speeds, {label}", loc="left", fontsize=9.5)
-        axis.set_ylabel("rpm")
-        last.plot(time, speeds[0] - speeds[1], color=colour, label=label)
-    for side in (-1, 1):
-        last.axhline(side * published, color=COLOURS[2], linestyle="--", linewidth=1.1)
-    last.set_title(f"Speed difference; dashed: the {published:g} rpm of the paper", loc="left", fontsize=9.5)
-    last.set(xlabel="time, s", ylabel="rpm", xlim=(0, time[-1]))
-    legend(axes[0])
-    legend(last)
-    return drawing
-
-
 # --- 2. the leaderboard -----------------------------------------------------------------------------------------------
-def _scored(out: Path, seed: int, jobs: int) -> dict[str, Any]:
-    return benchmark.run(
-        out, selection=benchmark.Selection("quick"), conditions=benchmark.Conditions(seed=seed), jobs=jobs
-    )
-
-
 def _board(scores: dict[str, Any]) -> dict[str, Any]:
     cells = {(row["controller"], row["scenario"], row["metric"]): row for row in scores["rows"]}
     shown = _chosen(scores, cells)
@@ -202,16 +149,12 @@ def _board(scores: dict[str, Any]) -> dict[str, Any]:
     seeds = range(scores["seed"], scores["seed"] + scores["splits"][SPLIT])
     rows = []
     for name, why in shown.items():
-        notes = [
-            why,
-            "a network from the observation alone" if _learned(name) else "",
-            privileged_information(scores, name),
-        ]
-        found = [_cell(cells.get((name, scenario, metric))) for scenario, metric, _ in BOARD]
-        rows.append(
-            {"name": name, "note": "; ".join(filter(None, notes)), "learned": _learned(name), "cells": found}
-        )
+        learned = "a network from the observation alone" if _learned(name) else ""
+        note = "; ".join(filter(None, [why, learned, privileged_information(scores, name)]))
+        found = [cells.get((name, scenario, metric)) for scenario, metric, _ in BOARD]
+        rows.append({"name": name, "note": note, "learned": bool(learned), "cells": found})
     recorded = record(titles, seeds, split=SPLIT, scenario=BOARD[0][0])
+    alt = "peak synchronisation error over tracking error of every controller"
     return {
         "about": scores["about"],
         "cases": max(row["n"] for row in scores["rows"]),
@@ -221,12 +164,7 @@ def _board(scores: dict[str, Any]) -> dict[str, Any]:
         "agent": agent,
         "seed": recorded["seed"],
         "animation": animation(recorded),
-        "picture": svg(
-            _front(scores, cells, shown), "peak synchronisation error over tracking error of every controller"
-        ),
-        "numbers": [
-            row for row in scores["rows"] if (row["scenario"], row["metric"]) in {key[:2] for key in BOARD}
-        ],
+        "picture": svg(_front(scores, cells, shown), alt),
     }
 
 
@@ -249,13 +187,6 @@ def _chosen(scores: dict[str, Any], cells: dict[Any, Any]) -> dict[str, str]:
         agent: "the learned agent with the lowest peak error",
         BOUND: "the bound",
     }
-
-
-def _cell(row: dict[str, Any] | None) -> dict[str, str]:
-    if row is None:
-        return {"text": "–", "interval": ""}
-    low, high = row["ci95"]
-    return {"text": _short(row["iqm"]), "interval": f"{_short(low)} to {_short(high)}"}
 
 
 def _front(scores: dict[str, Any], cells: dict[Any, Any], shown: dict[str, str]) -> Any:
@@ -297,57 +228,14 @@ def _front(scores: dict[str, Any], cells: dict[Any, Any], shown: dict[str, str])
 
 # --- 3. the diagnosis -------------------------------------------------------------------------------------------------
 def _diagnosis(practice: Path, out: Path, seed: int) -> dict[str, Any]:
-    hide.run(HIDDEN, practice, seed=seed)
-    truth = read_json(practice / "truth.json", "what `hydro-env hide` wrote", most=MOST_BYTES_OF_RESULTS)
-    logs = {kind: [practice / name for name in truth["logs"][kind]] for kind in ("fit", "sealed")}
-    diagnosis.run(
-        logs["fit"], logs["sealed"], out, model=practice / "model.yaml", settings=Settings(seed=seed)
+    """Hides and diagnoses; the hidden effects and what was found."""
+    truth = hide.run(HIDDEN, practice, seed=seed).truth
+    fit, held_out = ([practice / name for name in truth["logs"][kind]] for kind in ("fit", "sealed"))
+    diagnosis.run(fit, held_out, out, model=practice / "model.yaml", settings=Settings(seed=seed))
+    found = read_json(
+        out / "diagnosis.json", "what `hydro-env diagnose` wrote", max_bytes=MAX_BYTES_OF_RESULTS
     )
-    found = read_json(out / "diagnosis.json", "what `hydro-env diagnose` wrote", most=MOST_BYTES_OF_RESULTS)
-    hidden = {effect["name"]: effect for effect in truth["effects"]}
-    effects, parameters = [], []
-    for effect in found["effects"]:
-        effects.append(
-            {
-                "name": effect["name"],
-                "where": _where(effect["channel"]),
-                "probability": _short(effect.get("probability"))
-                if effect.get("probability") is not None
-                else "",
-            }
-        )
-        for name, value in effect["parameters"].items():
-            true = hidden.get(effect["name"], {}).get("parameters", {}).get(name, {}).get("value")
-            parameters.append(_parameter(f"{effect['name']}.{name}", true, value))
-    return {
-        "hidden": ", ".join(
-            f"{effect['name']} on {_where(effect['channel'])}" for effect in truth["effects"]
-        ),
-        "verdict": found["verdict"],
-        "effects": effects,
-        "parameters": parameters,
-        "picture": svg(_gaps(found["gap"]["sealed"]), "error on the held-out log before and after"),
-        "report": "diagnosis/report.html",
-        "numbers": {"hidden": truth["effects"], **{key: found[key] for key in ("verdict", "effects", "gap")}},
-    }
-
-
-def _where(channel: str) -> str:
-    return {"both": "both channels", "rig": "the whole rig"}.get(channel, f"channel {channel}")
-
-
-def _parameter(name: str, true: float | None, found: dict[str, Any]) -> dict[str, str]:
-    """A line of the table: hidden and found value; metres are shown as micrometres, the usual unit of a lap."""
-    scale, unit = (1e6, "µm") if found["unit"] == "m" else (1.0, found["unit"])
-    low, high = found.get("low"), found.get("high")
-    text = f"{low * scale:.4g} to {high * scale:.4g}" if low is not None and high is not None else ""
-    return {
-        "name": name,
-        "hidden": "none" if true is None else f"{true * scale:.4g}",
-        "value": f"{found['value'] * scale:.4g}",
-        "interval": text,
-        "unit": unit,
-    }
+    return {"hidden": truth["effects"], **{key: found[key] for key in ("verdict", "effects", "gap")}}
 
 
 def _gaps(signals: dict[str, dict[str, float]]) -> Any:

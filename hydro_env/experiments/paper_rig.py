@@ -18,7 +18,7 @@ from hydro_env.controllers.classical.pid import TABLE_III, Pid
 from hydro_env.plant import Plant, PlantModel
 from hydro_env.units import RPM
 
-__all__ = ["LOAD_STEP", "PERIOD", "SETPOINT_STEPS", "Course", "Traces", "equal_again_after", "run_paper"]
+__all__ = ["LOAD_STEP", "PERIOD", "SETPOINT_STEPS", "Profile", "Traces", "equal_again_after", "run_paper"]
 
 Floats = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ PERIOD = 1e-4
 
 
 @dataclass(frozen=True)
-class Course:
+class Profile:
     """Set-point (rpm) and load (share of the nominal torque) as steps: rows (time in s, value)."""
 
     duration: float
@@ -42,9 +42,9 @@ class Course:
 
 
 #: Paper, 4.1: set-point steps without load (Fig. 7).
-SETPOINT_STEPS = Course(6.0, ((0.0, 600.0), (2.0, -200.0), (4.0, 600.0)))
+SETPOINT_STEPS = Profile(6.0, ((0.0, 600.0), (2.0, -200.0), (4.0, 600.0)))
 #: Paper, 4.2: 600 rpm, 10 % of the nominal load torque, from 2 s on all of it (Fig. 8).
-LOAD_STEP = Course(4.0, ((0.0, 600.0),), ((0.0, 0.1), (2.0, 1.0)))
+LOAD_STEP = Profile(4.0, ((0.0, 600.0),), ((0.0, 0.1), (2.0, 1.0)))
 
 
 @dataclass(frozen=True)
@@ -68,39 +68,36 @@ class Traces:
 
 def run_paper(
     model: PlantModel,
-    course: Course,
+    profile: Profile,
     *,
     values: Mapping[str, ArrayLike] | None = None,
     num_rigs: int = 1,
     nominal_torque: ArrayLike = 0.0,
-    limit_V: float = inf,
     peak_from: float = 0.0,
 ) -> Traces:
     """Runs the paper's closed loop for `num_rigs` variants of a model side by side.
 
-    `values` maps parameters to arrays that broadcast to (num_rigs, 2); `nominal_torque` (N m) to (num_rigs,).
-    `limit_V` is the limit of the controllers' output; the paper mentions none, and without one the end stops of the
-    spools are out of the way too. The largest difference counts from
-    `peak_from` s on.
+    `values` maps parameters to arrays that broadcast to (num_rigs, 2); `nominal_torque` (N m) to (num_rigs,). The paper mentions
+    no limit of the controllers' output, so there is none, and no end stop that a spool could reach. The largest difference
+    counts from `peak_from` s on.
     """
     values = dict(values or {})
     plant = Plant(model, num_rigs, effects={n.split(".")[0] for n in values if "." in n})
     plant.set_values(values)
-    plant.set("u_rated", min(limit_V, 1e6))
-    if limit_V == inf:
-        plant.set("x_max", 9e-3)
+    plant.set("u_rated", 1e6)
+    plant.set("x_max", 9e-3)
     plant.reset()
-    pid = Pid(TABLE_III["Kp"], TABLE_III["Ti"], TABLE_III["Td"], low=-limit_V, high=limit_V)
+    pid = Pid(TABLE_III["Kp"], TABLE_III["Ti"], TABLE_III["Td"], low=-inf, high=inf)
     pid.start(PERIOD, np.zeros((num_rigs, 2)))
     # The derivative acts on the first step too, as it does in a continuous controller.
     pid.step(np.zeros((num_rigs, 2)))
 
-    steps = round(course.duration / PERIOD)
+    steps = round(profile.duration / PERIOD)
     every = round(1e-3 / PERIOD)
     time: Floats = np.arange(steps, dtype=float) * PERIOD
-    setpoint = Course.at(course.setpoint_rpm, time)
+    setpoint = Profile.at(profile.setpoint_rpm, time)
     torque = np.broadcast_to(np.asarray(nominal_torque, dtype=float), (num_rigs,))
-    load = Course.at(course.load_share, time)
+    load = Profile.at(profile.load_share, time)
     speeds, commands = (np.empty((-(-steps // every), num_rigs, 2)) for _ in range(2))
     peak = np.zeros(num_rigs)
     for n in range(steps):
@@ -114,9 +111,9 @@ def run_paper(
     return Traces(time[::every], setpoint[::every], speeds, commands, peak)
 
 
-def equal_again_after(traces: Traces, course: Course, within_rpm: float) -> Floats:
+def equal_again_after(traces: Traces, profile: Profile, within_rpm: float) -> Floats:
     """Time in s, (changes, N), from each change of the set-point until the difference stays within a band."""
-    changes = [t for t, _ in course.setpoint_rpm] + [course.duration]
+    changes = [t for t, _ in profile.setpoint_rpm] + [profile.duration]
     times = []
     for start, end in itertools.pairwise(changes):
         rows = (traces.time >= start - 1e-9) & (traces.time < end - 1e-9)

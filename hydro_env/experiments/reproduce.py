@@ -1,7 +1,9 @@
 """`hydro-env reproduce`: the paper's experiments, what it publishes beside what its tables and the calibrated rig give.
 
 Fig. 7: set-point steps under Table III's PID. Fig. 8: the load step. Fig. 2: flow over current of both valves, swept
-slowly. The dead zone and the nominal torque are calibrated anew in every run (`calibrate.py`).
+slowly. The paper must have had a dead zone and a nominal torque that it does not print: its tables alone give a speed
+difference of 13 rpm where it reports 175, its Fig. 2 shows a dead zone that they do not hold, and it loads the motors with
+a "nominal torque" without a value. Both are calibrated to its results in every run.
 """
 
 from __future__ import annotations
@@ -12,30 +14,70 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
 from tqdm import tqdm
 
-from hydro_env.experiments.paper_calibration import (
-    PUBLISHED_LOAD_RPM,
-    PUBLISHED_STEPS_RPM,
-    Calibration,
-    calibrate_dead_zone,
-    calibrate_torque,
-)
 from hydro_env.experiments.paper_rig import LOAD_STEP, SETPOINT_STEPS, Traces, equal_again_after, run_paper
 from hydro_env.files import write_json, write_text
-from hydro_env.pages import beside_results, png
+from hydro_env.pages import COLOURS, beside_results, figure, legend, png
 from hydro_env.plant import Plant, PlantModel, load_model
 from hydro_env.units import LPM
 
-__all__ = ["EQUAL_WITHIN_RPM", "Reproduction", "dead_zone_model", "draw_load", "draw_steps", "draw_valves", "reproduce",
-           "run", "summary", "sweep"]  # fmt: skip
+__all__ = [
+    "EQUAL_WITHIN_RPM",
+    "PUBLISHED_STEPS_RPM",
+    "Reproduction",
+    "draw_steps",
+    "reproduce",
+    "run",
+    "summary",
+]
 
 Floats = NDArray[np.float64]
 
+#: Largest speed differences that the paper reports: Fig. 7 (set-point steps) and Fig. 8 (load step), rpm.
+PUBLISHED_STEPS_RPM = 175.0
+PUBLISHED_LOAD_RPM = 12.0
 #: The speeds count as equal again while they differ by no more than 5 % of 600 rpm.
 EQUAL_WITHIN_RPM = 30.0
 
 
+# --- calibration ------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Calibration:
+    """The value that meets the target, and the curve it was read from (`tried` -> `reached` rpm)."""
+
+    value: float
+    tried: list[float]
+    reached: list[float]
+
+
+def _crossing(tried: Floats, reached: Floats, target: float) -> Calibration:
+    order = np.argsort(reached)
+    value = float(PchipInterpolator(reached[order], tried[order])(target))
+    return Calibration(value, tried.tolist(), reached.tolist())
+
+
+def calibrate_dead_zone() -> Calibration:
+    """Overlap (m) of valve V1, the same both ways, with which the paper's set-point steps give its peak difference.
+
+    V2 keeps none: only the difference of the two matters much, and Fig. 2 shows V1 as the odd one.
+    """
+    overlap = np.linspace(0.0, 150e-6, 16)
+    pairs = np.column_stack([overlap, np.zeros_like(overlap)])
+    values = {"dead_zone.overlap_positive": pairs, "dead_zone.overlap_negative": pairs}
+    traces = run_paper(load_model("paper"), SETPOINT_STEPS, values=values, num_rigs=overlap.size)
+    return _crossing(overlap, traces.peak, PUBLISHED_STEPS_RPM)
+
+
+def calibrate_torque(model: PlantModel) -> Calibration:
+    """Nominal load torque (N m) with which the paper's load step gives its peak difference, without a command limit."""
+    torque = np.concatenate([np.linspace(0.5, 2.5, 3), np.linspace(2.75, 4.0, 11), np.linspace(4.5, 6.0, 2)])
+    traces = run_paper(model, LOAD_STEP, num_rigs=torque.size, nominal_torque=torque, peak_from=2.0)
+    return _crossing(torque, traces.peak, PUBLISHED_LOAD_RPM)
+
+
+# --- experiments ------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Reproduction:
     """All that was simulated. Traces of the steps hold two rigs: the tables alone, and with the calibrated dead zone."""
@@ -113,26 +155,25 @@ def sweep(model: PlantModel, seconds: float = 20.0, period: float = 1e-3) -> tup
     return out["current"][:, 0], out["flow"][:, 0]
 
 
-def run(out: str | Path, *, pictures: bool = True) -> dict[str, Any]:
+def run(out: str | Path, *, pictures: bool = True) -> Reproduction:
     """Runs the experiments and writes reproduce.json, traces.csv, paper_dead_zone.yaml and, if asked, the pictures.
 
     Args:
         out: an existing folder.
         pictures: figure_2.png, figure_7.png, figure_8.png (needs the extra `report`).
 
-    Returns the content of reproduce.json.
+    Returns all that was simulated; its `numbers` are the content of reproduce.json.
     """
     out = Path(out)
     result = reproduce()
     result.model.to_yaml(out / "paper_dead_zone.yaml")
     write_text(out / "traces.csv", _table(result))
-    numbers = result.numbers
-    write_json(out / "reproduce.json", numbers)
+    write_json(out / "reproduce.json", result.numbers)
     if pictures:
         for name, draw in (("figure_2", draw_valves), ("figure_7", draw_steps), ("figure_8", draw_load)):
             with beside_results(path := out / f"{name}.png"):
                 png(draw(result), path)
-    return numbers
+    return result
 
 
 def summary(numbers: dict[str, Any]) -> str:
@@ -160,66 +201,50 @@ def _table(result: Reproduction) -> str:
 
 # --- pictures ---------------------------------------------------------------------------------------------------------
 def draw_steps(result: Reproduction) -> Any:
-    """Fig. 7: speeds with the calibrated dead zone, and the difference of both rigs."""
-    from hydro_env.pages import COLOURS, figure
-
-    drawing, (speeds, gap) = figure(2, height=2.6)
-    time = result.steps.time
-    speeds.plot(time, result.steps.setpoint, color="grey", linewidth=0.8, label="set-point")
-    for motor in (0, 1):
-        speeds.plot(time, result.steps.speed[:, 1, motor], color=COLOURS[motor], label=f"motor {motor + 1}")
-    speeds.set(ylabel="speed, rpm")
-    speeds.legend(loc="upper right", ncols=3)
-    for rig, (label, colour) in enumerate((("tables alone", COLOURS[2]), ("with dead zone", COLOURS[3]))):
-        peak = result.steps.peak[rig]
-        gap.plot(
-            time, np.abs(result.steps.difference[:, rig]), color=colour, label=f"{label}: {peak:.0f} rpm"
-        )
-    gap.axhline(
-        PUBLISHED_STEPS_RPM,
-        color="grey",
-        linestyle="--",
-        linewidth=0.8,
-        label=f"paper: {PUBLISHED_STEPS_RPM:.0f} rpm",
-    )
-    gap.set(xlabel="time, s", ylabel="speed difference, rpm", ylim=(0, None))
-    gap.legend(loc="upper right", ncols=3)
+    """Fig. 7: speeds of both motors by the tables alone and with the dead zone, below them both differences."""
+    drawing, axes = figure(3, height=1.9)
+    time, last = result.steps.time, axes[-1]
+    rigs = (("the tables alone", COLOURS[4]), ("with the dead zone", COLOURS[3]))
+    for rig, (axis, (label, colour)) in enumerate(zip(axes, rigs, strict=False)):
+        axis.plot(time, result.steps.setpoint, color=COLOURS[4], linewidth=0.9, label="set-point")
+        _speeds(axis, time, result.steps.speed[:, rig])
+        axis.set_title(f"Speeds, {label}", loc="left", fontsize=9.5)
+        axis.set_ylabel("rpm")
+        last.plot(time, result.steps.difference[:, rig], color=colour, label=label)
+    for side in (-1, 1):
+        last.axhline(side * PUBLISHED_STEPS_RPM, color=COLOURS[2], linestyle="--", linewidth=1.1)
+    title = f"Speed difference; dashed: the {PUBLISHED_STEPS_RPM:g} rpm of the paper"
+    last.set_title(title, loc="left", fontsize=9.5)
+    last.set(xlabel="time, s", ylabel="rpm", xlim=(0, time[-1]))
+    legend(axes[0])
+    legend(last)
     return drawing
 
 
 def draw_load(result: Reproduction) -> Any:
     """Fig. 8: speeds around the load step and their difference."""
-    from hydro_env.pages import COLOURS, figure
-
     drawing, (speeds, gap) = figure(2, height=2.3)
-    time = result.load.time
-    for motor in (0, 1):
-        speeds.plot(time, result.load.speed[:, 0, motor], color=COLOURS[motor], label=f"motor {motor + 1}")
+    time, late = result.load.time, result.load.time >= 1.9
+    _speeds(speeds, time, result.load.speed[:, 0])
     speeds.set(ylabel="speed, rpm")
-    speeds.legend(loc="lower right", ncols=2)
-    late = time >= 1.9
-    gap.plot(
-        time[late],
-        np.abs(result.load.difference[late, 0]),
-        color=COLOURS[3],
-        label=f"simulated: {result.load.peak[0]:.0f} rpm",
-    )
-    gap.axhline(
-        PUBLISHED_LOAD_RPM,
-        color="grey",
-        linestyle="--",
-        linewidth=0.8,
-        label=f"paper: {PUBLISHED_LOAD_RPM:.0f} rpm",
-    )
+    label = f"simulated: {result.load.peak[0]:.0f} rpm"
+    gap.plot(time[late], np.abs(result.load.difference[late, 0]), color=COLOURS[3], label=label)
+    label = f"paper: {PUBLISHED_LOAD_RPM:.0f} rpm"
+    gap.axhline(PUBLISHED_LOAD_RPM, color=COLOURS[2], linestyle="--", linewidth=1.1, label=label)
     gap.set(xlabel="time, s", ylabel="speed difference\nfrom 1.9 s on, rpm", ylim=(0, None))
-    gap.legend(loc="upper right", ncols=2)
+    legend(speeds)
+    legend(gap)
     return drawing
+
+
+def _speeds(axis: Any, time: Floats, speed: Floats) -> None:
+    """Lines of both motors; `speed` is (T, 2) in rpm."""
+    for motor in (0, 1):
+        axis.plot(time, speed[:, motor], color=COLOURS[motor], label=f"motor {motor + 1}")
 
 
 def draw_valves(result: Reproduction) -> Any:
     """Fig. 2: flow over current of both valves of the calibrated rig, swept slowly both ways."""
-    from hydro_env.pages import COLOURS, figure
-
     drawing, (axis,) = figure(1, height=3.2)
     current, flow = sweep(result.model)
     for valve in (0, 1):

@@ -15,7 +15,7 @@ from hydro_env.tasks import Trace
 
 __all__ = ["animation", "record"]
 
-#: Of the rows of a trace, every so many are kept: 20 ms, in which a shaft at 600 rpm turns by 72 degrees.
+#: Step between the rows of a trace that are kept: 20 ms, in which a shaft at 600 rpm turns by 72 degrees.
 EVERY = 2
 
 

@@ -24,26 +24,14 @@ from hydro_env.files import write_json
 from hydro_env.plant import BUILT_IN, Plant, load_model
 from hydro_env.units import RPM
 
-__all__ = [
-    "KINDS",
-    "NUM_ENVS",
-    "PLANTS",
-    "commands",
-    "measure_batch",
-    "measure_commands",
-    "measure_effects",
-    "measure_errors",
-    "measure_single",
-    "measure_start",
-    "run",
-    "summary",
-]
+__all__ = ["KINDS", "NUM_ENVS", "PLANTS", "commands", "run", "summary"]
 
 NUM_ENVS = (1, 16, 64, 256, 1024)
 #: Kinds of command, see `commands`.
 KINDS = ("smooth", "uniform", "gaussian", "bang_bang")
 #: Presets that are measured under every kind of command, with the mismatch of their valves. The first is the default plant.
 PLANTS = {"paper_dead_zone": "auto", "rig": "auto", "servo": "own"}
+DTYPES = ("float64", "float32")
 PERIOD = 0.01
 #: Control periods of each kind of command that are compared with the reference.
 ERROR_ROWS = 100
@@ -167,31 +155,20 @@ def measure_commands(
     for dtype, model, kind in tqdm(cases, desc="commands", leave=False):
         found = measure_batch(num_envs, seconds, dtype, kind, model)
         rates = {name: found[name] for name in ("env_steps_per_s", "plant_steps_per_s", "steps_a_period")}
-        error = errors[dtype][model][kind]
-        rows.append(
-            {
-                "plant": model,
-                "kind": kind,
-                "dtype": dtype,
-                "num_envs": num_envs,
-                **rates,
-                "error_rpm": error,
-            }
-        )
+        about = {"plant": model, "kind": kind, "dtype": dtype, "num_envs": num_envs}
+        rows.append({**about, **rates, "error_rpm": errors[dtype][model][kind]})
     return rows
 
 
-def measure_errors(
-    dtypes: Sequence[str] = ("float64", "float32"), rows: int = ERROR_ROWS
-) -> list[dict[str, Any]]:
-    """Largest error of the speed in rpm against the reference, for every plant over so many control periods of each kind of
+def measure_errors(rows: int) -> dict[str, dict[str, Any]]:
+    """Largest error of the speed in rpm against the reference, for every plant over `rows` control periods of each kind of
     command and twice as many of steps.
 
-    One entry for each of `dtypes`: the worst error, and those by plant and kind.
+    One entry for each dtype: the worst error, and those by plant and kind.
     """
     from hydro_env.practice.reference import simulate_reference
 
-    errors: list[dict[str, Any]] = [{"worst_against_reference": 0.0} for _ in dtypes]
+    errors: dict[str, dict[str, Any]] = {dtype: {"worst_against_reference": 0.0} for dtype in DTYPES}
     for name in PLANTS:
         rng, model = np.random.default_rng(0), load_model(name)
         kinds = {kind: commands(kind, rows, 1, rng)[:, 0] for kind in KINDS}
@@ -199,7 +176,7 @@ def measure_errors(
         for kind, shares in kinds.items():
             volts = shares * np.array(model.pair("u_rated"))
             truth = simulate_reference(model, volts, None, PERIOD, tolerance=1e-8)["speed"]
-            for found, dtype in zip(errors, dtypes, strict=True):
+            for dtype, found in errors.items():
                 ours = Plant(model, dtype=dtype).run(volts, None, PERIOD)["speed"][:, 0]
                 error = float(np.abs(ours - truth).max() / RPM)
                 found.setdefault(name, {})[kind] = error
@@ -239,14 +216,10 @@ def measure_start() -> dict[str, float]:
     with tempfile.TemporaryDirectory() as cache:
         for _ in ("cold", "warm"):
             begin = time.time()  # a clock that both processes read
-            child = subprocess.run(
-                [sys.executable, "-c", code],
-                check=True,
-                env={**os.environ, "HYDRO_ENV_CACHE": cache},
-                stdout=subprocess.PIPE,
-                text=True,
+            own = {**os.environ, "HYDRO_ENV_CACHE": cache}
+            took.append(
+                float(subprocess.check_output([sys.executable, "-c", code], env=own, text=True)) - begin
             )
-            took.append(float(child.stdout) - begin)
     return {"cold_s": took[0], "warm_s": took[1]}
 
 
@@ -267,7 +240,7 @@ def run(
     sizes = [(n, "float64") for n in num_envs] + [(max(num_envs), "float32")]
     batch = [measure_batch(n, seconds, dtype) for n, dtype in tqdm(sizes, desc="batch", leave=False)]
     plant = Plant("paper_dead_zone", 1024)
-    error, error_float32 = measure_errors(rows=rows)
+    errors = measure_errors(rows)
     result = {
         "schema": "hydro_env/speed/1",
         "machine": {
@@ -279,9 +252,9 @@ def run(
         "start": start,
         "single": measure_single(seconds),
         "batch": batch,
-        "commands": measure_commands(max(num_envs), seconds, {"float64": error, "float32": error_float32}),
-        "error_rpm": error,
-        "error_float32_rpm": error_float32,
+        "commands": measure_commands(max(num_envs), seconds, errors),
+        "error_rpm": errors["float64"],
+        "error_float32_rpm": errors["float32"],
         "effects": measure_effects(seconds),
         "memory_bytes_per_env": plant.memory.nbytes / 1024,
     }
@@ -291,35 +264,31 @@ def run(
 
 def summary(result: dict[str, Any]) -> str:
     """The result as a small table for the terminal."""
-    lines = ["environments           env steps/s   plant alone   steps a period   times real time"]
-    for row in result["batch"]:
-        lines.append(
+    single, effects, start = (result[key] for key in ("single", "effects", "start"))
+    errors = {"float64": result["error_rpm"], "float32": result["error_float32_rpm"]}
+    rigs = result["commands"][0]["num_envs"]
+    return "\n".join([
+        "environments           env steps/s   plant alone   steps a period   times real time",
+        *(
             f"{row['num_envs']:12d} {row['dtype']}{row['env_steps_per_s']:14.0f}{row['plant_steps_per_s']:14.0f}"
             f"{row['steps_a_period']:17.1f}{row['times_real_time']:18.0f}"
-        )
-    rigs = result["commands"][0]["num_envs"]
-    lines.append(f"{rigs} environments by kind of command, and largest error against the reference, rpm")
-    for row in result["commands"]:
-        lines.append(
+            for row in result["batch"]
+        ),
+        f"{rigs} environments by kind of command, and largest error against the reference, rpm",
+        *(
             f"{row['plant']:>16s} {row['kind']:>9s} {row['dtype']}{row['env_steps_per_s']:14.0f}"
             f"{row['plant_steps_per_s']:14.0f}{row['steps_a_period']:17.1f}{row['error_rpm']:10.3f}"
-        )
-    single = result["single"]
-    lines.append(
+            for row in result["commands"]
+        ),
         f"single environment: {1e6 / single['env_steps_per_s']:.0f} us a step,"
-        f" plant alone {1e6 / single['plant_steps_per_s']:.0f} us"
-    )
-    for key, dtype in (("error_rpm", "float64"), ("error_float32_rpm", "float32")):
-        lines.append(
-            f"{dtype}: largest error against the reference {result[key]['worst_against_reference']:.3f} rpm"
-        )
-    lines.append(
-        "a step of a channel of the base plant: {base_ns:.1f} ns, with a dead zone {dead_zone_ns:.1f} ns,"
-        " with all effects compiled in and neutral {all_neutral_ns:.0f} ns".format(**result["effects"])
-    )
-    lines.append(
-        "from the start of Python to the first step of an environment: {cold_s:.1f} s with nothing compiled,"
-        " {warm_s:.1f} s from the cache".format(**result["start"])
-    )
-    lines.append(f"{result['memory_bytes_per_env']:.0f} bytes of plant per environment")
-    return "\n".join(lines)
+        f" plant alone {1e6 / single['plant_steps_per_s']:.0f} us",
+        *(
+            f"{dtype}: largest error against the reference {found['worst_against_reference']:.3f} rpm"
+            for dtype, found in errors.items()
+        ),
+        f"a step of a channel of the base plant: {effects['base_ns']:.1f} ns, with a dead zone"
+        f" {effects['dead_zone_ns']:.1f} ns, with all effects compiled in and neutral {effects['all_neutral_ns']:.0f} ns",
+        f"from the start of Python to the first step of an environment: {start['cold_s']:.1f} s with nothing compiled,"
+        f" {start['warm_s']:.1f} s from the cache",
+        f"{result['memory_bytes_per_env']:.0f} bytes of plant per environment",
+    ])  # fmt: skip

@@ -6,9 +6,8 @@ have gains of its own for each channel, under several seeds of the sensor noise.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from itertools import combinations_with_replacement, product
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,12 @@ from tqdm import tqdm
 
 from hydro_env.controllers.registry import make_controller
 from hydro_env.controllers.rollout import roll_out
-from hydro_env.errors import InputError
 from hydro_env.plant import CATALOGUE, PARAMETERS, PlantModel
+from hydro_env.valve_bench.bench import Valve
 
-__all__ = ["METRICS", "Valve", "pair_model", "synchronisation"]
+__all__ = ["pair_model", "synchronisation"]
 
+SCENARIO = "setpoint_steps"
 #: Base parameters of the motor and its line; the others are the valve's.
 MOTOR = ("D", "J", "B", "Km", "beta", "V")
 #: Ports of the effects that sit in the valve.
@@ -29,85 +29,60 @@ PORTS = ("driver", "coil", "force", "opening", "flow")
 METRICS = ("max_speed_difference_rpm", "rms_speed_difference_rpm", "tracking_mae_rpm")
 
 
-@dataclass(frozen=True)
-class Valve:
-    """A modelled valve: channel 0 or 1 of a model."""
-
-    name: str
-    model: PlantModel
-    channel: int
-
-
 def pair_model(first: Valve, second: Valve, rig: PlantModel) -> PlantModel:
     """The rig with these two valves: motors, loads, supply and sensors are those of `rig`, alike on both channels."""
-    values: dict[str, tuple[float, float]] = {}
-    for name in PARAMETERS:
-        if name in MOTOR:
-            values[name] = (rig.value(name, 0),) * 2
-        else:
-            values[name] = first.model.value(name, first.channel), second.model.value(name, second.channel)
+    of_valve = {name: name not in MOTOR for name in PARAMETERS}
     declared = {*first.model.declared, *second.model.declared, *rig.declared}
-    for effect in CATALOGUE:
-        if effect not in declared:
-            continue
-        inside = CATALOGUE[effect].port in PORTS
-        for parameter in CATALOGUE[effect].parameters:
-            name = f"{effect}.{parameter.name}"
-            if inside:
-                values[name] = (
-                    first.model.value(name, first.channel),
-                    second.model.value(name, second.channel),
-                )
-            elif effect in rig.declared:
-                values[name] = (rig.value(name, 0),) * 2
+    for name, effect in CATALOGUE.items():
+        inside = effect.port in PORTS
+        if name in (declared if inside else rig.declared):
+            of_valve |= {f"{name}.{p.name}": inside for p in effect.parameters}
+    values = {
+        name: (first.value(name), second.value(name)) if inside else (rig.value(name, 0),) * 2
+        for name, inside in of_valve.items()
+    }
     return PlantModel(name=f"{first.name} + {second.name}", values=values)
 
 
 def synchronisation(
-    valves: Sequence[Valve],
-    controllers: Sequence[str],
-    *,
-    alike: tuple[str, str],
-    scenario: str = "setpoint_steps",
-    seeds: Sequence[int] = range(4),
-    progress: bool = True,
+    valves: Sequence[Valve], controllers: Sequence[str], alike: tuple[str, str], *, seeds: int, progress: bool
 ) -> dict[str, Any]:
-    """Drives all pairs under all controllers and says by how much the pair `alike` wins.
+    """Drives all pairs under all controllers, with `seeds` seeds each, and says by how much the pair `alike` wins.
 
     Every valve is paired with its like as well (`twins`): what is left there is the controller's, not the valves'.
-    InputError for an unknown controller or scenario.
     """
-    if len(valves) < 2:
-        raise InputError("synchronisation needs two valves at least")
-    ready = {name: make_controller(name) for name in dict.fromkeys(controllers)}
-    couples = list(itertools.combinations_with_replacement(valves, 2))
-    pairs: list[dict[str, Any]] = []
-    twins: list[dict[str, Any]] = []
-    with tqdm(total=len(ready) * len(couples), desc="pairs", disable=not progress, leave=False) as bar:
-        for name, controller in ready.items():
-            for first, second in couples:
-                orders = [(first, second)] if first is second else [(first, second), (second, first)]
-                scores: dict[str, list[float]] = {metric: [] for metric in METRICS}
-                for order in orders:
-                    model = pair_model(*order, valves[0].model)
-                    driven = roll_out(controller, list(seeds), plant=model, mismatch=None, scenario=scenario)
-                    for metric, values in driven.metrics(METRICS).items():
-                        scores[metric] += values.tolist()
-                (twins if first is second else pairs).append(
-                    {
-                        "controller": name,
-                        "valves": [first.name, second.name],
-                        **{metric: float(np.mean(values)) for metric, values in scores.items()},
-                        "range": {metric: [min(values), max(values)] for metric, values in scores.items()},
-                        "episodes": len(orders) * len(seeds),
-                    }
-                )
-                bar.update()
+    names = list(dict.fromkeys(controllers))
+    tasks = list(product(names, combinations_with_replacement(valves, 2)))
+    rows = [
+        _driven(name, first, second, valves[0].model, seeds)
+        for name, (first, second) in tqdm(tasks, desc="pairs", disable=not progress, leave=False)
+    ]
+    twins = [row for row in rows if row["valves"][0] == row["valves"][1]]
+    pairs = [row for row in rows if row not in twins]
     return {
-        "scenario": scenario,
+        "scenario": SCENARIO,
         "pairs": pairs,
         "twins": twins,
-        "most_alike": [_gain(name, pairs, twins, alike) for name in ready],
+        "most_alike": [_gain(name, pairs, twins, alike) for name in names],
+    }
+
+
+def _driven(controller: str, first: Valve, second: Valve, rig: PlantModel, seeds: int) -> dict[str, Any]:
+    """Mean metrics of a pair of valves, in both orders, and their ranges."""
+    orders = [(first, second)] if first is second else [(first, second), (second, first)]
+    runs = [
+        roll_out(
+            make_controller(controller), range(seeds), plant=pair_model(*order, rig), mismatch=None, scenario=SCENARIO
+        ).metrics(METRICS)
+        for order in orders
+    ]  # fmt: skip
+    scores = {metric: np.concatenate([run[metric] for run in runs]) for metric in METRICS}
+    return {
+        "controller": controller,
+        "valves": [first.name, second.name],
+        **{metric: float(values.mean()) for metric, values in scores.items()},
+        "range": {metric: [float(values.min()), float(values.max())] for metric, values in scores.items()},
+        "episodes": len(orders) * seeds,
     }
 
 
@@ -120,20 +95,15 @@ def _gain(
     own = next(row for row in rows if set(row["valves"]) == set(alike))
     others = [row for row in rows if row is not own]
     like = [row[metric] for row in twins if row["controller"] == name and row["valves"][0] in alike]
-    gain: dict[str, Any] = {
-        "controller": name,
-        "valves": list(alike),
-        metric: own[metric],
-        "twins_rpm": float(np.mean(like)),
+    gain = {"controller": name, "valves": list(alike), metric: own[metric], "twins_rpm": float(np.mean(like))}
+    if not others:
+        return gain
+    mean = float(np.mean([row[metric] for row in others]))
+    best = min(others, key=lambda row: row[metric])
+    return gain | {
+        "wins": own[metric] < best[metric],
+        "best_other": best["valves"],
+        "rpm_less_than_best_other": best[metric] - own[metric],
+        "mean_of_others_rpm": mean,
+        "rpm_less_than_mean_of_others": mean - own[metric],
     }
-    if others:
-        mean = float(np.mean([row[metric] for row in others]))
-        best = min(others, key=lambda row: row[metric])
-        gain |= {
-            "wins": own[metric] < best[metric],
-            "best_other": best["valves"],
-            "rpm_less_than_best_other": best[metric] - own[metric],
-            "mean_of_others_rpm": mean,
-            "rpm_less_than_mean_of_others": mean - own[metric],
-        }
-    return gain

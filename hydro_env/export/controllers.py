@@ -13,13 +13,14 @@ from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller, split_gains
 from hydro_env.errors import InputError, place_of
 from hydro_env.files import write_json, write_text
+from hydro_env.ir.reader import TranslationError
 from hydro_env.plant import Plant, load_model
 
 from .c_code import c_code
+from .c_printer import identifier
 from .structured_text import structured_text
 from .symbols import TraceError
 from .tracing import Program, trace
-from .translate import TranslationError, identifier
 
 __all__ = ["c_files", "onnx_file", "program_of", "st_file"]
 
@@ -47,9 +48,7 @@ def program_of(
 def _controller(spec: str, plant: str, single: bool, trust: bool) -> Any:
     controller = make_controller(spec, trust=trust)
     if isinstance(controller, NumpyPolicy):
-        entry = CONTROLLERS.get(split_gains(spec)[0])
-        path = entry.file if entry is not None and entry.file is not None else Path(spec)
-        return NumpyPolicy(path, controller.name, np.float32 if single else np.float64)
+        return NumpyPolicy(_policy_file(spec), controller.name, np.float32 if single else np.float64)
     if not isinstance(controller, Controller):
         raise InputError(
             f"controller {spec!r} cannot be exported: shipped controllers, gains files (.json), policies (.npz) and subclasses of"
@@ -78,7 +77,7 @@ def c_files(
     code = c_code(program, __version__, _about(spec))
     write_text(folder / f"{code.name}.h", code.header)
     write_text(folder / f"{code.name}.c", code.source)
-    return _noted(folder, "c", spec, program, [f"{code.name}.h", f"{code.name}.c"])
+    return _noted(folder, "c", spec, [f"{code.name}.h", f"{code.name}.c"], _figures(program))
 
 
 def st_file(
@@ -92,17 +91,7 @@ def st_file(
         raise InputError(f"controller {spec!r} cannot be exported: {problem}") from None
     name = f"{identifier(program.name)}.st"
     write_text(folder / name, text)
-    return _noted(folder, "st", spec, program, [name])
-
-
-def _noted(folder: Path, kind: str, spec: str, program: Program, files: list[str]) -> dict[str, Any]:
-    about = {
-        "schema": "hydro_env/export/1", "kind": kind, "controller": spec, "control_period_s": program.period,
-        "state_numbers": sum(each.size for each in program.state),
-        "files": [{"file": name, "bytes": (folder / name).stat().st_size} for name in files],
-    }  # fmt: skip
-    write_json(folder / "export.json", about)
-    return about
+    return _noted(folder, "st", spec, [name], _figures(program))
 
 
 def onnx_file(spec: str, folder: Path) -> dict[str, Any]:
@@ -114,12 +103,23 @@ def onnx_file(spec: str, folder: Path) -> dict[str, Any]:
         raise InputError(
             f"controller {spec!r} has no network: learned agents and policies (.npz) can be exported as ONNX"
         )
-    entry = CONTROLLERS.get(spec)
     name = f"{controller.name}.onnx"
-    export_onnx(entry.file if entry is not None and entry.file is not None else spec, folder / name)
-    about = {
-        "schema": "hydro_env/export/1", "kind": "onnx", "controller": spec, "interface": controller.interface.table(),
-        "files": [{"file": name, "bytes": (folder / name).stat().st_size}],
-    }  # fmt: skip
+    export_onnx(_policy_file(spec), folder / name)
+    return _noted(folder, "onnx", spec, [name], {"interface": controller.interface.table()})
+
+
+def _policy_file(spec: str) -> Path:
+    entry = CONTROLLERS.get(split_gains(spec)[0])
+    return entry.file if entry is not None and entry.file is not None else Path(spec)
+
+
+def _figures(program: Program) -> dict[str, Any]:
+    return {"control_period_s": program.period, "state_numbers": sum(each.size for each in program.state)}
+
+
+def _noted(folder: Path, kind: str, spec: str, files: list[str], about: dict[str, Any]) -> dict[str, Any]:
+    """Writes export.json."""
+    sizes = [{"file": name, "bytes": (folder / name).stat().st_size} for name in files]
+    about = {"schema": "hydro_env/export/1", "kind": kind, "controller": spec, **about, "files": sizes}
     write_json(folder / "export.json", about)
     return about

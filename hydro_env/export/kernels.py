@@ -1,70 +1,64 @@
-"""Compiled functions that a traced controller calls, as C functions (`translate`)."""
+"""Compiled functions that a traced controller calls, read as typed functions (`hydro_env.ir.reader`)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from .symbols import Expr, Kernel, MaskedRows, Place
-from .translate import Arr, Num, Rec, TranslationError, Translator, Value, constant_of
+from hydro_env.ir.nodes import const, var
+from hydro_env.ir.reader import Arr, Reader, Rec, TranslationError, Value, constant_of
 
-__all__ = ["KernelCall", "Kernels"]
+from .symbols import Expr, Kernel, MaskedRows, Place
+
+__all__ = ["KernelCall", "kernel_call"]
+
+#: What a recorded call hands over: the number of an array, an expression, or the mask that says whether there is a row.
+Handed = int | Expr | MaskedRows
 
 
 @dataclass
 class KernelCall:
-    """How a recorded call is written: the C function, what it is handed (numbers of arrays, expressions, masks of rows, or text),
-    and which arrays it changes."""
+    """How a recorded call is written: the function, what it is handed, and which arrays it changes."""
 
     name: str
-    handed: list[int | Expr | MaskedRows | str]
+    handed: list[Handed]
     written: list[int]
 
 
-@dataclass
-class Kernels:
-    """Translates the calls of one program."""
-
-    translator: Translator = field(default_factory=Translator)
-
-    def of(self, call: Kernel) -> KernelCall:
-        """The C function for a call."""
-        marks: dict[str, int | Expr | MaskedRows | str] = {}
-        values = [self._value(each, marks) for each in call.arguments]
-        called = self.translator.call(call.function, values)
-        if called.result is not None:
-            raise TranslationError(f"{call.function.__name__}: returns a value, which cannot be followed")
-        changed = {marks[each] for each in called.roots if each in marks}
-        handed = [marks.get(each, each) for each in called.handed]
-        return KernelCall(called.name, handed, sorted(each for each in changed if isinstance(each, int)))
-
-    def _value(self, argument: Any, marks: dict[str, int | Expr | MaskedRows | str]) -> Value:
-        """An argument as a value whose text is a mark for what stands there."""
-        mark = f"mark{len(marks)}"
-        if isinstance(argument, Place):
-            marks[mark] = argument.number
-            return Arr(*_contiguous(argument, mark), root=mark)
-        if isinstance(argument, MaskedRows):
-            marks[mark] = argument
-            marks[f"{mark}_count"] = argument.mask
-            return Arr("int", mark, (f"{mark}_count",), (1,), root=mark)
-        if isinstance(argument, Expr):
-            if argument.op == "const":
-                return constant_of(argument.value) or Num(argument.kind, mark)
-            marks[mark] = argument
-            return Num(argument.kind, mark)
-        if isinstance(argument, dict):
-            return Rec({name: self._value(each, marks) for name, each in argument.items()})
-        if isinstance(argument, np.ndarray) and argument.ndim:
-            return self.translator.table(argument)
-        known = constant_of(argument.item() if isinstance(argument, np.ndarray) else argument)
-        if known is None:
-            raise TranslationError(f"an argument of type {type(argument).__name__} cannot be passed on")
-        return known
+def kernel_call(call: Kernel, reader: Reader) -> KernelCall:
+    """The function for a call."""
+    marks: dict[str, Handed] = {}
+    values = [_value(each, marks, reader) for each in call.arguments]
+    called = reader.call(call.function, values)
+    if called.result is not None:
+        raise TranslationError(f"{call.function.__name__}: returns a value, which cannot be followed")
+    changed = {marks[each] for each in called.written if each in marks}
+    handed = [marks[each.value] for each in called.handed]
+    return KernelCall(called.name, handed, sorted(each for each in changed if isinstance(each, int)))
 
 
-def _contiguous(place: Place, mark: str) -> tuple[str, str, tuple[int, ...], tuple[int, ...]]:
-    made = Arr.of(place.kind, mark, place.shape)
-    return place.kind, mark, place.shape, made.strides  # type: ignore[return-value]
+def _value(argument: Any, marks: dict[str, Handed], reader: Reader) -> Value:
+    """An argument as a value whose name is a mark for what stands there."""
+    mark = f"mark{len(marks)}"
+    if isinstance(argument, Place):
+        marks[mark] = argument.number
+        return Arr.of(argument.kind, mark, argument.shape)
+    if isinstance(argument, MaskedRows):
+        marks[mark] = argument
+        marks[f"{mark}_count"] = argument.mask
+        return Arr.of("int", mark, [var(f"{mark}_count", "int")])
+    if isinstance(argument, Expr):
+        if argument.op == "const":
+            return const(argument.value, argument.kind)
+        marks[mark] = argument
+        return var(mark, argument.kind)
+    if isinstance(argument, dict):
+        return Rec({name: _value(each, marks, reader) for name, each in argument.items()})
+    if isinstance(argument, np.ndarray) and argument.ndim:
+        return reader.table(argument)
+    known = constant_of(argument.item() if isinstance(argument, np.ndarray) else argument)
+    if known is None:
+        raise TranslationError(f"an argument of type {type(argument).__name__} cannot be passed on")
+    return known

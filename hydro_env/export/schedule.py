@@ -1,4 +1,4 @@
-"""The order in which a program's numbers are computed: a list of steps that a language writes one after the other.
+"""The order in which a program's numbers are computed, as typed statements (`hydro_env.ir`).
 
 An expression that is needed once is written where it is needed; one that is needed more often gets a variable. Blocks become
 loops over arrays, whose operands are read in place where they lie side by side in another array, else gathered first.
@@ -7,285 +7,269 @@ loops over arrays, whose operands are read in place where they lie side by side 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from .kernels import KernelCall, Kernels
-from .symbols import Block, Expr, Items, Kernel, expressions_in
+import numpy as np
 
-__all__ = ["Call", "Fill", "Let", "Loop", "Matrix", "Schedule", "Slice", "Store"]
+from hydro_env.ir import nodes
+from hydro_env.ir.nodes import Assign, For, Run, Statement, Store, add, cast, const, mul, op, var
+from hydro_env.ir.reader import Reader
+
+from .kernels import Handed, kernel_call
+from .symbols import Block, Expr, Items, Kernel, MaskedRows, below
+
+__all__ = ["Schedule"]
 
 #: Operations that an expression may hold inside of one another.
-DEEPEST = 5
+MAX_DEPTH = 5
+#: Neighbours in an array from which on they are moved in a loop, and numbers of a table from which on it is in single precision
+#: where that holds them exactly.
+MIN_LOOP, MIN_TABLE = 4, 64
+_DTYPES: dict[str, Any] = {"bool": np.bool_, "int": np.int64, "float": np.float32, "double": np.float64}
+_I, _J = var("i", "int"), var("j", "int")
 
 
 @dataclass
-class Slice:
-    """Elements of an array, from `start` on. `array` names a variable, "measured", or an array of the state (`kept`)."""
+class _Slice:
+    """Elements of an array, from `start` on."""
 
     array: str
+    kind: str
     start: int
-    kept: bool = False
 
-
-@dataclass
-class Let:
-    """name = expression."""
-
-    name: str
-    expression: Expr
-
-
-@dataclass
-class Fill:
-    """An array of expressions that do not lie side by side."""
-
-    name: str
-    kind: str
-    elements: list[Expr]
-
-
-@dataclass
-class Loop:
-    """name[i] = operation of operands[i], for all i."""
-
-    name: str
-    kind: str
-    size: int
-    op: str
-    operands: list[Slice | Expr]
-
-
-@dataclass
-class Matrix:
-    """name = matrix @ operand."""
-
-    name: str
-    kind: str
-    matrix: Any
-    operand: Slice
-
-
-@dataclass
-class Call:
-    """A call of a translated function: `arrays` are copied to variables of their own (None: read in place), then changed."""
-
-    names: list[str]
-    kinds: list[str]
-    sizes: list[int]
-    contents: list[Slice | list[Expr]]
-    in_place: list[bool]
-    how: KernelCall
-
-
-@dataclass
-class Store:
-    """Elements of the state, or a command, set at the end: one expression, a variable, or a slice of `count`."""
-
-    array: str
-    start: int
-    value: Expr | Slice | str
-    count: int = 1
-
-
-Step = Let | Fill | Loop | Matrix | Call
+    def at(self, index: nodes.Expr) -> nodes.Expr:
+        return nodes.Expr("load", self.kind, (add(index, const(self.start, "int")),), self.array)
 
 
 class Schedule:
-    """The steps for assignments (array, index) -> expression, and the stores at their end."""
+    """The statements (`body`) for assignments (array, index) -> expression, with the stores at their end, and their `variables`.
+    Arrays of the state are called what they are with `state` before it; `part` ends all names of variables."""
 
-    def __init__(self, assignments: dict[tuple[str, int], Expr], kernels: Kernels) -> None:
-        self.steps: list[Step] = []
-        self.names: dict[int, str] = {}  # variables of expressions, by identity
-        self.arrays: dict[int, str] = {}  # and of blocks and arrays of calls
-        self._kernels = kernels
-        self._keep: list[Any] = []
-        self._depth: dict[int, int] = {}
+    def __init__(
+        self, assignments: dict[tuple[str, int], Expr], reader: Reader, state: str, part: str = ""
+    ) -> None:
+        self.body: list[Statement] = []
+        self.variables: dict[str, tuple[str, int]] = {}
+        self._reader, self._state, self._part = reader, state, part
+        self._names: dict[Expr, str] = {}  # variables of expressions
+        self._arrays: dict[Any, _Slice] = {}  # and of blocks, and arrays of calls
+        self._depth: dict[Any, int] = {}
         self._uses = _uses(assignments.values())
-        self._count = 0
         for expression in assignments.values():
             self._prepare(expression)
-        self.stores = self._stores(assignments)
+        stores = self._stores(assignments)
+        self.body += stores
+
+    # --- names ----------------------------------------------------------------------------------------------------
+    def _fresh(self, letter: str, kind: str, size: int = 0) -> str:
+        name = f"{letter}{len(self.variables) + 1}{self._part}"
+        self.variables[name] = kind, size
+        return name
+
+    def _loop(self, count: int, body: list[Statement], index: nodes.Expr = _I) -> For:
+        self.variables.setdefault(index.value, ("int", 0))
+        return For(index.value, const(0, "int"), const(count, "int"), 1, body)
+
+    def _variable(self, x: Expr) -> nodes.Expr:
+        """The expression in a variable of its own."""
+        value = self._lowered(x)
+        name = self._names[x] = self._fresh("x", x.kind)
+        self.body.append(Assign(name, value))
+        return var(name, x.kind)
+
+    def _lowered(self, x: Expr) -> nodes.Expr:
+        if x in self._names:
+            return var(self._names[x], x.kind)
+        if x.op == "const":
+            return const(x.value, x.kind)
+        if x.op in ("leaf", "item"):
+            found = self._slice_of([x])
+            assert found is not None
+            return found.at(const(0, "int"))
+        return nodes.Expr(x.op, x.kind, tuple(map(self._lowered, x.args)))
 
     # --- what is computed before ----------------------------------------------------------------------------------
-    def _fresh(self, letter: str) -> str:
-        self._count += 1
-        return f"{letter}{self._count}"
-
     def _prepare(self, root: Any) -> None:
-        """Adds the steps for everything below a node, and the node itself where it has a variable."""
+        """Adds the statements for everything below a node, and the node itself where it has a variable."""
         stack = [(root, False)]
-        done = self._depth
         while stack:
             node, ready = stack.pop()
-            if id(node) in done:
+            if node in self._depth:
                 continue
             if not ready:
                 stack.append((node, True))
-                stack += [(each, False) for each in reversed(_below(node)) if id(each) not in done]
+                stack += [(each, False) for each in reversed(below(node)) if each not in self._depth]
                 continue
-            self._finish(node)
+            self._depth[node] = 0
+            if isinstance(node, Expr) and node.op not in ("const", "leaf", "item"):
+                depth = 1 + max((self._depth[each] for each in node.args), default=0)
+                if self._uses[node] > 1 or depth > MAX_DEPTH:
+                    self._variable(node)
+                else:
+                    self._depth[node] = depth
+            elif isinstance(node, Block):
+                self._block(node)
+            elif isinstance(node, Kernel):
+                self._call(node)
 
-    def _finish(self, node: Any) -> None:
-        self._keep.append(node)
-        depth = 0
-        if isinstance(node, Expr):
-            depth = (
-                1 + max((self._depth[id(each)] for each in node.args), default=0)
-                if node.op not in ("const", "leaf", "item")
-                else 0
-            )
-            if depth and (self._uses[id(node)] > 1 or depth > DEEPEST):
-                name = self.names[id(node)] = self._fresh("x")
-                self.steps.append(Let(name, node))
-                depth = 0
-        elif isinstance(node, Block):
-            self._block(node)
-        elif isinstance(node, Kernel):
-            self._call(node)
-        self._depth[id(node)] = depth
-
-    def slice_of(self, row: list[Expr]) -> Slice | None:
+    def _slice_of(self, row: list[Expr]) -> _Slice | None:
         """Where expressions lie side by side in an array."""
         first = row[0]
         if first.op == "leaf":
             name, start = first.value
             if all(x.op == "leaf" and x.value == (name, start + n) for n, x in enumerate(row)):
-                return Slice(name, start, kept=name != "measured")
+                return _Slice(name if name == "measured" else self._state + name, first.kind, start)
         if first.op == "item":
             source, start = first.args[0], first.value
             if all(
                 x.op == "item" and x.args[0] is source and x.value == start + n for n, x in enumerate(row)
             ):
-                return Slice(self.array_of(source), start)
+                own = (source.call, source.place) if isinstance(source, Items) else source
+                return _Slice(self._arrays[own].array, first.kind, start)
         return None
 
-    def runs(self, elements: list[Expr]) -> Iterator[tuple[int, int, Slice | None]]:
-        """Elements as (first, count, where so many lie side by side; None for a single one)."""
-        n = 0
-        while n < len(elements):
-            count = self._longest(elements[n:])
-            yield n, count, self.slice_of(elements[n : n + count]) if count > 1 else None
+    def _longest(self, run: list[Expr]) -> int:
+        """How many of the first lie side by side in one array; 1 where these are few."""
+        length = 1
+        while length < len(run) and self._slice_of(run[: length + 1]) is not None:
+            length += 1
+        return length if length >= MIN_LOOP else 1
+
+    def _gathered(self, row: list[Expr]) -> _Slice:
+        """Where expressions lie: in an array that holds them, a table where all are known, or a new one."""
+        found = self._slice_of(row)
+        if found is None and all(x.op == "const" for x in row):
+            return self._table([x.value for x in row], row[0].kind)
+        return found or self._filled("g", row)
+
+    def _filled(self, letter: str, row: list[Expr]) -> _Slice:
+        """A new array of expressions."""
+        kind = row[0].kind
+        name, n = self._fresh(letter, kind, len(row)), 0
+        while n < len(row):
+            count = self._longest(row[n:])
+            found = self._slice_of(row[n : n + count])
+            if count > 1 and found is not None:
+                self.body.append(self._loop(count, [Store(name, add(_I, const(n, "int")), found.at(_I))]))
+            else:
+                self.body.append(Store(name, const(n, "int"), self._lowered(row[n])))
             n += count
+        return _Slice(name, kind, 0)
 
-    def array_of(self, source: Block | Items) -> str:
-        """The variable of a block, or of an array that a call leaves behind."""
-        if isinstance(source, Items):
-            return self.arrays[id(source.call), source.place]  # type: ignore[index]
-        return self.arrays[id(source)]
+    def _table(self, numbers: Any, kind: str, name: str = "table") -> _Slice:
+        array: np.ndarray[Any, Any] = np.asarray(numbers, _DTYPES[kind])
+        single = array.astype(np.float32)
+        if kind == "double" and array.size >= MIN_TABLE and bool(np.all(single == array)):
+            array = single
+        made = self._reader.table(array, name)
+        return _Slice(made.name, made.kind, 0)
 
-    def _operand(self, row: list[Expr]) -> Slice | Expr:
+    def _operand(self, row: list[Expr]) -> _Slice | nodes.Expr:
         if all(x is row[0] for x in row):
-            if row[0].op not in ("const", "leaf", "item") and id(row[0]) not in self.names:
-                name = self.names[id(row[0])] = self._fresh("x")
-                self.steps.append(Let(name, row[0]))
-            return row[0]
-        found = self.slice_of(row)
-        if found is not None:
-            return found
-        name = self._fresh("g")
-        self.steps.append(Fill(name, row[0].kind, row))
-        return Slice(name, 0)
+            simple = row[0].op in ("const", "leaf", "item") or row[0] in self._names
+            return self._lowered(row[0]) if simple else self._variable(row[0])
+        return self._gathered(row)
 
     def _block(self, block: Block) -> None:
-        operands = [self._operand(row) for row in block.operands]
-        name = self.arrays[id(block)] = self._fresh("v")
         if block.op == "product":
-            (operand,) = operands
-            if isinstance(operand, Expr):
-                fill = self._fresh("g")
-                self.steps.append(Fill(fill, block.kind, block.operands[0]))
-                operand = Slice(fill, 0)
-            self.steps.append(Matrix(name, block.kind, block.matrix, operand))
-        else:
-            self.steps.append(Loop(name, block.kind, block.size, block.op, operands))
+            self._product(block)
+            return
+        operands = [self._operand(row) for row in block.operands]
+        name = self._fresh("v", block.kind, block.size)
+        self._arrays[block] = _Slice(name, block.kind, 0)
+        texts = [each.at(_I) if isinstance(each, _Slice) else each for each in operands]
+        kinds = [row[0].kind for row in block.operands]
+        texts = [cast(each, kind) for each, kind in zip(texts, kinds, strict=True)]
+        value = nodes.Expr(block.op, block.kind, tuple(texts)) if block.op != "copy" else texts[0]
+        self.body.append(self._loop(block.size, [Store(name, _I, value)]))
+
+    def _product(self, block: Block) -> None:
+        (row,), (rows, columns) = block.operands, block.matrix.shape
+        operand = self._gathered(row)
+        weights = self._table(block.matrix, block.kind, "weights")
+        name, total = self._fresh("v", block.kind, rows), var(self._fresh("sum", block.kind), block.kind)
+        self._arrays[block] = _Slice(name, block.kind, 0)
+        weight = cast(weights.at(add(mul(const(columns, "int"), _I), _J)), block.kind)
+        more = Assign(total.value, op("add", total, op("mul", weight, cast(operand.at(_J), block.kind))))
+        inner: list[Statement] = [
+            Assign(total.value, const(0, block.kind)),
+            self._loop(columns, [more], _J),
+            Store(name, _I, total),
+        ]
+        self.body.append(self._loop(rows, inner))
 
     def _call(self, call: Kernel) -> None:
-        how = self._kernels.of(call)
-        names, contents, in_place = [], [], []
-        for place, before in enumerate(call.before):
-            found = self.slice_of(before)
-            here = found is not None and place not in how.written and found.array != "measured"
-            name = self._fresh("a")
-            self.arrays[id(call), place] = name  # type: ignore[index]
-            names.append(name)
-            contents.append(found if found is not None else before)
-            in_place.append(here)
-        kinds, lengths = [array.kind for array in call.arrays], [len(before) for before in call.before]
-        self.steps.append(Call(names, kinds, lengths, contents, in_place, how))
+        how = kernel_call(call, self._reader)
+        places: dict[int, _Slice] = {}
+        for place in {each for each in how.handed if isinstance(each, int)} | {*how.written}:
+            before = call.before[place]
+            found = self._slice_of(before)
+            if place in how.written:
+                self._arrays[call, place] = places[place] = self._copied(before)
+            else:
+                places[place] = found or self._filled("a", before)
+        handed = [self._handed(each, places) for each in how.handed]
+        self.body.append(Run(nodes.Expr("call", "int", tuple(handed), how.name)))
+
+    def _copied(self, row: list[Expr]) -> _Slice:
+        """A new array of expressions that may lie side by side in another one."""
+        found = self._slice_of(row)
+        if found is None:
+            return self._filled("a", row)
+        name = self._fresh("a", row[0].kind, len(row))
+        self.body.append(self._loop(len(row), [Store(name, _I, found.at(_I))]))
+        return _Slice(name, row[0].kind, 0)
+
+    def _handed(self, each: Handed, places: dict[int, _Slice]) -> nodes.Expr:
+        if isinstance(each, int):
+            place = places[each]
+            return nodes.Expr("address", place.kind, (const(place.start, "int"),), place.array)
+        if isinstance(each, MaskedRows):
+            return self._reader.table(np.zeros(1, int)).address
+        return self._lowered(each)
 
     # --- the end ----------------------------------------------------------------------------------------------------
-    def _stores(self, assignments: dict[tuple[str, int], Expr]) -> list[Store]:
+    def _stores(self, assignments: dict[tuple[str, int], Expr]) -> list[Statement]:
         """Stores, with neighbours from the same array together. What reads the state gets a variable first."""
-        stores: list[Store] = []
+        stores: list[Statement] = []
         items = list(assignments.items())
         n = 0
         while n < len(items):
-            (array, start), _ = items[n]
+            (name, start), first = items[n]
+            array = name if name == "command" else self._state + name
             count = 1
-            while n + count < len(items) and items[n + count][0] == (array, start + count):
+            while n + count < len(items) and items[n + count][0] == (name, start + count):
                 count += 1
-            run = [value for _, value in items[n : n + count]]
-            while run:
-                length = self._longest(run)
-                if length > 1:
-                    stores.append(Store(array, start, self._safe_slice(run[:length]), length))
-                else:
-                    stores.append(Store(array, start, self._own(run[0])))
-                run, start = run[length:], start + length
+            count = self._longest([value for _, value in items[n : n + count]])
+            if count > 1:
+                value = self._safe([value for _, value in items[n : n + count]]).at(_I)
+                stores.append(self._loop(count, [Store(array, add(_I, const(start, "int")), value)]))
+            elif first.op in ("const", "item") or first in self._names:
+                stores.append(Store(array, const(start, "int"), self._lowered(first)))
+            else:
+                stores.append(Store(array, const(start, "int"), self._variable(first)))
             n += count
         return stores
 
-    def _longest(self, run: list[Expr]) -> int:
-        """How many of the first lie side by side in one array."""
-        length = 1
-        while length < len(run) and self.slice_of(run[: length + 1]) is not None:
-            length += 1
-        return length if length >= 4 else 1
-
-    def _safe_slice(self, run: list[Expr]) -> Slice:
-        found = self.slice_of(run)
-        assert found is not None
-        if not found.kept:
-            return found
-        name = self._fresh("g")
-        self.steps.append(Loop(name, run[0].kind, len(run), "copy", [found]))
-        return Slice(name, 0)
-
-    def _own(self, value: Expr) -> Expr | str:
-        if value.op in ("const", "item") or id(value) in self.names:
-            return value
-        name = self._fresh("x")
-        self.steps.append(Let(name, value))
-        return name
+    def _safe(self, run: list[Expr]) -> _Slice:
+        """Where expressions lie, which is not in the state that is stored to."""
+        in_state = run[0].op == "leaf" and run[0].value[0] != "measured"
+        return self._copied(run) if in_state else self._gathered(run)
 
 
-def _below(node: Any) -> list[Any]:
-    """What has to be there before a node."""
-    if isinstance(node, Expr):
-        return list(node.args)
-    if isinstance(node, Items):
-        return [node.call]
-    if isinstance(node, Kernel):
-        return [x for row in node.before for x in row] + expressions_in(node.arguments)
-    return [x for row in node.operands for x in row]
-
-
-def _uses(roots: Iterable[Expr]) -> Counter[int]:
-    """How often each node is read; by a block or call always more than once, so that it has a variable."""
-    counts: Counter[int] = Counter()
-    seen: set[int] = set()
+def _uses(roots: Iterable[Expr]) -> Counter[Any]:
+    """How often each node is read."""
+    counts: Counter[Any] = Counter()
     stack: list[Any] = list(roots)
-    counts.update(map(id, stack))
+    counts.update(stack)
+    seen: set[Any] = set()
     while stack:
         node = stack.pop()
-        if id(node) in seen:
+        if node in seen:
             continue
-        seen.add(id(node))
-        below = _below(node)
-        counts.update(map(id, below))
-        if isinstance(node, Kernel):
-            counts.update(id(x) for x in expressions_in(node.arguments))
-        stack += below
+        seen.add(node)
+        counts.update(below(node))
+        stack += below(node)
     return counts

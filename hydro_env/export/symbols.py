@@ -12,19 +12,24 @@ answered with yes, and `flatnonzero` of a mask gives an index that acts where th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from hydro_env.ir import nodes
+from hydro_env.ir.nodes import wider
+
 __all__ = [
-    "Block", "Expr", "Items", "Kernel", "MaskedRows", "Place", "RowNumbers", "Symbols", "TraceError", "cast", "constant",
-    "expressions_in", "forget", "item", "known", "leaf", "operate", "symbols",
+    "Block", "Expr", "Items", "Kernel", "MaskedRows", "Place", "RowNumbers", "Symbols", "TraceError", "below", "cast", "constant",
+    "interned", "item", "known", "leaf", "operate", "symbols",
 ]  # fmt: skip
 
 #: Elements from which on an operation stays together.
 TOGETHER = 16
-_KINDS = ("bool", "int", "float", "double")
 _DTYPES: dict[str, Any] = {"bool": np.bool_, "int": np.int64, "float": np.float32, "double": np.float64}
 
 
@@ -32,17 +37,17 @@ class TraceError(TypeError):
     """What a traced controller does that cannot be followed."""
 
 
-class Expr:
-    """A number of kind bool, int, float or double: an operation on others, equal ones being the same object.
+class Expr(nodes.Expr):
+    """A number, as an operation on others; equal ones are the same object.
 
-    `op` is "const" (`value`), "leaf" (`value`: the name of an array and an index into it), "item" (`args[0]` a `Block` or
-    `Items`, `value` the index) or an operation. It is never below `low` nor above `high`.
+    Beside operations `op` is "const" (`value`), "leaf" (`value`: the name of an array and an index into it), or "item" (`args[0]`
+    a `Block` or `Items`, `value` the index). It is never below `low` nor above `high`.
     """
 
-    __slots__ = ("args", "high", "kind", "low", "op", "value")
+    __slots__ = ("high", "low")
 
     def __init__(self, op: str, kind: str, args: tuple[Any, ...], value: Any) -> None:
-        self.op, self.kind, self.args, self.value = op, kind, args, value
+        super().__init__(op, kind, args, value)
         self.low, self.high = -math.inf, math.inf
         if op == "const":
             self.low = self.high = float(value)
@@ -71,64 +76,89 @@ class Expr:
         raise TraceError("a measured value is used as an index")
 
 
-class Block:
-    """One operation on many elements: `op` of rows of operands, or "product" of a constant matrix (`matrix`) and a vector."""
+class _Shared:
+    """What copies of a controller have in common."""
 
-    def __init__(
-        self, op: str, kind: str, operands: Sequence[Sequence[Expr]], size: int, matrix: Any = None
-    ) -> None:
-        self.op, self.kind, self.size, self.matrix = op, kind, size, matrix
-        self.operands = [list(row) for row in operands]
-
-    def __deepcopy__(self, memo: Any) -> Block:
+    def __deepcopy__(self, memo: Any) -> Any:
         return self
 
 
-class Kernel:
+@dataclass(eq=False)
+class Block(_Shared):
+    """One operation on many elements: `op` of rows of operands, or "product" of a constant matrix (`matrix`) and a vector."""
+
+    op: str
+    kind: str
+    operands: list[list[Expr]]
+    size: int
+    matrix: Any = None
+
+
+@dataclass(eq=False)
+class Kernel(_Shared):
     """A call of a compiled function. `arguments`: numbers, constant arrays, tables of named tuples, and a `Place` for each of the
     `arrays`, which held the expressions `before`."""
 
-    def __init__(self, function: Any, arguments: Sequence[Any]) -> None:
-        self.function, self.arguments = function, list(arguments)
-        self.arrays: list[Symbols] = []
-        self.before: list[list[Expr]] = []
-
-    def __deepcopy__(self, memo: Any) -> Kernel:
-        return self
+    function: Any
+    arguments: list[Any]
+    arrays: list[Symbols] = field(default_factory=list)
+    before: list[list[Expr]] = field(default_factory=list)
 
 
-class Items:
+@dataclass(eq=False)
+class Items(_Shared):
     """An array that a `Kernel` leaves behind: number `place` of its arrays."""
 
-    def __init__(self, call: Kernel, place: int, kind: str, size: int) -> None:
-        self.call, self.place, self.kind, self.size = call, place, kind, size
-
-    def __deepcopy__(self, memo: Any) -> Items:
-        return self
+    call: Kernel
+    place: int
+    kind: str
 
 
+@dataclass(frozen=True)
 class Place:
     """An array among the arguments of a recorded call: its number, kind and shape."""
 
-    def __init__(self, number: int, kind: str, shape: tuple[int, ...]) -> None:
-        self.number, self.kind, self.shape = number, kind, shape
+    number: int
+    kind: str
+    shape: tuple[int, ...]
 
 
-def expressions_in(tree: Any) -> list[Expr]:
+def _expressions_in(tree: Any) -> list[Expr]:
     """The expressions among the arguments of a call."""
     if isinstance(tree, Expr):
         return [tree]
     if isinstance(tree, MaskedRows):
         return [tree.mask]
     if isinstance(tree, dict):
-        return [x for each in tree.values() for x in expressions_in(each)]
+        return [x for each in tree.values() for x in _expressions_in(each)]
     if isinstance(tree, list):
-        return [x for each in tree for x in expressions_in(each)]
+        return [x for each in tree for x in _expressions_in(each)]
     return []
 
 
-#: Expressions of the trace at hand by what they are: equal ones are one.
-_interned: dict[Any, Expr] = {}
+def below(node: Any) -> list[Any]:
+    """What an expression, block or call is computed from."""
+    if isinstance(node, Expr):
+        return list(node.args)
+    if isinstance(node, Items):
+        return [node.call]
+    if isinstance(node, Kernel):
+        return [x for row in node.before for x in row] + _expressions_in(node.arguments)
+    return [x for row in node.operands for x in row]
+
+
+#: The expressions of a trace by what they are.
+_interned: ContextVar[dict[Any, Expr]] = ContextVar("expressions")
+
+
+@contextmanager
+def interned() -> Iterator[None]:
+    """Inside, equal expressions are one object."""
+    token = _interned.set({})
+    try:
+        yield
+    finally:
+        _interned.reset(token)
 
 
 def _made(op: str, kind: str, args: tuple[Any, ...] = (), value: Any = None) -> Expr:
@@ -136,15 +166,10 @@ def _made(op: str, kind: str, args: tuple[Any, ...] = (), value: Any = None) -> 
     if op == "const" and isinstance(value, float):
         shown = value.hex() if math.isfinite(value) else repr(value)
     key = (op, kind, tuple(map(id, args)), shown)
-    found = _interned.get(key)
-    if found is None:
-        found = _interned[key] = Expr(op, kind, args, value)
-    return found
-
-
-def forget() -> None:
-    """Frees the expressions of traces that are done."""
-    _interned.clear()
+    made = _interned.get()
+    if key not in made:
+        made[key] = Expr(op, kind, args, value)
+    return made[key]
 
 
 def constant(value: Any, kind: str) -> Expr:
@@ -213,7 +238,7 @@ _BY_UFUNC = {function: name for name, function in _NUMPY.items()} | {np.bitwise_
 
 def kind_of_result(op: str, kinds: Sequence[str]) -> str:
     """The kind of the result, as NumPy promotes it."""
-    widest = max(kinds, key=_KINDS.index)
+    widest = wider(*kinds)
     if op in _COMPARED or op in _LOGIC:
         return "bool"
     if "int" in kinds and "float" in kinds:
@@ -228,7 +253,7 @@ def operate(op: str, args: Sequence[Expr]) -> Expr:
     kind = kind_of_result(op, [a.kind for a in args])
     operands = [a if op in _COMPARED or op in _LOGIC else cast(a, kind) for a in args]
     if op in _COMPARED:
-        widest = max((a.kind for a in args), key=_KINDS.index)
+        widest = wider(*(a.kind for a in args))
         operands = [cast(a, widest) for a in args]
     if op in _LOGIC:
         operands = [cast(a, "bool") for a in args]
@@ -518,12 +543,12 @@ def _weak(value: Any) -> bool:
 def _strong(inputs: Sequence[Any]) -> list[Any]:
     """Inputs whose plain Python numbers have taken the kind that NumPy gives them beside the others."""
     kinds = [_objects(each).reshape(-1)[0].kind for each in inputs if not _weak(each) and _objects(each).size]
-    widest = max(kinds, key=_KINDS.index) if kinds else "int"
+    widest = wider(*kinds) if kinds else "int"
     made = []
     for each in inputs:
         if _weak(each):
             own = "int" if isinstance(each, int) else "double"
-            kind = widest if _KINDS.index(widest) >= 2 or (own == "int" and widest == "int") else own
+            kind = widest if widest in ("float", "double") or (own == "int" and widest == "int") else own
             each = symbols([constant(each, kind)], ())
         made.append(each)
     return made
@@ -563,7 +588,7 @@ def _blockwise(op: str, inputs: Sequence[Any]) -> Symbols:
         rows = [[cast(x, "bool") for x in rows[0]], *(_cast_row(row, kind) for row in rows[1:])]
     else:
         kind = kind_of_result(op, kinds)
-        common = "bool" if op in _LOGIC else max(kinds, key=_KINDS.index) if op in _COMPARED else kind
+        common = "bool" if op in _LOGIC else wider(*kinds) if op in _COMPARED else kind
         rows = [_cast_row(row, common) for row in rows]
     block = Block(op, kind, rows, size)
     return symbols((item(block, n) for n in range(size)), shape)

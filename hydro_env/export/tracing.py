@@ -1,26 +1,25 @@
 """A controller of one rig as a program: its own `act` is run on symbols, and what it keeps between samples becomes the state.
 
-While a controller is traced, its modules get a stand-in for NumPy whose new arrays hold expressions, and compiled functions
-are recorded instead of run. The first sample is traced by itself, since a controller sets its state from it; then samples are
-traced until the same program comes out again.
+A copy of the controller is traced, of classes from copies of their modules (`copies`). There NumPy is a stand-in whose new arrays
+hold expressions, and compiled functions are recorded instead of run. The first sample is traced by itself, since a controller
+sets its state from it; then samples are traced until the same program comes out again.
 """
 
 from __future__ import annotations
 
 import copy
 import inspect
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
-from threading import Lock
 from typing import Any
 
 import numpy as np
 
 from hydro_env.envs.observation import LIMIT, OBSERVATION, SCALES
+from hydro_env.ir.reader import Reader
 
-from .kernels import Kernels
+from .copies import Copies
+from .kernels import kernel_call
 from .symbols import (
     Expr,
     Items,
@@ -30,10 +29,10 @@ from .symbols import (
     RowNumbers,
     Symbols,
     TraceError,
+    below,
     cast,
     constant,
-    expressions_in,
-    forget,
+    interned,
     item,
     known,
     leaf,
@@ -45,11 +44,9 @@ __all__ = ["MEASURED", "Program", "StateArray", "trace"]
 
 #: What a controller is given, in this order, SI: rad/s, A, Pa; commands as fractions of the rated one.
 MEASURED = OBSERVATION
-#: One controller is traced at a time.
-_TRACING = Lock()
 #: Samples after which what is kept has taken its form, or never will.
-MOST_SAMPLES = 50
-#: Rooms of the package whose modules controllers are made of.
+MAX_SAMPLES = 50
+#: What the names of modules begin with that controllers are made of.
 _TRACED = ("hydro_env.controllers.", "hydro_env.envs.observation")
 
 
@@ -59,11 +56,7 @@ class StateArray:
 
     name: str
     kind: str
-    shape: tuple[int, ...]
-
-    @property
-    def size(self) -> int:
-        return int(np.prod(self.shape, dtype=int))
+    size: int
 
 
 @dataclass
@@ -122,22 +115,18 @@ class _Numpy:
     def arange(*bounds: Any) -> Any:
         return np.arange(*bounds).view(RowNumbers)
 
-    @staticmethod
-    def stack(arrays: Any, axis: int = 0) -> Any:
-        return np.stack(arrays, axis=axis)
-
 
 class _Recorder:
     """A compiled function of a traced module: with symbols among its arguments it is recorded, else run."""
 
-    def __init__(self, function: Any, kernels: Kernels) -> None:
-        self._function, self._kernels = function, kernels
+    def __init__(self, function: Any, reader: Reader) -> None:
+        self._function, self._reader = function, reader
         self.py_func = function.py_func
 
     def __call__(self, *arguments: Any) -> None:
         if not any(_has_symbols(each) for each in arguments):
             return self._function(*arguments)
-        call = Kernel(self._function, arguments)
+        call = Kernel(self._function, list(arguments))
         seen: dict[int, int] = {}
         for each in arguments:
             for array in _arrays_of(each):
@@ -146,9 +135,9 @@ class _Recorder:
                     call.arrays.append(array)
                     call.before.append(array.elements())
         call.arguments = [_frozen(each, seen) for each in arguments]
-        for place in self._kernels.of(call).written:
+        for place in kernel_call(call, self._reader).written:
             array = call.arrays[place]
-            after = Items(call, place, array.kind, array.size)
+            after = Items(call, place, array.kind)
             made = symbols((item(after, n) for n in range(array.size)), array.shape)
             array.view(np.ndarray)[...] = made.view(np.ndarray)
         return None
@@ -181,31 +170,20 @@ def _frozen(value: Any, seen: dict[int, int]) -> Any:
     return value
 
 
-@contextmanager
-def _symbolic(own: set[str]) -> Iterator[None]:
-    """Controllers' modules, and those named in `own`, with the stand-ins in place."""
-    stand_in, kernels = _Numpy(), Kernels()
-    changed: list[tuple[dict[str, Any], str, Any]] = []
-    recorders: dict[int, _Recorder] = {}
-    try:
-        for name, module in list(sys.modules.items()):
-            if not name.startswith(_TRACED) and name not in own:
-                continue
-            space = vars(module)
-            for key, value in list(space.items()):
-                if value is np:
-                    changed.append((space, key, value))
-                    space[key] = stand_in
-                elif hasattr(value, "py_func") and hasattr(value, "signatures"):
-                    changed.append((space, key, value))
-                    space[key] = recorders.setdefault(id(value), _Recorder(value, kernels))
-                elif type(value) is np.ndarray and value.dtype.kind in "bif":
-                    changed.append((space, key, value))
-                    space[key] = known(value)
-        yield
-    finally:
-        for space, key, value in reversed(changed):
-            space[key] = value
+def _copies(own: set[str]) -> Copies:
+    """Copies of controllers' modules, and of those named in `own`, in which numbers may be symbols."""
+    reader = Reader()
+    recorders: dict[Any, _Recorder] = {}
+
+    def private(name: str) -> bool:
+        return name.startswith(_TRACED) or name in own
+
+    def changed(value: Any, original: Any) -> Any:
+        if hasattr(value, "py_func") and hasattr(value, "signatures"):
+            return recorders.setdefault(original, _Recorder(original, reader))
+        return known(value) if type(value) is np.ndarray and value.dtype.kind in "bif" else value
+
+    return Copies(private, _Numpy(), changed)
 
 
 # --- the state ---------------------------------------------------------------------------------------------------------
@@ -264,14 +242,11 @@ def _commands(sent: Any, given: dict[tuple[str, int], Expr]) -> None:
 
 
 def trace(controller: Any, period: float, name: str) -> Program:
-    """The program of a controller at a control period in s. TraceError, in one line, for what cannot be followed.
-
-    Meanwhile no other thread may use a controller: their modules hold the stand-ins.
-    """
+    """The program of a controller at a control period in s. TraceError, in one line, for what cannot be followed."""
     program = Program(name, period)
     own = {kind.__module__ for kind in type(controller).__mro__} - {"builtins"}
-    with _TRACING, _symbolic(own):
-        forget()
+    with interned():
+        controller = _copies(own).of(controller)
         controller.reset(1, period)
         _commands(_sample(controller), program.first)
         kept = _kept_by(controller)
@@ -303,7 +278,7 @@ def _settled(controller: Any) -> Any:
     """The controller some samples later, when the same arrays are the same objects from sample to sample: at the beginning a
     history may hold one array several times."""
     before: list[list[str]] = []
-    for _ in range(MOST_SAMPLES):
+    for _ in range(MAX_SAMPLES):
         controller = copy.deepcopy(controller)
         kept = _kept_by(controller)
         _as_state(controller, set(kept), kept)
@@ -312,7 +287,7 @@ def _settled(controller: Any) -> Any:
         if now == before:
             return controller
         before = now
-    raise TraceError(f"what it keeps between samples has not settled after {MOST_SAMPLES} samples")
+    raise TraceError(f"what it keeps between samples has not settled after {MAX_SAMPLES} samples")
 
 
 def _together(controller: Any) -> dict[int, list[str]]:
@@ -373,16 +348,9 @@ def _needed(roots: list[Expr]) -> set[tuple[str, int]]:
         if id(node) in seen:
             continue
         seen.add(id(node))
-        if isinstance(node, Expr):
-            if node.op == "leaf":
-                found.add(node.value)
-            stack += node.args
-        elif isinstance(node, Items):
-            stack.append(node.call)
-        elif isinstance(node, Kernel):
-            stack += [x for row in node.before for x in row] + expressions_in(node.arguments)
-        else:
-            stack += [x for row in node.operands for x in row]
+        if isinstance(node, Expr) and node.op == "leaf":
+            found.add(node.value)
+        stack += below(node)
     return found
 
 
@@ -408,7 +376,7 @@ def _fill(
         if not mine or any(each.name == name for each in program.state):
             continue
         size = max(n for p, n in kept if p == path) + 1
-        program.state.append(StateArray(name, kept[path, mine[0]].kind, (size,)))
+        program.state.append(StateArray(name, kept[path, mine[0]].kind, size))
         for n in sorted(mine):
             program.first[name, n] = kept[path, n]
             if not (after[path, n].op == "leaf" and after[path, n].value == (name, n)):

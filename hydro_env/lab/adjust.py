@@ -8,9 +8,9 @@ from math import inf, isinf
 from hydro_env.lab.rig import effects_offered
 from hydro_env.plant import CATALOGUE, Parameter
 from hydro_env.plant.catalogue import PORTS, Effect
-from hydro_env.units import BAR, MICROMETRE, MILLISECOND, RPM
+from hydro_env.units import BAR, MICROMETRE, MILLISECOND, RPM, with_unit
 
-__all__ = ["POSITIONS", "Slider", "effects_by_port", "sliders", "with_unit"]
+__all__ = ["POSITIONS", "Slider", "effects_by_port", "sliders"]
 
 #: Positions on one side of the neutral value.
 POSITIONS = 100
@@ -28,9 +28,9 @@ _READABLE = {
 class Slider:
     """A parameter of an effect on one channel (0, 1), or on the whole rig (None).
 
-    Positions are whole numbers from `least` to `most`. 0 is the neutral value. From there to an end the value goes evenly, or by
-    equal factors where the catalogue varies the parameter so, to the bound of the catalogue. Where the neutral value lies outside
-    of the bounds, as that of a limit does, positions 1 to `POSITIONS` are the whole range, from weak to strong.
+    Positions are whole numbers from `lowest` to `highest`. 0 is the neutral value. From there to an end the value goes evenly, or
+    by equal factors where the catalogue varies the parameter so, to the bound of the catalogue. Where the neutral value lies
+    outside of the bounds, as that of a limit does, positions 1 to `POSITIONS` are the whole range, from weak to strong.
     """
 
     effect: str
@@ -43,12 +43,12 @@ class Slider:
         return f"{self.effect}.{self.parameter.name}"
 
     @property
-    def least(self) -> int:
+    def lowest(self) -> int:
         """The lowest position."""
         return -POSITIONS if self.parameter.low < self.parameter.neutral < inf else 0
 
     @property
-    def most(self) -> int:
+    def highest(self) -> int:
         """The highest position."""
         return POSITIONS if self.parameter.high > self.parameter.neutral or self._apart else 0
 
@@ -60,7 +60,7 @@ class Slider:
     def value(self, position: int) -> float:
         """The value (SI) at a position, which is brought within the ends."""
         p = self.parameter
-        position = min(max(position, self.least), self.most)
+        position = min(max(position, self.lowest), self.highest)
         if position == 0:
             return p.neutral
         if self._apart:
@@ -78,26 +78,20 @@ class Slider:
 
     def position(self, value: float) -> int:
         """The position whose value is nearest to a value (SI)."""
-        return min(range(self.least, self.most + 1), key=lambda each: self._distance(self.value(each), value))
 
-    def _distance(self, one: float, other: float) -> float:
-        if one == other:
-            return 0.0
-        return inf if isinf(one) or isinf(other) else abs(one - other)
+        def distance(position: int) -> float:
+            at = self.value(position)
+            return 0.0 if at == value else abs(at - value)  # infinity less itself is NaN
+
+        return min(range(self.lowest, self.highest + 1), key=distance)
 
     def text(self, value: float) -> str:
-        """The value with its unit, as an engineer reads it."""
+        """The value as an engineer reads it; all values of one parameter have the same unit."""
         if isinf(value):
             return "none"
-        return with_unit(value, self.parameter)
-
-
-def with_unit(value: float, p: Parameter) -> str:
-    """A value of a parameter with a unit that reads well; all values of one parameter have the same."""
-    unit, size = ("" if p.unit == "1" else p.unit), 1.0
-    if p.unit in _READABLE and p.high < _READABLE[p.unit][2]:
-        unit, size, _ = _READABLE[p.unit]
-    return f"{value / size:.3g} {unit}".strip()
+        p = self.parameter
+        unit, size, largest = _READABLE.get(p.unit, (p.unit, 1.0, inf))
+        return with_unit(value / size, unit, 3) if p.high < largest else with_unit(value, p.unit, 3)
 
 
 def sliders(effect: Effect, rated_V: tuple[float, float]) -> list[Slider]:

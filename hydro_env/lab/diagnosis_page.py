@@ -12,7 +12,7 @@ from hydro_env.lab.jobs import Jobs
 from hydro_env.lab.page import section
 from hydro_env.lab.session import Session
 from hydro_env.lab.uploads import Upload, Uploads
-from hydro_env.lab.worker import Worker
+from hydro_env.lab.worker import Seen, Worker
 
 __all__ = ["DiagnosisPage"]
 
@@ -38,41 +38,43 @@ class DiagnosisPage:
 
     def show(self) -> None:
         """Builds the part."""
-        preset = self._worker.seen.session.settings.preset
+        preset, jobs = self._worker.seen.session.settings.preset, self._jobs
         with section("Log and diagnosis"):
-            self._record = quiet_button("Record a log, from rest", self._toggle_recording)
-            Drop(
-                LABEL,
-                self._list,
-                self._refuse,
+            quiet_button("", self._toggle_recording).bind_text_from(
+                self._worker,
+                "seen",
+                lambda seen: "Stop recording" if recording(seen) else "Record a log, from rest",
             )
+            Drop(LABEL, self._list, self._refuse)
             self._files = ui.element("div").classes("w-full")
             ui.label("With no log held out, the last third of the last log is.").classes("lab-soft")
-            self._model = ui.select(
-                self._uploads.rigs(preset), value=preset, label="model to diagnose"
-            ).classes("w-full")
+            self._model = ui.select(self._uploads.rigs(preset), value=preset, label="model to diagnose")
+            self._model.classes("w-full")
             with ui.element("div").classes("lab-row"):
-                self._start = ui.button("Diagnose", on_click=lambda: self._begin("diagnose"))
-                self._look_at = quiet_button("Look at the log", lambda: self._begin("inspect"))
-                self._cancel = quiet_button("Cancel", lambda: run.io_bound(self._jobs.cancel))
+                for start in (
+                    ui.button("Diagnose", on_click=lambda: self._begin("diagnose")),
+                    quiet_button("Look at the log", lambda: self._begin("inspect")),
+                ):
+                    start.bind_enabled_from(jobs, "running", lambda running: not running)
+                cancel = quiet_button("Cancel", lambda: run.io_bound(jobs.cancel))
+                cancel.bind_enabled_from(jobs, "running")
             self._problem = ui.label().classes("lab-bad").props("role=alert")
-            self._progress = ui.linear_progress(0.0, show_value=False).props(
-                'aria-label="progress of the diagnosis"'
-            )
+            self._progress = ui.linear_progress(0.0, show_value=False)
+            self._progress.props('aria-label="progress of the diagnosis"')
+            self._progress.bind_visibility_from(jobs, "running")
             self._stage = ui.label().props('role=status aria-live="polite"')
             self._results = ui.element("div").classes("w-full")
         ui.timer(LOOK, self._refresh)
 
     # --- files ----------------------------------------------------------------------------------------------------
     def _toggle_recording(self) -> None:
-        recording = self._worker.seen.session.recorded is not None
-        self._worker.ask(Session.stop_recording if recording else Session.record)
+        self._worker.ask(Session.stop_recording if recording(self._worker.seen) else Session.record)
 
     def _refuse(self, text: str) -> None:
         self._problem.text = text.removeprefix("hydro-env lab: ")
 
     def _list(self) -> None:
-        """Lists the files anew; a model that has come is the one to diagnose, and one that has gone no longer is."""
+        """Lists the files again; a model that has come is the one to diagnose, and one that has gone no longer is."""
         listed = self._uploads.listed
         new = [path for path, role in listed if role == "model" and (path, role) not in self._listed]
         self._listed = listed
@@ -106,35 +108,22 @@ class DiagnosisPage:
     # --- the diagnosis --------------------------------------------------------------------------------------------
     def _begin(self, what: str) -> None:
         self._problem.text = ""
+        fit, held_out, mappings = map(self._uploads.with_role, ("fit", "held_out", "mapping"))
         try:
-            fit, mappings = self._uploads.with_role("fit"), self._uploads.with_role("mapping")
             if not fit:
                 raise InputError("no log to fit; drop one in, or record one")
-            self._jobs.start(
-                what,
-                fit,
-                self._uploads.with_role("held_out"),
-                str(self._model.value),
-                mappings[-1] if mappings else None,
-            )
+            mapping = mappings[-1] if mappings else None
+            self._jobs.start(what, fit, held_out, str(self._model.value), mapping)
         except InputError as problem:
             self._problem.text = str(problem)
 
     def _refresh(self) -> None:
         if self._uploads.listed != self._listed:
             self._list()
-        recording = self._worker.seen.session.recorded is not None
-        self._record.text = "Stop recording" if recording else "Record a log, from rest"
-        job, running = self._jobs.latest, self._jobs.running
-        self._start.set_enabled(not running)
-        self._look_at.set_enabled(not running)
-        self._cancel.set_enabled(running)
-        self._progress.set_visibility(running)
-        if job is self._shown:
+        job = self._jobs.latest
+        if job is None or job is self._shown:
             return
         self._shown = job
-        if job is None:
-            return
         self._progress.value = job.share
         count = f", {job.simulations} simulations" if job.simulations else ""
         self._stage.text = f"{job.stage}{count}"
@@ -149,9 +138,8 @@ class DiagnosisPage:
 
     def _show_result(self, folder: str, result: Any) -> None:
         if "verdict" in result:
-            ui.label(f"Verdict: {result['verdict']}: {VERDICTS.get(result['verdict'], '')}.").style(
-                "font-weight: 600"
-            )
+            verdict = f"Verdict: {result['verdict']}: {VERDICTS.get(result['verdict'], '')}."
+            ui.label(verdict).style("font-weight: 600")
             ui.link("Open the report", f"/results/{folder}/report.html", new_tab=True)
             ui.label(f"Written to {folder} in --out.").classes("lab-soft")
             _text(result["summary"])
@@ -159,17 +147,20 @@ class DiagnosisPage:
         _text(result["text"])
         if result["mapping"]:
             ui.label("Proposed mapping; correct what is wrong, then use it:")
-            text = (
-                ui.textarea(value=result["mapping"]).props('aria-label="mapping" outlined').classes("w-full")
-            )
+            text = ui.textarea(value=result["mapping"]).props('aria-label="mapping" outlined')
+            text.classes("w-full")
             quiet_button("Use this mapping", lambda: self._use_mapping(text.value))
 
     def _use_mapping(self, text: str) -> None:
         for upload in [each for each in self._uploads.files if each.role == "mapping"]:
             self._uploads.remove(upload)
-        self._uploads.add(
-            self._uploads.store("mapping.yaml", text), "mapping.yaml (from this page)", "mapping"
-        )
+        path = self._uploads.store("mapping.yaml", text)
+        self._uploads.add(path, "mapping.yaml (from this page)", "mapping")
+
+
+def recording(seen: Seen) -> bool:
+    """Whether a log is being recorded."""
+    return seen.session.recorded is not None
 
 
 def _text(text: str) -> None:

@@ -1,4 +1,4 @@
-"""Parts of the page that NiceGUI lacks: turning shafts, sliders that say their value in words, a field for files, plots."""
+"""Parts of the page that NiceGUI lacks: turning shafts, sliders that say their value in words, a field for large files, plots."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from nicegui import ui
 from nicegui.element import Element
 
 from hydro_env.lab.session import COLUMNS, SHOWN
-from hydro_env.lab.uploads import MOST_BYTES, YAML_ENDINGS
+from hydro_env.lab.uploads import MAX_BYTES, YAML_ENDINGS
 from hydro_env.lab.worker import Seen
 from hydro_env.measured.formats import ENDINGS
 from hydro_env.pages import COLOURS
@@ -39,36 +39,29 @@ class Motors(Element, component="motors.js"):
         now = seen.session.now
         rate = seen.reached if seen.running else 0.0
         speed = [now["speed_1_rpm"], now["speed_2_rpm"]]
-        self.run_method(
-            "show",
-            {
-                "angle": seen.session.angle,
-                "rate": [rate * RPM * each for each in speed],
-                "speed": speed,
-                "command": [now["command_1_V"], now["command_2_V"]],
-                "setpoint": now["setpoint_rpm"],
-                "difference": now["difference_rpm"],
-            },
-        )
+        state = {
+            "angle": seen.session.angle,
+            "rate": [rate * RPM * each for each in speed],
+            "speed": speed,
+            "command": [now["command_1_V"], now["command_2_V"]],
+            "setpoint": now["setpoint_rpm"],
+            "difference": now["difference_rpm"],
+        }
+        self.run_method("show", state)
 
 
 class SlidingNumber(Element, component="slider.js"):
     """A slider with a label and its value in `words`; `moved` is called with each new position. `group` stands before the label
-    for who does not see what the slider stands below."""
+    for who does not see what the slider stands below. Unlike that of `ui.slider`, its position is the browser's: no late answer
+    of the server moves it under the hand."""
 
-    def __init__(self, label: str, ends: tuple[int, int], step: int, start: int, words: Callable[[int], str],
+    def __init__(self, label: str, ends: tuple[int, int], start: int, words: Callable[[int], str],
                  moved: Callable[[int], None], group: str = "") -> None:  # fmt: skip
         super().__init__()
-        self._words, self._moved_at = words, 0.0
-        self._props |= {
-            "label": label,
-            "group": group,
-            "least": ends[0],
-            "most": ends[1],
-            "step": step,
-            "start": start,
-        }
-        self._props["text"] = words(start)
+        self._moved_at = 0.0
+        least, most = ends
+        self._props |= {"label": label, "group": group, "least": least, "most": most, "start": start}
+        self.say(words(start))
 
         def handle(position: float) -> None:
             self._moved_at = time.monotonic()
@@ -86,10 +79,10 @@ class SlidingNumber(Element, component="slider.js"):
         """Puts the value in words."""
         self.props["text"] = text
 
-    def place(self, position: int, text: str | None = None) -> None:
-        """Moves the slider; its words follow unless they are given."""
+    def place(self, position: int, text: str) -> None:
+        """Moves the slider."""
         self.run_method("place", position)
-        self.say(self._words(position) if text is None else text)
+        self.say(text)
 
 
 class Drop(Element, component="drop.js"):
@@ -98,12 +91,12 @@ class Drop(Element, component="drop.js"):
     def __init__(self, label: str, sent: Callable[[], None], refused: Callable[[str], None]) -> None:
         super().__init__()
         accepted = ",".join((*ENDINGS, ".gz", *YAML_ENDINGS))
-        self._props |= {"label": label, "accept": accepted, "most": MOST_BYTES}
+        self._props |= {"label": label, "accept": accepted, "most": MAX_BYTES}
         self.on("sent", lambda: sent())
         self.on("refused", lambda event: refused(str(event.args)))
 
 
-#: Of the rows of a snapshot, every so many are drawn.
+#: Rows of a snapshot per row drawn.
 EVERY = 2
 _GREY = "#8a8f98"
 
@@ -113,9 +106,8 @@ class Plots(ui.echart):
 
     def __init__(self) -> None:
         super().__init__(_options(), renderer="canvas")
-        self.props(
-            'role="img" aria-label="speeds and set-point, speed difference and commands over the last ten seconds"'
-        )
+        shown = "speeds and set-point, speed difference and commands over the last ten seconds"
+        self.props(f'role="img" aria-label="{shown}"')
 
     def show(self, seen: Seen) -> None:
         """Draws the past of a snapshot."""

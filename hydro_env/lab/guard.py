@@ -13,9 +13,10 @@ No other site can show the page in a frame, and the page loads nothing from else
 from __future__ import annotations
 
 import hmac
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs
+
+from fastapi.responses import PlainTextResponse, RedirectResponse
+from starlette.requests import HTTPConnection
 
 __all__ = ["Guard"]
 
@@ -30,8 +31,6 @@ HEADERS = {
     "cross-origin-resource-policy": "same-origin",
 }
 
-Message = dict[str, Any]
-
 
 class Guard:
     """An ASGI application that lets through to another one what the module's text allows; the rest gets 403 and a line."""
@@ -41,63 +40,44 @@ class Guard:
         self._key, self._cookie = key, f"hydro_env_lab_{port}"
         self._hosts = {f"{host}:{port}" for host in HOSTS} | ({*HOSTS} if port == 80 else set())
 
-    async def __call__(self, scope: Message, receive: Any, send: Any) -> None:
+    async def __call__(self, scope: dict[str, Any], receive: Any, send: Any) -> None:
         """Serves a request or a connection."""
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
-        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
-        asked = query.get("key", [""])[0]
-        brought = self._matches(asked)
-        reason = self._refusal(headers, brought)
-        if reason:
-            await _refuse(scope, send, reason)
-            return
-        if brought and scope["type"] == "http":
-            # On to the address without the key, so that it stays out of the browser's history.
-            cookie = f"{self._cookie}={self._key}; Path=/; HttpOnly; SameSite=Lax"
-            await _answer(send, 303, "", {"location": "/", "set-cookie": cookie})
-            return
 
-        async def sealed(message: Message) -> None:
+        async def with_headers(message: dict[str, Any]) -> None:
             if message["type"] == "http.response.start":
                 more = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
                 message = {**message, "headers": [*message.get("headers", []), *more]}
             await send(message)
 
-        await self.app(scope, receive, sealed)
+        asked = HTTPConnection(scope)
+        brought = self._matches(asked.query_params.get("key", ""))
+        answer: Any
+        if reason := self._refusal(asked, brought):
+            if scope["type"] == "websocket":
+                await send({"type": "websocket.close", "code": 4403, "reason": reason})
+                return
+            answer = PlainTextResponse(f"hydro-env lab: {reason}\n", 403)
+        elif brought and scope["type"] == "http":
+            # On to the address without the key, so that it stays out of the browser's history.
+            answer = RedirectResponse("/", 303)
+            answer.set_cookie(self._cookie, self._key, httponly=True, samesite="lax")
+        else:
+            answer = self.app
+        await answer(scope, receive, with_headers)
 
-    def _refusal(self, headers: dict[str, str], brought: bool) -> str:
+    def _refusal(self, asked: HTTPConnection, brought: bool) -> str:
         """Why a request is refused, "" if it is not."""
-        host = headers.get("host", "")
+        host = asked.headers.get("host", "")
         if host not in self._hosts:
             return "this page is served to this machine only"
-        if headers.get("origin", f"http://{host}") != f"http://{host}":
+        if asked.headers.get("origin", f"http://{host}") != f"http://{host}":
             return "a page of another site asked for this"
-        if not brought and not self._matches(self._kept(headers)):
+        if not brought and not self._matches(asked.cookies.get(self._cookie, "")):
             return "open the address that `hydro-env lab` printed; it holds the key"
         return ""
 
-    def _kept(self, headers: dict[str, str]) -> str:
-        try:
-            cookies = SimpleCookie(headers.get("cookie", ""))
-        except CookieError:
-            return ""
-        return cookies[self._cookie].value if self._cookie in cookies else ""
-
     def _matches(self, key: str) -> bool:
         return hmac.compare_digest(key.encode(), self._key.encode())
-
-
-async def _refuse(scope: Message, send: Any, reason: str) -> None:
-    if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": 4403, "reason": reason})
-    else:
-        await _answer(send, 403, f"hydro-env lab: {reason}\n", {"content-type": "text/plain; charset=utf-8"})
-
-
-async def _answer(send: Any, status: int, text: str, headers: dict[str, str]) -> None:
-    listed = [(name.encode(), value.encode()) for name, value in {**HEADERS, **headers}.items()]
-    await send({"type": "http.response.start", "status": status, "headers": listed})
-    await send({"type": "http.response.body", "body": text.encode()})

@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-import json
+import multiprocessing
+import os
 import shutil
-import subprocess
-import sys
+import signal
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from hydro_env.errors import InputError
+from hydro_env.errors import InputError, InputWarning, to_install
 
 __all__ = ["Job", "Jobs"]
 
-#: Seconds that a process which was asked to end may take.
-PATIENCE = 5.0
+#: Spawned: neither the threads of the server nor those of Numba survive a fork.
+_CONTEXT = multiprocessing.get_context("spawn")
 
 
 @dataclass(frozen=True)
 class Job:
     """How a task stands. `state` is "running", "done", "failed" or "cancelled"."""
 
-    what: str
     state: str = "running"
     stage: str = "starting"
     share: float = 0.0
@@ -35,23 +36,24 @@ class Job:
     warnings: tuple[str, ...] = ()
     problem: str = ""
     result: Mapping[str, Any] | None = None
+    """The words "verdict" and "summary" of a diagnosis, "text" and "mapping" of an inspection."""
     folder: str = ""
     """Name of the folder of results, below the one of all."""
 
 
 class Jobs:
-    """Runs tasks of `diagnosis_process`, the results of each in a new folder below `out`: `diagnosis_1`, `diagnosis_2`, ..."""
+    """Runs tasks, the results of each in a new folder below `out`: `diagnosis_1`, `diagnosis_2`, ..."""
 
     def __init__(self, out: Path) -> None:
         self._out = out
-        self._process: subprocess.Popen[str] | None = None
+        self._process: Any = None
         self._thread: threading.Thread | None = None
         self._cancelled = False
         self.latest: Job | None = None
 
     def start(self, what: str, fit: Sequence[Path], held_out: Sequence[Path] = (), model: str = "paper",
               mapping: Path | None = None) -> None:  # fmt: skip
-        """Starts a task, "diagnose" or "inspect". InputError while another one runs, or if `out` cannot be written."""
+        """Starts to "diagnose" or "inspect" logs. InputError while another one runs, or if `out` cannot be written."""
         if self.running:
             raise InputError("a diagnosis is running; cancel it first")
         try:
@@ -60,17 +62,17 @@ class Jobs:
             work = Path(tempfile.mkdtemp(prefix=".diagnosis-", dir=self._out))
         except OSError as problem:
             raise InputError(f"--out {self._out}: cannot write there ({problem.strerror})") from None
-        task = {"what": what, "fit": [*map(str, fit)], "held_out": [*map(str, held_out)], "model": model,
-                "mapping": None if mapping is None else str(mapping), "out": str(work)}  # fmt: skip
-        self._cancelled = False
-        self.latest = Job(what)
-        command = [sys.executable, "-m", "hydro_env.lab.diagnosis_process"]
-        # A group of its own: Ctrl-C at the terminal is for the page, which then ends this one.
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            start_new_session=True,
-        )  # fmt: skip
-        self._thread = threading.Thread(target=self._follow, args=(task, work), name="diagnosis", daemon=True)
+        self._cancelled, self.latest = False, Job()
+        messages, writer = _CONTEXT.Pipe(duplex=False)
+        task = {"diagnose": _diagnose, "inspect": _inspect}[what]
+        given = {"fit": [*map(str, fit)], "held_out": [*map(str, held_out)], "model": model, "out": work,
+                 "mapping": None if mapping is None else str(mapping)}  # fmt: skip
+        self._process = _CONTEXT.Process(target=_do, args=(task, given, writer), daemon=True)
+        self._process.start()
+        writer.close()  # so that the pipe ends with the process
+        self._thread = threading.Thread(
+            target=self._follow, args=(messages, work), name="diagnosis", daemon=True
+        )
         self._thread.start()
 
     @property
@@ -81,62 +83,107 @@ class Jobs:
     def cancel(self) -> None:
         """Ends the task that runs; nothing is left of it."""
         self._cancelled = True
-        if self._process is not None and self._process.poll() is None:
-            self._process.terminate()
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(PATIENCE)
+        if self._process is not None:
             self._process.kill()
         if self._thread is not None:
             self._thread.join()
 
     # --- in the thread that follows the process -------------------------------------------------------------------
-    def _follow(self, task: dict[str, Any], work: Path) -> None:
-        process, job = self._process, self.latest
-        assert process is not None and job is not None
-        assert process.stdin is not None and process.stdout is not None and process.stderr is not None
-        said: list[str] = []
-        listener = threading.Thread(target=lambda: said.extend(process.stderr), daemon=True)  # type: ignore[arg-type]
-        listener.start()
-        with suppress(BrokenPipeError), process.stdin as pipe:
-            pipe.write(json.dumps(task) + "\n")
-        for line in process.stdout:
-            job = self.latest = _after(job, json.loads(line))
-        process.wait()
-        listener.join()
+    def _follow(self, messages: Connection, work: Path) -> None:
+        assert self.latest is not None
+        job = self.latest
         try:
-            ended = self._ended(job, work, said)
+            while True:
+                changes = messages.recv()
+                added = changes.pop("warnings", ())
+                job = self.latest = replace(job, **changes, warnings=(*job.warnings, *added))
+        except (EOFError, OSError):
+            self._process.join()
+        try:
+            ended = self._ended(job, work)
         except OSError as problem:
             ended = replace(job, state="failed", problem=f"{self._out}: {problem.strerror}")
         # Nothing may be left of the work when the end is told.
         shutil.rmtree(work, ignore_errors=True)
         self.latest = ended
 
-    def _ended(self, job: Job, work: Path, said: list[str]) -> Job:
+    def _ended(self, job: Job, work: Path) -> Job:
         if self._cancelled:
             return replace(job, state="cancelled", stage="cancelled")
-        if job.problem:
-            return replace(job, state="failed")
-        if job.result is None:
-            last = said[-1].strip() if said else "it ended without a word"
-            return replace(job, state="failed", problem=str(InputError(f"the diagnosis failed: {last}")))
+        if job.problem or job.result is None:
+            died = f"the diagnosis failed: its process ended with status {self._process.exitcode}"
+            return replace(job, state="failed", problem=job.problem or died)
         folder = ""
         if any(work.iterdir()):
-            number = 1
-            while (place := self._out / f"diagnosis_{number}").exists():
-                number += 1
+            place = next(place for n in count(1) if not (place := self._out / f"diagnosis_{n}").exists())
             work.chmod(0o755)
             work.rename(place)
             folder = place.name
         return replace(job, state="done", stage="done", share=1.0, folder=folder)
 
 
-def _after(job: Job, answer: Mapping[str, Any]) -> Job:
-    """The job after an answer of the process."""
-    if "error" in answer:
-        return replace(job, problem=str(answer["error"]))
-    if "warning" in answer:
-        return replace(job, warnings=(*job.warnings, str(answer["warning"])))
-    if "stage" in answer:
-        share = max(0, answer["number"] - 1) / answer["of"]
-        return replace(job, stage=answer["stage"], share=share, simulations=answer["simulations"])
-    return replace(job, result=answer)
+# --- in the process -----------------------------------------------------------------------------------------------
+def _do(task: Callable[..., dict[str, str]], given: dict[str, Any], messages: Connection) -> None:
+    """Does a task; each message has the words of `Job` that change."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which then ends this process
+    speaking = threading.Lock()
+
+    def say(**changes: Any) -> None:
+        with speaking:  # threads that simulate report as well
+            try:
+                messages.send(changes)
+            except BrokenPipeError:  # nobody waits for the results any more
+                os._exit(1)
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, InputWarning):
+            say(warnings=(str(message),))
+
+    warnings.simplefilter("once", InputWarning)
+    warnings.showwarning = show
+    try:
+        say(result=task(say, **given))
+    except InputError as problem:
+        say(problem=str(problem))
+    except Exception as problem:
+        hint = f"; {to_install('measured,report')}" if isinstance(problem, ModuleNotFoundError) else ""
+        say(problem=str(InputError(f"the diagnosis failed: {problem!r}{hint}")))
+
+
+def _diagnose(
+    say: Callable[..., None], fit: list[str], held_out: list[str], model: str, mapping: str | None, out: Path
+) -> dict[str, str]:
+    from hydro_env.diagnosis import STAGES, command, workflow
+
+    numbers = {text: number for number, (text, _) in enumerate(STAGES)}
+    simulations, counting = 0, threading.Lock()
+
+    def progress(text: str, more: int) -> None:
+        nonlocal simulations
+        with counting:
+            simulations += more
+        say(stage=text, share=numbers.get(text, 0) / len(STAGES), simulations=simulations)
+
+    if not held_out:
+        fit, held_out = _in_two(fit, mapping)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    found = workflow.diagnose(fit, held_out, model, mapping, jobs=cores, progress=progress)
+    say(stage="writing the report", share=1.0 - 1.0 / len(STAGES))
+    command.write(found, out)
+    return {"verdict": found.verdict, "summary": found.summary()}
+
+
+def _in_two(fit: list[str], mapping: str | None) -> tuple[list[str], list[str]]:
+    """With no log held out: the last third of the last log, and the others with the rest of it."""
+    from hydro_env.measured import load_mapping, read_log
+
+    log = read_log(fit[-1], None if mapping is None else load_mapping(mapping))
+    start, end = float(log.time_s[0]), float(log.time_s[-1])
+    cut = start + 2.0 * (end - start) / 3.0
+    return [*fit[:-1], f"{fit[-1]}@{start:.6f}:{cut:.6f}"], [f"{fit[-1]}@{cut:.6f}:"]
+
+
+def _inspect(say: Callable[..., None], fit: list[str], mapping: str | None, **others: Any) -> dict[str, str]:
+    from hydro_env.measured.inspect import shown
+
+    return dict(zip(("text", "mapping"), shown(fit[0], mapping), strict=True))

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from html import escape
-from importlib.resources import files
 from itertools import groupby
 from math import floor, log10
 from typing import Any
@@ -39,21 +37,6 @@ def section(title: str) -> Iterator[None]:
         yield
 
 
-class _Follower:
-    """An element whose value follows a choice of the session, as another browser may have made it."""
-
-    def __init__(self, element: Any, choice: Callable[[Seen], Any], seen: Seen) -> None:
-        self._element, self._choice, self._last = element, choice, choice(seen)
-
-    def follow(self, seen: Seen) -> None:
-        """Takes the session's value over when that has changed."""
-        now = self._choice(seen)
-        if now != self._last:
-            self._last = now
-            if self._element.value != now:
-                self._element.value = now
-
-
 def step_to(most: float) -> float:
     """A step of 1, 10, 100, 0.1 ... with 50 to 500 of them to an end of a slider."""
     return float(10.0 ** floor(log10(most / 50.0)))
@@ -64,34 +47,57 @@ def _short(value: float) -> str:
     return f"{float(f'{value:.3g}'):g}"
 
 
+def _status(seen: Seen) -> str:
+    """Time, speed of time, loads and the log that is being recorded."""
+    session = seen.session
+    going = f"{seen.reached:.2g} × real time" if seen.running else "paused"
+    log = "" if session.recorded is None else f", recording: {session.recorded:.0f} s"
+    loads = " and ".join(f"{load:.2f}" for load in session.load_Nm)
+    return f"{session.time:.1f} s, {going}; loads {loads} N m{log}"
+
+
+def _about(seen: Seen) -> str:
+    entry = CONTROLLERS.get(seen.session.settings.controller)
+    return "" if entry is None else entry.summary
+
+
 class RigPage:
     """What one browser sees of the rig; all browsers see the same rig."""
 
     def __init__(self, worker: Worker, uploads: Uploads) -> None:
         self._worker, self._uploads = worker, uploads
+        self._ask = worker.ask
         self._ports: list[tuple[Any, Any, list[Effect]]] = []
         self._preset: Any = None
         self._shown_preset = worker.seen.session.settings.preset
-        self._spoken = 0.0
         self._effects: list[tuple[Slider, SlidingNumber]] = []
-        self._followers: list[_Follower] = []
+        self._followed: list[Callable[[Seen], None]] = []
 
-    def ask(self, change: Callable[[Session], None]) -> None:
-        """Has the session changed."""
-        self._worker.ask(change)
+    def _says(self, element: Any, text: Callable[[Seen], str]) -> Any:
+        """An element whose text follows the newest state."""
+        return element.bind_text_from(self._worker, "seen", text)
 
-    def _select(
-        self, names: Any, label: str, choice: Callable[[Seen], Any], chosen: Callable[[Any], None]
-    ) -> Any:
-        """A field with a choice of the session; `chosen` is called with what the user takes."""
-        seen = self._worker.seen
+    def _follow(self, element: Any, choice: Callable[[Seen], Any]) -> None:
+        """Lets an element take over a choice of the session when that changes, as another browser may have made it."""
+        last = choice(self._worker.seen)
 
-        def changed(event: Any) -> None:
-            if event.value != choice(self._worker.seen):
-                chosen(event.value)
+        def follow(seen: Seen) -> None:
+            nonlocal last
+            if (now := choice(seen)) != last:
+                last = element.value = now
 
-        element = ui.select(names, value=choice(seen), label=label, on_change=changed).classes("w-full")
-        self._followers.append(_Follower(element, choice, seen))
+        self._followed.append(follow)
+
+    def _select(self, names: Any, label: str, field: str, change: Callable[[Session, Any], None]) -> Any:
+        """A field of the session's settings; `change` makes what the user takes."""
+
+        def chosen(event: Any) -> None:
+            if event.value != getattr(self._worker.seen.session.settings, field):
+                self._ask(lambda session: change(session, event.value))
+
+        now = getattr(self._worker.seen.session.settings, field)
+        element = ui.select(names, value=now, label=label, on_change=chosen).classes("w-full")
+        self._follow(element, lambda seen: getattr(seen.session.settings, field))
         return element
 
     # --- what is seen ---------------------------------------------------------------------------------------------
@@ -99,35 +105,28 @@ class RigPage:
         """Motors, plots, and what is to be said."""
         with section("Rig"):
             self._motors = Motors()
-            self._state = ui.element("p").classes("lab-soft")
-            self._problem = ui.label().classes("lab-bad").props("role=alert")
+            problem = ui.label().classes("lab-bad").props("role=alert")
+            self._says(problem, lambda seen: seen.refused or seen.session.problem)
             self._sentence = ui.label().classes("lab-quiet").props('role=status aria-live="polite"')
         with section("Last ten seconds"):
             self._plots = Plots()
         ui.timer(PICTURE, self._refresh)
+        ui.timer(SENTENCE, self._speak)
 
     def _refresh(self) -> None:
         seen = self._worker.seen
         self._motors.show(seen)
         self._plots.show(seen)
-        session, now = seen.session, seen.session.now
-        self._follow_rig(session.settings.preset)
-        self._pause.text = "Pause" if seen.running else "Go on"
-        for follower in self._followers:
-            follower.follow(seen)
-        self._problem.text = seen.refused or session.problem
-        entry = CONTROLLERS.get(session.settings.controller)
-        self._about.text, self._note.text = "" if entry is None else entry.summary, session.note
-        going = f"{seen.reached:.2g} × real time" if seen.running else "paused"
-        log = "" if session.recorded is None else f", recording: {session.recorded:.0f} s"
-        loads = " and ".join(f"{load:.2f}" for load in session.load_Nm)
-        self._line.text = f"{session.time:.1f} s, {going}; loads {loads} N m{log}"
-        if time.monotonic() - self._spoken >= SENTENCE and seen.running:
-            self._spoken = time.monotonic()
+        self._follow_rig(seen.session.settings.preset)
+        for follow in self._followed:
+            follow(seen)
+
+    def _speak(self) -> None:
+        seen, now = self._worker.seen, self._worker.seen.session.now
+        if seen.running:
             speeds = f"motor 1 {now['speed_1_rpm']:.0f}, motor 2 {now['speed_2_rpm']:.0f} rpm"
-            self._sentence.text = (
-                f"difference {now['difference_rpm']:.0f} rpm, {speeds}" if self._aloud.value else ""
-            )
+            said = f"difference {now['difference_rpm']:.0f} rpm, {speeds}"
+            self._sentence.text = said if self._aloud.value else ""
 
     def _follow_rig(self, preset: str) -> None:
         """Offers the rigs that there are, and after another one was chosen the sliders that suit it."""
@@ -148,12 +147,13 @@ class RigPage:
         """Pause, reset, speed of time."""
         with section("Time"):
             with ui.element("div").classes("lab-row"):
-                self._pause = ui.button(
-                    "Pause", on_click=lambda: self._worker.pause(self._worker.seen.running)
-                )
-                quiet_button("Reset", lambda: self.ask(Session.reset))
-                self._select(TEMPOS, "speed of time", lambda seen: seen.tempo, self._worker.set_tempo)
-            self._line = ui.label().classes("lab-soft")
+                pause = ui.button(on_click=lambda: self._worker.pause(self._worker.seen.running))
+                self._says(pause, lambda seen: "Pause" if seen.running else "Go on")
+                quiet_button("Reset", lambda: self._ask(Session.reset))
+                tempo = ui.select(TEMPOS, value=self._worker.seen.tempo, label="speed of time")
+                tempo.on_value_change(lambda event: self._worker.set_tempo(event.value))
+                self._follow(tempo.classes("w-full"), lambda seen: seen.tempo)
+            self._says(ui.label().classes("lab-soft"), _status)
             self._aloud = ui.checkbox("say the difference to a screen reader every 5 s", value=True)
 
     def show_controller(self) -> None:
@@ -161,21 +161,12 @@ class RigPage:
         chosen = self._worker.seen.session.settings.controller
         names = {chosen: chosen} | {name: name for name, entry in CONTROLLERS.items() if entry.available}
         with section("Controller"):
-            self._select(
-                names, "controller", lambda seen: seen.session.settings.controller,
-                lambda name: self.ask(lambda session: session.choose_controller(name)),
-            )  # fmt: skip
-            self._about = ui.label()
-            self._note = ui.label().classes("lab-soft")
-        with section("Course"):
-            names = {
-                MANUAL: "by hand",
-                **{name: f"{name}: {each.summary}" for name, each in SCENARIOS.items()},
-            }
-            self._select(
-                names, "set-point", lambda seen: seen.session.settings.scenario,
-                lambda name: self.ask(lambda session: session.choose_scenario(name)),
-            )  # fmt: skip
+            self._select(names, "controller", "controller", Session.choose_controller)
+            self._says(ui.label(), _about)
+            self._says(ui.label().classes("lab-soft"), lambda seen: seen.session.note)
+        names = {name: f"{name}: {each.summary}" for name, each in SCENARIOS.items()}
+        with section("Scenario"):
+            self._select({MANUAL: "by hand"} | names, "set-point", "scenario", Session.choose_scenario)
             self._hand = ui.element("div").classes("w-full")
             self._show_hand()
 
@@ -192,19 +183,13 @@ class RigPage:
                 "set-point by hand", reach.speed_rpm, settings.setpoint_rpm, "rpm", Session.set_setpoint
             )
             with ui.element("div").classes("lab-pair"):
-                for channel in (0, 1):
-                    self._show_load(channel)
+                for channel, load in enumerate(settings.load_Nm):
+                    self._by_hand(
+                        f"load on motor {channel + 1}", reach.torque_Nm, load, "N m",
+                        lambda session, torque, channel=channel: session.set_load(channel, torque),
+                    )  # fmt: skip
 
-    def _show_load(self, channel: int) -> None:
-        session = self._worker.seen.session
-        self._by_hand(
-            f"load on motor {channel + 1}", session.reach.torque_Nm, session.settings.load_Nm[channel], "N m",
-            lambda session, torque: session.set_load(channel, torque),
-        )  # fmt: skip
-
-    def _by_hand(
-        self, label: str, most: float, now: float, unit: str, change: Callable[[Session, float], None]
-    ) -> None:
+    def _by_hand(self, label: str, most: float, now: float, unit: str, change: Callable[..., None]) -> None:
         """A slider from `-most` to `most` in round steps."""
         step = step_to(most)
         ends = floor(most / step)
@@ -213,8 +198,8 @@ class RigPage:
             return round(position * step, 9)
 
         SlidingNumber(
-            label, (-ends, ends), 1, round(now / step), lambda position: f"{value(position):g} {unit}",
-            lambda position: self.ask(lambda session: change(session, value(position))),
+            label, (-ends, ends), round(now / step), lambda position: f"{value(position):g} {unit}",
+            lambda position: self._ask(lambda session: change(session, value(position))),
         )  # fmt: skip
 
     def show_valves(self) -> None:
@@ -222,41 +207,34 @@ class RigPage:
         settings = self._worker.seen.session.settings
         splits = {OWN: "own: the rig's pair"} | {name: name for name in (*SPLITS, *NAMED_PAIRS)}
 
-        split: Any
-        number: Any
-
-        def chosen(_: Any) -> None:
-            pair = str(split.value), int(number.value or 0)
-            self.ask(lambda session: session.choose_valves(session.settings.preset, *pair))
-
-        def another(preset: Any) -> None:
+        def choose_preset(session: Session, preset: str) -> None:
             # A model file that has valves of its own is driven with them.
-            self.ask(
-                lambda session: session.choose_valves(
-                    preset, default_mismatch(preset, session.settings.split), session.settings.number
-                )
+            split = default_mismatch(preset, session.settings.split)
+            session.choose_valves(preset, split, session.settings.number)
+
+        def choose_split(session: Session, split: str) -> None:
+            session.choose_valves(session.settings.preset, split, session.settings.number)
+
+        def choose_number(_: Any) -> None:
+            now = int(number.value or 0)
+            self._ask(
+                lambda session: session.choose_valves(session.settings.preset, session.settings.split, now)
             )
 
         with section("Valves"):
             rigs = self._uploads.rigs(settings.preset)
-            self._preset = self._select(
-                rigs, "preset or model", lambda seen: seen.session.settings.preset, another
-            )
+            self._preset = self._select(rigs, "preset or model", "preset", choose_preset)
             with ui.element("div").classes("lab-row"):
-                split = self._select(
-                    splits, "split of pairs", lambda seen: seen.session.settings.split, chosen
-                )
+                self._select(splits, "split of pairs", "split", choose_split)
                 number = ui.number("number of the pair", value=settings.number, min=0, step=1, precision=0)
-                number.on("change", chosen)
-                self._followers.append(
-                    _Follower(number, lambda seen: seen.session.settings.number, self._worker.seen)
-                )
+                number.on("change", choose_number)
+                self._follow(number, lambda seen: seen.session.settings.number)
 
     def show_effects(self) -> None:
         """A slider for every parameter of every effect, by port; a port's sliders are made when it is opened."""
         with section("Effects"):
             ui.label("What a real rig does beyond the equations. A slider acts at once.").classes("lab-soft")
-            quiet_button("All as they were", lambda: self.ask(Session.clear_effects))
+            quiet_button("All as they were", lambda: self._ask(Session.clear_effects))
             for port, effects in effects_by_port().items():
                 with ui.expansion(f"{port} ({len(effects)})").classes("w-full") as part:
                     holder = ui.element("div")
@@ -282,28 +260,25 @@ class RigPage:
                             self._show_slider(slider, title)
 
     def _show_slider(self, slider: Slider, title: str) -> None:
-        now = self._worker.seen.session.effects[slider.name][slider.channel or 0]
-
         def moved(position: int) -> None:
             value = slider.value(position)
-            self.ask(lambda session: session.set_effect(slider.name, slider.channel, value))
+            self._ask(lambda session: session.set_effect(slider.name, slider.channel, value))
 
+        now = self._value(slider)
         label = "rig" if slider.channel is None else f"channel {slider.channel + 1}"
-        ends, start = (slider.least, slider.most), slider.position(now)
         shown = SlidingNumber(
-            label, ends, 1, start, lambda position: slider.text(slider.value(position)), moved, title
-        )
+            label, (slider.lowest, slider.highest), slider.position(now),
+            lambda position: slider.text(slider.value(position)), moved, title,
+        )  # fmt: skip
         shown.say(slider.text(now))
         self._effects.append((slider, shown))
 
+    def _value(self, slider: Slider) -> float:
+        return self._worker.seen.session.effects[slider.name][slider.channel or 0]
+
     def _follow_effects(self) -> None:
-        """Places the sliders anew where a value is not the one that was set here: after a reset, or from another browser."""
+        """Places the sliders again where a value is not the one that was set here: after a reset, or from another browser."""
         for slider, shown in self._effects:
-            now = self._worker.seen.session.effects[slider.name][slider.channel or 0]
+            now = self._value(slider)
             if shown.at_rest and shown.props["text"] != slider.text(now):
                 shown.place(slider.position(now), slider.text(now))
-
-
-def style() -> str:
-    """The page's style sheet."""
-    return files(__package__).joinpath("style.css").read_text(encoding="utf-8")

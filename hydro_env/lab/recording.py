@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.lab.rig import PERIOD, RECORDED, SAMPLES
-from hydro_env.practice.recorder import SENSORS, log_text
+from hydro_env.practice.recorder import COLUMNS, SENSORS, log_text
 
-__all__ = ["LONGEST", "Recording"]
+__all__ = ["MAX_SECONDS", "Recording"]
 
 Floats = NDArray[np.float64]
 
 #: Seconds after which a recording ends by itself.
-LONGEST = 120.0
+MAX_SECONDS = 120.0
 
 _READ = {sensor.signal: name for name, sensor in SENSORS.items() if sensor.signal in RECORDED}
 #: Where `LiveRig.noise` has each sensor.
@@ -27,44 +27,33 @@ class Recording:
 
     def __init__(self, seed: int) -> None:
         self._stream = np.random.default_rng(seed)
-        self._rows: dict[str, list[Floats]] = {
-            name: [] for name in ("setpoint", "command", "load", *RECORDED)
-        }
+        self._periods: list[dict[str, Floats]] = []
 
     @property
     def seconds(self) -> float:
         """How long it is, s."""
-        return len(self._rows["setpoint"]) * PERIOD
+        return len(self._periods) * PERIOD
 
     def add(
-        self,
-        setpoint_rpm: float,
-        command_V: Floats,
-        load_Nm: Floats,
-        noise: Floats,
-        signals: Mapping[str, Floats],
-    ) -> None:
+        self, setpoint_rpm: float, command_V: Floats, load_Nm: Floats, noise: Floats, signals: Mapping[str, Floats]
+    ) -> None:  # fmt: skip
         """Adds a control period: what was in force, (2,) each, the sensors' noise at its beginning (6,), and what
         `LiveRig.hold` recorded."""
-        self._rows["setpoint"].append(np.full((SAMPLES, 1), setpoint_rpm))
-        self._rows["command"].append(np.tile(command_V, (SAMPLES, 1)))
-        self._rows["load"].append(np.tile(load_Nm, (SAMPLES, 1)))
+        rows = {"setpoint": np.full((SAMPLES, 1), setpoint_rpm)}
+        rows |= {"command": np.tile(command_V, (SAMPLES, 1)), "load": np.tile(load_Nm, (SAMPLES, 1))}
         for name in RECORDED:
             sensor = SENSORS[_READ[name]]
             errors = self._stream.standard_normal((SAMPLES, 2))
             errors[0] = noise[_NOISE[name]]
             shown = signals[name] / sensor.size + sensor.noise * errors
-            self._rows[name].append(np.round(shown / sensor.resolution) * sensor.resolution)
+            rows[_READ[name]] = np.round(shown / sensor.resolution) * sensor.resolution
+        self._periods.append(rows)
 
     def text(self) -> str:
         """The log as CSV."""
-        rows = {name: np.vstack(blocks) for name, blocks in self._rows.items()}
-        columns = {
-            "time_s": np.arange(len(rows["setpoint"])) * PERIOD / SAMPLES,
-            "setpoint_rpm": rows["setpoint"][:, 0],
-        }
-        named = [("command", "V", "command"), ("load", "Nm", "load")]
-        named += [(_READ[name], SENSORS[_READ[name]].unit, name) for name in RECORDED]
+        rows = {name: np.vstack([period[name] for period in self._periods]) for name in self._periods[0]}
+        setpoint = rows.pop("setpoint")[:, 0]
+        columns = {"time_s": np.arange(len(setpoint)) * PERIOD / SAMPLES, "setpoint_rpm": setpoint}
         for c in (0, 1):
-            columns |= {f"{what}_{c + 1}_{unit}": rows[name][:, c] for what, unit, name in named}
+            columns |= {f"{n}_{c + 1}_{COLUMNS[n].unit}": values[:, c] for n, values in rows.items()}
         return log_text(columns)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 from math import inf
 from typing import Any
@@ -10,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hydro_env.envs.observation import FRAME, LIMIT, SCALES, noise_levels
-from hydro_env.envs.step_kernels import SIGNALS, TRUE, look
+from hydro_env.envs.observation import FRAME, noise_levels
+from hydro_env.envs.step_kernels import NEVER, SIGNALS, STATE, TRUE, observe
 from hydro_env.plant import CATALOGUE, Plant, PlantModel, load_model
 from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
 from hydro_env.tasks import draw_pairs
@@ -29,7 +28,6 @@ SAMPLES = 10
 #: What a recording takes from the plant.
 RECORDED = ("measured_speed", "current", "pressure")
 
-_NEVER = np.iinfo(np.int64).max
 _ROW = np.zeros(1, np.int64)
 
 
@@ -82,13 +80,12 @@ class LiveRig:
     """One rig that runs on for as long as it is stepped: `sense`, then `hold`, once a control period.
 
     All effects of the catalogue are compiled in, so that each may be set at any time; neutral ones change no bit. `noise` is a
-    factor on the sensors' noise. Row for row it is what the environment does with the same course; it has no end and no reward.
+    factor on the sensors' noise. Row for row it does what the environment does with the same reference, without end and reward.
 
     InputError for an unknown plant.
     """
 
     def __init__(self, plant: str = "paper_dead_zone", *, noise: float = 1.0, seed: int = 0) -> None:
-        self.preset = plant
         self.model = load_model(plant)
         self.reach = reach_of(self.model)
         self._offered = effects_offered()
@@ -103,7 +100,7 @@ class LiveRig:
 
     # --- valves and effects ---------------------------------------------------------------------------------------
     def take_pair(self, split: str, number: int) -> None:
-        """Puts in a pair of valves: that of a number in a split, or the preset's own for `own`. Effects that were set stay.
+        """Puts in a pair of valves: that of a number in a split, or the preset's own for `own`. Effects set by hand are kept.
 
         InputError for an unknown split or a number beyond its list.
         """
@@ -152,7 +149,7 @@ class LiveRig:
         """Puts the rig to rest at time zero."""
         self.plant.reset()
         self.time = 0.0
-        self._fraction, self._held = np.zeros((1, 2)), np.zeros((1, 2))
+        self._state: NDArray[Any] = np.zeros(1, STATE)
         self._noise = np.zeros((1, 6), np.float32)
 
     @property
@@ -165,15 +162,16 @@ class LiveRig:
         self._stream.standard_normal(out=self._noise, dtype=np.float32)
         # A sensor sticks at its first reading at the earliest.
         sticks = self.time >= np.maximum(self._sensor["speed_sensor.stuck_from"], PERIOD) - 1e-9
+        row = self._state[0]
+        row["setpoint"], row["rated"] = setpoint_rpm * RPM, self.rated
+        row["noise"] = self._levels * self._noise[0]
+        row["noise_factor"] = self._sensor["speed_sensor.noise_factor"][0]
+        row["stuck_from"] = np.where(sticks[0], 0, NEVER)
         observation, true = np.zeros((1, FRAME), np.float32), np.zeros((1, TRUE))
-        nothing, flags = np.zeros(1), np.zeros(1, np.bool_)
-        rated = self.plant.get("u_rated")
-        look(
-            _ROW, self.plant.memory, self.plant.memory.shape[2] // 2, self._where, _ROW, _ROW,
-            np.array([[setpoint_rpm * RPM, 0.0, 0.0, 0.0]]), self._noise, self._levels, SCALES, LIMIT,
-            self._sensor["speed_sensor.noise_factor"], np.where(sticks, 0, _NEVER), self._held, self._fraction, nothing, rated,
-            np.zeros(4), observation, true, nothing.copy(), flags, flags.copy(),
-        )  # fmt: skip
+        reward, ended = np.zeros(1), np.zeros((2, 1), np.bool_)
+        observe(
+            _ROW, self._state, self.plant.memory, self._where, np.zeros(4), observation, true, reward, *ended
+        )
         return Reading(observation, true[0, 0:2], self.plant.angle[0], true[0, 4:6])
 
     def hold(
@@ -188,8 +186,9 @@ class LiveRig:
         if not np.isfinite(wanted).all():
             raise ValueError("the command is not a finite number")
         # As actions are passed on to the environment.
-        self._fraction[:] = np.clip(wanted, -1.0, 1.0).astype(np.float32)
-        command, load = self._fraction * self.rated, np.asarray(load_Nm, dtype=float).reshape(1, 2)
+        fraction = self._state["fraction"]
+        fraction[:] = np.clip(wanted, -1.0, 1.0).astype(np.float32)
+        command, load = fraction * self.rated, np.asarray(load_Nm, dtype=float).reshape(1, 2)
         rows = None
         if record:
             ones = np.ones((SAMPLES, 1))
@@ -203,12 +202,3 @@ class LiveRig:
     def noise(self) -> Floats:
         """What the sensors added last, standard normal: speeds, currents, pressures, (6,)."""
         return self._noise[0].astype(float)
-
-    @property
-    def lost(self) -> str:
-        """What the simulation could not follow, "" if nothing; the rig is at rest then."""
-        return str(next(iter(self.plant.lost), ""))
-
-    def twin(self) -> Any:
-        """A copy of the plant as it is, for controllers that know it."""
-        return copy.deepcopy(self.plant)

@@ -8,8 +8,9 @@ import secrets
 import signal
 import socket
 import webbrowser
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from hydro_env.files import write_text
 from hydro_env.lab.diagnosis_page import DiagnosisPage
 from hydro_env.lab.guard import Guard
 from hydro_env.lab.jobs import Jobs
-from hydro_env.lab.page import RigPage, style
+from hydro_env.lab.page import RigPage
 from hydro_env.lab.session import Session, Settings
 from hydro_env.lab.uploads import YAML_ENDINGS, Uploads
 from hydro_env.lab.worker import Worker
@@ -50,9 +51,7 @@ class Lab:
 
     def _keep_log(self, text: str) -> None:
         self.out.mkdir(parents=True, exist_ok=True)
-        number = 1
-        while (path := self.out / f"log_{number}.csv").exists():
-            number += 1
+        path = next(path for n in count(1) if not (path := self.out / f"log_{n}.csv").exists())
         write_text(path, text)
         self.uploads.add(path, path.name, "fit")
 
@@ -65,12 +64,10 @@ class Lab:
     def page(self) -> None:
         """Builds the page for a browser."""
         ui.page_title(TITLE)
-        ui.add_css(style())
+        ui.add_css(Path(__file__).with_name("style.css"))
         ui.colors(primary="#0b62a8")
-        rig, diagnosis = (
-            RigPage(self.worker, self.uploads),
-            DiagnosisPage(self.worker, self.uploads, self.jobs),
-        )
+        rig = RigPage(self.worker, self.uploads)
+        diagnosis = DiagnosisPage(self.worker, self.uploads, self.jobs)
         with ui.element("main").classes("lab"):
             with ui.element("header"):
                 ui.html(f"<h1>{TITLE}</h1>", sanitize=False, tag="div")
@@ -118,30 +115,9 @@ def application(lab: Lab, port: int, key: str, ready: Callable[[], None] = lambd
 
     app.add_route("/upload", upload, methods=["POST"])
     app.add_route("/results/{folder}/{file}", result, methods=["GET"])
-    ui.run_with(
-        app,
-        root=lab.page,
-        title=TITLE,
-        dark=None,
-        language="en-US",
-        tailwind=False,
-        show_welcome_message=False,
-    )
+    look: dict[str, Any] = {"title": TITLE, "dark": None, "language": "en-US", "tailwind": False}
+    ui.run_with(app, root=lab.page, show_welcome_message=False, **look)
     return Guard(app, port, key)
-
-
-@contextmanager
-def _listening(port: int) -> Iterator[socket.socket]:
-    """A socket on the loopback address. InputError if the port is taken."""
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listener.bind((HOST, port))
-        except OSError as problem:
-            raise InputError(
-                f"--port {port}: cannot be used ({problem.strerror}); name another one"
-            ) from None
-        yield listener
 
 
 def run(out: Path, settings: Settings | None = None, *, port: int = 8137, browser: bool = True) -> None:
@@ -153,7 +129,14 @@ def run(out: Path, settings: Settings | None = None, *, port: int = 8137, browse
     there = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not (there.is_dir() and os.access(there, os.W_OK)):
         raise InputError(f"--out {out}: cannot write there; name a folder that can be written")
-    with _listening(port) as listener:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((HOST, port))
+        except OSError as problem:
+            raise InputError(
+                f"--port {port}: cannot be used ({problem.strerror}); name another one"
+            ) from None
         port, key = listener.getsockname()[1], secrets.token_urlsafe(16)
         address = f"http://{HOST}:{port}/?key={key}"
 

@@ -1,11 +1,12 @@
-"""The session: a rig, the controller that drives it, the course it is to follow, and what was seen of late.
+"""The session: a rig, the controller that drives it, the scenario it follows, and its signals of the last seconds.
 
 A session runs period by period and has no clock, no thread and no page: `worker` runs it in step with the clock.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import copy
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from hydro_env.benchmark.report import NEEDS
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.errors import InputError
-from hydro_env.lab.recording import LONGEST, Recording
+from hydro_env.lab.recording import MAX_SECONDS, Recording
 from hydro_env.lab.rig import PERIOD, LiveRig, Reach, Reading
 from hydro_env.limits import Limits
 from hydro_env.tasks import Reference, load_scenario
@@ -23,21 +24,14 @@ __all__ = ["CASES", "COLUMNS", "MANUAL", "SHOWN", "Session", "Settings", "Snapsh
 
 Floats = NDArray[np.float64]
 
-#: The course in which the set-point is what the slider says.
+#: The scenario in which the set-point is what the slider says.
 MANUAL = "manual"
 #: Control periods that a snapshot shows: 10 s.
 SHOWN = 1000
 #: Columns of `Snapshot.past`; the difference is that of motor 1 less motor 2.
 COLUMNS = (
-    "time_s",
-    "setpoint_rpm",
-    "speed_1_rpm",
-    "speed_2_rpm",
-    "difference_rpm",
-    "command_1_V",
-    "command_2_V",
-)
-
+    "time_s", "setpoint_rpm", "speed_1_rpm", "speed_2_rpm", "difference_rpm", "command_1_V", "command_2_V",
+)  # fmt: skip
 #: Preset for which the shipped controllers were tuned, but for those that name another one.
 TUNED_FOR = "paper_dead_zone"
 #: Numbers of pairs of valves.
@@ -46,7 +40,7 @@ CASES = Limits(0, 2**31 - 1, whole=True)
 
 @dataclass(frozen=True)
 class Settings:
-    """What was chosen: the rig (a preset or a model file), pair of valves, controller and course, and what is set by hand."""
+    """What was chosen: the rig (a preset or a model file), pair of valves, controller and scenario, and what is set by hand."""
 
     preset: str = TUNED_FOR
     split: str = "test_interp"
@@ -85,15 +79,6 @@ class Snapshot:
         return dict(zip(COLUMNS, map(float, row), strict=True))
 
 
-@dataclass
-class _Course:
-    """A scenario and the row at which it stands; a course by hand has none."""
-
-    reference: Reference | None = None
-    row: int = 0
-    loads: Floats = field(default_factory=lambda: np.zeros((1, 2)))
-
-
 class Session:
     """A rig under a controller. Every method may be called between two periods; what cannot be is an InputError, and nothing
     has changed then."""
@@ -114,8 +99,8 @@ class Session:
 
     # --- what may be chosen ---------------------------------------------------------------------------------------
     def choose_valves(self, preset: str, split: str, number: int) -> None:
-        """Puts in another pair of valves; effects that were set by hand are kept. Another preset or model file starts a rig at
-        rest, with nothing set by hand."""
+        """Puts in another pair of valves. Effects set by hand are kept. Another preset restarts the rig, with nothing set by
+        hand."""
         number = CASES.check(number, "pair")
         if preset == self.settings.preset:
             self._rig.take_pair(split, number)
@@ -135,12 +120,11 @@ class Session:
 
     def choose_scenario(self, name: str) -> None:
         """Follows a scenario from its beginning, over and over, or with `MANUAL` the set-point by hand. The rig runs on."""
-        course = (
-            _Course() if name == MANUAL else _Course(load_scenario(name).reference(PERIOD, self._stream()))
+        manual = name == MANUAL
+        self._reference: Reference | None = (
+            None if manual else load_scenario(name).reference(PERIOD, self._stream())
         )
-        if course.reference is not None:
-            course.loads = course.reference.load
-        self._course = course
+        self._row = 0
         self.settings = replace(self.settings, scenario=name)
         self._loads_changed()
 
@@ -171,9 +155,9 @@ class Session:
         self._rig_changed()
 
     def reset(self) -> None:
-        """Puts the rig to rest at time zero and begins the scenario anew. What was chosen stays."""
+        """Puts the rig to rest at time zero and restarts the scenario. What was chosen stays."""
         self._rig.reset()
-        self._course.row = 0
+        self._row = 0
         self._past = np.zeros((0, len(COLUMNS)))
         self.problem = ""
         self._reading: Reading | None = None
@@ -183,7 +167,7 @@ class Session:
     # --- recording ------------------------------------------------------------------------------------------------
     def record(self) -> None:
         """Puts the rig to rest and begins a log, so that a diagnosis can simulate it from there. It ends with `stop_recording`,
-        a reset, or after `recording.LONGEST` seconds; its text then stands in `finished_log`."""
+        a reset, or after `recording.MAX_SECONDS` seconds; its text then stands in `finished_log`."""
         self.reset()
         self._recording = Recording(int(self._stream().integers(2**32)))
 
@@ -209,26 +193,25 @@ class Session:
         if self._recording is not None and rows is not None:
             command = np.clip(action, -1.0, 1.0) * self._rig.rated
             self._recording.add(setpoint, command, load, self._rig.noise, rows)
-            if self._recording.seconds >= LONGEST:
+            if self._recording.seconds >= MAX_SECONDS:
                 self._stop_recording()
-        if lost := self._rig.lost:
+        if lost := next(iter(self._rig.plant.lost), ""):
             self.reset()
             self.problem = f"{lost}, and the rig was put to rest; take smaller values"
             return
-        if self._course.reference is not None:
-            self._course.row += 1
-            if self._course.row >= len(self._course.loads) - 1:
+        if self._reference is not None:
+            self._row += 1
+            if self._row >= len(self._reference.load) - 1:
                 self.choose_scenario(self.settings.scenario)
 
     def snapshot(self) -> Snapshot:
         """The session as it is."""
         _, load = self._wanted()
+        angle = (0.0, 0.0) if self._reading is None else self._reading.angle
         return Snapshot(
             self.settings,
             self._rig.time,
-            (0.0, 0.0)
-            if self._reading is None
-            else (float(self._reading.angle[0]), float(self._reading.angle[1])),
+            (float(angle[0]), float(angle[1])),
             self._past,
             (float(load[0]), float(load[1])),
             self._effects,
@@ -250,23 +233,22 @@ class Session:
     def _wanted(self) -> tuple[float, Floats]:
         """Set-point in rpm and loads (2,) in N m that are in force from now on."""
         own = np.array(self.settings.load_Nm)
-        reference, row = self._course.reference, self._course.row
-        if reference is None:
+        if self._reference is None:
             return self.settings.setpoint_rpm, own
-        return float(reference.setpoint[row]) / RPM, reference.load[row] + own
+        return float(self._reference.setpoint[self._row]) / RPM, self._reference.load[self._row] + own
 
     @property
     def _needs(self) -> str:
         return str(getattr(self._controller, "needs", "measurements"))
 
     def _rig_changed(self) -> None:
-        """A controller that knows the valves begins anew with what they now are."""
+        """A controller that knows the valves restarts with what they now are."""
         self._effects = self._rig.values()
         if self._needs != "measurements":
             self._fresh = True
 
     def _loads_changed(self) -> None:
-        """A controller that knows the loads to come begins anew with what they now are."""
+        """A controller that knows the loads to come restarts with what they now are."""
         if self._needs == "everything":
             self._fresh = True
 
@@ -287,10 +269,10 @@ class Session:
 
     def _tell(self) -> None:
         if self._needs != "measurements":
-            self._controller.prepare(self._rig.twin())
+            self._controller.prepare(copy.deepcopy(self._rig.plant))
         if self._needs == "everything":
-            own = np.array(self.settings.load_Nm)
-            self._controller.foresee((self._course.loads[self._course.row :] + own)[:, None, :])
+            loads = np.zeros((1, 2)) if self._reference is None else self._reference.load[self._row :]
+            self._controller.foresee((loads + np.array(self.settings.load_Nm))[:, None, :])
         self._controller.reset(1, PERIOD)
 
     def _remember(self, reading: Reading, setpoint: float) -> None:

@@ -16,11 +16,11 @@ from hydro_env.plant.model import SCHEMA as MODEL
 from hydro_env.plant.model_files import preset_names
 from hydro_env.reading import read_yaml
 
-__all__ = ["MOST_BYTES", "MOST_FILES", "Upload", "Uploads"]
+__all__ = ["MAX_BYTES", "MAX_FILES", "Upload", "Uploads"]
 
 #: Bytes of a file, and files at a time.
-MOST_BYTES = 256 * 2**20
-MOST_FILES = 20
+MAX_BYTES = 256 * 2**20
+MAX_FILES = 20
 #: Endings of mappings and models.
 YAML_ENDINGS = (".yaml", ".yml")
 #: What a YAML file is, by its `schema`.
@@ -48,8 +48,8 @@ class Uploads:
         """Stores what arrives as a file of this name. InputError for an ending that nothing reads, a YAML file that is neither a
         model nor a mapping, and for too much."""
         ending = ending_of(name)
-        if len(self.files) >= MOST_FILES:
-            raise InputError(f"there are {MOST_FILES} files already; remove some first")
+        if len(self.files) >= MAX_FILES:
+            raise InputError(f"there are {MAX_FILES} files already; remove some first")
         self._count += 1
         stem = re.sub(r"[^A-Za-z0-9_-]", "_", Path(name).name[: -len(ending)])[:60]
         path = Path(self._folder.name) / f"{self._count}_{stem}{ending}"
@@ -58,9 +58,9 @@ class Uploads:
             with path.open("xb") as file:
                 async for chunk in chunks:
                     size += len(chunk)
-                    if size > MOST_BYTES:
+                    if size > MAX_BYTES:
                         raise InputError(
-                            f"{name}: larger than {MOST_BYTES // 2**20} MiB; export a shorter part"
+                            f"{name}: larger than {MAX_BYTES // 2**20} MiB; export a shorter part"
                         )
                     file.write(chunk)
             role = "fit" if ending in ENDINGS else await asyncio.to_thread(role_of, path, name)

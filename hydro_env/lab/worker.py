@@ -21,7 +21,7 @@ TEMPO = Limits(0.01, 10.0)
 #: Pause between two looks at the clock, s.
 _PAUSE = 0.01
 #: What is further behind the clock, in s of the clock, is not caught up with.
-_MOST_BEHIND = 0.1
+_MAX_BEHIND = 0.1
 #: Time over which the speed that is reached is measured, s.
 _MEASURED_OVER = 1.0
 
@@ -84,7 +84,7 @@ class Worker:
             if self._running:
                 owed += (now - clock) * self._tempo
             clock = now
-            owed = min(owed, _MOST_BEHIND * self._tempo + PERIOD)
+            owed = min(owed, _MAX_BEHIND * self._tempo + PERIOD)
             while owed >= PERIOD and not self._over.is_set() and self._changes.empty():
                 self._advance()
                 owed, done = owed - PERIOD, done + 1

@@ -3,105 +3,116 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from math import inf
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydro_env.measured.finding import Finding
-from hydro_env.measured.mapping import LINES, ChannelMapping, Mapping, Source
+from hydro_env.measured.mapping import LINES, USUAL_UNITS, ChannelMapping, Mapping, Source, quantity_of
 from hydro_env.measured.samples import MEASURED
-from hydro_env.units import BAR, RPM
+from hydro_env.units import BAR, RPM, from_si
 
 if TYPE_CHECKING:
     from hydro_env.measured.log import RigLog
 
 __all__ = ["check_channels", "check_lines", "check_sizes", "follow"]
 
-_RATED = (
-    420 * BAR
-)  # valves to ISO 4401 are rated for 350 bar, the strongest pumps and motors in common use for 420 bar at most
 _VACUUM = 1.5 * BAR  # no pressure is further below the atmosphere's, with half a bar for the sensor's zero
 _LIKE = 0.3  # a load pressure is the difference of the lines if it differs by less than this share of its own swing
 _CORRELATE = 20_000  # rows that suffice for a correlation
 _IN_MAPPING = "give the right unit in a mapping"
 
 
+@dataclass(frozen=True)
+class _Size:
+    """A peak (in the usual unit of the signal, of a cylinder's speed in m/s) that points to another unit, which is sure from
+    some peak on; only if the signal was read as one of some units, or only while the axis moves. `right` is the unit that a
+    mapping would have to say, by the one that it says."""
+
+    signals: tuple[str, ...]
+    low: float
+    high: float
+    guess: str
+    sure: float = inf
+    read_as: tuple[str, ...] = ()
+    moves: bool = False
+    kind: str = ""
+    right: dict[str, str] = field(default_factory=dict)
+
+
+_PRESSURES = ("pressure", "supply", *LINES)
+#: The first that fits counts. Valves to ISO 4401 are rated for 350 bar, the strongest pumps and motors in common use for 420 bar.
+_SIZES = (
+    _Size(_PRESSURES, 420.0, 60_000.0, "in kPa, psi or Pa", sure=2000.0, right={"bar": "kPa"}),
+    _Size(_PRESSURES, 60_000.0, inf, "in kPa, psi or Pa", sure=2000.0, right={"bar": "Pa"}),
+    _Size(("supply",), 0.0, 5.0, "in MPa", right={"bar": "MPa"}),
+    _Size(("pressure",), 0.0, 0.7, "in bar", read_as=("kPa", "mbar", "Pa"), moves=True),
+    _Size(("pressure",), 0.0, 0.7, "in MPa or 1000 psi", moves=True),
+    _Size(("speed",), 5.0, inf, "in mm/s", sure=50.0, kind="cylinder", right={"m/s": "mm/s"}),
+    _Size(("speed",), 6000.0, inf, "in rpm", read_as=("rad/s", "Hz"), kind="motor"),
+    _Size(("speed",), 6000.0, inf, "in deg/s", kind="motor"),
+    _Size(("speed",), 0.0, 80.0, "in rad/s, or is the motion slow", kind="motor"),
+    _Size(("command",), 200.0, inf, "in mV", sure=2000.0, right={"V": "mV"}),
+    _Size(("command",), 99.5, 100.5, "in percent of full scale", read_as=("V",)),
+    _Size(("command",), 0.0, 1.05, "a fraction of full scale", read_as=("V",)),
+    _Size(("current",), 20.0, inf, "in mA", sure=100.0, right={"A": "mA"}),
+    _Size(("current",), 0.0, 0.005, "in A", moves=True, right={"mA": "A"}),
+)
+
+
+def _finding(
+    code: str, message: str, hint: str, signal: str, channel: int | None, column: str, sure: bool = False, **right: object
+) -> Finding:  # fmt: skip
+    """A finding about a signal of a channel (0, 1) or of the rig; `right` is what a mapping would have to say of it."""
+    key = None if channel is None else f"channel_{channel + 1}"
+    fix = {key: {signal: right}} if key else {signal: right}
+    number = None if channel is None else channel + 1
+    return Finding(code, message, hint, signal, number, column, sure=sure, fix=fix if right else None)
+
+
 def check_sizes(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
     """Magnitudes that point to a wrong unit."""
-    for channel in (0, 1):
-        named = mapping.channels[channel]
-        for signal in ("command", "current", "pressure", "speed", *LINES):
-            source = getattr(named, signal) if named else None
-            values = log.get(signal)
-            if source is not None and values is not None and log.has(signal, channel):
-                place = {"signal": signal, "channel": channel + 1, "column": source.column}
-                yield from _size(values[:, channel], log, channel, place, source)
-    for signal in ("supply", "temperature"):
-        source, values = getattr(mapping, signal), log.get(signal)
-        if source is not None and values is not None:
-            yield from _size(values, log, 0, {"signal": signal, "column": source.column}, source)
+    for signal, channel, source in mapping.sources():
+        values = log.get(signal)
+        if values is None:
+            continue
+        one = values if channel is None else values[:, channel]
+        finite = one[np.isfinite(one)]
+        if signal == "temperature" and len(finite) and not 230.0 < float(np.median(finite)) < 430.0:
+            message = (
+                f"{source.column!r} peaks at {np.abs(finite).max() - 273.15:.4g} degC: is it in K or degF?"
+            )
+            yield _finding("unit", message, _IN_MAPPING, signal, channel, source.column)
+        elif len(finite) and finite.any():
+            yield from _size(log, signal, channel, source, float(np.abs(finite).max()))
     yield from _setpoint(log, mapping)
     yield from _supply(log, mapping)
 
 
-def _size(
-    values: np.ndarray, log: RigLog, channel: int, place: dict[str, Any], source: Source
-) -> Iterator[Finding]:
-    finite = values[np.isfinite(values)]
-    if not len(finite):
-        return
-    peak = float(np.max(np.abs(finite)))
-    signal, column = place["signal"], place["column"]
-
-    def odd(seen: str, guess: str, sure: bool = False, unit: str = "") -> Finding:
-        fix: dict[str, Any] | None = None
-        if unit and "channel" in place:
-            fix = {f"channel_{place['channel']}": {signal: {"unit": unit}}}
-        elif unit:
-            fix = {signal: {"unit": unit}}
-        return Finding(
-            "unit", f"{column!r} peaks at {seen}: {guess}?", _IN_MAPPING, sure=sure, fix=fix, **place
+def _size(log: RigLog, signal: str, channel: int | None, source: Source, peak: float) -> Iterator[Finding]:
+    kind = log.kinds[channel or 0]
+    name = USUAL_UNITS[quantity_of(signal, kind)]
+    name = "m/s" if name == "mm/s" else name
+    peak = from_si(peak, name)
+    driven = log.setpoint is not None and np.ptp(np.nan_to_num(log.setpoint)) > 0.0
+    for size in _SIZES:
+        if signal not in size.signals or not size.low <= peak <= size.high or size.kind not in ("", kind):
+            continue
+        if size.read_as and source.unit not in size.read_as:
+            continue
+        if size.moves and (channel is None or not _moves(log, channel)):
+            continue
+        if size.guess.endswith("slow") and driven:  # the set-point tells, see below
+            continue
+        moving = " though the axis moves" if size.moves else ""
+        message = f"{source.column!r} peaks at {peak:.4g} {name}{moving}: is it {size.guess}?"
+        right = {"unit": size.right[source.unit]} if source.unit in size.right else {}
+        yield _finding(
+            "unit", message, _IN_MAPPING, signal, channel, source.column, peak > size.sure, **right
         )
-
-    if peak == 0.0:
         return
-    # What the file's numbers would be in another unit: the reading so far undone.
-    if signal in ("pressure", "supply", *LINES):
-        raw = peak / BAR if source.unit == "bar" else None
-        if peak > _RATED:
-            unit = "" if raw is None else "kPa" if raw < 60_000.0 else "Pa"
-            yield odd(f"{peak / BAR:.4g} bar", "is it in kPa, psi or Pa", peak > 2000 * BAR, unit)
-        elif signal == "supply" and peak < 5 * BAR:
-            yield odd(f"{peak / BAR:.4g} bar", "is it in MPa", unit="" if raw is None else "MPa")
-        elif signal == "pressure" and peak < 0.7 * BAR and _moves(log, channel):
-            guess = "is it in bar" if source.unit in ("kPa", "mbar", "Pa") else "is it in MPa or 1000 psi"
-            yield odd(f"{peak / BAR:.3g} bar though the axis moves", guess)
-    elif signal == "speed":
-        if log.kinds[channel] == "motor":
-            if peak > 6000 * RPM:
-                guess = "is it in rpm" if source.unit in ("rad/s", "Hz") else "is it in deg/s"
-                yield odd(f"{peak / RPM:.4g} rpm", guess)
-            elif peak < 80 * RPM and (log.setpoint is None or not np.ptp(np.nan_to_num(log.setpoint)) > 0.0):
-                shown = f"{peak / RPM:.4g} rpm"
-                yield odd(shown, f"slow motion, or {peak / RPM:.3g} rad/s")
-        elif peak > 5.0:
-            yield odd(f"{peak:.4g} m/s", "is it in mm/s", peak > 50.0, "mm/s" if source.unit == "m/s" else "")
-    elif signal == "command" and peak > 200.0:
-        yield odd(f"{peak:.4g} V", "is it in mV", peak > 2000.0, "mV" if source.unit == "V" else "")
-    elif signal == "command" and 99.5 < peak < 100.5 and source.unit == "V":
-        yield odd(f"{peak:.4g} V", "is it in percent of full scale")
-    elif signal == "command" and peak <= 1.05 and source.unit == "V":
-        yield odd(f"{peak:.4g} V", "is it a fraction of full scale")
-    elif signal == "current" and peak > 20.0:
-        yield odd(f"{peak:.4g} A", "is it in mA", peak > 100.0, "mA" if source.unit == "A" else "")
-    elif signal == "current" and peak < 0.005 and _moves(log, channel):
-        yield odd(
-            f"{1e3 * peak:.3g} mA though the axis moves",
-            "is it in A",
-            unit="A" if source.unit == "mA" else "",
-        )
-    elif signal == "temperature" and not 230.0 < float(np.median(finite)) < 430.0:
-        yield odd(f"{peak - 273.15:.4g} degC", "is it in K or degF")
 
 
 def _moves(log: RigLog, channel: int) -> bool:
@@ -119,23 +130,16 @@ def _setpoint(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
             continue
         if np.corrcoef(speed, setpoint)[0, 1] < 0.9:  # it does not follow
             continue
-        slope = float(np.std(speed) / np.std(setpoint))
-        for factor, guess, unit in (
-            (RPM, "is the speed in rad/s", "rad/s"),
-            (1.0 / RPM, "is the set-point in rad/s, or the speed in rpm", ""),
-            (6.0, "is the speed in deg/s", "deg/s"),
+        slope, source = float(np.std(speed) / np.std(setpoint)), mapping.channels[channel]
+        for factor, guess, right in (
+            (RPM, "is the speed in rad/s", {"unit": "rad/s"}),
+            (1.0 / RPM, "is the set-point in rad/s, or the speed in rpm", {}),
+            (6.0, "is the speed in deg/s", {"unit": "deg/s"}),
         ):
-            if log.kinds[channel] == "motor" and 0.75 < slope / factor < 1.33:
-                source = mapping.channels[channel]
-                yield Finding(
-                    "unit",
-                    f"the speed of channel {channel + 1} follows the set-point with a factor of {slope:.3g}: {guess}?",
-                    _IN_MAPPING,
-                    "speed",
-                    channel + 1,
-                    source.speed.column if source else None,
-                    sure=True,
-                    fix={f"channel_{channel + 1}": {"speed": {"unit": unit}}} if unit else None,
+            if source and log.kinds[channel] == "motor" and 0.75 < slope / factor < 1.33:
+                message = f"the speed of channel {channel + 1} follows the set-point with a factor of {slope:.3g}: {guess}?"
+                yield _finding(
+                    "unit", message, _IN_MAPPING, "speed", channel, source.speed.column, True, **right
                 )
 
 
@@ -152,8 +156,7 @@ def _supply(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
         ratio = float(np.quantile(pressure, 0.99) / max(float(np.median(supply)), 1.0))
         if ratio > 3.0:
             message = f"{source.pressure.column!r} is {ratio:.3g} times the supply pressure: another unit?"
-            place = ("pressure", channel + 1, source.pressure.column)
-            yield Finding("unit", message, _IN_MAPPING, *place)
+            yield _finding("unit", message, _IN_MAPPING, "pressure", channel, source.pressure.column)
 
 
 def check_lines(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
@@ -240,47 +243,33 @@ def check_channels(log: RigLog, mapping: Mapping) -> Iterator[Finding]:
             if signal != "speed" and np.array_equal(log.speed[:, 0], log.speed[:, 1], equal_nan=True):
                 continue
             message = f"{sources[0].column!r} and {sources[1].column!r} hold the same values"
-            yield Finding(
-                "duplicate_column",
-                message,
-                "record each channel's own sensor",
-                signal,
-                column=sources[1].column,
-            )
+            hint = "record each channel's own sensor"
+            yield Finding("duplicate_column", message, hint, signal, column=sources[1].column)
 
 
 def _sign(log: RigLog, channel: int, source: ChannelMapping) -> Iterator[Finding]:
     """A speed or a current that falls when its command rises."""
-    key = f"channel_{channel + 1}"
-    command = log.command_V[:, channel]
-    current = None
-    if log.current is not None and source.current is not None and log.has("current", channel):
-        current = follow(command, log.current[:, channel], log.period)
-    speed = follow(command, log.speed[:, channel], log.period)
-    if speed < -0.4 and current is not None and current < -0.8:
+    falls = {}
+    for signal in ("speed", "current"):
+        values = log.get(signal)
+        if values is not None and getattr(source, signal) is not None and log.has(signal, channel):
+            falls[signal] = -follow(log.command_V[:, channel], values[:, channel], log.period)
+    speed, current = falls.get("speed", 0.0), falls.get("current", 0.0)
+    if speed > 0.4 and current > 0.8:
         # Both at once: it is the command that is upside down.
-        message = f"current and speed of channel {channel + 1} fall when its command rises (correlation {speed:.2f})"
-        hint = f"give `sign: {-source.command.sign}` for the command in a mapping"
-        fix = {key: {"command": {"sign": -source.command.sign}}}
-        yield Finding(
-            "sign", message, hint, "command", channel + 1, source.command.column, sure=True, fix=fix
-        )
-        return
-    if speed < -0.4:
-        message = f"the speed of channel {channel + 1} falls when its command rises (correlation {speed:.2f})"
-        which = "the speed" if current is not None else "the speed or the command"
-        hint = f"give `sign: {-source.speed.sign}` for {which} in a mapping"
-        fix = {key: {"speed": {"sign": -source.speed.sign}}}
-        place = ("speed", channel + 1, source.speed.column)
-        yield Finding("sign", message, hint, *place, sure=speed < -0.7, fix=fix)
-    if current is not None and source.current is not None and current < -0.6:
-        message = (
-            f"the current of channel {channel + 1} falls when its command rises (correlation {current:.2f})"
-        )
-        hint = f"give `sign: {-source.current.sign}` for the current in a mapping"
-        fix = {key: {"current": {"sign": -source.current.sign}}}
-        place = ("current", channel + 1, source.current.column)
-        yield Finding("sign", message, hint, *place, sure=current < -0.8, fix=fix)
+        message = f"current and speed of channel {channel + 1} fall when its command rises (correlation {-speed:.2f})"
+        found = [("command", message, "the command", True)]
+    else:
+        found = [
+            (signal, f"the {signal} of channel {channel + 1} falls when its command rises (correlation {-size:.2f})",
+             "the speed or the command" if "current" not in falls else f"the {signal}", size > sure)
+            for (signal, size), least, sure in zip(falls.items(), (0.4, 0.6), (0.7, 0.8), strict=False)
+            if size > least
+        ]  # fmt: skip
+    for signal, message, which, sure in found:
+        named = getattr(source, signal)
+        hint = f"give `sign: {-named.sign}` for {which} in a mapping"
+        yield _finding("sign", message, hint, signal, channel, named.column, sure, sign=-named.sign)
 
 
 def _clean(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,22 +8,10 @@ from typing import Any
 __all__ = ["SPELLING", "Finding"]
 
 #: Codes of findings about how a file is written, not about what it holds.
-SPELLING = frozenset(
-    {
-        "delimiter",
-        "decimal_comma",
-        "encoding",
-        "no_names",
-        "preamble",
-        "si_suffixes",
-        "units_row",
-        "time_stamps",
-        "epoch_time",
-        "unknown_column",
-        "coarse",
-        "from_position",
-    }
-)
+SPELLING = frozenset({
+    "delimiter", "decimal_comma", "encoding", "no_names", "preamble", "si_suffixes", "units_row", "time_stamps", "epoch_time",
+    "unknown_column", "coarse", "from_position",
+})  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,12 +39,8 @@ class Finding:
         """Message and suggestion in one line."""
         if not self.suggestion:
             return self.message
-        # After a question comes a new sentence.
-        return (
-            f"{self.message} {self.suggestion}"
-            if self.message.endswith("?")
-            else f"{self.message}; {self.suggestion}"
-        )
+        mark = "" if self.message.endswith("?") else ";"  # after a question comes a new sentence
+        return f"{self.message}{mark} {self.suggestion}"
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

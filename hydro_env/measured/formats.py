@@ -16,8 +16,7 @@ import importlib
 import logging
 import math
 import warnings
-import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager
 from functools import cache
 from pathlib import Path
@@ -26,17 +25,18 @@ from typing import Any
 import numpy as np
 
 from hydro_env.errors import InputError, suggestion, to_install
-from hydro_env.measured.csv_file import CsvStyle, read_csv
+from hydro_env.measured.csv_file import read_csv
 from hydro_env.measured.finding import Finding
-from hydro_env.measured.mat5_structure import check_structure
-from hydro_env.measured.table import MOST_VALUES, Table, check_size
+from hydro_env.measured.mapping import TableStyle
+from hydro_env.measured.mat5 import read_mat5
+from hydro_env.measured.table import Table, check_size
 from hydro_env.reading import check_file
 
 __all__ = ["ENDINGS", "is_binary", "read_table"]
 
 Choose = Callable[[tuple[str, ...]], Sequence[str]]
-#: The columns of an open file by name, each a function that reads it.
-Columns = dict[str, Callable[[], Any]]
+#: The names of the columns of an open file, and what reads one of them.
+Opened = tuple[Iterable[str], Callable[[str], Any]]
 
 
 def is_binary(path: Path) -> bool:
@@ -44,20 +44,27 @@ def is_binary(path: Path) -> bool:
     return (path.with_suffix("").suffix if path.suffix == ".gz" else path.suffix).lower() in BINARY
 
 
-def read_table(path: Path, choose: Choose, style: CsvStyle | None = None) -> Table:
+def read_table(path: Path, choose: Choose, style: TableStyle | None = None) -> Table:
     """Reads the columns that `choose(names)` asks for from a file of any format; `style` is that of a CSV file.
 
     `InputError` names the file and what would be right, of CSV also row and column.
     """
     check_file(path, "a log")
     try:
-        return read_binary(path, choose) if is_binary(path) else read_csv(path, choose, style)
+        table = read_binary(path, choose) if is_binary(path) else read_csv(path, choose, style)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); copy it anew") from None
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); copy it again") from None
     except MemoryError:
         raise InputError(
             f"{path}: does not fit into memory; export a shorter part, or fewer columns"
         ) from None
+    for name, values in table.columns.items():
+        if (infinite := np.isinf(values)).any():
+            raise InputError(
+                f"{path}: row {table.row(int(np.argmax(infinite)))}, column {name!r}: infinite; leave it empty, or NaN, where "
+                "nothing was measured"
+            )
+    return table
 
 
 def read_binary(path: Path, choose: Choose) -> Table:
@@ -71,16 +78,16 @@ def read_binary(path: Path, choose: Choose) -> Table:
     columns: dict[str, np.ndarray] = {}
     with _collected_warnings() as warned:
         try:
-            with reader(path, units) as available:
+            with reader(path, units) as (available, read):
                 names = tuple(available)
                 if not names:
                     raise ValueError("no columns")
                 for name in choose(names):
-                    if name not in available:
+                    if name not in names:
                         raise InputError(
                             f"{path}: column {name!r} is not in the file; {suggestion(name, names)}"
                         )
-                    columns[name] = _numbers(path, name, available[name]())
+                    columns[name] = _numbers(path, name, read(name))
                     check_size(path, len(columns[name]) * len(columns))
         except (InputError, MemoryError):
             raise
@@ -114,17 +121,11 @@ def _numbers(path: Path, name: str, values: Any) -> np.ndarray:
             values = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64) / 1e9
         elif values.dtype.kind not in "biuf":
             values = np.array([np.nan if value is None else value for value in values.ravel()])
-        numbers = values.astype(float).ravel()
+        return values.astype(float).ravel()
     except (TypeError, ValueError):
         raise InputError(
             f"{path}: column {name!r} holds no numbers; a log's columns are plain numbers"
         ) from None
-    infinite = np.flatnonzero(np.isinf(numbers))
-    if len(infinite):
-        raise InputError(
-            f"{path}: row {infinite[0] + 1}, column {name!r}: infinite; put NaN where nothing was measured"
-        )
-    return numbers
 
 
 @contextmanager
@@ -157,100 +158,71 @@ def _library(name: str, path: Path) -> Any:
 
 
 @contextmanager
-def _parquet(path: Path, units: dict[str, str]) -> Iterator[Columns]:
+def _parquet(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     parquet = _library("pyarrow.parquet", path)
     with parquet.ParquetFile(path) as file:
-
-        def column(name: str) -> Callable[[], Any]:
-            def read() -> Any:
-                check_size(path, file.metadata.num_rows)
-                return file.read([name]).column(0).to_numpy()
-
-            return read
-
-        yield {name: column(name) for name in file.schema_arrow.names}
+        check_size(path, file.metadata.num_rows)
+        yield file.schema_arrow.names, lambda name: file.read([name]).column(0).to_numpy()
 
 
 @contextmanager
-def _mat(path: Path, units: dict[str, str]) -> Iterator[Columns]:
+def _mat(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     with open(path, "rb") as file:
         is_hdf = b"MATLAB 7.3" in file.read(128)
     if is_hdf:
-        with _mat73(path) as columns:
-            yield columns
+        with _mat73(path) as opened:
+            yield opened
         return
     from scipy.io import loadmat, whosmat
     from scipy.io.matlab import matfile_version
 
     if matfile_version(path)[0] == 1:
-        check_size(path, _unpacked_size(path) // 8)  # of what lies in structures as well
-        check_structure(path)
-    check_size(path, sum(math.prod(shape) for _, shape, _ in whosmat(path)))
-    content = loadmat(path, squeeze_me=True, struct_as_record=False)
-    named = {key: value for key, value in content.items() if not key.startswith("__")}
-    yield {name: lambda values=values: values for name, values in _vectors(named)}  # type: ignore[misc]
+        matrices = read_mat5(path)
+    else:
+        check_size(path, sum(math.prod(shape) for _, shape, _ in whosmat(path)))
+        matrices = {name: values for name, values in loadmat(path).items() if not name.startswith("__")}
+    vectors = dict(_vectors(matrices))
+    yield vectors, vectors.__getitem__
 
 
-def _unpacked_size(path: Path) -> int:
-    """Bytes that the compressed elements of a MAT 5 file unpack to, without keeping them; stops where they are too many."""
-    size = 0
-    with open(path, "rb") as file:
-        file.seek(126)
-        order = "little" if file.read(2) == b"IM" else "big"
-        while len(tag := file.read(8)) == 8:
-            kind, length = (int.from_bytes(tag[n : n + 4], order) for n in (0, 4))  # type: ignore[arg-type]
-            end = file.tell() + length
-            unpack = zlib.decompressobj()
-            while kind == _MI_COMPRESSED and file.tell() < end and size <= 8 * MOST_VALUES:
-                packed = file.read(min(1 << 14, end - file.tell()))
-                size += len(unpack.decompress(packed))
-                if not packed:
-                    return size
-            file.seek(end)
-    return size
-
-
-def _vectors(content: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in content.items():
-        fields = getattr(value, "_fieldnames", None)
-        if fields:
-            yield from _vectors({field: getattr(value, field) for field in fields}, f"{prefix}{key}.")
-        elif isinstance(value, np.ndarray) and value.ndim == 1:
-            yield prefix + key, value
-        elif isinstance(value, np.ndarray) and value.ndim == 2 and value.dtype.kind in "biuf":
-            for number in range(value.shape[1] if value.shape[1] <= 64 < value.shape[0] else 0):
-                yield f"{prefix}{key}(:,{number + 1})", value[:, number]
+def _vectors(matrices: dict[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
+    for name, values in matrices.items():
+        if values.size > 1 and values.size == max(values.shape):
+            yield name, values.ravel()
+        elif values.ndim == 2 and values.shape[1] <= 64 < values.shape[0]:
+            for number in range(values.shape[1]):
+                yield f"{name}(:,{number + 1})", values[:, number]
 
 
 @contextmanager
-def _mat73(path: Path) -> Iterator[Columns]:
+def _mat73(path: Path) -> Iterator[Opened]:
     h5py = _library("h5py", path)
-    columns: Columns = {}
+    places: dict[str, tuple[Any, Any]] = {}
     with h5py.File(path, "r") as file:
-
-        def read(item: Any, row: int | None = None) -> Any:
-            check_size(path, item.size)
-            if item.external or item.is_virtual:
-                raise InputError(f"{path}: {item.name} lies in another file; save the values themselves")
-            return item[()] if row is None else item[row]
 
         def visit(name: str, item: Any) -> None:
             if not isinstance(item, h5py.Dataset) or name.startswith("#") or not item.shape:
                 return
             dotted = name.replace("/", ".")
             if item.size == max(item.shape):
-                columns[dotted] = lambda: read(item)
+                places[dotted] = item, ()
             elif item.ndim == 2 and item.shape[0] <= 64 < item.shape[1]:
                 # MATLAB writes column by column, so a matrix lies on its side here.
-                for row in range(item.shape[0]):
-                    columns[f"{dotted}(:,{row + 1})"] = lambda row=row: read(item, row)  # type: ignore[misc]
+                places.update({f"{dotted}(:,{row + 1})": (item, row) for row in range(item.shape[0])})
+
+        def read(name: str) -> Any:
+            item, row = places[name]
+            check_size(path, item.size)
+            if item.external or item.is_virtual:
+                raise InputError(f"{path}: {item.name} lies in another file; save the values themselves")
+            return item[row]
 
         file.visititems(visit)
-        yield columns
+        yield places, read
 
 
 @contextmanager
-def _mdf(path: Path, units: dict[str, str]) -> Iterator[Columns]:
+def _mdf(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     asammdf = _library("asammdf", path)
     # Bus logging would read databases that the file brings along.
     with closing(asammdf.MDF(path, process_bus_logging=False)) as file:
@@ -270,33 +242,31 @@ def _mdf(path: Path, units: dict[str, str]) -> Iterator[Columns]:
         def clock() -> np.ndarray:
             return max((clock_of(number) for number in range(len(file.groups))), key=len)
 
-        def column(group: int, number: int) -> Callable[[], Any]:
-            def read() -> Any:
-                _check_channel(path, file.groups[group], number)
-                signal = file.get(group=group, index=number)
-                own, common, values = clock_of(group), clock(), signal.samples
-                if len(values) < len(own):  # samples that the file marks as invalid are left out
-                    values = np.full(len(own), np.nan)
-                    values[np.searchsorted(own, signal.timestamps)] = signal.samples.astype(float)
-                if len(own) == len(common) and np.array_equal(own, common):
-                    return values
-                # A slower raster holds its last value until the next one; before its first sample nothing is known.
-                last = np.searchsorted(own, common, side="right") - 1
-                return np.where(last >= 0, values[np.maximum(last, 0)].astype(float), np.nan)
+        def read(name: str) -> Any:
+            if name not in places:
+                return clock()
+            group, number = places[name]
+            _check_channel(path, file.groups[group], number)
+            signal = file.get(group=group, index=number)
+            own, common, values = clock_of(group), clock(), signal.samples
+            if len(values) < len(own):  # samples that the file marks as invalid are left out
+                values = np.full(len(own), np.nan)
+                values[np.searchsorted(own, signal.timestamps)] = signal.samples.astype(float)
+            if len(own) == len(common) and np.array_equal(own, common):
+                return values
+            # A slower raster holds its last value until the next one; before its first sample nothing is known.
+            last = np.searchsorted(own, common, side="right") - 1
+            return np.where(last >= 0, values[np.maximum(last, 0)].astype(float), np.nan)
 
-            return read
-
-        columns: Columns = {}
+        places: dict[str, tuple[int, int]] = {}
         for name, ((group, number), *_) in file.channels_db.items():
             if file.groups[group].channel_dependencies[number]:  # a structure or an array, no signal
                 continue
-            columns[name] = column(group, number)
+            places[name] = group, number
             channel = file.groups[group].channels[number]
-            unit = getattr(channel, "unit", "") or getattr(channel.conversion, "unit", "")
-            if unit:
+            if unit := getattr(channel, "unit", "") or getattr(channel.conversion, "unit", ""):
                 units[name] = str(unit)
-        columns.setdefault("time_s", clock)
-        yield columns
+        yield dict.fromkeys((*places, "time_s")), read
 
 
 def _check_channel(path: Path, group: Any, number: int) -> None:
@@ -304,18 +274,15 @@ def _check_channel(path: Path, group: Any, number: int) -> None:
     that lies outside its record: the library reads there unchecked."""
     channel = group.channels[number]
     blocks = type(channel).__module__.rpartition(".")[2]
-    constants = {"v4_blocks": "v4_constants", "v2_v3_blocks": "v2_v3_constants"}[blocks]
-    names = vars(importlib.import_module(f"asammdf.blocks.{constants}"))
     rule = channel.conversion
-    plain = {names.get(f"CONVERSION_TYPE_{kind}") for kind in _PLAIN_CONVERSIONS}
-    if rule is not None and rule.conversion_type not in plain:
+    if rule is not None and rule.conversion_type not in _ARITHMETIC[blocks]:
         raise InputError(
             f"{path}: the values of channel {channel.name!r} come from a formula or a table of texts in the file, which is "
             "never run; export physical values (no conversion, or a linear one)"
         )
     if blocks == "v4_blocks":
         # Of a channel with an attachment the library opens whatever file is named.
-        if channel.channel_type == names["CHANNEL_TYPE_VLSD"] or channel.attachment is not None:
+        if channel.channel_type == _VARIABLE_LENGTH or channel.attachment is not None:
             raise InputError(
                 f"{path}: column {channel.name!r} holds texts, blocks of bytes or an attached file, no numbers"
             )
@@ -332,37 +299,39 @@ def _check_channel(path: Path, group: Any, number: int) -> None:
 
 
 @contextmanager
-def _tdms(path: Path, units: dict[str, str]) -> Iterator[Columns]:
+def _tdms(path: Path, units: dict[str, str]) -> Iterator[Opened]:
     tdms = _library("nptdms", path)
     with tdms.TdmsFile.open(path) as file:
         channels = [channel for group in file.groups() for channel in group.channels()]
         names = [channel.name for channel in channels]
-        columns: Columns = {}
-        for channel in channels:
-
-            def read(channel: Any = channel) -> Any:
-                check_size(path, len(channel))
-                return channel[:]
-
-            name = channel.name if names.count(channel.name) == 1 else f"{channel.group_name}/{channel.name}"
-            columns[name] = read
+        columns = {
+            each.name if names.count(each.name) == 1 else f"{each.group_name}/{each.name}": each
+            for each in channels
+        }
+        for name, channel in columns.items():
             if channel.properties.get("unit_string"):
                 units[name] = str(channel.properties["unit_string"])
-        if "time_s" not in columns and channels and "wf_increment" in channels[0].properties:
-            columns["time_s"] = lambda: channels[0].time_track()
-        yield columns
+        clocked = channels and "wf_increment" in channels[0].properties
+
+        def read(name: str) -> Any:
+            if name not in columns:
+                return channels[0].time_track()
+            check_size(path, len(columns[name]))
+            return columns[name][:]
+
+        yield dict.fromkeys((*columns, *(("time_s",) if clocked else ()))), read
 
 
 #: Loggers of the libraries that print unless asked not to.
 _TALKATIVE = (
     "asammdf", "nptdms.base_segment", "nptdms.reader", "nptdms.scaling", "nptdms.tdms_segment", "nptdms.types",
 )  # fmt: skip
-#: Conversions of MDF 3 and 4 that are arithmetic on numbers, by their names in asammdf.
-_PLAIN_CONVERSIONS = ("NON", "NONE", "LIN", "LINEAR", "RAT", "POLY", "EXPO", "LOGH", "TAB", "TABI", "RTAB")
-#: The type of a compressed element of a MAT 5 file ("MAT-File Format", The MathWorks).
-_MI_COMPRESSED = 15
+#: Conversions that are arithmetic on numbers, by the versions' modules in asammdf: none, linear, rational and tables of numbers;
+#: in MDF 3 also polynomials, exponentials and logarithms. And the type of channels whose samples are of any length.
+_ARITHMETIC = {"v4_blocks": {0, 1, 2, 4, 5, 6}, "v2_v3_blocks": {0, 1, 2, 6, 7, 8, 9, 65535}}
+_VARIABLE_LENGTH = 1
 
-BINARY: dict[str, tuple[Callable[[Path, dict[str, str]], AbstractContextManager[Columns]], str]] = {
+BINARY: dict[str, tuple[Callable[[Path, dict[str, str]], AbstractContextManager[Opened]], str]] = {
     ".parquet": (_parquet, "Parquet"),
     ".mat": (_mat, "a MAT file"),
     ".mf4": (_mdf, "MDF 4"),

@@ -15,7 +15,8 @@ import numpy as np
 from hydro_env.errors import InputError
 from hydro_env.measured.channels import check_channels, check_lines, check_sizes
 from hydro_env.measured.finding import Finding
-from hydro_env.measured.mapping import CHANNEL_SIGNALS, Mapping
+from hydro_env.measured.mapping import Mapping
+from hydro_env.measured.names import unit_of
 from hydro_env.measured.samples import check_samples
 from hydro_env.measured.table import Table
 from hydro_env.units import to_si, unit
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = [
     "LARGEST",
     "SETTLE_S",
-    "Spoilt",
+    "InvalidSamples",
     "after_gaps",
     "check_clock",
     "check_log",
@@ -36,14 +37,12 @@ __all__ = [
     "long_gap",
 ]
 
-LARGEST = (
-    1e18  # in SI; the squares of larger ones leave the range of single precision, in which logs are fitted
-)
+LARGEST = 1e18  # in SI; the squares of larger ones leave single precision, in which logs are fitted
 _RESOLUTION_S = 1e-6  # clocks are read to the microsecond, and no rig is recorded faster
 _SHORTEST_S, _LONGEST_S = 1e-4, 0.5  # between the rows of usual logs of such rigs
 _FASTEST_S = 4e-5  # faster than 25 kHz only oscilloscopes record
 SETTLE_S = 1.0  # after a gap the state of a simulation is a guess for so long
-Spoilt = dict[tuple[str, int], np.ndarray]
+InvalidSamples = dict[tuple[str, int], np.ndarray]
 
 
 def check_clock(
@@ -58,9 +57,7 @@ def check_clock(
         time = to_si(table.columns[column], unit)
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
-        raise InputError(
-            f"{table.path}: row {table.row(bad[0])}, column {column!r}: no time; every row needs one, so delete the row"
-        )
+        raise _refused(table, column, "no time; every row needs one, so delete the row", bad[0])
     check_numbers(table, column, time)
     if abs(time[0]) > 1e6 or any(f.code == "time_stamps" for f in table.findings):
         message = f"time starts at {time[0]:.0f} s; counted from the first row"
@@ -71,10 +68,8 @@ def check_clock(
     back = np.flatnonzero(steps < 0)
     if len(back):
         first = back[0] + 1
-        raise InputError(
-            f"{table.path}: row {table.row(first)}, column {column!r}: time runs backwards "
-            f"({time[first - 1]:.6g} s, then {time[first]:.6g} s); time must increase, so split the log there"
-        )
+        told = f"time runs backwards ({time[first - 1]:.6g} s, then {time[first]:.6g} s)"
+        raise _refused(table, column, f"{told}; time must increase, so split the log there", first)
     keep = None
     same = np.flatnonzero(steps == 0)
     if len(same):
@@ -84,47 +79,44 @@ def check_clock(
             for values in table.columns.values()
         )
         if len(same) > 0.01 * len(time) + 1 and not copies:
-            raise InputError(
-                f"{table.path}: row {row}, column {column!r}: {len(same)} rows repeat the time of the row before with "
-                "other values; write more digits, or give `time: {sample_rate: ...}` in a mapping"
-            )
+            told = f"{len(same)} rows repeat the time of the row before with other values"
+            hint = "write more digits, or give `time: {sample_rate: ...}` in a mapping"
+            raise _refused(table, column, f"{told}; {hint}", same[0] + 1)
         what = "are copies of the row before" if copies else "repeat the time of the row before"
         message = f"{len(same)} rows {what}, the first is row {row}; the later ones are dropped"
         findings.append(Finding("duplicate_time", message, "one row per instant", column=column, row=row))
         keep = np.flatnonzero(np.concatenate([[True], steps > 0]))
         time = time[keep]
         if len(time) < 2:
-            raise InputError(
-                f"{table.path}: column {column!r}: all rows have the same time; a log needs at least two"
-            )
+            raise _refused(table, column, "all rows have the same time; a log needs at least two")
         steps = np.diff(time)
     if float(np.median(steps)) < _RESOLUTION_S:
-        raise InputError(
-            f"{table.path}: column {column!r}: rows come every {np.median(steps):.3g} s; a clock is read to 1e-06 s, so give "
-            "its right unit in a mapping"
-        )
+        told = f"rows come every {np.median(steps):.3g} s; a clock is read to {_RESOLUTION_S:g} s"
+        raise _refused(table, column, f"{told}, so give its right unit in a mapping")
     rows = table.lines if keep is None else table.lines[keep]
     findings.extend(_rate(steps, time, rows, column, unit))
     return time, keep
 
 
-def _longer_unit(column: str, time: np.ndarray) -> Iterator[Finding]:
-    """A clock whose rate nobody would choose in seconds, and whose period everybody would in minutes or hours."""
-    period = float(time[-1] - time[0]) / (len(time) - 1)
-    if _is_chosen(period):
-        return
-    for longer in ("min", "h"):
+def _clock_unit(column: str, time: np.ndarray, median: float, unit: str) -> Iterator[Finding]:
+    """A clock whose rows come as seldom or as often as no recorder's: everybody would choose its rate in another unit."""
+    period, hint = float(time[-1] - time[0]) / (len(time) - 1), "give the right unit in a mapping"
+    for longer in ("min", "h") if unit == "s" and not _is_chosen(period) else ():
         other = to_si(period, longer)
         if _SHORTEST_S <= other < _LONGEST_S and _is_chosen(other):
-            yield Finding(
-                "time_unit",
-                f"rows come every {period:.3g} s ({1.0 / period:,.0f} a second): is {column!r} in {longer}, every {other:.3g} s?",
-                f"give the right unit in a mapping (`time: {{column: ..., unit: {longer}}}`)",
-                column=column,
-                sure=period < _FASTEST_S,
-                fix={"time": {"unit": longer}},
-            )
+            rate = f"{period:.3g} s ({1.0 / period:,.0f} a second)"
+            message = f"rows come every {rate}: is {column!r} in {longer}, every {other:.3g} s?"
+            right, sure = {"time": {"unit": longer}}, period < _FASTEST_S
+            hint += f" (`time: {{column: ..., unit: {longer}}}`)"
+            yield Finding("time_unit", message, hint, column=column, sure=sure, fix=right)
             return
+    if median >= _LONGEST_S:
+        message, right = f"rows come every {median:.6g} s: is {column!r} in ms?", {"time": {"unit": "ms"}}
+        hint = f"time_s is in s; {hint} (`time: {{column: ..., unit: ms}}`)"
+        yield Finding("time_unit", message, hint, column=column, sure=True, fix=right)
+    elif median < _FASTEST_S:
+        rate = f"{median:.3g} s ({1.0 / median:,.0f} a second)"
+        yield Finding("time_unit", f"rows come every {rate}: is the unit of {column!r} right?", column=column)
 
 
 def _is_chosen(period: float) -> bool:
@@ -140,11 +132,14 @@ def check_numbers(table: Table, column: str, values: np.ndarray) -> None:
     """InputError if a value (T,) in SI is larger than anything measured."""
     huge = np.flatnonzero(np.abs(values) > LARGEST)
     if len(huge):
-        row = huge[0]
-        raise InputError(
-            f"{table.path}: row {table.row(row)}, column {column!r}: {table.columns[column][row]:.6g} is no measurement; "
-            "leave the cell empty where nothing was measured"
-        )
+        told = f"{table.columns[column][huge[0]]:.6g} is no measurement"
+        raise _refused(table, column, f"{told}; leave the cell empty where nothing was measured", huge[0])
+
+
+def _refused(table: Table, column: str, problem: str, row: int | None = None) -> InputError:
+    """The error for a column that cannot be used, because of a row (counted from 0) if that is given."""
+    where = "" if row is None else f"row {table.row(row)}, "
+    return InputError(f"{table.path}: {where}column {column!r}: {problem}")
 
 
 def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, unit: str) -> Iterator[Finding]:
@@ -153,25 +148,19 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, un
     jumps = np.flatnonzero(steps > jump_size(time))
     if len(jumps):
         at = jumps[0]
-        yield Finding(
-            "clock_jump",
-            f"the clock jumps by {steps[at]:.6g} s after {time[at]:.6g} s ({len(jumps)} such jumps)",
-            "the state is unknown after a jump: split the log there, or name parts on one side of it, LOG@FROM:TO",
-            column=column,
-            row=int(rows[at + 1]),
-            sure=True,
-        )
+        message = f"the clock jumps by {steps[at]:.6g} s after {time[at]:.6g} s ({len(jumps)} such jumps)"
+        hint = "the state is unknown after a jump: split the log there, or name parts on one side of it, LOG@FROM:TO"
+        yield Finding("clock_jump", message, hint, column=column, row=int(rows[at + 1]), sure=True)
     elif 0 < len(gaps) <= 0.02 * len(steps) + 1 and len(steps) > 2:
         at = gaps[np.argmax(steps[gaps])]
-        yield Finding(
-            "gap",
+        message = (
             f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} in {column!r}; the longest lasts {steps[at]:.6g} s after "
-            f"{time[at]:.6g} s (before row {rows[at + 1]}; rows every {median:.6g} s)",
-            "the gap counts for nothing, nor what depends on the time at which its commands changed"
-            + (f", nor does the {SETTLE_S:g} s after it" if steps[at] > long_gap(median) else ""),
-            column=column,
-            row=int(rows[at + 1]),
+            f"{time[at]:.6g} s (before row {rows[at + 1]}; rows every {median:.6g} s)"
         )
+        hint = "the gap counts for nothing, nor what depends on the time at which its commands changed"
+        if steps[at] > long_gap(median):
+            hint += f", nor does the {SETTLE_S:g} s after it"
+        yield Finding("gap", message, hint, column=column, row=int(rows[at + 1]))
     ordinary = steps[steps <= 1.75 * median]
     spread = float(np.quantile(np.abs(ordinary - median), 0.95)) / median
     if spread > 0.05 or len(gaps) > 0.02 * len(steps) + 1:
@@ -180,66 +169,39 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, un
         )
         hint = "commands are held from their own times on, and the model is compared at the times of the rows"
         yield Finding("uneven_sampling", message, hint, column=column)
-    if longer := list(_longer_unit(column, time)) if unit == "s" else []:
-        yield from longer
-    elif median >= _LONGEST_S:
-        yield Finding(
-            "time_unit",
-            f"rows come every {median:.6g} s: is {column!r} in ms?",
-            "time_s is in s; give the right unit in a mapping (`time: {column: ..., unit: ms}`)",
-            column=column,
-            sure=True,
-            fix={"time": {"unit": "ms"}},
-        )
-    elif median < _FASTEST_S:
-        message = (
-            f"rows come every {median:.3g} s ({1.0 / median:,.0f} a second): is the unit of {column!r} right?"
-        )
-        yield Finding("time_unit", message, column=column)
+    yield from _clock_unit(column, time, median, unit)
 
 
-def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> tuple[list[Finding], Spoilt]:
+def check_log(log: RigLog, mapping: Mapping, rows: np.ndarray) -> tuple[list[Finding], InvalidSamples]:
     """What is suspicious about the values of a log, and which samples are no measurements of the rig.
 
-    `rows` (T,) are the lines of the file that hold the samples; spoilt samples come as masks (T,) by (signal, channel).
+    `rows` (T,) are the lines of the file that hold the samples; invalid ones come as masks (T,) by (signal, channel).
     """
     findings: list[Finding] = []
-    spoilt: Spoilt = {}
-    for signal in CHANNEL_SIGNALS:
-        for channel in (0, 1):
-            source = getattr(mapping.channels[channel], signal, None)
-            if source is None or not log.has(signal, channel):
-                continue
+    invalid: InvalidSamples = {}
+    for signal, channel, source in mapping.sources():
+        if channel is not None and log.has(signal, channel):
             found, bad = check_samples(log, signal, channel, rows, source.column)
             findings += found
             if bad.any():
-                spoilt[signal, channel] = bad
+                invalid[signal, channel] = bad
     findings += check_sizes(log, mapping)
     findings += check_channels(log, mapping)
     findings += check_lines(log, mapping)
-    return findings, spoilt
+    return findings, invalid
 
 
 def check_units(table: Table, mapping: Mapping) -> Iterator[Finding]:
     """Where the file itself gives a unit (a row of units, a unit in the binary file) and the mapping another one."""
-    parts: list[tuple[str, str, dict[str, Any]]] = []
-    if mapping.time.column is not None:
-        parts.append((mapping.time.column, mapping.time.unit, {}))
-    for number, channel in enumerate(mapping.channels):
-        for signal in CHANNEL_SIGNALS:
-            source = getattr(channel, signal) if channel else None
-            for part in (source, source.minus if source else None):
-                if part is not None:
-                    parts.append((part.column, part.unit, {"signal": signal, "channel": number + 1}))
-    for column, read_as, place in parts:
-        said = table.units.get(column, "")
-        try:
-            same = unit(said) == unit(read_as)
-        except InputError:
-            continue
-        if said and not same:
+    parts: list[tuple[Any, ...]] = [(mapping.time.column, mapping.time.unit, None, None)]
+    for signal, channel, source in mapping.sources():
+        number = None if channel is None else channel + 1
+        parts += [(part.column, part.unit, signal, number) for part in (source, source.minus) if part]
+    for column, read_as, signal, number in parts:
+        said = table.units.get(column or "", "")
+        if said and (known := unit_of(said)) and known != unit(read_as):
             message = f"the file says that {column!r} is in {said}, it is read as {read_as}"
-            yield Finding("unit", message, "give the right unit in a mapping", column=column, **place)
+            yield Finding("unit", message, "give the right unit in a mapping", signal, number, column)
 
 
 def jump_size(time: np.ndarray) -> float:

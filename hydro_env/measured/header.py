@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hydro_env.errors import InputError
-from hydro_env.measured.csv_cells import MISSING, is_number, is_value, seconds
+from hydro_env.measured.cell_text import MISSING, is_number, is_value, seconds
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.names import bracketed, unit_of
 
@@ -111,14 +111,10 @@ def find_header(
         )
     parsed = [_Line([], False)] * begin + [_Line.of(line, delimiter) for line in lines[begin:]]
     full = [n for n, line in enumerate(parsed) if line.cells]
-    shape, rows = _plain([parsed[n] for n in full])
-    top = full[rows] if rows else None
-    if not shape:
-        shape = _shape([parsed[n] for n in full])
-        top = _top(parsed, full, shape) if shape else None
-    if (
-        shape is None or top is None
-    ):  # no table is seen: the first line holds the names, and reading says the rest
+    shape = _shape([parsed[n] for n in full])
+    top = _top(parsed, full, shape) if shape else None
+    if shape is None or top is None:
+        # No table is seen: the first line holds the names, and reading says the rest.
         place = full[0] if full else 0
         return _named(parsed[place].cells if full else [], delimiter, place + 1)
     above = [n for n in full if n < top]
@@ -154,18 +150,6 @@ def _above(
     return replace(header, units=header.units | below), names, units
 
 
-def _plain(lines: Sequence[_Line]) -> tuple[_Shape | None, int]:
-    """The shape where the table begins at once, and which line is its first row: the second, or the third after units."""
-    for first in range(1, min(3, len(lines))):
-        shape = _shape(lines[first : first + 1])
-        # Of a line of key and value at most half are numbers.
-        if shape and 2 * len(shape.numeric) > shape.filled and shape.is_names(lines[0]):
-            return shape, first
-        if not _units(lines[first]):
-            break
-    return None, 0
-
-
 def _top(lines: Sequence[_Line], full: Sequence[int], shape: _Shape) -> int | None:
     """The first of several rows alike. Where a damaged row is above, the first row of all; None where that has none above it."""
     alike = [shape.is_row(lines[n]) for n in full]
@@ -197,15 +181,14 @@ def _shape(lines: Sequence[_Line]) -> _Shape | None:
 
 
 def _delimiter(lines: Sequence[str]) -> str:
-    """The mark that makes most columns of numbers of the second line or of the last; the most frequent of the first line
-    where there are no numbers."""
+    """The mark that makes most columns of numbers of the last lines; the most frequent of the first line where there are no
+    numbers."""
     full = [line for line in lines if line.strip()]
     scores: dict[str, float] = {}
-    for find, some in ((lambda lines: _plain(lines)[0], full[:3]), (_shape, full[-3 * _TAIL :])):
-        for mark in () if scores else _MARKS:
-            shape = find([_Line.of(line, mark) for line in some])
-            if shape and shape.width > 1:
-                scores[mark] = len(shape.numeric) - 0.5 * (shape.filled - len(shape.numeric))
+    for mark in _MARKS:
+        shape = _shape([_Line.of(line, mark) for line in full[-3 * _TAIL :]])
+        if shape and shape.width > 1:
+            scores[mark] = len(shape.numeric) - 0.5 * (shape.filled - len(shape.numeric))
     if not scores and full:
         scores = {mark: full[0].count(mark) for mark in _MARKS[:-1] if mark in full[0]}
     if scores:
@@ -217,7 +200,7 @@ def _kind(cell: str) -> str:
     if cell.lower() in MISSING:
         return "missing"
     comma = cell.count(",") == 1 and is_number(cell.replace(",", "."))
-    return "value" if comma or is_value(cell, True) or seconds(cell) is not None else "text"
+    return "value" if comma or is_value(cell) or seconds(cell) is not None else "text"
 
 
 def _named(cells: Sequence[str], delimiter: str, first: int, filled: int = 0) -> Header:

@@ -9,18 +9,17 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping as Table
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from pydantic import ValidationError
 
 from ..errors import InputError
 from ..units import UNITS
-from .csv_file import CsvStyle
+from ..validation import checked
 from .formats import read_table
 from .gate import LARGEST
 from .guess import QUANTITIES, Column, Guess, by_behaviour, guesses
@@ -29,20 +28,18 @@ from .log_files import read_log
 from .mapping import (
     CHANNEL_SIGNALS,
     RIG_SIGNALS,
+    USUAL_UNITS,
     Mapping,
+    TableStyle,
     contract_columns,
     contract_mapping,
-    explain,
     load_begun,
+    quantity_of,
 )
 from .names import unit_of, words
 
 __all__ = ["Proposal", "propose", "shown"]
 
-_SHOWN = {
-    "angular speed": "rpm", "linear speed": "mm/s", "pressure": "bar", "voltage": "V", "current": "A", "length": "mm",
-    "torque": "N m", "force": "N", "flow": "l/min", "temperature": "degC", "time": "s",
-}  # fmt: skip
 _CHANNELS = ("channel_1", "channel_2")
 _NEEDED = {"command": "V", "speed": "rpm"}
 
@@ -74,12 +71,12 @@ class _Draft:
         )
 
 
-def propose(path: str | Path, begun: Table[str, Any] | None = None) -> Proposal:
+def propose(path: str | Path, begun: dict[str, Any] | None = None) -> Proposal:
     """Looks at a log and proposes a mapping that keeps what `begun`, the content of a mapping file, says already. InputError
     if the log cannot be read at all."""
     path, begun = Path(path), begun or {}
     draft = _Draft({"schema": "hydro_env/mapping/1", "name": re.sub(r"\W+", "_", path.name.split(".")[0])})
-    columns = _columns(path, CsvStyle(**begun.get("table", {})), draft.notes)
+    columns = _columns(path, TableStyle(**begun.get("table", {})), draft.notes)
     names = tuple(column.name for column in columns)
     if "time_s" in names and sum(name in contract_columns() for name in names) >= 3:
         draft.notes.append("the header is the rig log's own: no mapping is needed")
@@ -96,7 +93,7 @@ def propose(path: str | Path, begun: Table[str, Any] | None = None) -> Proposal:
     return _tried(path, draft)
 
 
-def _columns(path: Path, style: CsvStyle, notes: list[str]) -> list[Column]:
+def _columns(path: Path, style: TableStyle, notes: list[str]) -> list[Column]:
     """Every column of numbers of a file; `notes` gets the reasons why others are not read."""
     names: dict[str, str] = {}  # what a column is called, and the header's name of it
     left: set[str] = set()
@@ -132,7 +129,10 @@ def _columns(path: Path, style: CsvStyle, notes: list[str]) -> list[Column]:
 def _fill(draft: _Draft, columns: list[Column]) -> None:
     """Puts the most likely column of each signal into the draft."""
     nameless = all(column.label.isdecimal() for column in columns)
-    found = by_behaviour(columns) if nameless else sorted(guesses(columns), key=lambda guess: -guess.score)
+    found = by_behaviour(columns) if nameless else list(guesses(columns))
+    found.sort(
+        key=lambda guess: (guess.signal == "position", -guess.score)
+    )  # a speed is better than its position
     for column in columns:
         if all(column is not guess.column for guess in found):
             known = ", ".join(sorted(column.meant - {"unknown", "symbol", "valve"}))
@@ -140,21 +140,13 @@ def _fill(draft: _Draft, columns: list[Column]) -> None:
             why = f"{known}, nothing that a mapping has" if known and why == "not recognised" else why
             draft.notes.append(f"{column.name!r}: {why}, left out")
     channels: dict[int, dict[str, Any]] = {1: {}, 2: {}}
-    positions: list[Guess] = []
     for guess in found:
         if guess.channel > 2:
             draft.notes.append(
                 f"{guess.column.name!r}: {guess.signal} of channel {guess.channel}, left out; a log has two"
             )
-        elif guess.signal == "position":
-            positions.append(guess)
         else:
             _put(draft, channels.get(guess.channel, draft.content), guess)
-    for guess in positions:
-        if "speed" in channels[guess.channel]:
-            draft.notes.append(f"{guess.column.name!r}: a position, left out; there is a speed")
-        else:
-            _put(draft, channels[guess.channel], guess)
     if "time" not in draft.content:
         draft.content["time"] = {"sample_rate": 1000}
         draft.open.append("time.sample_rate: no clock was found; put the rows per second")
@@ -240,48 +232,32 @@ def _source(guess: Guess) -> tuple[dict[str, Any], str, str]:
     return source, why, "; ".join(doubts)
 
 
+#: Units by signal, each with the largest size of numbers in it; a clock's size is its step.
+_BY_SIZE: dict[str, list[tuple[float, str]]] = {
+    "time": [(0.9, "s"), (500.0, "ms"), (inf, "us")],
+    "stroke": [(3.0, "m"), (inf, "mm")], "angle": [(7.0, "rad"), (inf, "deg")],
+    "pressure": [(1.0, "MPa"), (1500.0, "bar"), (5e4, "kPa"), (inf, "Pa")],
+    "command": [(1.05, "fraction"), (80.0, "V"), (101.0, "percent"), (inf, "")],
+    "speed": [(1.0, "m/s"), (5.0, "rad/s"), (inf, "rpm")],
+    "flow": [(0.01, "m3/s"), (inf, "l/min")], "current": [(10.0, "A"), (inf, "mA")],
+    "spool": [(inf, "mm")], "load": [(inf, "N m")], "temperature": [(inf, "degC")],
+}  # fmt: skip
+_STROKES = {"weg", "kolbenweg", "stroke", "hub", "piston", "kolben", "cyl", "zylinder", "cylinder"}
+
+
 def _unit_by_size(column: Column, signal: str) -> str:
     """The unit in which the magnitudes make sense, "" for a command that no unit suits."""
     size = float(np.quantile(np.abs(column.finite), 0.99))
     if signal == "time":
-        step = float(np.median(np.diff(column.finite)))
-        return "us" if step >= 500.0 else "ms" if step >= 0.9 else "s"
-    if signal == "position":
+        size = float(np.median(np.diff(column.finite)))
+    elif signal == "position":
         if "counts" in column.meant:
             return "rev"
-        if set(words(column.label)) & {
-            "weg",
-            "kolbenweg",
-            "stroke",
-            "hub",
-            "piston",
-            "kolben",
-            "cyl",
-            "zylinder",
-            "cylinder",
-        }:
-            return "mm" if size > 3.0 else "m"
-        return "deg" if size > 7.0 else "rad"
-    if signal in ("pressure", "supply"):
-        return "Pa" if size > 5e4 else "kPa" if size > 1500.0 else "bar" if size > 1.0 else "MPa"
-    if signal == "command":
-        known = column.unit[0] is None
-        return (
-            ""
-            if not known or size > 101.0
-            else "fraction"
-            if size <= 1.05
-            else "V"
-            if size <= 80.0
-            else "percent"
-        )
-    if signal in ("speed", "setpoint"):
-        return "rpm" if size > 5.0 else "m/s" if size < 1.0 else "rad/s"
-    if signal == "flow":
-        return "m3/s" if size < 0.01 else "l/min"
-    if signal == "current":
-        return "mA" if size > 10.0 else "A"
-    return {"spool": "mm", "load": "N m", "temperature": "degC"}[signal]
+        signal = "stroke" if _STROKES & set(words(column.label)) else "angle"
+    elif signal == "command" and column.unit[0] is not None:  # in a unit that no command has
+        return ""
+    rows = _BY_SIZE[{"supply": "pressure", "setpoint": "speed"}.get(signal, signal)]
+    return next(unit for largest, unit in rows if size <= largest)
 
 
 def _port(name: str) -> str:
@@ -299,10 +275,9 @@ def _tried(path: Path, draft: _Draft) -> Proposal:
         return draft.proposal(None, "no channel with a command and a speed was found; name them by hand")
     while True:
         try:
-            log = read_log(path, Mapping.model_validate(content))
-        except (InputError, ValidationError) as error:
-            line = explain(error) if isinstance(error, ValidationError) else str(error)
-            line = line.removeprefix(f"{path}: ")
+            log = read_log(path, checked(Mapping, content, path))
+        except InputError as error:
+            line = str(error).removeprefix(f"{path}: ")
             if not _left_out(draft, line):
                 return draft.proposal(None, line)
             continue
@@ -349,7 +324,7 @@ def _channels(content: dict[str, Any]) -> list[dict[str, Any]]:
     return [content[key] for key in _CHANNELS if key in content]
 
 
-def _merge(content: dict[str, Any], fix: Table[str, Any]) -> None:
+def _merge(content: dict[str, Any], fix: dict[str, Any]) -> None:
     for key, value in fix.items():
         if isinstance(value, dict):
             _merge(content.setdefault(key, {}), value)
@@ -381,7 +356,7 @@ def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str
         for c in log.channels if values.ndim == 2 else (None,):
             if c is not None and not log.has(signal, c):
                 continue
-            name = _shown_unit(signal, log, c)
+            name = USUAL_UNITS[quantity_of(signal, log.kinds[log.channels[0] if c is None else c])]
             one = values if c is None else values[:, c]
             offset, scale = UNITS[name].offset, UNITS[name].scale
             quantiles = [(np.nanquantile(one, q) - offset) / scale for q in (0.0, 0.5, 1.0)]
@@ -392,9 +367,3 @@ def shown(path: str | Path, mapping: str | Path | None = None) -> tuple[str, str
     if not log.findings:
         lines.append("  nothing suspicious found")
     return "\n".join(lines), proposal.text
-
-
-def _shown_unit(signal: str, log: RigLog, channel: int | None) -> str:
-    quantities = QUANTITIES[signal]
-    linear = log.kinds[log.channels[0] if channel is None else channel] == "cylinder"
-    return _SHOWN[quantities[1] if linear and len(quantities) == 2 and signal != "command" else quantities[0]]

@@ -111,7 +111,7 @@ class RigLog:
         return self._with_rows(lambda values, _: values[keep[0] : keep[-1] + 1].copy())
 
     def first(self, rows: int) -> RigLog:
-        """The first so many rows."""
+        """The first `rows` rows."""
         return self._with_rows(lambda values, _: values[:rows])
 
     def resample(self, lead: float | np.ndarray = 0.0, even: bool = False) -> RigLog:

@@ -12,12 +12,11 @@ import numpy as np
 
 from hydro_env.errors import InputError, nearest
 from hydro_env.files import replacing
-from hydro_env.measured.csv_file import CsvStyle
 from hydro_env.measured.finding import Finding
 from hydro_env.measured.formats import read_table
 from hydro_env.measured.gate import (
     SETTLE_S,
-    Spoilt,
+    InvalidSamples,
     after_gaps,
     check_clock,
     check_log,
@@ -27,10 +26,8 @@ from hydro_env.measured.gate import (
 )
 from hydro_env.measured.log import HELD, RigLog, field_of
 from hydro_env.measured.mapping import (
-    CHANNEL_SIGNALS,
     CONTRACT,
     CONTRACT_RIG,
-    RIG_SIGNALS,
     Mapping,
     Part,
     Source,
@@ -60,7 +57,7 @@ def read_log(path: str | Path, mapping: Mapping | str | Path | None = None) -> R
         chosen[:] = [mapping or contract_mapping(names, path)]  # a second reading may see another header
         return chosen[0].columns()
 
-    table = read_table(path, choose, CsvStyle(**mapping.table.model_dump()) if mapping else None)
+    table = read_table(path, choose, mapping.table if mapping else None)
     if mapping is None:
         table.findings.extend(_unknown_columns(table))
     return _from_table(table, chosen[0])
@@ -107,20 +104,18 @@ def _from_table(table: Table, mapping: Mapping) -> RigLog:
             for channel in mapping.channels
         ),
         read_as={
-            f"{signal}_{number + 1}": (source.column, source.unit)
-            for number, channel in enumerate(mapping.channels)
-            if channel
-            for signal in CHANNEL_SIGNALS
-            if (source := getattr(channel, signal)) is not None
+            f"{signal}_{channel + 1}": (source.column, source.unit)
+            for signal, channel, source in mapping.sources()
+            if channel is not None
         },
         **{name: None if values is None else values[start:end] for name, values in signals.items()},  # type: ignore[arg-type]
     )
     if len(log) < 2:
         raise InputError(f"{table.path}: no two rows hold a command; a log needs at least two samples")
     findings += check_units(table, mapping)
-    found, spoilt = check_log(log, mapping, rows[start:end])
+    found, invalid = check_log(log, mapping, rows[start:end])
     return _with_load_pressure(
-        replace(_without(log, spoilt, unknown[start:end]), findings=(*findings, *found))
+        replace(_without(log, invalid, unknown[start:end]), findings=(*findings, *found))
     )
 
 
@@ -129,24 +124,19 @@ def _signals(
 ) -> dict[str, np.ndarray | None]:
     """The arrays of a `RigLog` in SI: (T, 2) of the channels, NaN where one lacks the signal, and (T,) of the rig."""
     signals: dict[str, np.ndarray | None] = {}
-    for signal in CHANNEL_SIGNALS:
-        columns: list[np.ndarray | None] = [None, None]
-        for index, channel in enumerate(mapping.channels):
-            source = getattr(channel, signal) if channel else None
-            columns[index] = _values(table, source, keep, findings) if source else None
-            if source and columns[index] is None and signal in ("command", "speed"):
-                raise InputError(
-                    f"{table.path}: column {source.column!r} is empty; {signal} is required of every channel"
-                )
-        count = max((len(column) for column in columns if column is not None), default=0)
-        if count:
-            signals[field_of(signal)] = np.column_stack(
-                [np.full(count, np.nan) if column is None else column for column in columns]
+    for signal, channel, source in mapping.sources():
+        values, name = _values(table, source, keep, findings), field_of(signal)
+        if channel is None:
+            signals[name] = values
+        elif values is not None:
+            both = signals.get(name)
+            if both is None:
+                both = signals[name] = np.full((len(values), 2), np.nan)
+            both[:, channel] = values
+        elif signal in ("command", "speed"):
+            raise InputError(
+                f"{table.path}: column {source.column!r} is empty; {signal} is required of every channel"
             )
-    for signal in RIG_SIGNALS:
-        source = getattr(mapping, signal)
-        if source is not None:
-            signals[signal] = _values(table, source, keep, findings)
     return signals
 
 
@@ -183,36 +173,35 @@ def _hold(
     command, or soon behind them: what the valve was told there is not known.
     """
     begin, end, unknown = 0, len(rows), np.zeros(len(rows), bool)
-    for signal in HELD:
+    for signal, channel, source in mapping.sources():
         values = signals.get(field_of(signal))
-        if values is None:
+        if signal not in HELD or values is None:
             continue
-        for channel in range(values.shape[1]) if values.ndim == 2 else (None,):
-            one = values if channel is None else values[:, channel]
-            known = np.isfinite(one)
-            if known.all() or not known.any():
-                continue
-            named = mapping.channels[channel] if channel is not None else mapping
-            column = getattr(named, signal).column
-            last = np.maximum.accumulate(np.where(known, np.arange(len(one)), -1))
-            first = int(np.argmax(known))
-            one[:] = np.where(last >= 0, one[np.maximum(last, 0)], 0.0 if signal == "load" else one[first])
-            hint = "the value before is held"
-            if signal == "command":
-                final, long = _unknown(time_s, known)
-                unknown |= long
-                if long[first:final].any():
-                    hint += "; long holes, and the second after each, count for nothing"
-                if first > 0:
-                    begin = max(begin, first)
-                    hint += f", and the log begins with row {rows[first]}, the first that holds one"
-                if final < len(one):
-                    end = min(end, final)
-                    hint += f", and the log ends with row {rows[final - 1]}: no command follows"
-            hole = int(np.argmax(~known))
-            message = f"{np.sum(~known)} of {len(one)} cells of {column!r} hold no value, the first in row {rows[hole]}"
-            place = {"channel": None if channel is None else channel + 1, "column": column}
-            findings.append(Finding("missing_values", message, hint, signal, row=int(rows[hole]), **place))  # type: ignore[arg-type]
+        one = values if channel is None else values[:, channel]
+        known = np.isfinite(one)
+        if known.all() or not known.any():
+            continue
+        last = np.maximum.accumulate(np.where(known, np.arange(len(one)), -1))
+        first = int(np.argmax(known))
+        one[:] = np.where(last >= 0, one[np.maximum(last, 0)], 0.0 if signal == "load" else one[first])
+        hint = "the value before is held"
+        if signal == "command":
+            final, long = _unknown(time_s, known)
+            unknown |= long
+            if long[first:final].any():
+                hint += "; long holes, and the second after each, count for nothing"
+            if first > 0:
+                begin = max(begin, first)
+                hint += f", and the log begins with row {rows[first]}, the first that holds one"
+            if final < len(one):
+                end = min(end, final)
+                hint += f", and the log ends with row {rows[final - 1]}: no command follows"
+        hole = int(np.argmax(~known))
+        message = f"{source.column!r} holds no value in {np.sum(~known)} of {len(one)} cells, the first in row {rows[hole]}"
+        number = None if channel is None else channel + 1
+        findings.append(
+            Finding("missing_values", message, hint, signal, number, source.column, int(rows[hole]))
+        )
     return begin, end, unknown
 
 
@@ -234,8 +223,8 @@ def _unknown(time_s: np.ndarray, known: np.ndarray) -> tuple[int, np.ndarray]:
     return end, found
 
 
-def _without(log: RigLog, spoilt: Spoilt, unknown: np.ndarray) -> RigLog:
-    """The log with NaN in place of spoilt samples, of rows (T,) whose commands are `unknown`, and of what follows a long gap
+def _without(log: RigLog, invalid: InvalidSamples, unknown: np.ndarray) -> RigLog:
+    """The log with NaN in place of invalid samples, of rows (T,) whose commands are `unknown`, and of what follows a long gap
     unless that were most of the log."""
     late = after_gaps(log.time_s)
     late &= late.mean() < 0.5
@@ -243,13 +232,13 @@ def _without(log: RigLog, spoilt: Spoilt, unknown: np.ndarray) -> RigLog:
     changed: dict[str, np.ndarray | None] = {}
     for signal in MEASURED:
         values = log.get(signal)
-        if values is None or not (late.any() or any(name == signal for name, _ in spoilt)):
+        if values is None or not (late.any() or any(name == signal for name, _ in invalid)):
             continue
         values = values.copy()
         values[late] = np.nan
         for channel in (0, 1):
-            if (signal, channel) in spoilt:
-                values[spoilt[signal, channel], channel] = np.nan
+            if (signal, channel) in invalid:
+                values[invalid[signal, channel], channel] = np.nan
         changed[field_of(signal)] = None if signal != "speed" and np.isnan(values).all() else values
     return replace(log, **changed) if changed else log  # type: ignore[arg-type]
 

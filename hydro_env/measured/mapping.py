@@ -27,14 +27,16 @@ model that was given, with a flow gain `Kq` that makes its rad/s the m/s of the 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from hydro_env.errors import InputError, nearest, shown, suggestion
+from hydro_env.errors import InputError, nearest
 from hydro_env.reading import read_yaml
 from hydro_env.units import to_si, unit
+from hydro_env.validation import FileTable, Number, checked
 
 __all__ = [
     "CHANNEL_SIGNALS",
@@ -43,11 +45,13 @@ __all__ = [
     "ChannelMapping",
     "Mapping",
     "Source",
+    "TableStyle",
     "contract_columns",
+    "USUAL_UNITS",
     "contract_mapping",
-    "explain",
     "load_begun",
     "load_mapping",
+    "quantity_of",
 ]
 
 SCHEMA = "hydro_env/mapping/1"
@@ -55,33 +59,6 @@ SCHEMA = "hydro_env/mapping/1"
 LINES = ("pressure_a", "pressure_b")
 CHANNEL_SIGNALS = ("command", "current", "pressure", "speed", "load", "spool", "flow", *LINES)
 RIG_SIGNALS = ("setpoint", "supply", "temperature")
-
-_QUANTITY = {
-    "motor": {
-        "speed": "angular speed",
-        "setpoint": "angular speed",
-        "load": "torque",
-        "displacement": "displacement",
-    },
-    "cylinder": {
-        "speed": "linear speed",
-        "setpoint": "linear speed",
-        "load": "force",
-        "displacement": "area",
-    },
-}
-#: A speed may be given as the position whose slope it is.
-_POSITION = {"motor": "angle", "cylinder": "length"}
-_COMMON = {
-    "command": "voltage", "current": "current", "pressure": "pressure", "spool": "length", "flow": "flow",
-    "supply": "pressure", "temperature": "temperature", "pressure_a": "pressure", "pressure_b": "pressure",
-}  # fmt: skip
-_EXAMPLE = {
-    "voltage": "V", "current": "A", "pressure": "bar", "length": "mm", "flow": "l/min",
-    "temperature": "degC", "time": "s",
-    "angular speed": "rpm", "linear speed": "m/s", "torque": "N m", "force": "N",
-    "displacement": "cm3/rev", "area": "m2",
-}  # fmt: skip
 
 # The columns of the rig log itself: signal -> (ending of the column name, unit).
 CONTRACT = {
@@ -94,28 +71,39 @@ CONTRACT_RIG = {
     "supply": ("supply_bar", "bar"),
     "temperature": ("temperature_C", "degC"),
 }
+#: What is measured on a cylinder where a motor has the former.
+_LINEAR = {"angular speed": "linear speed", "angle": "length", "torque": "force", "displacement": "area"}
+#: A speed may be given as the position whose slope it is.
+_POSITIONS = {"angular speed": "angle", "linear speed": "length"}
+#: The unit in which an engineer reads a quantity.
+USUAL_UNITS = {
+    "voltage": "V", "current": "A", "pressure": "bar", "length": "mm", "flow": "l/min", "temperature": "degC", "time": "s",
+    "angular speed": "rpm", "linear speed": "mm/s", "torque": "N m", "force": "N", "displacement": "cm3/rev", "area": "cm2",
+}  # fmt: skip
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+def quantity_of(signal: str, actuator: str) -> str:
+    """What a signal, or the displacement, is measured as on a motor or a cylinder."""
+    if signal == "displacement":
+        found = "displacement"
+    else:
+        found = unit((CONTRACT | CONTRACT_RIG)[signal][1]).quantity
+    return found if actuator == "motor" else _LINEAR.get(found, found)
 
 
-class Part(_Strict):
+class Part(FileTable):
     """One column in one unit; `full_scale` (SI) is the value at fraction 1 where the unit is fraction or percent."""
 
     column: str
     unit: str
     sign: Literal[1, -1] = 1
-    scale: float = 1.0
-    offset: float = 0.0
-    full_scale: float | None = None
+    scale: Number = 1.0
+    offset: Number = 0.0
+    full_scale: Number | None = None
 
     @model_validator(mode="after")
     def _sensible(self) -> Part:
-        try:
-            quantity = unit(self.unit).quantity
-        except InputError as error:
-            raise ValueError(str(error)) from None
+        quantity = unit(self.unit).quantity
         if self.scale == 0.0:
             raise ValueError("scale is 0, so the signal would vanish; use sign: -1 to reverse it")
         if quantity == "fraction" and self.full_scale is None:
@@ -140,10 +128,10 @@ class Source(Part):
         return (self.column,) if self.minus is None else (self.column, self.minus.column)
 
 
-class Quantity(_Strict):
+class Quantity(FileTable):
     """A number with its unit."""
 
-    value: float
+    value: Number
     unit: str
 
     @property
@@ -151,7 +139,7 @@ class Quantity(_Strict):
         return float(to_si(self.value, self.unit))
 
 
-class Time(_Strict):
+class Time(FileTable):
     """The clock: a column of numbers, or rows at a fixed rate (rows per second)."""
 
     column: str | None = None
@@ -164,17 +152,14 @@ class Time(_Strict):
             raise ValueError(
                 "give either `column` (with its unit) or `sample_rate` (rows per second), not both or none"
             )
-        try:
-            quantity = unit(self.unit).quantity
-        except InputError as error:
-            raise ValueError(str(error)) from None
+        quantity = unit(self.unit).quantity
         if quantity != "time":
             raise ValueError(f"{self.unit} is a unit of {quantity}; time is in s, ms or us")
         return self
 
 
-class TableStyle(_Strict):
-    """How the file is written where that is not recognised by itself."""
+class TableStyle(FileTable):
+    """How a CSV file is written; None is recognised from the file."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None
     decimal: Literal[".", ","] | None = None
@@ -183,7 +168,7 @@ class TableStyle(_Strict):
     si_suffixes: bool = False
 
 
-class ChannelMapping(_Strict):
+class ChannelMapping(FileTable):
     """One valve and its actuator; signals that are not recorded are left out."""
 
     actuator: Literal["motor", "cylinder"] = "motor"
@@ -201,45 +186,46 @@ class ChannelMapping(_Strict):
     @model_validator(mode="after")
     def _units_fit(self) -> ChannelMapping:
         for signal in CHANNEL_SIGNALS:
-            source = getattr(self, signal)
-            if source is not None:
+            if (source := getattr(self, signal)) is not None:
                 _check_unit(signal, source, self.actuator)
         if self.displacement is not None:
-            wanted = _QUANTITY[self.actuator]["displacement"]
-            try:
-                quantity = unit(self.displacement.unit).quantity
-            except InputError as error:
-                raise ValueError(f"displacement: {error}") from None
+            wanted = quantity_of("displacement", self.actuator)
+            quantity = unit(self.displacement.unit).quantity
             if quantity != wanted:
                 raise ValueError(
                     f"displacement of a {self.actuator}: {self.displacement.unit} is a unit of {quantity}; "
-                    f"use {_EXAMPLE[wanted]}"
+                    f"use {USUAL_UNITS[wanted]}"
                 )
         return self
 
 
 def _check_unit(signal: str, source: Source, actuator: str) -> None:
-    wanted = _QUANTITY[actuator].get(signal) or _COMMON[signal]
-    position = _POSITION[actuator] if signal == "speed" else ""
+    """ValueError for a unit of something else than the signal."""
+
+    def fitting(actuator: str) -> tuple[str, ...]:
+        quantity = quantity_of(signal, actuator)
+        return (quantity, _POSITIONS[quantity]) if signal == "speed" else (quantity,)
+
+    other = "cylinder" if actuator == "motor" else "motor"
     for part in (source, source.minus):
         if part is None:
             continue
         quantity = unit(part.unit).quantity
         if quantity == "fraction" and signal in ("command", "current", "spool"):
             continue
-        if quantity not in (wanted, position):
-            other = "cylinder" if actuator == "motor" else "motor"
-            fits_other = quantity in (_QUANTITY[other].get(signal), _POSITION[other] if position else "")
-            hint = f", or say `actuator: {other}`" if fits_other else ""
+        if quantity not in fitting(actuator):
+            hint = f", or say `actuator: {other}`" if quantity in fitting(other) else ""
+            wanted = USUAL_UNITS[quantity_of(signal, actuator)]
             raise ValueError(
-                f"{signal} of a {actuator}: {part.unit} is a unit of {quantity}; use {_EXAMPLE[wanted]}{hint}"
+                f"{signal} of a {actuator}: {part.unit} is a unit of {quantity}; use {wanted}{hint}"
             )
 
 
-class Mapping(_Strict):
-    """A whole mapping file; `schema_` is written `schema` in the file."""
+class Mapping(FileTable):
+    """A whole mapping file."""
 
-    schema_: Literal["hydro_env/mapping/1"] = Field(alias="schema")
+    FORMAT = SCHEMA
+
     name: str = ""
     description: str = ""
     table: TableStyle = TableStyle()
@@ -255,9 +241,8 @@ class Mapping(_Strict):
         present = [channel for channel in self.channels if channel is not None]
         if not present:
             raise ValueError("no channel: give channel_1, channel_2 or both, each with command and speed")
-        for signal in RIG_SIGNALS:
-            source = getattr(self, signal)
-            if source is not None:
+        for signal, channel, source in self.sources():
+            if channel is None:
                 _check_unit(signal, source, present[0].actuator)
         return self
 
@@ -266,30 +251,33 @@ class Mapping(_Strict):
         """Channel 1 and channel 2, None where absent."""
         return self.channel_1, self.channel_2
 
+    def sources(self) -> Iterator[tuple[str, int | None, Source]]:
+        """Signal, channel (0, 1; None of the rig) and source of all that is mapped."""
+        for channel in (None, 0, 1):
+            owner = self if channel is None else self.channels[channel]
+            for signal in RIG_SIGNALS if channel is None else CHANNEL_SIGNALS:
+                source = getattr(owner, signal, None)
+                if source is not None:
+                    yield signal, channel, source
+
     def columns(self) -> tuple[str, ...]:
         """Every column of the file that the mapping uses."""
-        sources = [getattr(self, signal) for signal in RIG_SIGNALS]
-        sources += [
-            getattr(channel, signal) for channel in self.channels if channel for signal in CHANNEL_SIGNALS
-        ]
         names = [self.time.column] if self.time.column else []
-        return tuple(
-            dict.fromkeys(names + [name for source in sources if source for name in source.columns()])
-        )
+        return tuple(dict.fromkeys(names + [n for _, _, source in self.sources() for n in source.columns()]))
 
 
 def load_mapping(path: str | Path) -> Mapping:
     """Reads a mapping file; `InputError` with one line naming file and key for anything that is wrong."""
-    return _validated(path, _read(path))
+    return checked(Mapping, read_yaml(path, "a mapping in YAML"), path)
 
 
 def load_begun(path: str | Path) -> Mapping | dict[str, Any]:
     """A whole mapping file as a mapping; the content of one that lacks the time or every channel. InputError as above."""
-    data = _read(path)
-    lacking = {key: value for key, value in _BLANK.items() if key not in data}
-    if "channel_2" in data:
+    data = read_yaml(path, "a mapping in YAML")
+    lacking = {key: value for key, value in _BLANK.items() if isinstance(data, dict) and key not in data}
+    if lacking and "channel_2" in data:
         lacking.pop("channel_1", None)
-    whole = _validated(path, data | lacking)
+    whole = checked(Mapping, data | lacking if lacking else data, path)
     return data if lacking else whole
 
 
@@ -298,49 +286,6 @@ _BLANK: dict[str, Any] = {
     "time": {"sample_rate": 1000},
     "channel_1": {"command": {"column": "?", "unit": "V"}, "speed": {"column": "?", "unit": "rpm"}},
 }
-
-
-def _read(path: str | Path) -> dict[str, Any]:
-    data = read_yaml(path, "a mapping in YAML")
-    if not isinstance(data, dict):
-        raise InputError(f"{path}: a mapping is a YAML table that starts with `schema: {SCHEMA}`")
-    if data.get("schema") != SCHEMA:
-        raise InputError(
-            f"{path}: schema is {shown(data.get('schema'))}; a mapping file says `schema: {SCHEMA}`"
-        )
-    return data
-
-
-def _validated(path: str | Path, data: dict[str, Any]) -> Mapping:
-    try:
-        return Mapping.model_validate(data)
-    except ValidationError as error:
-        raise InputError(f"{path}: {explain(error)}") from None
-
-
-def explain(error: ValidationError) -> str:
-    """The first complaint as one line: key, what is wrong, what would be right."""
-    # An unknown key often makes a required one missing, and is then the better explanation.
-    first = min(error.errors(), key=lambda entry: entry["type"] != "extra_forbidden")
-    where = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        known = _keys(first["loc"][:-1])
-        return f"unknown key {shown(where)}; {suggestion(first['loc'][-1], known)}"
-    if first["type"] == "missing":
-        return f"key {where!r} is missing; it is required here"
-    message = first["msg"].removeprefix("Value error, ")
-    got = "" if first["type"] == "value_error" else f", got {shown(first['input'])}"
-    return f"key {where!r}: {message}{got}" if where else f"{message}{got}"
-
-
-def _keys(place: tuple[Any, ...]) -> list[str]:
-    """The keys that are known at a place of the mapping file."""
-    models: dict[str, type[BaseModel]] = {
-        "table": TableStyle, "time": Time, "channel_1": ChannelMapping, "channel_2": ChannelMapping,
-        "displacement": Quantity, "minus": Part,
-    }  # fmt: skip
-    model = models.get(str(place[-1]), Source) if place else Mapping
-    return [field.alias or name for name, field in model.model_fields.items()]
 
 
 _CHANNEL_COLUMN = re.compile(rf"({'|'.join(CHANNEL_SIGNALS)})_([12])_(\w+)")
@@ -376,7 +321,7 @@ def contract_mapping(names: tuple[str, ...], path: Path) -> Mapping:
         for signal, (column, symbol) in CONTRACT_RIG.items()
         if column in names
     }
-    return Mapping.model_validate({"schema": SCHEMA, "time": {"column": "time_s"}, **rig, **channels})
+    return Mapping.model_validate({"time": {"column": "time_s"}, **rig, **channels})
 
 
 def _missing(path: Path, column: str, names: tuple[str, ...]) -> InputError:

@@ -1,18 +1,21 @@
 """The samples of one signal: missing, constant, stuck, clipped, coarse, and a sensor that is disturbed for a while.
 
-Samples that are not measurements of the rig (a sensor that stuck, a converter at its end, a disturbed sensor) are given
-back as spoilt; who reads the log leaves them out of every comparison.
+Samples that are not measurements of the rig (a sensor that stuck, a converter at its end, a disturbed sensor) are invalid; who
+reads the log leaves them out of every comparison.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydro_env.measured.finding import Finding
-from hydro_env.units import BAR, LPM, MILLIMETRE, RPM
+from hydro_env.measured.mapping import CONTRACT
+from hydro_env.units import MILLIMETRE, RPM, from_si, with_unit
 
 if TYPE_CHECKING:
     from hydro_env.measured.log import RigLog
@@ -24,8 +27,8 @@ _STUCK_S = 0.25  # a sensor that repeats itself to the last digit for longer whi
 _MANY_STEPS = 200  # a signal resolved in fewer steps over its range is called coarse
 _LEVEL_ROWS = 0.38  # share of second differences below half a step, if those of noise and rounding are normal
 _SPIKE = 0.1  # a spike that the machine could do, but for no reason, stands out by this share of the signal's swing
-_SPIKE_NEAR = 6.0  # ... by so many times what four of five rows nearby are off at most, some eight standard deviations of noise
-_SPIKE_NOISE = 8.0  # ... by so many of the signal's median steps, again eight standard deviations
+_SPIKE_NEAR = 6.0  # ... by this many times what four of five rows nearby are off at most, some eight standard deviations of noise
+_SPIKE_NOISE = 8.0  # ... by this many of the signal's median steps, again eight standard deviations
 _SPIKE_PERIOD = 2e-3  # s, in slower logs only speeds are searched for spikes
 _BURST_S = 0.5  # windows in which a disturbance is looked for
 _BURST_RATIO = 6.0  # the fast part of a disturbed signal stands out of its usual one by more
@@ -34,69 +37,119 @@ _SILENT_S = 3.0  # a pressure that is stuck in its noise is so for at least this
 _LEFT_OUT = "left out of every comparison"
 
 
+@dataclass
+class _Signal:
+    """A signal of a channel while it is looked at: its values (T,), NaN where there is none, the lines `rows` (T,) of the file
+    that hold them, what was found and which samples (T,) are invalid."""
+
+    log: RigLog
+    name: str
+    channel: int
+    column: str
+    rows: np.ndarray
+    values: np.ndarray
+    findings: list[Finding] = field(default_factory=list)
+    invalid: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.invalid = np.zeros(len(self.values), bool)
+
+    @property
+    def period(self) -> float:
+        """Between rows, s."""
+        return self.log.period
+
+    @cached_property
+    def command(self) -> np.ndarray:
+        """The command of the channel (T,), V."""
+        return self.log.command_V[:, self.channel]
+
+    @cached_property
+    def swing(self) -> float:
+        """How far the command moves, V; 0 where there is none."""
+        known = self.log.has("command", self.channel)
+        return float(np.nanmax(self.command) - np.nanmin(self.command)) if known else 0.0
+
+    @cached_property
+    def runs(self) -> tuple[np.ndarray, np.ndarray]:
+        """Starts and lengths of the runs of equal values."""
+        return _runs(self.values)
+
+    @property
+    def least_stuck(self) -> int:
+        """Rows from which on a repeated value is suspicious."""
+        return max(20, int(_STUCK_S / self.period))
+
+    def tell(self, code: str, message: str, hint: str, row: int | None = None, sure: bool = False) -> None:
+        """Notes a finding about the column, which the message goes on from; `row` counts from 0."""
+        line = None if row is None else int(self.rows[row])
+        self.findings.append(
+            Finding(
+                code, f"{self.column!r} {message}", hint, self.name, self.channel + 1, self.column, line, sure
+            )
+        )
+
+    def shown(self, value: float) -> str:
+        """A value as text, in the unit of the rig log."""
+        name = CONTRACT[self.name][1]
+        return with_unit(from_si(value, name), name, 4)
+
+
 def check_samples(
     log: RigLog, signal: str, channel: int, rows: np.ndarray, column: str
 ) -> tuple[list[Finding], np.ndarray]:
-    """Findings about a signal of a channel (0, 1), and which samples (T,) are spoilt; `rows` (T,) are lines of the file."""
+    """Findings about a signal of a channel (0, 1), and which samples (T,) are invalid; `rows` (T,) are lines of the file."""
     values = log.get(signal)
     assert values is not None
-    values = np.ascontiguousarray(values[:, channel])
-    place: dict[str, Any] = {"signal": signal, "channel": channel + 1, "column": column}
-    findings: list[Finding] = []
-    spoilt = np.zeros(len(values), bool)
-    missing = np.flatnonzero(~np.isfinite(values))
+    one = _Signal(log, signal, channel, column, rows, values[:, channel].copy())
+    _check(one)
+    return one.findings, one.invalid
+
+
+def _check(one: _Signal) -> None:
+    missing = np.flatnonzero(~np.isfinite(one.values))
     if len(missing):
-        message = f"{len(missing)} of {len(values)} cells of {column!r} hold no value, the first in row {rows[missing[0]]}"
-        findings.append(Finding("missing_values", message, _LEFT_OUT, row=int(rows[missing[0]]), **place))
-    finite = values[np.isfinite(values)]
+        message = f"{len(missing)} of {len(one.values)} cells, the first in row {one.rows[missing[0]]}"
+        one.tell("missing_values", f"holds no value in {message}", _LEFT_OUT, missing[0])
+    finite = one.values[np.isfinite(one.values)]
     if not len(finite):
-        return findings, spoilt
-    if signal == "load":
-        return [*findings, *_load_at_limit(log, values, rows, place)], spoilt
-    low, high = float(finite.min()), float(finite.max())
-    if high == low:
-        if len(finite) > 10:
-            message = f"{column!r} is constant ({_cell(high, place)})"
-            hint = "a log says nothing about what does not move: excite the rig, or look at the sensor"
-            command = log.command_V[:, channel]
-            driven = log.has("command", channel) and np.nanmax(command) > np.nanmin(command)
-            if signal in MEASURED and signal != "speed" and driven:
-                hint = "no sensor is so quiet while the command moves: taken as absent"
-                spoilt[:] = True
-            findings.append(
-                Finding("constant", message, hint, sure=signal == "speed" and bool(driven), **place)
+        return
+    if one.name == "load":
+        _load_at_limit(one)
+    elif np.ptp(finite) == 0.0:
+        _constant(one, finite)
+    elif one.name in MEASURED:
+        if one.name != "speed" and one.swing > 0.0 and len(finite) > 500 and _is_white(finite):
+            message = (
+                f"shows nothing but noise about {one.shown(float(finite.mean()))} while the command moves"
             )
-        return findings, spoilt
-    if signal not in MEASURED:
-        return findings, spoilt
-    command = log.command_V[:, channel]
-    driven = log.has("command", channel) and np.nanmax(command) > np.nanmin(command)
-    if signal != "speed" and driven and len(finite) > 500 and _is_white(finite):
-        message = f"{column!r} shows nothing but noise about {_cell(float(finite.mean()), place)} while the command moves"
-        hint = "the sensor does not measure: taken as absent"
-        spoilt[:] = True
-        return [*findings, Finding("constant", message, hint, **place)], spoilt
-    for finding, bad in _spikes(log, values, signal, channel, rows, place):
-        findings.append(finding)
-        spoilt |= bad
-    values = np.where(spoilt, np.nan, values)  # a spike is no limit that a sensor runs into
-    starts, lengths = _runs(values)
-    for check in (_stuck, _clipped):
-        for finding, bad in check(log, values, channel, rows, starts, lengths, place):
-            findings.append(finding)
-            spoilt |= bad
-    if signal == "pressure":
-        for finding, bad in _silent(log, values, channel, rows, place):
-            findings.append(finding)
-            spoilt |= bad
-    if signal == "speed":
-        for finding, bad in _disturbed(log, np.where(spoilt, np.nan, values), channel, rows, place):
-            findings.append(finding)
-            spoilt |= bad
-    return [*findings, *_coarse(finite, place)], spoilt
+            one.tell("constant", message, "the sensor does not measure: taken as absent")
+            one.invalid[:] = True
+            return
+        _spikes(one)
+        one.values[one.invalid] = np.nan  # a spike is no limit that a sensor runs into
+        _stuck(one)
+        _clipped(one)
+        if one.name == "pressure":
+            _silent(one)
+        if one.name == "speed":
+            one.values[one.invalid] = np.nan
+            _disturbed(one)
+        _coarse(one, finite)
 
 
-def _coarse(finite: np.ndarray, place: dict[str, Any]) -> Iterator[Finding]:
+def _constant(one: _Signal, finite: np.ndarray) -> None:
+    if len(finite) <= 10:
+        return
+    hint = "a log says nothing about what does not move: excite the rig, or look at the sensor"
+    driven = one.swing > 0.0
+    if one.name in MEASURED and one.name != "speed" and driven:
+        hint = "no sensor is so quiet while the command moves: taken as absent"
+        one.invalid[:] = True
+    one.tell("constant", f"is constant ({one.shown(finite[0])})", hint, sure=one.name == "speed" and driven)
+
+
+def _coarse(one: _Signal, finite: np.ndarray) -> None:
     """Few levels over many rows: the steps of the converter show. A clean signal has nearly as many values as rows."""
     some = finite[:: 1 + len(finite) // 10_000]  # as many levels in a part settle it without sorting an hour
     span = float(np.ptp(finite))
@@ -108,47 +161,40 @@ def _coarse(finite: np.ndarray, place: dict[str, Any]) -> Iterator[Finding]:
     # Noise as large as the error of rounding makes a mean of rows finer than a step; fewer second differences are then 0.
     dithered = np.mean(np.abs(np.diff(finite, 2)) < 0.5 * step * span) < _LEVEL_ROWS
     if len(levels) < _MANY_STEPS and len(levels) < len(finite) / 10 and not dithered:
-        message = (
-            f"{place['column']!r} has only {len(levels)} different values (step {step:.2%} of its range)"
-        )
         hint = "record with finer resolution where possible"
-        if place["signal"] == "speed":
+        if one.name == "speed":
             hint += "; encoder counts within a window are also half a window late, which a diagnosis may call sensor lag"
-        yield Finding("coarse", message, hint, **place)
+        one.tell("coarse", f"has only {len(levels)} different values (step {step:.2%} of its range)", hint)
 
 
-def _spikes(
-    log: RigLog, values: np.ndarray, signal: str, channel: int, rows: np.ndarray, place: dict[str, Any]
-) -> Iterator[tuple[Finding, np.ndarray]]:
+def _spikes(one: _Signal) -> None:
     """Up to three rows far from all rows around them: a dropped bit or a loose plug.
 
     Far is beyond the noise, and beyond what the machine does. A shaft has inertia: there and back again takes twice the steepest
     change that the speed shows anywhere, without its spikes; in a slow log, or of another signal, nothing may ask for it either.
     A pressure or a current may do that for ten milliseconds, so that these are looked at in fast logs only.
     """
-    known = np.flatnonzero(np.isfinite(values))
-    if signal != "speed" and log.period > _SPIKE_PERIOD:
+    if one.name != "speed" and one.period > _SPIKE_PERIOD:
         return
-    found, reach = standing_out(values[known])
-    bad = np.zeros(len(values), bool)
-    least = _SPIKE * float(np.ptp(np.quantile(values[known], (0.01, 0.99))))
+    known = np.flatnonzero(np.isfinite(one.values))
+    found, reach = standing_out(one.values[known])
+    least = _SPIKE * float(np.ptp(np.quantile(one.values[known], (0.01, 0.99))))
     for start, end, height, nearby in found:
-        asked = _command_near(log, channel, int(known[start]), 20) >= 0.05
-        if signal == "speed":
+        asked = _command_near(one, int(known[start]), 20) >= 0.05
+        if one.name == "speed":
             # A shaft that sticks and slips may stir for a row or two.
             possible = min(reach, max(least, 3.0 * nearby if asked else nearby))
         else:
             possible = np.inf if asked else max(reach, least)
         if height > possible:
-            bad[known[start:end]] = True
-    if bad.any():
-        first = int(np.flatnonzero(bad)[0])
+            one.invalid[known[start:end]] = True
+    if one.invalid.any():
+        first = int(np.argmax(one.invalid))
         message = (
-            f"{place['column']!r} jumps for a row or two and back, {int(bad.sum())} rows in all, first to "
-            f"{_cell(values[first], place)} in row {rows[first]}"
+            f"jumps for a row or two and back, {int(one.invalid.sum())} rows in all, first to "
+            f"{one.shown(one.values[first])} in row {one.rows[first]}"
         )
-        hint = f"no machine moves so; a loose plug or a lost bit: {_LEFT_OUT}"
-        yield Finding("spikes", message, hint, row=int(rows[first]), **place), bad
+        one.tell("spikes", message, f"no machine moves so; a loose plug or a lost bit: {_LEFT_OUT}", first)
 
 
 def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]], float]:
@@ -184,13 +230,12 @@ def standing_out(values: np.ndarray) -> tuple[list[tuple[int, int, float, float]
     return found, reach
 
 
-def _command_near(log: RigLog, channel: int, row: int, rows: int) -> float:
-    """How far the command of a channel moves within so many rows of a row, as a share of its swing in the log."""
-    command = log.command_V[:, channel]
-    if not log.has("command", channel) or not np.nanmax(command) > np.nanmin(command):
+def _command_near(one: _Signal, row: int, rows: int) -> float:
+    """How far the command moves within `rows` rows of a row, as a share of its swing in the log."""
+    if not one.swing > 0.0:
         return 0.0
-    near = command[max(0, row - rows) : row + rows]
-    return float((np.nanmax(near) - np.nanmin(near)) / (np.nanmax(command) - np.nanmin(command)))
+    near = one.command[max(0, row - rows) : row + rows]
+    return float((np.nanmax(near) - np.nanmin(near)) / one.swing)
 
 
 def _runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -199,111 +244,117 @@ def _runs(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return starts, np.diff(np.concatenate([starts, [len(values)]]))
 
 
-def _stuck(
-    log: RigLog,
-    values: np.ndarray,
-    channel: int,
-    rows: np.ndarray,
-    starts: np.ndarray,
-    lengths: np.ndarray,
-    place: dict[str, Any],
-) -> Iterator[tuple[Finding, np.ndarray]]:
+def _stuck(one: _Signal) -> None:
     """Runs of one value: of a noisy signal any, else where the command moves and the same commands move it elsewhere."""
-    command = log.command_V[:, channel]
-    swing = float(np.nanmax(command) - np.nanmin(command)) if log.has("command", channel) else 0.0
-    least = max(20, int(_STUCK_S / log.period))
-    long = lengths >= least
-    if swing == 0.0 or not long.any():
+    values, command, (starts, lengths) = one.values, one.command, one.runs
+    long = lengths >= one.least_stuck
+    if one.swing == 0.0 or not long.any():
         return
-    repeated = np.zeros(len(values), bool)
-    for start, length in zip(starts[long], lengths[long], strict=True):
-        repeated[start : start + length] = True
+    repeated = np.repeat(long, lengths)
     low, high = np.nanmin(values), np.nanmax(values)
     noisy = _is_noisy(values[~repeated])
-    usual = _by_command(command[~repeated], values[~repeated], swing)
-    bad, first, longest = np.zeros(len(values), bool), -1, 0
-    for start, length in zip(starts[long], lengths[long], strict=True):
-        run = slice(start, start + length)
-        if noisy and values[start] not in (0.0, low, high):  # noise never repeats itself
-            bad[run] = True
-            if length > longest:
-                first, longest = int(start), int(length)
-            continue
+    usual = _by_command(command[~repeated], values[~repeated], one.swing)
+
+    def is_stuck(start: int, length: int) -> bool:
+        inside = values[start] not in (0.0, low, high)
+        if noisy and inside:  # noise never repeats itself
+            return True
         early = command[start : start + length * 2 // 3]
-        if np.nanmax(early) - np.nanmin(early) <= 0.1 * swing:
-            continue
-        elsewhere = usual(command[run])
+        if np.nanmax(early) - np.nanmin(early) <= 0.1 * one.swing:
+            return False
+        elsewhere = usual(command[start : start + length])
         known = np.isfinite(elsewhere)
         if known.mean() > 0.2:
-            is_stuck = np.median(np.abs(elsewhere[known] - values[start])) > 0.1 * (high - low)
-        else:  # nothing to compare with: a plateau at full scale, or a computed zero, is no fault
-            is_stuck = values[start] not in (0.0, low, high)
-        if is_stuck:
-            bad[run] = True
-            if length > longest:
-                first, longest = int(start), int(length)
-    if first >= 0:
+            return bool(np.median(np.abs(elsewhere[known] - values[start])) > 0.1 * (high - low))
+        return inside  # nothing to compare with: a plateau at full scale, or a computed zero, is no fault
+
+    stuck = long.copy()
+    for n in np.flatnonzero(long):
+        stuck[n] = is_stuck(starts[n], lengths[n])
+    if stuck.any():
+        longest = int(np.argmax(np.where(stuck, lengths, 0)))
+        first, length = starts[longest], lengths[longest]
         message = (
-            f"{place['column']!r} repeats the value {_cell(values[first], place)} for {longest * log.period:.3g} s "
-            f"from {log.time_s[first]:.6g} s (row {rows[first]})"
+            f"repeats the value {one.shown(values[first])} for {length * one.period:.3g} s from "
+            f"{one.log.time_s[first]:.6g} s (row {one.rows[first]})"
         )
-        if bad.sum() > longest:
-            message += f", and more such stretches: {bad.sum() * log.period:.3g} s in all"
-        hint = f"a stuck sensor or a frozen recorder: {_LEFT_OUT}"
-        yield Finding("stuck", message, hint, row=int(rows[first]), **place), bad
+        if lengths[stuck].sum() > length:
+            message += f", and more such stretches: {lengths[stuck].sum() * one.period:.3g} s in all"
+        one.tell("stuck", message, f"a stuck sensor or a frozen recorder: {_LEFT_OUT}", first)
+        one.invalid |= np.repeat(stuck, lengths)
 
 
-def _silent(
-    log: RigLog, values: np.ndarray, channel: int, rows: np.ndarray, place: dict[str, Any]
-) -> Iterator[tuple[Finding, np.ndarray]]:
+def _silent(one: _Signal) -> None:
     """Stretches of a pressure that are white noise while the shaft changes its speed to and fro: that takes torque."""
-    width = round(2.0 * _BURST_S / log.period)
-    if width < 50 or len(values) < 3 * width:
+    width = round(2.0 * _BURST_S / one.period)
+    if width < 50 or len(one.values) < 3 * width:
         return
-    count = len(values) // width
-    pieces = values[: count * width].reshape(count, width)
-    speed = log.speed[:, channel]
+    pieces = _windows(one.values, width)
+    speed = one.log.speed[:, one.channel]
     turns = np.sqrt(np.mean(_fast(speed, width) ** 2, axis=1)) > _MOVES * np.nanstd(speed)
     size = np.var(pieces, axis=1)
     white = np.mean(np.diff(pieces, axis=1) ** 2, axis=1) > 1.6 * size
-    quiet = white & (size < 0.01 * np.nanvar(values))
+    silent = white & (size < 0.01 * np.nanvar(one.values)) & turns
     # Of exchanged pressures one may rest for a while: they are for the model to tell.
-    if np.sum(quiet & turns) * width * log.period < _SILENT_S:
+    if np.sum(silent) * width * one.period < _SILENT_S:
         return
-    bad = np.zeros(len(values), bool)
-    bad[: count * width] = np.repeat(quiet & turns, width)
+    bad = _rows_of(silent, width, len(one.values))
     first = int(np.argmax(bad))
     message = (
-        f"{place['column']!r} shows nothing but noise for {bad.sum() * log.period:.3g} s, first from {log.time_s[first]:.6g} s "
-        f"(row {rows[first]}), while the speed changes to and fro"
+        f"shows nothing but noise for {bad.sum() * one.period:.3g} s, first from {one.log.time_s[first]:.6g} s "
+        f"(row {one.rows[first]}), while the speed changes to and fro"
     )
-    yield Finding("stuck", message, f"a stuck sensor: {_LEFT_OUT}", row=int(rows[first]), **place), bad
+    one.tell("stuck", message, f"a stuck sensor: {_LEFT_OUT}", first)
+    one.invalid |= bad
 
 
-def _load_at_limit(
-    log: RigLog, values: np.ndarray, rows: np.ndarray, place: dict[str, Any]
-) -> Iterator[Finding]:
+def _at_limits(one: _Signal, least: float) -> Iterator[tuple[str, float, np.ndarray]]:
+    """The smallest and the largest value, if runs of at least `least` rows have it, and which runs these are."""
+    starts, lengths = one.runs
+    for limit, name in ((np.nanmin(one.values), "smallest"), (np.nanmax(one.values), "largest")):
+        long = (one.values[starts] == limit) & (lengths >= least)
+        if limit != 0.0 and long.any():
+            yield name, limit, long
+
+
+def _load_at_limit(one: _Signal) -> None:
     """A measured load that repeats its largest or smallest value: noise never does. A computed load may rest anywhere."""
-    starts, lengths = _runs(values)
-    least = max(20, int(_STUCK_S / log.period))
-    for limit, name in ((np.nanmin(values), "smallest"), (np.nanmax(values), "largest")):
-        long = (lengths >= least) & (values[starts] == limit)
-        if limit == 0.0 or not long.any():
-            continue
-        elsewhere = values[np.repeat(lengths < least, lengths)]
+    starts, lengths = one.runs
+    for name, limit, long in _at_limits(one, one.least_stuck):
+        elsewhere = one.values[np.repeat(lengths < one.least_stuck, lengths)]
         steps = np.abs(np.diff(elsewhere))
         # Noise within one step of the converter does repeat itself.
         resolution = np.min(steps[steps > 0.0], initial=np.inf)
         if not _is_noisy(elsewhere) or np.median(steps) < 3.0 * resolution:
             continue
         first = starts[long][0]
-        unit = "N" if log.kinds[place["channel"] - 1] == "cylinder" else "N m"
+        unit = "N" if one.log.kinds[one.channel] == "cylinder" else "N m"
         message = (
-            f"{place['column']!r} stays at its {name} value, {limit:.4g} {unit}, for {lengths[long].sum() * log.period:.3g} s, "
-            f"first in row {rows[first]}, though it is noisy elsewhere: the sensor was at its limit"
+            f"stays at its {name} value, {limit:.4g} {unit}, for {lengths[long].sum() * one.period:.3g} s, "
+            f"first in row {one.rows[first]}, though it is noisy elsewhere: the sensor was at its limit"
         )
         hint = "the true load is larger there and is taken as logged; widen the sensor's range"
-        yield Finding("clipped", message, hint, row=int(rows[first]), **place)
+        one.tell("clipped", message, hint, first)
+
+
+def _clipped(one: _Signal) -> None:
+    """Runs at the largest or smallest value that the signal reached while it was moving."""
+    values, (starts, lengths) = one.values, one.runs
+    for name, limit, long in _at_limits(one, max(5.0, 5.0 * float(np.median(lengths)))):
+        share = float(lengths[long].sum()) / len(values)
+        # A limit is run into: the signal still moves when it gets there, unlike one that settles at a steady value.
+        entries = starts[long][starts[long] > 0]
+        if share < 0.002 or len(entries) == 0:
+            continue
+        arrival = np.abs(values[entries] - values[entries - 1])
+        if np.median(arrival) > 2e-4 * (np.nanmax(values) - np.nanmin(values)):
+            message = (
+                f"stays at its {name} value, {one.shown(limit)}, in {share:.1%} of the rows, first in row "
+                f"{one.rows[entries[0]]}"
+            )
+            hint = f"a sensor or converter at its limit: {_LEFT_OUT}; widen its range"
+            one.tell("clipped", message, hint, entries[0])
+            one.invalid |= np.repeat(long, lengths)
 
 
 def _is_white(values: np.ndarray) -> bool:
@@ -319,20 +370,14 @@ def _is_noisy(values: np.ndarray) -> bool:
     return len(steps) > 100 and float(np.mean(steps[1:] * steps[:-1] < 0.0)) > 0.3
 
 
-def _cell(value: float, place: dict[str, Any]) -> str:
-    sizes = {
-        "speed": (RPM, "rpm"), "pressure": (BAR, "bar"), "current": (1.0, "A"), "command": (1.0, "V"),
-        "pressure_a": (BAR, "bar"), "pressure_b": (BAR, "bar"), "spool": (MILLIMETRE, "mm"), "flow": (LPM, "l/min"),
-    }  # fmt: skip
-    size, unit = sizes.get(place["signal"], (1.0, "in SI"))
-    return f"{value / size:.4g} {unit}"
-
-
-def _by_command(command: np.ndarray, values: np.ndarray, swing: float) -> Any:
+def _by_command(command: np.ndarray, values: np.ndarray, swing: float) -> Callable[[np.ndarray], np.ndarray]:
     """A function that gives, for commands, the median of the values at the same command (within 2.5 % of the swing)."""
     low = np.nanmin(command) if len(command) else 0.0
-    width = 0.05 * swing
-    number = np.where(np.isfinite(command), (command - low) / width, -1.0).astype(int)
+
+    def level(wanted: np.ndarray) -> np.ndarray:
+        return np.where(np.isfinite(wanted), (wanted - low) / (0.05 * swing), -1.0).astype(int)
+
+    number = level(command)
     medians = np.full(int(number.max(initial=0)) + 2, np.nan)
     for n in np.unique(number[number >= 0]):
         here = values[(number == n) & np.isfinite(values)]
@@ -340,121 +385,83 @@ def _by_command(command: np.ndarray, values: np.ndarray, swing: float) -> Any:
             medians[n] = np.median(here)
 
     def at(wanted: np.ndarray) -> np.ndarray:
-        place = np.where(np.isfinite(wanted), (wanted - low) / width, -1.0).astype(int)
-        return np.where(
-            (place >= 0) & (place < len(medians)), medians[np.clip(place, 0, len(medians) - 1)], np.nan
-        )
+        place = level(wanted)
+        known = (place >= 0) & (place < len(medians))
+        return np.where(known, medians[np.where(known, place, 0)], np.nan)
 
     return at
 
 
-def _clipped(
-    log: RigLog,
-    values: np.ndarray,
-    channel: int,
-    rows: np.ndarray,
-    starts: np.ndarray,
-    lengths: np.ndarray,
-    place: dict[str, Any],
-) -> Iterator[tuple[Finding, np.ndarray]]:
-    """Runs at the largest or smallest value that the signal reached while it was moving."""
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    typical = float(np.median(lengths))
-    for limit, name in ((low, "smallest"), (high, "largest")):
-        if limit == 0.0:
-            continue
-        long = (values[starts] == limit) & (lengths >= max(5.0, 5.0 * typical))
-        share = float(lengths[long].sum()) / len(values)
-        if not long.any() or share < 0.002:
-            continue
-        # A limit is run into: the signal still moves when it gets there, unlike one that settles at a steady value.
-        entries = starts[long]
-        entries = entries[entries > 0]
-        if len(entries) == 0:
-            continue
-        arrival = np.abs(values[entries] - values[entries - 1])
-        if np.median(arrival) > 2e-4 * (high - low):
-            bad = np.zeros(len(values), bool)
-            for start, length in zip(starts[long], lengths[long], strict=True):
-                bad[start : start + length] = True
-            message = (
-                f"{place['column']!r} stays at its {name} value, {_cell(limit, place)}, in {share:.1%} of the rows, "
-                f"first in row {rows[entries[0]]}"
-            )
-            hint = f"a sensor or converter at its limit: {_LEFT_OUT}; widen its range"
-            yield Finding("clipped", message, hint, row=int(rows[entries[0]]), **place), bad
-
-
-def _disturbed(
-    log: RigLog, values: np.ndarray, channel: int, rows: np.ndarray, place: dict[str, Any]
-) -> Iterator[tuple[Finding, np.ndarray]]:
+def _disturbed(one: _Signal) -> None:
     """Stretches in which the speed shakes much faster and wider than usual though nothing asks for it.
 
     A machine that truly shook would need the pressure for it. Where the pressure is logged and stays as quiet as usual, the
-    stretch is the sensor's doing and spoilt; where the pressure shakes too, it is the machine and nothing is said.
+    stretch is the sensor's doing and invalid; where the pressure shakes too, it is the machine and nothing is said.
     """
-    width = round(_BURST_S / log.period)
-    if width < 20 or len(values) < 12 * width or not log.has("command", channel):
+    log, width = one.log, round(_BURST_S / one.period)
+    if width < 20 or len(one.values) < 12 * width or one.swing == 0.0:
         return
-    fast = _fast(values, width)
+    fast = _fast(one.values, width)
     size = np.sqrt(np.mean(fast**2, axis=1))
-    if not np.isfinite(size).any():
+    usual = float(np.nanmedian(size)) if np.isfinite(size).any() else 0.0
+    if not usual > 0.0:
         return
-    usual = float(np.nanmedian(size))
-    command = log.command_V[: len(fast) * width, channel]
-    swing = float(np.nanmax(command) - np.nanmin(command))
-    if not usual > 0.0 or swing == 0.0:
-        return
-    quiet_command = np.ptp(np.nan_to_num(command.reshape(len(fast), width)), axis=1) < 0.1 * swing
+    quiet_command = np.ptp(np.nan_to_num(_windows(one.command, width)), axis=1) < 0.1 * one.swing
     turns = np.sum(np.diff(np.sign(np.nan_to_num(fast)), axis=1) != 0, axis=1)
     much = (size > _BURST_RATIO * usual) & quiet_command & (turns >= 8)
-    pressure = log.pressure[:, channel] if log.pressure is not None and log.has("pressure", channel) else None
-    if pressure is not None:
-        shakes = np.sqrt(np.mean(_fast(pressure, width) ** 2, axis=1))
-        # Against the ordinary shaking of the pressure where the command rests as well.
-        calm = shakes[quiet_command & np.isfinite(shakes)]
-        if much.any() and calm.size and np.mean(shakes[much] > 0.5 * _BURST_RATIO * np.median(calm)) > 0.3:
-            return
     if much.sum() * _BURST_S < 2.0:
         return
-    # What lies next to such a stretch and is half as strong belongs to it.
-    wide = much.copy()
-    for _ in range(8):
-        near = np.zeros_like(wide)
-        near[1:] |= wide[:-1]
-        near[:-1] |= wide[1:]
-        wide |= near & (size > 0.4 * _BURST_RATIO * usual)
-    wide |= _between(wide)
-    bad = np.zeros(len(values), bool)
-    bad[: len(fast) * width] = np.repeat(wide, width)
+    has_pressure = log.pressure is not None and log.has("pressure", one.channel)
+    if has_pressure and log.pressure is not None:
+        shakes = np.sqrt(np.mean(_fast(log.pressure[:, one.channel], width) ** 2, axis=1))
+        # Against the ordinary shaking of the pressure where the command rests as well.
+        calm = shakes[quiet_command & np.isfinite(shakes)]
+        if calm.size and np.mean(shakes[much] > 0.5 * _BURST_RATIO * np.median(calm)) > 0.3:
+            return
+    wide = _with_neighbours(much, size > 0.4 * _BURST_RATIO * usual)
+    bad = _rows_of(wide, width, len(one.values))
     first, last = np.flatnonzero(bad)[[0, -1]]
     worst = int(np.argmax(np.where(wide, size, 0.0)))
     rate = float(turns[worst]) / (2.0 * _BURST_S)
-    linear = log.kinds[channel] == "cylinder"
+    linear = log.kinds[one.channel] == "cylinder"
     shown = f"{size[worst] / MILLIMETRE:.3g} mm/s" if linear else f"{size[worst] / RPM:.3g} rpm"
     message = (
-        f"{place['column']!r} shakes at about {rate:.0f} Hz from {log.time_s[first]:.4g} to {log.time_s[last]:.4g} s "
-        f"(rows {rows[first]} to {rows[last]}; up to {shown} RMS, {size[worst] / usual:.0f} times its usual noise) while "
+        f"shakes at about {rate:.0f} Hz from {log.time_s[first]:.4g} to {log.time_s[last]:.4g} s "
+        f"(rows {one.rows[first]} to {one.rows[last]}; up to {shown} RMS, {size[worst] / usual:.0f} times its usual noise) while "
         "the command hardly moves"
     )
-    if pressure is None:
+    if has_pressure:
+        hint = f"the pressure stays quiet, so the sensor is disturbed, not the machine: {_LEFT_OUT}"
+        one.invalid |= bad
+    else:
         hint = "without a pressure signal it is unknown whether the machine shook or its sensor; the stretch counts"
-        yield Finding("disturbed", message, hint, row=int(rows[first]), **place), np.zeros(len(values), bool)
-        return
-    hint = f"the pressure stays quiet, so the sensor is disturbed, not the machine: {_LEFT_OUT}"
-    yield Finding("disturbed", message, hint, row=int(rows[first]), **place), bad
+    one.tell("disturbed", message, hint, first)
+
+
+def _with_neighbours(much: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Windows that are marked, up to eight next to them that are half as strong, and single ones between."""
+    wide = much.copy()
+    for _ in range(8):
+        near = np.convolve(wide, [1, 0, 1], "same") > 0
+        wide |= near & half
+    wide[1:-1] |= wide[:-2] & wide[2:]
+    return wide
+
+
+def _windows(values: np.ndarray, width: int) -> np.ndarray:
+    """The values in windows of `width` rows, (windows, width)."""
+    return values[: len(values) // width * width].reshape(-1, width)
+
+
+def _rows_of(windows: np.ndarray, width: int, count: int) -> np.ndarray:
+    """The rows (count,) of the windows that are marked."""
+    rows = np.zeros(count, bool)
+    rows[: len(windows) * width] = np.repeat(windows, width)
+    return rows
 
 
 def _fast(values: np.ndarray, width: int) -> np.ndarray:
     """What no cubic explains in windows of `width` rows, (windows, width); NaN where a window has holes."""
-    count = len(values) // width
-    pieces = values[: count * width].reshape(count, width)
+    pieces = _windows(values, width)
     basis, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), 4))
     return pieces - pieces @ basis @ basis.T
-
-
-def _between(marks: np.ndarray) -> np.ndarray:
-    """Single unmarked windows between marked ones."""
-    out = np.zeros_like(marks)
-    out[1:-1] = ~marks[1:-1] & marks[:-2] & marks[2:]
-    return out

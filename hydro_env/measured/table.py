@@ -11,11 +11,11 @@ import numpy as np
 from hydro_env.errors import InputError
 from hydro_env.measured.finding import Finding
 
-__all__ = ["MOST_VALUES", "Table", "check_size", "digest"]
+__all__ = ["MAX_VALUES", "Table", "check_size", "digest"]
 
 #: Numbers that a log may hold: ten signals for a day at 1 kHz, 7 GB. A file that claims or unpacks to more is refused before
 #: it fills the memory.
-MOST_VALUES = 864_000_000
+MAX_VALUES = 864_000_000
 
 
 @dataclass
@@ -36,10 +36,10 @@ class Table:
 
 
 def check_size(path: Path, values: int) -> None:
-    """InputError if a log of so many numbers (rows times columns) is too large to read."""
-    if values > MOST_VALUES:
+    """InputError if a log of `values` numbers (rows times columns) is too large to read."""
+    if values > MAX_VALUES:
         raise InputError(
-            f"{path}: holds or claims more than {MOST_VALUES:,} numbers (ten signals for a day at 1 kHz); "
+            f"{path}: holds or claims more than {MAX_VALUES:,} numbers (ten signals for a day at 1 kHz); "
             "export a shorter part, or fewer columns"
         )
 

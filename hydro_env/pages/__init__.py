@@ -133,8 +133,8 @@ def figure(
 ) -> tuple[Figure, list[Any]]:
     """A Matplotlib figure of page width with `rows` axes of `height` inches below each other.
 
-    Room for what stands around the axes is measured, which takes half of the time of a picture. Or there are `left` inches of
-    it on the left, and elsewhere enough for a row of a legend above and a label below.
+    Room for what stands around the axes is measured. Or there are `left` inches of it on the left, and elsewhere enough for a
+    row of a legend above and a label below.
     """
     import matplotlib
     from matplotlib.figure import Figure
@@ -149,7 +149,7 @@ def figure(
 
 
 def _places(rows: int, height: float, share_x: bool, left: float) -> dict[str, float]:
-    """Where `rows` axes stand in a figure of so many inches, as Matplotlib's `GridSpec` takes it."""
+    """Where `rows` axes stand in a figure of `height` inches, as Matplotlib's `GridSpec` takes it."""
     between = ABOVE + (TICKS if share_x else BELOW)
     each = (height - ABOVE - BELOW - between * (rows - 1)) / rows
     ends = {"bottom": BELOW / height, "top": 1.0 - ABOVE / height}
@@ -157,16 +157,8 @@ def _places(rows: int, height: float, share_x: bool, left: float) -> dict[str, f
 
 
 _INKED = (
-    "text.",
-    "axes.label",
-    "axes.edge",
-    "xtick.",
-    "ytick.",
-    "xtick.label",
-    "ytick.label",
-    "axes.title",
-    "grid.",
-)
+    "text.", "axes.label", "axes.edge", "axes.title", "grid.", "xtick.", "ytick.", "xtick.label", "ytick.label",
+)  # fmt: skip
 
 
 def legend(axis: Any) -> None:
@@ -180,16 +172,13 @@ def svg(drawing: Figure, alt: str) -> Any:
     """The figure as inline SVG (`Markup`) that takes its text colour and font from the page."""
     import matplotlib
     from markupsafe import Markup, escape
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
 
     buffer = io.StringIO()
     _as_written(drawing)
     with matplotlib.rc_context(RC):
-        _lay_out(drawing)
         for ground in (drawing.patch, *(axis.patch for axis in drawing.axes)):
             ground.set_visible(False)
-        # `savefig` would draw everything once more before it writes, for a layout that is done.
-        FigureCanvasSVG(drawing).print_svg(buffer, metadata={"Date": None})
+        drawing.savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue()
     text = text[text.index("<svg") :].replace(INK, "currentColor")
     text = re.sub(
@@ -203,16 +192,8 @@ def svg(drawing: Figure, alt: str) -> Any:
     return Markup(text)
 
 
-def _lay_out(drawing: Figure) -> None:
-    """Lays the figure out, once: to save it does so twice, and draws all of it for that."""
-    engine = drawing.get_layout_engine()
-    if engine is not None:
-        engine.execute(drawing)
-        drawing.set_layout_engine("none")
-
-
 def _as_written(drawing: Figure) -> None:
-    """Shows all texts but the numbers at the axes as they are: a name with two "$" is no formula."""
+    """Shows all texts but the numbers at the axes as they are: a name with two "$" is not a formula."""
     from matplotlib.text import Text
 
     texts = list(drawing.texts)
@@ -237,6 +218,5 @@ def png(drawing: Figure, path: Path) -> None:
         for text in drawing.findobj(Text):
             text.set_color("#1c2430")
         memory = io.BytesIO()
-        _lay_out(drawing)
         drawing.savefig(memory, format="png", dpi=150, facecolor="white")
     write_bytes(path, memory.getvalue())

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-__all__ = ["LEAST_FRICTION", "MOST_PEAK", "bristles_left", "friction_left"]
+__all__ = ["MIN_FRICTION", "MAX_PEAK", "bristles_left", "friction_left"]
 
 #: Dry friction of the spool, N, below which the bristles are as much softer: they yield at the same travel then. And how many
 #: times one of both may be the other below that.
-LEAST_FRICTION, MOST_PEAK = 0.001, 20.0
+MIN_FRICTION, MAX_PEAK = 0.001, 20.0
 
 
 def friction_left(friction, other):
     """What is left of Fc or Fs (N) when effects have added to it or taken from it; 1 N that acts on nothing if none is.
 
-    No less than `LEAST_FRICTION`, or than the other one over `MOST_PEAK` where that is less.
+    No less than `MIN_FRICTION`, or than the other one over `MAX_PEAK` where that is less.
     """
     least = other / 20.0 if other < 0.02 else 0.001
     least = least if least > friction else friction

@@ -13,9 +13,9 @@ import yaml
 from ..errors import InputError, suggestion
 from ..files import write_text
 from ..units import RPM
-from .accepted import check_channel, out_of_range
 from .catalogue import CATALOGUE
 from .parameters import PARAMETERS, Parameter
+from .validation import check_channel, out_of_range
 
 __all__ = ["SCHEMA", "TOLERANCE", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "parameter_of"]
 

@@ -23,80 +23,95 @@ names the file and the key. A base parameter beyond its plausible range gives a 
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import ConfigDict, Field
 
 from ..errors import InputError, InputWarning, shown, suggestion
 from ..reading import parse_yaml, read_yaml
-from ..units import RPM
-from .accepted import out_of_range, with_unit
+from ..units import RPM, with_unit
+from ..validation import FileTable, Number, NumberOrInfinity, checked
 from .catalogue import CATALOGUE
 from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, parameter_of
 from .parameters import PARAMETERS
+from .validation import out_of_range
 
 __all__ = ["load_model", "preset_names", "preset_summary", "sources_of", "values_set_by"]
 
 _CHANNELS = ("both", "channel_1", "channel_2")
-#: Files that may build on each other: a model on its base or valve, that one on its own, ...
-MOST_FILES = 5
 _SIDES = {"channel_1": (0,), "channel_2": (1,), "both": (0, 1), "rig": (0, 1)}
+#: Files that may build on each other: a model on its base or valve, that one on its own, ...
+MAX_FILES = 5
 
 
-def _number(value: object, where: str) -> float:
-    try:
-        number = (
-            math.nan if isinstance(value, bool) or not isinstance(value, (int, float, str)) else float(value)
-        )
-    except (ValueError, OverflowError):
-        number = math.nan
-    if math.isnan(number):
-        raise InputError(f"{where}: {shown(value)} is no number")
-    return number
+class _Channel(FileTable):
+    """The valve and the base parameters of one channel, or of both."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, NumberOrInfinity] = Field(init=False)
+
+    valve: str = ""
+
+    @classmethod
+    def known_keys(cls) -> Collection[str]:
+        return ("valve", *PARAMETERS)
 
 
-def _mapping(value: object, where: str) -> dict[Any, Any]:
-    if not isinstance(value, Mapping):
-        raise InputError(f"{where}: expected `name: value` lines, found {shown(value)}")
-    return dict(value)
+class _ModelFile(FileTable):
+    """What stands in a model file."""
+
+    FORMAT = SCHEMA
+
+    name: str | None = None
+    base: str | None = None
+    tolerance_rpm: Number | None = None
+    both: _Channel = _Channel()
+    channel_1: _Channel = _Channel()
+    channel_2: _Channel = _Channel()
+    effects: dict[
+        str, dict[Literal["both", "rig", "channel_1", "channel_2"], dict[str, NumberOrInfinity]]
+    ] = Field(default_factory=dict)
+    sources: dict[str, str] = Field(default_factory=dict)
+
+    def values(self) -> Iterator[tuple[str, str, str, float]]:
+        """Name, side, place in the file and value of all that it gives itself, in the order in which that counts."""
+        for side in _CHANNELS:
+            for name, value in (getattr(self, side).model_extra or {}).items():
+                yield name, side, f"{side}.{name}", value
+        for effect, sides in self.effects.items():
+            for at, own_values in sides.items():
+                for own, value in own_values.items():
+                    yield f"{effect}.{own}", at, f"effects.{effect}.{at}.{own}", value
+
+    def given(self) -> set[tuple[str, int]]:
+        """Names of these values, and channels."""
+        return {(name, channel) for name, side, _, _ in self.values() for channel in _SIDES[side]}
+
+    def valves(self) -> dict[str, str]:
+        """The valves that it names, by side."""
+        named = {side: getattr(self, side).valve for side in _CHANNELS}
+        return {side: valve for side, valve in named.items() if valve}
 
 
 @dataclass
 class _Draft:
-    """A model while its file is read: the values by name, one for each channel, and the effects that were named; by the name
-    of a base parameter the value that the file itself gives, and its channel."""
+    """A model while its file is read: the values by name, one for each channel, and the effects that were named."""
 
     values: dict[str, list[float]]
-    declared: list[str]
-    given: dict[str, tuple[float, int]] = field(default_factory=dict)
-
-    def take(self, name: str, side: str, given: object, where: str) -> None:
-        """Sets a value that the file gives on one side. InputError if it is no number, or none that a component can have."""
-        value, p = _number(given, where), parameter_of(name)
-        if wrong := out_of_range(value, p):
-            raise InputError(f"{where}: {wrong}")
-        if name in PARAMETERS and value != 0.0 and value not in _shipped(name):
-            self.given[name] = value, _SIDES[side][0]
-        self.put(name, side, value)
+    declared: list[str] = field(default_factory=list)
 
     def put(self, name: str, side: str, value: float) -> None:
         """Sets a value on one side; the other channel keeps its own, or gets the nominal one."""
         for channel in _SIDES[side]:
             self.values.setdefault(name, [parameter_of(name).nominal] * 2)[channel] = value
-
-    def unusual(self, name: str) -> str:
-        """What is unusual of a value that the file gives on a rig with its displacement; "" if nothing is."""
-        p, (value, channel) = PARAMETERS[name], self.given[name]
-        D = PARAMETERS["D"]
-        low, high = p.plausible(1.0 if p is D else self.values.get("D", [D.nominal] * 2)[channel] / D.nominal)
-        return "" if low <= value <= high else f"{name} {value:g} (usual {low:g} to {with_unit(high, p)})"
 
     def put_valve(self, valve: PlantModel, side: str) -> None:
         """Gives a side the valve of another model's channel 1; effects that it lacks become neutral there."""
@@ -105,6 +120,15 @@ class _Draft:
             if _of_valve(name):
                 self.put(name, side, valve.value(name, 0))
 
+    def unusual(self, name: str, side: str, value: float) -> str:
+        """What is unusual of a base parameter that the file gives, on a rig with its displacement; "" if nothing is."""
+        p, D = PARAMETERS[name], PARAMETERS["D"]
+        size = 1.0 if p is D else self.values.get("D", [D.nominal] * 2)[_SIDES[side][0]] / D.nominal
+        low, high = p.plausible(size)
+        return (
+            "" if low <= value <= high else f"{name} {value:g} (usual {low:g} to {with_unit(high, p.unit)})"
+        )
+
 
 def _of_valve(name: str) -> bool:
     """Whether a value belongs to the valve."""
@@ -112,97 +136,51 @@ def _of_valve(name: str) -> bool:
     return CATALOGUE[effect].port in VALVE_PORTS if effect else name in VALVE_PARAMETERS
 
 
-def _from_dict(data: object, where: str, above: tuple[str, ...] = ()) -> PlantModel:
-    """The model of a file's content. `above` are the files that build on this one, which it may not build on in turn."""
-    data = _mapping(data, where)
-    known = {"schema", "name", "base", "tolerance_rpm", *_CHANNELS, "effects", "sources"}
-    for key in data:
-        if key not in known:
-            raise InputError(f"{where}: unknown key {shown(key)}: {suggestion(key, known)}")
-    if data.get("schema") != SCHEMA:
-        raise InputError(f"{where}: schema is {shown(data.get('schema'))}, expected {SCHEMA!r}")
-    if not isinstance(data.get("name", ""), str):
-        raise InputError(f"{where}: name is {shown(data['name'])}, expected text")
+def _model(file: _ModelFile, where: str, above: tuple[str, ...] = ()) -> PlantModel:
+    """The model of a file. `above` are the files that build on this one, which it may not build on in turn."""
     above = (*above, where)
-    base = _built_on(data["base"], f"{where}: base", above) if "base" in data else PlantModel()
+    base = PlantModel() if file.base is None else _built_on(file.base, f"{where}: base", above)
     draft = _Draft({name: list(pair) for name, pair in base.values.items()}, list(base.declared))
-    _read_channels(data, draft, where, above)
-    _read_effects(_mapping(data.get("effects", {}), f"{where}: effects"), draft, where)
-    sources = _mapping(data.get("sources", {}), f"{where}: sources")
-    _check_sources(sources, where)
-    if unusual := [text for name in draft.given if name not in sources and (text := draft.unusual(name))]:
-        told = f"{where}: unusual for such a rig: {', '.join(unusual)}; if that is meant, say under `sources` where it is from"
-        warnings.warn(told, InputWarning, stacklevel=2)
+    for side, valve in file.valves().items():
+        draft.put_valve(_built_on(valve, f"{where}: {side}.valve", above), side)
+    draft.declared += file.effects
     try:
-        return PlantModel(
-            name=str(data.get("name", base.name)),
-            values={name: (pair[0], pair[1]) for name, pair in draft.values.items()},
-            declared=tuple(draft.declared),
-            tolerance=RPM
-            * _number(data.get("tolerance_rpm", base.tolerance / RPM), f"{where}: tolerance_rpm"),
+        for name, side, place, value in file.values():
+            if wrong := out_of_range(value, parameter_of(name)):
+                raise InputError(f"{place}: {wrong}")
+            draft.put(name, side, value)
+        for name in file.sources:
+            if name not in CATALOGUE:
+                parameter_of(name)
+        tolerance = base.tolerance if file.tolerance_rpm is None else RPM * file.tolerance_rpm
+        pairs = {name: (pair[0], pair[1]) for name, pair in draft.values.items()}
+        model = PlantModel(
+            base.name if file.name is None else file.name, pairs, tuple(draft.declared), tolerance
         )
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
+    questioned = {
+        name: draft.unusual(name, side, value)
+        for name, side, _, value in file.values()
+        if name in PARAMETERS and name not in file.sources and value and value not in _shipped(name)
+    }
+    if unusual := [text for text in questioned.values() if text]:
+        told = f"{where}: unusual for such a rig: {', '.join(unusual)}; if that is meant, say under `sources` where it is from"
+        warnings.warn(told, InputWarning, stacklevel=2)
+    return model
 
 
-def _read_channels(data: Mapping[str, Any], draft: _Draft, where: str, above: tuple[str, ...]) -> None:
-    """Valves first, then base parameters, which may change those of the valve."""
-    for side in _CHANNELS:
-        if "valve" in (own := _mapping(data.get(side, {}), f"{where}: {side}")):
-            draft.put_valve(_built_on(own["valve"], f"{where}: {side}.valve", above), side)
-    for side in _CHANNELS:
-        for name, value in data.get(side, {}).items():
-            if name == "valve":
-                continue
-            if name not in PARAMETERS:
-                raise InputError(
-                    f"{where}: {side}: unknown parameter {shown(name)}: {suggestion(name, PARAMETERS)}"
-                )
-            draft.take(name, side, value, f"{where}: {side}.{name}")
-
-
-def _read_effects(effects: Mapping[Any, Any], draft: _Draft, where: str) -> None:
-    for name, sides in effects.items():
-        if name not in CATALOGUE:
-            raise InputError(f"{where}: effects: unknown effect {shown(name)}: {suggestion(name, CATALOGUE)}")
-        draft.declared.append(name)
-        known = {p.name for p in CATALOGUE[name].parameters}
-        for side, parameters in _mapping(sides, f"{where}: effects.{name}").items():
-            if side not in _SIDES:
-                raise InputError(
-                    f"{where}: effects.{name}: unknown key {shown(side)}: {suggestion(side, _SIDES)}"
-                )
-            at = f"{where}: effects.{name}.{side}"
-            for own, value in _mapping(parameters, at).items():
-                if own not in known:
-                    raise InputError(f"{at}: unknown parameter {shown(own)}: {suggestion(own, known)}")
-                draft.take(f"{name}.{own}", side, value, f"{at}.{own}")
-
-
-def _check_sources(sources: Mapping[Any, Any], where: str) -> None:
-    for name, text in sources.items():
-        if name not in CATALOGUE:
-            try:
-                parameter_of(str(name))
-            except InputError as error:
-                raise InputError(f"{where}: sources: {error}") from None
-        if not isinstance(text, str):
-            raise InputError(f"{where}: sources.{name}: expected text, found {shown(text)}")
-
-
-def _built_on(source: object, where: str, above: tuple[str, ...]) -> PlantModel:
+def _built_on(source: str, where: str, above: tuple[str, ...]) -> PlantModel:
     """The preset or model file that another one names as its base or valve."""
-    if not isinstance(source, str):
-        raise InputError(f"{where}: expected the name of a preset or of a model file, found {shown(source)}")
     try:
         if source in preset_names():
             return _preset(source)
-        data, own = _data(source)
+        file, own = _read(source)
         if own in above:
             raise InputError("a model cannot build on itself")
-        if len(above) == MOST_FILES:
-            raise InputError(f"at most {MOST_FILES} files build on each other")
-        return _from_dict(data, own, above)
+        if len(above) == MAX_FILES:
+            raise InputError(f"at most {MAX_FILES} files build on each other")
+        return _model(file, own, above)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
 
@@ -214,24 +192,19 @@ def sources_of(source: str | Path | Mapping[str, Any]) -> dict[tuple[str, int], 
     What a file gives has its text under `sources`; what it takes from its base or a valve has theirs. `source` and errors
     as in `load_model`.
     """
-    data, where = _data(source)
-    model = _from_dict(data, where)
-    given = _given(data)
-    texts = data.get("sources", {})
-    base = sources_of(data["base"]) if "base" in data else {}
-    valves: dict[int, Any] = {}
-    for side in _CHANNELS:
-        for channel in _SIDES[side]:
-            valves[channel] = data.get(side, {}).get("valve", valves.get(channel))
+    file, where = _read(source)
+    model, given = _model(file, where), file.given()
+    base = sources_of(file.base) if file.base is not None else {}
+    valves = {c: sources_of(valve) for side, valve in file.valves().items() for c in _SIDES[side]}
     found = {}
     for name in model.values:
         effect = name.split(".", 1)[0]
         for channel in (0, 1):
             text = base.get((name, channel))
-            if _of_valve(name) and valves[channel] is not None:
-                text = sources_of(valves[channel]).get((name, 0))
+            if _of_valve(name) and channel in valves:
+                text = valves[channel].get((name, 0))
             if (name, channel) in given:
-                text = texts.get(name, texts.get(effect, f"{where}, which does not say"))
+                text = file.sources.get(name, file.sources.get(effect, f"{where}, which does not say"))
             if text is None:
                 text = "neutral" if "." in name else PARAMETERS[name].source
             found[name, channel] = text
@@ -243,21 +216,10 @@ def values_set_by(source: Any) -> frozenset[str]:
     of its base do not. None for a preset or a model. Errors as in `load_model`."""
     if not isinstance(source, str | Path | Mapping) or str(source) in preset_names():
         return frozenset()
-    data, where = _data(source)
-    _from_dict(data, where)
-    valves = [data[side]["valve"] for side in _CHANNELS if "valve" in data.get(side, {})]
-    of_valves = {name for valve in valves for name in load_model(valve).values if _of_valve(name)}
-    return frozenset({name for name, _ in _given(data) if name != "valve"} | of_valves)
-
-
-def _given(data: Mapping[str, Any]) -> set[tuple[str, int]]:
-    """What a file gives itself: names of values and channels."""
-    given = {(name, channel) for side in _CHANNELS for name in data.get(side, {}) for channel in _SIDES[side]}
-    for effect, sides in data.get("effects", {}).items():
-        given |= {
-            (f"{effect}.{own}", channel) for side in sides for own in sides[side] for channel in _SIDES[side]
-        }
-    return given
+    file, where = _read(source)
+    _model(file, where)
+    of_valves = {n for valve in file.valves().values() for n in load_model(valve).values if _of_valve(n)}
+    return frozenset({name for name, _ in file.given()} | of_valves)
 
 
 # --- files ------------------------------------------------------------------------------------------------------------
@@ -272,8 +234,8 @@ def preset_names() -> list[str]:
 @cache
 def _shipped(name: str) -> frozenset[float]:
     """The values of a base parameter in the presets, which say where they are from."""
-    own = [_data(preset)[0] for preset in preset_names()]
-    return frozenset(float(d[side][name]) for d in own for side in _CHANNELS if name in d.get(side, {}))
+    files = [_read(preset)[0] for preset in preset_names()]
+    return frozenset(value for file in files for own, _, _, value in file.values() if own == name)
 
 
 def preset_summary(name: str) -> str:
@@ -285,7 +247,7 @@ def preset_summary(name: str) -> str:
 
 @cache
 def _preset(name: str) -> PlantModel:
-    return _from_dict(*_data(name))
+    return _model(*_read(name))
 
 
 def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantModel:
@@ -297,18 +259,18 @@ def load_model(source: str | Path | Mapping[str, Any] | PlantModel) -> PlantMode
         return source
     if isinstance(source, str) and source in preset_names():
         return _preset(source)
-    return _from_dict(*_data(source))
+    return _model(*_read(source))
 
 
-def _called(source: str | Path | Mapping[str, Any]) -> str:
-    """What to call a file, or the content of one, in errors."""
-    return "model" if isinstance(source, Mapping) else os.path.normpath(source)
+def _read(source: str | Path | Mapping[str, Any]) -> tuple[_ModelFile, str]:
+    """What stands in a model file, and what to call it in errors."""
+    data, where = _data(source)
+    return checked(_ModelFile, data, where), where
 
 
 def _data(source: str | Path | Mapping[str, Any]) -> tuple[Any, str]:
-    """The content of a model file as it stands, and what to call it in errors."""
     if isinstance(source, Mapping):
-        return dict(source), _called(source)
+        return source, "model"
     if not isinstance(source, str | Path):
         raise InputError(
             f"plant is {shown(source)}, expected a preset ({', '.join(preset_names())}), a YAML file, a mapping or a model"
@@ -319,5 +281,5 @@ def _data(source: str | Path | Mapping[str, Any]) -> tuple[Any, str]:
         return parse_yaml(file.read_text(encoding="utf-8"), f"preset {text}"), f"preset {text}"
     path = Path(source)
     if path.suffix in (".yaml", ".yml") or os.path.exists(path):
-        return read_yaml(path, "a model in YAML"), _called(path)
+        return read_yaml(path, "a model in YAML"), os.path.normpath(path)
     raise InputError(f"unknown plant {shown(text)}: no such file, and {suggestion(text, preset_names())}")

@@ -122,7 +122,7 @@ class Parameter:
 
     def plausible(self, size: float) -> tuple[float, float]:
         """The plausible bounds of a base parameter on a rig whose motor has `size` times the displacement of the table's: those
-        of what `GROWS` with it are so many times the table's."""
+        of what `GROWS` with it are `size` times the table's."""
         factor = size if self.name in GROWS else 1.0
         return factor * self.low, factor * self.high
 
@@ -133,244 +133,69 @@ class Parameter:
 
 
 _ROWS = (
-    # --- hydraulic motor: equations (1)-(3), Table I -----------------------------------------------------------
-    Parameter(
-        "D",
-        "m3/rad",
-        8.47e-6 / REVOLUTION,
-        low=0.9 * 8.47e-6 / REVOLUTION,
-        high=1.1 * 8.47e-6 / REVOLUTION,
-        log=True,
-        scaling={"D": 1.0},
-        note="displacement of the motor",
-        source="paper, Table I: 8.47 cm3/rev",
-    ),
-    Parameter(
-        "J",
-        "kg m2",
-        0.0028,
-        low=0.0014,
-        high=0.0056,
-        log=True,
-        scaling=MOTOR_SIZE,
-        note="inertia of motor and load",
-        source="paper, Table I",
-    ),
-    Parameter(
-        "B",
-        "N m s/rad",
-        0.00045 / RPM,
-        low=0.0,
-        high=0.02,
-        log=True,
-        scaling=MOTOR_SIZE,
-        note="viscous friction of the motor",
-        source="paper, Table I: 0.00045 N m/rpm",
-    ),
-    Parameter(
-        "Km",
-        "m3/(s Pa)",
-        15.92e-6 / BAR,
-        low=15.92e-6 / BAR / 100,
-        high=15.92e-6 / BAR * 3,
-        log=True,
-        scaling=MOTOR_SIZE,
-        note="internal leakage of the motor; the paper leaves out the time unit. Read as cm3/(s bar): with it both published "
-        "loops are stable and Ti nearly cancels the motor's pole, as a PID tuner does; read per minute the published gains "
-        "are unstable",
-        source="paper, Table I: 15.92 cm3/bar",
-    ),
-    Parameter(
-        "beta",
-        "Pa",
-        12670 * BAR,
-        low=4e8,
-        high=1.9e9,
-        log=True,
-        scaling={"D": -1.0},
-        note="bulk modulus of the fluid",
-        source="paper, Table I: 12670 bar",
-    ),
-    Parameter(
-        "V",
-        "m3",
-        1e-4,
-        low=2e-5,
-        high=1e-3,
-        log=True,
+    # --- hydraulic motor: equations (1)-(3), Table I ---
+    Parameter("D", "m3/rad", 8.47e-6 / REVOLUTION, low=0.9 * 8.47e-6 / REVOLUTION, high=1.1 * 8.47e-6 / REVOLUTION, log=True,
+        scaling={"D": 1.0}, note="displacement of the motor", source="paper, Table I: 8.47 cm3/rev"),
+    Parameter("J", "kg m2", 0.0028, low=0.0014, high=0.0056, log=True, scaling=MOTOR_SIZE,
+        note="inertia of motor and load", source="paper, Table I"),
+    Parameter("B", "N m s/rad", 0.00045 / RPM, low=0.0, high=0.02, log=True, scaling=MOTOR_SIZE,
+        note="viscous friction of the motor", source="paper, Table I: 0.00045 N m/rpm"),
+    Parameter("Km", "m3/(s Pa)", 15.92e-6 / BAR, low=15.92e-6 / BAR / 100, high=15.92e-6 / BAR * 3, log=True, scaling=MOTOR_SIZE,
+        note="internal leakage of the motor; the paper leaves out the time unit. Read as cm3/(s bar): with it both "
+        "published loops are stable and Ti nearly cancels the motor's pole, as a PID tuner does; read per minute "
+        "the published gains are unstable",
+        source="paper, Table I: 15.92 cm3/bar"),
+    Parameter("beta", "Pa", 12670 * BAR, low=4e8, high=1.9e9, log=True, scaling={"D": -1.0},
+        note="bulk modulus of the fluid", source="paper, Table I: 12670 bar"),
+    Parameter("V", "m3", 1e-4, low=2e-5, high=1e-3, log=True,
         note="half the oil volume of one line, from valve to motor; results hardly depend on it",
-        source="assumed: the paper gives no value",
-    ),
-    # --- valve: equations (5), (6), (8), Table II --------------------------------------------------------------
-    Parameter(
-        "m",
-        "kg",
-        0.4,
-        low=0.2,
-        high=0.8,
-        log=True,
-        scaling={"k": 1.0, "Kq": 1.0},
-        note="mass of spool and solenoid core",
-        source="paper, Table II",
-    ),
-    Parameter(
-        "R",
-        "Ohm",
-        100.0,
-        low=80.0,
-        high=125.0,
-        log=True,
-        note="resistance of the coil",
-        source="paper, Table II; (6) prints R_i for R i",
-    ),
-    Parameter(
-        "L", "H", 0.1, low=0.05, high=0.2, log=True, note="inductance of the coil", source="paper, Table II"
-    ),
-    Parameter(
-        "alpha",
-        "N/A",
-        20.0,
-        low=14.0,
-        high=28.0,
-        log=True,
-        scaling=SPOOL_FORCE,
-        note="force of the coil per current; also its back-EMF",
-        source="paper, Table II: 20 V s/m",
-    ),
-    Parameter(
-        "k",
-        "N/m",
-        17000.0,
-        low=12000.0,
-        high=24000.0,
-        log=True,
-        scaling={"k": 1.0, "Kq": 1.0},
-        note="rate of the centring springs",
-        source="paper, Table II",
-    ),
-    Parameter(
-        "C",
-        "N s/m",
-        0.2,
-        low=0.0,
-        high=40.0,
-        note="viscous damping of the spool",
-        source="paper, Table II: 0.2 without unit, read as N s/m",
-    ),
-    Parameter(
-        "Kq",
-        "m2/s",
-        476106e-6,
-        low=0.15,
-        high=0.75,
-        log=True,
-        scaling={"Kq": 1.0, "D": 1.0},
-        note="flow gain of the valve; flow per opening, read as cm3/s per m, which gives 24.5 l/min at 730 mA on V1, the class "
-        "of this valve",
-        source="paper, Table II: 476106 (V1), 315000 (V2), no unit",
-    ),
-    # --- friction of the spool: LuGre, equations (9)-(11), Table II --------------------------------------------
-    Parameter(
-        "Fc",
-        "N",
-        0.1,
-        low=0.02,
-        high=1.0,
-        log=True,
-        scaling=SPOOL_FORCE,
-        note="Coulomb friction of the spool",
-        source="paper, Table II",
-    ),
-    Parameter(
-        "Fs",
-        "N",
-        0.2,
-        low=0.02,
-        high=1.5,
-        log=True,
-        scaling=SPOOL_FORCE,
-        note="static friction of the spool",
-        source="paper, Table II: 0.2 (V1), 0.15 (V2)",
-    ),
-    Parameter(
-        "vs",
-        "m/s",
-        0.007,
-        low=1e-4,
-        high=2e-2,
-        log=True,
-        scaling=SPOOL_TRAVEL,
-        note="Stribeck speed of the spool",
-        source="paper, Table II: 0.007 (V1), 0.0001 (V2)",
-    ),
-    Parameter(
-        "s0",
-        "N/m",
-        1e5,
-        low=3e4,
-        high=3e5,
-        log=True,
-        note="stiffness of the spool's bristles",
-        source="paper, Table II, which prints N s/m",
-    ),
-    Parameter(
-        "s1",
-        "N s/m",
-        470.0,
-        low=100.0,
-        high=1000.0,
-        log=True,
-        note="damping of the spool's bristles",
-        source="paper, Table II",
-    ),
-    Parameter(
-        "s2", "N s/m", 0.2, low=0.0, high=40.0, note="viscous friction of the spool", source="paper, Table II"
-    ),
-    # --- limits of the real valve, which the paper's equations leave out ----------------------------------------
-    Parameter(
-        "x_max",
-        "m",
-        1e-3,
-        low=0.9e-3,
-        high=1.2e-3,
+        source="assumed: the paper gives no value"),
+    # --- valve: equations (5), (6), (8), Table II ---
+    Parameter("m", "kg", 0.4, low=0.2, high=0.8, log=True, scaling={"k": 1.0, "Kq": 1.0},
+        note="mass of spool and solenoid core", source="paper, Table II"),
+    Parameter("R", "Ohm", 100.0, low=80.0, high=125.0, log=True,
+        note="resistance of the coil", source="paper, Table II; (6) prints R_i for R i"),
+    Parameter("L", "H", 0.1, low=0.05, high=0.2, log=True,
+        note="inductance of the coil", source="paper, Table II"),
+    Parameter("alpha", "N/A", 20.0, low=14.0, high=28.0, log=True, scaling=SPOOL_FORCE,
+        note="force of the coil per current; also its back-EMF", source="paper, Table II: 20 V s/m"),
+    Parameter("k", "N/m", 17000.0, low=12000.0, high=24000.0, log=True, scaling={"k": 1.0, "Kq": 1.0},
+        note="rate of the centring springs", source="paper, Table II"),
+    Parameter("C", "N s/m", 0.2, low=0.0, high=40.0,
+        note="viscous damping of the spool", source="paper, Table II: 0.2 without unit, read as N s/m"),
+    Parameter("Kq", "m2/s", 476106e-6, low=0.15, high=0.75, log=True, scaling={"Kq": 1.0, "D": 1.0},
+        note="flow gain of the valve; flow per opening, read as cm3/s per m, which gives 24.5 l/min at 730 mA on V1, the "
+        "class of this valve",
+        source="paper, Table II: 476106 (V1), 315000 (V2), no unit"),
+    # --- friction of the spool: LuGre, equations (9)-(11), Table II ---
+    Parameter("Fc", "N", 0.1, low=0.02, high=1.0, log=True, scaling=SPOOL_FORCE,
+        note="Coulomb friction of the spool", source="paper, Table II"),
+    Parameter("Fs", "N", 0.2, low=0.02, high=1.5, log=True, scaling=SPOOL_FORCE,
+        note="static friction of the spool", source="paper, Table II: 0.2 (V1), 0.15 (V2)"),
+    Parameter("vs", "m/s", 0.007, low=1e-4, high=2e-2, log=True, scaling=SPOOL_TRAVEL,
+        note="Stribeck speed of the spool", source="paper, Table II: 0.007 (V1), 0.0001 (V2)"),
+    Parameter("s0", "N/m", 1e5, low=3e4, high=3e5, log=True,
+        note="stiffness of the spool's bristles", source="paper, Table II, which prints N s/m"),
+    Parameter("s1", "N s/m", 470.0, low=100.0, high=1000.0, log=True,
+        note="damping of the spool's bristles", source="paper, Table II"),
+    Parameter("s2", "N s/m", 0.2, low=0.0, high=40.0,
+        note="viscous friction of the spool", source="paper, Table II"),
+    # --- limits of the real valve, which the paper's equations leave out ---
+    Parameter("x_max", "m", 1e-3, low=0.9e-3, high=1.2e-3,
         note="half stroke between the end stops; without stops full-range random commands reach 0.4-0.7 m/s",
-        source="assumed: the rated spool position is 0.86 mm",
-    ),
-    Parameter(
-        "k_stop",
-        "N/m",
-        5e5,
-        low=1e5,
-        high=5e6,
-        log=True,
-        note="stiffness of the end stops: the coil's full force compresses them by 30 um",
-        source="assumed",
-    ),
-    Parameter(
-        "v_stop",
-        "m/s",
-        0.05,
-        low=0.01,
-        high=0.2,
-        log=True,
-        note="greatest rebound speed of the end stops",
-        source="assumed: squeeze film, hardly any rebound",
-    ),
-    Parameter(
-        "u_rated",
-        "V",
-        73.0,
-        low=1.0,
-        high=inf,
-        note="limit of the command, both ways",
-        source="paper, Fig. 2: 730 mA over R = 100 Ohm",
-    ),
-)
+        source="assumed: the rated spool position is 0.86 mm"),
+    Parameter("k_stop", "N/m", 5e5, low=1e5, high=5e6, log=True,
+        note="stiffness of the end stops: the coil's full force compresses them by 30 um", source="assumed"),
+    Parameter("v_stop", "m/s", 0.05, low=0.01, high=0.2, log=True,
+        note="greatest rebound speed of the end stops", source="assumed: squeeze film, hardly any rebound"),
+    Parameter("u_rated", "V", 73.0, low=1.0, high=inf,
+        note="limit of the command, both ways", source="paper, Fig. 2: 730 mA over R = 100 Ohm"),
+)  # fmt: skip
 
-#: What is simulated as the reference does it, from models that lie far apart (`python -m hydro_env.experiments.accuracy`):
+#: What is simulated as the reference does it, from models that lie far apart (`python -m docs.evidence.accuracy`):
 #: ten times the plausible range either way, and less where a stop would rebound for ever. A cylinder axis is a motor whose `D` is
 #: the piston area, or whose `Kq` is as much smaller: both are far outside of what motors have, and are simulated as well, as
-#: long as mass and line do not ring too fast (`accepted.check_channel`).
+#: long as mass and line do not ring too fast (`validation.check_channel`).
 _POSSIBLE: dict[str, tuple[float, float]] = {
     "D": (1e-7, 0.3),
     "Kq": (1e-6, 7.5),
@@ -397,12 +222,5 @@ PARAMETERS: dict[str, Parameter] = {row.name: _with_possible(row) for row in _RO
 
 #: A shape parameter of effects whose size depends on the pressure drop over single edges.
 SUPPLY_PRESSURE = Parameter(
-    "supply_pressure",
-    "Pa",
-    100e5,
-    low=50e5,
-    high=350e5,
-    log=True,
-    note="supply pressure",
-    source="assumed",
+    "supply_pressure", "Pa", 100e5, low=50e5, high=350e5, log=True, note="supply pressure", source="assumed"
 )

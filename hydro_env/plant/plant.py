@@ -22,7 +22,7 @@ from .model import PlantModel, parameter_of
 from .model_files import load_model
 from .parameters import PARAMETERS
 
-__all__ = ["SIGNALS", "Lost", "Plant", "machine_memory", "make_plant", "simulate"]
+__all__ = ["SIGNALS", "Lost", "Plant", "machine_memory", "simulate"]
 
 #: Signals that can be read and recorded.
 #: `mean_line_pressure` (Pa) is half the sum of both line pressures: half the supply's and what effects add, where the model has a
@@ -537,13 +537,6 @@ class PlantOptions(TypedDict, total=False):
     dtype: DTypeLike
     block: int | None
     grouped: bool
-
-
-def make_plant(model: PlantModel, num_rigs: int, **options: Unpack[PlantOptions]) -> Plant:
-    """Rigs of a model. A model of something else that is driven like a rig makes its own, `make_plant(num_rigs, **options)`."""
-    own = getattr(model, "make_plant", None)
-    made: Plant = Plant(model, num_rigs, **options) if own is None else own(num_rigs, **options)
-    return made
 
 
 def simulate(

@@ -9,13 +9,18 @@ from __future__ import annotations
 
 from math import floor, sqrt
 
-__all__ = ["bell", "clip", "cos", "exp", "sign", "sin", "sqrt", "tanh"]
+__all__ = ["bell", "clip", "cos", "exp", "positive", "sign", "sin", "sqrt", "tanh"]
 
 
 def clip(value, low, high):
     """`value` limited to [low, high]."""
     value = low if value < low else value
     return high if value > high else value
+
+
+def positive(value):
+    """`value`, or 0 where that is more."""
+    return value if value > 0.0 else 0.0
 
 
 def sign(value):

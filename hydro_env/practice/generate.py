@@ -31,13 +31,14 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, suggestion
 from ..files import write_text
+from ..limits import Limits
 from ..plant import BUILT_IN, CATALOGUE, PlantModel, load_model
 from .hidden import SEVERITIES, Hidden, check_values, choose, parse_effects, true_model
 from .manoeuvres import RUNS
 from .played import plans_of
 from .recorder import CATALOGUE_FORMS, CONTROL_PERIOD, RECORDABLE, Recorder, log_text
 from .reference import FORMS
-from .reference.forms import Constants, draw, units
+from .reference.forms import UNITS, Constants, draw
 
 __all__ = ["Practice", "PracticeSettings", "constants_of", "make_practice"]
 
@@ -46,6 +47,16 @@ Array = NDArray[np.float64]
 SCHEMA = "hydro_env/truth/1"
 #: The log of commands from a file.
 PLAYED = "played"
+
+
+#: Numbers of the settings: factor on the noise, fraction of base parameters, s, rows per second, and the seed.
+_LIMITS = {
+    "noise": Limits(0.0, 100.0),
+    "base_error": Limits(0.0, 0.5),
+    "duration": Limits(3.0, 3600.0, unit="s"),
+    "rate": Limits(10.0, 20000.0, unit="Hz"),
+    "seed": Limits(0, math.inf, whole=True),
+}
 
 
 @dataclass(frozen=True)
@@ -82,35 +93,19 @@ class PracticeSettings:
     play: str | Path | None = None
 
     def __post_init__(self) -> None:
-        if self.severity not in SEVERITIES:
-            raise InputError(
-                f"severity is {self.severity!r}; right is {', '.join(SEVERITIES)} or EFFECT.PARAMETER=NUMBER"
-            )
-        for name in self.record:
-            if name not in RECORDABLE:
-                raise InputError(f"record: unknown signal {name!r}: {suggestion(name, RECORDABLE)}")
-        for name in self.runs:
-            if name not in RUNS:
-                raise InputError(f"runs: unknown log {name!r}: {suggestion(name, RUNS)}")
-        if not 0.0 <= self.noise <= 100.0:
-            raise InputError(
-                f"noise is {self.noise:g}; a factor from 0 to 100 is right (1: as in the contract of the rig)"
-            )
-        if not 0.0 <= self.base_error <= 0.5:
-            raise InputError(
-                f"base error is {self.base_error:g}; a fraction from 0 to 0.5 is right (0.1: 10 %)"
-            )
-        if not 3.0 <= self.duration <= 3600.0:
-            raise InputError(f"duration is {self.duration:g} s; 3 to 3600 s are right")
+        chosen = (
+            ("severity", [self.severity], SEVERITIES), ("record", self.record, RECORDABLE),
+            ("runs", self.runs, RUNS), ("forms", [self.forms], (*FORMS, CATALOGUE_FORMS)),
+        )  # fmt: skip
+        for field_name, names, known in chosen:
+            for name in names:
+                if name not in known:
+                    raise InputError(f"{field_name}: unknown {name!r}: {suggestion(name, known)}")
+        for field_name, limits in _LIMITS.items():
+            limits.check(getattr(self, field_name), field_name)
         multiple = self.rate * CONTROL_PERIOD
-        if not 10.0 <= self.rate <= 20000.0 or (multiple > 1.0 and abs(multiple - round(multiple)) > 1e-9):
-            raise InputError(
-                f"rate is {self.rate:g} Hz; a multiple of 100 Hz up to 20000, or 10 to 100 Hz, is right"
-            )
-        if self.seed < 0:
-            raise InputError(f"seed is {self.seed}; a whole number from 0 is right")
-        if self.forms not in (*FORMS, CATALOGUE_FORMS):
-            raise InputError(f"forms is {self.forms!r}; right is {', '.join((*FORMS, CATALOGUE_FORMS))}")
+        if multiple > 1.0 and abs(multiple - round(multiple)) > 1e-9:
+            raise InputError(f"rate is {self.rate:g} Hz; expected a multiple of 100 Hz, or at most 100 Hz")
 
 
 @dataclass(frozen=True)
@@ -182,7 +177,7 @@ def make_practice(
         "verdict": "effects" if hidden else ("calibration" if wrong else "none"),
         "effects": [_as_json(h) for h in hidden],
         "base_parameters": wrong,
-        "form_constants": {n: {"value": v, "unit": units()[n]} for n, v in (constants or {}).items()},
+        "form_constants": {n: {"value": v, "unit": UNITS[n]} for n, v in (constants or {}).items()},
         "model": given.name,
         "severity": own.severity,
         "noise": own.noise,

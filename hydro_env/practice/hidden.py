@@ -1,6 +1,6 @@
 """What a practice rig hides: effects, their sizes, and base parameters that differ from the given model's.
 
-Sizes are drawn anew for every seed. A severity is a range of multiples of the catalogue's typical size, from what is barely
+Every seed has sizes of its own. A severity is a range of multiples of the catalogue's typical size, from what is barely
 visible to the end of what is plausible; the draw is log-uniform within it and within the parameter's bounds. What gives
 shape, not size, is drawn as well. None of it is taken from what a diagnosis assumes or begins with.
 """
@@ -18,7 +18,7 @@ from ..errors import InputError, suggestion
 from ..plant import CATALOGUE, PARAMETERS, Effect, Parameter, PlantModel
 
 __all__ = [
-    "SEVERITIES", "UNCERTAIN", "Hidden", "check_values", "choose", "parse_effects", "parse_values", "true_model",
+    "SEVERITIES", "UNCERTAIN", "Hidden", "check_values", "choose", "number", "parse_effects", "parse_values", "true_model",
 ]  # fmt: skip
 
 #: Sizes, as multiples of the typical distance of a parameter from its neutral value: least and greatest.
@@ -68,20 +68,25 @@ def parse_effects(words: Iterable[str]) -> dict[str, str]:
     return chosen
 
 
+def number(text: str | None) -> float:
+    """The finite number that a text holds; NaN where it holds none."""
+    try:
+        value = float(text or "")
+    except ValueError:
+        return math.nan
+    return value if math.isfinite(value) else math.nan
+
+
 def parse_values(words: Iterable[str]) -> dict[str, float]:
     """`["dead_zone.overlap_positive=7e-5"]` -> `{"dead_zone.overlap_positive": 7e-5}` (SI). InputError if malformed."""
     values: dict[str, float] = {}
     for word in words:
-        name, equals, number = word.partition("=")
-        try:
-            value = float(number)
-        except ValueError:
-            value = math.nan
-        if not equals or not math.isfinite(value):
+        name, _, text = word.partition("=")
+        values[name] = number(text)
+        if math.isnan(values[name]):
             raise InputError(
                 f"{word}: expected EFFECT.PARAMETER=NUMBER in SI units, e.g. dead_zone.overlap_positive=7e-5"
             )
-        values[name] = value
     return values
 
 
@@ -99,7 +104,7 @@ def check_values(values: Mapping[str, float], effects: Mapping[str, str]) -> Non
         p = known[own]
         if value != p.nominal and not p.low <= value <= p.high:
             raise InputError(
-                f"{key}: {value:g} {p.unit} is out of range; right is {p.low:g} to {p.high:g} {p.unit}"
+                f"{key}: {value:g} {p.unit} is out of range; expected {p.low:g} to {p.high:g} {p.unit}"
             )
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,7 @@ class Plan:
         return Plan(self.value[:rows], self.closed[:rows], self.load[:rows])
 
 
-# --- courses: arrays over a number of periods ---------------------------------------------------------------------------
+# --- profiles: arrays over a number of periods ---------------------------------------------------------------------------
 def _hold(levels: Sequence[float] | Array, rows: int) -> Array:
     """Levels of equal length, which fill the rows."""
     at = np.arange(rows) * len(levels) // rows
@@ -67,12 +68,11 @@ def _sweep(middle: float, amplitude: float, low: float, high: float, rows: int, 
     return middle + amplitude * np.sin(phase)
 
 
-def _open(value: Array, load: Array | float = 0.0) -> Plan:
-    return Plan(value, np.zeros(value.size, bool), np.broadcast_to(load, value.shape))
+def _open(value: Array, load: Array | float = 0.0, *, closed: bool = False) -> Plan:
+    return Plan(value, np.full(value.size, closed), np.broadcast_to(load, value.shape))
 
 
-def _closed(value: Array, load: Array | float = 0.0) -> Plan:
-    return Plan(value, np.ones(value.size, bool), np.broadcast_to(load, value.shape))
+_closed = partial(_open, closed=True)
 
 
 def _rows(rng: Stream, usual: Sequence[float], dt: float) -> list[int]:
@@ -209,7 +209,7 @@ def plans(run: str, seeds: np.random.SeedSequence, dt: float, steps: int) -> lis
     shared, *own = seeds.spawn(3)
     found = []
     for side in (0, 1):
-        # The shared stream starts afresh for each channel: both draw the same from it.
+        # The shared stream starts again for each channel: both draw the same from it.
         common, alone = np.random.default_rng(shared), np.random.default_rng(own[side])
         rounds = [RUNS[run](common, alone, dt)]
         while sum(r.value.size for r in rounds) < steps:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import csv
-import math
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..reading import check_file
+from ..reading import read_text
+from .hidden import number
 from .manoeuvres import Plan
 
-__all__ = ["LONGEST", "plans_of"]
+__all__ = ["MAX_DURATION", "plans_of"]
 
 #: Longest log that is played, s.
-LONGEST = 3600.0
+MAX_DURATION = 3600.0
 _COMMANDS, _LOADS = ("command_1_V", "command_2_V"), ("load_1_Nm", "load_2_Nm")
 
 
@@ -28,18 +28,18 @@ def plans_of(path: str | Path, rated_V: tuple[float, float], period: float) -> l
     taken at every `period` s. InputError for a file that cannot be read, a column that is missing, a value that is no number
     or beyond the rated command, and times that do not rise.
     """
-    columns = _columns(Path(path))
+    columns = _columns(path)
     time = columns["time_s"]
     if len(time) < 2:
-        raise InputError(f"{path}: one row; at least two rows with rising time_s are right")
+        raise InputError(f"{path}: one row; expected at least two rows with rising time_s")
     late = np.flatnonzero(np.diff(time) <= 0.0)
     if late.size:
         raise InputError(
             f"{path}: row {late[0] + 3}: time_s does not rise; each row must be later than the one before"
         )
     end = 2.0 * time[-1] - time[-2] - time[0]
-    if end > LONGEST:
-        raise InputError(f"{path}: {end:g} s of commands; {LONGEST:g} s at most are right")
+    if end > MAX_DURATION:
+        raise InputError(f"{path}: {end:g} s of commands; expected {MAX_DURATION:g} s at most")
     at = np.arange(max(1, round(end / period))) * period
     rows = np.searchsorted(time - time[0], at + 1e-9 * period, side="right") - 1
     nothing = np.zeros(len(time))
@@ -56,30 +56,20 @@ def plans_of(path: str | Path, rated_V: tuple[float, float], period: float) -> l
     return found
 
 
-def _columns(path: Path) -> dict[str, NDArray[np.float64]]:
+def _columns(path: str | Path) -> dict[str, NDArray[np.float64]]:
     """The columns that are understood; row numbers in messages count the header as row 1."""
-    known = ("time_s", *_COMMANDS, *_LOADS)
-    check_file(path, "a CSV file of commands")
+    text = read_text(path, "a CSV file of commands")
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a CSV file"
-        raise InputError(f"{path}: cannot read the commands: {reason}") from None
-    names = [n for n in known if rows and n in rows[0]]
-    if "time_s" not in names or not set(names) & set(_COMMANDS):
+        rows = list(csv.DictReader(text.splitlines()))
+    except csv.Error as error:
+        raise InputError(f"{path}: not a CSV file of commands: {error}") from None
+    names = [n for n in ("time_s", *_COMMANDS, *_LOADS) if rows and n in rows[0]]
+    if "time_s" not in names or not {*names} & {*_COMMANDS}:
         raise InputError(
             f"{path}: columns time_s and command_1_V, command_2_V or both are needed, with rows below them"
         )
-    found = {}
-    for name in names:
-        values = np.empty(len(rows))
-        for n, row in enumerate(rows):
-            try:
-                values[n] = float(row[name])
-            except (TypeError, ValueError):
-                values[n] = math.nan
-            if not math.isfinite(values[n]):
-                raise InputError(f"{path}: row {n + 2}, column {name!r}: {row[name]!r} is not a number")
-        found[name] = values
+    found = {name: np.array([number(row[name]) for row in rows]) for name in names}
+    for name, values in found.items():
+        for n in np.flatnonzero(np.isnan(values))[:1]:
+            raise InputError(f"{path}: row {n + 2}, column {name!r}: {rows[n][name]!r} is not a number")
     return found

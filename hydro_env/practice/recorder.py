@@ -22,7 +22,7 @@ from .manoeuvres import Plan, plans
 from .reference import ReferenceRig
 from .reference.forms import OF_BOTH_LINES, Constants
 
-__all__ = ["CATALOGUE_FORMS", "CONTROL_PERIOD", "RECORDABLE", "SENSORS", "Recorder", "Sensor", "log_text"]
+__all__ = ["CATALOGUE_FORMS", "COLUMNS", "CONTROL_PERIOD", "RECORDABLE", "SENSORS", "Recorder", "log_text"]
 
 Array = NDArray[np.float64]
 
@@ -31,48 +31,41 @@ CONTROL_PERIOD = 0.01  # s
 _VACUUM = -101325.0
 #: Forms of a rig that the compiled plant plays, with the laws of the catalogue.
 CATALOGUE_FORMS = "catalogue"
-#: What may be recorded besides time, command and speed.
-RECORDABLE = ("setpoint", "current", "pressure", "load", "spool", "flow", "line_pressures")
-#: Columns of a recordable name that has another one.
-_COLUMNS = {"line_pressures": ("pressure_a", "pressure_b")}
 
 
 @dataclass(frozen=True)
-class Sensor:
-    """A column of the log: the simulator's signal, the column's unit and its size in SI, noise and resolution in that unit."""
+class Column:
+    """A quantity of the log: the unit of its columns and their decimals. Of what a sensor shows also the simulator's signal, the
+    size of the unit in SI, and the sensor's noise and resolution in that unit."""
 
-    signal: str
     unit: str
-    size: float
-    noise: float
-    resolution: float
+    decimals: int
+    signal: str = ""
+    size: float = 1.0
+    noise: float = 0.0
+    resolution: float = 0.0
 
 
-#: Columns of a log by the first word of their names.
-SENSORS = {
-    "current": Sensor("current", "A", 1.0, NOISE["current_A"], 0.0005),
-    "pressure": Sensor("pressure", "bar", BAR, NOISE["pressure_bar"], 0.01),
-    "speed": Sensor("measured_speed", "rpm", RPM, NOISE["speed_rpm"], 0.1),
-    "spool": Sensor("spool", "mm", MILLIMETRE, NOISE["spool_mm"], 0.0005),
-    "flow": Sensor("flow", "lpm", LPM, NOISE["flow_lpm"], 0.01),
-    "pressure_a": Sensor("pressure_a", "bar", BAR, NOISE["pressure_bar"], 0.01),
-    "pressure_b": Sensor("pressure_b", "bar", BAR, NOISE["pressure_bar"], 0.01),
+#: Columns of a log by the first words of their names; those of a channel in their order.
+COLUMNS = {
+    "time": Column("s", 6),
+    "setpoint": Column("rpm", 1),
+    "command": Column("V", 3),
+    "current": Column("A", 4, "current", 1.0, NOISE["current_A"], 0.0005),
+    "pressure": Column("bar", 2, "pressure", BAR, NOISE["pressure_bar"], 0.01),
+    "speed": Column("rpm", 1, "measured_speed", RPM, NOISE["speed_rpm"], 0.1),
+    "load": Column("Nm", 3),
+    "spool": Column("mm", 4, "spool", MILLIMETRE, NOISE["spool_mm"], 0.0005),
+    "flow": Column("lpm", 2, "flow", LPM, NOISE["flow_lpm"], 0.01),
+    "pressure_a": Column("bar", 2, "pressure_a", BAR, NOISE["pressure_bar"], 0.01),
+    "pressure_b": Column("bar", 2, "pressure_b", BAR, NOISE["pressure_bar"], 0.01),
 }
-_COLUMN_ORDER = (
-    "command",
-    "current",
-    "pressure",
-    "speed",
-    "load",
-    "spool",
-    "flow",
-    "pressure_a",
-    "pressure_b",
-)
-_DECIMALS = {
-    "time": 6, "setpoint": 1, "command": 3, "current": 4, "pressure": 2, "speed": 1, "load": 3, "spool": 4, "flow": 2,
-    "pressure_a": 2, "pressure_b": 2,
-}  # fmt: skip
+SENSORS = {name: column for name, column in COLUMNS.items() if column.signal}
+#: What may be recorded besides time, command and speed: columns by the name under which they are asked for.
+RECORDABLE: dict[str, tuple[str, ...]] = {
+    name: (name,) for name in ("setpoint", "current", "pressure", "load", "spool", "flow")
+}
+RECORDABLE["line_pressures"] = ("pressure_a", "pressure_b")
 
 
 class _CatalogueRig:
@@ -90,7 +83,7 @@ class _CatalogueRig:
         command, load = np.tile(command_V, (samples, 1)), np.tile(load_Nm, (samples, 1))
         rows = self.plant.run(command, load, duration / samples, self.names)
         if lost := self.plant.lost:
-            raise InputError(f"{lost[0]}; smaller effects are right")
+            raise InputError(f"{lost[0]}; take smaller effects")
         end = self.signals()
         return {name: np.vstack([rows[name][1:, 0], end[name]]) for name in self.names}
 
@@ -181,10 +174,9 @@ class Recorder:
         if "setpoint" in self.record:
             setpoint = np.where(closed, value, 0.0)[:, 0]
             columns["setpoint_rpm"] = np.round(np.repeat(setpoint, samples), 1)
-        units = {"command": "V", "load": "Nm", **{n: s.unit for n, s in SENSORS.items()}}
-        asked = {"command", "speed", *(n for name in self.record for n in _COLUMNS.get(name, (name,)))}
-        kept = [n for n in _COLUMN_ORDER if n in asked]
-        return columns | {f"{n}_{c + 1}_{units[n]}": rows[n][:, c] for c in (0, 1) for n in kept}
+        asked = {"command", "speed", *(n for name in self.record for n in RECORDABLE[name])}
+        kept = {n: column.unit for n, column in COLUMNS.items() if n in rows and n in asked}
+        return columns | {f"{n}_{c + 1}_{unit}": rows[n][:, c] for c in (0, 1) for n, unit in kept.items()}
 
     def _level(self) -> Array:
         """What the simulator's mean line pressure is above, (2,) in Pa: half the supply's where the model has none."""
@@ -229,17 +221,13 @@ class Recorder:
         return np.round(raw / sensor.resolution) * sensor.resolution if self.noise > 0.0 else raw
 
 
-def _signal_of(column: str) -> str:
-    """The signal of a column: "pressure_a" of "pressure_a_1_bar"."""
-    return re.split(r"_(?:[12]_)?[A-Za-z]+$", column)[0]
-
-
 def log_text(columns: Mapping[str, Array]) -> str:
     """A rig log as CSV text."""
-    decimals = [_DECIMALS[_signal_of(name)] for name in columns]
+    # "pressure_a" of "pressure_a_1_bar", "time" of "time_s"
+    names = [re.sub(r"(_[12])?_[A-Za-z]+$", "", column) for column in columns]
     buffer = io.StringIO()
     np.savetxt(
-        buffer, np.column_stack(list(columns.values())), fmt=[f"%.{d}f" for d in decimals], delimiter=",",
-        header=",".join(columns), comments="",
+        buffer, np.column_stack(list(columns.values())), fmt=[f"%.{COLUMNS[name].decimals}f" for name in names],
+        delimiter=",", header=",".join(columns), comments="",
     )  # fmt: skip
     return buffer.getvalue()

@@ -76,30 +76,10 @@ class Metric:
     of: Callable[[Trace], Floats]
 
 
-def _largest_difference(trace: Trace) -> Floats:
-    return np.abs(trace.difference_rpm).max(axis=0)
-
-
-def _rms_difference(trace: Trace) -> Floats:
-    return np.sqrt(np.mean(trace.difference_rpm**2, axis=0))
-
-
-def _settling_time(trace: Trace) -> Floats:
-    return trace.longest_apart[0]
-
-
 def never_settled(trace: Trace) -> NDArray[np.bool_]:
     """(N,), whether the longest time out of step was still running when the episode ended: `sync_settling_time_s` is then only a
     lower bound, set by the length of the episode."""
     return trace.longest_apart[1]
-
-
-def _angle_difference(trace: Trace) -> Floats:
-    return np.abs(trace.angle_difference_deg).max(axis=0)
-
-
-def _tracking(trace: Trace) -> Floats:
-    return np.mean(np.abs(trace.speed_rpm - trace.setpoint_rpm[..., None]), axis=(0, 2))
 
 
 def _travel(trace: Trace) -> Floats:
@@ -109,51 +89,39 @@ def _travel(trace: Trace) -> Floats:
 
 _ALL = (
     Metric(
-        "max_speed_difference_rpm",
-        "peak synchronisation error",
-        "rpm",
+        "max_speed_difference_rpm", "peak synchronisation error", "rpm",
         "largest absolute difference of the two speeds in the episode",
-        _largest_difference,
+        lambda trace: np.abs(trace.difference_rpm).max(axis=0),
     ),
     Metric(
-        "rms_speed_difference_rpm",
-        "RMS speed difference",
-        "rpm",
+        "rms_speed_difference_rpm", "RMS speed difference", "rpm",
         "root of the mean squared difference of the two speeds",
-        _rms_difference,
+        lambda trace: np.sqrt(np.mean(trace.difference_rpm**2, axis=0)),
     ),
     Metric(
-        "sync_settling_time_s",
-        "settling time of the speed difference",
-        "s",
+        "sync_settling_time_s", "settling time of the speed difference", "s",
         f"longest time out of step: from when the speeds differ by more than {SETTLED_RPM:g} rpm until they differ by no "
         f"more for at least {SETTLED_S:g} s, or the episode ends",
-        _settling_time,
+        lambda trace: trace.longest_apart[0],
     ),
     Metric(
-        "shaft_angle_difference_deg",
-        "largest shaft angle difference",
-        "deg",
+        "shaft_angle_difference_deg", "largest shaft angle difference", "deg",
         "largest absolute difference of the angles turned since the start",
-        _angle_difference,
+        lambda trace: np.abs(trace.angle_difference_deg).max(axis=0),
     ),
     Metric(
-        "tracking_mae_rpm",
-        "mean absolute tracking error",
-        "rpm",
+        "tracking_mae_rpm", "mean absolute tracking error", "rpm",
         "mean absolute difference between speed and set-point, over time and both motors",
-        _tracking,
+        lambda trace: np.mean(np.abs(trace.speed_rpm - trace.setpoint_rpm[..., None]), axis=(0, 2)),
     ),
     Metric(
-        "command_travel_per_s",
-        "command travel",
-        "1/s",
+        "command_travel_per_s", "command travel", "1/s",
         "how far the command moves a second: sum of its absolute changes (fraction of the rated one; from zero at the start), "
         "mean of both valves. A controller that shakes its valves wears them",
         _travel,
     ),
     Metric("command_variation", "command variation", "1/s", "the same as `command_travel_per_s`", _travel),
-)
+)  # fmt: skip
 
 #: The metrics by name.
 METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}

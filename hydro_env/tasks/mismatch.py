@@ -22,19 +22,21 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
-from math import inf
+from math import inf, nan
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field, Strict, model_validator
 
 from ..errors import InputError, InputWarning, shown, suggestion
 from ..plant import CATALOGUE, Parameter, PlantModel, parameter_of
-from ..plant.accepted import with_unit
 from ..plant.model_files import values_set_by
 from ..reading import parse_yaml, read_yaml
-from ..streams import Streams
+from ..streams import Component, Streams
+from ..units import with_unit
+from ..validation import FileTable, Number, checked
 
 __all__ = [
     "NAMED_PAIRS",
@@ -53,64 +55,111 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 #: Faults of the speed sensors, which act on the measurement alone and so are no part of the plant.
-SENSOR_PARAMETERS: dict[str, Parameter] = {
-    "speed_sensor.stuck_from": Parameter(
-        "stuck_from",
-        "s",
-        inf,
-        0.0,
-        inf,
-        "assumed",
-        "time of the episode from which on the reading stays",
-        1.0,
-    ),
-    "speed_sensor.noise_factor": Parameter(
-        "noise_factor", "1", 1.0, 0.0, 100.0, "assumed", "noise over the usual noise", 20.0, log=True
-    ),
-}
+SENSOR_PARAMETERS = {
+    "speed_sensor.stuck_from": Parameter("stuck_from", "s", inf, 0.0, inf, typical=1.0, source="assumed",
+        note="time of the episode from which on the reading stays"),
+    "speed_sensor.noise_factor": Parameter("noise_factor", "1", 1.0, 0.0, 100.0, typical=20.0, log=True, source="assumed",
+        note="noise over the usual noise"),
+}  # fmt: skip
 
 #: The name of no mismatch at all: the plant's own pair of valves.
 OWN = "own"
-#: Component of the streams of an episode from which pairs are drawn.
-MISMATCH_STREAM = 0
 #: Cases of successive episodes of one seed lie this far apart, so that the rows of a batch meet different ones.
 CASE_STRIDE = 389
-#: Times that a pair is drawn anew until it lies outside the ranges that it is to leave.
-MOST_DRAWS = 10_000
+#: Times that a pair is drawn again until it lies outside the ranges that it is to leave.
+MAX_DRAWS = 10_000
 
 
-@dataclass(frozen=True)
-class Range:
-    """What one parameter may be: per channel from `low` to `high`, evenly or (`log`) evenly in its logarithm.
+def _two(value: Any) -> tuple[float, float]:
+    """A number, or one for each of the two channels."""
+    try:
+        values = [value, value] if isinstance(value, str) or np.ndim(value) == 0 else list(value)
+        if len(values) != 2 or any(isinstance(each, bool) for each in values):
+            raise ValueError
+        pair = (float(values[0]), float(values[1]))
+        if np.isnan(pair).any():
+            raise ValueError
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{shown(value)} is neither a number nor one for each of the two channels") from None
+    return pair
 
-    `at_most` names a parameter drawn before that lowers the upper end; `shared` gives both channels the same value.
-    `meant_for` says for which value of the plant's own parameter the range holds: on a plant with another one, such as
-    a coil of another voltage, what is drawn is scaled by the plant's own value over `meant_for`.
+
+_Ends = Annotated[list[Number], Field(min_length=2, max_length=2)]
+
+
+class Range(FileTable):
+    """What one parameter may be, as in a file: `fixed` (a number, or one for each channel), or from low to high, evenly
+    (`uniform`) or evenly in its logarithm (`loguniform`).
+
+    `at_most` names a parameter drawn before that lowers the upper end. `meant_for` says for which value of the plant's own
+    parameter the range holds: on a plant with another one, such as a coil of another voltage, what is drawn is scaled by the
+    plant's own value over `meant_for`.
     """
 
-    low: tuple[float, float]
-    high: tuple[float, float]
-    log: bool = False
+    fixed: Annotated[Any, AfterValidator(_two)] = None
+    uniform: _Ends | None = None
+    loguniform: _Ends | None = None
     at_most: str | None = None
-    shared: bool = False
-    meant_for: float | None = None
+    meant_for: Annotated[Number, Field(gt=0.0)] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers(cls, data: Any) -> Any:
+        return data if isinstance(data, Mapping | Range) else {"fixed": _two(data)}
+
+    @model_validator(mode="after")
+    def _one_range(self) -> Range:
+        if [self.fixed, self.uniform, self.loguniform].count(None) != 2:
+            raise ValueError("expected a number, a pair, or uniform or loguniform: [low, high]")
+        low, high = self.ends
+        if not self.fixed and low > high:
+            raise ValueError(f"[{low:g}, {high:g}] is no range from low to high")
+        if self.loguniform and low <= 0.0:
+            raise ValueError(f"loguniform needs a low end above zero, found {low:g}")
+        return self
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The values of both channels, or the ends of the range."""
+        low, high = self.fixed or self.uniform or self.loguniform or (nan, nan)
+        return low, high
+
+    @property
+    def low(self) -> tuple[float, float]:
+        """The lower ends of both channels."""
+        return self.fixed or (self.ends[0],) * 2
+
+    @property
+    def high(self) -> tuple[float, float]:
+        """The upper ends of both channels."""
+        return self.fixed or (self.ends[1],) * 2
 
     def value(self, share: Floats, drawn: Mapping[str, Floats]) -> Floats:
-        """Values (n, 2) for shares (n, 2) in [0, 1) of the range, given the parameters `drawn` before."""
+        """Values (n, 2) for shares (n, 2) or (n, 1) in [0, 1) of the range, given the parameters `drawn` before."""
         low, high = np.array(self.low), np.array(self.high)
         if (low == high).all():
-            return np.broadcast_to(low, share.shape).copy()
-        if self.shared:
-            share = share[:, :1]
+            return np.broadcast_to(low, (len(share), 2)).copy()
         if self.at_most is not None:
             high = np.minimum(high, drawn[self.at_most])
-        if self.log:
+        if self.loguniform:
             return low * np.exp(share * np.log(high / low))
         return low + share * (high - low)
 
     def scaled(self, name: str, drawn: Floats, model: PlantModel) -> Floats:
         """What was drawn (n, 2), as it is on a plant of this model."""
         return drawn if self.meant_for is None else drawn * (np.array(model.pair(name)) / self.meant_for)
+
+    def check(self, name: str, before: Mapping[str, Range]) -> None:
+        """InputError for a range that this parameter, behind those above it, cannot have."""
+        _check_bounds(name, self.ends)
+        if self.fixed and name in _rig_parameters() and self.fixed[0] != self.fixed[1]:
+            raise InputError("both channels share this value; one number expected")
+        if self.at_most is not None and self.at_most not in before:
+            raise InputError(f"at_most: {shown(self.at_most)} is not among the parameters above it")
+        if self.at_most is not None and min(before[self.at_most].low) < self.ends[0]:
+            raise InputError(f"at_most: {self.at_most} may be lower than the low end {self.ends[0]:g}")
+        if self.meant_for is not None and name in SENSOR_PARAMETERS:
+            raise InputError("meant_for: a sensor's fault does not depend on the plant")
 
 
 @dataclass(frozen=True)
@@ -172,10 +221,13 @@ class Mismatch:
             still = np.zeros((count, 2))
             fixed = {name: r.scaled(name, r.value(still, {}), model) for name, r in self.ranges.items()}
             return Pairs(fixed, ("",) * count)
-        streams = self._streams(seeds, episodes, cases)
+        if cases[0] >= 0:
+            streams = Streams(Component.CASE, [0] * count, cases, self.entropy)
+        else:
+            streams = Streams(Component.PAIR, seeds, episodes, self.entropy)
         values = self._draw(streams)
         again = self._inside(values)
-        for _ in range(MOST_DRAWS):
+        for _ in range(MAX_DRAWS):
             if not again.any():
                 break
             rows = np.flatnonzero(again)
@@ -184,24 +236,18 @@ class Mismatch:
             again[rows] = self._inside({name: value[rows] for name, value in values.items()})
         else:
             raise InputError(
-                f"mismatch {self.name!r}: of {MOST_DRAWS} pairs drawn none lies outside the ranges that it is to leave"
+                f"mismatch {self.name!r}: of {MAX_DRAWS} pairs drawn none lies outside the ranges that it is to leave"
             )
         values = {name: self.ranges[name].scaled(name, drawn, model) for name, drawn in values.items()}
         if not self.faults:
             return Pairs(values, ("",) * count)
         return self._with_faults(values, streams, cases, model)
 
-    def _streams(self, seeds: Sequence[int], episodes: Sequence[int], cases: Sequence[int]) -> Streams:
-        entropy = [self.entropy] * len(seeds)
-        if cases[0] >= 0:
-            return Streams.seeded([entropy], [cases])
-        return Streams.seeded([entropy, seeds], [episodes, [MISMATCH_STREAM] * len(seeds)])
-
     def _draw(self, streams: Streams, rows: NDArray[np.int64] | slice = slice(None)) -> dict[str, Floats]:
         shares = streams.random((len(self.ranges), 2), rows)
         values: dict[str, Floats] = {}
         for column, (name, each) in enumerate(self.ranges.items()):
-            values[name] = each.value(shares[:, column], values)
+            values[name] = each.value(_common(name, shares[:, column]), values)
         return values
 
     def _inside(self, values: Mapping[str, Floats]) -> NDArray[np.bool_]:
@@ -221,17 +267,22 @@ class Mismatch:
         for name in self.parameters:
             if name not in values:
                 values[name] = np.tile(own_values(name, model), (len(cases), 1))
+        chosen = (streams.random(1)[:, 0] * 2 * len(names)).astype(int) if cases[0] < 0 else cases
+        shares = streams.random((max(map(len, self.faults.values())), 1, 2))
         drawn = []
-        for row, case in enumerate(cases):
-            stream = streams.generator(row)
-            number = case if case >= 0 else int(stream.integers(2 * len(names)))
+        for row, number in enumerate(chosen):
             fault, channel = names[number % len(names)], number // len(names) % 2
             faulty: dict[str, Floats] = {}
-            for name, each in self.faults[fault].items():
-                faulty[name] = each.value(stream.random((1, 2)), faulty)
+            for (name, each), share in zip(self.faults[fault].items(), shares[row], strict=False):
+                faulty[name] = each.value(_common(name, share), faulty)
                 values[name][row, channel] = each.scaled(name, faulty[name], model)[0, channel]
             drawn.append(fault)
         return Pairs(values, tuple(drawn))
+
+
+def _common(name: str, share: Floats) -> Floats:
+    """Shares (n, 2) of a range, of a parameter of the rig (n, 1): both channels have one value."""
+    return share[:, :1] if name in _rig_parameters() else share
 
 
 def own_values(name: str, model: PlantModel) -> tuple[float, float]:
@@ -300,10 +351,35 @@ def default_mismatch(plant: Any, split: str = "train") -> str:
     return OWN if values_set_by(plant) & SPLITS[split].ranges.keys() else split
 
 
-def _check_keys(data: Mapping[Any, Any], known: Sequence[str], where: str) -> None:
-    for key in data:
-        if key not in known:
-            raise InputError(f"{where}: unknown key {shown(key)}: {suggestion(key, known)}")
+def _check_bounds(name: str, pair: tuple[float, float]) -> None:
+    """InputError for an unknown parameter, and for a value that no component has."""
+    if name not in SENSOR_PARAMETERS:
+        if name.startswith("speed_sensor."):
+            hint = suggestion(name, SENSOR_PARAMETERS)
+            raise InputError(f"the speed sensor has no such parameter: {hint}")
+        PlantModel(values={name: pair})
+    elif min(pair) < 0.0:
+        raise InputError(f"{min(pair):g} is below zero")
+
+
+def _check_all(ranges: dict[str, Range], where: str) -> None:
+    names = list(ranges)
+    for place, name in enumerate(names):
+        try:
+            ranges[name].check(name, {each: ranges[each] for each in names[:place]})
+        except InputError as problem:
+            raise InputError(f"{where}: {name}: {problem}") from None
+
+
+class _SplitFile(FileTable):
+    """A split: the keys of `splits.yaml`."""
+
+    summary: str = ""
+    entropy: Annotated[int, Strict(), Field(ge=0, lt=2**128)] = 0
+    cases: Annotated[int, Strict(), Field(ge=1, lt=2**128)] | None = None
+    outside: str | None = None
+    parameters: dict[str, Range]
+    faults: dict[str, dict[str, Range]] = Field(default_factory=dict)
 
 
 def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
@@ -323,9 +399,9 @@ def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
     mismatch = _read_split(name, own, where, SPLITS)
     parts = {key: mismatch.ranges[key] for key in given if key not in SENSOR_PARAMETERS}
     if unusual := [text for key, each in parts.items() if (text := _unusual(key, each))]:
-        told = f"{where}: unusual for such a rig: {', '.join(unusual)}"
         warnings.warn(
-            f"{told}; a range for another plant says by `meant_for` for which value",
+            f"{where}: unusual for such a rig: {', '.join(unusual)}; a range for another plant says by `meant_for` for which "
+            "value",
             InputWarning,
             stacklevel=3,
         )
@@ -333,122 +409,21 @@ def _read_own(name: str, data: Mapping[str, Any], where: str) -> Mismatch:
 
 
 def _read_split(name: str, data: Mapping[str, Any], where: str, others: Mapping[str, Mismatch]) -> Mismatch:
-    _check_keys(data, ("summary", "entropy", "cases", "outside", "parameters", "faults"), where)
-    ranges = _read_ranges(data.get("parameters"), where)
+    given = checked(_SplitFile, data, where)
+    ranges = given.parameters
+    _check_all(ranges, where)
+    for fault, changed in given.faults.items():
+        _check_all(changed, f"{where}: faults.{fault}")
     outside: dict[str, Range] = {}
-    if "outside" in data:
-        if not isinstance(data["outside"], str) or data["outside"] not in others:
-            hint = suggestion(data["outside"], others)
-            raise InputError(f"{where}: outside: unknown split {shown(data['outside'])}: {hint}")
-        bounds = others[data["outside"]].ranges
+    if given.outside is not None:
+        if given.outside not in others:
+            hint = suggestion(given.outside, others)
+            raise InputError(f"{where}: outside: unknown split {shown(given.outside)}: {hint}")
+        bounds = others[given.outside].ranges
         outside = {key: bounds[key] for key in bounds if key in ranges}
         if all(r.low <= ranges[key].low and ranges[key].high <= r.high for key, r in outside.items()):
-            raise InputError(f"{where}: outside: no range reaches beyond those of {data['outside']!r}")
-    faults = data.get("faults", {})
-    if not isinstance(faults, Mapping):
-        raise InputError(f"{where}: faults: expected `name: {{parameter: range}}` lines")
-    for key, lowest in (("entropy", 0), ("cases", 1)):
-        if key in data and (type(data[key]) is not int or not lowest <= data[key] < 2**128):
-            raise InputError(
-                f"{where}: {key} is {shown(data[key])}, expected a whole number of at least {lowest}"
-            )
-    return Mismatch(
-        name=name,
-        ranges=ranges,
-        entropy=data.get("entropy", 0),
-        cases=data.get("cases"),
-        outside=outside,
-        faults={fault: _read_ranges(what, f"{where}: faults.{fault}") for fault, what in faults.items()},
-        summary=str(data.get("summary", "")),
-    )
-
-
-def _read_ranges(data: Any, where: str) -> dict[str, Range]:
-    if not isinstance(data, Mapping):
-        raise InputError(f"{where}: expected `parameter: value` lines, found {shown(data)}")
-    ranges: dict[str, Range] = {}
-    for name, what in data.items():
-        if not isinstance(name, str):
-            raise InputError(f"{where}: a parameter is called {shown(name)}, expected text")
-        ranges[name] = _read_range(name, what, where, ranges)
-    return ranges
-
-
-def _read_range(name: str, what: Any, where: str, before: Mapping[str, Range]) -> Range:
-    at = f"{where}: {name}"
-    if name not in SENSOR_PARAMETERS:
-        if name.startswith("speed_sensor."):
-            raise InputError(
-                f"{at}: the speed sensor has no such parameter: {suggestion(name, SENSOR_PARAMETERS)}"
-            )
-        try:
-            parameter_of(name)
-        except InputError as problem:
-            raise InputError(f"{where}: {problem}") from None
-    shared = "." in name and name in _rig_parameters()
-    if not isinstance(what, Mapping):
-        fixed = _pair(what, at)
-        if shared and fixed[0] != fixed[1]:
-            raise InputError(f"{at}: both channels share this value; one number expected")
-        _check_bounds(name, fixed, at)
-        return Range(fixed, fixed)
-    rest = {key: value for key, value in what.items() if key not in ("at_most", "meant_for")}
-    if len(rest) != 1 or next(iter(rest)) not in ("uniform", "loguniform"):
-        raise InputError(
-            f"{at}: expected a number, a pair, or uniform or loguniform: [low, high], found {shown(what)}"
-        )
-    kind, bounds = next(iter(rest.items()))
-    if not isinstance(bounds, Sequence) or isinstance(bounds, str) or len(bounds) != 2:
-        raise InputError(f"{at}: {kind}: expected [low, high], found {shown(bounds)}")
-    low, high = _pair(bounds, at)
-    if not (np.isfinite([low, high]).all() and low <= high):
-        raise InputError(f"{at}: {kind}: [{low:g}, {high:g}] is no range from low to high")
-    if kind == "loguniform" and low <= 0.0:
-        raise InputError(f"{at}: loguniform needs a low end above zero, found {low:g}")
-    at_most = what.get("at_most")
-    if at_most is not None:
-        if not isinstance(at_most, str) or at_most not in before:
-            raise InputError(f"{at}: at_most: {shown(at_most)} is not among the parameters above it")
-        if min(before[at_most].low) < low:
-            raise InputError(f"{at}: at_most: {at_most} may be lower than the low end {low:g}")
-    on = what.get("meant_for")
-    if on is not None:
-        if name in SENSOR_PARAMETERS:
-            raise InputError(f"{at}: meant_for: a sensor's fault does not depend on the plant")
-        if isinstance(on, bool) or not isinstance(on, (int, float)) or not 0.0 < on < inf:
-            raise InputError(
-                f"{at}: meant_for is {shown(on)}, expected the plant's value the range is meant for"
-            )
-    _check_bounds(name, (low, high), at)
-    return Range((low, low), (high, high), kind == "loguniform", at_most, shared, on)
-
-
-def _pair(what: Any, at: str) -> tuple[float, float]:
-    values = (
-        list(what) if isinstance(what, (Sequence, np.ndarray)) and not isinstance(what, str) else [what, what]
-    )
-    try:
-        if len(values) != 2 or any(isinstance(value, bool) for value in values):
-            raise ValueError
-        pair = (float(values[0]), float(values[1]))
-        if np.isnan(pair).any():
-            raise ValueError
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(
-            f"{at}: {shown(what)} is neither a number nor one for each of the two channels"
-        ) from None
-    return pair
-
-
-def _check_bounds(name: str, pair: tuple[float, float], at: str) -> None:
-    if name in SENSOR_PARAMETERS:
-        if min(pair) < 0.0:
-            raise InputError(f"{at}: {min(pair):g} is below zero")
-        return
-    try:
-        PlantModel(values={name: pair})
-    except InputError as problem:
-        raise InputError(f"{at}: {problem}") from None
+            raise InputError(f"{where}: outside: no range reaches beyond those of {given.outside!r}")
+    return Mismatch(name, ranges, given.entropy, given.cases, outside, given.faults, given.summary)
 
 
 def _unusual(name: str, given: Range) -> str:
@@ -458,7 +433,7 @@ def _unusual(name: str, given: Range) -> str:
     if all(end in (0.0, p.neutral) or size * p.low <= end <= size * p.high for end in ends):
         return ""
     found = f"{ends[0]:g}" if ends[0] == ends[1] else f"{ends[0]:g} to {ends[1]:g}"
-    return f"{name} {found} (usual {size * p.low:g} to {with_unit(size * p.high, p)})"
+    return f"{name} {found} (usual {size * p.low:g} to {with_unit(size * p.high, p.unit)})"
 
 
 @cache

@@ -12,17 +12,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import pi
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import AfterValidator, Field
 
 from ..errors import InputError, shown, suggestion
-from ..limits import Limits
-from ..streams import Streams
+from ..streams import Component, Streams
 from ..units import RPM
+from ..validation import FileTable, Number, checked
 
 __all__ = ["NOMINAL_TORQUE", "SCENARIOS", "Reference", "Scenario", "load_scenario"]
 
@@ -33,10 +34,8 @@ Floats = NDArray[np.float64]
 #: paper's weaker valve V2 without dead zone, but only 0.8 N m for the weaker valve of the weakest twentieth of the
 #: pairs of `train`. So nearly all pairs can do what the scenarios ask.
 NOMINAL_TORQUE = 0.8
-#: Of a scenario of step tables.
-DURATION = Limits(1e-4, 1e5, unit="s")
 #: Largest time (s), set-point (rpm) and load (N m) of a step table.
-MOST = 1e6
+LARGEST = 1e6
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class Reference:
 class Scenario:
     """`duration` in s and `course(time, stream)` -> set-point (len(time),) in rpm, loads (len(time), 2) in N m.
 
-    A `random` scenario draws its course anew in each episode from `stream`, a NumPy generator; the others must not use it. One
+    A `random` scenario draws another course in each episode from `stream`, a NumPy generator; the others must not use it. One
     that draws many `together` gets `Streams` of n episodes instead and returns set-points (n, len(time)), loads
     (n, len(time), 2).
     """
@@ -73,20 +72,21 @@ class Scenario:
         return steps
 
     def reference(self, period: float, stream: np.random.Generator | None = None) -> Reference:
-        """The course on the grid of a control period in s. `stream` is a generator of PCG64, as NumPy's default is."""
+        """The course on the grid of a control period in s; a random one is drawn from `stream`."""
         if self.together and stream is not None:
-            setpoints, loads = self.courses(period, Streams.of(stream.bit_generator))
+            seed = int(stream.integers(2**63))
+            setpoints, loads = self.profiles(period, Streams(Component.SCENARIO, [seed], [0]))
             return Reference(setpoints[0], loads[0])
         setpoint, load = self.course(_grid(self.steps(period), period), stream)
         return Reference(np.asarray(setpoint, dtype=float) * RPM, np.asarray(load, dtype=float))
 
-    def courses(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
+    def profiles(self, period: float, streams: Streams) -> tuple[Floats, Floats]:
         """Set-points (n, T + 1) in rad/s and loads (n, T + 1, 2) in N m, each row as `reference` with its stream has it; of a
         scenario that is not random one row for all."""
         if self.together:
             setpoint, load = self.course(_grid(self.steps(period), period), streams)
             return setpoint * RPM, load
-        rows = range(len(streams.states)) if self.random else ()
+        rows = range(len(streams)) if self.random else ()
         found = [self.reference(period, streams.generator(row)) for row in rows] or [self.reference(period)]
         return np.stack([each.setpoint for each in found]), np.stack([each.load for each in found])
 
@@ -108,19 +108,12 @@ def _held(time: Floats, changes: Floats, values: Floats) -> Floats:
 
 def _tables(name: str, summary: str, duration: float, setpoint: ArrayLike, load: ArrayLike = ()) -> Scenario:
     """A scenario from step tables; loads in N m."""
+    tables = np.asarray(setpoint, float).reshape(-1, 2), np.asarray(load, float).reshape(-1, 3)
+    return Scenario(name, summary, duration, partial(_table_course, *tables))
 
-    course = _TableCourse(np.asarray(setpoint, float).reshape(-1, 2), np.asarray(load, float).reshape(-1, 3))
-    return Scenario(name, summary, duration, course)
 
-
-@dataclass(frozen=True, eq=False)
-class _TableCourse:
-    setpoint: Floats
-    load: Floats
-
-    def __call__(self, time: Floats, stream: np.random.Generator | None) -> tuple[Floats, Floats]:
-        setpoint = _held(time, self.setpoint[:, 0], self.setpoint[:, 1])
-        return setpoint, _held(time, self.load[:, 0], self.load[:, 1:])
+def _table_course(setpoint: Floats, load: Floats, time: Floats, stream: None) -> tuple[Floats, Floats]:
+    return _held(time, setpoint[:, 0], setpoint[:, 1]), _held(time, load[:, 0], load[:, 1:])
 
 
 def _share(rows: Sequence[tuple[float, float, float]]) -> Floats:
@@ -140,7 +133,7 @@ def _disturbance(time: Floats, stream: np.random.Generator | None) -> tuple[Floa
 
 
 def _held_together(time: Floats, changes: Floats, values: Floats) -> Floats:
-    """`_held` of n courses: changes, in their order, and values (n, m) give (n, len(time))."""
+    """`_held` of n profiles: changes, in their order, and values (n, m) give (n, len(time))."""
     count, most = values.shape
     edges, padded = np.zeros((count, most + 2), np.int64), np.zeros((count, most + 1))
     edges[:, 1:-1], edges[:, -1] = time.searchsorted(changes), time.size
@@ -157,7 +150,7 @@ def _random_steps(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
     changes = 0.2 * gaps[:, :1] + np.concatenate([first, np.cumsum(0.3 + 1.7 * gaps[:, 1:], axis=1)], axis=1)
     setpoint = _held_together(time, changes, np.where(rests < 0.1, 0.0, 600.0 * (2.0 * levels - 1.0)))
     load = np.zeros((*setpoint.shape, 2))
-    loaded = np.flatnonzero(streams.random(()) < 2.0 / 3.0)
+    loaded = np.flatnonzero(streams.random(1)[:, 0] < 2.0 / 3.0)
     for channel in (0, 1):
         gaps, levels = streams.random((2, most), loaded).swapaxes(0, 1)
         torque = NOMINAL_TORQUE * (2.0 * levels - 1.0)
@@ -240,27 +233,33 @@ def load_scenario(source: str | Mapping[str, Any] | Scenario) -> Scenario:
         raise InputError(
             f"scenario is {shown(source)}, expected a name ({', '.join(SCENARIOS)}) or a mapping of step tables"
         )
-    known = ("name", "duration", "setpoint_rpm", "load_Nm")
-    for key in source:
-        if key not in known:
-            raise InputError(f"scenario: unknown key {shown(key)}: {suggestion(key, known)}")
-    duration = DURATION.check(source.get("duration"), "scenario: duration")
-    if not isinstance(source.get("name", ""), str):
-        raise InputError(f"scenario: name is {shown(source['name'])}, expected text")
-    setpoint = _read_table(source.get("setpoint_rpm", ()), 2, "setpoint_rpm")
-    load = _read_table(source.get("load_Nm", ()), 3, "load_Nm")
-    return _tables(source.get("name", "custom"), "step tables", duration, setpoint, load)
+    given = checked(_StepTables, source, "scenario")
+    return _tables(given.name, "step tables", given.duration, given.setpoint_rpm, given.load_Nm)
 
 
-def _read_table(rows: Any, width: int, key: str) -> Floats:
-    try:
-        table = np.asarray(rows, dtype=float).reshape(-1, width)
-        fits = len(table) == len(rows)
-    except (TypeError, ValueError, OverflowError):
-        fits = False
-    if not fits:
-        columns = "[time, value]" if width == 2 else "[time, channel 1, channel 2]"
-        raise InputError(f"scenario: {key}: expected rows {columns}")
-    if not (np.abs(table) <= MOST).all() or (np.diff(table[:, 0]) <= 0.0).any():
-        raise InputError(f"scenario: {key}: times must rise and all values lie within +-{MOST:g}")
-    return table
+def _rows(width: int) -> AfterValidator:
+    """For a step table of `width` columns, whose times rise."""
+
+    def check(rows: Any) -> Floats:
+        try:
+            table = np.asarray(rows, dtype=float).reshape(-1, width)
+            fits = len(table) == len(rows)
+        except (TypeError, ValueError, OverflowError):
+            fits = False
+        if not fits:
+            columns = "[time, value]" if width == 2 else "[time, channel 1, channel 2]"
+            raise ValueError(f"expected rows {columns}")
+        if not (np.abs(table) <= LARGEST).all() or (np.diff(table[:, 0]) <= 0.0).any():
+            raise ValueError(f"times must rise and all values lie within +-{LARGEST:g}")
+        return table
+
+    return AfterValidator(check)
+
+
+class _StepTables(FileTable):
+    """A scenario as users write it, times in s."""
+
+    name: str = "custom"
+    duration: Annotated[Number, Field(ge=1e-4, le=1e5)]
+    setpoint_rpm: Annotated[Any, _rows(2)] = ()
+    load_Nm: Annotated[Any, _rows(3)] = ()

@@ -15,50 +15,39 @@ from __future__ import annotations
 import ast
 import inspect
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import yaml
+from pydantic import AfterValidator, Field, create_model, field_validator
+from pydantic_core import PydanticCustomError
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 from hydro_env.controllers.learned.policy_interface import make_interface
-from hydro_env.errors import InputError, shown, suggestion
-from hydro_env.limits import Limits
-from hydro_env.reading import MOST_BYTES_OF_YAML, parse_yaml, read_text
+from hydro_env.errors import InputError
+from hydro_env.reading import MAX_BYTES_OF_YAML, parse_yaml, read_text
 from hydro_env.tasks.scenarios import SCENARIOS
+from hydro_env.validation import Count, FileTable, Number, checked, known
 
 __all__ = ["ALGORITHMS", "ENV_ID", "Config", "Training", "read_config", "with_changes"]
 
 ENV_ID = "HydraulicSync-v0"
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC}
-OWN_KEYS = ("n_envs", "n_timesteps", "policy", "env_kwargs", "policy_kwargs")
 # Arguments of the algorithms that are set elsewhere or have no place in a file.
 CLOSED = ("self", "env", "device", "verbose", "seed", "tensorboard_log", "stats_window_size", "_init_setup_model",
           "rollout_buffer_class", "rollout_buffer_kwargs", "replay_buffer_class", "replay_buffer_kwargs",
           "action_noise", "optimize_memory_usage", "n_steps_td")  # fmt: skip
-#: Numbers that an algorithm would take and then fail by, or learn nothing with.
-_COUNT, _SHARE, _SIZE = Limits(1, 10**9, whole=True), Limits(0, 1), Limits(0, 1e6)
-LIMITS = {
-    **dict.fromkeys(
-        ("n_steps", "batch_size", "n_epochs", "buffer_size", "train_freq", "target_update_interval"), _COUNT
-    ),
-    **dict.fromkeys(("gamma", "gae_lambda", "tau"), _SHARE),
-    **dict.fromkeys(
-        ("learning_rate", "clip_range", "clip_range_vf", "ent_coef", "vf_coef", "max_grad_norm", "target_kl"),
-        _SIZE,
-    ),
-    "learning_starts": Limits(0, 10**15, whole=True),
-    "gradient_steps": Limits(-1, 10**9, whole=True),
-}
 ACTIVATIONS = {"nn.Tanh": nn.Tanh, "nn.ReLU": nn.ReLU, "nn.ELU": nn.ELU}
 
+NotNegative = Annotated[Number, Field(ge=0.0)]
+Scenario = Annotated[str, known("scenario", SCENARIOS)]
 
-@dataclass(frozen=True)
-class Training:
+
+class Training(FileTable):
     """The table `training`.
 
     Attributes:
@@ -75,15 +64,148 @@ class Training:
         tail_weight: of the 95th percentile of the largest difference in that score.
     """
 
-    algorithm: str
-    interface: dict[str, Any] = field(default_factory=dict)
-    seed: int = 0
-    checkpoint_every: int = 1_000_000
-    evaluate_every: int = 500_000
-    evaluate_scenarios: tuple[str, ...] = ("setpoint_steps",)
-    evaluate_pairs: int = 64
-    tracking_weight: float = 0.5
-    tail_weight: float = 0.0
+    algorithm: Literal["ppo", "sac"]
+    interface: dict[str, Any] = Field(default_factory=dict)
+    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    checkpoint_every: Count = 1_000_000
+    evaluate_every: Count = 500_000
+    evaluate_scenarios: Annotated[tuple[Scenario, ...], Field(min_length=1)] = ("setpoint_steps",)
+    evaluate_pairs: Count = 64
+    tracking_weight: NotNegative = 0.5
+    tail_weight: NotNegative = 0.0
+
+    @field_validator("interface")
+    @classmethod
+    def _is_one(cls, table: dict[str, Any]) -> dict[str, Any]:
+        try:
+            make_interface(table)
+        except TypeError as problem:
+            raise ValueError(str(problem)) from None
+        return table
+
+
+# --- arguments of the algorithms --------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Falling:
+    """A schedule from `start` to zero."""
+
+    start: float
+
+    def __call__(self, remaining: float) -> float:
+        return remaining * self.start
+
+
+def _schedule(value: Any) -> Any:
+    """`lin_3e-4` as a schedule that falls linearly to zero."""
+    falls = isinstance(value, str) and value.startswith("lin_")
+    try:
+        start = float(value.removeprefix("lin_") if isinstance(value, str) else value)
+        if isinstance(value, bool) or not 0.0 <= start <= 1e6:
+            raise ValueError
+    except (TypeError, ValueError, OverflowError):
+        raise PydanticCustomError(
+            "schedule", "Input should be a number from 0 to 1e6, or lin_ and one, lin_1e-3"
+        ) from None
+    return Falling(start) if falls else start
+
+
+def _finite(value: Any) -> Any:
+    """The value, if no number in it is infinite or none."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{value} is no finite number")
+    for item in (
+        value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
+    ):
+        _finite(item)
+    return value
+
+
+def _policy_kwargs(value: Any) -> dict[str, Any]:
+    """A table, or RL-Zoo's `dict(net_arch=[64, 64], activation_fn=nn.Tanh)`, of which only plain values are read."""
+    if isinstance(value, dict):
+        given = dict(value)
+        if isinstance(given.get("activation_fn"), str):
+            given["activation_fn"] = _activation(given["activation_fn"])
+        return given
+    try:
+        parsed = _plain(ast.parse(str(value).strip(), mode="eval").body)
+    except InputError:
+        raise
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        parsed = None
+    if not isinstance(parsed, dict):
+        raise PydanticCustomError(
+            "policy_kwargs", "Input should be dict(net_arch=[64, 64], activation_fn=nn.Tanh) or the like"
+        )
+    return parsed
+
+
+def _plain(node: ast.expr) -> Any:
+    if isinstance(node, ast.Attribute):
+        return _activation(ast.unparse(node))
+    if isinstance(node, ast.Call) and ast.unparse(node.func) == "dict" and not node.args:
+        return {str(each.arg): _plain(each.value) for each in node.keywords}
+    return ast.literal_eval(node)
+
+
+def _activation(name: str) -> Callable[..., nn.Module]:
+    if name not in ACTIVATIONS:
+        raise InputError(f"activation_fn {name} is unknown; there are {', '.join(ACTIVATIONS)}")
+    return ACTIVATIONS[name]
+
+
+_COUNT, _SHARE = Annotated[Count, Field(le=10**9)], Annotated[Number, Field(ge=0.0, le=1.0)]
+_SIZE, _SCHEDULE = Annotated[Number, Field(ge=0.0, le=1e6)], Annotated[Any, AfterValidator(_schedule)]
+#: Arguments with which an algorithm would fail, or learn nothing, beyond these limits.
+ARGUMENTS: dict[str, Any] = {
+    **dict.fromkeys(("n_steps", "batch_size", "n_epochs", "buffer_size", "target_update_interval"), _COUNT),
+    **dict.fromkeys(("gamma", "gae_lambda", "tau"), _SHARE),
+    **dict.fromkeys(("vf_coef", "max_grad_norm"), _SIZE),
+    **dict.fromkeys(("learning_rate", "clip_range"), _SCHEDULE),
+    "clip_range_vf": _SCHEDULE | None,
+    "target_kl": _SIZE | None,
+    "learning_starts": Annotated[int, Field(ge=0, le=10**15)],
+    "gradient_steps": Annotated[int, Field(ge=-1, le=10**9)],
+}
+
+
+class _Environment(FileTable):
+    """The table of the environment, beside the algorithm's arguments."""
+
+    n_envs: Count = 1
+    n_timesteps: Count
+    policy: str = "MlpPolicy"
+    env_kwargs: dict[str, Any] = Field(default_factory=dict)
+    policy_kwargs: Annotated[Any, AfterValidator(_policy_kwargs), AfterValidator(_finite)] = Field(
+        default_factory=dict
+    )
+
+    @field_validator("policy")
+    @classmethod
+    def _can_be_exported(cls, policy: str) -> str:
+        if policy != "MlpPolicy":
+            raise ValueError(f"{policy!r} cannot be exported; only 'MlpPolicy' can")
+        return policy
+
+
+def _with_arguments(algorithm: str) -> type[_Environment]:
+    """The table of the environment with the arguments of an algorithm."""
+    # SAC takes texts and lists, too.
+    own = {"train_freq": _COUNT, "ent_coef": _SIZE} if algorithm == "ppo" else {}
+    names = inspect.signature(ALGORITHMS[algorithm]).parameters.keys() - {*CLOSED, *_Environment.model_fields}
+    other = Annotated[Any, AfterValidator(_finite)]
+    fields: dict[str, Any] = {name: ((ARGUMENTS | own).get(name, other), None) for name in sorted(names)}
+    return create_model("_Arguments", __base__=_Environment, **fields)
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+class _File(FileTable):
+    training: Training
+    environment: dict[str, Any] = Field(alias="HydraulicSync-v0")
+
+    @classmethod
+    def known_keys(cls) -> Collection[str]:
+        return (ENV_ID, "training")
 
 
 @dataclass(frozen=True)
@@ -106,7 +228,7 @@ class Config:
 
 def read_config(path: str | Path) -> Config:
     """Reads a training file. InputError, in one line that names file and key, for anything that is not right."""
-    return _config(Path(path), read_text(path, "a training file in YAML", most=MOST_BYTES_OF_YAML))
+    return _config(Path(path), read_text(path, "a training file in YAML", max_bytes=MAX_BYTES_OF_YAML))
 
 
 def with_changes(config: Config, *, steps: int | None = None, seed: int | None = None) -> Config:
@@ -122,165 +244,18 @@ def with_changes(config: Config, *, steps: int | None = None, seed: int | None =
 
 
 def _config(path: Path, text: str) -> Config:
-    data = parse_yaml(text, str(path))
-    if not isinstance(data, dict) or not all(isinstance(table, dict) for table in data.values()):
-        raise InputError(f"{path}: should hold the tables {ENV_ID!r} and 'training'")
-    for key in data:
-        _known(f"{path}", key, (ENV_ID, "training"))
-    for key in (ENV_ID, "training"):
-        if key not in data:
-            raise InputError(f"{path}: the table {key!r} is missing")
-    training = _training(path, data["training"])
-    table = dict(data[ENV_ID])
-    algorithm = ALGORITHMS[training.algorithm]
-    arguments = [name for name in inspect.signature(algorithm).parameters if name not in CLOSED]
-    for key in table:
-        _known(f"{path}: {ENV_ID}", key, (*OWN_KEYS, *(name for name in arguments if name not in OWN_KEYS)))
+    data = checked(_File, parse_yaml(text, str(path)), path)
     where = f"{path}: {ENV_ID}"
-    num_envs = _whole(where, "n_envs", table.pop("n_envs", 1))
-    num_steps = _whole(where, "n_timesteps", table.pop("n_timesteps", None))
-    policy = table.pop("policy", "MlpPolicy")
-    if policy != "MlpPolicy":
-        raise InputError(f"{where}: policy {policy!r} cannot be exported; only 'MlpPolicy' can")
-    env_kwargs = table.pop("env_kwargs", None) or {}
-    if not isinstance(env_kwargs, dict):
-        raise InputError(f"{where}: env_kwargs should be a table of arguments of the environment")
-    free = (
-        ("ent_coef", "train_freq") if algorithm is SAC else ()
-    )  # texts such as `auto`, lists such as `[1, step]`
-    hyper = {key: _value(where, key, value, key in free) for key, value in table.items()}
-    hyper["policy_kwargs"] = _policy_kwargs(where, hyper.pop("policy_kwargs", None))
-    return Config(path, text, num_envs, num_steps, policy, dict(env_kwargs), hyper, training)
-
-
-def _known(where: str, key: object, known: Iterable[str]) -> None:
-    names = list(known)
-    if key not in names:
-        raise InputError(f"{where}: unknown key {key!r}: {suggestion(key, names)}")
-
-
-def _whole(where: str, key: str, value: Any) -> int:
-    fits = isinstance(value, int | float) and not isinstance(value, bool) and 1 <= value <= 1e15
-    if not fits or value % 1:
-        raise InputError(
-            f"{where}: {key} is {shown(value)}, expected a whole number of at least 1 (write 1.0e+6, not 1e6)"
-        )
-    return int(value)
-
-
-def _training(path: Path, table: dict[str, Any]) -> Training:
-    where = f"{path}: training"
-    for key in table:
-        _known(where, key, [each.name for each in fields(Training)])
-    if table.get("algorithm") not in ALGORITHMS:
-        raise InputError(
-            f"{where}: algorithm is {table.get('algorithm')!r}, expected {' or '.join(ALGORITHMS)}"
-        )
-    values = dict(table)
-    for key in ("checkpoint_every", "evaluate_every", "evaluate_pairs"):
-        if key in values:
-            values[key] = _whole(where, key, values[key])
-    kinds: dict[str, Any] = {
-        "seed": int,
-        **dict.fromkeys(("tracking_weight", "tail_weight"), (int, float)),
-    }
-    for key, kind in kinds.items():
-        if key in values and (
-            isinstance(values[key], bool)
-            or not isinstance(values[key], kind)
-            or not 0 <= values[key] < math.inf
-        ):
-            raise InputError(f"{where}: {key} is {values[key]!r}, expected a number of at least 0")
-    if "evaluate_scenarios" in values:
-        names = values["evaluate_scenarios"]
-        if not isinstance(names, list) or not names:
-            raise InputError(f"{where}: evaluate_scenarios is {names!r}, expected a list of scenarios")
-        for name in names:
-            _known(f"{where}: evaluate_scenarios", name, SCENARIOS)
-        values["evaluate_scenarios"] = tuple(names)
-    try:
-        make_interface(values.get("interface"))
-    except (InputError, TypeError, ValueError) as problem:
-        raise InputError(f"{where}: interface: {problem}") from None
-    values["interface"] = dict(values.get("interface") or {})
-    return Training(**values)
-
-
-def _value(where: str, key: str, value: Any, free: bool) -> Any:
-    """Numbers as they are, where they can be right; `lin_3e-4` as a schedule that falls linearly to zero."""
-    if isinstance(value, str) and value.startswith("lin_"):
-        return Falling(_SIZE.read(value[4:], f"{where}: {key}: lin_"))
-    limits = LIMITS.get(key)
-    others = (
-        isinstance(value, str | list) if free else value is None and key in ("target_kl", "clip_range_vf")
+    table = checked(_with_arguments(data.training.algorithm), data.environment, where)
+    hyper = {key: getattr(table, key) for key in data.environment if key not in _Environment.model_fields}
+    hyper["policy_kwargs"] = table.policy_kwargs
+    return Config(
+        path,
+        text,
+        table.n_envs,
+        table.n_timesteps,
+        table.policy,
+        dict(table.env_kwargs),
+        hyper,
+        data.training,
     )
-    if limits is None or others:
-        _check_finite(where, key, value)
-        return value
-    if key in ("learning_rate", "clip_range") and isinstance(value, str):
-        raise InputError(
-            f"{where}: {key} is {value!r}, expected a number (write 1.0e-3, not 1e-3) or lin_1e-3"
-        )
-    whole = limits.whole and isinstance(value, float) and value.is_integer()
-    return limits.check(int(value) if whole else value, f"{where}: {key}")
-
-
-def _check_finite(where: str, key: str, value: Any) -> None:
-    """InputError for a number somewhere in a value that is not finite."""
-    if isinstance(value, float) and not math.isfinite(value):
-        raise InputError(f"{where}: {key} is {value}, expected a finite number")
-    for item in (
-        value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
-    ):
-        _check_finite(where, key, item)
-
-
-@dataclass(frozen=True)
-class Falling:
-    """A schedule from `start` to zero."""
-
-    start: float
-
-    def __call__(self, remaining: float) -> float:
-        return remaining * self.start
-
-
-def _policy_kwargs(where: str, value: Any) -> dict[str, Any]:
-    """A table, or RL-Zoo's `dict(net_arch=[64, 64], activation_fn=nn.Tanh)`, of which only plain values are read."""
-    if value is None:
-        return {}
-    if isinstance(value, dict):
-        given = dict(value)
-        if isinstance(given.get("activation_fn"), str):
-            given["activation_fn"] = _activation(where, given["activation_fn"])
-        _check_finite(where, "policy_kwargs", given)
-        return given
-    try:
-        call = ast.parse(str(value).strip(), mode="eval").body
-        if not (isinstance(call, ast.Call) and ast.unparse(call.func) == "dict" and not call.args):
-            raise ValueError
-        parsed = {str(each.arg): _plain(where, each.value) for each in call.keywords}
-    except InputError:
-        raise
-    except (SyntaxError, ValueError):
-        raise InputError(
-            f"{where}: policy_kwargs is {value!r}, expected dict(net_arch=[64, 64], activation_fn=nn.Tanh) or the like"
-        ) from None
-    _check_finite(where, "policy_kwargs", parsed)
-    return parsed
-
-
-def _plain(where: str, node: ast.expr) -> Any:
-    if isinstance(node, ast.Attribute):
-        return _activation(where, ast.unparse(node))
-    if isinstance(node, ast.Call) and ast.unparse(node.func) == "dict" and not node.args:
-        return {str(each.arg): _plain(where, each.value) for each in node.keywords}
-    return ast.literal_eval(node)
-
-
-def _activation(where: str, name: str) -> Callable[..., nn.Module]:
-    if name not in ACTIVATIONS:
-        raise InputError(
-            f"{where}: policy_kwargs: activation_fn {name} is unknown; there are {', '.join(ACTIVATIONS)}"
-        )
-    return ACTIVATIONS[name]

@@ -15,7 +15,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepR
 from hydro_env.controllers.learned.policy_interface import FramesInterface
 from hydro_env.sb3 import HydraulicSyncVecEnv
 
-__all__ = ["PolicyVecEnv"]
+__all__ = ["SEED_SPACING", "PolicyVecEnv"]
+
+#: Between the first rigs of the runs of two successive seeds: more than the rigs of any run.
+SEED_SPACING = 2**40
 
 
 class PolicyVecEnv(VecEnvWrapper):
@@ -78,4 +81,5 @@ class PolicyVecEnv(VecEnvWrapper):
         return [False] * self.num_envs
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        return list(self.venv.seed(seed))
+        """Seeds the rigs so that runs of different seeds share no episode, however many rigs they have."""
+        return list(self.venv.seed(None if seed is None else seed * SEED_SPACING))

@@ -6,7 +6,9 @@
     figures.py   dead zone, hysteresis, gain, linearity, symmetry, maximum flow, null, threshold
     rates.py     several sweep rates: is the loop lag or hysteresis?
     alike.py     how far apart two valves are, and which pair is nearest
+    bench.py     several valves, modelled or measured, with their sweeps and figures
     picture.py   flow over signal of all valves
+    page.py      the page of a valve test
 
 The bench needs the plant and nothing above it, so that a controller may use what it identifies.
 """

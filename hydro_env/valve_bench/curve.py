@@ -7,7 +7,7 @@ averaged. Signals keep the unit of the valve's input (A, V, m, or a fraction); f
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,8 @@ Floats = NDArray[np.float64]
 FLOW, LEAKAGE = "flow", "leakage"
 #: The signal counts as turned when it has come back by this share of its range.
 TURN = 0.05
-#: Fewest samples of a branch that tell anything.
-FEWEST = 5
+#: Samples that a branch needs.
+MIN_SAMPLES = 5
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,6 @@ class Curve:
     time: Floats | None = None
     travel_per_signal: float | None = None
     findings: tuple[str, ...] = ()
-
-    def noting(self, *findings: str) -> Curve:
-        """The same curve with further findings."""
-        return replace(self, findings=(*self.findings, *findings))
 
 
 def resolution(values: Floats) -> float:
@@ -96,6 +92,10 @@ class Monotone:
         ramp = self.smooth + 1e-9 * span * np.linspace(-0.5, 0.5, len(self.smooth))
         return np.asarray(np.interp(flow, ramp, self.signal))
 
+    def largest(self, sign: int) -> float:
+        """The largest flow in one direction (1, -1), m3/s."""
+        return float(sign * self.smooth[-1 if sign > 0 else 0])
+
     def flow_at(self, signal: Floats | float) -> Floats:
         """The flow at this signal."""
         return np.asarray(np.interp(signal, self.signal, self.smooth))
@@ -126,15 +126,20 @@ class Loop:
         """Scatter of single samples, m3/s."""
         return max(branch.noise for branch in self.branches)
 
+    @property
+    def bin_noise(self) -> float:
+        """Scatter of the average in a bin, m3/s."""
+        return self.noise / float(np.sqrt(np.median(self.branches[0].count)))
+
 
 def branches_of(curve: Curve) -> list[Branch]:
     """The branches of a curve in order; InputError if the signal hardly moves."""
     signal = curve.signal
     span = float(np.ptp(signal)) if len(signal) else 0.0
-    if len(signal) < FEWEST or span <= 0.0:
+    if len(signal) < MIN_SAMPLES or span <= 0.0:
         raise InputError(
             f"{curve.name}: {len(signal)} samples with a signal from {np.min(signal, initial=np.inf):g} to "
-            f"{np.max(signal, initial=-np.inf):g}; a curve needs at least {FEWEST} samples over a range of the signal"
+            f"{np.max(signal, initial=-np.inf):g}; a curve needs at least {MIN_SAMPLES} samples over a range of the signal"
         )
     # Every `stride`th row is enough to find a turn.
     stride = max(1, len(signal) // 20_000)
@@ -162,11 +167,11 @@ def branches_of(curve: Curve) -> list[Branch]:
     found = []
     for start, stop in itertools.pairwise(ends):
         step = signal[stop - 1] - signal[start]
-        if stop - start >= FEWEST and abs(step) > TURN * span:
+        if stop - start >= MIN_SAMPLES and abs(step) > TURN * span:
             found.append(Branch(1 if step > 0.0 else -1, start, stop))
     if not found:
         raise InputError(
-            f"{curve.name}: no branch with {FEWEST} samples between two turns of the signal; "
+            f"{curve.name}: no branch with {MIN_SAMPLES} samples between two turns of the signal; "
             "record a slow triangle with more samples"
         )
     return found
@@ -175,7 +180,7 @@ def branches_of(curve: Curve) -> list[Branch]:
 def _average(signal: Floats, flow: Floats, low: float, high: float) -> Monotone:
     """Averages samples of one direction over equal bins of the signal; few samples stay as they are."""
     few = len(signal) <= 400
-    # So many that few samples stay as they are.
+    # With 20,000 bins few samples stay as they are.
     bins = 20_000 if few else int(np.clip(len(signal) / 8, 100, 400))
     place = np.clip(((signal - low) / (high - low) * bins).astype(int), 0, bins - 1)
     count = np.bincount(place, minlength=bins).astype(float)
@@ -208,31 +213,30 @@ def loop_of(curve: Curve, rows: list[Branch] | None = None) -> Loop:
         notes.append(
             f"{curve.name}: the flow falls while the signal rises; its sign is turned for the figures"
         )
-    sides: list[Monotone | None] = []
-    for direction in (1, -1):
+    sides: dict[str, Monotone | None] = {"rising": None, "falling": None}
+    for direction, word, other in ((1, "rising", "falling"), (-1, "falling", "rising")):
         own = [branch for branch in found if branch.direction == direction]
-        if not own:
-            sides.append(None)
-            continue
-        index = np.concatenate([np.arange(branch.start, branch.stop) for branch in own])
-        sides.append(_average(curve.signal[index], polarity * curve.flow[index], low, high))
-    for side, missing, there in ((sides[0], "rising", "falling"), (sides[1], "falling", "rising")):
-        if side is None:
-            notes.append(
-                f"{curve.name}: only {there} branches, no {missing} one; hysteresis cannot be measured"
-            )
+        if own:
+            index = _rows(own)
+            sides[word] = _average(curve.signal[index], polarity * curve.flow[index], low, high)
+        else:
+            notes.append(f"{curve.name}: only {other} branches, no {word} one; hysteresis cannot be measured")
     gap = abs(curve.signal[0] - curve.signal[-1]) / (high - low)
-    if None not in sides and gap > 0.02 and len(found) < 3:
+    if None not in sides.values() and gap > 0.02 and len(found) < 3:
         notes.append(
             f"{curve.name}: the sweep does not close, it ends {100.0 * gap:.0f} % of its range from where it began; "
             "only the part that both branches cover tells the hysteresis"
         )
-    return Loop(kind, polarity, sides[0], sides[1], low, high, tuple(notes))
+    return Loop(kind, polarity, **sides, low=low, high=high, findings=tuple(notes))
+
+
+def _rows(branches: list[Branch]) -> NDArray[np.intp]:
+    return np.concatenate([np.arange(branch.start, branch.stop) for branch in branches])
 
 
 def _kind(curve: Curve, found: list[Branch]) -> tuple[str, int]:
     """What kind of curve it is, and the sign with which the flow follows the signal."""
-    index = np.concatenate([np.arange(branch.start, branch.stop) for branch in found])
+    index = _rows(found)
     index = index[:: max(1, len(index) // 5000)]
     signal, flow = curve.signal[index], curve.flow[index]
     if float(np.ptp(flow)) == 0.0:

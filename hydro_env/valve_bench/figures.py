@@ -69,20 +69,20 @@ class Figures:
     kind: str
     signal_unit: str
     rated: float
-    positive: Side | None
-    negative: Side | None
-    hysteresis_percent: float | None
-    hysteresis_uncertainty_percent: float | None
-    widest_at: float | None
-    mean_loop_percent: float | None
-    null: float | None
-    flow_at_zero: float | None
-    gain_asymmetry_percent: float | None
-    maximum_flow_asymmetry_percent: float | None
-    threshold_percent: float | None
     noise: float
     travel_per_signal: float | None
     findings: tuple[str, ...]
+    positive: Side | None = None
+    negative: Side | None = None
+    hysteresis_percent: float | None = None
+    hysteresis_uncertainty_percent: float | None = None
+    widest_at: float | None = None
+    mean_loop_percent: float | None = None
+    null: float | None = None
+    flow_at_zero: float | None = None
+    gain_asymmetry_percent: float | None = None
+    maximum_flow_asymmetry_percent: float | None = None
+    threshold_percent: float | None = None
     leakage: dict[str, float] | None = None
 
     def as_json(self) -> dict[str, Any]:
@@ -135,9 +135,9 @@ class Figures:
         }
 
 
-def identify(curve: Curve, loop: Loop | None = None) -> Figures:
+def identify(curve: Curve) -> Figures:
     """The figures of one sweep. InputError if the curve has too little in it."""
-    loop = loop_of(curve) if loop is None else loop
+    loop = loop_of(curve)
     notes = [*curve.findings, *loop.findings]
     steps = resolution(curve.signal), resolution(curve.flow)
     if steps[0] > 2e-3 * curve.rated or steps[1] > 5e-3 * float(np.abs(curve.flow).max()):
@@ -145,41 +145,25 @@ def identify(curve: Curve, loop: Loop | None = None) -> Figures:
             f"{curve.name}: recorded in steps of {100.0 * steps[0] / curve.rated:.2g} % of the rated signal and "
             f"{100.0 * steps[1] / float(np.abs(curve.flow).max()):.2g} % of the largest flow, which limits every figure"
         )
-    if loop.kind != FLOW:
-        return _leakage(curve, loop, notes)
-    sides = sides_of(curve, loop, steps, notes)
-    widest, where, spread, mean = _hysteresis(
-        curve, loop, {sign: side.maximum_flow for sign, side in sides.items() if side is not None}
-    )
-    positive, negative = sides[1], sides[-1]
-    if spread is not None:
-        gain = max(side.gain for side in (positive, negative) if side)
-        near = np.abs(curve.signal - (where or 0.0)) < 0.1 * curve.rated
-        spread += 0.5 * (resolution(curve.signal[near]) + resolution(curve.flow[near]) / gain)
-    null = 0.5 * (positive.dead_zone - negative.dead_zone) if positive and negative else None
-    at_zero = None
-    if loop.low <= 0.0 <= loop.high:
-        at_zero = float(np.mean([branch.flow_at(0.0) for branch in loop.branches]))
+    found = _flow(curve, loop, steps, notes) if loop.kind == FLOW else _leakage(curve, loop, notes)
     return Figures(
-        name=curve.name,
-        kind=loop.kind,
-        signal_unit=curve.signal_unit,
-        rated=curve.rated,
-        positive=positive,
-        negative=negative,
-        hysteresis_percent=_share(widest, curve.rated),
-        hysteresis_uncertainty_percent=_share(spread, curve.rated),
-        widest_at=where,
-        mean_loop_percent=_share(mean, curve.rated),
-        null=null,
-        flow_at_zero=at_zero,
-        gain_asymmetry_percent=_apart(positive, negative, "gain"),
-        maximum_flow_asymmetry_percent=_apart(positive, negative, "maximum_flow"),
-        threshold_percent=_threshold(curve, loop, sides, steps, notes),
-        noise=loop.noise,
-        travel_per_signal=curve.travel_per_signal,
-        findings=tuple(notes),
-    )
+        curve.name, loop.kind, curve.signal_unit, curve.rated, loop.noise, curve.travel_per_signal, tuple(notes), **found
+    )  # fmt: skip
+
+
+def _flow(curve: Curve, loop: Loop, steps: tuple[float, float], notes: list[str]) -> dict[str, Any]:
+    """Figures of a flow curve, by their names."""
+    sides = sides_of(curve, loop, steps, notes)
+    positive, negative = sides[1], sides[-1]
+    found: dict[str, Any] = {"positive": positive, "negative": negative, **_hysteresis(curve, loop, sides)}
+    if positive and negative:
+        found["null"] = 0.5 * (positive.dead_zone - negative.dead_zone)
+        for name in ("gain", "maximum_flow"):
+            a, b = getattr(positive, name), getattr(negative, name)
+            found[f"{name}_asymmetry_percent"] = 100.0 * float(abs(a - b) / max(a, b))
+    if loop.low <= 0.0 <= loop.high:
+        found["flow_at_zero"] = float(np.mean([branch.flow_at(0.0) for branch in loop.branches]))
+    return found | {"threshold_percent": _threshold(curve, loop, sides, steps, notes)}
 
 
 def sides_of(
@@ -191,12 +175,11 @@ def sides_of(
     if loop.kind != FLOW:
         return {1: None, -1: None}
     notes = [] if notes is None else notes
-    top = {sign: max(sign_top(b, sign) for b in loop.branches) for sign in (1, -1)}
+    top = {sign: max(branch.largest(sign) for branch in loop.branches) for sign in (1, -1)}
     whole = max(top.values())
-    floor = 6.0 * loop.noise / np.sqrt(np.median(loop.branches[0].count))
     sides: dict[int, Side | None] = {}
     for sign, word in ((1, "positive"), (-1, "negative")):
-        if top[sign] < max(0.05 * whole, floor):
+        if top[sign] < max(0.05 * whole, 6.0 * loop.bin_noise):
             notes.append(f"{curve.name}: no {word} flow in the curve, its figures are left out")
             sides[sign] = None
         else:
@@ -213,17 +196,6 @@ def widths(rising: Monotone, falling: Monotone, levels: Floats) -> Floats:
     return rising.signal_at(levels) - falling.signal_at(levels)
 
 
-def _share(value: float | None, rated: float) -> float | None:
-    return None if value is None else 100.0 * value / rated
-
-
-def _apart(first: Side | None, second: Side | None, name: str) -> float | None:
-    if first is None or second is None:
-        return None
-    a, b = getattr(first, name), getattr(second, name)
-    return 100.0 * float(abs(a - b) / max(a, b))
-
-
 def _middle(loop: Loop, levels: Floats) -> Floats:
     return np.mean([branch.signal_at(levels) for branch in loop.branches], axis=0)
 
@@ -235,7 +207,7 @@ def _side(
     # A branch that does not begin at no flow (an open valve swept on one side) cannot be read below its own start.
     reach = np.linspace(*EDGE, 120)
     levels = np.linspace(0.01, 0.99, 197)
-    covered = min(sign * float(b.smooth[-1 if sign > 0 else 0]) for b in loop.branches) / top
+    covered = min(branch.largest(sign) for branch in loop.branches) / top
     inside = levels < 0.995 * covered
     middle = sign * _middle(loop, sign * top * levels)
     use = (levels >= LINE[0]) & (levels <= min(LINE[1], covered))
@@ -254,16 +226,16 @@ def _side(
     between = (levels >= LINEAR[0]) & (levels <= LINEAR[1]) & inside
     off = float(np.max(np.abs(middle - straight)[between]))
     edges, spreads = zip(*(_edge(branch, sign, top, reach) for branch in loop.branches), strict=True)
-    limits = [sign * float(branch.signal_at(sign * top * BEGUN)) for branch in loop.branches]
-    begins: list[float | None] = [None, None]
-    for limit, branch in zip(limits, loop.branches, strict=True):
-        opening = (branch is loop.rising) == (sign > 0)
-        begins[0 if opening else 1] = limit
+    outward, back = (loop.rising, loop.falling) if sign > 0 else (loop.falling, loop.rising)
+
+    def reached(branch: Monotone | None, flow: float) -> float | None:
+        return None if branch is None else sign * float(branch.signal_at(sign * flow))
+
     end = sign * (loop.high if sign > 0 else loop.low)
     # On the way out only: on the way back hysteresis alone keeps the flow up.
-    out = (loop.rising if sign > 0 else loop.falling) or loop.branches[0]
-    full = sign * float(out.signal_at(sign * 0.99 * sign_top(out, sign)))
-    slack = 3.0 * loop.noise / np.sqrt(np.median(loop.branches[0].count)) / top
+    last = outward or loop.branches[0]
+    full = sign * float(last.signal_at(sign * 0.99 * last.largest(sign)))
+    slack = 3.0 * loop.bin_noise / top
     # A straight curve reaches 99 % of its flow one hundredth of its length before the end.
     flat = end - full > 0.03 * end + (0.01 + slack) * (end - float(np.mean(edges)))
     if flat:
@@ -278,19 +250,14 @@ def _side(
     return Side(
         dead_zone=float(np.mean(edges)),
         dead_zone_uncertainty=float(np.max(spreads)) + 0.5 * (steps[0] + steps[1] * slope),
-        opens_at=begins[0],
-        closes_at=begins[1],
+        opens_at=reached(outward, top * BEGUN),
+        closes_at=reached(back, top * BEGUN),
         gain=1.0 / slope,
         linearity_percent=100.0 * off / curve.rated,
         maximum_flow=top,
         largest_signal=end,
         saturates_at=full if flat else None,
     )
-
-
-def sign_top(branch: Monotone, sign: int) -> float:
-    """The largest flow of a branch in one direction, m3/s."""
-    return float(sign * branch.smooth[-1 if sign > 0 else 0])
 
 
 def _edge(branch: Monotone, sign: int, top: float, reach: Floats) -> tuple[float, float]:
@@ -322,22 +289,21 @@ def _edge(branch: Monotone, sign: int, top: float, reach: Floats) -> tuple[float
     return float(root), float(2.0 * noise)
 
 
-def _hysteresis(
-    curve: Curve, loop: Loop, top: dict[int, float]
-) -> tuple[float | None, float | None, float | None, float | None]:
-    """Widest loop, where it is, its uncertainty, and the mean width between 10 and 90 % of the flow."""
+def _hysteresis(curve: Curve, loop: Loop, sides: dict[int, Side | None]) -> dict[str, float]:
+    """The loop where it is widest, with its uncertainty, and its mean width between 10 and 90 % of the flow."""
     if loop.rising is None or loop.falling is None:
-        return None, None, None, None
-    best, where, spread, means = 0.0, None, None, []
+        return {}
+    best, where, spread, means = 0.0, None, 0.0, []
     levels = np.linspace(*WIDTH, 193)
     window = max(1, round(WINDOW / (levels[1] - levels[0])))
     kernel = np.ones(window) / window
-    for sign, peak in top.items():
-        both = min(sign_top(branch, sign) for branch in loop.branches)
+    for sign, side in sides.items():
+        if side is None:
+            continue
+        both = min(branch.largest(sign) for branch in loop.branches)
         flows = sign * both * levels
         # The first flow out of the noise: below it the dead zone's flat part is read, not the valve.
-        quiet = 10.0 * loop.noise / np.sqrt(np.median(loop.rising.count)) / peak
-        use = levels > max(WIDTH[0], quiet)
+        use = levels > max(WIDTH[0], 10.0 * loop.bin_noise / side.maximum_flow)
         if np.count_nonzero(use) < window + 2:
             continue
         width = widths(loop.rising, loop.falling, flows[use])
@@ -354,8 +320,15 @@ def _hysteresis(
             # The largest of some 50 windows stands further out than one of them: 2.8 instead of 2 standard errors.
             spread = 2.8 * np.sqrt(2.0) * loop.noise / np.sqrt(near) / gain
     if where is None:
-        return None, None, None, None
-    return abs(best), where, spread, float(np.mean(means)) if means else None
+        return {}
+    around = np.abs(curve.signal - where) < 0.1 * curve.rated
+    steepest = max(side.gain for side in sides.values() if side)
+    spread += 0.5 * (resolution(curve.signal[around]) + resolution(curve.flow[around]) / steepest)
+    shares = {"hysteresis": abs(best), "hysteresis_uncertainty": spread}
+    if means:
+        shares["mean_loop"] = float(np.mean(means))
+    percent = {f"{name}_percent": 100.0 * value / curve.rated for name, value in shares.items()}
+    return percent | {"widest_at": where}
 
 
 def _threshold(
@@ -373,7 +346,7 @@ def _threshold(
         step = 0.005 * side.maximum_flow
         if max(3.0 * bin_noise, steps[1]) > step or len(leaving.signal) < 100:
             continue
-        full = sign_top(leaving, sign)
+        full = leaving.largest(sign)
         left = sign * float(leaving.signal[-1 if sign > 0 else 0])
         gone = left - sign * float(leaving.signal_at(sign * (full - step)))
         found.append(max(0.0, gone - step / side.gain))
@@ -385,45 +358,25 @@ def _threshold(
     return 100.0 * float(np.mean(found)) / curve.rated
 
 
-def _leakage(curve: Curve, loop: Loop, notes: list[str]) -> Figures:
-    """Figures of an internal leakage curve: its peak, its null, and the loop of its flanks."""
+def _leakage(curve: Curve, loop: Loop, notes: list[str]) -> dict[str, Any]:
+    """Figures of an internal leakage curve, by their names: its peak, its null, and the loop of its flanks."""
     notes.append(
         f"{curve.name}: the flow peaks near the null: read as internal leakage, not as flow over signal"
     )
     flanks = flanks_of(loop)
     null = float(np.mean([peak_of(*flank) for flank in flanks.values()]))
-    widest, mean, where = None, None, None
+    found: dict[str, Any] = {"null": null}
     if len(flanks) == 2:
         rising, falling = flank_signals(*flanks[1]), flank_signals(*flanks[-1])
         wide = (rising - falling).ravel()
         n = int(np.argmax(np.abs(wide)))
-        widest, where, mean = (
-            float(abs(wide[n])),
-            float((rising + falling).ravel()[n] / 2.0),
-            float(np.mean(wide)),
-        )
-    return Figures(
-        name=curve.name,
-        kind=loop.kind,
-        signal_unit=curve.signal_unit,
-        rated=curve.rated,
-        positive=None,
-        negative=None,
-        hysteresis_percent=_share(widest, curve.rated),
-        hysteresis_uncertainty_percent=None,
-        widest_at=where,
-        mean_loop_percent=_share(mean, curve.rated),
-        null=null,
-        flow_at_zero=None,
-        gain_asymmetry_percent=None,
-        maximum_flow_asymmetry_percent=None,
-        threshold_percent=None,
-        noise=loop.noise,
-        travel_per_signal=curve.travel_per_signal,
-        findings=tuple(notes),
-        leakage={
-            "maximum": float(np.mean([flow.max() for _, flow in flanks.values()])),
-            "least": float(np.mean([flow.min() for _, flow in flanks.values()])),
-            "null": null,
-        },
-    )
+        found["hysteresis_percent"] = 100.0 * float(abs(wide[n])) / curve.rated
+        found["mean_loop_percent"] = 100.0 * float(np.mean(wide)) / curve.rated
+        found["widest_at"] = float((rising + falling).ravel()[n] / 2.0)
+    flows = [flow for _, flow in flanks.values()]
+    found["leakage"] = {
+        "maximum": float(np.mean([flow.max() for flow in flows])),
+        "least": float(np.mean([flow.min() for flow in flows])),
+        "null": null,
+    }
+    return found

@@ -35,11 +35,8 @@ def peak_of(signal: Floats, flow: Floats) -> float:
     """Signal at which the leakage is largest: the vertex of a parabola through the bins above 90 % of the height."""
     height = (flow - flow.min()) / np.ptp(flow)
     top = int(np.argmax(flow))
-    left, right = top, top
-    while left > 0 and height[left - 1] > 0.9:
-        left -= 1
-    while right < len(flow) - 1 and height[right + 1] > 0.9:
-        right += 1
+    low = np.flatnonzero(height <= 0.9)
+    left, right = low[low < top].max(initial=-1) + 1, low[low > top].min(initial=len(flow)) - 1
     if right - left < 3:
         return float(signal[top])
     x = signal[left : right + 1] - signal[top]

@@ -11,9 +11,8 @@ stands a bound that needs no fit at all: the hysteresis is no wider than the nar
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from scipy.stats import t as student
 
 from hydro_env.errors import InputError
 from hydro_env.valve_bench.curve import FLOW, Branch, Curve, Floats, Loop, branches_of, loop_of
-from hydro_env.valve_bench.figures import sign_top, widths
+from hydro_env.valve_bench.figures import widths
 from hydro_env.valve_bench.leakage import flank_signals, flanks_of
 
 __all__ = ["RateCheck", "Sweep", "check_rates", "sweeps_of"]
@@ -67,17 +66,13 @@ class RateCheck:
     share: tuple[float, float, float] | None = None
     bound_percent: float | None = None
     exponent: float | None = None
-    findings: tuple[str, ...] = field(default=())
+    findings: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """The check as plain data: values with `low` and `high`."""
 
         def triple(value: tuple[float, float, float] | None, unit: str) -> dict[str, Any] | None:
-            return (
-                None
-                if value is None
-                else dict(zip(("value", "low", "high"), value, strict=True)) | {"unit": unit}
-            )
+            return value and dict(zip(("value", "low", "high", "unit"), (*value, unit), strict=True))
 
         return {
             "verdict": self.verdict,
@@ -108,11 +103,8 @@ def sweeps_of(curve: Curve) -> list[Sweep]:
     if curve.time is None:
         return [_sweep(curve, found, np.nan)]
     order = np.argsort(rates)
-    groups: list[list[int]] = [[int(order[0])]]
-    for before, n in itertools.pairwise(order):
-        if rates[n] > APART * rates[before]:
-            groups.append([])
-        groups[-1].append(int(n))
+    faster = rates[order[1:]] > APART * rates[order[:-1]]
+    groups = np.split(order, np.flatnonzero(faster) + 1)
     sweeps = []
     for group in groups:
         own = [found[n] for n in group]
@@ -158,9 +150,9 @@ def _blocks(loop: Loop) -> Floats:
         wide = flank_signals(*flanks[1]) - flank_signals(*flanks[-1])
         return np.array([part.mean() for row in wide for part in np.array_split(row, BLOCKS)])
     means = []
-    whole = max(sign_top(branch, sign) for sign in (1, -1) for branch in loop.branches)
+    whole = max(branch.largest(sign) for sign in (1, -1) for branch in loop.branches)
     for sign in (1, -1):
-        top = min(sign_top(branch, sign) for branch in loop.branches)
+        top = min(branch.largest(sign) for branch in loop.branches)
         if top > 0.05 * whole:
             wide = widths(loop.rising, loop.falling, sign * top * HEIGHTS)
             means += [float(part.mean()) for part in np.array_split(wide, BLOCKS)]
@@ -174,39 +166,28 @@ def check_rates(curves: Sequence[Curve]) -> RateCheck:
     """
     sweeps = sorted((sweep for curve in curves for sweep in sweeps_of(curve)), key=lambda each: each.rate)
     rated = curves[0].rated
-    kinds = {len(sweep.blocks) for sweep in sweeps}
-    base: dict[str, Any] = {"sweeps": tuple(sweeps), "rated": rated}
-    if not sweeps or len(kinds) != 1:
-        return RateCheck("undecided", "the sweeps do not cover the same sides of the valve", **base)
     rates = np.array([sweep.rate for sweep in sweeps])
-    if not np.isfinite(rates).all():
-        return RateCheck(
-            "undecided",
-            "the rate of a sweep is unknown: give a column of time, the time between rows, or the length of the sweep",
-            **base,
-        )
-    if rates[-1] < APART * rates[0]:
+    if len({len(sweep.blocks) for sweep in sweeps}) != 1:
+        reason = "the sweeps do not cover the same sides of the valve"
+    elif not np.isfinite(rates).all():
+        reason = "the rate of a sweep is unknown: give a column of time, the time between rows, or the length of the sweep"
+    elif rates[-1] < APART * rates[0]:
         count = "one sweep rate" if len(sweeps) == 1 else "sweeps of nearly one rate"
-        return RateCheck(
-            "undecided",
-            f"{count} cannot tell lag from hysteresis: sweep again at a tenth of the rate",
-            **base,
-        )
-    return _decide(sweeps, rates, rated, base)
+        reason = f"{count} cannot tell lag from hysteresis: sweep again at a tenth of the rate"
+    else:
+        return _decide(tuple(sweeps), rates, rated)
+    return RateCheck("undecided", reason, tuple(sweeps), rated)
 
 
-def _decide(sweeps: list[Sweep], rates: Floats, rated: float, base: dict[str, Any]) -> RateCheck:
+def _decide(sweeps: tuple[Sweep, ...], rates: Floats, rated: float) -> RateCheck:
     wide = np.array([sweep.blocks for sweep in sweeps])
     means = np.abs(wide.mean(axis=1))
     resolution = max(sweep.resolution for sweep in sweeps)
     bound = 100.0 * float(means.min()) / rated
     if means.max() < max(NO_LOOP * rated, 2.0 * resolution):
-        shown = 100.0 * means.max() / rated
-        return RateCheck(
-            "no loop", f"the widest loop is {shown:.2g} % of the rated signal", bound_percent=bound, **base
-        )
-    triples, rest = _straight_line(wide, rates, resolution)
-    hysteresis, lag = triples
+        reason = f"the widest loop is {100.0 * means.max() / rated:.2g} % of the rated signal"
+        return RateCheck("no loop", reason, sweeps, rated, bound_percent=bound)
+    (hysteresis, lag), rest = _straight_line(wide, rates, resolution)
     widest = float(means.max())
     share = tuple(value / widest for value in hysteresis)
     lagging = tuple(2.0 * value * float(rates[-1]) / widest for value in lag)
@@ -232,13 +213,14 @@ def _decide(sweeps: list[Sweep], rates: Floats, rated: float, base: dict[str, An
     return RateCheck(
         verdict,
         story,
+        sweeps,
+        rated,
         hysteresis_percent=tuple(100.0 * value / rated for value in hysteresis),  # type: ignore[arg-type]
         lag_s=lag,
         share=share,  # type: ignore[arg-type]
         bound_percent=bound,
         exponent=exponent,
         findings=tuple(notes),
-        **base,
     )
 
 

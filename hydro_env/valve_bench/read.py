@@ -6,17 +6,16 @@ formats of `hydro_env.measured`. What is missing from the file is said by `Colum
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from hydro_env.errors import InputError, suggestion
-from hydro_env.measured.csv_file import CsvStyle
 from hydro_env.measured.finding import SPELLING
 from hydro_env.measured.formats import ENDINGS, read_table
+from hydro_env.measured.mapping import TableStyle
 from hydro_env.measured.names import named_unit
-from hydro_env.measured.table import Table
 from hydro_env.reading import check_file
 from hydro_env.units import Unit, to_si, unit
 from hydro_env.valve_bench.curve import Curve, Floats, branches_of
@@ -49,110 +48,94 @@ class Columns:
     sweep_period: float | None = None
 
 
-@dataclass
-class _Choice:
-    """Finds the columns in a header while the file is read."""
-
-    path: Path
-    wanted: Columns
-    found: dict[str, str] = field(default_factory=dict)
-
-    def __call__(self, names: tuple[str, ...]) -> list[str]:
-        if len(names) < 2:
-            raise InputError(
-                f"{self.path}: one column ({names[0] if names else 'none'}); a curve needs signal and flow, separated by "
-                "commas, tabs or blanks"
-            )
-        self.found["signal"] = self._one("signal", self.wanted.signal or "1", names)
-        self.found["flow"] = self._one("flow", self.wanted.flow or "2", names)
-        if self.wanted.time is not None:
-            self.found["time"] = self._one("time", self.wanted.time, names)
-        if len(set(self.found.values())) < len(self.found):
-            raise InputError(
-                f"{self.path}: signal, flow and time must be different columns, not {self.found}"
-            )
-        return list(self.found.values())
-
-    def _one(self, role: str, name: str, names: tuple[str, ...]) -> str:
-        if name in names:
-            return name
-        if name.isdigit() and 1 <= int(name) <= len(names):
-            return names[int(name) - 1]
-        raise InputError(f"{self.path}: no column {name!r} for the {role}; {suggestion(name, names)}")
-
-
 def read_curve(path: str | Path, columns: Columns | None = None, *, name: str | None = None) -> Curve:
     """Reads a measured curve. InputError, naming file, row or column, for whatever cannot be used."""
     path, columns = Path(path), columns or Columns()
     check_file(path, "a measured curve, a model or a preset")
-    choice = _Choice(path, columns)
-    table = read_table(path, choice, CsvStyle(si_suffixes=True))
-    suffixed = any(each.code == "si_suffixes" for each in table.findings)
-    findings = [f"{path.name}: {each.message}" for each in table.findings if each.code not in SPELLING]
-    values = {role: table.columns[column] for role, column in choice.found.items()}
-    whole = np.all([np.isfinite(each) for each in values.values()], axis=0)
+    found: dict[str, str] = {}
+
+    def choose(names: tuple[str, ...]) -> list[str]:
+        found.update(_chosen(path, columns, names))
+        return list(found.values())
+
+    table = read_table(path, choose, TableStyle(si_suffixes=True))
+    findings = [each.message for each in table.findings if each.code not in SPELLING]
+    cells = np.array([table.columns[column] for column in found.values()])
+    whole = np.isfinite(cells).all(axis=0)
     if not whole.all():
-        missing = int(np.count_nonzero(~whole))
-        first = table.row(int(np.argmin(whole)))
+        missing, first = int(np.count_nonzero(~whole)), table.row(int(np.argmin(whole)))
         if missing > HOLES * len(whole):
             raise InputError(
-                f"{path}: {missing} of {len(whole)} rows lack a number in {', '.join(choice.found.values())} (first: row "
-                f"{first}); name the columns of the curve"
+                f"{path}: {missing} of {len(whole)} rows lack a number in {', '.join(found.values())} (first: row {first}); "
+                "name the columns of the curve"
             )
-        findings.append(f"{path.name}: {missing} rows without a number left out, the first is row {first}")
-    lines = table.lines[whole]
-    signal_unit = _unit(
-        path, "signal", choice.found["signal"], columns.signal_unit, suffixed, tuple(QUANTITIES)
-    )
-    flow_unit = _unit(path, "flow", choice.found["flow"], columns.flow_unit, suffixed, ("flow",))
-    signal = np.asarray(to_si(values["signal"][whole], signal_unit.name))
-    flow = np.asarray(to_si(values["flow"][whole], flow_unit.name))
+        findings.append(f"{missing} rows without a number left out, the first is row {first}")
+    values = dict(zip(found, cells[:, whole], strict=True))
+    suffixed = any(each.code == "si_suffixes" for each in table.findings)
+    signal_unit = _unit(path, "signal", found["signal"], columns.signal_unit, suffixed, tuple(QUANTITIES))
+    flow_unit = _unit(path, "flow", found["flow"], columns.flow_unit, suffixed, ("flow",))
+    signal = np.asarray(to_si(values["signal"], signal_unit.name))
     if columns.rated is None:
         rated = float(np.abs(signal).max()) if len(signal) else 0.0
-        findings.append(
-            f"{path.name}: rated signal taken to be the largest in the file; say --rated if it is another"
-        )
+        findings.append("rated signal taken to be the largest in the file; say --rated if it is another")
     else:
         rated = float(to_si(columns.rated, signal_unit.name))
     if not rated > 0.0:
         raise InputError(
-            f"{path}: the rated signal is {rated:g}, column {choice.found['signal']!r}; it must be positive"
+            f"{path}: the rated signal is {rated:g}, column {found['signal']!r}; it must be positive"
         )
-    curve = Curve(
-        name=name or _short(path),
-        signal=signal,
-        flow=flow,
-        signal_unit=QUANTITIES[signal_unit.quantity],
-        rated=rated,
-        findings=tuple(findings),
-    )
+    ending = max((each for each in ENDINGS if path.name.endswith(each)), key=len, default="")
     try:
-        return _timed(curve, columns, _times(path, table, choice, columns, values, whole, lines))
+        curve = Curve(
+            name=name or path.name.removesuffix(ending),
+            signal=signal,
+            flow=np.asarray(to_si(values["flow"], flow_unit.name)),
+            signal_unit=QUANTITIES[signal_unit.quantity],
+            rated=rated,
+            findings=tuple(f"{path.name}: {each}" for each in findings),
+        )
+        return replace(curve, time=_time(path, curve, columns, found, values, whole, table.lines[whole]))
     except InputError as problem:
         raise InputError(str(problem) if str(path) in str(problem) else f"{path}: {problem}") from None
 
 
-def _short(path: Path) -> str:
-    return path.name.removesuffix(
-        max((each for each in ENDINGS if path.name.endswith(each)), key=len, default="")
-    )
+def _chosen(path: Path, wanted: Columns, names: tuple[str, ...]) -> dict[str, str]:
+    """The columns of signal, flow and, if it is one, time."""
+    if len(names) < 2:
+        raise InputError(
+            f"{path}: one column ({names[0] if names else 'none'}); a curve needs signal and flow, separated by commas, tabs or "
+            "blanks"
+        )
+    roles = {"signal": wanted.signal or "1", "flow": wanted.flow or "2", "time": wanted.time}
+    found: dict[str, str] = {}
+    for role, name in roles.items():
+        if name in names:
+            found[role] = name
+        elif name is not None and name.isdigit() and 1 <= int(name) <= len(names):
+            found[role] = names[int(name) - 1]
+        elif name is not None:
+            raise InputError(f"{path}: no column {name!r} for the {role}; {suggestion(name, names)}")
+    if len(set(found.values())) < len(found):
+        raise InputError(f"{path}: signal, flow and time must be different columns, not {found}")
+    return found
 
 
-def _times(
-    path: Path,
-    table: Table,
-    choice: _Choice,
-    columns: Columns,
-    values: dict[str, Floats],
-    whole: np.ndarray,
+def _time(
+    path: Path, curve: Curve, columns: Columns, found: dict[str, str], values: dict[str, Floats], whole: np.ndarray,
     lines: np.ndarray,
-) -> Floats | None:
-    if "time" in choice.found:
-        column = choice.found["time"]
+) -> Floats | None:  # fmt: skip
+    """The times of the rows, s, from a column or a period; None where nothing says them."""
+    branches = branches_of(curve)
+    for option in ("row_period", "sweep_period"):
+        period = getattr(columns, option)
+        if period is not None and not period > 0.0 and "time" not in found:
+            raise InputError(f"--{option.replace('_', '-')} is {period:g}, expected more than 0 s")
+    if "time" in found:
+        column = found["time"]
         time_unit = columns.time_unit or _in_header(column) or "s"
         if unit(time_unit).quantity != "time":
             raise InputError(f"{path}: column {column!r}: {time_unit!r} is no unit of time")
-        time = np.asarray(to_si(values["time"][whole], time_unit))
+        time = np.asarray(to_si(values["time"], time_unit))
         back = np.flatnonzero(np.diff(time) < 0.0)
         if len(back):
             n = int(back[0]) + 1
@@ -162,25 +145,14 @@ def _times(
             )
         return time
     if columns.row_period is not None:
-        if not columns.row_period > 0.0:
-            raise InputError(f"--row-period is {columns.row_period:g}, expected more than 0 s")
         return np.asarray(np.flatnonzero(whole) * columns.row_period, dtype=float)
-    return None
-
-
-def _timed(curve: Curve, columns: Columns, time: Floats | None) -> Curve:
-    from dataclasses import replace
-
-    found = branches_of(curve)
-    if time is None and columns.sweep_period is not None:
-        if not columns.sweep_period > 0.0:
-            raise InputError(f"--sweep-period is {columns.sweep_period:g}, expected more than 0 s")
-        # A whole triangle passes its range twice.
-        path = sum(abs(curve.signal[branch.stop - 1] - curve.signal[branch.start]) for branch in found)
-        rows = sum(branch.stop - branch.start for branch in found)
-        step = columns.sweep_period * path / (2.0 * float(np.ptp(curve.signal)) * rows)
-        time = np.arange(len(curve.signal)) * step
-    return replace(curve, time=time)
+    if columns.sweep_period is None:
+        return None
+    # A whole triangle passes its range twice.
+    way = sum(abs(curve.signal[branch.stop - 1] - curve.signal[branch.start]) for branch in branches)
+    rows = sum(branch.stop - branch.start for branch in branches)
+    step = columns.sweep_period * way / (2.0 * float(np.ptp(curve.signal)) * rows)
+    return np.asarray(np.arange(len(curve.signal)) * step)
 
 
 def _in_header(column: str) -> str | None:

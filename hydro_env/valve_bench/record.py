@@ -22,8 +22,8 @@ __all__ = ["SIGNALS", "own_channels", "record", "record_rates", "record_rigs"]
 
 #: What can be taken as the valve's input, and its unit.
 SIGNALS = {"current": "A", "command": "V"}
-#: Time between two recorded samples is this share of the sweep, and at least `SHORTEST` s.
-SHARE, SHORTEST = 1.0 / 10_000.0, 5e-4
+#: Time between two recorded samples is this share of the sweep, and at least `MIN_PERIOD` s.
+SHARE, MIN_PERIOD = 1.0 / 10_000.0, 5e-4
 
 
 def own_channels(model: PlantModel) -> tuple[int, ...]:
@@ -48,7 +48,7 @@ def record(
         raise InputError(f"unknown signal {signal!r}: current or command")
     if not seconds > 0.1:
         raise InputError(f"a sweep of {seconds:g} s: too short for a steady curve, 5 s and more are right")
-    period = max(SHORTEST, round(seconds * SHARE / SHORTEST) * SHORTEST)
+    period = max(MIN_PERIOD, round(seconds * SHARE / MIN_PERIOD) * MIN_PERIOD)
     share, quarter = _triangle(seconds, period)
     rated = model.value("u_rated", channel)
     command = np.zeros((len(share), 2))

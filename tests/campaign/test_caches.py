@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -37,26 +37,6 @@ total = 0.0
 for observation, *_ in [env.reset(seed=0), *(env.step(env.action_space.high) for _ in range(20))]:
     total += float(observation.sum())
 print(total.hex())
-"""
-#: Takes folders for machine code from its standard input and makes a step with each, as a process that has just begun: nothing
-#: but imports is done before it forks.
-STEPS = f"""
-import os, sys, traceback
-import gymnasium, hydro_env.envs
-for line in sys.stdin:
-    folder = line.strip()
-    if not os.fork():
-        os.environ["HYDRO_ENV_CACHE"] = folder
-        for stream, name in ((1, ".out"), (2, ".err")):
-            os.dup2(os.open(folder + name, os.O_CREAT | os.O_WRONLY | os.O_TRUNC), stream)
-        try:
-            exec({STEP!r})
-        except BaseException:
-            traceback.print_exc()
-        sys.stdout.flush()
-        os._exit(0)
-    os.wait()
-    print(flush=True)
 """
 
 
@@ -96,43 +76,37 @@ DAMAGES: dict[str, Callable[[bytes, random.Random], bytes]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def step() -> Iterator[Callable[[Path], tuple[str, str]]]:
-    """Makes a step with a folder for machine code; gives what that says on standard output and standard error."""
-    with subprocess.Popen(
-        [sys.executable, "-c", STEPS], cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdin and process.stdout
-        stdin, stdout = process.stdin, process.stdout
-
-        def made(folder: Path) -> tuple[str, str]:
-            print(folder, file=stdin, flush=True)
-            assert stdout.readline() == "\n"
-            return Path(f"{folder}.out").read_text(), Path(f"{folder}.err").read_text()
-
-        yield made
-        stdin.close()
+def step(folder: Path) -> tuple[str, str]:
+    """Makes a step with a folder for machine code; what that says on standard output and standard error."""
+    own = {**os.environ, "HYDRO_ENV_CACHE": str(folder)}
+    done = subprocess.run(
+        [sys.executable, "-c", STEP], cwd=ROOT, env=own, capture_output=True, text=True, check=False
+    )
+    return done.stdout, done.stderr
 
 
 @pytest.fixture(scope="module")
-def machine_code(step, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+def machine_code(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A folder with the machine code of a step, and what a run prints."""
     folder = tmp_path_factory.mktemp("cache") / "clean"
     out, err = step(folder)
-    assert err == "" and len(list((folder / "machine_code").iterdir())) == 3
+    assert err == "" and len(kernels(folder)) == 2
     return folder, out
 
 
+def kernels(folder: Path) -> list[Path]:
+    """The files of kernels; the others are Numba's."""
+    return sorted(path for path in (folder / "machine_code").iterdir() if path.suffix in (".json", ".o"))
+
+
 @pytest.mark.parametrize("damage", DAMAGES)
-@pytest.mark.parametrize("files", [(0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2)], ids=str)
-def test_damaged_machine_code(
-    step, machine_code, tmp_path: Path, damage: str, files: tuple[int, ...]
-) -> None:
+@pytest.mark.parametrize("files", [(0,), (1,), (0, 1)], ids=str)
+def test_damaged_machine_code(machine_code, tmp_path: Path, damage: str, files: tuple[int, ...]) -> None:
     """The same result, one line, and whole files afterwards."""
     clean, expected = machine_code
     shutil.copytree(clean, tmp_path / "cache")
     stream = random.Random(f"{damage} {files}")
-    paths = sorted((tmp_path / "cache" / "machine_code").iterdir())
+    paths = kernels(tmp_path / "cache")
     for number in files:
         paths[number].write_bytes(DAMAGES[damage](paths[number].read_bytes(), stream))
     out, err = step(tmp_path / "cache")
@@ -141,21 +115,19 @@ def test_damaged_machine_code(
     assert step(tmp_path / "cache") == (expected, "")
 
 
-@pytest.mark.parametrize("thing", ["folder", "fifo", "link to nothing", "link to a device", "no permission"])
-def test_something_else_in_the_place_of_machine_code(step, machine_code, tmp_path: Path, thing: str) -> None:
+@pytest.mark.parametrize("thing", ["folder", "link to nothing", "no permission"])
+def test_something_else_in_the_place_of_machine_code(machine_code, tmp_path: Path, thing: str) -> None:
     clean, expected = machine_code
     shutil.copytree(clean, tmp_path / "cache")
-    for path in sorted((tmp_path / "cache" / "machine_code").iterdir()):
+    for path in kernels(tmp_path / "cache"):
         if thing == "no permission":
             path.chmod(0)
             continue
         path.unlink()
         if thing == "folder":
             (path / "inside").mkdir(parents=True)
-        elif thing == "fifo":
-            os.mkfifo(path)
         else:
-            path.symlink_to(tmp_path / "nothing" if thing == "link to nothing" else "/dev/zero")
+            path.symlink_to(tmp_path / "nothing")
     out, err = step(tmp_path / "cache")
     assert out == expected and err.count("\n") <= 2, err
 
@@ -170,11 +142,13 @@ def test_processes_that_compile_at_the_same_time(tmp_path: Path, machine_code) -
         for _ in range(4)
     ]
     assert [process.communicate() for process in together] == [(machine_code[1], "")] * 4
-    assert len(list((tmp_path / "machine_code").iterdir())) == 3
+    assert sorted(path.suffix for path in tmp_path.rglob("*")) == sorted(
+        path.suffix for path in machine_code[0].rglob("*")
+    )
 
 
 @pytest.mark.parametrize("number", range(12))
-def test_killed_while_it_compiles(step, tmp_path: Path, machine_code, number: int) -> None:
+def test_killed_while_it_compiles(tmp_path: Path, machine_code, number: int) -> None:
     """At a random time; the next run is as if nothing had happened."""
     own = {**os.environ, "HYDRO_ENV_CACHE": str(tmp_path)}
     process = subprocess.Popen(

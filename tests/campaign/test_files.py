@@ -33,7 +33,6 @@ from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import make_controller
 from hydro_env.measured.mapping import load_mapping
 from hydro_env.plant import load_effects, load_model
-from hydro_env.tasks import METRICS, SCENARIOS, SPLITS
 from hydro_env.tasks.mismatch import load_mismatch
 
 from .hostile import MARK, Case, wrong_with
@@ -94,7 +93,7 @@ def _training(path: Path) -> Any:
 READERS: dict[str, tuple[Any, Callable[[Path], Any]]] = {
     "model": (MODEL, load_model),
     "mapping": (MAPPING, load_mapping),
-    "suite": (SUITE, lambda path: load_suite(path, splits=SPLITS, scenarios=SCENARIOS, metrics=METRICS)),
+    "suite": (SUITE, load_suite),
     "mismatch": (MISMATCH, load_mismatch),
     "training": (TRAINING, _training),
 }

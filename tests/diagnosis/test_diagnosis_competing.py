@@ -1,61 +1,18 @@
-"""What becomes of a candidate, and what else would do as well in the place of an effect that was taken."""
-
-from dataclasses import replace
+"""What becomes of a candidate, and which effects the known parameters do without."""
 
 import numpy as np
 import pytest
 
 from hydro_env.diagnosis.estimation import Estimate, Fit, differentiate, solve
-from hydro_env.diagnosis.settings import Settings
 from hydro_env.diagnosis.stages import elimination
-from hydro_env.diagnosis.stages.candidates import AT_EDGE, Accepted, Search, Selection, is_neutral, judge
-from hydro_env.diagnosis.stages.elimination import compare_competing, drop_unneeded
-from hydro_env.diagnosis.stages.naming import name_effects
-from hydro_env.diagnosis.stages.screening import screen
-from hydro_env.diagnosis.stages.selection import select
+from hydro_env.diagnosis.stages.candidates import Accepted, is_neutral
+from hydro_env.diagnosis.stages.elimination import drop_unneeded
+from hydro_env.diagnosis.stages.search import Search
 from hydro_env.plant import CATALOGUE
 from tests.linear_rig import NOISE, logged, time_of
 
 ROWS = 4000
 TIME = time_of(ROWS)
-
-
-def _found(curves: dict[str, np.ndarray], hidden: str, accepted: str) -> Search:
-    """A rig with a hidden effect, for which `accepted` was accepted, after the question what else would do."""
-    typical = {n: CATALOGUE[n].parameters[0].typical for n in curves}
-    by_value = {f"{n}.coefficient": curve / typical[n] for n, curve in curves.items()}
-    fit, base = logged(by_value, {f"{hidden}.coefficient": 0.8 * typical[hidden]}, ROWS)
-    screening = screen(fit, {0: base}, fit.rig.candidates(), 4.0)
-    found = base.extended(accepted, next(k.start for k in screening if k.effect == accepted))
-    solve(fit, [found], 6)
-    search = Search(fit, {0: base}, screening, 4.0, {0: found})
-    search.accepted = [Accepted(accepted, 0, 5000.0, 18.0, {}, base)]
-    compare_competing(search)
-    return search
-
-
-def test_a_declared_alternative_is_listed_though_nothing_had_tried_it() -> None:
-    drag = np.abs(np.sin(2.0 * TIME)) * np.sin(2.0 * TIME)
-    search = _found({"line_loss": drag, "quadratic_drag": drag}, "quadratic_drag", "line_loss")
-    assert search.accepted[0].effect == "line_loss" and {*search.accepted[0].competing} == {"quadratic_drag"}
-    selection = Selection(search.present, search.accepted, [], {})
-    named = name_effects(search.fit, selection, search.screening, search.present)
-    assert named[0].indistinguishable_from == ["quadratic_drag"]
-    assert named[0].probability == pytest.approx(0.5, abs=0.05)
-
-
-def test_a_declared_alternative_that_explains_much_less_is_not_listed() -> None:
-    drag, other = np.abs(np.sin(2.0 * TIME)) * np.sin(2.0 * TIME), np.cos(11.0 * TIME)
-    search = _found({"line_loss": drag, "quadratic_drag": other}, "line_loss", "line_loss")
-    assert search.accepted[0].effect == "line_loss" and not search.accepted[0].competing
-
-
-def test_a_candidate_that_explains_more_takes_the_place() -> None:
-    drag = np.abs(np.sin(2.0 * TIME)) * np.sin(2.0 * TIME)
-    near = drag + 0.1 * np.cos(11.0 * TIME)
-    search = _found({"line_loss": near, "quadratic_drag": drag}, "quadratic_drag", "line_loss")
-    assert search.accepted[0].effect == "quadratic_drag"
-    assert search.present[0].effects() == ["quadratic_drag"]
 
 
 @pytest.mark.parametrize(("curve", "kept"), [(np.sin(3.0 * TIME), False), (np.cos(11.0 * TIME), True)])
@@ -96,7 +53,7 @@ def test_estimates_near_the_noise_settle_before_they_are_compared(
 
     monkeypatch.setattr(elimination, "solve", stops_at_once)
     fit.evaluate([without])
-    assert fit.is_white(without) and fit.gain(without, found) > 5.0
+    assert fit.at_noise(without) and fit.gain(without, found) > 5.0
     search = Search(fit, {0: without}, [], 4.0, {0: found})
     search.accepted = [Accepted("line_loss", 0, 500.0, 5.0, {}, without)]
     drop_unneeded(search)
@@ -117,27 +74,3 @@ def test_what_is_next_to_neutral_has_vanished(
     effect: str, parameter: str, value: float, neutral: bool
 ) -> None:
     assert is_neutral(Estimate(0, [], np.zeros(0)).with_effect(effect, {parameter: value}), effect) == neutral
-
-
-@pytest.mark.parametrize(("form", "corrected"), [(True, True), (False, True), (True, False)])
-def test_a_size_at_the_edge_counts_where_another_form_leaves_nothing(form: bool, corrected: bool) -> None:
-    """The model of a slow axis has no corrections of form."""
-    name, bend = "flow_gain_nonlinearity", np.abs(np.sin(20.0 * TIME)) * np.sin(20.0 * TIME)
-    curves = {f"{name}.curvature": bend, "opening_shape.gain_3": bend if form else np.cos(11.0 * TIME)}
-    fit, base = logged(curves, {f"{name}.curvature": 1.6 * CATALOGUE[name].parameter("curvature").high}, ROWS)
-    fit = replace(fit, settings=Settings(rules_off=["compete_on_beginning", "grow_horizon"]))
-    fit.rig.has_hidden_states = corrected
-    screening = screen(fit, {0: base}, [name], 4.0)
-    found = select(Search(fit, {0: base}, screening, 4.0, {0: base}))
-    assert [k.effect for k in found.accepted] == ([name] if form and corrected else [])
-    assert found.candidates[0].outcome == ("taken" if form and corrected else AT_EDGE)
-
-
-@pytest.mark.parametrize(("beyond", "outcome"), [(1.005, "taken"), (1.6, AT_EDGE)])
-def test_a_size_at_the_edge_counts_where_it_leaves_nothing(beyond: float, outcome: str) -> None:
-    name = "flow_gain_nonlinearity"
-    bend, high = np.abs(np.sin(2.0 * TIME)) * np.sin(2.0 * TIME), CATALOGUE[name].parameter("curvature").high
-    fit, base = logged({f"{name}.curvature": bend}, {f"{name}.curvature": beyond * high}, ROWS)
-    found = base.extended(name, {"curvature": 0.5})
-    solve(fit, [found], 6)
-    assert judge(fit, base, found, name, 1000.0) == outcome

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import isnan, nan
 from pathlib import Path
 
@@ -14,8 +13,8 @@ from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns
-from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate, Search, Selection
-from hydro_env.diagnosis.stages.elimination import drop_not_missed, prefer_form
+from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate
+from hydro_env.diagnosis.stages.elimination import prefer_form
 from hydro_env.diagnosis.stages.form_correction import (
     correct,
     correct_all,
@@ -23,6 +22,7 @@ from hydro_env.diagnosis.stages.form_correction import (
     with_correction,
 )
 from hydro_env.diagnosis.stages.rig_effects import drop_vanished
+from hydro_env.diagnosis.stages.search import Search
 from hydro_env.plant import CATALOGUE, load_model
 from hydro_env.practice.generate import make_practice
 from tests.linear_rig import logged, time_of
@@ -76,17 +76,13 @@ def test_what_another_form_explains_is_no_second_effect(tmp_path: Path, forms: s
         Accepted("dead_zone", 0, 5000.0, 37.0, {}, bare),
         Accepted(name, 0, 50.0, 18.0, {}, one),
     ]
-    drop_not_missed(search)
     prefer_form(search)
     assert [k.effect for k in search.accepted] == ["dead_zone", name] if truth else ["dead_zone"]
     assert search.present[0].effects() == [k.effect for k in search.accepted]
-    if not truth:  # what it is compared with has not the dropped effect in its place
-        assert search.accepted[0].without is search.calibrated[0]
     assert all(k.outcome != ACCEPTED for k in search.candidates)
 
 
-def test_of_two_that_a_form_replaces_the_one_stays_that_explains_more_as_it_is() -> None:
-    """Corrections bend either law into the other: with one, the wrong law may even explain a little more."""
+def test_a_second_effect_goes_where_another_form_of_the_first_explains_more() -> None:
     rows = 4000
     first, second, third, little = (np.sin(w * time_of(rows)) for w in (60.0, 83.0, 111.0, 137.0))
     curves = {
@@ -106,25 +102,17 @@ def test_of_two_that_a_form_replaces_the_one_stays_that_explains_more_as_it_is()
     fit, base = logged(curves, truth, rows)
     one = base.with_effect("flow_gain_nonlinearity", {"curvature": 0.5})
     both = one.with_effect("directional_gain", {"ratio": 0.1})
-    other = base.with_effect("directional_gain", {"ratio": 0.1})
-    solve(fit, [one, other, both], 6)
+    solve(fit, [one, both], 6)
     search = Search(fit, {0: base}, [], 4.0, {0: both})
     search.accepted = [
-        Accepted("flow_gain_nonlinearity", 0, 500.0, 18.0, {}, other),
+        Accepted("flow_gain_nonlinearity", 0, 500.0, 18.0, {}, base),
         Accepted("directional_gain", 0, 500.0, 18.0, {}, one),
     ]
-    drop_not_missed(search)
-    assert len(search.accepted) == 2
     prefer_form(search)
     assert [k.effect for k in search.accepted] == ["flow_gain_nonlinearity"]
-    selection = Selection(search.present, search.accepted, [], {}, search.attempted)
-    best = selection.in_best_form(0)
-    assert best.effects() == ["flow_gain_nonlinearity", "opening_shape"]
-    assert fit.at_noise(best, 1.5) and not fit.at_noise(search.present[0], 5.0)
-    # A form that was tried beside another effect says nothing of this one alone.
-    beside = with_correction(both, "directional_gain", "opening_shape")
-    beside.cost = best.cost - 1e4
-    assert replace(selection, attempted=[*search.attempted, beside]).in_best_form(0) is best
+    best = search.form_of(search.present[0])
+    assert best is not None and best.estimate.effects() == ["flow_gain_nonlinearity", "opening_shape"]
+    assert fit.at_noise(best.estimate, 1.5) and not fit.at_noise(search.present[0], 5.0)
 
 
 def test_rounded_corners_are_put_right_at_their_own_port(tmp_path: Path) -> None:
@@ -185,7 +173,7 @@ class _Silent:
 def test_without_a_name_nothing_is_corrected() -> None:
     problems = {0: _bare()}
     fit = Fit(_Silent(), {})  # type: ignore[arg-type]
-    assert correct_all(fit, problems, {}) == (problems, [])
+    assert correct_all(fit, problems, []) == (problems, [])
     assert correct_placebo(fit, problems, problems, []) == problems
 
 
@@ -229,6 +217,7 @@ def test_an_effect_that_vanishes_beside_one_of_the_rig_is_not_named() -> None:
         Accepted("supply_droop", None, 90.0, 36.0)
     ]
     trials: list[Candidate] = []
-    left = drop_vanished(joined({0: first, 1: other}), choices, trials)
+    left, less = drop_vanished(joined({0: first, 1: other}), choices, trials)
+    assert less.placed_effects() == [("dead_zone", 0)]
     assert [(k.effect, k.channel) for k in left] == [("dead_zone", 0), ("supply_droop", None)]
     assert [(t.effect, t.channel) for t in trials] == [("dead_zone", 1)] and "vanishes" in trials[0].outcome

@@ -38,7 +38,7 @@ def _diagnosed(folder: Path, model: PlantModel | str | Path) -> Diagnosis:
 
 def _speed_is_explained(found: Diagnosis) -> bool:
     """Of the fit logs: short ones do not determine all that the held-out one shows."""
-    errors = found.state.on_fit.errors
+    errors = found.proofs.fit.errors
     return all(e["after"] < 1.1 * e["noise"] for (_, signal), e in errors.items() if signal == "speed")
 
 

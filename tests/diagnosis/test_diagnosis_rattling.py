@@ -10,10 +10,10 @@ import pytest
 from hydro_env.diagnosis import diagnose
 from hydro_env.diagnosis.estimation import Fit
 from hydro_env.diagnosis.input.parts import read_parts
+from hydro_env.diagnosis.logs import Logs
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages import calibration, consistency, rattling
-from hydro_env.diagnosis.state import State
 from hydro_env.plant import load_model
 from hydro_env.practice.generate import make_practice
 
@@ -46,12 +46,12 @@ def test_only_a_coupling_that_rattles_has_the_measured_speed_followed(
     tmp_path: Path, effect: str, seed: int, followed: set[int]
 ) -> None:
     rig = _rig(tmp_path, [effect], seed, base_error=0.1)
-    state = State(rig.model, Fit(rig, {}), rig, rig, [])
-    for stage in (consistency.run, calibration.run, rattling.run):
-        state = stage(state)
-    assert state.rig.followed == state.fine.followed == state.held_out.followed == followed
-    assert {k.channel for k in state.screening} == followed
-    assert all(np.isfinite(p.cost) for p in state.calibrated.values())
+    calibrated = calibration.run(consistency.run(Logs(Fit(rig, {}), rig, rig)))
+    found = rattling.run(calibrated, calibrated.estimates)
+    logs = found.logs
+    assert logs.rig.followed == logs.fine.followed == logs.held_out.followed == followed
+    assert {k.channel for k in found.backlashes} == followed
+    assert all(np.isfinite(p.cost) for p in found.estimates.values())
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from hydro_env.cli.main import run
 from hydro_env.diagnosis import command, diagnose
@@ -23,12 +24,11 @@ from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import BASE, DynamicRig
-from hydro_env.diagnosis.models.filters import one_pole
 from hydro_env.diagnosis.report import wording as words
 from hydro_env.diagnosis.report.statements import comment, next_step
 from hydro_env.diagnosis.stages.calibration import as_given, calibrate
 from hydro_env.diagnosis.stages.localisation import locate
-from hydro_env.diagnosis.stages.naming import at_bounds, effect_values, known_parameters, widened_by_form
+from hydro_env.diagnosis.stages.values import at_bounds, effect_values, known_parameters, widened_by_form
 from hydro_env.errors import InputWarning
 from hydro_env.plant import PARAMETERS, load_model, simulate
 from hydro_env.practice.generate import make_practice
@@ -63,9 +63,8 @@ def test_any_accepted_value_can_be_calibrated_and_reported(
         estimate.intervals = SimpleNamespace(**ends, without=spread)  # type: ignore[assignment]
         rig: Any = SimpleNamespace(own={}, given=lambda name, channel, value=value: value)
         (known,) = known_parameters(rig, {0: estimate})
-        found: Any = SimpleNamespace(state=SimpleNamespace(rig=rig))
         told = [
-            comment(found, known),
+            comment(rig, known),
             known.moved_by(),
             words.interval(known.estimate),
             *at_bounds({0: estimate}),
@@ -128,8 +127,9 @@ def test_a_page_that_fails_costs_only_the_page(tmp_path: Path, problem: Exceptio
         raise problem
 
     model = load_model("paper")
-    state = SimpleNamespace(next_experiment=None)
-    found: Any = SimpleNamespace(report=report, as_dict=lambda: {"verdict": "none"}, state=state, model=model)
+    found: Any = SimpleNamespace(
+        report=report, as_dict=lambda: {"verdict": "none"}, next_experiment=None, model=model
+    )
     (tmp_path / "report.html").write_text("of an earlier run")
     with pytest.warns(InputWarning, match=r"report\.html could not be made: .*(by zero|jinja2)"):
         command.write(found, tmp_path)
@@ -211,7 +211,7 @@ def test_the_time_of_a_filter_that_is_calculated_once_a_row_is_in_its_interval(t
     log = _logged(tmp_path / "fit.csv", _steps(3), 1)
     table = np.loadtxt(log, delimiter=",", skiprows=1)
     for column in (4, 8):
-        table[:, column] = one_pole((1.0 - keep) * table[:, column], keep)
+        table[:, column] = lfilter([1.0 - keep], [1.0, -keep], table[:, column])
     head = log.read_text().splitlines()[0]
     np.savetxt(log, table, delimiter=",", header=head, comments="", fmt="%.6g")
     rig = DynamicRig(load_model("paper"), read_parts([log], None))

@@ -9,20 +9,21 @@ import pytest
 
 from hydro_env.diagnosis import diagnose
 from hydro_env.diagnosis.estimation import solve
+from hydro_env.diagnosis.logs import Logs
 from hydro_env.diagnosis.stages import naming
 from hydro_env.diagnosis.stages.candidates import (
     ACCEPTED,
     OUTDONE,
     Accepted,
     Candidate,
-    Search,
     Selection,
     penalty,
 )
+from hydro_env.diagnosis.stages.form_correction import Models
+from hydro_env.diagnosis.stages.search import Search
 from hydro_env.diagnosis.stages.selection import better_set
-from hydro_env.diagnosis.stages.validation import Proof
-from hydro_env.diagnosis.state import State
-from hydro_env.plant import load_model
+from hydro_env.diagnosis.stages.validation import Proof, Proofs
+from hydro_env.diagnosis.stages.verdict import Confirmed
 from hydro_env.practice.generate import make_practice
 from tests.linear_rig import logged, time_of
 
@@ -47,6 +48,11 @@ def _search(truth: dict[str, float], names: tuple[str, ...]) -> Search:
     return search
 
 
+def _selection(search: Search) -> Selection:
+    logs = Logs(search.fit, search.fit.rig, search.fit.rig)
+    return Selection(logs, search.calibrated, search.present, search.accepted, [], {})
+
+
 @pytest.mark.parametrize("order", [1, -1])
 def test_the_smaller_set_is_named_unless_the_larger_one_explains_more(order: int) -> None:
     shared = {ONE[0]: 0.2}
@@ -54,7 +60,7 @@ def test_the_smaller_set_is_named_unless_the_larger_one_explains_more(order: int
     best = better_set(*(alone, several)[::order])
     assert [k.effect for k in best.accepted] == ["flow_gain_nonlinearity"]
     # Little more than the price of the parameter that it saves parts them, so the name is not sure.
-    (named,) = naming.name_effects(best.fit, Selection(best.present, best.accepted, [], {}), [], best.present)
+    (named,) = naming.name_effects(_selection(best), [], best.present)
     assert 0.5 < named.probability < 0.9
     assert [c.outcome for c in best.candidates].count(OUTDONE) == 2
 
@@ -74,14 +80,12 @@ def test_an_effect_that_both_sets_have_is_not_doubted_for_the_other_set() -> Non
 @pytest.mark.parametrize(("left", "factor"), [(1.05, 1.0), (1.2, naming.INCOMPLETE)])
 def test_a_name_that_leaves_more_than_the_noise_is_less_likely(left: float, factor: float) -> None:
     search = _search({ONE[0]: 0.2}, ONE)
-    selection = Selection(search.present, search.accepted, [], {})
+    selection, found = _selection(search), search.present
     proof = Proof(search.fit.rig, {(0, "speed"): {"noise": 1.0, "after": left}}, {})
-    state = State(
-        load_model("paper"), search.fit, search.fit.rig, search.fit.rig, [], verdict="effects", selection=selection,
-        final=search.present, judged=proof,
-    )  # fmt: skip
-    (named,) = naming.run(state).effects
-    (bare,) = naming.name_effects(search.fit, selection, [], search.present)
+    models = Models({}, search.calibrated, found, found, {})
+    confirmed = Confirmed("effects", models, Proofs(proof, proof, proof, proof), [], [])
+    (named,) = naming.run(selection, [], confirmed)
+    (bare,) = naming.name_effects(selection, [], found)
     assert bare.probability > 0.99
     assert named.probability == pytest.approx(factor * bare.probability, abs=1e-3)
 

@@ -4,9 +4,10 @@ import numpy as np
 
 from hydro_env.diagnosis.estimation import Estimate, Fit, unpredictable
 from hydro_env.diagnosis.estimation.uncertainty import Intervals
+from hydro_env.diagnosis.logs import Logs
 from hydro_env.diagnosis.models.base import Segment, Segments
-from hydro_env.diagnosis.stages.candidates import Accepted, Selection
-from hydro_env.diagnosis.stages.validation import Proof
+from hydro_env.diagnosis.stages.candidates import Accepted
+from hydro_env.diagnosis.stages.validation import Proof, Proofs
 from hydro_env.diagnosis.stages.verdict import doubts
 from hydro_env.plant import CATALOGUE
 from tests.linear_rig import LinearRig, logged, time_of
@@ -43,13 +44,12 @@ def _doubts(
     moved = found.q + apart / found.unknowns[-1].scale
     ends = [np.array([found.unknowns[-1].q(value)]) for value in (low, high)]
     found.intervals = Intervals(*ends, moved, moved[None])
-    selection = Selection({0: found}, [Accepted(effect, 0, 500.0, 18.0)], [], {})
     entries = [{"noise": 1.0, "placebo": 30.0, "before": 50.0, **e} for e in (fit, sealed)]
     pressure = {"noise": 1.0, "calibrated": 20.0, "after": 1.0, "placebo": 9.0, "before": 50.0}
     traces = {"after": {0: np.zeros(2 * ROWS)}}
     proofs = [Proof(rig, {(0, "speed"): e, (0, "pressure"): pressure}, traces) for e in entries]  # type: ignore[arg-type]
-    fit = Fit(rig, {(0, name): 1.0 for name in errors})  # type: ignore[arg-type]
-    return doubts(fit, fit, selection, {0: found}, *proofs)
+    logs = Logs(Fit(rig, {(0, name): 1.0 for name in errors}), rig, rig)  # type: ignore[arg-type]
+    return doubts(logs, [Accepted(effect, 0, 500.0, 18.0)], {0: found}, Proofs(*proofs, *proofs))
 
 
 def test_an_effect_whose_interval_holds_the_neutral_value_is_not_confirmed() -> None:

@@ -133,7 +133,9 @@ def test_loaded_logs_give_the_same_as_their_files_and_rules_can_be_switched_off(
     # The same arrays without a file, and without any rule.
     bare = [replace(log, name="", sha256="") for log in logs]
     plain = diagnose(bare[:1], bare[1:], settings=Settings(rules_off=RULES))
-    assert [e.name for e in plain.effects] == ["dead_zone"] and plain.state.settings.rules_off == set(RULES)
+    assert [e.name for e in plain.effects] == ["dead_zone"] and plain.logs.fit.settings.rules_off == set(
+        RULES
+    )
     with pytest.raises(InputError, match="shares rows"):
         diagnose(bare[:1], bare[:1])
     with pytest.raises(InputError, match="grow_horizon"):

@@ -11,7 +11,7 @@ import pytest
 
 from hydro_env.diagnosis import Settings, experiment_design
 from hydro_env.diagnosis.estimation import Estimate, Fit, base_unknown, effect_unknowns
-from hydro_env.diagnosis.estimation.uncertainty import Intervals
+from hydro_env.diagnosis.estimation.estimate import Intervals
 from hydro_env.diagnosis.experiment_design import (
     PERIOD,
     SECONDS,
@@ -177,19 +177,19 @@ def test_where_torques_have_no_scale_loads_are_proposed(rig: DynamicRig, tmp_pat
     )
     assert operation is not None and np.trace(operation.apart) > 1.0
     trial = Trial(fit, [], {0: operation})
-    command, load = random_design(rig.model, fit.settings, np.random.default_rng(5), most_load=0.6)
+    command, load = random_design(rig.model, fit.settings, np.random.default_rng(5), max_load=0.6)
     (with_load, without) = trial.run(
         np.array([_experiment(command, load), _experiment(command, 0.0 * load)])
     )[1][0]
     assert with_load < 0.2 * without and without > 0.5 * np.trace(operation.apart)
-    found = best_design(trial, np.random.default_rng(6), most_load=0.6)
+    found = best_design(trial, np.random.default_rng(6), max_load=0.6)
     assert found is not None and 0.1 < np.abs(found.load[:, 0]).max() <= 0.6
     assert found.prediction is not None and found.prediction[1] < 0.2 * found.prediction[0]
 
 
 def test_the_commands_are_a_file_that_a_rig_plays(rig: DynamicRig, tmp_path: Path) -> None:
     fit = Fit(rig, NOISE)
-    found = best_design(Trial(fit, _asked(fit)), np.random.default_rng(4), most_load=0.5)
+    found = best_design(Trial(fit, _asked(fit)), np.random.default_rng(4), max_load=0.5)
     assert found is not None
     text = NextExperiment("", ["dead_zone", "spool_stiction"], found).csv()
     assert text is not None

@@ -19,7 +19,7 @@ from hydro_env.experiments import close_loop, close_loop_summary, close_loop_tun
 from hydro_env.experiments.close_loop import SCENARIOS, RigTask, Score, Settings
 from hydro_env.experiments.close_loop_summary import METRICS, SOURCES
 from hydro_env.experiments.close_loop_tuning import LAWS, Tuning
-from hydro_env.experiments.truth_drive import drive
+from hydro_env.experiments.closed_loop_reference import drive
 from hydro_env.plant import PlantModel, load_model
 from hydro_env.tasks import load_scenario
 
@@ -118,8 +118,8 @@ def test_tuning_repeats_and_stays_in_range(
     monkeypatch.setattr(close_loop_tuning, "TUNING_EPISODES", 1)
     monkeypatch.setattr(close_loop_tuning, "TUNED_ON", SHORT)
     task = Tuning(law, "true", "rig", truth, seed=3, generations=2)
-    found = close_loop_tuning.tune(task)
-    assert found == close_loop_tuning.tune(task)
+    found = task.run()
+    assert found == task.run()
     for gain, channel in LAWS[law].genes():
         value = found["gains"][gain.name]
         assert gain.low * 0.999 <= (value if channel is None else value[channel]) <= gain.high * 1.001
@@ -201,21 +201,15 @@ def quick(monkeypatch: pytest.MonkeyPatch, truth: PlantModel) -> list[Any]:
         gap = {"speed_1_rpm": {"noise": 1.0, "before": 90.0, "after": 1.0, "placebo": 50.0}}
         diagnosis = {"verdict": "effects", "gap": {"sealed": gap},
                      "effects": [{"name": "dead_zone", "channel": "1", "indistinguishable_from": []}]}  # fmt: skip
-        return close_loop.Rig(
-            task.case,
-            task.seed,
-            "same",
-            models,
-            {"verdict": "effects", "effects": effects, "form_constants": {}},
-            diagnosis,
-        )
+        hidden = {"verdict": "effects", "effects": effects, "forms": "same", "form_constants": {}}
+        return close_loop.Rig(task.case, task.seed, models, hidden, diagnosis)
 
     def noted(task: Any) -> Any:
         done.append(task)
         return work(task)
 
     work = close_loop._work
-    monkeypatch.setattr(close_loop, "make_rig", made)
+    monkeypatch.setattr(RigTask, "run", made)
     monkeypatch.setattr(close_loop, "_work", noted)
     monkeypatch.setattr(close_loop_tuning, "POPULATION", 5)
     monkeypatch.setattr(close_loop_tuning, "TUNING_EPISODES", 1)
@@ -223,7 +217,7 @@ def quick(monkeypatch: pytest.MonkeyPatch, truth: PlantModel) -> list[Any]:
     monkeypatch.setattr(close_loop, "SCENARIOS", ("short",))
     monkeypatch.setattr(close_loop_tuning, "LAWS", {"model_inverse": LAWS["model_inverse"]})
     monkeypatch.setattr(close_loop, "SHIPPED", ())
-    monkeypatch.setattr("hydro_env.experiments.truth_drive.load_scenario", lambda name: SHORT)
+    monkeypatch.setattr("hydro_env.experiments.closed_loop_reference.load_scenario", lambda name: SHORT)
     return done
 
 
@@ -356,7 +350,7 @@ def test_the_agent_beside_the_controllers(
     config = replace(
         whole, num_envs=4, num_steps=64, hyper={**whole.hyper, "n_steps": 8, "batch_size": 32, "n_epochs": 1},
         env_kwargs={**whole.env_kwargs, "max_episode_steps": 20},
-        training=replace(whole.training, evaluate_pairs=1),
+        training=whole.training.model_copy(update={"evaluate_pairs": 1}),
     )  # fmt: skip
 
     def go(config: Any) -> dict[str, Any]:

@@ -70,16 +70,25 @@ def page() -> str:
     law, agent = min("cross_coupled", "probing_flow", key=plain.get), min("ppo", "gru", key=plain.get)
     assert [row["name"] for row in board["rows"]] == ["pid_paper", "pid_tuned", law, agent, "oracle"]
     assert board["agent"] == agent and board["controllers"] == len(names)
-    numbers = (
-        "published tables_only with_dead_zone overlap equal_again equal_within published_again load_published"
-    )
-    numbers += " load_simulated nominal_torque largest_command picture"
-    paper: dict[str, Any] = dict.fromkeys(numbers.split(), "1")
-    found = [{"name": "dead_zone", "where": "channel 1", "probability": "0.99"}]
-    finding = {
-        "hidden": "<b>", "verdict": "effects", "effects": found, "parameters": [], "picture": "", "report": "report.html",
-    }  # fmt: skip
-    return demo.page({**paper, "links": []}, board, finding, [{"name": "all", "seconds": 1.0}])
+    steps = "published_rpm tables_only_rpm with_dead_zone_rpm overlap_V1_m equal_again_within_rpm equal_again_after_s"
+    steps += " published_equal_again_after_s"
+    load = "published_rpm simulated_rpm nominal_torque_Nm largest_command_V"
+    paper = {
+        "setpoint_steps": dict.fromkeys(steps.split(), 1.0),
+        "load_step": dict.fromkeys(load.split(), 1.0),
+    }
+    overlap = {"value": 7.1e-5, "low": 6.9e-5, "high": 7.2e-5, "unit": "m"}
+    found = {
+        "name": "dead_zone",
+        "channel": "1",
+        "probability": 0.99,
+        "parameters": {"overlap_positive": overlap},
+    }
+    true = {"overlap_positive": {"value": 7e-5}}
+    hidden = [{"name": name, "channel": "1", "parameters": true} for name in ("<b>", "dead_zone")]
+    finding = {"hidden": hidden, "verdict": "effects", "effects": [found], "picture": ""}
+    shown = {**paper, "picture": "1", "links": []}
+    return demo.page(shown, board, finding, {"all": 1.0})
 
 
 def test_the_page_explains_its_terms_and_needs_no_network(page: str) -> None:
@@ -89,7 +98,9 @@ def test_the_page_explains_its_terms_and_needs_no_network(page: str) -> None:
     for term in terms:
         assert f"<dt>{term}</dt>" in page.lower() and text.count(term) > 1, term
     assert 'href="benchmark/scores.html"' in page and "5 of 8 rows" in page
-    assert "hidden in them (&lt;b&gt;)" in page
+    assert "hidden in them (&lt;b&gt; on channel 1, dead_zone on channel 1)" in page
+    cells = re.findall(r"<td[^>]*>([^<]*)</td>", page)
+    assert cells[-5:] == ["dead_zone.overlap_positive", "70", "71", "69 to 72", "µm"]
     assert not re.search(r"(src|href)=[\"']?(https?:)?//", page) and "@import" not in page
 
 

@@ -78,12 +78,12 @@ def test_an_answer_is_judged(kind: str, verdict: str, named: tuple[str, str] | N
     [
         ({"schema": "x"}, "schema"),
         ({"rig": "rig_002"}, "expected 'rig_001'"),
-        ({"verdict": "maybe"}, "expected none, calibration"),
+        ({"verdict": "maybe"}, "'none', 'calibration'"),
         ({"verdict": "none"}, "names at least one"),
         ({"effects": [{"name": "dead_zon", "channel": "1"}]}, "did you mean 'dead_zone'"),
         ({"effects": [{"name": "dead_zone", "channel": "3"}]}, "channel is '3'"),
         ({"prediction": "../truth.csv"}, "a file beside it"),
-        ({"model": "none.yaml"}, "no file none.yaml"),
+        ({"model": "none.yaml"}, "model is 'none.yaml', expected the name of a file beside it"),
         ({"speed": 1}, "unknown key 'speed'"),
     ],
 )

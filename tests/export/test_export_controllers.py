@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from hydro_env.controllers.learned.policy import NumpyPolicy
 from hydro_env.controllers.registry import CONTROLLERS, make_controller
 from hydro_env.controllers.tuning.gains import GainsFile, write_gains
 from hydro_env.envs.observation import OBSERVATION, SCALES
+from hydro_env.export.c_code import c_code
 from hydro_env.export.compiler import find_compiler
 from hydro_env.export.controllers import c_files, program_of, st_file
 from hydro_env.export.symbols import TraceError
@@ -307,7 +309,9 @@ def test_a_gains_file_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         if law.endswith("Mine")
         else {**make_controller("cross_coupled").gains, "Kp": 0.04}
     )
-    write_gains("größe_1.json", GainsFile(law, {key: float(value) for key, value in gains.items()}))
+    write_gains(
+        "größe_1.json", GainsFile(controller=law, gains={key: float(value) for key, value in gains.items()})
+    )
     trust = ["--trust"] if law.endswith("Mine") else []
     for kind in ("c", "st"):
         with pytest.raises(SystemExit) as ended:
@@ -387,10 +391,28 @@ class Counts:
 
 
 @pytest.mark.parametrize("kind", [Asks, Counts])
-def test_what_cannot_be_followed_is_refused(kind: type, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kind, "__module__", "hydro_env.controllers.mine")
+def test_what_cannot_be_followed_is_refused(kind: type) -> None:
     with pytest.raises(TraceError):
         trace(kind(), PERIOD, "mine")
+
+
+def test_controllers_may_be_used_while_one_is_traced() -> None:
+    controller, rows = (
+        make_controller("cross_coupled"),
+        np.random.default_rng(2).uniform(-0.5, 0.5, (40, 1, 9)),
+    )
+
+    def commands() -> np.ndarray:
+        controller.reset(1, PERIOD)
+        return np.array([controller.act(row) for row in rows])
+
+    expected = commands()
+    with ThreadPoolExecutor(2) as pool:
+        traces = [pool.submit(program_of, name, PERIOD) for name in ("cross_coupled", "probing_flow")]
+        while not all(trace.done() for trace in traces):
+            assert np.array_equal(commands(), expected)
+    alone = c_code(program_of("cross_coupled", PERIOD), "0", "")
+    assert c_code(traces[0].result(), "0", "") == alone
 
 
 def test_the_state_holds_nothing_that_is_not_needed() -> None:

@@ -86,13 +86,17 @@ def test_a_mapping_has_names_units_signs_and_start_values(units: list[Path], tmp
     for each in (plain, rigs):
         each.reset()
         for _ in range(50):
-            each.step([30.0, 40.0], [0.2, 0.1], 0.01)
-            speeds.append(each.speed[0, 1])
+            each.hold(np.array([[30.0, 40.0]]), np.array([[0.2, 0.1]]), 0.01)
+            speeds.append(each.get("speed")[0, 1])
     rpm = 2.0 * np.pi / 60.0
-    assert rigs.speed[0, 0] == pytest.approx(-rpm * plain.speed[0, 0], rel=1e-12)
+    assert rigs.get("speed")[0, 0] == pytest.approx(-rpm * plain.get("speed")[0, 0], rel=1e-12)
     assert rigs.get("pressure")[0].tolist() == [plain.get("pressure")[0, 0], 0.0]
-    assert 0.9 < rigs.speed[0, 1] / plain.speed[0, 1] < 0.98  # a smaller gain on channel 2: 0.3 against 0.315
-    assert rigs.angle[0, 1] == pytest.approx(np.trapezoid([0.0, *speeds[51:]], dx=0.01))  # no angle is mapped
+    assert (
+        0.9 < rigs.get("speed")[0, 1] / plain.get("speed")[0, 1] < 0.98
+    )  # a smaller gain on channel 2: 0.3 against 0.315
+    assert rigs.get("angle")[0, 1] == pytest.approx(
+        np.trapezoid([0.0, *speeds[51:]], dx=0.01)
+    )  # no angle is mapped
 
 
 def test_the_rated_command(units: list[Path], rig: Path, tmp_path: Path) -> None:
@@ -159,7 +163,7 @@ def test_the_command(units: list[Path], tmp_path: Path) -> None:
         (MAPPING.replace("rated: 73", "rated: much"), "rated is 'much'"),
         (MAPPING.replace("sign:", "sing:"), "unknown key 'sing'"),
         (MAPPING.replace("start: {channel_2.Kq", "start: {channel_3.Kq"), "has no variable 'channel_3.Kq'"),
-        ("- 1\n", "schema should be"),
+        ("- 1\n", "expected a table"),
     ],
 )
 def test_bad_mapping(units: list[Path], tmp_path: Path, mapping: str, says: str) -> None:

@@ -21,7 +21,7 @@ __attribute__((visibility("default"))) plant rig;
 SEEN void start(void) { plant_start(&rig); }
 SEEN void rest(void) { plant_rest(&rig); }
 SEEN int set(unsigned place, double value) { return plant_set(&rig, place, value); }
-SEEN void look(void) { plant_look(&rig); }
+SEEN void refresh(void) { plant_observe(&rig); }
 SEEN int step(const double *given, double period) {
     rig.command[0] = given[0], rig.command[1] = given[1], rig.load[0] = given[2], rig.load[1] = given[3];
     return plant_step(&rig, period);

@@ -10,8 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from hydro_env.export.c_printer import expression, source
 from hydro_env.export.compiler import build_library, find_compiler
-from hydro_env.export.translate import Arr, Num, Rec, TranslationError, Translator
+from hydro_env.ir.nodes import Expr, var
+from hydro_env.ir.reader import Arr, Reader, Rec, TranslationError
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 SIZE = 6
@@ -82,26 +84,33 @@ def refused_size(x, pair):
     x[0] = room[0]
 
 
+def refused_choice(x, pair):
+    row = pair.rows[0]
+    if x[0] > 0.0:
+        row = pair.rows[1]
+    x[0] = row[0]
+
+
 def arguments() -> tuple[np.ndarray, Pair]:
     random = np.random.default_rng(2)
     return random.normal(size=SIZE), Pair(random.normal(size=(2, 4)), 0.7)
 
 
-def translated(function: Callable[..., Any]) -> tuple[str, Translator]:
+def translated(function: Callable[..., Any]) -> tuple[str, Reader]:
     """The call of a function in C."""
-    translator = Translator()
-    pair = Rec({"rows": Arr.of("double", "rows", (2, 4)), "gain": Num("double", "gain")})
-    called = translator.call(function, [Arr.of("double", "x", (SIZE,)), pair])
-    return f"{called.name}({', '.join(called.handed)})", translator
+    reader = Reader()
+    pair = Rec({"rows": Arr.of("double", "rows", (2, 4)), "gain": var("gain", "double")})
+    called = reader.call(function, [Arr.of("double", "x", (SIZE,)), pair])
+    return expression(Expr("call", "int", tuple(called.handed), called.name)), reader
 
 
 @needs_compiler
 @pytest.mark.parametrize("function", [whole_numbers, swaps, views, two_results, widens])
 def test_c_does_what_python_does(function: Callable[..., Any], tmp_path: Path) -> None:
-    call, translator = translated(function)
+    call, reader = translated(function)
     seen = '__attribute__((visibility("default")))'
     entry = f"{seen} void entry(double *x, double *rows, double gain) {{ (void)rows, (void)gain, {call}; }}\n"
-    (tmp_path / "code.c").write_text(translator.source(entry))
+    (tmp_path / "code.c").write_text(source(reader, entry))
     compiler = find_compiler()
     assert compiler is not None
     build_library(compiler, [tmp_path / "code.c"], tmp_path / "code.so")
@@ -113,7 +122,7 @@ def test_c_does_what_python_does(function: Callable[..., Any], tmp_path: Path) -
     assert np.array_equal(x, expected) and np.array_equal(pair.rows, other.rows)
 
 
-@pytest.mark.parametrize("function", [refused_loop, refused_size])
+@pytest.mark.parametrize("function", [refused_loop, refused_size, refused_choice])
 def test_what_c_cannot_say_is_refused_by_name(function: Callable[..., Any]) -> None:
     with pytest.raises(TranslationError, match=function.__name__):
         translated(function)
@@ -122,16 +131,6 @@ def test_what_c_cannot_say_is_refused_by_name(function: Callable[..., Any]) -> N
 def test_a_call_knows_what_is_changed() -> None:
     """What a function writes to is found through the functions that it calls."""
 
-    translator = Translator()
-    pair = Rec(
-        {
-            "rows": Arr.of(
-                "double",
-                "rows",
-                (2, 4),
-            ),
-            "gain": Num("double", "gain"),
-        }
-    )
-    assert translator.call(views, [Arr.of("double", "x", (SIZE,)), pair]).written == {"x", "pair_rows"}
-    assert translator.call(swaps, [Arr.of("double", "x", (SIZE,)), pair]).written == {"x"}
+    pair = Rec({"rows": Arr.of("double", "rows", (2, 4)), "gain": var("gain", "double")})
+    for function, written in ((views, {"x", "rows"}), (swaps, {"x"})):
+        assert Reader().call(function, [Arr.of("double", "x", (SIZE,)), pair]).written == written

@@ -20,9 +20,13 @@ def test_positions_cover_the_catalogues_range(effect: str) -> None:
 
 def check(slider: Slider) -> None:
     p = slider.parameter
-    values = [slider.value(position) for position in range(slider.least, slider.most + 1)]
+    values = [slider.value(position) for position in range(slider.lowest, slider.highest + 1)]
     finite = [value for value in values if value < inf]
-    assert slider.value(0) == p.neutral and slider.least <= 0 <= slider.most and slider.least < slider.most
+    assert (
+        slider.value(0) == p.neutral
+        and slider.lowest <= 0 <= slider.highest
+        and slider.lowest < slider.highest
+    )
     assert max(finite) == p.high and min(finite) == min(p.low, p.neutral)
     rising = sorted(values)
     assert values in (rising, rising[::-1])

@@ -136,8 +136,8 @@ def test_a_yaml_file_is_what_its_schema_says() -> None:
 
 
 def test_uploads_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(uploads, "MOST_BYTES", 10)
-    monkeypatch.setattr(uploads, "MOST_FILES", 1)
+    monkeypatch.setattr(uploads, "MAX_BYTES", 10)
+    monkeypatch.setattr(uploads, "MAX_FILES", 1)
     store = Uploads()
     with pytest.raises(InputError, match="larger than"):
         asyncio.run(store.receive("a.csv", pieces(b"123456", b"123456")))

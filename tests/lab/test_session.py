@@ -219,13 +219,13 @@ def test_a_recording_is_a_log_of_the_rig_from_rest(tmp_path: Path) -> None:
 
 
 def test_a_recording_ends_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hydro_env.lab.session.LONGEST", 0.5)
+    monkeypatch.setattr("hydro_env.lab.session.MAX_SECONDS", 0.5)
     session = Session()
     session.record()
     run(session, 1.0)
     assert session.snapshot().recorded is None
     assert len(session.finished_log.splitlines()) == 1 + 500
-    assert recording.LONGEST == 120.0
+    assert recording.MAX_SECONDS == 120.0
 
 
 def test_the_trace_of_the_benchmark_is_that_of_the_session() -> None:

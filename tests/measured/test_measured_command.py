@@ -439,8 +439,8 @@ def percent_commands(columns: Columns) -> Columns:
         (saturated_pressure, ["'pressure_2_bar' stays at its largest value", "left out of every comparison"]),
         (constant_current, ["'current_2_A' is constant (0.25 A)", "taken as absent"]),
         (clock_of_dates, ["read as seconds", "counted from the first row", "at 1000 Hz"]),
-        (blank_cells, ["556 of 5000 cells of 'speed_2_rpm' hold no value", "row 2", "left out"]),
-        (blank_commands, ["4500 of 5000 cells of 'command_1_V' hold no value", "the value before is held"]),
+        (blank_cells, ["'speed_2_rpm' holds no value in 556 of 5000 cells", "row 2", "left out"]),
+        (blank_commands, ["'command_1_V' holds no value in 4500 of 5000 cells", "the value before is held"]),
         (disturbed_speed, ["'speed_1_rpm' shakes at about 12 Hz", "the sensor is disturbed", "left out"]),
         (coarse_speed, ["'speed_1_rpm' has only", "finer resolution"]),
         (percent_commands, ["'command_1_V' peaks at 100 V", "is it in percent"]),
@@ -482,7 +482,7 @@ def test_a_log_with_many_small_faults_is_diagnosed_and_each_is_said(tmp_path: Pa
     said = " ".join(data["warnings"])
     page = (tmp_path / "out" / "report.html").read_text()
     for word in (
-        "separated by ';'", "decimal comma", "row 2 holds units", "hold no value", "copies of the row before", "1 gap",
+        "separated by ';'", "decimal comma", "row 2 holds units", "holds no value", "copies of the row before", "1 gap",
         "repeats the value",
     ):  # fmt: skip
         assert word in said and word.replace("'", "&#39;") in page, said

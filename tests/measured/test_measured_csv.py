@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 
 from hydro_env.errors import InputError
 from hydro_env.measured import csv_cells, csv_file
-from hydro_env.measured.csv_cells import Cells, Dialect
-from hydro_env.measured.csv_file import CsvStyle, read_csv
+from hydro_env.measured.csv_cells import Cells
+from hydro_env.measured.csv_file import read_csv
+from hydro_env.measured.header import Header
+from hydro_env.measured.mapping import TableStyle
 
 NUMBERS = st.one_of(
     st.floats(allow_nan=False, allow_infinity=False).map(repr),
@@ -50,7 +52,7 @@ def texts() -> st.SearchStrategy[tuple[str, str]]:
     return text()
 
 
-def outcome(path: Path, style: CsvStyle) -> Any:
+def outcome(path: Path, style: TableStyle) -> Any:
     """What reading the file gives: the table and what was said about it, or the error."""
     try:
         table = read_csv(path, lambda names: ["c", "a"], style)
@@ -63,20 +65,20 @@ def outcome(path: Path, style: CsvStyle) -> Any:
 
 
 @settings(max_examples=400, deadline=None)
-@given(texts(), st.sampled_from([1, 40, 1 << 22]), st.booleans())
+@given(texts(), st.sampled_from([1, 7, 1000]), st.booleans())
 @example(("a;b;c\n1,5;2;3\n4;;6\n", ";"), 1, False)
 @example(("a,b,c\n1,2,nan(1)\n", ","), 1, False)
 @example(("a;b;c\n1.5;2;1,5\n", ";"), 1, True)
 @example(("a,b,c\n,,\n1,2,3\n", ","), 1, False)
 @example(("a,b,c\r\r0.0,0.0,0.0", ","), 1, False)
-@example(("a,b,c\n,2,\n1,,3\n1,2,3,\n", ","), 40, False)
+@example(("a,b,c\n,2,\n1,,3\n1,2,3,\n", ","), 7, False)
 def test_both_readers_give_the_same(
     tmp_path_factory: pytest.TempPathFactory, text: tuple[str, str], block: int, suffixes: bool
 ) -> None:
     path = tmp_path_factory.mktemp("csv") / "log.csv"
     path.write_bytes(text[0].encode())
-    style = CsvStyle(delimiter=text[1], si_suffixes=suffixes)
-    with mock.patch.multiple(csv_file, _FIRST_BLOCK=block, _BLOCK=block):
+    style = TableStyle(delimiter=text[1], si_suffixes=suffixes)
+    with mock.patch.object(csv_file, "_BLOCK", block):
         with mock.patch.object(csv_cells, "_LONG", 0):
             found = outcome(path, style)
         with mock.patch.object(Cells, "fast", return_value=None):
@@ -95,14 +97,15 @@ def test_both_readers_give_the_same(
 def test_fast_reader_takes_ordinary_blocks(
     text: str, decimal: str | None, expected: list[list[float]]
 ) -> None:
-    dialect = Dialect(2, "," if decimal is None else "\t", decimal=decimal)
-    columns = Cells(Path("log.csv"), dialect, ["a", "b"], [0, 1], []).fast(text)
+    header = Header(("a", "b"), "," if decimal is None else "\t", {}, 0)
+    columns = Cells(Path("log.csv"), header, ["a", "b"], [0, 1], decimal, False, []).fast(text)
     assert columns is not None
     np.testing.assert_array_equal(columns, expected)
 
 
 def test_fast_reader_leaves_text_of_other_columns_alone() -> None:
-    columns = Cells(Path("log.csv"), Dialect(4, ";"), ["b", "d"], [1, 3], []).fast("on;1;;2\noff;3;;4\n")
+    header = Header(("a", "b", "c", "d"), ";", {}, 0)
+    columns = Cells(Path("log.csv"), header, ["b", "d"], [1, 3], None, False, []).fast("on;1;;2\noff;3;;4\n")
     assert columns is not None
     np.testing.assert_array_equal(columns, [[1.0, 3.0], [2.0, 4.0]])
 
@@ -114,9 +117,9 @@ def test_lines_are_counted_over_blocks(tmp_path: Path) -> None:
         rows = [f"{n},{2 * n}" for n in range(3000)]
         rows[2500] = "2500,x"
         path.write_bytes(gzip.compress(end.join(["a,b", *rows]).encode()))
-        for block in (1, 997, 1 << 22):
+        for block in (1, 997, 20_000):
             with (
-                mock.patch.multiple(csv_file, _FIRST_BLOCK=block, _BLOCK=block),
+                mock.patch.object(csv_file, "_BLOCK", block),
                 pytest.raises(InputError, match=r"row 2502, column 'b': 'x' is not a number"),
             ):
                 read_csv(path, lambda names: names)

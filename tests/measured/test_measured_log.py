@@ -240,22 +240,26 @@ channel_2: {command: {column: i, unit: V}, speed: {column: n, unit: rad/s}}
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("  speed:", "  sped:", "unknown key 'channel_1.sped'; did you mean 'speed'?"),
-        ("sign: -1", "sing: -1", "unknown key 'channel_1.speed.sing'; did you mean 'sign'?"),
-        ("sign: -1", "sign: -2", "key 'channel_1.speed.sign'"),
-        ("supply:", "suply:", "unknown key 'suply'; did you mean 'supply'?"),
-        ("mapping/1", "maping/1", "a mapping file says `schema: hydro_env/mapping/1`"),
+        ("  speed:", "  sped:", "channel_1: unknown key 'sped': did you mean 'speed'?"),
+        ("sign: -1", "sing: -1", "channel_1.speed: unknown key 'sing': did you mean 'sign'?"),
+        ("sign: -1", "sign: -2", "channel_1.speed.sign is -2, should be 1 or -1"),
+        ("supply:", "suply:", "unknown key 'suply': did you mean 'supply'?"),
+        ("mapping/1", "maping/1", "schema is 'hydro_env/maping/1', should be 'hydro_env/mapping/1'"),
         ("unit: mm/s", "unit: mm/h", "unknown unit 'mm/h'; did you mean"),
-        ("unit: mm/s", "unit: bar", "speed of a cylinder: bar is a unit of pressure; use m/s"),
-        ("unit: mm/s", "unit: rpm", "use m/s, or say `actuator: motor`"),
+        ("unit: mm/s", "unit: bar", "speed of a cylinder: bar is a unit of pressure; use mm/s"),
+        ("unit: mm/s", "unit: rpm", "use mm/s, or say `actuator: motor`"),
         ("full_scale: 10", "scale: 10", "a fraction needs `full_scale`"),
-        ("scale: 2", "scale: two", "got 'two'"),
+        ("scale: 2", "scale: two", "channel_1.speed.scale is 'two', should be a number"),
         ("scale: 2", "scale: 0", "scale is 0"),
         ("unit: ms", "unit: bar", "bar is a unit of pressure; time is in s, ms or us"),
         ("column: t, unit: ms", "unit: ms", "give either `column`"),
         ("unit: cm2", "unit: cm3/rev", "displacement of a cylinder"),
         ("{column: U", "[column: U", " line 8: not YAML"),
-        ("actuator: cylinder", "actuator: winch", "'motor' or 'cylinder', got 'winch'"),
+        (
+            "actuator: cylinder",
+            "actuator: winch",
+            "channel_1.actuator is 'winch', should be 'motor' or 'cylinder'",
+        ),
     ],
 )
 def test_a_wrong_mapping_is_named(tmp_path: Path, old: str, new: str, expected: str) -> None:
@@ -338,6 +342,20 @@ channel_1: {command: {column: log.u, unit: V}, speed: {column: log.n, unit: rpm}
 """
     log = read_log(tmp_path / "deep.mat", write(tmp_path, text, "m.yaml"))
     np.testing.assert_allclose(log.speed[:, 0] / RPM, COLUMNS["speed_1_rpm"])
+
+
+@pytest.mark.parametrize("version", ["4", "5"])
+def test_columns_of_a_matrix_in_a_mat_file(tmp_path: Path, version: str) -> None:
+    from scipy.io import savemat
+
+    time = np.arange(80) * 0.01
+    savemat(tmp_path / "log.mat", {"data": np.column_stack([time, np.sin(time), time**2])}, format=version)
+    text = """schema: hydro_env/mapping/1
+time: {column: "data(:,1)"}
+channel_1: {command: {column: "data(:,2)", unit: V}, speed: {column: "data(:,3)", unit: rad/s}}
+"""
+    log = read_log(tmp_path / "log.mat", write(tmp_path, text, "m.yaml"))
+    np.testing.assert_allclose(log.speed[:, 0], time**2)
 
 
 def test_mat_73(tmp_path: Path) -> None:

@@ -100,8 +100,8 @@ def test_a_new_effect_is_simulated_hidden_a_candidate_and_in_the_documents(tmp_p
 
 def test_its_words_and_its_experiment_are_those_of_the_report() -> None:
     assert wording.title(NAME) == "swelling seals of the motor"
-    assert wording.parameter(NAME, "amount") == "drag in the end"
-    assert wording.parameter(NAME, "drift") == "drift"
+    assert CATALOGUE[NAME].parameter("amount").title == "drag in the end"
+    assert CATALOGUE[NAME].parameter("drift").title == "drift"
     assert wording.title("shared_return") == "shared return"
     assert separating_experiment(NAME, "viscosity_drift") == "hold the temperature of the oil"
     assert separating_experiment("viscosity_drift", NAME) == "hold the temperature of the oil"

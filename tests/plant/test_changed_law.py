@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hydro_env.plant.kernel.statements import _paste
+from hydro_env.plant.kernel.laws import texts
 
 
 def test_a_law_whose_file_was_changed_since_is_refused(tmp_path: Path) -> None:
@@ -21,9 +21,9 @@ def test_a_law_whose_file_was_changed_since_is_refused(tmp_path: Path) -> None:
     sys.modules[spec.name] = laws
     try:
         spec.loader.exec_module(laws)
-        assert _paste(laws.first, "first_law").startswith("def first_law(voltage, gain):")
+        assert texts({"first_law": laws.first})[-1].startswith("def first_law(voltage, gain):")
         file.write_text("def other(force, mass):\n    return force / mass\n\n\n" + file.read_text())
         with pytest.raises(ValueError, match="'second' was changed since it was loaded"):
-            _paste(laws.second, "second_law")
+            texts({"second_law": laws.second})
     finally:
         del sys.modules[spec.name]

@@ -317,7 +317,7 @@ def test_diagnosis_tries_them_only_when_the_model_lists_them():
     [
         ({"wilson_loss": {}}, "did you mean 'wilson_losses'"),
         ({"wilson_losses": {"both": {"slipp": 1e-6}}}, "did you mean 'slip'"),
-        ({"wilson_losses": {"both": {"slip": "much"}}}, "'much' is no number"),
+        ({"wilson_losses": {"both": {"slip": "much"}}}, "should be a number"),
         ({"schloesser_losses": {"both": {"density": 0.0}}}, "schloesser_losses.both.density: 0 kg/m3 is out of range"),
         ({"jeong_losses": {"channel_2": {"viscosity": -0.04}}}, "jeong_losses.channel_2.viscosity: -0.04 Pa s is out of range"),
     ],

@@ -111,7 +111,7 @@ GOOD = "schema: hydro_env/model/1\n"
         ("schema: other\n", "schema"),
         (GOOD + "chanel_1: {}\n", "did you mean 'channel_1'"),
         (GOOD + "both: {Kqq: 1}\n", "did you mean 'Kq'"),
-        (GOOD + "both: {Kq: large}\n", "no number"),
+        (GOOD + "both: {Kq: large}\n", "both.Kq is .large., should be a number"),
         (GOOD + "both: {Kq: -1.0}\n", "Kq: -1 m2/s is out of range"),
         (GOOD + "both: 3\n", "name: value"),
         (GOOD + "effects: {deadzone: {}}\n", "did you mean 'dead_zone'"),

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from hydro_env.experiments.accuracy import COMMANDS, against_reference, commands, compare, drawn, loads
+from docs.evidence.accuracy import COMMANDS, against_reference, commands, compare, drawn, loads
 from hydro_env.plant import BUILT_IN, CATALOGUE, PARAMETERS, Plant, load_model, simulate
-from hydro_env.practice.reference import run_closed_loop, simulate_reference
+from hydro_env.practice.reference import simulate_reference
 from tests.golden import SHAPES
-from tests.practice.test_reference import PaperPID
+from tests.practice.test_reference import paper_experiment
 
 RPM = math.pi / 30
 
@@ -29,7 +29,7 @@ def test_paper_experiment(overlap):
         model = model.with_values(
             {"dead_zone.overlap_positive": (overlap, 0.0), "dead_zone.overlap_negative": (overlap, 0.0)}
         )
-    truth = run_closed_loop(model, PaperPID(0.01), 0.01, 600, tolerance=1e-8)
+    truth = paper_experiment(model, tolerance=1e-8)
     kernel = simulate(model, truth["command"], truth["load"], 0.01, record=("speed",))
     assert np.abs(kernel["speed"][:, 0] - truth["speed"]).max() / RPM < 0.1
 

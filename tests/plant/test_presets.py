@@ -293,7 +293,7 @@ def test_sources_follow_base_and_valve_and_are_checked(tmp_path) -> None:  # typ
     assert "mine.yaml" in sources_of(path)["R", 0]  # given there, without a word where it is from
     for wrong, said in (
         ("{Rr: measured}", "did you mean 'R'"),
-        ("{R: 3}", "expected text"),
+        ("{R: 3}", "sources.R is 3, should be text"),
         ("[R]", "name: value"),
     ):
         path.write_text(head + f"sources: {wrong}\n")

@@ -136,6 +136,58 @@ def test_a_line_that_fails_is_named(tmp_path: Path) -> None:
         load_effects([path])
 
 
+HELPED = """from hydro_env.plant import Effect, Parameter, register
+from hydro_env.plant.vector_math import exp
+
+
+def fading(x):
+    return exp(-{expression})
+
+
+def share(opening, loss):
+    return fading(loss * abs(opening) * 1e3)
+
+
+def narrowing(opening, loss):
+    return opening * share(opening, loss)
+
+
+register(Effect(name="narrow", port="opening", summary="s", signature="s", source="s", laws={{"opening": narrowing}},
+    parameters=(Parameter("loss", "1/mm", 0.0, 0.0, 3.0, "assumed", typical=1.0),)))
+"""
+
+
+def test_a_law_calls_functions_of_its_own_file(tmp_path: Path) -> None:
+    path = tmp_path / "helped.py"
+    path.write_text(HELPED.format(expression="x"), encoding="utf-8")
+    try:
+        assert load_effects([path]) == ("narrow",)
+        out = simulate(
+            "paper", np.full((60, 2), 60.0), None, 0.01, values={"narrow.loss": 1.0}, record=("flow", "spool")
+        )
+    finally:
+        unregister("narrow")
+    spool, flow = out["spool"][-1, 0, 0], out["flow"][-1, 0, 0]
+    assert flow == pytest.approx(load_model("paper").value("Kq", 0) * spool * np.exp(-spool * 1e3), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("expression", "words"),
+    [
+        ("x * math.pi", ["line 6", "fading", "math.pi"]),
+        ("fading(x)", ["line 5", "fading", "calls itself"]),
+    ],
+)
+def test_a_wrong_function_of_its_file_is_named(expression: str, words: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "helped.py"
+    path.write_text(HELPED.format(expression=expression), encoding="utf-8")
+    with pytest.raises(InputError) as problem:
+        load_effects([path])
+    for word in [*words, "'narrow'", "helped.py: line"]:
+        assert word in str(problem.value)
+    assert "\n" not in str(problem.value) and "narrow" not in CATALOGUE
+
+
 @pytest.mark.parametrize("name", list(CATALOGUE))
 def test_the_laws_of_the_package_pass_the_same_checks(name: str) -> None:
     check_laws(CATALOGUE[name])

@@ -255,9 +255,9 @@ def test_explicit_values():
         ),
         (["dead_zone"], {"severity": "huge"}, "small, medium, large"),
         (["dead_zone"], {"rate": 333.0}, "multiple of 100 Hz"),
-        (["dead_zone"], {"duration": 0.5}, "3 to 3600"),
+        (["dead_zone"], {"duration": 0.5}, "from 3 to 3600 s"),
         (["dead_zone"], {"seed": -1}, "whole number"),
-        (["dead_zone"], {"record": ("colour",)}, "unknown signal 'colour'"),
+        (["dead_zone"], {"record": ("colour",)}, "unknown 'colour'"),
         (["dead_zone"], {"model": "papr"}, "unknown plant"),
     ],
 )

@@ -9,7 +9,7 @@ import pytest
 
 from hydro_env.errors import InputError
 from hydro_env.plant import BUILT_IN, CATALOGUE, load_model
-from hydro_env.practice.reference import REFERENCE_SIGNALS, ReferenceRig, run_closed_loop, simulate_reference
+from hydro_env.practice.reference import REFERENCE_SIGNALS, ReferenceRig, simulate_reference
 from tests.golden import typical
 
 RPM = math.pi / 30
@@ -35,6 +35,19 @@ class PaperPID:
         return given
 
 
+def paper_experiment(model, period=0.01, samples=1, **settings):
+    """6 s of the reference under `PaperPID`: its signals, "command" and "load", (600 * samples, 2), rows as of the plant."""
+    rig, controller = ReferenceRig(model, **settings), PaperPID(period)
+    rows, now = [], rig.signals()
+    for n in range(600):
+        command = controller(n * period, now)
+        part = rig.advance(command, np.zeros(2), period, samples)
+        held = {"command": np.tile(command, (samples, 1)), "load": np.zeros((samples, 2))}
+        rows.append({name: np.vstack([now[name], values[:-1]]) for name, values in part.items()} | held)
+        now = {name: values[-1] for name, values in part.items()}
+    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+
+
 def _steps(rng, rows=60, hold=10, limit=60.0):
     return np.repeat(rng.uniform(-limit, limit, (rows, 2)), hold, axis=0)
 
@@ -45,7 +58,7 @@ def test_paper_experiment(overlap, low, high):
     model = load_model("paper").with_values(
         {"dead_zone.overlap_positive": (overlap, 0.0), "dead_zone.overlap_negative": (overlap, 0.0)}
     )
-    run = run_closed_loop(model, PaperPID(0.01), 0.01, 600, samples=5, tolerance=1e-6)
+    run = paper_experiment(model, samples=5, tolerance=1e-6)
     difference = np.abs(run["speed"][:, 0] - run["speed"][:, 1]) / RPM
     assert low < difference.max() < high
     assert difference[-1] < 30.0

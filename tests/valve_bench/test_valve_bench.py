@@ -17,9 +17,7 @@ from hypothesis import strategies as st
 
 from hydro_env import cli
 from hydro_env.errors import InputError
-from hydro_env.experiments import valve_test
-from hydro_env.experiments.valve_pairs import Valve, pair_model
-from hydro_env.experiments.valve_test_page import gain_of
+from hydro_env.experiments.valve_pairs import pair_model
 from hydro_env.plant import Plant, load_model
 from hydro_env.units import LPM
 from hydro_env.valve_bench import (
@@ -35,7 +33,9 @@ from hydro_env.valve_bench import (
     record_rates,
     record_rigs,
 )
+from hydro_env.valve_bench.bench import Sweeps, Valve, bench
 from hydro_env.valve_bench.curve import resolution
+from hydro_env.valve_bench.page import gain_of
 
 #: All effects of these tests, so that one kernel serves them all.
 EFFECTS = ("command_delay", "magnetic_hysteresis", "null_offset", "dead_zone", "flow_saturation", "directional_gain",
@@ -621,11 +621,11 @@ def test_what_a_curve_lacks_is_said_of_its_file(tmp_path: Path) -> None:
         row[2] = "1.0"
     path = write(tmp_path / "still.csv", rows)
     with pytest.raises(InputError, match=r"still\.csv: the flow is 1 l/min all the time"):
-        valve_test.bench([str(path)], valve_test.Settings(columns=COLUMNS), progress=False)
+        bench([str(path)], Sweeps(columns=COLUMNS), progress=False)
 
 
 def test_valves_of_one_name_are_told_apart() -> None:
-    tested = valve_test.bench(["paper:1", "paper:1"], valve_test.Settings(seconds=(2.0,)), progress=False)
+    tested = bench(["paper:1", "paper:1"], Sweeps(seconds=(2.0,)), progress=False)
     assert [each.curve.name for each in tested] == ["paper:1 (1)", "paper:1 (2)"]
 
 

@@ -108,7 +108,8 @@ def run(
         "relative_to_table_iii": near | {"Kp/Ti": [round(each - 1.0, 3) for each in integral]},
     }
     Path(out).mkdir(parents=True, exist_ok=True)
-    write_gains(Path(out) / "gains.json", GainsFile("pid", gains, UNITS, tuning, name or "pid_linear"))
+    file = GainsFile(name=name or "pid_linear", controller="pid", gains=gains, units=UNITS, tuning=tuning)
+    write_gains(Path(out) / "gains.json", file)
     return {"controller": "pid", "gains": gains, "units": UNITS, "tuning": tuning}
 
 

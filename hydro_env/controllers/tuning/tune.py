@@ -19,7 +19,7 @@ import numpy as np
 
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.registry import law_of
-from hydro_env.controllers.tuning.gains import GainsFile, read_gains, write_gains
+from hydro_env.controllers.tuning.gains import GainsFile, OtherPeriod, read_gains, write_gains
 from hydro_env.controllers.tuning.search import Search, Task, costs_of, drive, search
 from hydro_env.errors import InputError, suggestion
 from hydro_env.tasks import OWN
@@ -82,7 +82,11 @@ def run(out: str | Path, wanted: Search, name: str | None = None) -> dict[str, A
     words = " ".join(f"--{key} {shlex.quote(str(value))}" for key, value in options.items())
     tuning = {"command": f"hydro-env tune {words}"} | found["tuning"]
     file = GainsFile(
-        task.law, found["gains"], _units(law_of(task.law)), tuning, name or task.law.rpartition(":")[2]
+        name=name or task.law.rpartition(":")[2],
+        controller=task.law,
+        gains=found["gains"],
+        units=_units(law_of(task.law)),
+        tuning=tuning,
     )
     Path(out).mkdir(parents=True, exist_ok=True)
     write_gains(Path(out) / "gains.json", file)
@@ -122,9 +126,10 @@ def _tuned(name: str, out: Path, seed: int, progress: bool) -> GainsFile:
     for each in best.values():
         each["tuning"] = origin | each["tuning"]
     own = best.pop(PERIOD)
-    others = {f"{period:g}": each for period, each in best.items()}
+    others = {f"{period:g}": OtherPeriod(**each) for period, each in best.items()}
     plant = task.plant if task.mismatch is None else ""
-    file = GainsFile(task.law, own["gains"], _units(law_of(task.law)), own["tuning"], name, others, plant)
+    units = _units(law_of(task.law))
+    file = GainsFile(name=name, controller=task.law, units=units, plant=plant, periods=others, **own)
     write_gains(path, file)
     return file
 

@@ -1,38 +1,36 @@
 """Parameter estimation: what the stages of a diagnosis use.
 
-unknowns         numbers to estimate, with bounds, scale and prior
-estimate         unknowns with their values and what was simulated with these
-fit              likelihood, residuals and deviance of an estimate on the logs of a model
-noise            noise and independent samples of a residual
-gauss_newton     the solver
-settling         the last steps to the minimum, with derivatives as wide as the uncertainty
-multistart       restarts, where friction makes local minima
-growing_horizon  fits to the beginning of the logs first
-beginnings       competing candidates on the beginning of the logs
-explained        criteria: how much of a residual is explained
-uncertainty      block bootstrap
+unknowns          numbers to estimate, with bounds, scale and prior
+estimate          unknowns with their values and what was simulated with these
+fit               likelihood, residuals and deviance of an estimate on the logs of a model
+noise             noise and independent samples of a residual
+gauss_newton      the solver
+final_refinement  the last steps to the minimum, with derivatives as wide as the uncertainty
+early_window      fits to the beginning of the logs, of one estimate or of competing candidates
+multistart        restarts, where friction makes local minima
+fit_criteria      how much of a residual is explained
+uncertainty       block bootstrap
 """
 
-from .beginnings import best_on_beginnings
+from .early_window import best_on_early_window, grow_horizon
 from .estimate import Estimate, Vector, joined
-from .explained import (
+from .final_refinement import refine, settle
+from .fit import Fit, Noise, noise_of
+from .fit_criteria import (
     could_pay,
-    explained_share,
+    far_from_noise,
     mostly_explained,
-    nearly_explained,
     unexplained,
 )
-from .fit import Fit, Noise, noise_of
 from .gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
-from .growing_horizon import grow_horizon
-from .multistart import far_from_noise, restart_friction
+from .multistart import restart_friction
 from .noise import effective_samples, noise_floor
-from .settling import settle, settle_finally
 from .uncertainty import (
     CANNOT_BE_PREDICTED,
-    courses_apart,
     intervals_of,
+    predictions_apart,
     probability_of_gain,
+    replica_differences,
     unpredictable,
 )
 from .unknowns import (
@@ -50,9 +48,9 @@ from .unknowns import (
 
 __all__ = [
     "CANNOT_BE_PREDICTED", "SCALED_TOGETHER", "SETTLE_ITERATIONS", "Estimate", "Fit", "Noise", "Unknown", "Vector",
-    "base_unknown", "bases_of", "best_on_beginnings", "could_pay", "courses_apart", "differentiate", "effect_starts",
-    "effect_unknowns", "effective_samples", "explained_share", "far_from_noise", "given_unknown", "grow_horizon", "intervals_of",
-    "joined", "less_taken", "limited_by_effects", "mostly_explained", "nearly_explained", "noise_floor", "noise_of",
-    "probability_of_gain", "restart_friction", "scaled", "settle", "settle_finally", "solve", "step_all",
+    "base_unknown", "bases_of", "best_on_early_window", "could_pay", "differentiate", "effect_starts", "effect_unknowns",
+    "effective_samples", "far_from_noise", "given_unknown", "grow_horizon", "intervals_of", "joined", "less_taken",
+    "limited_by_effects", "mostly_explained", "noise_floor", "noise_of", "predictions_apart", "probability_of_gain", "refine",
+    "replica_differences", "restart_friction", "scaled", "settle", "solve", "step_all",
     "unexplained", "unpredictable",
 ]  # fmt: skip

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from math import nan
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,22 +12,33 @@ from ...plant import CATALOGUE
 from ..models.base import Request
 from .unknowns import SCALED_TOGETHER, Unknown, effect_unknowns, less_taken
 
-if TYPE_CHECKING:
-    from .uncertainty import Intervals
-
-__all__ = ["Estimate", "Vector", "joined"]
+__all__ = ["Estimate", "Intervals", "Vector", "joined"]
 
 Vector = np.ndarray
 
 
-@dataclass
+@dataclass(frozen=True)
+class Intervals:
+    """`low` and `high` (k,) hold 95 % of the replicas' estimates of q; `without` (k,) is the largest move of q when one
+    manoeuvre is left out. `draws` (m, k) are some of the replicas' estimates. `learned` (k,) is the share of the variance
+    of each prior that the logs take away."""
+
+    low: Vector
+    high: Vector
+    without: Vector
+    draws: Vector
+    learned: Vector = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(eq=False)
 class Estimate:
     """Unknowns of a channel (None: of the whole rig) and their values, on the scale `q` of each.
 
     `simulated` holds, by channel, the samples at `q`; `columns` their derivatives (n, number of unknowns) where they were
     last computed; `cost` twice the negative log-likelihood at `q`. `follow` holds
     parameters that are not estimated but repeat another one, by name (with a minus: its opposite), or a number. `together`
-    names the directions of `SCALED_TOGETHER` along which derivatives are taken.
+    names the directions of `SCALED_TOGETHER` along which derivatives are taken. An estimate equals itself alone, so it can be
+    the key of a dictionary.
     """
 
     channel: int | None
@@ -44,26 +54,26 @@ class Estimate:
 
     def request(self, q: Vector | None = None) -> Request:
         """The simulation at q (default: at the estimate)."""
-        q = self.q if q is None else q
         if self.channel is not None:
-            values = {u.name: u.value(v) for u, v in zip(self.unknowns, q, strict=True)}
-            return Request(self.channel, self._with_followers(values))
-        pairs: dict[str, list[float]] = {}
-        for u, v in zip(self.unknowns, q, strict=True):
-            value = u.value(v)
-            # What is estimated for one channel alone is on the other one as given.
-            pair = pairs.setdefault(u.name, [nan, nan])
-            for c in (0, 1) if u.channel is None else (u.channel,):
-                pair[c] = value
-        sides = [self._with_followers({name: pair[c] for name, pair in pairs.items()}) for c in (0, 1)]
-        return Request(None, {name: (sides[0][name], sides[1][name]) for name in sides[0]})
+            return Request(self.channel, self.values(self.channel, q))
+        one, other = (self.values(c, q) for c in (0, 1))
+        # What is estimated for one channel alone is on the other one as given.
+        return Request(None, {name: (one.get(name, nan), other.get(name, nan)) for name in {**one, **other}})
 
     def beside(self, moves: Iterable[Vector]) -> list[Request]:
         """The simulation at the estimate, and behind it those at `q + move`, for differences: all take the steps of the first."""
         here = self.request()
         return [here, *(replace(self.request(self.q + move), like=here) for move in moves)]
 
-    def _with_followers(self, values: dict[str, float]) -> dict[str, float]:
+    @property
+    def bounds(self) -> tuple[Vector, Vector]:
+        pairs = np.array([u.bounds for u in self.unknowns]).reshape(-1, 2)
+        return pairs[:, 0], pairs[:, 1]
+
+    def values(self, channel: int, q: Vector | None = None) -> dict[str, float]:
+        """The values at q (default: at the estimate) that act on a channel, by name."""
+        own = zip(self.unknowns, self.q if q is None else q, strict=True)
+        values = {u.name: u.value(v) for u, v in own if u.channel in (None, channel)}
         for name, source in self.follow.items():
             if not isinstance(source, str):
                 values[name] = source
@@ -71,16 +81,6 @@ class Estimate:
                 value = values[source.removeprefix("-")]
                 values[name] = -value if source.startswith("-") else value
         return values
-
-    @property
-    def bounds(self) -> tuple[Vector, Vector]:
-        pairs = np.array([u.bounds for u in self.unknowns]).reshape(-1, 2)
-        return pairs[:, 0], pairs[:, 1]
-
-    def values(self, channel: int) -> dict[str, float]:
-        """The estimated values that act on a channel, by name."""
-        own = zip(self.unknowns, self.q, strict=True)
-        return self._with_followers({u.name: u.value(v) for u, v in own if u.channel in (None, channel)})
 
     def effects(self) -> list[str]:
         """The effects of which parameters are estimated."""
@@ -140,12 +140,18 @@ class Estimate:
         unknowns, label = [self.unknowns[j] for j in keep], f"without {effect}"
         return Estimate(self.channel, unknowns, self.q[keep], label, follow=follow)
 
+    def improve(self, cost: float, q: Vector, simulated: dict[int, Vector]) -> None:
+        """Moves to q, where the `simulated` samples have this cost, if that is lower."""
+        if cost < self.cost:
+            self.cost, self.q, self.simulated = cost, q, simulated
+
     def adopt(self, other: Estimate) -> bool:
         """Takes over the values of `other`, of the same unknowns, if it explains the logs better; whether it does."""
-        if not other.cost < self.cost:
-            return False
-        self.q, self.cost, self.simulated, self.columns = other.q, other.cost, other.simulated, other.columns
-        return True
+        better = other.cost < self.cost
+        if better:
+            self.improve(other.cost, other.q, other.simulated)
+            self.columns = other.columns
+        return better
 
 
 def _effect_of(name: str | float) -> str:
@@ -154,22 +160,26 @@ def _effect_of(name: str | float) -> str:
 
 
 def joined(estimates: dict[int, Estimate]) -> Estimate:
-    """The estimates of the channels as one of the rig."""
+    """The estimates of the channels as one of the rig, in which what the channels share is there once."""
     first = next(iter(estimates.values()))
     if first.channel is None:
         return first
-    # What a channel's estimate holds is that channel's own, also beside the other one.
-    unknowns = [replace(u, channel=c) for c, p in estimates.items() for u in p.unknowns]
-    q = np.concatenate([p.q for p in estimates.values()])
+    names = {c: [_of_channel(u, c) for u in p.unknowns] for c, p in estimates.items()}
+    place = {u: n for n, u in enumerate(dict.fromkeys(u for own in names.values() for u in own))}
     follow = {name: source for p in estimates.values() for name, source in p.follow.items()}
-    simulated = {c: p.simulated[c] for c, p in estimates.items()}
-    whole = Estimate(None, unknowns, q, "rig", simulated=simulated, follow=follow)
-    place = 0
+    whole = Estimate(None, list(place), np.zeros(len(place)), "rig", follow=follow)
     for c, p in estimates.items():
-        matrix = np.zeros((p.simulated[c].size, len(unknowns)), order="F")
-        if c in p.columns:
-            matrix[:, place : place + len(p.unknowns)] = p.columns[c]
-        whole.columns[c] = matrix
-        place += len(p.unknowns)
+        own = [place[u] for u in names[c]]
+        whole.q[own] = p.q
+        if c in p.simulated:
+            whole.simulated[c] = p.simulated[c]
+            matrix = whole.columns[c] = np.zeros((p.simulated[c].size, len(place)), order="F")
+            matrix[:, own] = p.columns.get(c, 0.0)
     whole.cost = sum(p.cost for p in estimates.values())
     return whole
+
+
+def _of_channel(unknown: Unknown, channel: int) -> Unknown:
+    """What a channel's estimate holds is that channel's own, also beside the other one, unless it is of an effect of the rig."""
+    effect = unknown.name.rpartition(".")[0]
+    return unknown if effect and CATALOGUE[effect].scope == "rig" else replace(unknown, channel=channel)

@@ -17,14 +17,12 @@ from ..settings import Settings
 from .estimate import Estimate, Vector
 from .noise import effective_samples, noise_floor
 
-__all__ = ["Fit", "Noise", "lower", "noise_of"]
+__all__ = ["Fit", "Noise", "noise_of"]
 
 #: Standard deviations of the noise by (channel, signal), in SI.
 Noise = dict[tuple[int, str], float]
-#: Signals with fewer samples than this say nothing of their correlation.
-FEWEST = 8
-#: Standard deviations of the test for white noise (`Fit.is_white`) from which on it fails.
-WHITE = 3.0
+#: Signals with fewer samples than this say nothing of their correlation (as in `effective_samples`).
+MIN_SAMPLES = 8
 #: Rows of derivatives that stay in the processor's cache: their products take half as long as those of all rows.
 CACHED = 4096
 
@@ -44,11 +42,6 @@ def noise_of(rig: RigModel, estimates: dict[int, Estimate]) -> Noise:
     return noise
 
 
-def lower(old: Noise, new: Noise) -> Noise:
-    """The lower of two noises, for all that `old` has."""
-    return {key: min(value, new.get(key, value)) for key, value in old.items()}
-
-
 @dataclass(frozen=True)
 class Fit:
     """A model of the rig with its logs, and the noise of their signals: what every estimate is compared with."""
@@ -63,7 +56,10 @@ class Fit:
 
     def with_noise_seen_by(self, estimates: dict[int, Estimate]) -> Fit:
         """The same with the noise as these estimates show it, where that is lower: what is missing makes it look larger."""
-        return replace(self, noise=lower(self.noise, noise_of(self.rig, estimates)))
+        seen = noise_of(self.rig, estimates)
+        return replace(
+            self, noise={key: min(value, seen.get(key, value)) for key, value in self.noise.items()}
+        )
 
     def channels_of(self, estimate: Estimate) -> tuple[int, ...]:
         return self.rig.channels if estimate.channel is None else (estimate.channel,)
@@ -97,41 +93,19 @@ class Fit:
         return max(v for each in found for v in each.values())
 
     def at_noise(self, estimate: Estimate, within: float = 1.02) -> bool:
-        """Whether no signal of any log is left with more than its noise, or so many times it."""
+        """Whether no signal of any log is left with more than `within` times its noise."""
         return all(
             value < within * self.noise[channel, signal]
             for channel in self.channels_of(estimate)
             for (_, signal), value in self.rms(estimate.simulated[channel], channel).items()
         )
 
-    def is_white(self, estimate: Estimate) -> bool:
-        """Whether white noise is all that is left of every signal.
-
-        One-way analysis of variance over the blocks: the means of blocks of white noise differ as much as its spread within them
-        lets them. Unlike an RMS this does not depend on how well the noise is known, and it sees a hundredth of the noise's power
-        where that is slow.
-        """
-        for channel in self.channels_of(estimate):
-            j = self.rig.segments[channel].joined
-            error = (j.filled - estimate.simulated[channel]) * j.used
-            mean = np.add.reduceat(error, j.first) / np.maximum(j.count, 1.0)
-            between = j.count * mean**2
-            within = np.add.reduceat(error * error, j.first) - between
-            for number in range(len(j.signals)):
-                own = (j.signal == number) & (j.count > 1.0)
-                if own.any():
-                    # Fisher's F, with so many degrees of freedom that it is nearly normal.
-                    ratio = between[own].mean() / (within[own].sum() / (j.count[own] - 1.0).sum())
-                    if ratio - 1.0 > WHITE * np.sqrt(2.0 / own.sum()):
-                        return False
-        return True
-
     # --- likelihood -------------------------------------------------------------------------------------------------------
     def _powers(self, simulated: Vector, channel: int) -> tuple[Joined, Vector]:
         """The samples of a channel, and the power of each block (b,): the mean square of the error plus the noise's."""
         j = self.rig.segments[channel].joined
         error = j.filled - simulated
-        error *= j.used  # in place, as this is done for every simulation: six times as fast as `np.where`
+        error *= j.used  # in place, as this is done for every simulation
         error *= error
         mean = np.add.reduceat(error, j.first) / np.maximum(j.count, 1.0)
         return j, mean + np.array([self.noise[channel, signal] ** 2 for signal in j.signals])[j.signal]
@@ -164,7 +138,7 @@ class Fit:
         estimate.simulated, estimate.cost = simulated, self.cost(estimate, simulated, estimate.q)
 
     def rescore(self, estimates: Sequence[Estimate]) -> None:
-        """Sets `cost` anew, for another noise."""
+        """Sets `cost` again, for another noise."""
         for one in estimates:
             one.cost = self.cost(one, one.simulated, one.q)
 
@@ -192,7 +166,7 @@ class Fit:
         found: dict[tuple[int, int], float] = {}
         shares = []
         for s in self.rig.segments[channel]:
-            if s.used.sum() < FEWEST:
+            if s.used.sum() < MIN_SAMPLES:
                 continue
             floor = self.noise[channel, s.signal] ** 2
             number = s.stretches(stretch_s)
@@ -204,16 +178,6 @@ class Fit:
             for n, value in enumerate(counts * np.log(powers[0] / powers[1])):
                 found[s.log, n] = found.get((s.log, n), 0.0) + float(value)
         return min(shares, default=1.0) * np.array([found[key] for key in sorted(found)])
-
-    def cost_by_stretch(self, estimate: Estimate, channel: int, stretch_s: float) -> Vector:
-        """The cost, without priors, of a channel's logs in stretches of time (m,)."""
-        found: dict[tuple[int, int], float] = {}
-        j, power = self._powers(estimate.simulated[channel], channel)
-        costs = iter(j.count * np.log(power))
-        for s in self.rig.segments[channel]:
-            for n in s.stretches(stretch_s)[s.blocks[0]]:
-                found[s.log, n] = found.get((s.log, n), 0.0) + float(next(costs))
-        return np.array([found[key] for key in sorted(found)])
 
     # --- normal equations -------------------------------------------------------------------------------------------------
     def normal_equations(self, estimate: Estimate) -> tuple[Vector, Vector]:
@@ -241,7 +205,7 @@ class Fit:
         for channel in self.channels_of(estimate):
             weights = self.weights(estimate.simulated[channel], channel)
             for s in self.rig.segments[channel]:
-                if s.used.sum() < FEWEST:
+                if s.used.sum() < MIN_SAMPLES:
                     continue
                 error = s.error(estimate.simulated[channel])
                 share = effective_samples(error[s.used]) / float(s.used.sum())
@@ -255,18 +219,3 @@ class Fit:
                     side += share * (part.T @ (error[rows] * weights[s.place][rows]))
         ordered = [found[key] for key in sorted(found)]
         return np.array([m for m, _ in ordered]), np.array([v for _, v in ordered])
-
-    def spread(self, estimate: Estimate) -> Vector:
-        """Standard deviations of q (k,), widened for the correlation of the residual."""
-        matrix = np.diag([1.0 if u.prior else 0.0 for u in estimate.unknowns])
-        matrix = matrix + 1e-12 * np.eye(len(estimate.unknowns))
-        for channel in self.channels_of(estimate):
-            weights = self.weights(estimate.simulated[channel], channel)
-            for s in self.rig.segments[channel]:
-                if s.used.sum() < FEWEST:
-                    continue
-                error = (s.measured - estimate.simulated[channel][s.place])[s.used]
-                share = effective_samples(error) / error.size
-                columns = estimate.columns[channel][s.place] * weights[s.place, None]
-                matrix = matrix + share * (columns.T @ columns)
-        return np.sqrt(np.maximum(np.diag(np.linalg.pinv(matrix, hermitian=True)), 0.0))

@@ -6,7 +6,7 @@ simulations serves all of them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,59 +15,50 @@ from .estimate import Estimate, Vector
 from .fit import Fit
 from .unknowns import scaled
 
-__all__ = ["SETTLE_ITERATIONS", "differentiate", "solve", "step_all"]
+__all__ = ["SETTLE_ITERATIONS", "differentiate", "simulate_moves", "solve", "step_all"]
 
-#: Most iterations of a refit that is to go as far as it goes.
+#: Iterations of a refit that is to go as far as it goes, at most: each step of differences four times.
 SETTLE_ITERATIONS = 12
 
-#: Steps of q for finite differences, in turn: stiction makes the data a rough function of its parameters.
+#: Steps of q for finite differences, in turn, since stiction makes the data a rough function of its parameters. Where a prior is
+#: 30 % wide these are 4.5 %, 1.2 % for an estimate that is near its minimum, and 12 % to step over local minima.
 DIFFERENCE_STEPS = (0.15, 0.04, 0.4)
 #: Parts and multiples of a step that are tried: weights that follow the residual make single steps too short.
 STEP_FACTORS = (4.0, 2.0, 1.0, 0.4, 0.1)
-#: Longest step in any coordinate of q.
-LONGEST_STEP = 3.0
-#: Starts of an estimate that are nearer than this in every q have met.
-MET = 0.05
+#: Longest step in any coordinate of q: three standard deviations of its prior.
+MAX_STEP = 3.0
 #: An iteration is idle if it takes away less than this share of what the cost is above that of the noise alone. Where something
 #: is missing, the other parameters creep for long, and to no use: they move again once it is there.
+#: Twenty idle iterations would take away a hundredth.
 IDLE_SHARE = 0.0005
 
 
-def solve(
-    fit: Fit, estimates: Sequence[Estimate], iterations: int = 4, tolerance: float = 2.0,
-    races: Sequence[Sequence[Estimate]] = (),
-) -> None:  # fmt: skip
+def solve(fit: Fit, estimates: Sequence[Estimate], iterations: int = 4, tolerance: float = 2.0) -> None:
     """Improves all estimates, in place.
 
-    `races` are starts of the same estimate, or competing candidates, improved in the same way, of which only the best one will
-    be used: one that cannot become the best any more ends early (`_out_of_race`).
-
-    An estimate ends early once no step size of the differences lowers its cost by `tolerance` (or `IDLE_SHARE`), or one does not
-    and it is at the noise already. One that brings `columns` along (from a smaller one) uses them in its first step.
+    An estimate ends early once no step size of the differences lowers its cost by `tolerance` (two: what a parameter must gain
+    at least, Akaike 1974) or `IDLE_SHARE`, or one does not and it is at the noise already. One that brings `columns` along (from
+    a smaller one) uses them in its first step.
     """
     fit.evaluate([p for p in estimates if not p.simulated])
     live = [p for p in estimates if p.unknowns and np.isfinite(p.cost)]
-    stalled = dict.fromkeys(map(id, live), 0)
-    falls: dict[int, list[float]] = {id(p): [] for p in live}
-    floors = {id(p): fit.cost_of_noise(p) for p in live}
+    stalled = dict.fromkeys(live, 0)
+    floors = {p: fit.cost_of_noise(p) for p in live}
     for iteration in range(iterations):
         if not live:
             break
-        before = {id(p): p.cost for p in live}
+        before = {p: p.cost for p in live}
         old = [p for p in live if not p.columns or iteration > 0]
         points = differentiate(fit, old, size=DIFFERENCE_STEPS[iteration % len(DIFFERENCE_STEPS)])
         step_all(fit, live)
-        for estimate, (cost, q, result) in zip(old, points, strict=True):
+        for p, point in zip(old, points, strict=True):
             # A point that was simulated for a derivative may be better than every step along it.
-            if cost < estimate.cost:
-                estimate.cost, estimate.q, estimate.simulated = cost, q, result
+            p.improve(*point)
         for p in live:
-            idle = before[id(p)] - p.cost < max(tolerance, IDLE_SHARE * (p.cost - floors[id(p)]))
+            idle = before[p] - p.cost < max(tolerance, IDLE_SHARE * (p.cost - floors[p]))
             quiet = idle and fit.at_noise(p)
-            stalled[id(p)] = len(DIFFERENCE_STEPS) if quiet else stalled[id(p)] + 1 if idle else 0
-            falls[id(p)].append(before[id(p)] - p.cost)
-        out = {n for race in races for n in _out_of_race(race, falls, iterations - iteration - 1, tolerance)}
-        live = [p for p in live if stalled[id(p)] < len(DIFFERENCE_STEPS) and id(p) not in out]
+            stalled[p] = len(DIFFERENCE_STEPS) if quiet else stalled[p] + 1 if idle else 0
+        live = [p for p in live if stalled[p] < len(DIFFERENCE_STEPS)]
 
 
 def step_all(fit: Fit, live: Sequence[Estimate], factors: Sequence[float] = STEP_FACTORS) -> None:
@@ -77,82 +68,68 @@ def step_all(fit: Fit, live: Sequence[Estimate], factors: Sequence[float] = STEP
         step, (low, high) = _bounded_step(p, *fit.normal_equations(p)), p.bounds
         trials += [(p, np.clip(p.q + factor * step, low, high)) for factor in factors]
     results = fit.rig.predict([p.request(q) for p, q in trials])
-    for (estimate, q), result in zip(trials, results, strict=True):
-        cost = fit.cost(estimate, result, q)
-        if cost < estimate.cost:
-            estimate.cost, estimate.q, estimate.simulated = cost, q, result
+    for (p, q), result in zip(trials, results, strict=True):
+        p.improve(fit.cost(p, result, q), q, result)
 
 
 def _bounded_step(estimate: Estimate, matrix: Vector, side: Vector) -> Vector:
-    """The Gauss-Newton step inside the bounds and not longer than `LONGEST_STEP` in any coordinate."""
+    """The Gauss-Newton step inside the bounds and not longer than `MAX_STEP` in any coordinate."""
     scale, vectors = np.linalg.eigh(matrix)
     scale = np.maximum(scale, 1e-9 * scale[-1] + 1e-9)
     low, high = estimate.bounds
-    low, high = np.maximum(low - estimate.q, -LONGEST_STEP), np.minimum(high - estimate.q, LONGEST_STEP)
+    low, high = np.maximum(low - estimate.q, -MAX_STEP), np.minimum(high - estimate.q, MAX_STEP)
     low, high = np.minimum(low, 0.0) - 1e-9, np.maximum(high, 0.0) + 1e-9
     return minimum_in_box((vectors * scale) @ vectors.T, side, low, high)
 
 
-def _out_of_race(
-    race: Sequence[Estimate], falls: dict[int, list[float]], left: int, tolerance: float
-) -> set[int]:
-    """The ids of the starts that have met the best one, or do not reach it in the iterations that are left if every one of
-    these is as good as the best of the last ones, one of each size of step."""
-    best = min(race, key=lambda p: p.cost)
-    out = set()
-    for p in race:
-        recent = falls.get(id(p), [])[-len(DIFFERENCE_STEPS) :]
-        if p is best or len(recent) < len(DIFFERENCE_STEPS):
-            continue
-        behind = p.cost - best.cost
-        same = [u.name for u in p.unknowns] == [u.name for u in best.unknowns]  # forms may race, too
-        met = same and behind < tolerance and float(np.max(np.abs(p.q - best.q), initial=0.0)) < MET
-        if met or behind > left * max(recent):
-            out.add(id(p))
-    return out
-
-
 # --- derivatives ----------------------------------------------------------------------------------------------------------
+def simulate_moves(
+    fit: Fit, estimates: Sequence[Estimate], moves: Sequence[Sequence[Vector]]
+) -> Iterator[tuple[list[dict[int, Vector]], list[float]]]:
+    """Simulates every estimate again and, in the steps of that simulation, the points at its `moves` of q: yields by estimate the
+    samples at these points and their costs."""
+    requests = [r for p, own in zip(estimates, moves, strict=True) for r in p.beside(own)]
+    results = iter(fit.rig.predict(requests))
+    for p, own in zip(estimates, moves, strict=True):
+        fit.take(p, next(results))
+        found = [next(results) for _ in own]
+        yield found, [fit.cost(p, r, p.q + move) for r, move in zip(found, own, strict=True)]
+
+
 def differentiate(
     fit: Fit, estimates: Sequence[Estimate], only: Sequence[Sequence[int]] | None = None, size: float = DIFFERENCE_STEPS[0]
 ) -> list[tuple[float, Vector, dict[int, Vector]]]:  # fmt: skip
     """Sets `columns` of every estimate, or only the columns `only` (one list of numbers for each estimate).
 
-    Returns for every estimate the best of the points that were simulated for it: (cost, q, samples).
+    Returns for every estimate the best of the points inside its bounds that were simulated for it: (cost, q, samples).
     """
-    moves: list[list[tuple[int, Vector]]] = []
-    for n, estimate in enumerate(estimates):
-        wanted = range(len(estimate.unknowns)) if only is None else only[n]
-        moves.append([(j, _move(estimate, j, size)) for j in wanted])
-    requests = [r for p, own in zip(estimates, moves, strict=True) for r in p.beside(m for _, m in own)]
-    results = iter(fit.rig.predict(requests))
-    found = []
-    for estimate, own in zip(estimates, moves, strict=True):
-        fit.take(estimate, next(results))
-        best = (np.inf, estimate.q, estimate.simulated)
-        low, high = estimate.bounds
-        for channel in fit.channels_of(estimate):
-            shape = (estimate.simulated[channel].size, len(estimate.unknowns))
-            kept = estimate.columns.get(channel)
-            # New ones: an estimate that another was made from may still hold the old ones. They lie in memory column by column,
-            # as they come.
-            fresh = (
-                np.zeros(shape, order="F")
-                if kept is None or kept.shape != shape or only is None
-                else kept.copy(order="K")
-            )
-            estimate.columns = {**estimate.columns, channel: fresh}
-        for j, move in own:
-            result, moved = next(results), estimate.q + move
-            for channel in fit.channels_of(estimate):
-                estimate.columns[channel][:, j] = (result[channel] - estimate.simulated[channel]) / move[j]
-            inside = bool(np.all((low <= moved) & (moved <= high)))
-            cost = fit.cost(estimate, result, moved) if inside else np.inf
-            if cost < best[0]:
+    wanted = [range(len(p.unknowns)) for p in estimates] if only is None else only
+    moves = [[_move(p, j, size) for j in own] for p, own in zip(estimates, wanted, strict=True)]
+    points = []
+    every = zip(estimates, wanted, moves, simulate_moves(fit, estimates, moves), strict=True)
+    for p, numbers, own, (found, costs) in every:
+        # New ones: an estimate that another was made from may still hold the old ones.
+        p.columns = {c: _columns_of(p, c, keep=only is not None) for c in fit.channels_of(p)}
+        best = (np.inf, p.q, p.simulated)
+        low, high = p.bounds
+        for j, move, result, cost in zip(numbers, own, found, costs, strict=True):
+            for c, columns in p.columns.items():
+                columns[:, j] = (result[c] - p.simulated[c]) / move[j]
+            moved = p.q + move
+            if cost < best[0] and np.all((low <= moved) & (moved <= high)):
                 best = (cost, moved, result)
-        _by_single_unknowns(estimate, own)
-        found.append(best)
-    return found
+        _by_single_unknowns(p, list(zip(numbers, own, strict=True)))
+        points.append(best)
+    return points
+
+
+def _columns_of(estimate: Estimate, channel: int, keep: bool) -> Vector:
+    """Room for the derivatives of a channel, with those that are known if these are to be kept. They lie in memory column by
+    column, as they come."""
+    shape, known = (estimate.simulated[channel].size, len(estimate.unknowns)), estimate.columns.get(channel)
+    if keep and known is not None and known.shape == shape:
+        return known.copy(order="K")
+    return np.zeros(shape, order="F")
 
 
 def _by_single_unknowns(estimate: Estimate, moves: Sequence[tuple[int, Vector]]) -> None:
@@ -176,7 +153,8 @@ def _move(estimate: Estimate, j: int, size: float) -> Vector:
     """The change of q for the derivative by unknown j: of it alone, or of a direction of `SCALED_TOGETHER`."""
     step = -size if estimate.q[j] + size > estimate.bounds[1][j] else size
     name = estimate.unknowns[j].name
-    # The forces not with every size of step: which derivative leads into a local minimum and which out of it is a matter of luck.
+    # The forces not with the smallest step: logs know their common scale least, so that it shows the roughness of stiction alone,
+    # and fits end in local minima of the spool's friction.
     if name in estimate.together and (name != "k" or size != DIFFERENCE_STEPS[1]):
         return scaled(estimate.unknowns, estimate.q, j, step)
     move = np.zeros(len(estimate.unknowns))

@@ -1,8 +1,8 @@
-"""Multistart: estimates that begin again from other values, because friction makes a cost with many local minima.
+"""Multistart: an estimate that leaves a little more than noise begins again, as friction makes a cost with many local minima.
 
 A spool that sticks a moment longer or shorter changes the logs by a jump, so Gauss-Newton steps end in the local minimum in
-which they began. So the friction of the spool is drawn anew several times, about the values as given and about
-those of the estimate in turn; all starts are improved side by side.
+which they began. So the friction of the spool is drawn again several times, about the values as given and about those of the
+estimate in turn; all starts are improved side by side, the better half for longer (successive halving).
 """
 
 from __future__ import annotations
@@ -11,61 +11,42 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..settings import rule
-from .estimate import Estimate, Vector
+from .estimate import Estimate
 from .fit import Fit
+from .fit_criteria import far_from_noise
 from .gauss_newton import solve
 
-__all__ = ["far_from_noise", "restart_friction"]
+__all__ = ["restart_friction"]
 
-RESTART_FRICTION = rule(
-    "restart_friction", "restart with other spool friction where little but more than white noise is left"
-)
-
-#: Base parameters that are drawn anew, and the standard deviations of the factors: less than their priors', for a start has to be
+#: Base parameters that are drawn again, and the standard deviations of the factors, less than their priors': a start has to be
 #: near enough to what is found from it.
 DRAWN = {"Fc": 0.15, "Fs": 0.15, "vs": 0.3}
-#: New starts, and iterations of each round, after which the better half goes on.
-STARTS, ROUND_ITERATIONS = 8, (2, 3, 4)
-#: A residual (`Fit.level`) up to which a local minimum may be the cause; what a missing effect leaves is larger.
-SMALL_LEVEL = 1.0
+#: New starts, iterations of each round, after which the better half goes on, and how often all this is done at most, as long as
+#: it helps. Three times free all four of the spools that are stuck in the rigs of tests/diagnosis/test_diagnosis_local_minima.py.
+STARTS, ROUNDS, MAX_TIMES = 8, (2, 3), 3
 
 
-def far_from_noise(fit: Fit, estimate: Estimate) -> bool:
-    """Whether more is left than a local minimum leaves."""
-    return fit.level(estimate) > SMALL_LEVEL
-
-
-def restart_friction(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
-    """Improves those of `estimates` that leave little but more than white noise, in place; returns those that became better."""
-    if not fit.settings.uses(RESTART_FRICTION):
-        return []
+def restart_friction(fit: Fit, estimates: Sequence[Estimate], iterations: int) -> None:
+    """Improves in place those of `estimates` that leave more than noise, but not so much that an effect is missing; what becomes
+    better is improved for `iterations` more."""
     rng = np.random.default_rng(0)
-    fields: list[tuple[Estimate, list[Estimate]]] = []
-    for estimate in estimates:
-        drawn = [j for j, u in enumerate(estimate.unknowns) if u.name in DRAWN]
-        if not drawn or fit.is_white(estimate) or far_from_noise(fit, estimate):
-            continue
-        centres = (np.zeros(len(estimate.q)), estimate.q)
-        starts = [_with_other_friction(estimate, drawn, centres[n % 2], rng) for n in range(STARTS)]
-        fields.append((estimate, starts))
-    for iterations in ROUND_ITERATIONS:
-        solve(fit, [p for _, starts in fields for p in starts], iterations)
-        for _, starts in fields:
-            starts.sort(key=lambda p: p.cost)
-            # Nothing better than white noise can be found.
-            keep = 1 if fit.is_white(starts[0]) else max(2, len(starts) // 2)
-            del starts[keep:]
-    return [p for p, starts in fields if p.adopt(starts[0])]
+    live = [p for p in estimates if any(u.name in DRAWN for u in p.unknowns)]
+    for _ in range(MAX_TIMES if fit.settings.uses("restart_friction") else 0):
+        live = [p for p in live if not fit.at_noise(p) and not far_from_noise(fit, p)]
+        fields = [[_with_other_friction(p, n % 2 == 1, rng) for n in range(STARTS)] for p in live]
+        for each in ROUNDS:
+            solve(fit, [p for starts in fields for p in starts], each)
+            fields = [sorted(starts, key=lambda p: p.cost)[: len(starts) // 2] for starts in fields]
+        live = [p for p, starts in zip(live, fields, strict=True) if p.adopt(starts[0])]
+        solve(fit, live, iterations)
 
 
-def _with_other_friction(
-    estimate: Estimate, drawn: Sequence[int], centre: Vector, rng: np.random.Generator
-) -> Estimate:
-    """The same with the friction of the spool drawn anew about `centre`."""
+def _with_other_friction(estimate: Estimate, here: bool, rng: np.random.Generator) -> Estimate:
+    """The same with the friction of the spool drawn again, about its own or (not `here`) the given values."""
     q = estimate.q.copy()
-    spread = np.array([DRAWN[estimate.unknowns[j].name] / estimate.unknowns[j].scale for j in drawn])
-    q[drawn] = centre[drawn] + spread * rng.standard_normal(len(drawn))
+    for j, u in enumerate(estimate.unknowns):
+        if u.name in DRAWN:
+            q[j] = (q[j] if here else 0.0) + DRAWN[u.name] / u.scale * rng.standard_normal()
     twin = estimate.at(np.clip(q, *estimate.bounds))
     twin.columns = dict(estimate.columns)  # derivatives of before are good enough for the first step
     return twin

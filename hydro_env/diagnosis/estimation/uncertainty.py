@@ -9,53 +9,46 @@ maximum likelihood; Oliver, He and Reynolds 1996).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from ..input.duration import STRETCH_S
 from .box import minimum_in_box
-from .estimate import Estimate, Vector
+from .estimate import Estimate, Intervals, Vector
 from .fit import Fit
 
 __all__ = [
-    "CANNOT_BE_PREDICTED", "Intervals", "bootstrap", "courses_apart", "intervals_of", "nearest_inside", "probability_of_gain",
-    "unpredictable",
+    "CANNOT_BE_PREDICTED", "bootstrap", "intervals_of", "nearest_inside", "predictions_apart", "probability_of_gain",
+    "replica_differences", "unpredictable",
 ]  # fmt: skip
 
-#: Length of a manoeuvre that is left out as a whole, s.
+#: Length of a manoeuvre that is left out as a whole, s: about that of a piece of a proposed experiment.
 MANOEUVRE_S = 2.0
+#: Replicas of the bootstrap: five lie beyond each end of a 95 % interval. More than 200 are seldom needed for a standard error
+#: (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 6.4).
 REPLICAS = 200
-#: Replicas that are simulated on the held-out logs, and times the noise by which their courses differ where these cannot be
-#: predicted.
-DRAWS, CANNOT_BE_PREDICTED = 8, 5.0
-
-
-@dataclass(frozen=True)
-class Intervals:
-    """`low` and `high` (k,) hold 95 % of the replicas' estimates of q; `without` (k,) is the largest move of q when one
-    manoeuvre is left out. `draws` (DRAWS, k) are some of the replicas' estimates. `learned` (k,) is the share of the variance
-    of each prior that the logs take away."""
-
-    low: np.ndarray
-    high: np.ndarray
-    without: np.ndarray
-    draws: np.ndarray
-    learned: np.ndarray = field(default_factory=lambda: np.zeros(0))
+#: Half the width of a 95 % interval of the normal distribution, in standard deviations.
+TWO_SIDED_95 = 1.96
+#: Replicas that are simulated on the held-out logs: the largest of eight differences is above their median but in one of 256
+#: cases.
+DRAWS = 8
+#: Times the noise by which the replicas' simulations differ where the held-out logs cannot be predicted: at five times, noise is
+#: a 25th of the power of what a proof would compare.
+CANNOT_BE_PREDICTED = 5.0
 
 
 def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
-    """Intervals of all unknowns of an estimate whose `columns` are at its q, never narrower than `Fit.spread` says."""
+    """Intervals of all unknowns of an estimate whose `columns` are at its q, never narrower than the inverse of the normal matrix
+    says."""
     size, bounds = len(estimate.unknowns), estimate.bounds
     prior = np.diag([1.0 if u.prior else 0.0 for u in estimate.unknowns]) + 1e-9 * np.eye(size)
     matrices, sides = fit.normal_equations_by_stretch(estimate, STRETCH_S)
     moves = bootstrap(matrices, sides, prior, estimate.q, np.random.default_rng(fit.settings.seed))
     low, high = np.quantile(moves, [0.025, 0.975], axis=0)
-    deviation = fit.spread(estimate)
-    spread = 1.96 * deviation
+    whole, right = matrices.sum(axis=0) + prior, sides.sum(axis=0) - prior @ estimate.q
+    deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(whole, hermitian=True)), 0.0))
+    spread = TWO_SIDED_95 * deviation
     low = np.clip(estimate.q + np.minimum(low, -spread), *bounds)
     high = np.clip(estimate.q + np.maximum(high, spread), *bounds)
-    whole, right = matrices.sum(axis=0) + prior, sides.sum(axis=0) - prior @ estimate.q
     start = np.linalg.lstsq(whole, right, rcond=None)[0]
     width = round(MANOEUVRE_S / STRETCH_S)
     without = np.zeros(size)
@@ -108,26 +101,33 @@ def probability_of_gain(fit: Fit, smaller: Estimate, larger: Estimate, needed: f
     return float((np.sum(drawn > needed) + 0.5) / (REPLICAS + 1.0))
 
 
-def courses_apart(fit: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
-    """By signal of a channel how far the courses of the replicas' estimates are apart from that of the estimate on the logs of
-    `fit`, which may be others than those fitted: RMS of the farthest, in times the noise.
+def replica_differences(fit: Fit, estimate: Estimate, channel: int) -> list[tuple[str, Vector]]:
+    """By segment of a channel its signal, and how far the simulations of the replicas' estimates are from that of the estimate
+    (replicas, rows that count), in times the noise; on the logs of `fit`, which may be others than those fitted.
 
     A spool that sticks now here, now there, or a shaft that comes nearly to rest and turns on this way or that, does so by
     parts in a thousand of a parameter, which no fit knows.
     """
     if estimate.intervals is None:
-        return {}
+        return []
     requests = [estimate.request(), *(estimate.request(q) for q in estimate.intervals.draws)]
     first, *others = (result[channel] for result in fit.rig.predict(requests))
+    return [
+        (s.signal, np.array([(o - first)[s.place][s.used] for o in others]) / fit.noise[channel, s.signal])
+        for s in fit.rig.segments[channel]
+    ]
+
+
+def predictions_apart(fit: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
+    """By signal of a channel the RMS of the farthest of the `replica_differences`, in times the noise."""
     apart: dict[str, float] = {}
-    for s in fit.rig.segments[channel]:
-        far = max(float(np.sqrt(np.mean((o - first)[s.place][s.used] ** 2))) for o in others)
-        apart[s.signal] = max(apart.get(s.signal, 0.0), far / fit.noise[channel, s.signal])
+    for signal, rows in replica_differences(fit, estimate, channel):
+        far = float(np.sqrt(np.mean(rows**2, axis=1)).max())
+        apart[signal] = max(apart.get(signal, 0.0), far)
     return apart
 
 
 def unpredictable(held_out: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
-    """By signal of a channel how far the replicas' courses are apart (`courses_apart`), where that is so far that the held-out
-    logs cannot be predicted."""
-    found = courses_apart(held_out, estimate, channel)
+    """By signal of a channel how far the replicas' simulations are apart, where the held-out logs cannot be predicted."""
+    found = predictions_apart(held_out, estimate, channel)
     return {name: value for name, value in found.items() if value > CANNOT_BE_PREDICTED}

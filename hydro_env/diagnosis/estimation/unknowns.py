@@ -30,13 +30,15 @@ __all__ = [
     "given_unknown",
 ]
 
-#: Largest standard deviation of the prior of a base parameter, relative (or share of its range); and of friction, which dirt and
-#: wear change by factors.
+#: Largest standard deviation of the prior of a base parameter, relative (or share of its range): data sheets leave as much
+#: open; and of friction, which dirt and wear change by factors.
 PRIOR_SPREAD, FRICTION_SPREAD = 0.3, 0.5
-#: Base parameters that an effect of the catalogue adds to may be larger by this factor only: more has a name there.
+#: Base parameters that an effect of the catalogue adds to may be larger by this factor only, a standard deviation of the others'
+#: priors: more has a name there.
 BASE_OF_EFFECT_FACTOR = 1.35
 
-#: First looks at an effect: sizes over the typical one. What limits is first looked at with limits of the typical one over these:
+#: First looks at an effect: sizes over the typical one, so near to each other that a step (`STEP_FACTORS`) leads from one to the
+#: next. What limits is first looked at with limits of the typical one over these:
 #: it acts nowhere but beyond its limit, so that from too far away no derivative leads there.
 SIZE_FACTORS = (0.35, 1.0, 2.2, -0.35, -1.0, -2.2)
 LIMIT_FACTORS = (0.5, 1.0, 0.7, 1.4, 2.0)

@@ -16,52 +16,50 @@ from .parts import Part, overlap, read_parts
 
 __all__ = ["read_logs"]
 
-#: A channel stands still if its speed (RMS) is below this share of the other channel's peak.
+#: A channel stands still if its speed (RMS) is below this share of the other channel's peak: what noise and a shared base move.
 STANDS_STILL = 0.02
 
 
 def read_logs(
-    fit: Sequence[str | Path | RigLog], held_out: Sequence[str | Path | RigLog], mapping: Mapping | str | Path | None,
+    fit: Sequence[str | Path | RigLog], held_out: Sequence[str | Path | RigLog] | None, mapping: Mapping | str | Path | None,
     accept: Collection[str] = (),
 ) -> tuple[list[Part], list[Part]]:  # fmt: skip
-    """The logs to fit and those held out. InputError for anything that cannot be used, for rows that are in both, and
-    for logs that are too short."""
+    """The logs to fit and those held out, None where none are wanted. InputError for anything that cannot be used, for rows that
+    are in both, and for logs that are too short."""
     if not fit:
         raise InputError("no fit log; name at least one log to fit")
-    if not held_out:
+    if held_out is not None and not held_out:
         raise InputError("no held-out log; name at least one with --sealed (or a part of a run, LOG@FROM:TO)")
     read: dict[str, RigLog] = {}  # of an hour of log whose parts are in both, one reading
-    parts, proofs = (read_parts(words, mapping, accept, read) for words in (fit, held_out))
+    parts, proofs = (read_parts(words, mapping, accept, read) for words in (fit, held_out or ()))
     read.clear()
     overlap(parts, proofs)
     parts, proofs = _with_common_signals(*_without_idle(parts, proofs))
     _check_channels(parts, proofs)
     check_duration(parts, "fit")
-    check_duration(proofs, "held-out")
+    if proofs:
+        check_duration(proofs, "held-out")
     return parts, proofs
 
 
 def _without_idle(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], list[Part]]:
     """The logs without a channel that was never driven and never moved, while the other one was."""
-    idle = []
-    for c in parts[0].log.channels:
-        others = [o for o in parts[0].log.channels if o != c]
-        peak = max(
-            (float(np.nanmax(np.abs(p.log.speed[:, others]), initial=0.0)) for p in parts), default=0.0
-        )
-        still = all(
-            c in p.log.channels
-            and not p.log.command_V[:, c].any()
-            and np.sqrt(np.nanmean(p.log.speed[:, c] ** 2)) < STANDS_STILL * peak
-            for p in parts
-        )
-        if still and others:
-            idle.append(c)
+    first = parts[0].log.channels
+    if len(first) < 2 or any(p.log.channels != first for p in parts):
+        return parts, proofs
+    peak = [max(float(np.nanmax(np.abs(p.log.speed[:, c]), initial=0.0)) for p in parts) for c in first]
+    idle = [
+        c
+        for c in first
+        if not any(p.log.command_V[:, c].any() for p in parts)
+        and all(np.sqrt(np.nanmean(p.log.speed[:, c] ** 2)) < STANDS_STILL * peak[1 - c] for p in parts)
+    ]
     if len(idle) != 1:
         return parts, proofs
     text = f"channel {idle[0] + 1} was neither driven nor did it move: only the other one is diagnosed"
-    parts, proofs = ([_without_channel(p, idle[0]) for p in each] for each in (parts, proofs))
-    return [_noted(parts[0], text), *parts[1:]], proofs
+    signals = ("command_V", "speed")
+    parts, proofs = ([_without(p, signals, idle[0]) for p in each] for each in (parts, proofs))
+    return _noted(parts, text), proofs
 
 
 def _with_common_signals(parts: list[Part], proofs: list[Part]) -> tuple[list[Part], list[Part]]:
@@ -74,51 +72,38 @@ def _with_common_signals(parts: list[Part], proofs: list[Part]) -> tuple[list[Pa
                 text = (
                     f"{signal} of channel {c + 1} is not in every fit log (not in {without}): left out of all"
                 )
-                parts, proofs = ([_without_signal(p, signal, c) for p in each] for each in (parts, proofs))
-                parts[0] = _noted(parts[0], text)
+                parts, proofs = ([_without(p, (signal,), c) for p in each] for each in (parts, proofs))
+                parts = _noted(parts, text)
     return parts, proofs
 
 
-def _noted(part: Part, text: str) -> Part:
-    return replace(part, note="; ".join(t for t in (part.note, text) if t))
+def _noted(parts: list[Part], text: str) -> list[Part]:
+    return [replace(parts[0], note="; ".join(t for t in (parts[0].note, text) if t)), *parts[1:]]
 
 
-def _without_signal(part: Part, signal: str, channel: int) -> Part:
-    if not part.log.has(signal, channel):
-        return part
-    values = part.log.get(signal)
-    assert values is not None
-    values = values.copy()
-    values[:, channel] = np.nan
-    return replace(part, log=replace(part.log, **{signal: None if np.isnan(values).all() else values}))  # type: ignore[arg-type]
-
-
-def _without_channel(part: Part, channel: int) -> Part:
-    command, speed = part.log.command_V.copy(), part.log.speed.copy()
-    command[:, channel] = speed[:, channel] = np.nan
-    return replace(part, log=replace(part.log, command_V=command, speed=speed))
+def _without(part: Part, signals: Sequence[str], channel: int) -> Part:
+    """The part with these fields of its log empty (NaN) on a channel."""
+    changes = {}
+    for signal in signals:
+        values = getattr(part.log, signal)
+        if values is not None:
+            changes[signal] = values.copy()
+            changes[signal][:, channel] = np.nan
+    return replace(part, log=replace(part.log, **changes))
 
 
 def _check_channels(parts: list[Part], proofs: list[Part]) -> None:
     for part in (*parts, *proofs):
         if part.log.channels != parts[0].log.channels:
+            own, first = (" and ".join(str(c + 1) for c in p.log.channels) for p in (part, parts[0]))
             raise InputError(
-                f"{part.label}: has channels {_listed(part)}, {parts[0].label} has {_listed(parts[0])}; "
-                "all logs need the same"
+                f"{part.label}: has channels {own}, {parts[0].label} has {first}; all logs need the same"
             )
     for c in parts[0].log.channels:
         if not any(abs(part.log.command_V[:, c]).max() > 0.0 for part in parts):
+            peak = max(float(np.nanmax(np.abs(p.log.speed[p.inside, c]), initial=0.0)) for p in parts)
+            moves = " though the axis moves: something else drove it" if peak >= 0.01 else ""
             raise InputError(
-                f"{parts[0].label}: the command of channel {c + 1} is zero throughout{_yet_moves(parts, c)}; "
+                f"{parts[0].label}: the command of channel {c + 1} is zero throughout{moves}; "
                 "record the signal that drives the valve"
             )
-
-
-def _yet_moves(parts: list[Part], c: int) -> str:
-    peaks = [float(np.nanmax(np.abs(p.log.speed[p.inside, c]), initial=0.0)) for p in parts]
-    moves = max(peaks) > 0.0 and max(peaks) >= 0.01
-    return " though the axis moves: something else drove it" if moves else ""
-
-
-def _listed(part: Part) -> str:
-    return " and ".join(str(c + 1) for c in part.log.channels)

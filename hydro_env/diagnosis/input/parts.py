@@ -48,7 +48,7 @@ class Part:
         return 1 if self.held is None else self.held.shape[1] // len(self.log)
 
     def first(self, rows: int) -> Part:
-        """The part with its first so many rows only."""
+        """The part with its first `rows` rows only."""
         held = None if self.held is None else self.held[:, : rows * self.finer]
         return replace(self, log=self.log.first(rows), inside=self.inside[:rows], held=held)
 
@@ -70,13 +70,17 @@ def read_parts(
     parts = []
     for word in words:
         if isinstance(word, RigLog):
-            log = _named(word)
-            parts += _parts(log.name, _usable(log.name, log, ALL, accept), ALL)
-            continue
-        path, windows = _split(str(word))
-        if path not in read:
-            read[path] = read_log(path, mapping)
-        parts += _parts(str(word), _usable(path, read[path], windows, accept), windows)
+            log, windows = _named(word), ALL
+            path = name = log.name
+        else:
+            name = str(word)
+            path, windows = _split(name)
+            if path not in read:
+                read[path] = read_log(path, mapping)
+            log = read[path]
+        log = _usable(path, log, windows, accept)
+        own = _runs(name, log if log.uniform else log.resample(), windows)
+        parts += own if log.uniform else [timed(replace(part, uneven=log)) for part in own]
     return parts
 
 
@@ -90,32 +94,19 @@ def _named(log: RigLog) -> RigLog:
     return replace(log, name=log.name or f"log {content.hexdigest()[:8]}", sha256=content.hexdigest())
 
 
-def _parts(word: str, recorded: RigLog, windows: list[tuple[float, float]]) -> list[Part]:
-    """One run, or several of a long log, on an even grid."""
-    if recorded.uniform:
-        return _runs(word, recorded, windows)
-    return [timed(replace(part, uneven=recorded)) for part in _runs(word, recorded.resample(), windows)]
-
-
 def timed(part: Part, lead: float | np.ndarray = 0.0, even: bool = False) -> Part:
     """A part of an uneven log with its rows and commands at other times, see `RigLog.resample`."""
     recorded = part.uneven
     assert recorded is not None
-    period = part.log.period
-    again = recorded.resample(lead, even)
-    first = round((part.log.time_s[0] - again.time_s[0]) / period)
-    rows = slice(first, first + len(part.log))
-    finer = max(1, round(period / FINE_S))
-    load = np.zeros(recorded.command_V.shape) if recorded.load is None else recorded.load
-    held = [
-        recorded.held(np.nan_to_num(values), lead, even, finer)[rows.start * finer : rows.stop * finer]
-        for values in (recorded.command_V, load)
-    ]
-    log = replace(
-        part.log, command_V=again.command_V[rows], load=None if again.load is None else again.load[rows],
-        late=None if again.late is None else again.late[rows],
-    )  # fmt: skip
-    return replace(part, log=log, held=np.array(held))
+    again, finer = recorded.resample(lead, even), max(1, round(part.log.period / FINE_S))
+    first = round((part.log.time_s[0] - again.time_s[0]) / part.log.period)
+    rows, fine = slice(first, first + len(part.log)), slice(first * finer, (first + len(part.log)) * finer)
+    both = recorded.command_V, np.zeros(recorded.command_V.shape) if recorded.load is None else recorded.load
+    held = np.array([recorded.held(np.nan_to_num(values), lead, even, finer)[fine] for values in both])
+    load, late = (None if values is None else values[rows] for values in (again.load, again.late))
+    return replace(
+        part, held=held, log=replace(part.log, command_V=again.command_V[rows], load=load, late=late)
+    )
 
 
 def _runs(word: str, log: RigLog, windows: list[tuple[float, float]]) -> list[Part]:
@@ -178,11 +169,9 @@ def _usable(path: str, log: RigLog, windows: list[tuple[float, float]], accept: 
             for start, end in itertools.pairwise(edges):
                 if start <= first and last <= end:
                     return log.window(start, end)
-        row = "" if finding.row is None else f"row {finding.row}"
+        row = "" if finding.row is None else f"row {finding.row}: "
         named = finding.column is None or repr(finding.column) in finding.message
-        column = "" if named else f"column {finding.column!r}"
-        place = ", ".join(word for word in (row, column) if word)
-        place += ": " if place else ""
+        place = row + ("" if named else f"column {finding.column!r}: ")
         way_out = "" if finding.code == "clock_jump" else f"; if it is right, --accept {finding.code}"
         raise InputError(f"{path}: {place}{finding.text}{way_out}")
     return log

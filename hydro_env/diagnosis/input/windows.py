@@ -13,11 +13,16 @@ from ...measured import RigLog
 
 __all__ = ["LONG_S", "WARM_S", "choose", "rest_starts"]
 
-#: Beyond this length a log is looked at in windows, s; length and number of the windows.
+#: Beyond this length a log is looked at in windows, s; length and number of the windows: two logs of that length are diagnosed in
+#: a minute, and are as long as those of the blind trials.
 LONG_S = 120.0
 WINDOW_S, WINDOWS = 12.0, 2
-#: How long a rig must have been quiet to be at rest, s, and what does not count where it was not.
+#: How long a rig must have been quiet to be at rest, s, and what does not count where it was not: more than the shaft remembers
+#: (see `duration`), and five times that.
 QUIET_S, WARM_S = 0.3, 1.0
+
+#: Moves that count in a second, in standard deviations of the signal: ten steps from end to end.
+MAX_MOVES = 20.0
 
 
 def rest_starts(log: RigLog) -> np.ndarray:
@@ -36,23 +41,16 @@ def rest_starts(log: RigLog) -> np.ndarray:
 
 
 def _worth(log: RigLog, step: int) -> np.ndarray:
-    """How much each piece of `step` rows says, (n,), for a sum over pieces."""
+    """How much each piece of `step` rows says, (n,), for a sum over pieces: how far the commands move in it and how widely, in
+    units of their standard deviations, and the same of the loads."""
     count = len(log) // step
     total = np.zeros(count)
-    for c in log.channels:
-        command = np.nan_to_num(log.command_V[:, c])
-        size = max(float(np.std(command)), 1e-12)
-        pieces = command[: count * step].reshape(count, step) / size
-        moves = np.abs(np.diff(pieces, axis=1)).sum(axis=1)
-        total += (
-            np.minimum(moves, 20.0)
-            + pieces.std(axis=1)
-            + (pieces.max(axis=1) > 0.3)
-            + (pieces.min(axis=1) < -0.3)
-        )
-        if log.load is not None and log.has("load", c):
-            load = np.nan_to_num(log.load[: count * step, c]).reshape(count, step)
-            total += load.std(axis=1) / max(float(np.nanstd(log.load[:, c])), 1e-12)
+    for values in (log.command_V, *(() if log.load is None else (log.load,))):
+        for c in log.channels:
+            known = np.nan_to_num(values[: count * step, c])
+            pieces = known.reshape(count, step) / max(float(np.std(known)), 1e-12)
+            # More than this in a second is noise.
+            total += np.minimum(np.abs(np.diff(pieces, axis=1)).sum(axis=1), MAX_MOVES) + pieces.std(axis=1)
     return total
 
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ...plant import CATALOGUE, Effect, vector_math
+from ...plant import CATALOGUE, Effect
+from ...plant.catalogue.effect import helpers_of
 
 __all__ = ["apply_laws", "elementwise"]
 
@@ -18,17 +19,17 @@ __all__ = ["apply_laws", "elementwise"]
 @cache
 def elementwise(law: Callable[..., float]) -> Callable[..., Any]:
     """A law of the catalogue, which is written for numbers, as a compiled function of arrays."""
-    from numba import njit, vectorize
+    from numba import vectorize
 
-    space: dict[str, Any] = {"floor": np.floor}
-    for name in vector_math.__all__:
-        helper = getattr(vector_math, name)
-        space[name] = np.sqrt if name == "sqrt" else njit(_rebuilt(helper, space))
-    return vectorize(_rebuilt(law, space))
+    return vectorize(_rebuilt(law))
 
 
-def _rebuilt(function: Callable[..., Any], space: dict[str, Any]) -> Any:
-    """The function from its source, with the helpers in `space` in place of plain Python ones."""
+def _rebuilt(function: Callable[..., Any]) -> Any:
+    """The function from its source, with compiled functions in the place of those that it calls."""
+    from numba import njit
+
+    space: dict[str, Any] = {"floor": np.floor, "sqrt": np.sqrt}
+    space |= {name: njit(_rebuilt(helper)) for name, helper in helpers_of(function).items()}
     local: dict[str, Any] = {}
     exec(textwrap.dedent(inspect.getsource(function)), space, local)
     return local[function.__name__]

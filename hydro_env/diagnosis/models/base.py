@@ -6,12 +6,12 @@ which only command and speed (and perhaps pressure) are known. Everything after 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import isfinite
-from typing import Any, Protocol, TypeVar
+from math import isfinite, isnan
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,9 +25,9 @@ __all__ = [
     "effect_in", "given_effects", "given_parameters", "given_repeats", "measured_segments", "view",
 ]  # fmt: skip
 
-#: Rows of one log and signal that a fit looks at, at most; the proof looks at all of them.
+#: Rows of one log and signal that a fit looks at, at most, those of 12 s at 500 Hz; the proof looks at all of them.
 MAX_ROWS = 6000
-#: Length of the blocks that have a variance of their own, s.
+#: Length of the blocks that have a variance of their own, s: shorter than the shaft's memory (`input.duration`).
 BLOCK_S = 0.1
 #: Signals that a model may predict, with the unit they are shown in and its size in SI.
 UNITS = {
@@ -51,6 +51,14 @@ class Request:
     channel: int | None
     values: Mapping[str, float | tuple[float, float]]
     like: Request | None = None
+
+    def on(self, channel: int) -> dict[str, float]:
+        """The values that are wanted on a channel, by name."""
+        pairs = (
+            (name, value[channel] if isinstance(value, tuple) else value)
+            for name, value in self.values.items()
+        )
+        return {n: v for n, v in pairs if self.channel in (None, channel) and not isnan(v)}
 
     @cached_property
     def effects(self) -> frozenset[str]:
@@ -90,10 +98,9 @@ class Segment:
         return np.nan_to_num(self.measured)
 
     def taken(self, simulated: np.ndarray, every: int = 1) -> np.ndarray:
-        """The samples (n,) at the times of the rows, of a simulation of every so many-th row; if rows are late, of one
+        """The samples (n,) at the times of the rows, of a simulation that has one in `every` rows; if rows are late, of one
         with `finer` points a row."""
         if self.late is None:
-            # A slice: to pick rows one by one takes eight times as long.
             return simulated[:: self.step // every][: self.rows.size]
         # From the points before: the command of a row acts only after its measurement.
         place = self.finer * (self.rows + self.late)
@@ -113,7 +120,7 @@ class Segment:
         return first, np.add.reduceat(self.used.astype(float), first)
 
     def stretches(self, stretch_s: float) -> np.ndarray:
-        """The number of the stretch of so many seconds that each row is in (n,)."""
+        """The number of the stretch of `stretch_s` seconds that each row is in (n,)."""
         return (np.arange(self.rows.size) * self.period / stretch_s).astype(int)
 
     def error(self, simulated: np.ndarray) -> np.ndarray:
@@ -150,55 +157,67 @@ class Segments(list[Segment]):
         )
 
 
-class RigModel(Protocol):
-    """A model of the rig with the logs it is fitted to.
+class RigModel:
+    """A model of the rig with the logs it is fitted to: `parts` of logs, of which it predicts those `signals` that are logged.
+
+    `progress` is called with the number of rig simulations done, `without` are effects that are no candidates.
 
     `simulation_is_cheap`: every candidate may be refitted as far as it goes. `has_hidden_states`: friction and inertia make local
     minima, the parameters are those of a machine, and what is left of a signal can be its noise. `coupled`: the model has an
     effect of the whole rig, by which both channels act on each other, so they are estimated together. `followed` are the channels
-    whose simulated speed follows the measured one.
+    whose simulated speed follows the measured one. `own` are parameters that only this model has, or has with another range.
     """
 
-    model: PlantModel
-    parts: list[Part]
-    channels: tuple[int, ...]
-    segments: dict[int, Segments]
-    notes: list[str]
-    own: dict[str, Parameter]
-    simulation_is_cheap: bool
-    has_hidden_states: bool
-    coupled: bool
-    followed: frozenset[int]
+    simulation_is_cheap = False
+    has_hidden_states = True
+    coupled = False
+    followed: frozenset[int] = frozenset()
+    notes: Sequence[str] = ()
+    own: Mapping[str, Parameter] = {}
+
+    def __init__(
+        self, model: PlantModel, parts: list[Part], signals: Sequence[str], every_row: bool,
+        progress: Callable[[int], None] | None, without: frozenset[str],
+    ) -> None:  # fmt: skip
+        self.model, self.parts, self.progress, self.without = model, parts, progress, without
+        self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
+        self.segments: dict[int, Segments] = measured_segments(parts, self.channels, signals, every_row)
 
     def base(self, channel: int) -> list[str]:
         """Names of the parameters that calibration may adjust, with those of effects that the model as given has there."""
+        raise NotImplementedError
 
     def candidates(self) -> list[str]:
         """Effects of the catalogue that this model can have, on one channel at least, beside those that are given."""
-
-    def has(self, effect: str, channel: int | None) -> bool:
-        """Whether the model as given has an effect on a channel (None: on any)."""
-
-    def given(self, name: str, channel: int) -> float:
-        """The value of a parameter in the model as given."""
+        raise NotImplementedError
 
     def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
         """For every request, by channel: the simulated samples (n,) in the order of `segments[channel]`."""
-
-    def close(self) -> None:
-        """Ends what the model holds open."""
-
-    def written(self, values: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-        """Estimated values, a pair of both channels each, as they go to a model file of the plant."""
+        raise NotImplementedError
 
     def with_parts(self, parts: list[Part], every_row: bool) -> RigModel:
         """The same model on other logs, with the accuracy of the proof."""
+        raise NotImplementedError
+
+    def has(self, effect: str, channel: int | None) -> bool:
+        """Whether the model as given has an effect on a channel (None: on any)."""
+        acts, channels = self.model.effects.get(effect), self.channels if channel is None else (channel,)
+        return acts is not None and any(not CATALOGUE[effect].is_neutral(acts[c]) for c in channels)
+
+    def given(self, name: str, channel: int) -> float:
+        """The value of a parameter in the model as given."""
+        return self.model.value(name, channel)
+
+    def written(self, values: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+        """Estimated values, a pair of both channels each, as they go to a model file of the plant."""
+        return dict(values)
 
     def following(self, channels: Collection[int]) -> RigModel:
         """The same model with the simulated speed of these channels drawn to the measured one; none: simulated freely."""
+        return self
 
-    def for_long_refits(self) -> RigModel:
-        """The same model, quicker where few effects are refitted for long."""
+    def close(self) -> None:
+        """Ends what the model holds open."""
 
 
 Rig = TypeVar("Rig", bound=RigModel)
@@ -250,25 +269,17 @@ def measured_segments(
     for channel in channels:
         place, found[channel] = 0, Segments()
         for number, part in enumerate(parts):
-            step = 1 if every_row else max(1, -(-len(part.log) // MAX_ROWS))
-            rows = np.arange(0, len(part.log), step)
-            for signal in signals:
-                if not part.log.has(signal, channel):
-                    continue
-                values = part.log.get(signal)
+            log = part.log
+            step = 1 if every_row else max(1, -(-len(log) // MAX_ROWS))
+            rows, period = np.arange(0, len(log), step), log.period * step
+            late = None if log.late is None else log.late[rows] / log.period
+            for signal in (s for s in signals if log.has(s, channel)):
+                values = log.get(signal)
                 assert values is not None
-                segment = Segment(
-                    number,
-                    channel,
-                    signal,
-                    values[rows, channel],
-                    rows,
-                    part.inside[rows],
-                    part.log.period * step,
-                    late=None if part.log.late is None else part.log.late[rows] / part.log.period,
-                    finer=part.finer,
+                own, where = values[rows, channel], slice(place, place + rows.size)
+                known = part.inside[rows]
+                found[channel].append(
+                    Segment(number, channel, signal, own, rows, known, period, where, late, part.finer)
                 )
-                segment.place = slice(place, place + rows.size)
-                place += rows.size
-                found[channel].append(segment)
+                place = where.stop
     return found

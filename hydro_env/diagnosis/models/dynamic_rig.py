@@ -6,30 +6,30 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from math import exp, gcd, isnan, sqrt
+from math import exp, gcd, sqrt
 from typing import Any
 
 import numpy as np
 
-from ...plant import CATALOGUE, PARAMETERS, Parameter, Plant, PlantModel
+from ...plant import CATALOGUE, PARAMETERS, Plant, PlantModel
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY
 from ...units import RPM
 from ..input.parts import Part
-from .base import Request, Segments, given_parameters, measured_segments, view
+from .base import Request, RigModel, given_parameters, view
 
 __all__ = ["DynamicRig"]
 
 #: Tolerances of the fit and of the proof, rad/s: speeds are off by about 0.03 and 0.003 rpm (RMS; their noise is about 1 rpm).
 #: With more in the fit its costs become rough: it takes more simulations than it saves time for.
 TOLERANCE, PROOF_TOLERANCE = 0.1 * RPM, 0.03 * RPM
-#: Numbers of the fit and of the proof. Single precision takes half the time.
+#: Numbers of the fit and of the proof: twice as many in single precision fit a vector instruction.
 DTYPE, PROOF_DTYPE = np.float32, np.float64
-#: Rigs that go through the kernel together: wider is a little quicker, and every width has kernels of its own to compile.
+#: Rigs that go through the kernel together, the lanes of a vector instruction: every width has kernels of its own to compile.
 BLOCK = 8
 #: Time in which a speed that follows the measured one comes near it, s: shorter than a blow of a coupling takes to come back.
 FOLLOW_S = 3e-3
 #: Bytes of inputs of batches that are kept, about. Those of eight lanes of 12 s at 1 kHz take 3 MB.
-MOST_INPUTS = 100_000_000
+MAX_INPUTS = 100_000_000
 #: Base parameters that calibration may adjust. V is left out (never separated from beta), u_rated and x_max are settings.
 BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
 _RECORDED = {
@@ -42,49 +42,44 @@ _RECORDED = {
 }
 
 
+#: The number of a request, and a channel.
+Side = tuple[int, int]
+
+
 @dataclass(frozen=True)
 class _Batch:
     """Lanes that go through a kernel together: its effects, the period of the logs, s, and whether all take the steps of the
-    first. A lane is a rig that runs through a log: the number of the log, and one request number for each side of the rig, or
-    one for both."""
+    first. A lane is a rig that runs through a log: the number of the log, and for one side or both a request and the channel that
+    it plays."""
 
     effects: tuple[str, ...]
     period: float
-    lanes: list[tuple[int, list[int]]]
+    lanes: list[tuple[int, list[Side]]]
     grouped: bool = False
 
 
-class DynamicRig:
-    """See `base.RigModel`. `progress` is called with the number of rig simulations done."""
+class DynamicRig(RigModel):
+    """See `base.RigModel`. `jobs` threads simulate, with this `tolerance` (rad/s) and these numbers (`dtype`)."""
 
     def __init__(
         self, model: PlantModel, parts: list[Part], *, every_row: bool = False, tolerance: float = TOLERANCE,
         dtype: type[np.floating[Any]] = DTYPE, jobs: int = 1, progress: Callable[[int], None] | None = None,
         without: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
-        self.without, self.dtype = without, dtype
-        self.model, self.parts, self.tolerance = model, parts, tolerance
-        self.jobs, self.progress = jobs, progress
-        self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
-        self.segments: dict[int, Segments] = measured_segments(
-            parts, self.channels, tuple(_RECORDED), every_row
-        )
-        self.signals = tuple(
-            s for s in _RECORDED if any(seg.signal == s for segs in self.segments.values() for seg in segs)
-        )
-        self.period = min(part.log.period for part in parts)
+        super().__init__(model, parts, tuple(_RECORDED), every_row, progress, without)
+        self.tolerance, self.dtype, self.jobs = tolerance, dtype, jobs
+        logged = {s.signal for segments in self.segments.values() for s in segments}
+        self.signals = tuple(s for s in _RECORDED if s in logged)
         #: Numbers of the logs by their period, s, the longest first: logs of about the same length run side by side.
         self._logs: dict[float, list[int]] = {}
         for number in sorted(range(len(parts)), key=lambda n: -len(parts[n].log)):
             self._logs.setdefault(parts[number].log.period / parts[number].finer, []).append(number)
-        self._pairs: dict[str, np.ndarray] = {}
         rows = max(len(part.log) * part.finer for part in parts)
         # The same lanes are asked for again and again, by several threads.
-        self._inputs = lru_cache(MOST_INPUTS // (32 * rows * BLOCK))(partial(_inputs, tuple(parts)))
+        self._inputs = lru_cache(MAX_INPUTS // (32 * rows * BLOCK))(partial(_inputs, tuple(parts)))
         #: A plant of the model for each effects, number of rigs and way of stepping, of which every batch takes a copy: to
         #: make one takes longer than to copy it.
         self._plants: dict[tuple[tuple[str, ...], int, bool], Plant] = {}
-        self.every_row = every_row
         # The plant's kernel lets other threads of this process run beside it.
         self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
         self.coupled = any(CATALOGUE[e].scope == "rig" for e in model.declared)
@@ -92,13 +87,6 @@ class DynamicRig:
         self._declared = frozenset(model.declared)
         names = [*PARAMETERS, *(f"{e}.{p.name}" for e in model.declared for p in CATALOGUE[e].parameters)]
         self._unequal = {name for name in names if model.value(name, 0) != model.value(name, 1)}
-        self.simulation_is_cheap, self.has_hidden_states = False, True
-        #: Channels whose simulated speed follows the measured one.
-        self.followed: frozenset[int] = frozenset()
-        #: Whether a set of effects has a kernel of its own, see `kernel`.
-        self.own_kernels = False
-        self.notes: list[str] = []
-        self.own: dict[str, Parameter] = {}
         library = {*self.candidates(), *without}
         cheap = {n: e for n, e in CATALOGUE.items() if n in library and e.is_cheap}
         leaks = frozenset(n for n, e in cheap.items() if "leakage" in e.laws)
@@ -118,15 +106,9 @@ class DynamicRig:
             without=self.without,
         )
 
-    def for_long_refits(self) -> DynamicRig:
-        return view(self, own_kernels=True)
-
     def following(self, channels: Collection[int]) -> DynamicRig:
         # An uneven log is simulated on a finer grid than it is measured on.
         return view(self, followed=frozenset(() if any(p.held is not None for p in self.parts) else channels))
-
-    def written(self, values: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-        return dict(values)
 
     def base(self, channel: int) -> list[str]:
         # A spool that is given as without dry friction has none to adjust; what it has all the same is an effect.
@@ -144,13 +126,6 @@ class DynamicRig:
             and e.family != FAMILY
             and (not e.family or e.name in self.model.declared)
         ]
-
-    def has(self, effect: str, channel: int | None) -> bool:
-        acts, channels = self.model.effects.get(effect), self.channels if channel is None else (channel,)
-        return acts is not None and any(not CATALOGUE[effect].is_neutral(acts[c]) for c in channels)
-
-    def given(self, name: str, channel: int) -> float:
-        return self.model.value(name, channel)
 
     # --- simulation -----------------------------------------------------------------------------------------------------
     def predict(self, requests: Sequence[Request]) -> list[dict[int, np.ndarray]]:
@@ -181,12 +156,8 @@ class DynamicRig:
             or any(CATALOGUE[e].couples_channels for e in request.effects)
         ):
             return [request]
-        pairs = {name: np.broadcast_to(value, 2).tolist() for name, value in request.values.items()}
-        own = [{name: pair[c] for name, pair in pairs.items() if not isnan(pair[c])} for c in self.channels]
-        like: Sequence[Request | None] = (
-            [None] * len(own) if request.like is None else self._apart(request.like)
-        )
-        return [Request(c, v, one) for c, v, one in zip(self.channels, own, like, strict=True)]
+        like = [None] * 2 if request.like is None else self._apart(request.like)
+        return [Request(c, request.on(c), one) for c, one in zip(self.channels, like, strict=False)]
 
     def _predict(self, requests: Sequence[Request], first: Sequence[int]) -> list[dict[int, np.ndarray]]:
         results = [{c: np.empty(self.segments[c][-1].place.stop) for c in self._seen(r)} for r in requests]
@@ -213,7 +184,7 @@ class DynamicRig:
                 by_kernel.setdefault(self.kernel(requests[n].effects), []).append(n)
         batches = []
         for effects, numbers in by_kernel.items():
-            rigs = self._pack([(n, requests[n]) for n in numbers])
+            rigs = self._pack([self._sides(n, requests[n]) for n in numbers])
             for period, logs in self._logs.items():
                 lanes = [(log, rig) for log in logs for rig in rigs]
                 batches += [
@@ -234,7 +205,8 @@ class DynamicRig:
             step = 1 if whole else 2
             for both in (every[n : n + step] for n in range(0, len(every), step)):
                 # The shorter side has the one whose steps it takes again.
-                rigs = [[own[n if n < len(own) else 0] for own in both] for n in range(max(map(len, both)))]
+                rows = [[own[n if n < len(own) else 0] for own in both] for n in range(max(map(len, both)))]
+                rigs = [[side for n in row for side in self._sides(n, requests[n])] for row in rows]
                 batches += [
                     _Batch(effects, period, [(log, rig) for rig in rigs], grouped=True)
                     for period, logs in self._logs.items()
@@ -246,17 +218,14 @@ class DynamicRig:
         """The effects to compile in; what is neutral changes no bit, but costs time.
 
         So that few kernels are compiled, candidates share them: one for no effect, one for all light effects, one for those of
-        the leakage, one for each other one, and one for it and those it is combined with. Long refits are many of few effects:
-        there is one kernel for these and all corrections of their form."""
+        the leakage, one for each other one, and one for it and those it is combined with; and one for an effect with all
+        corrections of its form."""
         effects = effects - self._declared
-        if self._of_few(effects):
-            forms = {name for effect in effects for name in CORRECTIONS.get(effect, {})}
-            return tuple(n for n in CATALOGUE if n in effects or n in forms)
-        wanted = effects.union(*(group for group in self._shared if group & effects))
+        if any(CATALOGUE[n].family == FAMILY for n in effects):
+            wanted = effects.union(name for effect in effects for name in CORRECTIONS.get(effect, {}))
+        else:
+            wanted = effects.union(*(group for group in self._shared if group & effects))
         return tuple(n for n in CATALOGUE if n in wanted)
-
-    def _of_few(self, effects: Collection[str]) -> bool:
-        return self.own_kernels or any(CATALOGUE[n].family == FAMILY for n in effects)
 
     def close(self) -> None:
         """Ends the threads, if there are any."""
@@ -264,14 +233,16 @@ class DynamicRig:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
 
-    def _pack(self, wanted: list[tuple[int, Request]]) -> list[list[int]]:
-        """Rigs, each a list of request numbers: two of a single channel where the channels do not act on each other.
+    def _pack(self, wanted: list[list[Side]]) -> list[list[Side]]:
+        """Rigs: two of a single channel make one where the channels do not act on each other.
 
         Both sides of a rig are alike, so a side may play either channel. As many rigs as there can be play one of each: they have
         the same inputs.
         """
-        whole = [[n] for n, r in wanted if self._whole(r)]
-        first, second = ([n for n, r in wanted if not self._whole(r) and r.channel == c] for c in (0, 1))
+        whole = [sides for sides in wanted if len(sides) == 2]
+        first, second = (
+            [sides[0] for sides in wanted if sides[0][1] == c and len(sides) == 1] for c in (0, 1)
+        )
         both = min(len(first), len(second))
         left = first[both:] + second[both:]
         pairs = [list(pair) for pair in zip(first, second, strict=False)]
@@ -281,47 +252,37 @@ class DynamicRig:
         """Whether a request takes both sides of a rig."""
         return request.channel is None or self.coupled
 
+    def _sides(self, number: int, request: Request) -> list[Side]:
+        return [(number, c) for c in (0, 1) if self._whole(request) or request.channel == c]
+
     def _run(
         self, batch: _Batch, requests: Sequence[Request], results: list[dict[int, np.ndarray]]
     ) -> list[int]:
         """Simulates the lanes of a batch and puts what they show into `results`, by request; which of these diverged."""
-        names = {name for _, rig in batch.lanes for n in rig for name in requests[n].values}
+        every_side = [
+            (lane, side, n, c) for lane, (_, rig) in enumerate(batch.lanes) for side, (n, c) in enumerate(rig)
+        ]
         # Which channel each side of each lane plays.
         plays = np.tile([0, 1], (len(batch.lanes), 1))
-        for lane, (_, rig) in enumerate(batch.lanes):
-            for side, n in enumerate(rig):
-                if not self._whole(requests[n]):
-                    plays[lane, side] = requests[n].channel
+        for lane, side, _, c in every_side:
+            plays[lane, side] = c
+        names = {name for _, _, n, _ in every_side for name in requests[n].values}
         if (plays != [0, 1]).any():
             names |= self._unequal
-        values = {name: self._pair(name)[plays] for name in names}
-        # Which side of which lane shows a channel of a request.
-        shown: list[tuple[int, int, int, int]] = []
-        for lane, (_, rig) in enumerate(batch.lanes):
-            for side, n in enumerate(rig):
-                request = requests[n]
-                own = slice(None) if request.channel is None else request.channel if self.coupled else side
-                for name, value in request.values.items():
-                    pair = request.channel is None
-                    values[name][lane, own] = (
-                        np.where(np.isnan(value), values[name][lane], value) if pair else value
-                    )
-                shown += [(lane, c if self._whole(request) else side, n, c) for c in self._seen(request)]
+        values = {name: np.array(self.model.pair(name))[plays] for name in names}
+        for lane, side, n, c in every_side:
+            for name, value in requests[n].on(c).items():
+                values[name][lane, side] = value
         every, out, diverged = self._simulate(batch, values, plays)
-        for lane, side, n, channel in shown:
-            for segment in self.segments[channel]:
+        shown = [each for each in every_side if each[3] in results[each[2]]]
+        for lane, side, n, c in shown:
+            for segment in self.segments[c]:
                 if segment.log == batch.lanes[lane][0]:
                     signal = segment.taken(out[_RECORDED[segment.signal]][:, lane, side], every)
-                    results[n][channel][segment.place] = segment.levelled(signal)
+                    results[n][c][segment.place] = segment.levelled(signal)
         if self.progress is not None:
             self.progress(len({n for lane, _, n, _ in shown if batch.lanes[lane][0] == 0}))
         return [n for lane, side, n, _ in shown if diverged[lane, side]]
-
-    def _pair(self, name: str) -> np.ndarray:
-        """The values (2,) of a parameter in the model as given."""
-        if name not in self._pairs:
-            self._pairs[name] = np.array(self.model.pair(name))
-        return self._pairs[name]
 
     def _seen(self, request: Request) -> tuple[int, ...]:
         return self.channels if request.channel is None else (request.channel,)
@@ -329,12 +290,9 @@ class DynamicRig:
     def _simulate(
         self, batch: _Batch, values: dict[str, np.ndarray], plays: np.ndarray
     ) -> tuple[int, dict[str, np.ndarray], np.ndarray]:
-        """`plays` (lanes, 2): the channel whose command and load each side has. Returns each how many-th row is there, the
-        signals (rows, lanes, 2), and what diverged (lanes, 2)."""
-        lanes = tuple(
-            (log, len(self.parts[log].log) * self.parts[log].finer, *sides)
-            for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True)
-        )
+        """`plays` (lanes, 2): the channel whose command and load each side has. Returns the step from one row that
+        is there to the next, the signals (rows, lanes, 2), and what diverged (lanes, 2)."""
+        lanes = tuple((log, *sides) for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True))
         inputs = self._inputs(lanes if len(set(lanes)) > 1 else lanes[:1])
         logs = {log for log, _ in batch.lanes}
         own = [s for segments in self.segments.values() for s in segments if s.log in logs]
@@ -351,7 +309,7 @@ class DynamicRig:
             return every, out, plant.get("diverged") > 0.0
 
     def _follow(
-        self, plant: Plant, inputs: np.ndarray, lanes: Sequence[tuple[int, int, int, int]], period: float
+        self, plant: Plant, inputs: np.ndarray, lanes: Sequence[tuple[int, int, int]], period: float
     ) -> dict[str, np.ndarray]:
         """Runs as `Plant.run` does, but after each row the speed of a followed channel goes part of the way to the measured one.
 
@@ -362,7 +320,7 @@ class DynamicRig:
         rows, speed = np.array([plant.row_of(s) for s in signals]), signals.index(_RECORDED["speed"])
         out = np.empty((len(signals), inputs.shape[1], len(lanes), 2))
         measured, known = np.zeros(out.shape[1:]), np.zeros(out.shape[1:])
-        for lane, (number, _, *sides) in enumerate(lanes):
+        for lane, (number, *sides) in enumerate(lanes):
             part = self.parts[number]
             counts = part.inside[:, None] & np.isfinite(part.log.speed) & np.isin((0, 1), [*self.followed])
             measured[: len(part.log), lane] = np.where(counts, part.log.speed, 0.0)[:, sides]
@@ -391,19 +349,19 @@ class DynamicRig:
         return self._plants[key].copy()
 
 
-def _inputs(parts: Sequence[Part], lanes: Sequence[tuple[int, int, int, int]]) -> np.ndarray:
-    """Commands and loads (2, rows, lanes, 2) of lanes: each the number of a log, its first so many rows, and the channel that
-    each side plays."""
-    found = np.zeros(
-        (2, max(rows for _, rows, *_ in lanes), len(lanes), 2)
-    )  # a lane whose log has ended is at rest
+def _inputs(parts: Sequence[Part], lanes: Sequence[tuple[int, int, int]]) -> np.ndarray:
+    """Commands and loads (2, rows, lanes, 2) of lanes: each the number of a log and the channel that each side plays. A lane
+    whose log has ended is at rest."""
+    rows = {number: len(parts[number].log) * parts[number].finer for number, *_ in lanes}
+    found = np.zeros((2, max(rows.values()), len(lanes), 2))
     for kind in dict.fromkeys(lanes):
-        number, rows, *sides = kind
+        number, *sides = kind
         part, alike = parts[number], [n for n, other in enumerate(lanes) if other == kind]
+        now = slice(rows[number])
         if part.held is not None:
-            found[:, :rows, alike] = part.held[:, :rows, None, sides]
+            found[:, now, alike] = part.held[:, now, None, sides]
             continue
-        found[0, :rows, alike] = np.nan_to_num(part.log.command_V[:rows, sides])
+        found[0, now, alike] = np.nan_to_num(part.log.command_V[now, sides])
         if part.log.load is not None:
-            found[1, :rows, alike] = np.nan_to_num(part.log.load[:rows, sides])
+            found[1, now, alike] = np.nan_to_num(part.log.load[now, sides])
     return found

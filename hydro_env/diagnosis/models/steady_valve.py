@@ -12,16 +12,16 @@ only, so Kq is estimated and D is the mapping's or the model's.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Collection, Mapping, Sequence
-from math import isnan, nan
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 from ...plant import CATALOGUE, PARAMETERS, Parameter, PlantModel
 from ..input.parts import Part, filled
 from .array_laws import apply_laws, argument, elementwise
-from .base import Request, Segments, given_parameters, measured_segments
+from .base import Request, RigModel, given_parameters
 
 __all__ = ["SteadyValve"]
 
@@ -30,6 +30,9 @@ SUPPORTED = (
     "command_delay", "driver_saturation", "magnetic_hysteresis", "null_offset", "dead_zone", "flow_saturation",
     "directional_gain", "flow_gain_nonlinearity", "pressure_dependent_flow", "sensor_offset",
 )  # fmt: skip
+#: Plausible flow gains, as multiples of the smallest and the largest one by least squares: what an effect takes of the flow.
+WIDEST = (0.2, 5.0)
+#: From a servo valve on a light axis, in milliseconds, to a proportional valve on a crane.
 LAG = Parameter(
     "lag",
     "s",
@@ -42,52 +45,31 @@ LAG = Parameter(
 )
 
 
-class SteadyValve:
+class SteadyValve(RigModel):
     """See `base.RigModel`. The flow gain of the model as given is set by least squares on the fit logs, because no
     preset knows the axis."""
+
+    simulation_is_cheap, has_hidden_states = True, False
+    notes = (
+        "steady-valve model: the flow gain as given is set by least squares on the fit logs, the lag stands for all dynamics",
+    )
 
     def __init__(
         self, model: PlantModel, parts: list[Part], *, every_row: bool = False, progress: Callable[[int], None] | None = None,
         flow_gain: dict[int, float] | None = None, without: frozenset[str] = frozenset(),
     ) -> None:  # fmt: skip
-        self.without = without
-        self.model, self.parts, self.progress = model, parts, progress
-        self.channels = tuple(c for c in (0, 1) if any(c in part.log.channels for part in parts))
-        self.segments: dict[int, Segments] = measured_segments(parts, self.channels, ("speed",), every_row)
+        super().__init__(model, parts, ("speed",), every_row, progress, without)
         self.displacement = {c: parts[0].log.displacement[c] or model.value("D", c) for c in self.channels}
         self.flow_gain = flow_gain or {c: self._flow_gain(c) for c in self.channels}
-        widest = [v * f for v in self.flow_gain.values() for f in (0.2, 5.0)]
+        low, high = WIDEST[0] * min(self.flow_gain.values()), WIDEST[1] * max(self.flow_gain.values())
         kq = PARAMETERS["Kq"]
-        self.own = {
-            "lag": LAG,
-            "Kq": Parameter(
-                "Kq", kq.unit, kq.nominal, min(widest), max(widest), "least squares", kq.note, log=True
-            ),
-        }
-        self.simulation_is_cheap, self.has_hidden_states, self.coupled = True, False, False
-        self.followed: frozenset[int] = frozenset()
-        self.notes: list[str] = [
-            "steady-valve model: the flow gain as given is set by least squares on the fit logs, the lag stands for all dynamics"
-        ]
+        wide = Parameter("Kq", kq.unit, kq.nominal, low, high, "least squares", kq.note, log=True)
+        self.own = {"lag": LAG, "Kq": wide}
 
     def with_parts(self, parts: list[Part], every_row: bool) -> SteadyValve:
         return SteadyValve(
-            self.model,
-            parts,
-            every_row=every_row,
-            progress=self.progress,
-            flow_gain=self.flow_gain,
-            without=self.without,
-        )
-
-    def close(self) -> None:
-        """Nothing is held open."""
-
-    def following(self, channels: Collection[int]) -> SteadyValve:
-        return self
-
-    def for_long_refits(self) -> SteadyValve:
-        return self
+            self.model, parts, every_row=every_row, progress=self.progress, flow_gain=self.flow_gain, without=self.without,
+        )  # fmt: skip
 
     def written(self, values: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
         """The values as those of a rig with the model's own displacement: its flow gain gives the axis' speeds, in rad/s for m/s.
@@ -111,15 +93,12 @@ class SteadyValve:
         return [n for n in SUPPORTED if n in CATALOGUE and (pressure or not CATALOGUE[n].reads("pressure"))]
 
     def has(self, effect: str, channel: int | None) -> bool:
-        acts, channels = self.model.effects.get(effect), self.channels if channel is None else (channel,)
-        if acts is None or effect not in self._supported():
-            return False
-        return any(not CATALOGUE[effect].is_neutral(acts[c]) for c in channels)
+        return effect in self._supported() and super().has(effect, channel)
 
     def given(self, name: str, channel: int) -> float:
         if name == "Kq":
             return self.flow_gain[channel]
-        return LAG.nominal if name == "lag" else self.model.value(name, channel)
+        return LAG.nominal if name == "lag" else super().given(name, channel)
 
     def _flow_gain(self, channel: int) -> float:
         """The flow gain that explains the speeds best with nothing else in the model."""
@@ -144,9 +123,11 @@ class SteadyValve:
                 groups.setdefault((channel, effects), []).append(number)
         for (channel, effects), numbers in groups.items():
             own = (f"{e}.{p.name}" for e in effects for p in CATALOGUE[e].parameters)
+            wanted = [requests[n].on(channel) for n in numbers]
+            names = dict.fromkeys(("Kq", "lag", *own, *(name for each in wanted for name in each)))
             values = {
-                name: np.array([[self._value(requests[n], name, channel)] for n in numbers])
-                for name in {"Kq", "lag", *own, *(k for n in numbers for k in requests[n].values)}
+                name: np.array([[each.get(name, self.given(name, channel))] for each in wanted])
+                for name in names
             }
             ordered = [n for n in CATALOGUE if n in effects]
             speeds = [self._speed(part, channel, values, ordered) for part in self.parts]
@@ -158,12 +139,6 @@ class SteadyValve:
         if self.progress is not None:
             self.progress(len(requests))
         return results
-
-    def _value(self, request: Request, name: str, channel: int) -> float:
-        """The value of a parameter that is asked for, or the given one."""
-        value = request.values.get(name, nan)
-        value = value[channel] if isinstance(value, tuple) else value
-        return self.given(name, channel) if isnan(value) else value
 
     def _speed(
         self, part: Part, channel: int, values: dict[str, np.ndarray], effects: list[str]
@@ -183,12 +158,8 @@ class SteadyValve:
                 known[f"{name}.{CATALOGUE[name].states[0].name}"] = _state(name, known, period)
         known["spool"] = apply_laws("force", force, effects, known) / known["k"]
         known["opening"] = apply_laws("opening", known["spool"], effects, known)
-        pressure = (
-            log.pressure[:, channel]
-            if log.has("pressure", channel) and log.pressure is not None
-            else np.zeros(len(log))
-        )
-        known["pressure"] = filled(pressure)[None, :]
+        pressure = log.get("pressure")
+        known["pressure"] = 0.0 if pressure is None else filled(pressure[:, channel])[None, :]
         drive = apply_laws("drive", np.ones_like(known["opening"]), effects, known)
         speed = known["Kq"] * known["opening"] * np.sqrt(np.maximum(drive, 0.0)) / self.displacement[channel]
         speed = _lagged(np.broadcast_to(speed, (values["Kq"].shape[0], len(log))), values["lag"], period)
@@ -203,8 +174,6 @@ def _delayed(command: np.ndarray, delay: np.ndarray, period: float) -> np.ndarra
 
 def _lagged(value: np.ndarray, lag: np.ndarray, period: float) -> np.ndarray:
     """First-order lag of a value that is held from row to row; the output at a row is before that row's command acts."""
-    from scipy.signal import lfilter
-
     out = np.empty(value.shape)
     for lane in range(value.shape[0]):
         keep = float(np.exp(-period / lag[lane, 0]))
@@ -215,28 +184,19 @@ def _lagged(value: np.ndarray, lag: np.ndarray, period: float) -> np.ndarray:
 def _state(effect: str, known: dict[str, Any], period: float) -> np.ndarray:
     """The memory of an effect that is driven by the current, by implicit steps from row to row; (lanes, T)."""
     described = CATALOGUE[effect]
-    state = described.states[0]
-    current = known["current"]
-    width = max(
-        np.shape(v)[0]
-        for v in (current, *(v for n, v in known.items() if n.startswith(f"{effect}.")))
-        if np.ndim(v)
-    )
+    state, current = described.states[0], known["current"]
     rate_of, further = elementwise(state.rate), 0.01 * state.scale
-    changes = np.diff(current, axis=1, prepend=current[:, :1]) / period
-    out = np.zeros((width, current.shape[1]))
-    loop = np.zeros(width)
     names = list(inspect.signature(state.rate).parameters)
-    own = {
-        n: np.broadcast_to(argument(described, n, known), (width, 1))[:, 0]
-        for n in {*names} - {state.name, "current_rate"}
-    }
+    own = {n: argument(described, n, known) for n in names if n not in (state.name, "current_rate")}
+    changes = np.diff(current, axis=1, prepend=current[:, :1]) / period
+    lanes = np.broadcast_shapes(changes[:, :1].shape, *map(np.shape, own.values()))[0]
+    loop, out = np.zeros((lanes, 1)), np.empty((lanes, current.shape[1]))
     for row in range(current.shape[1]):
-        inputs = {**own, state.name: loop, "current_rate": np.broadcast_to(changes[:, row], (width,))}
+        inputs = {**own, "current_rate": changes[:, row : row + 1]}
         rate, beside = (
             rate_of(*({**inputs, state.name: at}[n] for n in names)) for at in (loop, loop + further)
         )
         decay = (rate - beside) / further
         loop = (loop + period * (rate + decay * loop)) / (1.0 + period * decay)
-        out[:, row] = loop
+        out[:, row] = loop[:, 0]
     return out

@@ -1,38 +1,33 @@
-"""What the report and the summary say: sentences and rows made of a diagnosis."""
+"""What the report and the summary say: sentences and rows made of the state of a diagnosis."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
-
-import numpy as np
+from pathlib import Path
 
 from ...plant import CATALOGUE
+from ..logs import place_of
 from ..models.base import RigModel
 from ..stages.candidates import Candidate
-from ..stages.naming import KnownParameter, NamedEffect
-from ..stages.naming import effect_values as values_of_effect
-from ..stages.validation import NAMED, Proof, shown_unit
+from ..stages.localisation import Location
+from ..stages.naming import NamedEffect
+from ..stages.screening import detectable, hidden_by_calibration
+from ..stages.validation import AT_NOISE, NAMED, Proof, shown_unit
+from ..stages.values import KnownParameter
+from ..stages.values import effect_values as values_of_effect
+from ..state import State
 from . import wording as words
 
-if TYPE_CHECKING:
-    from ..result import Diagnosis
-    from ..stages.localisation import Location
-
 __all__ = [
-    "AT_NOISE", "SignalErrors", "comment", "correction_texts", "effect_values", "error_columns", "errors_of", "headline",
-    "left_over", "log_names", "next_step", "ranking", "remaining", "sentence", "shown_locations", "unit_of", "weak_proof",
-    "windows_text",
+    "AT_NOISE", "SignalErrors", "comment", "correction_texts", "detectable", "effect_values", "error_columns", "errors_of",
+    "headline", "hidden_by_calibration", "log_names", "next_step", "places", "ranking", "remaining",
+    "sentence", "short_names", "shown_locations", "unit_of", "weak_proof", "windows_text",
 ]  # fmt: skip
 
-#: A signal is at the noise if its error is less than this factor above it.
-AT_NOISE = 1.1
-#: Slower than this a model could follow, s; what is faster is noise, or sensors.
-SLOW_S = 0.25
-#: A name less likely than this is not put forward as a fact.
+#: A name that is more likely wrong than right is not put forward as a fact.
 LIKELY = 0.5
-#: A placebo that leaves less than so many times what the names leave makes the proof weak, where calibration left so many times
-#: the noise.
+#: A placebo that leaves less than this many times what the names leave makes the proof weak, where calibration left this many
+#: times the noise. Words only: no verdict depends on them.
 PLACEBO_NEAR, WORTH_PROVING = 1.15, 1.2
 _COLUMNS = (("noise", 9), ("before", 9), ("calibrated", 11), ("after", 9), ("placebo", 9))
 
@@ -48,7 +43,7 @@ class SignalErrors:
 
     @property
     def name(self) -> str:
-        return words.signal(self.signal)
+        return words.SIGNALS[self.signal]
 
     @property
     def above_noise(self) -> float:
@@ -59,24 +54,26 @@ class SignalErrors:
 def unit_of(rig: RigModel, signal: str, channel: int) -> tuple[str, float]:
     """The unit that a signal is shown in, and its size in SI."""
     key, size = shown_unit(rig, signal, channel)
-    return words.signal_unit(key), size
+    return words.KEY_UNITS.get(key, key), size
 
 
 def errors_of(proof: Proof) -> list[SignalErrors]:
     """All signals of a proof."""
-    return [
-        SignalErrors(signal, c, unit_of(proof.rig, signal, c)[0], entry)
-        for (c, signal), entry in proof.errors.items()
-    ]
+    every = proof.errors.items()
+    return [SignalErrors(signal, c, unit_of(proof.rig, signal, c)[0], entry) for (c, signal), entry in every]
 
 
-def _speeds(found: Diagnosis) -> list[SignalErrors]:
-    return [e for e in errors_of(found.state.on_held_out) if e.signal == "speed"]
+def _speeds(state: State) -> list[SignalErrors]:
+    return [e for e in errors_of(state.proofs.held_out) if e.signal == "speed"]
 
 
-def headline(found: Diagnosis) -> SignalErrors:
+def _worst(state: State) -> SignalErrors:
+    return max(_speeds(state), key=lambda e: e.above_noise)
+
+
+def headline(state: State) -> SignalErrors:
     """The signal that says most: the speed whose residual fell most, in noise units, of the channels where something is named."""
-    speeds, named = _speeds(found), {c for effect in found.effects for c in effect.channels}
+    speeds, named = _speeds(state), {c for effect in state.effects for c in effect.channels}
     return max(
         [e for e in speeds if e.channel in named] or speeds,
         key=lambda e: (e.errors["before"] - e.errors["after"]) / max(e.errors["noise"], 1e-30),
@@ -84,35 +81,38 @@ def headline(found: Diagnosis) -> SignalErrors:
 
 
 # --- the verdict ----------------------------------------------------------------------------------------------------------
-def sentence(found: Diagnosis) -> str:
+def sentence(state: State) -> str:
     """The verdict in a sentence, and the proof in another."""
-    head = headline(found)
-    entry, unit = head.errors, head.unit
-    error = f"On the held-out logs the error of the {head.name} of channel {head.channel + 1} is {entry['after']:.3g} {unit} RMS"
-    noise = f"the noise is {entry['noise']:.3g}"
+    head, doubtful = headline(state), _doubtful(state)
+    e, unit = head.errors, head.unit
+    error = f"On the held-out logs the error of the {head.name} of channel {head.channel + 1} is {e['after']:.3g} {unit} RMS"
+    noise = f"the noise is {e['noise']:.3g}"
     other = "".join(
         f" Channel {s.channel + 1}: {s.errors['after']:.3g} {unit}, {s.errors['before']:.3g} as given; "
         f"noise {s.errors['noise']:.3g}."
-        for s in _speeds(found)
+        for s in _speeds(state)
         if s != head and max(s.errors["after"], s.errors["before"]) > AT_NOISE * s.errors["noise"]
     )
-    if found.verdict == "none":
+    if state.verdict == "none":
         enough = "Nothing is missing: the model as given explains the logs."
-        return f"{_doubtful(found) or enough} {error}; {noise}.{other}"
-    if found.verdict == "calibration":
+        return f"{doubtful or enough} {error}; {noise}.{other}"
+    if state.verdict == "calibration":
         ranges = "known parameters adjusted inside their plausible ranges"
         enough = f"Calibration is enough: with {ranges}, the model explains the logs."
-        return f"{_doubtful(found) or enough} {error}, {entry['before']:.3g} before; {noise}.{other}"
-    before = f"{entry['before']:.3g} as given, {entry['calibrated']:.3g} after calibration alone; {noise}"
-    lacks = _lacks(found) if found.verdict == "effects" else _unknown(found)
-    if found.best_guess:
-        lacks = f"Something is missing; what it is, is not proven. {_guess(found)}"
-    return f"{_doubtful(found)} {lacks} {error}: {before}.{other}".strip()
+        return f"{doubtful or enough} {error}, {e['before']:.3g} before; {noise}.{other}"
+    before = f"{e['before']:.3g} as given, {e['calibrated']:.3g} after calibration alone; {noise}"
+    lacks = (
+        _guess(state)
+        if state.best_guess
+        else _lacks(state)
+        if state.verdict == "effects"
+        else _unknown(state)
+    )
+    return f"{doubtful} {lacks} {error}: {before}.{other}".strip()
 
 
-def _doubtful(found: Diagnosis) -> str:
+def _doubtful(state: State) -> str:
     """What speaks against the logs themselves, before anything is concluded from them, or nothing."""
-    state, explains = found.state, found.verdict in ("none", "calibration")
     texts = []
     if state.undetermined:
         texts.append(f"These logs do not determine the known parameters: {words.listed(state.undetermined)}.")
@@ -120,45 +120,44 @@ def _doubtful(found: Diagnosis) -> str:
         texts.append(
             f"The held-out logs seem to be of another rig or state: {words.listed(state.elsewhere[:2])}."
         )
-    left = max(_speeds(found), key=lambda e: e.above_noise).above_noise
-    if explains and (texts or left > AT_NOISE):
-        by = "The model as given" if found.verdict == "none" else "Calibration"
-        texts.append(f"{by} explains the fit logs{'' if left > AT_NOISE else ', as other values would'}.")
+    left = _worst(state).above_noise > AT_NOISE
+    if state.verdict in ("none", "calibration") and (texts or left):
+        by = "The model as given" if state.verdict == "none" else "Calibration"
+        texts.append(f"{by} explains the fit logs{'' if left else ', as other values would'}.")
     return " ".join(texts)
 
 
-def _guess(found: Diagnosis) -> str:
+def _guess(state: State) -> str:
     """The best guess, and what is proven: the share of a speed's error that it explains, and what it leaves."""
-    worst = max(_speeds(found), key=lambda e: e.above_noise)
+    worst = _worst(state)
     e = worst.errors
     power = e["calibrated"] ** 2 - e["noise"] ** 2
-    share = (e["calibrated"] ** 2 - e["after"] ** 2) / power if power > 0.0 else 0.0
-    named = words.listed([_said(n) for n in found.effects])
+    share = max((e["calibrated"] ** 2 - e["after"] ** 2) / power, 0.0) if power > 0.0 else 0.0
+    named = words.listed([_said(n) for n in state.effects])
     return (
-        f"The best guess is {named}: on the held-out logs it explains {100.0 * max(share, 0.0):.0f} % of the power that "
-        f"calibration leaves of the {worst.name} of channel {worst.channel + 1}, and leaves {worst.above_noise:.2g} times the "
-        "noise. So the effect has another form than the catalogue's, or another one is missing as well."
+        f"Something is missing; what it is, is not proven. The best guess is {named}: on the held-out logs it explains "
+        f"{100.0 * share:.0f} % of the power that calibration leaves of the {worst.name} of channel {worst.channel + 1}, and "
+        f"leaves {worst.above_noise:.2g} times the noise. So the effect has another form than the catalogue's, or another one "
+        "is missing as well."
     )
 
 
-def _lacks(found: Diagnosis) -> str:
-    sure = [n for n in found.effects if n.probability >= LIKELY or len(found.effects) == 1]
-    perhaps = [n for n in found.effects if n not in sure]
+def _lacks(state: State) -> str:
+    sure = [n for n in state.effects if n.probability >= LIKELY or len(state.effects) == 1]
+    perhaps = [n for n in state.effects if n not in sure]
     text = f"The model lacks {words.listed([_said(n) for n in sure or perhaps])}."
     if sure and perhaps:
         text += f" Perhaps also {words.listed([_said(n) for n in perhaps])}."
     return text
 
 
-def _unknown(found: Diagnosis) -> str:
-    places = [
-        f"{words.equation(p.equation)} of channel {p.channel + 1}, {p.regime}"
-        for p in shown_locations(found)[:2]
-    ]
+def _unknown(state: State) -> str:
+    shown = shown_locations(state)[:2]
+    places = [f"{words.equation(p.equation)} of channel {p.channel + 1}, {p.regime}" for p in shown]
     where = words.listed(list(dict.fromkeys(places))) or "all signals"
     text = f"Something is missing that no effect of the catalogue explains; it shows in {where}."
-    if found.effects:
-        names = words.listed([f"{words.title(n.name)} on {words.where(n.channel)}" for n in found.effects])
+    if state.effects:
+        names = words.listed([f"{words.title(n.name)} on {words.where(n.channel)}" for n in state.effects])
         text += f" A part is explained by {names}."
     return text
 
@@ -166,9 +165,8 @@ def _unknown(found: Diagnosis) -> str:
 def _said(n: NamedEffect) -> str:
     """An effect with its channel and what it is indistinguishable from."""
     tied = words.listed([words.title(name) for name in n.indistinguishable_from[:3]])
-    return f"{words.title(n.name)} on {words.where(n.channel)}" + (
-        f" (or {tied}: these logs cannot distinguish them)" if tied else ""
-    )
+    text = f"{words.title(n.name)} on {words.where(n.channel)}"
+    return text + (f" (or {tied}: these logs cannot distinguish them)" if tied else "")
 
 
 #: What to do after each verdict.
@@ -187,46 +185,27 @@ _NEXT = {
 }
 
 
-def next_step(found: Diagnosis) -> str:
+def next_step(state: State) -> str:
     """What the verdict asks for."""
-    state = found.state
     doubt = "undetermined" if state.undetermined else "elsewhere" if state.elsewhere else ""
-    return _NEXT[doubt or ("best guess" if found.best_guess else found.verdict)]
+    return _NEXT[doubt or ("best guess" if state.best_guess else state.verdict)]
 
 
-def log_names(found: Diagnosis) -> str:
+def log_names(state: State) -> str:
     """The logs that were fitted, two by name."""
-    names = list(dict.fromkeys(part.log.name for part in found.state.rig.parts))
+    names = list(dict.fromkeys(part.log.name for part in state.rig.parts))
     return words.listed(names if len(names) < 3 else [*names[:2], f"{len(names) - 2} more"])
 
 
+def short_names(rig: RigModel) -> list[str]:
+    """Parts of logs without the folders, which need not be there when the page is read: the demo's get another name."""
+    return [Path(part.label).name for part in rig.parts]
+
+
 # --- what is left ---------------------------------------------------------------------------------------------------------
-def left_over(found: Diagnosis) -> str:
-    """What the final model leaves on the held-out logs of the speed that is worst: slow (physics) or fast (noise); or nothing."""
-    worst = max(_speeds(found), key=lambda e: e.above_noise)
-    after, noise, unit, c = worst.errors["after"], worst.errors["noise"], worst.unit, worst.channel
-    if after < AT_NOISE * noise or found.state.undetermined:
-        return ""
-    share = _slow_share(found.state.on_held_out, c)
-    if share is None:
-        return ""
-    text = (
-        f"Of the {after:.3g} {unit} that are left on channel {c + 1}, "
-        f"{np.sqrt(share) * after:.2g} {unit} are slower than "
-        f"{1.0 / SLOW_S:g} Hz, where a model could follow"
-    )
-    if share < 0.25:
-        fast = float(np.sqrt(max(after**2 * (1.0 - share) - noise**2, 0.0)))
-        more = f", with short events of {fast:.2g} {unit} in it" if fast > noise else ""
-        return f"{text}; the rest is as fast as noise is{more}."
-    if found.verdict in ("none", "calibration"):
-        return f"{text}: the held-out logs show something there that the fit logs do not."
-    return f"{text}: something is still missing there, or the effect has another functional form than the catalogue's."
-
-
-def remaining(found: Diagnosis, n: NamedEffect) -> str:
+def remaining(state: State, n: NamedEffect) -> str:
     """What the named effects together leave of the speeds of an effect's channels on the held-out logs."""
-    speeds = [s for s in _speeds(found) if s.channel in (n.channels or found.state.rig.channels)]
+    speeds = [s for s in _speeds(state) if s.channel in (n.channels or state.rig.channels)]
     return words.listed([
         f"{s.errors['after']:.3g} of {s.errors['calibrated']:.3g} {s.unit} on channel {s.channel + 1} "
         f"(noise {s.errors['noise']:.3g})"
@@ -234,45 +213,29 @@ def remaining(found: Diagnosis, n: NamedEffect) -> str:
     ])  # fmt: skip
 
 
-def _slow_share(proof: Proof, c: int) -> float | None:
-    """The share of the power of a speed's error that is slower than `SLOW_S`; None where there is no error."""
-    power = slow = 0.0
-    size = shown_unit(proof.rig, "speed", c)[1]
-    for s in proof.rig.segments[c]:
-        if s.signal != "speed":
-            continue
-        error = np.where(s.used, s.measured - proof.traces["after"][c][s.place], np.nan) / size
-        width = max(1, round(SLOW_S / s.period))
-        pieces = error[: error.size // width * width].reshape(-1, width)
-        whole = np.isfinite(pieces).all(axis=1)
-        power += float(np.sum(pieces[whole] ** 2))
-        slow += float(np.sum(width * pieces[whole].mean(axis=1) ** 2))
-    return slow / power if power > 0.0 else None
-
-
-def weak_proof(found: Diagnosis) -> str:
+def weak_proof(state: State) -> str:
     """A remark where the best wrong effect does nearly as well on the held-out logs as what was named, or nothing."""
-    entry = headline(found).errors
+    entry = headline(state).errors
     near = entry["placebo"] <= PLACEBO_NEAR * entry["after"]
-    if not found.effects or not near or entry["calibrated"] < WORTH_PROVING * entry["noise"]:
+    if not state.effects or not near or entry["calibrated"] < WORTH_PROVING * entry["noise"]:
         return ""
-    names = {words.title(name) for p in found.state.selection.placebo.values() for name in p.effects()}
+    names = {words.title(name) for p in state.selection.placebo.values() for name in p.effects()}
     return (
-        f"a placebo ({words.listed(sorted(names)) or 'another effect'}) does nearly as well on the held-out logs: they are "
-        "weak evidence for the names"
+        f"A placebo ({words.listed(sorted(names)) or 'another effect'}) does nearly as well on the held-out logs: they are "
+        "weak evidence for the names."
     )
 
 
 # --- where it is ----------------------------------------------------------------------------------------------------------
-def shown_locations(found: Diagnosis) -> list[Location]:
+def shown_locations(state: State) -> list[Location]:
     """Locations on channels where the calibrated model leaves anything of the fit logs, the largest share first."""
-    left = {c for (c, _), e in found.state.on_fit.errors.items() if e["calibrated"] > AT_NOISE * e["noise"]}
-    return sorted((p for p in found.state.locations if p.channel in left), key=lambda p: -p.share)
+    left = {c for (c, _), e in state.proofs.fit.errors.items() if e["calibrated"] > AT_NOISE * e["noise"]}
+    return sorted((p for p in state.locations if p.channel in left), key=lambda p: -p.share)
 
 
-def windows_text(found: Diagnosis, location: Location) -> str:
+def windows_text(state: State, location: Location) -> str:
     """The windows of a location, by log."""
-    texts, parts = [], found.state.rig.parts
+    texts, parts = [], state.rig.parts
     for number in dict.fromkeys(location.logs):
         mine = [w for w, log in zip(location.windows, location.logs, strict=True) if log == number]
         text = ", ".join(f"{a:.2f} to {b:.2f}" for a, b in mine) + " s"
@@ -280,24 +243,29 @@ def windows_text(found: Diagnosis, location: Location) -> str:
     return "; ".join(texts)
 
 
+def places(state: State) -> list[str]:
+    """Where effects may be: the channels, and the rig if there are such candidates."""
+    of_rig = any("rig" in row for row in detectable(state.screening).values())
+    return [*(str(c + 1) for c in state.rig.channels), *(["rig"] if of_rig else [])]
+
+
 # --- numbers --------------------------------------------------------------------------------------------------------------
-def effect_values(found: Diagnosis, n: NamedEffect) -> list[tuple[str, str, str]]:
+def effect_values(state: State, n: NamedEffect) -> list[tuple[str, str, str]]:
     """(parameter, estimate with interval, what that is of full command) of a named effect."""
-    rig = found.state.rig
-    c = n.channels[0] if len(n.channels) == 1 else rig.channels[0]
+    c = n.channels[0] if len(n.channels) == 1 else state.rig.channels[0]
     return [
         (
-            words.parameter(n.name, own),
+            CATALOGUE[n.name].parameter(own).title,
             words.interval(p),
-            words.of_command(n.name, own, p.value, found.model, c),
+            words.of_command(n.name, own, p.value, state.model, c),
         )
         for own, p in n.parameters.items()
     ]
 
 
-def comment(found: Diagnosis, p: KnownParameter) -> str:
+def comment(rig: RigModel, p: KnownParameter) -> str:
     """What to think of a known parameter that moved further than such values usually do, or that was not known; or nothing."""
-    if p.symbol in found.state.rig.own:
+    if p.symbol in rig.own:
         return "not given: estimated from these logs alone"
     if not p.unusual:
         return ""
@@ -311,51 +279,41 @@ def comment(found: Diagnosis, p: KnownParameter) -> str:
     )
 
 
-def error_columns(found: Diagnosis) -> list[tuple[str, str, int]]:
+def error_columns(state: State) -> list[tuple[str, str, int]]:
     """(model, heading, width) of the table of errors; where a form was corrected, the names alone have a column."""
     plain = [(model, model, width) for model, width in _COLUMNS]
-    return [*plain[:3], (NAMED, "effects only", 14), *plain[3:]] if found.state.corrections else plain
+    return [*plain[:3], (NAMED, "effects only", 14), *plain[3:]] if state.models.corrections else plain
 
 
-def correction_texts(found: Diagnosis) -> list[str]:
+def correction_texts(state: State) -> list[str]:
     """What each shape correction is and how large, in a line."""
-    state, texts = found.state, []
-    for k in state.corrections:
-        where = "rig" if k.channel is None else str(k.channel + 1)
+    texts = []
+    for k in state.models.corrections:
         first = state.rig.channels[0] if k.channel is None else k.channel
-        values = list(values_of_effect(state.final[first], k.correction, first).items())
+        values = list(values_of_effect(state.models.final[first], k.correction, first).items())
         shown = "; ".join(f"{words.plain(own)} {words.interval(p)}" for own, p in values[:2])
         more = f" and {len(values) - 2} more numbers" if len(values) > 2 else ""
-        size = ""
-        speeds = {key: change for key, change in k.changes.items() if key[1] == "speed"}
-        if speeds:
-            c, signal = max(speeds, key=lambda key: speeds[key])
-            unit, scale = unit_of(state.held_out, signal, c)
-            change = speeds[c, signal] / scale
-            size = f"; it moves the {words.signal(signal)} by {change:.2g} {unit} RMS on the held-out logs"
-        what = f"{CATALOGUE[k.correction].summary}, {words.where(where)} (for {words.title(k.effect)})"
-        texts.append(f"{what}: {shown}{more}{size}")
+        change, c = max((v, c) for (c, signal), v in k.changes.items() if signal == "speed")
+        unit, scale = unit_of(state.logs.held_out, "speed", c)
+        size = f"it moves the speed by {change / scale:.2g} {unit} RMS on the held-out logs"
+        where = words.where(place_of(k.channel))
+        what = f"{CATALOGUE[k.correction].summary}, {where} (for {words.title(k.effect)})"
+        texts.append(f"{what}: {shown}{more}; {size}")
     return texts
 
 
-def ranking(found: Diagnosis) -> list[Candidate]:
+def ranking(state: State) -> list[Candidate]:
     """Candidates by gain in their last try: accepted ones first, then by gain."""
     last: dict[tuple[str, int | None], Candidate] = {}
-    for t in found.state.selection.candidates:
+    for t in state.selection.candidates:
         known = last.get((t.effect, t.channel))
         better = known is None or (not known.accepted and t.refitted and t.gain > known.gain)
         if better or t.accepted:
             last[t.effect, t.channel] = t
-    rows = sorted(last.values(), key=lambda t: (not t.accepted, not t.refitted, -t.gain))
-    tied = {
-        (other, c): n.name
-        for n in found.effects
-        for other in n.indistinguishable_from
-        for c in n.channels or (None,)
-    }
-    return [
-        replace(t, outcome=f"as good: indistinguishable from {words.plain(tied[t.effect, t.channel])}")
-        if (t.effect, t.channel) in tied and not t.accepted
-        else t
-        for t in rows
-    ]
+    for n in state.effects:
+        for key in ((other, c) for other in n.indistinguishable_from for c in n.channels or (None,)):
+            if key in last and not last[key].accepted:
+                last[key] = replace(
+                    last[key], outcome=f"as good: indistinguishable from {words.plain(n.name)}"
+                )
+    return sorted(last.values(), key=lambda t: (not t.accepted, not t.refitted, -t.gain))

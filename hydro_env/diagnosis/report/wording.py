@@ -7,41 +7,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from ...plant import CATALOGUE, PARAMETERS, PlantModel
 from ...plant.parameters import SPOOL_FORCE, SPOOL_TRAVEL
 from ...units import BAR, DEGREE, LPM, MICROMETRE, MILLIAMPERE, MILLIMETRE, MILLISECOND, RPM
-
-if TYPE_CHECKING:
-    from ..stages.naming import Interval
+from ..stages.values import Interval
 
 __all__ = [
-    "equation",
-    "interval",
-    "known",
-    "listed",
-    "number",
-    "of_command",
-    "parameter",
-    "plain",
-    "signal",
-    "signal_unit",
-    "title",
-    "unit_of",
+    "KEY_UNITS", "SIGNALS", "equation", "interval", "known", "listed", "number", "of_command", "plain", "title", "unit_of",
     "where",
-]
+]  # fmt: skip
 
 _EQUATIONS = {
     "coil": "the coil (current from the command)", "valve_flow": "the valve (flow from command and pressure)",
     "shaft": "the shaft (speed from pressure and load)", "lines": "the lines (mean of both line pressures)",
     "valve and motor": "valve and motor together (no pressure logged)",
 }  # fmt: skip
-_SIGNALS = {
+#: Signals of the logs.
+SIGNALS = {
     "speed": "speed", "current": "coil current", "pressure": "pressure difference", "spool": "spool position", "flow": "flow",
     "mean_line_pressure": "mean line pressure",
 }  # fmt: skip
-_KEY_UNITS = {"mm_per_s": "mm/s", "lpm": "l/min"}
+#: Units that the keys of diagnosis.json spell otherwise.
+KEY_UNITS = {"mm_per_s": "mm/s", "lpm": "l/min"}
 #: Known parameters that only a reduced model has.
 _OWN = {"lag": "lag of the speed behind the command"}
 
@@ -56,11 +44,6 @@ def title(effect: str) -> str:
     return CATALOGUE[effect].title if effect in CATALOGUE else plain(effect)
 
 
-def parameter(effect: str, name: str) -> str:
-    """An effect's own parameter."""
-    return CATALOGUE[effect].parameter(name).title
-
-
 def where(channel: str) -> str:
     """ "1", "2", "both" or "rig" in words."""
     return {"rig": "the whole rig", "both": "both channels"}.get(channel, f"channel {channel}")
@@ -69,16 +52,6 @@ def where(channel: str) -> str:
 def equation(name: str) -> str:
     """An equation of `where`."""
     return _EQUATIONS.get(name, plain(name))
-
-
-def signal(name: str) -> str:
-    """A signal of the logs."""
-    return _SIGNALS[name]
-
-
-def signal_unit(unit: str) -> str:
-    """A unit as the keys of diagnosis.json have it."""
-    return _KEY_UNITS.get(unit, unit)
 
 
 def listed(words: Sequence[str]) -> str:
@@ -123,7 +96,7 @@ def known(symbol: str, c: int, value: float, model: PlantModel) -> str:
     """A base parameter of channel c in words; of a flow gain also the flow that full command would give."""
     effect, _, own = symbol.rpartition(".")
     if effect:
-        return f"{title(effect)}: {parameter(effect, own)}"
+        return f"{title(effect)}: {CATALOGUE[effect].parameter(own).title}"
     text = PARAMETERS[symbol].title if symbol in PARAMETERS else _OWN.get(symbol, plain(symbol))
     if symbol == "Kq":
         stroke = (

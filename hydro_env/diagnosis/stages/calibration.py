@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...errors import InputError, nearest
+from ...measured import Finding
 from ...plant import CATALOGUE, PARAMETERS, parameter_of
 from ..estimation import (
     Estimate,
@@ -13,61 +17,109 @@ from ..estimation import (
     Unknown,
     base_unknown,
     given_unknown,
+    joined,
     limited_by_effects,
+    noise_of,
     restart_friction,
     solve,
 )
+from ..logs import Estimates, Given, Logs, distinct
 from ..models.base import RigModel, effect_in, given_repeats
-from ..settings import rule
-from ..state import Estimates, State
+from ..settings import Settings
 from .row_times import without_outliers
+from .screening import Screening
 
-__all__ = ["as_given", "base_unknowns", "calibrate", "run"]
+__all__ = [
+    "Calibrated", "Chosen", "as_given", "base_unknowns", "calibrate", "calibrated_fit", "check_chosen", "fit_as_given", "run",
+]  # fmt: skip
 
-CALIBRATE_TWICE = rule(
-    "calibrate_twice",
-    "calibrate also without the direction in which all forces on the spool scale, where more than white noise is left",
-)
-COIL_FIRST = rule("coil_first", "estimate the coil by the current alone before everything else")
+#: Parameters to calibrate by name, each with its bounds (SI) or None for the plausible ones.
+Chosen = Mapping[str, tuple[float, float] | None]
 
-#: Parameters that act on the current alone of all signals before the spool.
-COIL = ("R", "L")
-#: Iterations of the calibration, and of the coil alone.
-ITERATIONS, COIL_ITERATIONS = 18, 6
+#: Iterations of the calibration: each step of differences (`DIFFERENCE_STEPS`) six times.
+ITERATIONS = 18
 #: Unknowns for which these iterations are enough: somewhat more than the base parameters of a channel.
 FEW = 20
-#: Factor on the noise of signals that are not to count.
-IGNORED = 1e6
 
 
-def run(state: State) -> State:
+@dataclass(frozen=True)
+class Calibrated:
+    """The calibrated model beside the logs; `given` as in `Given`. `backlashes` are those of couplings that rattle, by a first
+    look: `logs` follow the measured speed there."""
+
+    logs: Logs
+    given: Estimates
+    estimates: Estimates
+    findings: list[Finding]
+    backlashes: list[Screening] = field(default_factory=list)
+
+
+def run(given: Given) -> Calibrated:
     """Calibrates every channel and estimates the noise again; without the rows that stand out, where there are some."""
-    fit, calibrated = state.fit, calibrate(state.fit)
+    fit, estimates, found = calibrated_fit(given.logs.fit)
+    rigs = given.logs.fine, given.logs.held_out
+    (fine, _), (held_out, more) = (without_outliers(rig, estimates) for rig in rigs)
+    return Calibrated(Logs(fit, fine, held_out), given.estimates, estimates, [*given.findings, *found, *more])
+
+
+def calibrated_fit(fit: Fit, chosen: Chosen | None = None) -> tuple[Fit, Estimates, list[Finding]]:
+    """The noise as the calibrated estimates show it, without rows that stand out; the estimates; what was left out."""
+    calibrated = calibrate(fit, chosen=chosen)
     rig, found = without_outliers(fit.rig, calibrated)
     if found:
         fit = fit.on(rig)
-        calibrated = calibrate(fit)
-    (fine, _), (held_out, more) = (without_outliers(r, calibrated) for r in (state.fine, state.held_out))
+        calibrated = calibrate(fit, chosen=chosen)
     fit = fit.with_noise_seen_by(calibrated)
     fit.rescore(list(calibrated.values()))
-    findings = [*state.findings, *found, *more]
-    return replace(state, fit=fit, fine=fine, held_out=held_out, calibrated=calibrated, findings=findings)
+    return fit, calibrated, found
 
 
-def base_unknowns(rig: RigModel, channel: int) -> list[Unknown]:
-    """The parameters that calibration may adjust, about their values in the model as given."""
+def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> list[Unknown]:
+    """The parameters that calibration may adjust, about their values in the model as given; of these the `chosen` ones."""
     limited, size = limited_by_effects(), rig.given("D", channel) / PARAMETERS["D"].nominal
     found = []
     for name in rig.base(channel):
+        if chosen is not None and name not in chosen:
+            continue
         value, (effect, _, own) = rig.given(name, channel), name.rpartition(".")
         if effect:
             unknown = given_unknown(name, effect_in(rig, effect, channel).parameter(own), value)
         else:
             parameter = rig.own[name] if name in rig.own else parameter_of(name)
             unknown = base_unknown(parameter, value, name in limited, size)
+        if chosen is not None and (bounds := chosen[name]):
+            unknown = replace(unknown, low=bounds[0], high=bounds[1])
         of_rig = effect and CATALOGUE[effect].scope == "rig"
         found.append(replace(unknown, channel=None if of_rig else channel))
     return found
+
+
+def check_chosen(rig: RigModel, chosen: Chosen) -> None:
+    """InputError for a parameter that calibration cannot adjust, or bounds that do not hold its value."""
+    known = dict.fromkeys(name for c in rig.channels for name in rig.base(c))
+    for name in chosen:
+        if name not in known:
+            near = nearest(name, known)
+            hint = f"did you mean {near!r}? " if near else ""
+            raise InputError(f"unknown parameter {name!r}: {hint}these can be estimated: {', '.join(known)}")
+    for u in (u for c in rig.channels for u in base_unknowns(rig, c, chosen)):
+        if (
+            not u.low <= u.center <= u.high
+            or (u.log and not u.low > 0.0)
+            or not math.isfinite(u.high - u.low)
+        ):
+            need = "positive bounds" if u.log else "bounds"
+            raise InputError(
+                f"{u.name}: {u.low:g} to {u.high:g} {u.unit} are no {need} around {u.center:g} of the model"
+            )
+
+
+def fit_as_given(rig: RigModel, settings: Settings | None = None) -> tuple[Fit, Estimates]:
+    """The model as given beside its logs: the noise as it shows that, and its simulations by channel."""
+    unknown = {(c, s.signal): 1e-9 for c in rig.channels for s in rig.segments[c]}
+    fit = Fit(rig, unknown, settings or Settings())
+    given = as_given(fit)
+    return replace(fit, noise=noise_of(rig, given)), given
 
 
 def as_given(fit: Fit) -> Estimates:
@@ -77,58 +129,17 @@ def as_given(fit: Fit) -> Estimates:
     return estimates
 
 
-def calibrate(fit: Fit, iterations: int = ITERATIONS) -> Estimates:
-    """Adjusts the base parameters of every channel, with priors about the model as given.
-
-    The coil comes first, by the current alone: nothing behind it acts back, so that no missing effect can pull it away.
-    What leaves little but more than white noise then begins anew with other friction of the spool.
-    """
+def calibrate(fit: Fit, iterations: int = ITERATIONS, chosen: Chosen | None = None) -> Estimates:
+    """Adjusts the base parameters of every channel, or the `chosen` ones, with priors about the model as given."""
     rig, estimates = fit.rig, {}
     for channel in rig.channels:
-        unknowns, follow = base_unknowns(rig, channel), given_repeats(rig, channel)
+        unknowns, follow = base_unknowns(rig, channel, chosen), given_repeats(rig, channel)
         estimates[channel] = Estimate(channel, unknowns, np.zeros(len(unknowns)), "calibrated", follow=follow)
-    if fit.settings.uses(COIL_FIRST):
-        _coil_first(fit, estimates)
     if rig.coupled and len(estimates) == 2:
-        estimates = dict.fromkeys(estimates, _of_rig(estimates))
-    every = list({id(p): p for p in estimates.values()}.values())
+        estimates = dict.fromkeys(estimates, joined(estimates))
+    every = distinct(estimates)
     # Given effects and rigs that are estimated as a whole have more unknowns, which take more steps.
     iterations *= max(1, *(len(p.unknowns) // FEW for p in every))
-    # Two ways, of which either may end in a local minimum of the spool's friction: with and without the forces scaled together.
-    # Without what is missing the other directions would lead far away from where it is found.
-    twice = rig.has_hidden_states and fit.settings.uses(CALIBRATE_TWICE)
-    apart = [replace(p, q=p.q.copy(), together=()) for p in every if twice]
     solve(fit, every, iterations)
-    both = [(p, other) for p, other in zip(every, apart, strict=False) if not fit.is_white(p)]
-    solve(fit, [other for _, other in both], iterations)
-    solve(fit, [p for p, other in both if p.adopt(other)], iterations // 3)
-    if rig.has_hidden_states:
-        solve(fit, restart_friction(fit, every), iterations)
+    restart_friction(fit, every, iterations)
     return estimates
-
-
-def _of_rig(estimates: Estimates) -> Estimate:
-    """The estimates of both channels as one, in which what the channels share is there once."""
-    both = [(u, v) for p in estimates.values() for u, v in zip(p.unknowns, p.q, strict=True)]
-    own = {(u.name, u.channel): (u, v) for u, v in both}
-    follow = {name: source for p in estimates.values() for name, source in p.follow.items()}
-    unknowns, q = [u for u, _ in own.values()], np.array([v for _, v in own.values()])
-    return Estimate(None, unknowns, q, "calibrated", follow=follow)
-
-
-def _coil_first(fit: Fit, estimates: Estimates) -> None:
-    """Starts the coil's parameters where they explain the measured current best."""
-    coils = {}
-    for channel, estimate in estimates.items():
-        own = [j for j, u in enumerate(estimate.unknowns) if u.name in COIL]
-        if own and any(s.signal == "current" for s in fit.rig.segments[channel]):
-            coils[channel] = own
-    # Signals behind the coil are given so much noise that they do not count.
-    noise = {key: value if key[1] == "current" else IGNORED * value for key, value in fit.noise.items()}
-    alone = {
-        c: Estimate(c, [estimates[c].unknowns[j] for j in own], np.zeros(len(own)), "coil")
-        for c, own in coils.items()
-    }
-    solve(replace(fit, noise=noise), list(alone.values()), COIL_ITERATIONS)
-    for channel, own in coils.items():
-        estimates[channel].q[own] = alone[channel].q

@@ -2,44 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ...plant import CATALOGUE
-from ...plant.catalogue.form_corrections import FAMILY
-from ..estimation import Estimate, Fit, Unknown, explained_share, nearly_explained
-from ..settings import rule
-from ..state import Estimates
-from .screening import Screening
+from ..estimation import Estimate, Fit, Unknown
+from ..logs import Estimates, Logs, place_of
 
 __all__ = [
-    "ACCEPTED", "AT_EDGE", "OUTDONE", "VANISHED", "WITHIN_REACH", "Accepted", "Candidate", "Search", "Selection", "at_edge",
-    "carries_size", "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
+    "ACCEPTED", "OUTDONE", "VANISHED", "Accepted", "Attempt", "Candidate", "Selection",
+    "is_neutral", "judge", "neutral_of", "penalty", "penalty_per_parameter",
 ]  # fmt: skip
 
-REJECT_SMALL_SHARE = rule(
-    "reject_small_share", "reject an effect that explains no noticeable share of the residual"
-)
-REJECT_AT_EDGE = rule(
-    "reject_at_edge", "reject an effect whose size ends at the edge of its range and leaves something"
-)
-
 #: What becomes of a candidate, in words that the report shows.
-ACCEPTED = "taken"
+ACCEPTED = "accepted"
 OUTDONE = "others explain more"
 VANISHED = "vanishes when refitted"
-AT_EDGE = "only at the edge of its plausible range"
-#: An estimate that is nearer to neutral than this share of the usual size has vanished.
+#: An estimate that is nearer to neutral than this share of the usual size has vanished: nobody would look for so little.
 NEUTRAL_SHARE = 0.02
-#: Candidates whose short refit reached less than this share of the best one's are not refitted in full.
-WITHIN_REACH = 0.5
 #: The round under which candidates are listed that were judged after the forward rounds.
 AFTER_ROUNDS = 9
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Candidate:
     """What became of a candidate: `gain` is the fall of the deviance, `needed` what it takes; `outcome` in words."""
 
@@ -53,7 +40,7 @@ class Candidate:
 
     @property
     def where(self) -> str:
-        return "rig" if self.channel is None else str(self.channel + 1)
+        return place_of(self.channel)
 
     @property
     def refitted(self) -> bool:
@@ -70,7 +57,7 @@ class Candidate:
         }  # fmt: skip
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Accepted:
     """An effect that was accepted, its gain over leaving it out (`without`), and the candidates that did nearly as well in its
     place, by name with how far their deviance is behind. `rival` is how far the best other set of effects is behind, with what
@@ -80,102 +67,46 @@ class Accepted:
     channel: int | None
     gain: float
     needed: float
-    competing: dict[str, float] = field(default_factory=dict)
+    competing: Mapping[str, float] = field(default_factory=dict)
     without: Estimate | None = None
     rival: float = np.inf
 
 
-@dataclass
-class Selection:
-    """The result: final estimates by channel (the same joint one for both where an effect of the rig was accepted). `attempted`
-    are estimates with a correction of form that were refitted on the way."""
+@dataclass(frozen=True)
+class Attempt:
+    """An estimate with one correction of the form of an effect more, and by how much the cost must fall for it (`needed`)."""
 
+    effect: str
+    channel: int | None
+    correction: str
+    estimate: Estimate
+    needed: float
+
+    @property
+    def score(self) -> float:
+        """The cost with what the correction must pay for."""
+        return self.estimate.cost + self.needed
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The result: final estimates by channel (the same joint one for both where an effect of the rig was accepted), the
+    calibrated ones beside them, and the `logs` with the noise that they show. `forms` are the best corrections of form of those
+    estimates for which any were tried."""
+
+    logs: Logs
+    calibrated: Estimates
     estimates: Estimates
     accepted: list[Accepted]
     candidates: list[Candidate]
     placebo: Estimates
-    attempted: list[Estimate] = field(default_factory=list)
+    forms: Mapping[Estimate, Attempt | None] = field(default_factory=dict)
 
-    def in_best_form(self, channel: int) -> Estimate:
-        """The estimate of a channel, with that correction of form that explains most of those that were refitted, if one does."""
-        found = self.estimates[channel]
-        forms = [p for p in self.attempted if _names_without_form(p) == _names_without_form(found)]
-        return min([found, *forms], key=lambda p: p.cost)
-
-    def effects_by_channel(self) -> dict[int | None, list[str]]:
-        """The accepted effects by channel, None for those of the whole rig."""
-        found: dict[int | None, list[str]] = {}
-        for one in self.accepted:
-            found.setdefault(one.channel, []).append(one.effect)
-        return found
-
-
-@dataclass
-class Search:
-    """A selection under way: `present` are the estimates so far, from `calibrated`; `corrected` are pairs of an estimate and the
-    same with the best correction of form; the rest as in `Selection`."""
-
-    fit: Fit
-    calibrated: Estimates
-    screening: Sequence[Screening]
-    seconds: float
-    present: Estimates
-    progress: Callable[[str], None] = lambda text: None
-    accepted: list[Accepted] = field(default_factory=list)
-    candidates: list[Candidate] = field(default_factory=list)
-    placebo: Estimates = field(default_factory=dict)
-    corrected: list[tuple[Estimate, Estimate]] = field(default_factory=list)
-    attempted: list[Estimate] = field(default_factory=list)
-
-    @property
-    def names(self) -> list[str]:
-        """The candidates that act on one channel."""
-        return [n for n in self.fit.rig.candidates() if CATALOGUE[n].scope == "channel"]
-
-    def on(self, channel: int | None) -> list[Accepted]:
-        """What was accepted on a channel."""
-        return [k for k in self.accepted if k.channel == channel]
-
-    @property
-    def of_rig(self) -> bool:
-        """Whether the present estimate is one of the whole rig."""
-        return any(p.channel is None for p in self.present.values())
-
-    @property
-    def needed(self) -> float:
-        """What all accepted effects must pay for."""
-        return sum(k.needed for k in self.accepted)
-
-    def afresh(self) -> Search:
-        """The search for another set of effects, from the calibrated estimates."""
-        return Search(
-            self.fit, self.calibrated, self.screening, self.seconds, dict(self.calibrated), self.progress
-        )
-
-    def put(self, channel: int, estimate: Estimate) -> None:
-        """Makes an estimate the present one: of its channel, or of both where it is the rig's."""
-        self.present.update(dict.fromkeys(self.fit.channels_of(estimate), estimate))
-
-    def record(
-        self, effect: str, channel: int | None, number: int, gain: float, outcome: str, estimate: Estimate | None = None,
-        needed: float | None = None,
-    ) -> None:  # fmt: skip
-        """Remembers what became of a candidate in a round."""
-        needed = penalty(self.fit, effect) if needed is None else needed
-        self.candidates.append(Candidate(effect, channel, number, gain, needed, outcome, estimate))
-
-    def competing(self, effect: str, gains: dict[str, float]) -> dict[str, float]:
-        """Those of other effects' `gains` that are nearly as large as that of `effect`, as how far they are behind."""
-        found, needed = gains[effect], penalty(self.fit, effect)
-        behind = {name: max(0.0, found - g) for name, g in gains.items() if name != effect}
-        return {n: d for n, d in behind.items() if d < self.fit.settings.tied_share * found or d < needed}
-
-
-def _names_without_form(estimate: Estimate) -> list[tuple[str, int | None]]:
-    """The unknowns of an estimate, but those of corrections of form."""
-    return [
-        (u.name, u.channel) for u in estimate.unknowns if not u.effect or CATALOGUE[u.effect].family != FAMILY
-    ]
+    def in_best_form(self) -> Estimates:
+        """The estimates, each with its best correction of form where that explains more."""
+        best = {c: self.forms.get(p) for c, p in self.estimates.items()}
+        pays = {c: t for c, t in best.items() if t is not None and t.estimate.cost < self.estimates[c].cost}
+        return {**self.estimates, **{c: t.estimate for c, t in pays.items()}}
 
 
 def penalty_per_parameter(fit: Fit) -> float:
@@ -190,45 +121,12 @@ def penalty(fit: Fit, effect: str) -> float:
     return penalty_per_parameter(fit) * len(CATALOGUE[effect].parameters)
 
 
-def judge(
-    fit: Fit, before: Estimate, after: Estimate, effect: str, gain: float, channel: int | None = None
-) -> str:
+def judge(fit: Fit, after: Estimate, effect: str, gain: float, channel: int | None = None) -> str:
     """What becomes of a candidate that gains so much: `ACCEPTED`, or why not; `channel` is its own, where the estimate is the
     rig's."""
     if gain < penalty(fit, effect):
         return "gains less than chance could"
-    channels = fit.channels_of(after)
-    share = explained_share(fit, before, after, channels)
-    if share < fit.settings.least_share and fit.settings.uses(REJECT_SMALL_SHARE):
-        return "explains no noticeable share of the gap"
-    if is_neutral(after, effect, channel):
-        return VANISHED
-    # A size beyond what rigs have makes up for something else; where the last plausible one leaves nothing it does not.
-    edge = at_edge(after, effect, channel) and fit.settings.uses(REJECT_AT_EDGE)
-    if edge and not all(nearly_explained(fit, before, after, c) for c in channels):
-        return AT_EDGE
-    return ACCEPTED
-
-
-def at_edge(estimate: Estimate, effect: str, channel: int | None = None) -> bool:
-    """Whether a size of an effect ends at a bound of its range that is not its neutral value; `channel` says whose, where the
-    estimate is the rig's."""
-    for u, q in zip(estimate.unknowns, estimate.q, strict=True):
-        if u.effect != effect or u.prior or not u.at_bound(float(q)):
-            continue
-        if channel is not None and u.channel not in (None, channel):
-            continue
-        parameter = CATALOGUE[effect].parameter(u.parameter)
-        near = u.low if u.value(float(q)) < 0.5 * (u.low + u.high) else u.high
-        neutral = parameter.nominal
-        if parameter.typical != neutral and near != neutral and np.isfinite(neutral):
-            return True
-    return False
-
-
-def carries_size(unknown: Unknown) -> bool:
-    """Whether a parameter of an effect carries its amount."""
-    return CATALOGUE[unknown.effect].parameter(unknown.parameter).carries_size
+    return VANISHED if is_neutral(after, effect, channel) else ACCEPTED
 
 
 def neutral_of(unknown: Unknown) -> float:
@@ -238,17 +136,10 @@ def neutral_of(unknown: Unknown) -> float:
 
 def is_neutral(estimate: Estimate, effect: str, channel: int | None = None) -> bool:
     """Whether the estimate of an effect is its neutral value; `channel` says whose, where the estimate is the rig's."""
-    return all(
-        _is_neutral(u, float(q))
-        for u, q in zip(estimate.unknowns, estimate.q, strict=True)
-        if u.effect == effect and (channel is None or u.channel in (None, channel))
-    )
-
-
-def _is_neutral(unknown: Unknown, q: float) -> bool:
-    usual, neutral = CATALOGUE[unknown.effect].parameter(unknown.parameter).typical, neutral_of(unknown)
-    return (
-        usual is None
-        or usual == neutral
-        or abs(unknown.value(q) - neutral) < NEUTRAL_SHARE * abs(usual - neutral)
-    )
+    for u, q in zip(estimate.unknowns, estimate.q, strict=True):
+        if u.effect == effect and (channel is None or u.channel in (None, channel)):
+            usual, neutral = CATALOGUE[effect].parameter(u.parameter).typical, neutral_of(u)
+            near = NEUTRAL_SHARE * abs((neutral if usual is None else usual) - neutral)
+            if near and abs(u.value(float(q)) - neutral) >= near:
+                return False
+    return True

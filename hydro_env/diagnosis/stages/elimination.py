@@ -1,130 +1,56 @@
-"""Backward elimination, and competing candidates: which of the accepted effects are needed, and what would do as well."""
+"""Backward elimination: which of the accepted effects are needed."""
 
 from __future__ import annotations
 
-from ...plant import CATALOGUE
-from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, joined, settle, solve
-from ..settings import rule
-from .candidates import AFTER_ROUNDS, Accepted, Search, at_edge, is_neutral
-from .form_correction import attempts, refit_attempts
-from .screening import alike
+from ..estimation import SCALED_TOGETHER, SETTLE_ITERATIONS, Estimate, far_from_noise, settle, solve
+from .candidates import AFTER_ROUNDS
+from .search import Search
 
-__all__ = ["compare_competing", "drop_not_missed", "drop_unneeded", "prefer_form"]
-
-DROP_UNNEEDED = rule(
-    "drop_unneeded", "drop an effect that the known parameters replace, from where it led them"
-)
-DROP_NOT_MISSED = rule(
-    "drop_not_missed", "backward elimination: drop an effect that is not missed beside the others"
-)
-PREFER_FORM = rule("prefer_form", "drop an effect if another form of those beside it explains more")
-COMPARE_COMPETING = rule("compare_competing", "put competing candidates in the place of what was accepted")
-
-#: Iterations of the refit of a competing candidate.
-COMPETING_ITERATIONS = 5
-#: Competing candidates that are refitted again at most, by what they gained and by their signature.
-MOST_BY_GAIN, MOST_BY_SIGNATURE = 4, 2
-#: A competing candidate takes the place of what was accepted if it gains more by so many times the penalty.
-CLEARLY_BETTER = 0.5
-
-
-def drop_not_missed(search: Search) -> None:
-    """Refits without each effect in turn, as long as that can still reach what all of them explain, and drops those that are not
-    missed, the least missed one first."""
-    fit = search.fit
-    while fit.settings.uses(DROP_NOT_MISSED):
-        without: list[tuple[Accepted, int, Estimate]] = []
-        for one in search.accepted:
-            c = fit.rig.channels[0] if one.channel is None else one.channel
-            present = search.present[c]
-            if len(present.placed_effects()) < 2:
-                continue
-            less = present.without(one.effect, one.channel)
-            keep = [j for j, u in enumerate(present.unknowns) if u in less.unknowns]
-            less.columns = {k: present.columns[k][:, keep] for k in fit.channels_of(less)}
-            without.append((one, c, less))
-        if not without:
-            return
-        races = [[search.present[c], less] for _, c, less in without]
-        solve(fit.on(fit.rig.for_long_refits()), [p for *_, p in without], SETTLE_ITERATIONS, races=races)
-        for one, c, less in without:
-            one.gain, one.without = fit.gain(less, search.present[c]), less
-        one, c, less = min(without, key=lambda entry: entry[0].gain - entry[0].needed)
-        if one.gain > one.needed:
-            return
-        _drop(search, one, c, less)
-        outcome = "not missed once the others are there"
-        search.record(one.effect, one.channel, AFTER_ROUNDS, one.gain, outcome, less, one.needed)
+__all__ = ["drop_unneeded", "prefer_form"]
 
 
 def prefer_form(search: Search) -> None:
-    """Drops an effect if another form of one that is accepted on its channel explains more: no rig has exactly the laws of the
-    catalogue, and what a law leaves is no further effect."""
+    """Drops the last effect of a channel if another form of those accepted before explains more: no rig has exactly the laws of
+    the catalogue, and what a law leaves is no further effect."""
     fit = search.fit
-    long = fit.on(fit.rig.for_long_refits())
-    while fit.rig.has_hidden_states and fit.settings.uses(PREFER_FORM):
-        replaced: list[tuple[Accepted, int]] = []
-        for c in fit.rig.channels:
-            for one in search.on(c):
-                if one.without is None or one.without.channel != search.present[c].channel:
-                    continue
-                found = attempts(fit, one.without, one.without.placed_effects())
-                refit_attempts(long, found)
-                search.attempted += [t.estimate for t in found]
-                if any(t.score < search.present[c].cost + one.needed for t in found):
-                    replaced.append((one, c))
-        if not replaced:
-            return
-        # Corrections bend one law into another, so of two that replace each other the one stays that explains more as it is.
-        dropped, c = min(replaced, key=lambda r: r[0].gain - r[0].needed)
-        assert dropped.without is not None
-        less, present = dropped.without, search.present[c]
-        outcome = "another form of the others does better"
-        search.record(
-            dropped.effect, c, AFTER_ROUNDS, fit.gain(less, present), outcome, present, dropped.needed
-        )
-        _drop(search, dropped, c, less)
-        solve(long, [less], SETTLE_ITERATIONS)
-        drop_not_missed(search)
-
-
-def _drop(search: Search, dropped: Accepted, c: int, less: Estimate) -> None:
-    """Drops an effect from channel c, of which `less` is the estimate without it. Of an effect that is left alone, the calibrated
-    model is the estimate without it: the last one still had the other effect."""
-    search.accepted.remove(dropped)
-    search.put(c, less)
-    left = [k for k in search.accepted if (k.effect, k.channel) in less.placed_effects()]
-    if len(left) == 1:
-        left[0].without = joined(search.calibrated) if less.channel is None else search.calibrated[c]
+    if not (fit.rig.has_hidden_states and fit.settings.uses("prefer_form")):
+        return
+    for c in fit.rig.channels:
+        for one in reversed(search.on(c)):
+            present, less = search.present[c], one.without
+            left = [placed for placed in present.placed_effects() if placed != (one.effect, c)]
+            if not left or less is None or less.placed_effects() != left:
+                break  # it is alone, or others joined it since
+            form = search.form_of(less)
+            if form is None or form.score >= present.cost + one.needed:
+                break
+            outcome, gain = "another form of the others does better", fit.gain(less, present)
+            search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, present)
+            search.accepted.remove(one)
+            search.put(c, less)
+            solve(search.fit, [less], SETTLE_ITERATIONS)
 
 
 def drop_unneeded(search: Search) -> None:
     """Drops an effect that is alone on its channel if the known parameters, from where it has led them, do without it."""
     fit = search.fit
-    if not fit.settings.uses(DROP_UNNEEDED):
-        return
-    starts: list[tuple[Accepted, int, list[Estimate]]] = []
-    for one in search.accepted:
-        c = one.channel
-        if c is None or search.present[c].channel is None or len(search.on(c)) != 1 or one.without is None:
+    for c in fit.rig.channels if fit.settings.uses("drop_unneeded") else ():
+        own, present = search.on(c), search.present[c]
+        before = own[0].without if len(own) == 1 and present.channel is not None else None
+        if before is None or far_from_noise(fit, before):
             continue
-        if not far_from_noise(fit, one.without):
-            starts.append((one, c, _without(search.present[c], one.without, one.effect)))
-    long = fit.on(fit.rig.for_long_refits())
-    races = [[search.present[c], *own] for _, c, own in starts]
-    solve(long, [p for *_, own in starts for p in own], SETTLE_ITERATIONS, races=races)
-    for one, c, own in starts:
-        less = min(own, key=lambda p: p.cost)
-        gain = fit.gain(less, search.present[c])
-        if gain >= one.needed:
+        tries = _without(present, before, own[0].effect)
+        solve(search.fit, tries, SETTLE_ITERATIONS)
+        less = min(tries, key=lambda p: p.cost)
+        if fit.gain(less, present) >= own[0].needed:
             # Little more than noise is left either way, and how far each is from its minimum may be all that parts them.
-            settle(long, [less, search.present[c]])
-            gain = fit.gain(less, search.present[c])
-        if gain < one.needed:
+            settle(search.fit, [less, present])
+        gain = fit.gain(less, present)
+        if gain < own[0].needed:
             outcome = "the known parameters do as well, from where it led them"
-            search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, search.present[c], one.needed)
-            search.accepted.remove(one)
-            search.present[c] = less
+            search.record(own[0].effect, c, AFTER_ROUNDS, gain, outcome, present)
+            search.accepted.remove(own[0])
+            search.put(c, less)
 
 
 def _without(present: Estimate, without: Estimate, effect: str) -> list[Estimate]:
@@ -138,57 +64,3 @@ def _without(present: Estimate, without: Estimate, effect: str) -> list[Estimate
         if u.name in spool and u.name == led.unknowns[j].name:
             before.q[j] = led.q[j]
     return [led, before]
-
-
-def compare_competing(search: Search) -> None:
-    """Puts competing candidates in the place of what was accepted, once everything else is there.
-
-    They are those that were near while another effect was still missing, those whose signature has the same direction, and
-    those that the catalogue declares indistinguishable: one that a screening passed over must still be listed.
-    Each starts from the base parameters found. One that does better than the effect it stands for takes its place.
-    """
-    fit = search.fit
-    if not fit.settings.uses(COMPARE_COMPETING):
-        return
-    starts, same = {(k.effect, k.channel): k.start for k in search.screening}, alike(search.screening)
-    swaps: list[tuple[Accepted, int, str, Estimate]] = []
-    for one in search.accepted:
-        c = one.channel
-        if c is None or one.without is None or one.without.channel != search.present[c].channel:
-            continue
-        own = {k.effect for k in search.on(c)}
-        by_gain = sorted(one.competing, key=lambda n: one.competing[n])[:MOST_BY_GAIN]
-        by_signature = same.get((one.effect, c), [])[:MOST_BY_SIGNATURE]
-        declared = CATALOGUE[one.effect].indistinguishable_from
-        for other in dict.fromkeys((*by_gain, *declared, *by_signature)):
-            if (other, c) in starts and other not in own:
-                rest = search.present[c].without(one.effect, c)
-                swaps.append((one, c, other, rest.extended(other, starts[other, c], c)))
-    solve(fit.on(fit.rig.for_long_refits()), [p for *_, p in swaps], COMPETING_ITERATIONS)
-    for one, c, other, estimate in sorted(swaps, key=lambda s: s[3].cost):
-        placed, present = {*estimate.placed_effects()}, {*search.present[c].placed_effects()}
-        if placed - {(other, c)} != present - {(one.effect, c)}:
-            continue  # another effect of this channel was replaced meanwhile
-        _compare(search, one, c, other, estimate)
-
-
-def _compare(search: Search, one: Accepted, c: int, other: str, estimate: Estimate) -> None:
-    """Compares an accepted effect with another one in its place: which stays, and whether the other one is to be listed."""
-    assert one.without is not None
-    fit, present = search.fit, search.present[c]
-    own_gain = fit.gain(one.without, present)
-    # Not as a difference of two gains: how many samples are independent depends on what is left, so gains near the noise differ
-    # where costs do not.
-    behind = fit.gain(estimate, present)
-    near = max(fit.settings.tied_share * own_gain, one.needed)
-    better = behind < -CLEARLY_BETTER * one.needed and estimate.cost < present.cost
-    if better and not (is_neutral(estimate, other, c) or at_edge(estimate, other, c)):
-        one.competing.pop(other, None)
-        if -behind < near:
-            one.competing[one.effect] = -behind
-        one.effect, one.gain = other, own_gain - behind
-        search.put(c, estimate)
-    elif behind < near:
-        one.competing[other] = max(behind, 0.0)
-    else:
-        one.competing.pop(other, None)

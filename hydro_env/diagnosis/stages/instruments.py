@@ -8,62 +8,52 @@ import numpy as np
 
 from ...measured import Finding
 from ..input.parts import filled
+from ..logs import Estimates
 from ..models.base import RigModel, Segment
-from ..models.shaft import shaft_speed
-from ..state import Estimates
+from .shaft import given_shaft, shaft_of
 
 __all__ = ["eccentric", "runs_apart"]
 
-#: A line once per turn stands out if it is so many times the lines at these other orders, and at least this share of the speed.
-STANDS_OUT, ORDERS, LEAST = 5.0, (0.61, 0.77, 1.29, 1.43), 0.002
-#: Slower than this share of its peak a speed shows no line.
+#: A line once per turn stands out if it is this many times the largest of the lines at these four other orders, which no part of
+#: a motor has: of noise one in 24,000 does. Less than this share of a speed of 500 rpm is below its usual noise.
+STANDS_OUT, ORDERS, MIN_LINE = 5.0, (0.61, 0.77, 1.29, 1.43), 0.002
+#: Slower than this share of its peak a speed shows no line above its noise.
 SLOW = 0.1
-#: Lags are read in windows of this length, up to this lag, s.
-WINDOW_S, LONGEST_S = 2.0, 0.1
-#: Clocks run apart if the lag rises by so many s in a log, along a line that misses it by at most this share of the rise (RMS),
-#: and at rates that differ by at most this share between signals, channels and logs.
+#: Lags are read in windows of this length, several times the rig's memory, up to this lag, a quarter of that memory, s.
+WINDOW_S, MAX_LAG_S = 2.0, 0.1
+#: Clocks run apart if the lag rises by this many s in a log, a control period, along a line that explains 96 % of it (misses it
+#: by this share, RMS), and at rates that differ by at most this share between signals, channels and logs.
 RISE_S, OFF_LINE, DIFFERENT = 0.01, 0.2, 0.3
 
 
 def eccentric(rig: RigModel) -> Iterator[Finding]:
     """Speeds with a line once per turn, in proportion to the speed, that the pressure does not show: the shaft has inertia."""
-    names = {"displacement": "D", "inertia": "J", "friction": "B"}
     for channel in rig.channels:
-        shaft = {key: rig.model.value(name, channel) for key, name in names.items()}
-        rest, turn, size = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
+        rows = [np.zeros((3, 0))]
         for part in rig.parts:
-            log = part.log
-            if log.pressure is None or not log.has("pressure", channel):
+            shaft = shaft_of(part, channel)
+            if shaft is None:
                 return
-            speed = filled(log.speed[:, channel])
-            load = np.zeros(len(log)) if log.load is None else np.nan_to_num(log.load[:, channel])
-            driven = shaft_speed(filled(log.pressure[:, channel]), load, log.period, **shaft)
-            used = part.inside & np.isfinite(log.speed[:, channel])
-            used &= np.abs(speed) > SLOW * np.abs(speed).max()
+            speed, period = shaft.speed, shaft.period
+            used = shaft.used & (np.abs(speed) > SLOW * np.abs(speed).max())
+            typical = float(np.median(np.abs(speed[used]))) if used.any() else np.inf
             # What is slower than the shaft turns is the model's error.
-            width = (
-                round(2.0 * np.pi / max(float(np.median(np.abs(speed[used]))), 1e-9) / log.period)
-                if used.any()
-                else 0
-            )
-            if not 3 <= width < len(log):
-                continue
-            error = speed - driven
-            rest.append((error - np.convolve(error, np.full(width, 1.0 / width), "same"))[used])
-            turn.append(np.cumsum(speed)[used] * log.period)
-            size.append(speed[used])
-        error, angle, speed = (np.concatenate(each) for each in (rest, turn, size))
+            width = round(2.0 * np.pi / max(typical, 1e-9) / period)
+            if 3 <= width < speed.size:
+                error = speed - shaft.driven(given_shaft(rig, channel))
+                error -= np.convolve(error, np.full(width, 1.0 / width), "same")
+                rows.append(np.array([error, np.cumsum(speed) * period, speed])[:, used])
+        error, angle, speed = np.concatenate(rows, axis=1)
         if error.size < 1000:
             continue
         lines = [abs(2.0 * np.mean(error / speed * np.exp(-1j * order * angle))) for order in (1.0, *ORDERS)]
-        if lines[0] > max(STANDS_OUT * max(lines[1:]), LEAST):
+        if lines[0] > max(STANDS_OUT * max(lines[1:]), MIN_LINE):
             message = (
                 f"the speed of channel {channel + 1} rises and falls by {lines[0]:.1%} once per turn, which its pressure does "
                 "not show: its encoder is eccentric, the shaft does not turn so"
             )
-            yield Finding(
-                "eccentric", message, "centre the encoder, or average over whole turns", "speed", channel + 1
-            )
+            hint = "centre the encoder, or average over whole turns"
+            yield Finding("eccentric", message, hint, "speed", channel + 1)
 
 
 def runs_apart(rig: RigModel, given: Estimates) -> Iterator[Finding]:
@@ -88,7 +78,7 @@ def runs_apart(rig: RigModel, given: Estimates) -> Iterator[Finding]:
 
 def _rate(s: Segment, simulated: np.ndarray) -> float | None:
     """How fast the lag of a signal behind its simulation grows, s/s; None if it does not grow along a line."""
-    width, reach = round(WINDOW_S / s.period), round(LONGEST_S / s.period)
+    width, reach = round(WINDOW_S / s.period), round(MAX_LAG_S / s.period)
     times, lags = [], []
     for start in range(reach, s.rows.size - width - reach, width // 2):
         seen = np.where(s.used, s.filled, np.nan)[start : start + width]

@@ -11,28 +11,30 @@ speed alone the whole residual is the valve's and motor's together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import lfilter, savgol_filter
 
 from ...units import BAR, RPM
 from ..estimation import Estimate, effective_samples, noise_floor
-from ..estimation.box import minimum_in_box
-from ..input.parts import filled
+from ..logs import Estimates
 from ..models.base import RigModel
-from ..models.filters import local_parabola, one_pole
-from ..models.shaft import shaft_speed
-from ..state import Estimates, State
+from .shaft import SHAFT, Shaft, given_shaft, shaft_of
+from .validation import AT_NOISE
 
 __all__ = ["Location", "Shape", "locate", "run", "shape"]
 
 _FLOW = ("command, V", "flow over displacement, rpm", RPM)
-#: Base parameters of the shaft.
-_SHAFT = ("D", "J", "B")
-#: An equation errs if its mean square error is above so many times the noise's; from what share of all equations it is listed.
-ERRS, LISTED = 1.1, 0.02
-#: A regime is named if its mean square error is so many times that of all, and it holds neither next to nothing nor nearly all.
-CONTRAST, LEAST_ROWS, MOST_ROWS = 1.3, 0.03, 0.9
+#: Steps to the shaft that explains measurement best: its equation is nearly linear in the three.
+SHAFT_STEPS = 8
+#: An equation is listed that has this share of what all of them leave above their noise: less is rounded to nothing.
+LISTED = 0.02
+#: A regime is named if its mean square error is this many times that of all rows, and it holds neither next to nothing of them
+#: nor nearly all. Words only: nothing else depends on them.
+CONTRAST, MIN_ROWS, MAX_ROWS = 1.3, 0.03, 0.9
 
 
 @dataclass(frozen=True)
@@ -70,91 +72,102 @@ class Location:
 
 @dataclass
 class _Replay:
+    """A component alone in one log: its `error` (n,) every `period`, at these times (n,), with what it depends on (n,) and its
+    regimes (n,); `units` are the names of that quantity and of the error, and the size of the latter's unit in SI."""
+
     equation: str
-    error: np.ndarray
-    noise: float
+    units: tuple[str, str, float]
+    log: int
+    period: float
+    used: np.ndarray
     time: np.ndarray
-    log: np.ndarray
-    regimes: dict[str, np.ndarray]
+    error: np.ndarray
     over: np.ndarray
-    units: tuple[str, str, float]  # of `over`, of `error`, size of the latter in SI
-
-    @property
-    def ratio(self) -> float:
-        return float(np.sqrt(np.mean(self.error**2)) / max(self.noise, 1e-30))
+    regimes: dict[str, np.ndarray]
 
 
-def run(state: State) -> State:
+class _Component:
+    """A component alone over the rows that count of all logs, one behind the other."""
+
+    def __init__(self, replays: Sequence[_Replay]) -> None:
+        first = replays[0]
+
+        def joined(rows: Iterable[np.ndarray]) -> np.ndarray:
+            return np.concatenate([values[r.used] for values, r in zip(rows, replays, strict=True)])
+
+        self.equation, self.units = first.equation, first.units
+        self.error, self.over = joined(r.error for r in replays), joined(r.over for r in replays)
+        self.time, self.log = (
+            joined(r.time for r in replays),
+            joined(np.full(r.time.size, r.log) for r in replays),
+        )
+        self.regimes = {n: joined(r.regimes[n] for r in replays) for n in first.regimes}
+        noise = float(np.nanmin([noise_floor(r.error, r.used, r.period) for r in replays]))
+        #: The mean square error in units of the noise's.
+        self.power = float(np.mean(self.error**2)) / max(noise, 1e-30) ** 2
+
+
+def run(rig: RigModel, calibrated: Estimates, verdict: str) -> list[Location]:
     """Locates what the calibrated model leaves, where effects are missing."""
-    if state.verdict in ("none", "calibration"):
-        return state
-    return replace(state, locations=locate(state.rig, state.calibrated))
+    return [] if verdict in ("none", "calibration") else locate(rig, calibrated)
 
 
 def locate(rig: RigModel, estimates: Estimates) -> list[Location]:
     """The equations that err beside the models `estimates` on the fit logs, largest share first."""
     found = []
     for channel, estimate in estimates.items():
-        replays = _replays(rig, estimate, channel)
-        excess = {r.equation: max(r.ratio**2 - ERRS, 0.0) for r in replays}
-        whole = sum(excess.values())
-        for r in replays:
-            if whole > 0.0 and excess[r.equation] > LISTED * whole and r.ratio > ERRS:
-                windows, logs = _windows(r)
-                form, share = shape(r.over, r.error, *r.units), excess[r.equation] / whole
-                found.append(Location(r.equation, channel, share, _regime(r), windows, form, logs))
+        by_equation: dict[str, list[_Replay]] = {}
+        for replay in _replays(rig, estimate, channel):
+            by_equation.setdefault(replay.equation, []).append(replay)
+        components = [_Component(replays) for replays in by_equation.values()]
+        excess = {k.equation: k.power - 1.0 for k in components if k.power > AT_NOISE**2}
+        for k in components:
+            share = excess.get(k.equation, 0.0) / max(sum(excess.values()), 1e-30)
+            if share > LISTED:
+                windows, logs = _windows(k)
+                form = shape(k.over, k.error, *k.units)
+                found.append(Location(k.equation, channel, share, _regime(k), windows, form, logs))
     return sorted(found, key=lambda p: (p.channel, -p.share))
 
 
-def _replays(rig: RigModel, estimate: Estimate, channel: int) -> list[_Replay]:
-    """Replays of the components over all fit logs, one behind the other."""
-    by_equation: dict[str, list[_Replay]] = {}
-    shafts = _shafts(rig, channel) if rig.has_hidden_states else {}
-    best = _best_shaft(estimate, rig, channel, list(shafts.values()))
-    for number in range(len(rig.parts)):
-        for replay in _replays_of_log(rig, estimate, channel, number, shafts.get(number), best):
-            replay.log[:] = number
-            by_equation.setdefault(replay.equation, []).append(replay)
-    return [_joined(replays) for replays in by_equation.values()]
-
-
-def _replays_of_log(
-    rig: RigModel, estimate: Estimate, channel: int, number: int, shaft: _Shaft | None, best: dict[str, float]
-) -> list[_Replay]:
-    """What can be replayed of the signals of one log; the shaft with the values `best`."""
-    part = rig.parts[number]
-    mine = {s.signal: s for s in rig.segments[channel] if s.log == number}
-    speed = mine["speed"]
-    simulated = {n: estimate.simulated[channel][s.place] for n, s in mine.items()}
-    used, period, time = speed.used, speed.period, part.log.time_s[speed.rows]
-    command, rated = part.log.command_V[speed.rows, channel], rig.model.value("u_rated", channel)
-    openings, speeds = _openings(command, rated), _speeds(speed.measured)
-    found: list[_Replay] = []
-    if "current" in mine:
-        error = mine["current"].measured - simulated["current"]
-        late = time > time[0] + 0.6 * (time[-1] - time[0])
-        regimes = {"large current": np.abs(command) > 0.6 * rated, "late in the log": late}
-        units = ("command, V", "current, A", 1.0)
-        found.append(_replay("coil", error, period, time, regimes, used, command, units))
-    if "mean_line_pressure" in mine:
-        error = mine["mean_line_pressure"].measured - simulated["mean_line_pressure"]
-        units = ("command, V", "mean line pressure, bar", BAR)
-        found.append(_replay("lines", error, period, time, {**openings, **speeds}, used, command, units))
-    if shaft is not None:
-        units = ("speed, rpm", "speed lost or gained within a second, rpm", RPM)
-        error = shaft.error(best)
-        found.append(_replay("shaft", error, period, time, speeds, shaft.used, shaft.speed / RPM, units))
-        value = estimate.values(channel)
-        numbers = {n: value.get(n, rig.model.value(n, channel)) for n in ("D", "Km", "V", "beta")}
-        missing = _missing_flow(shaft, simulated, numbers)
-        found.append(_replay("valve_flow", missing, period, time, openings, shaft.used, command, _FLOW))
-    else:
-        name = "valve and motor" if rig.has_hidden_states else "valve_flow"
-        motor = rig.parts[0].log.kinds[channel] == "motor"
-        units = _FLOW if motor else ("command, V", "speed, mm/s", 1e-3)
-        error = speed.measured - simulated["speed"]
-        found.append(_replay(name, error, period, time, {**openings, **speeds}, used, command, units))
-    return found
+def _replays(rig: RigModel, estimate: Estimate, channel: int) -> Iterator[_Replay]:
+    """What can be replayed of the signals of each log."""
+    by_log = [{s.signal: s for s in rig.segments[channel] if s.log == n} for n in range(len(rig.parts))]
+    shafts = [
+        shaft_of(p, channel, step=mine["speed"].step) for p, mine in zip(rig.parts, by_log, strict=True)
+    ]
+    shafts = shafts if rig.has_hidden_states else [None] * len(by_log)
+    best = _best_shaft(estimate, rig, channel, [s for s in shafts if s is not None])
+    for number, (part, mine, shaft) in enumerate(zip(rig.parts, by_log, shafts, strict=True)):
+        simulated = {n: estimate.simulated[channel][s.place] for n, s in mine.items()}
+        speed = mine["speed"]
+        time = part.log.time_s[speed.rows]
+        command, rated = part.log.command_V[speed.rows, channel], rig.model.value("u_rated", channel)
+        openings, speeds = _openings(command, rated), _speeds(speed.measured)
+        about = number, speed.period, speed.used, time
+        if "current" in mine:
+            error = mine["current"].measured - simulated["current"]
+            late = time > time[0] + 0.6 * (time[-1] - time[0])
+            regimes = {"large current": np.abs(command) > 0.6 * rated, "late in the log": late}
+            yield _Replay("coil", ("command, V", "current, A", 1.0), *about, error, command, regimes)
+        if "mean_line_pressure" in mine:
+            error = mine["mean_line_pressure"].measured - simulated["mean_line_pressure"]
+            units = ("command, V", "mean line pressure, bar", BAR)
+            yield _Replay("lines", units, *about, error, command, {**openings, **speeds})
+        if shaft is not None:
+            about = number, speed.period, speed.used & shaft.used, time
+            units = ("speed, rpm", "speed lost or gained within a second, rpm", RPM)
+            error = _lost_within_a_second(shaft, best)
+            yield _Replay("shaft", units, *about, error, shaft.speed / RPM, speeds)
+            value = estimate.values(channel)
+            numbers = {n: value.get(n, rig.model.value(n, channel)) for n in ("D", "Km", "V", "beta")}
+            missing = _missing_flow(shaft, simulated, numbers)
+            yield _Replay("valve_flow", _FLOW, *about, missing, command, openings)
+        else:
+            name = "valve and motor" if rig.has_hidden_states else "valve_flow"
+            units = _FLOW if part.log.kinds[channel] == "motor" else ("command, V", "speed, mm/s", 1e-3)
+            error = speed.measured - simulated["speed"]
+            yield _Replay(name, units, *about, error, command, {**openings, **speeds})
 
 
 def _openings(command: np.ndarray, rated: float) -> dict[str, np.ndarray]:
@@ -177,116 +190,46 @@ def _speeds(speed: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-@dataclass
-class _Shaft:
-    """What drives a shaft in one log, and how it turned: pressure (n,), load (n,) and speed (n,), SI, every `period`."""
-
-    pressure: np.ndarray
-    load: np.ndarray
-    speed: np.ndarray
-    used: np.ndarray
-    period: float
-
-    def error(self, numbers: dict[str, float]) -> np.ndarray:
-        """What the shaft loses or gains against measurement within a second (n,), so that errors do not pile up."""
-        own = {"displacement": numbers["D"], "inertia": numbers["J"], "friction": numbers["B"]}
-        replayed = shaft_speed(self.pressure, self.load, self.period, **own)
-        forget = float(np.exp(-self.period / 1.0))
-        return one_pole((1.0 + forget) / 2.0 * np.diff(self.speed - replayed, prepend=0.0), forget)
+def _lost_within_a_second(shaft: Shaft, values: Mapping[str, float]) -> np.ndarray:
+    """What a shaft loses or gains against measurement within a second (n,), so that errors do not pile up."""
+    forget = float(np.exp(-shaft.period / 1.0))
+    change = np.diff(shaft.speed - shaft.driven(values), prepend=0.0)
+    return np.asarray(lfilter([(1.0 + forget) / 2.0], [1.0, -forget], change))
 
 
-def _shafts(rig: RigModel, channel: int) -> dict[int, _Shaft]:
-    """The shaft of a channel in the logs that hold speed and pressure, by the number of the log."""
-    found = {}
-    for number, part in enumerate(rig.parts):
-        mine = {s.signal: s for s in rig.segments[channel] if s.log == number}
-        if "pressure" in mine:
-            speed, pressure = mine["speed"], mine["pressure"].measured
-            load = np.zeros(speed.rows.size)
-            if part.log.load is not None and part.log.has("load", channel):
-                load = np.nan_to_num(part.log.load[speed.rows, channel])
-            used = speed.used & np.isfinite(pressure)
-            found[number] = _Shaft(filled(pressure), load, filled(speed.measured), used, speed.period)
-    return found
-
-
-def _best_shaft(
-    estimate: Estimate, rig: RigModel, channel: int, shafts: list[_Shaft], turns: int = 6
-) -> dict[str, float]:
-    """Displacement, inertia and friction that explain the shaft alone best, inside their plausible ranges and with their priors:
-    Gauss-Newton steps from the calibrated ones."""
-    every = {u.name: (u, q) for u, q in zip(estimate.unknowns, estimate.q, strict=True)}
-    own = [every[n][0] for n in _SHAFT if n in every]
-    given = {n: rig.model.value(n, channel) for n in _SHAFT}
-    q = np.array([every[u.name][1] for u in own])
-    low, high = np.array([u.bounds for u in own]).reshape(-1, 2).T
-    noise = [max(noise_floor(s.error(given), s.used, s.period), 1e-12) for s in shafts]
+def _best_shaft(estimate: Estimate, rig: RigModel, channel: int, shafts: Sequence[Shaft]) -> dict[str, float]:
+    """Displacement, inertia and friction that explain the shaft alone best, inside their plausible ranges and with their priors,
+    from the calibrated ones."""
+    given = given_shaft(rig, channel)
+    own = [(u, q) for u, q in zip(estimate.unknowns, estimate.q, strict=True) if u.name in SHAFT]
+    if not own or not shafts:
+        return given | {u.name: u.value(q) for u, q in own}
+    noise = [max(noise_floor(_lost_within_a_second(s, given), s.used, s.period), 1e-12) for s in shafts]
 
     def values(q: np.ndarray) -> dict[str, float]:
-        return given | {u.name: u.value(x) for u, x in zip(own, q, strict=True)}
+        return given | {u.name: u.value(x) for (u, _), x in zip(own, q, strict=True)}
 
     def misfit(q: np.ndarray) -> np.ndarray:
-        errors = [s.error(values(q))[s.used] / n for s, n in zip(shafts, noise, strict=True)]
+        errors = [_lost_within_a_second(s, values(q))[s.used] / n for s, n in zip(shafts, noise, strict=True)]
         return np.concatenate([q, *errors])
 
-    for _ in range(turns if own and shafts else 0):
-        now, step = misfit(q), 0.05
-        away = np.where(q + step > high, -step, step)
-        slopes = np.array(
-            [(misfit(q + a * e) - now) / a for a, e in zip(away, np.eye(q.size), strict=True)]
-        ).T
-        moved = q + minimum_in_box(slopes.T @ slopes, -slopes.T @ now, low - q, high - q)
-        if not np.sum(misfit(moved) ** 2) < np.sum(now**2):
-            break
-        q = moved
-    return values(q)
+    low, high = np.array([u.bounds for u, _ in own]).T
+    start = np.clip([q for _, q in own], low + 1e-9, high - 1e-9)
+    return values(least_squares(misfit, start, bounds=(low, high), diff_step=1e-3, max_nfev=SHAFT_STEPS).x)
 
 
-def _missing_flow(shaft: _Shaft, simulated: dict[str, np.ndarray], numbers: dict[str, float]) -> np.ndarray:
+def _missing_flow(shaft: Shaft, simulated: dict[str, np.ndarray], numbers: dict[str, float]) -> np.ndarray:
     """The flow over displacement (n,) that measured speed and pressure need, less what the model's valve gives."""
     h = shaft.period
     width = max(5, 2 * round(0.01 / h) + 1)
 
     def flow(w: np.ndarray, dp: np.ndarray) -> np.ndarray:
-        level, slope = local_parabola(dp, width, h)
-        squeezed = numbers["V"] / numbers["beta"] * slope
-        return numbers["D"] * local_parabola(w, width, h)[0] + numbers["Km"] * level + squeezed
+        squeezed = numbers["V"] / numbers["beta"] * savgol_filter(dp, width, 2, deriv=1, delta=h)
+        level = numbers["D"] * savgol_filter(w, width, 2) + numbers["Km"] * savgol_filter(dp, width, 2)
+        return np.asarray(level + squeezed)
 
     missing: np.ndarray = flow(shaft.speed, shaft.pressure) - flow(simulated["speed"], simulated["pressure"])
     return missing / numbers["D"]
-
-
-def _replay(
-    equation: str,
-    error: np.ndarray,
-    period: float,
-    time: np.ndarray,
-    regimes: dict[str, np.ndarray],
-    used: np.ndarray,
-    over: np.ndarray,
-    units: tuple[str, str, float],
-) -> _Replay:
-    noise = noise_floor(error, used, period)
-    return _Replay(
-        equation,
-        error[used],
-        noise,
-        time[used],
-        np.zeros(int(used.sum()), int),
-        {n: m[used] for n, m in regimes.items()},
-        over[used],
-        units,
-    )
-
-
-def _joined(replays: list[_Replay]) -> _Replay:
-    first = replays[0]
-    error, time, log, over = (
-        np.concatenate([getattr(r, name) for r in replays]) for name in ("error", "time", "log", "over")
-    )
-    regimes = {n: np.concatenate([r.regimes[n] for r in replays]) for n in first.regimes}
-    noise = float(np.nanmin([r.noise for r in replays]))
-    return _Replay(first.equation, error, noise, time, log, regimes, over, first.units)
 
 
 def shape(
@@ -322,42 +265,31 @@ def shape(
     return Shape(over_unit, error_unit, points, explains, with_direction)
 
 
-def _regime(replay: _Replay) -> str:
+def _regime(component: _Component) -> str:
     """The condition under which the error is most above its mean."""
-    power = replay.error**2
-    mean = float(np.mean(power))
-    best, strongest = "everywhere", CONTRAST
-    for name, rows in replay.regimes.items():
-        if LEAST_ROWS < rows.mean() < MOST_ROWS:
-            contrast = float(np.mean(power[rows])) / max(mean, 1e-30)
-            if contrast > strongest:
-                best, strongest = name, contrast
-    return best
+    power = component.error**2
+    mean = max(float(np.mean(power)), 1e-30)
+    contrast = {
+        name: float(np.mean(power[rows])) / mean
+        for name, rows in component.regimes.items()
+        if MIN_ROWS < rows.mean() < MAX_ROWS
+    }
+    best = max(contrast, key=lambda name: contrast[name], default="everywhere")
+    return best if contrast.get(best, 0.0) > CONTRAST else "everywhere"
 
 
-def _windows(replay: _Replay, most: int = 3) -> tuple[list[tuple[float, float]], list[int]]:
+def _windows(component: _Component, most: int = 3) -> tuple[list[tuple[float, float]], list[int]]:
     """Up to `most` windows of a fortieth of the logs with the largest error, and the log that each is in; neighbours are
     joined."""
-    width = max(10, replay.error.size // 40)
-    count = replay.error.size // width
-    power = (replay.error[: count * width] ** 2).reshape(count, width).mean(axis=1)
-    found: list[tuple[float, float]] = []
-    logs: list[int] = []
-    last = -2
+    width = max(10, component.error.size // 40)
+    count = component.error.size // width
+    power = (component.error[: count * width] ** 2).reshape(count, width).mean(axis=1)
+    found: list[tuple[int, float, float]] = []
     for i in sorted(np.argsort(power)[::-1][:most]):
-        rows = slice(i * width, (i + 1) * width)
-        number = int(replay.log[rows.start])
-        rows = slice(rows.start, rows.start + int((replay.log[rows] == number).sum()))
-        start, end = float(replay.time[rows.start]), float(replay.time[rows.stop - 1])
-        if (
-            i == last + 1
-            and logs
-            and logs[-1] == number
-            and start - found[-1][1] < 0.5 * (end - start) + 1e-9
-        ):
-            found[-1] = (found[-1][0], end)
-        else:
-            found.append((start, end))
-            logs.append(number)
-        last = i
-    return found, logs
+        log, time = (values[i * width : (i + 1) * width] for values in (component.log, component.time))
+        time = time[log == log[0]]
+        start, end = float(time[0]), float(time[-1])
+        if found and found[-1][0] == log[0] and start - found[-1][2] < 0.5 * (end - start) + 1e-9:
+            start = found.pop()[1]
+        found.append((int(log[0]), start, end))
+    return [(start, end) for _, start, end in found], [log for log, *_ in found]

@@ -10,7 +10,7 @@ stroke.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,19 +29,18 @@ from ..experiment_design import (
 )
 from ..models.dynamic_rig import DynamicRig
 from ..state import State
-from .candidates import Candidate
 from .naming import NamedEffect
 
-__all__ = ["FILE", "NextExperiment", "most_load", "operations", "questions", "run"]
+__all__ = ["FILE", "NextExperiment", "max_load", "operations", "questions", "run"]
 
 #: The file that the commands are written to, beside diagnosis.json.
 FILE = "next_experiment.csv"
-#: Candidates of a channel that compete where nothing is confirmed, the best by their gain.
+#: Candidates of a channel that compete where nothing is confirmed, the best by their gain: as many as it may have effects.
 OPEN = 3
 #: The model without any effect: the other one where a single candidate explains something.
 CALIBRATION = "calibration"
 #: Models that differ by less (RMS, in units of what is not known) are not parted by commands alone; a signal that would be
-#: logged besides is named where it parts them better by this factor.
+#: logged besides is named where it parts them better by this factor, ten times in power.
 PARTED, BETTER_BY = 1.0, 3.0
 
 
@@ -70,24 +69,24 @@ class NextExperiment:
         return None if self.design is None else commands_csv(self.design.command_V, self.design.load)
 
 
-def run(state: State) -> State:
+def run(state: State) -> NextExperiment | None:
     """Proposes what to record next, and the commands for it."""
     asked, wanted = questions(state), operations(state)
     if not (asked or wanted) or not isinstance(state.rig, DynamicRig):
-        return replace(state, next_experiment=_in_words(state.effects, state))
-    rng = np.random.default_rng([state.settings.seed, 21])
-    design = best_design(Trial(state.fit, asked, wanted), rng, most_load(state))
+        return _in_words(state.effects, state)
+    rng = np.random.default_rng([state.logs.fit.settings.seed, 21])
+    design = best_design(Trial(state.logs.fit, asked, wanted), rng, max_load(state))
     if design is None:
-        return replace(state, next_experiment=_in_words(state.effects, state))
+        return _in_words(state.effects, state)
     names = sorted({name for question in asked for name in question.models})
-    return replace(state, next_experiment=NextExperiment(_described(design), names, design))
+    return NextExperiment(_described(design), names, design)
 
 
-def most_load(state: State) -> float:
+def max_load(state: State) -> float:
     """The largest load of an experiment, N m: as the settings say, else the largest of the logs, which the rig can do."""
-    if state.settings.load_limit is not None:
-        return state.settings.load_limit
-    logs = (part.log.load for part in (*state.rig.parts, *state.held_out_parts))
+    if state.logs.fit.settings.load_limit is not None:
+        return state.logs.fit.settings.load_limit
+    logs = (part.log.load for part in (*state.rig.parts, *state.logs.held_out.parts))
     return max(
         (float(np.nanmax(np.abs(load), initial=0.0)) for load in logs if load is not None), default=0.0
     )
@@ -108,8 +107,8 @@ def operations(state: State) -> dict[int, Operation]:
     """Where nothing is proven: what the estimate of each channel is to predict of the held-out logs."""
     if not state.rig.has_hidden_states or (state.verdict != "unknown" and not state.best_guess):
         return {}
-    held_out = state.fit.on(state.held_out)
-    found = {c: operation_of(held_out, state.final[c], c) for c in state.rig.channels}
+    held_out = state.logs.fit.on(state.logs.held_out)
+    found = {c: operation_of(held_out, state.models.final[c], c) for c in state.rig.channels}
     return {c: each for c, each in found.items() if each is not None}
 
 
@@ -120,32 +119,33 @@ def _tied(state: State, channel: int | None) -> dict[str, Estimate]:
     for effect in state.effects:
         if channel in (effect.channels or (None,)) and effect.indistinguishable_from:
             present = state.selection.estimates[state.rig.channels[0] if channel is None else channel]
-            others = {name: _estimate(state, name, channel) for name in effect.indistinguishable_from}
-            return {effect.name: present, **{n: e for n, e in others.items() if e is not None}}
+            tried = _tried(state, channel)
+            return {
+                effect.name: present,
+                **{n: tried[n] for n in effect.indistinguishable_from if n in tried},
+            }
     return {}
-
-
-def _estimate(state: State, name: str, channel: int | None) -> Estimate | None:
-    """The latest estimate with a candidate."""
-    tried = (
-        t.estimate for t in reversed(state.selection.candidates) if (t.effect, t.channel) == (name, channel)
-    )
-    return next((e for e in tried if e is not None and e.columns), None)
 
 
 def _best(state: State, channel: int | None) -> dict[str, Estimate]:
     """Where nothing is confirmed: the candidates of a channel that explain most of it."""
     if state.verdict != "unknown" and not state.best_guess:
         return {}
-    tried: dict[str, Candidate] = {}
-    for t in state.selection.candidates:
-        if t.channel == channel and t.estimate is not None and t.estimate.columns and t.gain > t.needed:
-            tried[t.effect] = t
-    best = sorted(tried.values(), key=lambda t: t.estimate.cost if t.estimate else np.inf)[:OPEN]
-    found = {t.effect: t.estimate for t in best if t.estimate is not None}
-    if len(found) == 1 and channel is not None and state.calibrated[channel].columns:
-        found[CALIBRATION] = state.calibrated[channel]
+    tried = _tried(state, channel, worthwhile=True)
+    found = dict(sorted(tried.items(), key=lambda item: item[1].cost)[:OPEN])
+    if len(found) == 1 and channel is not None and state.models.calibrated[channel].columns:
+        found[CALIBRATION] = state.models.calibrated[channel]
     return found
+
+
+def _tried(state: State, channel: int | None, worthwhile: bool = False) -> dict[str, Estimate]:
+    """The latest estimate with each candidate of a channel, or with those that paid for themselves."""
+    return {
+        t.effect: t.estimate
+        for t in state.selection.candidates
+        if t.channel == channel and t.estimate is not None and t.estimate.columns
+        if t.gain > t.needed or not worthwhile
+    }
 
 
 # --- in words ---------------------------------------------------------------------------------------------------------

@@ -9,62 +9,50 @@ simulations; the errors that are reported stay those of free ones.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
 from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Vector, solve, unexplained
+from ..logs import Estimates
 from ..models.base import effect_in
-from ..settings import rule
-from ..state import Estimates, State
-from .calibration import as_given
+from .calibration import Calibrated, as_given
 from .candidates import penalty
 from .screening import Screening
 
-__all__ = ["beside", "run"]
+__all__ = ["run"]
 
-FOLLOW_SPEED = rule(
-    "follow_speed", "follow the measured speed where a coupling rattles, which multiplies every difference"
-)
 
 EFFECT = "shaft_backlash"
-#: First looks: shares of the known inertia that are behind the coupling, and its gap and stiffness over their usual ones.
+#: First looks, over most of what is plausible: shares of the known inertia that are behind the coupling, and its gap and
+#: stiffness over their usual ones.
 SHARES, GAPS, STIFFNESSES = (0.2, 0.4, 0.65), (0.4, 1.0, 1.8), (0.7, 1.7)
-#: Rounds of random looks about the best ones, how many each, of how many best ones, and how far about these at first and at
-#: least, as logarithms.
-ROUNDS, LOOKS, BEST, FIRST_WIDTH, LEAST_WIDTH = 8, 32, 6, 0.4, 0.03
+#: Rounds of the cross-entropy method (Rubinstein 1999) about the best looks, how many looks each, eight for each of the four
+#: parameters, and how many are the best, a fifth of these. Their spread at first, that of the first looks, and what is added so
+#: that it does not die out, as logarithms.
+ROUNDS, LOOKS, BEST, FIRST_WIDTH, MIN_WIDTH = 8, 32, 6, 0.4, 0.03
 
 
-def run(state: State) -> State:
-    """Finds the channels whose coupling rattles, and has their simulations follow the measured speed from now on."""
-    return beside(state, state.calibrated)
+def run(calibrated: Calibrated, beside: Estimates) -> Calibrated:
+    """Finds the channels whose coupling rattles beside the estimates so far, and has their simulations follow the measured speed.
 
-
-def beside(state: State, estimates: Estimates) -> State:
-    """The same where an effect that explains more had hidden it: beside the `estimates` of the channels so far."""
-    fit, found = state.fit, {}
-    if (
-        not (fit.rig.has_hidden_states and fit.settings.uses(FOLLOW_SPEED))
-        or EFFECT not in fit.rig.candidates()
-    ):
-        return state
-    for c, p in estimates.items():
-        if p.channel != c or c in fit.rig.followed or EFFECT in p.effects() or fit.rig.has(EFFECT, c):
+    An effect that explains more may have hidden it beside the calibrated model. The same result if there is no new one.
+    """
+    logs, found = calibrated.logs, {}
+    fit, rig = logs.fit, logs.rig
+    able = rig.has_hidden_states and EFFECT in rig.candidates() and fit.settings.uses("follow_speed")
+    for c, p in beside.items() if able else ():
+        if p.channel != c or c in rig.followed or EFFECT in p.effects() or rig.has(EFFECT, c):
             continue
-        if unexplained(fit, p, c) and (one := _backlash(fit.on(fit.rig.following({c})), p, c)):
+        if unexplained(fit, p, c) and (one := _backlash(fit.on(rig.following({c})), p, c)):
             found[c] = one
     if not found:
-        return state
-    followed = fit.rig.followed | set(found)
-    fit = fit.on(fit.rig.following(followed))
-    calibrated = {c: p.at(p.q.copy()) if c in found else p for c, p in state.calibrated.items()}
-    solve(fit, [calibrated[c] for c in found], SETTLE_ITERATIONS)
-    fine, held_out = (rig.following(followed) for rig in (state.fine, state.held_out))
-    return replace(
-        state, fit=fit, fine=fine, held_out=held_out, given=as_given(fit), calibrated=calibrated,
-        screening=[*found.values(), *(k for k in state.screening if k.channel in state.rig.followed and k.effect == EFFECT)],
-    )  # fmt: skip
+        return calibrated
+    logs = logs.following(rig.followed | set(found))
+    estimates = {c: p.at(p.q.copy()) if c in found else p for c, p in calibrated.estimates.items()}
+    solve(logs.fit, [estimates[c] for c in found], SETTLE_ITERATIONS)
+    every = [*found.values(), *calibrated.backlashes]
+    return Calibrated(logs, as_given(logs.fit), estimates, calibrated.findings, every)
 
 
 def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:
@@ -74,17 +62,11 @@ def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:
     Else random looks about the best ones lead to where derivatives do: a blow earlier or later is no matter of small steps.
     """
     bare = calibrated.at(calibrated.q.copy())
-    gap, stiffness, damping = (
-        effect_in(fit.rig, EFFECT, c).parameter(n) for n in ("gap", "stiffness", "damping")
-    )
+    usual = {p.name: p for p in effect_in(fit.rig, EFFECT, c).parameters}
     inertias = np.array(SHARES) * bare.values(c)["J"]
-    sizes = (
-        inertias,
-        np.array(GAPS) * gap.typical,
-        np.array(STIFFNESSES) * stiffness.nominal,
-        [damping.nominal],
-    )
-    points = np.log(list(product(*sizes)))
+    gaps = np.array(GAPS) * usual["gap"].typical
+    stiffnesses = np.array(STIFFNESSES) * usual["stiffness"].nominal
+    points = np.log(list(product(inertias, gaps, stiffnesses, [usual["damping"].nominal])))
     looks = _looks(fit, bare, c, points)
     fit.evaluate([bare])
     if min(p.cost for p in looks) > bare.cost:
@@ -94,7 +76,7 @@ def _backlash(fit: Fit, calibrated: Estimate, c: int) -> Screening | None:
         best = points[np.argsort([p.cost for p in looks])[:BEST]]
         new = best[np.arange(LOOKS) % BEST] + width * rng.standard_normal((LOOKS, 4))
         points, looks = np.concatenate([points, new]), [*looks, *_looks(fit, bare, c, new)]
-        width = points[np.argsort([p.cost for p in looks])[:BEST]].std(axis=0) + LEAST_WIDTH
+        width = points[np.argsort([p.cost for p in looks])[:BEST]].std(axis=0) + MIN_WIDTH
     found = min(looks, key=lambda p: p.cost)
     gain = fit.gain(bare, found)
     start = {n.removeprefix(f"{EFFECT}."): v for n, v in found.values(c).items() if n.startswith(EFFECT)}

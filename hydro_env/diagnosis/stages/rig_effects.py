@@ -9,13 +9,11 @@ from .candidates import (
     OUTDONE,
     Accepted,
     Candidate,
-    Search,
     is_neutral,
     judge,
     penalty,
 )
-from .refits import short_refit
-from .screening import Screening
+from .search import Search, short_refit
 
 __all__ = ["drop_vanished", "rig_effect_leads", "select_rig_effects"]
 
@@ -35,45 +33,41 @@ def rig_effect_leads(search: Search) -> bool:
 def select_rig_effects(search: Search) -> None:
     """Accepts the effect of the rig that explains most beside what the channels have, each refitted as far as it goes."""
     fit, before = search.fit, joined(search.present)
-    tries: list[tuple[Screening, Estimate]] = []
+    tries: list[Estimate] = []
     for one in (k for k in search.screening if k.channel is None):
         if one.gain > penalty(fit, one.effect):
-            tries.append((one, before.extended(one.effect, one.start)))
+            tries.append(before.extended(one.effect, one.start))
         else:
             search.record(one.effect, None, 1, one.gain, "explains too little at first look")
     if not tries:
         return
-    estimates = [p for _, p in tries]
-    short_refit(fit, estimates)
-    solve(fit, estimates, SETTLE_ITERATIONS, races=[estimates])
-    tries.sort(key=lambda t: t[1].cost + penalty(fit, t[0].effect))
-    for place, (one, estimate) in enumerate(tries):
-        gain = fit.gain(before, estimate)
-        outcome = judge(fit, before, estimate, one.effect, gain)
-        if outcome == ACCEPTED and place:
-            outcome = OUTDONE
-        search.record(one.effect, None, 1, gain, outcome, estimate)
+    short_refit(fit, tries)
+    solve(fit, tries, SETTLE_ITERATIONS)
+    best, *others = sorted(tries, key=lambda p: p.cost + penalty(fit, p.label))
+    for p in (best, *others):
+        gain = fit.gain(before, p)
+        outcome = judge(fit, p, p.label, gain)
+        outcome = OUTDONE if outcome == ACCEPTED and p is not best else outcome
+        search.record(p.label, None, 1, gain, outcome, p)
         if outcome == ACCEPTED:
-            found = Accepted(one.effect, None, gain, penalty(fit, one.effect), {}, before)
-            every = [*search.accepted, found]
-            search.accepted = drop_vanished(estimate, every, search.candidates)
-            left = estimate
-            for k in (k for k in every if k not in search.accepted):
-                left = left.without(k.effect, k.channel)
-            if left is not estimate:
+            found = Accepted(p.label, None, gain, penalty(fit, p.label), without=before)
+            search.accepted, left = drop_vanished(best, [*search.accepted, found], search.candidates)
+            if left is not best:
                 solve(fit, [left], SETTLE_ITERATIONS)
             search.present = dict.fromkeys(fit.rig.channels, left)
 
 
 def drop_vanished(
     estimate: Estimate, accepted: list[Accepted], candidates: list[Candidate]
-) -> list[Accepted]:
-    """The effects that did not vanish when those of the rig joined them: what an effect of the rig explains is no channel's."""
-    left = []
+) -> tuple[list[Accepted], Estimate]:
+    """The effects that did not vanish when those of the rig joined them, and the estimate with these alone: what an effect of the
+    rig explains is no channel's."""
+    left, less = [], estimate
     for k in accepted:
         if k.channel is not None and is_neutral(estimate, k.effect, k.channel):
             outcome = "vanishes beside an effect of the whole rig"
             candidates.append(Candidate(k.effect, k.channel, AFTER_ROUNDS, 0.0, k.needed, outcome, estimate))
+            less = less.without(k.effect, k.channel)
         else:
             left.append(k)
-    return left
+    return left, less

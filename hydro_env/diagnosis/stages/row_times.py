@@ -13,21 +13,24 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from ...measured import Finding
 from ...measured.samples import standing_out
 from ..estimation import noise_floor
 from ..input.parts import Part, timed
+from ..logs import Estimates, distinct
 from ..models.base import Request, RigModel, Segment, Segments, view
-from ..state import Estimates
 
 __all__ = ["settled", "without_outliers"]
 
-#: A reading of the times is preferred to the one as logged if this share of its difference is in the residual.
+#: A reading of the times is preferred to the one as logged if this share of its difference is in the residual: half, where all or
+#: nothing of it is true, and of commands a whole row earlier half of that, where half a row is.
 EVEN, AHEAD = 0.5, 0.25
-#: Stamps that are off an even grid by less than this share of a step (RMS) are even.
+#: Stamps that are off an even grid by less than this share of a step (RMS) are rounded only.
 ROUNDED = 0.02
-#: Rows that two readings put further apart than this share of the noise, or others so near to them, s, do not count.
+#: Rows that two readings put further apart than this share of the noise, which makes 1.1 of it, do not count, nor do those that
+#: are so near to them, s: half a swing of 10 Hz.
 APART, NEAR_S = 0.5, 0.05
 
 
@@ -45,21 +48,19 @@ def settled(rig: RigModel, parts: Sequence[Part]) -> list[Part]:
     readings = [shown("held", even=True)] if even else []
     ahead = shown("row")
     *by_stamps, by_commands = _shares(segments, logged, [*readings, ahead])
-    lead, note = "half missing", ""
-    even = even and by_stamps[0] > EVEN
-    if even:
+    lead, note, late, early = "half missing", "", None, logged
+    if even and by_stamps[0] > EVEN:
+        early, late = readings[0], shown("missing", even=True)
         note = "its time stamps are uneven, not its rows: these are taken as even"
     elif by_commands > AHEAD:
-        lead = "half row"
+        lead, late = "half row", ahead
         note = "its commands act since before the rows that show them: taken as half a row earlier"
-    late = ahead if lead == "half row" else shown("missing", even)
-    early = readings[0] if even else logged
+    apart = [b - a for a, b in zip(early, shown("missing") if late is None else late, strict=True)]
     found = []
     for number, part in enumerate(parts):
         if part.uneven is not None:
-            own = [n for n, s in enumerate(segments) if s.log == number]
-            one = _read(part, lead, even)
-            part = _counted(one, [segments[n] for n in own], [late[n] - early[n] for n in own], note)
+            own = [(s, change) for s, change in zip(segments, apart, strict=True) if s.log == number]
+            part = _counted(_read(part, lead, early is not logged), own, note)
         found.append(part)
     return found
 
@@ -71,14 +72,14 @@ def without_outliers(rig: RigModel, calibrated: Estimates) -> tuple[RigModel, li
     """
     if not rig.has_hidden_states:
         return rig, []
-    requests = {id(p): p.request() for p in calibrated.values()}
-    shown = dict(zip(requests, rig.predict([*requests.values()]), strict=True))
+    every = distinct(calibrated)
+    shown = dict(zip(every, rig.predict([p.request() for p in every]), strict=True))
     segments, findings = {}, []
     for c in rig.channels:
         segments[c] = Segments(rig.segments[c])
         for n, s in enumerate(rig.segments[c]):
             known = np.flatnonzero(s.used)
-            error = (s.filled - shown[id(calibrated[c])][c][s.place])[known]
+            error = (s.filled - shown[calibrated[c]][c][s.place])[known]
             found = standing_out(error)[0] if s.signal == "speed" else []
             rows = [known[start:end] for start, end, height, nearby in found if height > nearby]
             if rows:
@@ -108,32 +109,25 @@ def _shares(segments: list[Segment], logged: list[np.ndarray], others: list[list
     return np.linalg.lstsq(matrix, side)[0]
 
 
-def _counted(part: Part, segments: list[Segment], apart: list[np.ndarray], note: str) -> Part:
+def _counted(part: Part, apart: Sequence[tuple[Segment, np.ndarray]], note: str) -> Part:
     """The part without the measurements (NaN) that two readings of the times put `apart` by more than their noise."""
-    log, left = part.log, []
-    for s, difference in zip(segments, apart, strict=True):
+    log, lost = part.log, 0.0
+    for s, difference in apart:
         values = log.get(s.signal)
         if values is None:  # made of other signals
             continue
-        noise = noise_floor(s.measured, s.used, s.period)
         # What swings passes zero on its way: the largest difference nearby tells.
-        width = 2 * max(1, round(NEAR_S / s.period)) + 1
-        near = np.lib.stride_tricks.sliding_window_view(np.pad(np.abs(difference), width // 2), width).max(
-            axis=1
-        )
-        far = near > APART * noise
+        near = maximum_filter1d(np.abs(difference), 2 * max(1, round(NEAR_S / s.period)) + 1)
+        far = near > APART * noise_floor(s.measured, s.used, s.period)
         values = values.copy()
         values[far, s.channel] = np.nan
         log = replace(log, **{s.signal: values})  # type: ignore[arg-type]
-        left.append(float(np.mean(~far)))
-    lost = 1.0 - min(left, default=1.0)
+        lost = max(lost, float(np.mean(far)))
+    notes = [note] if note else []
     if lost > 0.005:
-        note += (
-            "; " if note else ""
-        ) + f"up to {lost:.0%} of the rows do not count, as it is unknown since when commands act"
-    return replace(
-        part, log=log, note="; ".join(t for t in (part.note, f"{part.log.name}: {note}" if note else "") if t)
-    )
+        notes.append(f"up to {lost:.0%} of the rows do not count, as it is unknown since when commands act")
+    said = f"{part.log.name}: {'; '.join(notes)}" if notes else ""
+    return replace(part, log=log, note="; ".join(filter(None, (part.note, said))))
 
 
 def _read(part: Part, lead: str, even: bool) -> Part:

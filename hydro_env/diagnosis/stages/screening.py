@@ -8,44 +8,36 @@ zone, play or stiction has no useful derivative at zero.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
-from math import nan
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...plant import CATALOGUE, Effect
-from ..estimation import Estimate, Fit, could_pay, effect_starts, less_taken
-from ..models.base import Request, effect_in
-from ..settings import rule
-from ..state import Estimates, State
+from ..estimation import Estimate, Fit, could_pay, effect_starts, joined
+from ..logs import Estimates, Logs, place_of
+from ..models.base import effect_in
 
-__all__ = ["Screening", "absorb", "alike", "detectable", "hidden_by_calibration", "run", "screen"]
+__all__ = ["Screening", "alike", "detectable", "hidden_by_calibration", "run", "screen"]
 
-ABSORB_BY_CALIBRATION = rule(
-    "absorb_by_calibration", "move the known parameters to see what they absorb of an effect"
-)
-
-#: Squared length of a projected signature, in noise units, from which an effect counts as visible.
+#: Squared length of a projected signature, in noise units, from which an effect counts as visible: its expected gain is then what
+#: three parameters must pay for (`candidates.penalty`), the most that the size of an effect of the catalogue has.
 VISIBLE = 60.0
-#: Share of the squared length of what an effect changes that calibration may leave of an effect that it takes up: where it moves
-#: along derivatives of one place only, it never gets all of it. Others keep more than five times that.
+#: Share of the squared length of what an effect changes that calibration may leave of an effect that it takes up, a hundredth of
+#: the amplitude: derivatives at one place never take all of it.
 ABSORBED = 1e-4
-#: Steps of calibration towards an effect of medium size at most and at least, and what a later step must make of what is left
-#: to be followed by another.
-MOST_STEPS, LEAST_STEPS, STILL_FALLING = 8, 2, 0.8
-#: Cosine from which two projected signatures count as the same.
+#: Cosine from which two projected signatures count as the same: one then explains all but 8 % of the other, which is within
+#: `Settings.tied_share`.
 SAME_DIRECTION = 0.96
 
 
-@dataclass
+@dataclass(frozen=True)
 class Screening:
     """An effect on a channel (None: the rig) at the size that explains most of the residual.
 
     `gain` is the expected fall of the deviance, `visible` the squared length of the signature of medium size in noise
     units after projection, by channel; `signature` that projected signature, normalised, all channels one after the other.
-    `unprojected` is the squared length before projection, `change` (n,) the unweighted signature (one channel only). `request` is
-    the simulation at `start`, and `simulated` its samples by channel.
+    `unprojected` is the squared length before projection.
     """
 
     effect: str
@@ -55,15 +47,6 @@ class Screening:
     visible: float
     signature: np.ndarray
     unprojected: float = 0.0
-    change: np.ndarray | None = None
-    request: Request | None = None
-    simulated: dict[int, np.ndarray] = field(default_factory=dict)
-
-    def begin(self, fit: Fit, estimate: Estimate) -> None:
-        """Spares an estimate that begins where the screening has been its first simulation."""
-        if estimate.request() == self.request:
-            estimate.simulated = self.simulated
-            estimate.cost = fit.cost(estimate, self.simulated, estimate.q)
 
     @property
     def hidden(self) -> bool:
@@ -77,30 +60,29 @@ class Screening:
 
 
 class _Projector:
-    """Takes out of a weighted vector what small changes of the base parameters can make."""
+    """Weights the signals of a channel by `deviations`, and takes out what small changes of the base parameters can make."""
 
-    def __init__(self, fit: Fit, estimate: Estimate, channel: int, deviations: dict[str, float]) -> None:
-        self.weights = _weights(fit, estimate, channel, deviations)
-        columns, prior = _weighted_columns(estimate, channel, self.weights)
+    def __init__(self, fit: Fit, estimate: Estimate, channel: int, deviations: Mapping[str, float]) -> None:
+        self.weights = np.zeros(estimate.simulated[channel].size)
+        for s in fit.rig.segments[channel]:
+            self.weights[s.place] = s.used / deviations[s.signal]
+        columns = estimate.columns[channel] * self.weights[:, None]
         # Rows of the prior below the columns make the projection a ridge: parameters move inside their priors only.
-        self.basis, _ = np.linalg.qr(np.vstack([columns, np.sqrt(prior)]))
-        self.rows = columns.shape[0]
+        prior = np.diag([1.0 if u.prior else 1e-3 for u in estimate.unknowns])
+        self.basis = np.linalg.qr(np.vstack([columns, prior]))[0]
+        # Of the vectors that are projected the rows of the prior are zero.
+        self.rows = self.basis[: len(columns)]
 
     def __call__(self, vector: np.ndarray) -> np.ndarray:
-        full = np.concatenate([vector * self.weights, np.zeros(self.basis.shape[0] - self.rows)])
-        full -= self.basis @ (self.basis.T @ full)
-        return full[: self.rows]
+        weighted = vector * self.weights
+        projected: np.ndarray = weighted - self.rows @ (self.rows.T @ weighted)
+        return projected
 
 
-def run(state: State) -> State:
+def run(logs: Logs, calibrated: Estimates, earlier: Sequence[Screening] = ()) -> list[Screening]:
     """Screens every candidate beside the calibrated model."""
-    fit = state.fit
-    settled = [c for c, p in state.calibrated.items() if not could_pay(fit, p, c)]
-    names, known = fit.rig.candidates(), state.screening
-    screening = screen(fit, state.calibrated, names, state.seconds, known, settled=settled)
-    if fit.rig.has_hidden_states and state.settings.uses(ABSORB_BY_CALIBRATION):
-        absorb(fit, state.calibrated, screening)
-    return replace(state, screening=screening)
+    settled = [c for c, p in calibrated.items() if not could_pay(logs.fit, p, c)]
+    return screen(logs.fit, calibrated, logs.rig.candidates(), logs.seconds, earlier, settled)
 
 
 def screen(
@@ -113,166 +95,90 @@ def screen(
     be seen. Effects of the whole rig are screened on both channels together. What did best in an `earlier`
     screening, if there is one, is tried again.
     """
-    wanted: list[tuple[str, int | None, dict[str, float], bool]] = []
+    beside: dict[int | None, Estimate] = dict(estimates.items())
+    if any(CATALOGUE[name].scope == "rig" for name in effects):
+        beside[None] = joined(estimates)
+    tries: dict[tuple[str, int | None], list[dict[str, float]]] = {}
     for name in effects:
         for channel in estimates if CATALOGUE[name].scope == "channel" else (None,):
-            if fit.rig.has(name, channel):
-                continue
-            effect = effect_in(fit.rig, name, channel)
-            known = [k.start for k in earlier if (k.effect, k.channel) == (name, channel)]
-            starts = effect_starts(effect, seconds)
-            if channel in settled:
-                starts = [start for start in starts if _is_medium(effect, start)] or starts
-            starts = [*starts, *(start for start in known if start not in starts)]
-            wanted += [(name, channel, s, _is_medium(effect, s)) for s in starts]
-    requests = [_request(estimates, name, c, start) for name, c, start, _ in wanted]
-    results = fit.rig.predict(requests)
+            if not fit.rig.has(name, channel):
+                effect = effect_in(fit.rig, name, channel)
+                known = [k.start for k in earlier if (k.effect, k.channel) == (name, channel)]
+                starts = effect_starts(effect, seconds)
+                if channel in settled:
+                    starts = [start for start in starts if _is_medium(effect, start)] or starts
+                tries[name, channel] = [*starts, *(start for start in known if start not in starts)]
+    begun = [beside[c].with_effect(name, start, c) for (name, c), own in tries.items() for start in own]
+    results = iter(fit.rig.predict([p.request() for p in begun]))
     left = {c: _Projector(fit, p, c, _deviations(fit, p, c)) for c, p in estimates.items()}
     noise = {
         c: _Projector(fit, p, c, {s.signal: fit.noise[c, s.signal] for s in fit.rig.segments[c]})
         for c, p in estimates.items()
     }
     errors = {c: left[c](_error(fit, p, c)) for c, p in estimates.items()}
-    found: dict[tuple[str, int | None], Screening] = {}
-    for (name, channel, start, medium), request, result in zip(wanted, requests, results, strict=True):
-        channels = fit.rig.channels if channel is None else (channel,)
-        if not all(np.isfinite(result[c]).all() for c in channels):
-            continue
-        changes = {c: result[c] - estimates[c].simulated[c] for c in channels}
-        gained = _gain(fit, {c: left[c](changes[c]) for c in channels}, errors, left)
-        one = found.get((name, channel))
-        if one is None or medium:
-            signature = np.concatenate([noise[c](changes[c]) for c in channels])
-            size = float(signature @ signature)
-            direction = signature / max(np.sqrt(size), 1e-30)
-        if one is None:
-            one = found[name, channel] = Screening(name, channel, start, gained, size, direction)
-        if medium:
-            one.visible, one.signature = size, direction
-            one.unprojected = sum(float(np.sum((changes[c] * noise[c].weights) ** 2)) for c in channels)
-            one.change = changes[channel] if channel is not None else None
-        if one.request is None or gained > one.gain:
-            one.gain, one.start, one.request, one.simulated = gained, start, request, result
-    return sorted(found.values(), key=lambda k: -k.gain)
+    found = []
+    for (name, channel), starts in tries.items():
+        channels, rows = fit.rig.channels if channel is None else (channel,), []
+        for start, result in zip(starts, results, strict=False):
+            change = {c: result[c] - estimates[c].simulated[c] for c in channels}
+            if all(np.isfinite(change[c]).all() for c in channels):
+                gain = _gain(fit, {c: left[c](change[c]) for c in channels}, errors, left)
+                rows.append((gain, start, change))
+        if rows:
+            effect = effect_in(fit.rig, name, channel)
+            gain, start, change = max(rows, key=lambda row: row[0])
+            medium = [each for _, size, each in rows if _is_medium(effect, size)] or [change]
+            found.append(_screening(name, channel, start, gain, medium[-1], noise))
+    return sorted(found, key=lambda k: -k.gain)
 
 
-def absorb(fit: Fit, estimates: Estimates, screening: Sequence[Screening]) -> None:
-    """Lowers `visible` to what calibration leaves of an effect if it really moves, and not only along its derivatives.
-
-    The logs of a rig with the effect of medium size are what is fitted here, by steps along the derivatives at `estimates`.
-    """
-    live: list[_Absorption] = []
-    solvers = {}
-    for c, p in estimates.items():
-        weights = _weights(fit, p, c, {s.signal: fit.noise[c, s.signal] for s in fit.rig.segments[c]})
-        columns, prior = _weighted_columns(p, c, weights)
-        solvers[c] = weights, columns, np.linalg.pinv(columns.T @ columns + prior)
-    for k in screening:
-        if k.channel is not None and k.change is not None and k.visible > VISIBLE:
-            base = estimates[k.channel]
-            live.append(_Absorption(k, k.channel, base, *solvers[k.channel], base.q, k.change, k.change))
-    for number in range(MOST_STEPS):
-        requests = [a.step() for a in live]
-        results = fit.rig.predict(requests)
-        live = [a for a, result in zip(live, results, strict=True) if a.goes_on(result[a.channel], number)]
-
-
-@dataclass
-class _Absorption:
-    """Calibration towards the logs of a rig that has an effect: `rest` is what is left of the `change` that it makes."""
-
-    of: Screening
-    channel: int
-    base: Estimate
-    weights: np.ndarray
-    columns: np.ndarray
-    inverse: np.ndarray
-    q: np.ndarray
-    change: np.ndarray
-    rest: np.ndarray
-
-    def step(self) -> Request:
-        """One step along the derivatives at the base."""
-        toward = self.columns.T @ (self.rest * self.weights)
-        step = self.inverse @ (toward - (self.q - self.base.q))
-        self.q = np.clip(self.q + step, *self.base.bounds)
-        return self.base.request(self.q)
-
-    def goes_on(self, simulated: np.ndarray, number: int) -> bool:
-        """Counts what is left now; whether another step is worth it."""
-        self.rest = self.change + self.base.simulated[self.channel] - simulated
-        if not np.isfinite(self.rest).all():
-            return False
-        weighted = self.rest * self.weights
-        along = weighted - self.columns @ (self.inverse @ (self.columns.T @ weighted))
-        now, before = float(along @ along), self.of.visible
-        self.of.visible = min(before, now)
-        return now > VISIBLE and (number < LEAST_STEPS or now < STILL_FALLING * before)
-
-
-def _request(estimates: Estimates, effect: str, channel: int | None, start: dict[str, float]) -> Request:
-    extra = {f"{effect}.{name}": value for name, value in start.items()}
-    if channel is not None and estimates[channel].channel is None:
-        return estimates[channel].with_effect(effect, start, channel).request()
-    if channel is not None:
-        values = estimates[channel].values(channel)
-        return Request(channel, {**values, **less_taken(values, effect, start), **extra})
-    sides = [estimates[c].values(c) if c in estimates else {} for c in (0, 1)]
-    pairs = {name: (sides[0].get(name, nan), sides[1].get(name, nan)) for name in {*sides[0], *sides[1]}}
-    return Request(None, {**pairs, **{name: (value, value) for name, value in extra.items()}})
+def _screening(
+    effect: str, channel: int | None, start: dict[str, float], gain: float, medium: dict[int, np.ndarray],
+    noise: Mapping[int, _Projector],
+) -> Screening:  # fmt: skip
+    """The result for an effect that makes the changes `medium` at its medium size, by channel."""
+    signature = np.concatenate([noise[c](change) for c, change in medium.items()])
+    size = float(signature @ signature)
+    unprojected = sum(float(np.sum((change * noise[c].weights) ** 2)) for c, change in medium.items())
+    direction = signature / max(np.sqrt(size), 1e-30)
+    return Screening(effect, channel, start, gain, size, direction, unprojected)
 
 
 def _is_medium(effect: Effect, start: dict[str, float]) -> bool:
     return all(start[p.name] == p.typical for p in effect.parameters if p.typical != p.nominal or p.starts)
 
 
-def _weights(fit: Fit, estimate: Estimate, channel: int, deviations: dict[str, float]) -> np.ndarray:
-    weights = np.zeros(estimate.simulated[channel].size)
-    for s in fit.rig.segments[channel]:
-        weights[s.place] = s.used / deviations[s.signal]
-    return weights
-
-
-def _weighted_columns(estimate: Estimate, channel: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives (n, k) by the base parameters, weighted, and the precision (k, k) of their priors."""
-    prior = np.diag([1.0 if u.prior else 1e-6 for u in estimate.unknowns])
-    return estimate.columns[channel] * weights[:, None], prior
+def _error(fit: Fit, estimate: Estimate, channel: int) -> np.ndarray:
+    return np.concatenate([s.error(estimate.simulated[channel]) for s in fit.rig.segments[channel]])
 
 
 def _deviations(fit: Fit, estimate: Estimate, channel: int) -> dict[str, float]:
     """By signal the RMS error, at least the noise."""
-    sums: dict[str, list[float]] = {}
+    squares: dict[str, list[np.ndarray]] = {}
     for s in fit.rig.segments[channel]:
-        error = (s.measured - estimate.simulated[channel][s.place])[s.used]
-        entry = sums.setdefault(s.signal, [0.0, 1e-9])
-        entry[0] += float(error @ error)
-        entry[1] += error.size
-    return {n: float(np.sqrt(max(t / k, fit.noise[channel, n] ** 2))) for n, (t, k) in sums.items()}
-
-
-def _error(fit: Fit, estimate: Estimate, channel: int) -> np.ndarray:
-    simulated = estimate.simulated[channel]
-    return np.concatenate([np.nan_to_num(s.measured - simulated[s.place]) for s in fit.rig.segments[channel]])
+        squares.setdefault(s.signal, []).append(s.error(estimate.simulated[channel])[s.used] ** 2)
+    rms = {signal: float(np.sqrt(np.mean(np.concatenate(own)))) for signal, own in squares.items()}
+    return {signal: max(fit.noise[channel, signal], value) for signal, value in rms.items()}
 
 
 def _gain(
     fit: Fit, changes: dict[int, np.ndarray], errors: dict[int, np.ndarray], projectors: dict[int, _Projector]
 ) -> float:
     """Fall of the deviance if the change came with the best factor from 0 to 1.5."""
-    square = sum(float(changes[c] @ changes[c]) for c in changes)
+    square = sum(float(change @ change) for change in changes.values())
     if square <= 1e-12:
         return 0.0
     factor = float(np.clip(sum(float(changes[c] @ errors[c]) for c in changes) / square, 0.0, 1.5))
     total = 0.0
-    for c in changes:
+    for c, change in changes.items():
+        after = errors[c] - factor * change
         for s in fit.rig.segments[c]:
-            used = s.used
-            before = errors[c][s.place][used]
-            after = before - factor * changes[c][s.place][used]
+            if not s.used.any():
+                continue
             # In the units of the weights the noise is the noise over the deviation that was left.
-            scale = projectors[c].weights[s.place][used]
-            noise = (fit.noise[c, s.signal] * (scale[0] if scale.size else 1.0)) ** 2
-            total += before.size * np.log(max(np.mean(before**2), noise) / max(np.mean(after**2), noise))
+            noise = (fit.noise[c, s.signal] * projectors[c].weights[s.place].max()) ** 2
+            powers = [max(float(np.mean(each[s.place][s.used] ** 2)), noise) for each in (errors[c], after)]
+            total += float(s.used.sum()) * np.log(powers[0] / powers[1])
     return float(total)
 
 
@@ -280,8 +186,7 @@ def detectable(screening: Sequence[Screening]) -> dict[str, dict[str, bool]]:
     """By effect and channel ("1", "2", "rig"): whether an effect of medium size would show in these logs."""
     found: dict[str, dict[str, bool]] = {}
     for one in screening:
-        key = "rig" if one.channel is None else str(one.channel + 1)
-        found.setdefault(one.effect, {})[key] = one.shows
+        found.setdefault(one.effect, {})[place_of(one.channel)] = one.shows
     return {name: dict(sorted(found[name].items())) for name in CATALOGUE if name in found}
 
 
@@ -290,18 +195,20 @@ def hidden_by_calibration(screening: Sequence[Screening]) -> dict[str, list[str]
     found: dict[str, list[str]] = {}
     for one in screening:
         if one.hidden:
-            found.setdefault(one.effect, []).append("rig" if one.channel is None else str(one.channel + 1))
+            found.setdefault(one.effect, []).append(place_of(one.channel))
     return {name: sorted(found[name]) for name in CATALOGUE if name in found}
 
 
 def alike(screening: Sequence[Screening]) -> dict[tuple[str, int | None], list[str]]:
     """For every effect on a channel the visible ones whose signature has the same direction, whatever the sign."""
-    found: dict[tuple[str, int | None], list[str]] = {}
-    for a in screening:
-        same = [
-            b.effect for b in screening
-            if b is not a and b.channel == a.channel and min(a.visible, b.visible) > VISIBLE
+    seen = [k for k in screening if k.visible > VISIBLE]
+    return {
+        (a.effect, a.channel): [
+            b.effect
+            for b in seen
+            if b is not a
+            and b.channel == a.channel
             and abs(float(a.signature @ b.signature)) > SAME_DIRECTION
-        ]  # fmt: skip
-        found[a.effect, a.channel] = same
-    return found
+        ]
+        for a in seen
+    }

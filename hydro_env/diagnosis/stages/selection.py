@@ -14,154 +14,123 @@ from dataclasses import dataclass, field, replace
 from ..estimation import (
     SETTLE_ITERATIONS,
     Estimate,
-    Fit,
-    best_on_beginnings,
+    best_on_early_window,
     could_pay,
-    grow_horizon,
     joined,
-    nearly_explained,
     solve,
     unexplained,
 )
-from ..settings import rule
-from ..state import State
-from . import rattling, screening
+from .calibration import Calibrated
 from .candidates import (
     ACCEPTED,
-    AT_EDGE,
     OUTDONE,
     VANISHED,
-    WITHIN_REACH,
     Accepted,
-    Search,
     Selection,
     judge,
     penalty,
 )
-from .elimination import compare_competing, drop_not_missed, drop_unneeded, prefer_form
-from .form_correction import attempts, given_on, refit_attempts
-from .refits import refit_found, short_refit
+from .elimination import drop_unneeded, prefer_form
+from .form_correction import given_on
 from .rig_effects import rig_effect_leads, select_rig_effects
 from .screening import Screening, screen
+from .search import Search, short_refit
 
 __all__ = ["better_set", "run", "select"]
 
-COMPETE_ON_BEGINNING = rule(
-    "compete_on_beginning",
-    "compare all candidates on the beginning of the logs where the best one leaves something",
-)
-COMPARE_SETS = rule(
-    "compare_sets", "compare a set of local effects with one that has an effect of the whole rig"
-)
 
-#: Short refits and full refits in the first round, and in later ones, where the screening is beside a better model.
+#: Short refits and full refits in the first round, and half as many in later ones, where the screening is beside a better model.
+#: This is successive halving (Karnin, Koren and Somekh 2013) by quarters: of some forty candidates 12 and of these 3 go on.
 FIRST_REFITS, LATER_REFITS = (12, 3), (6, 2)
-#: Iterations of a full refit, and of one where simulating costs next to nothing.
+#: Candidates whose short refit reached less than this share of the best one's are not refitted in full: a half, as above.
+WITHIN_REACH = 0.5
+#: Iterations of a full refit, one with each step of differences, and of one where simulating costs next to nothing.
 FULL_ITERATIONS, CHEAP_ITERATIONS = 3, 10
-
-
-@dataclass(eq=False)
-class Refit:
-    """A candidate on a channel and its estimate."""
-
-    channel: int
-    screened: Screening
-    estimate: Estimate
 
 
 @dataclass
 class Contest:
-    """The candidates of a channel in a round: those that are refitted in full, best first, and the rest.
-
-    `gains` are those of the refitted ones when all had been refitted alike, by effect.
-    """
+    """The candidates of a channel in a round: those that are refitted in full, best first, and the rest. Each has the name of its
+    effect as label; `gains` are those by effect when all had been refitted alike."""
 
     channel: int
-    refits: list[Refit]
-    outdone: list[Refit]
+    refits: list[Estimate]
+    outdone: list[Estimate] = field(default_factory=list)
     gains: dict[str, float] = field(default_factory=dict)
 
+    def narrow(self, search: Search, most: int) -> None:
+        """Leaves those within reach of the best one, but two at least, to be refitted in full."""
+        own = sorted(self.refits, key=lambda p: p.cost)
+        falls = [search.present[self.channel].cost - p.cost for p in own[:most]]
+        worthwhile = max(sum(fall > WITHIN_REACH * falls[0] for fall in falls), min(2, len(own)))
+        self.refits, self.outdone = own[:worthwhile], own[worthwhile:]
+
     def rank(self, search: Search) -> None:
-        """Sorts the refitted ones, the best of each effect first, and counts their gains."""
+        """Sorts the refitted ones, the best of each effect only, and counts their gains."""
         fit, before = search.fit, search.present[self.channel]
-        self.refits.sort(key=lambda r: r.estimate.cost + penalty(fit, r.screened.effect))
-        best: dict[str, Refit] = {}
-        for r in self.refits:
-            best.setdefault(r.screened.effect, r)
+        best: dict[str, Estimate] = {}
+        for p in sorted(self.refits, key=lambda p: p.cost + penalty(fit, p.label)):
+            best.setdefault(p.label, p)
         self.refits = [*best.values()]
-        self.outdone = [r for r in self.outdone if r.screened.effect not in best]
-        self.gains = {effect: fit.gain(before, r.estimate) for effect, r in best.items()}
+        self.outdone = [p for p in self.outdone if p.label not in best]
+        self.gains = {effect: fit.gain(before, p) for effect, p in best.items()}
 
 
-def run(state: State) -> State:
-    """Selects effects, estimates the noise again, and refits what was accepted."""
-    selection = select(
-        Search(
-            state.fit,
-            state.calibrated,
-            state.screening,
-            state.seconds,
-            dict(state.calibrated),
-            state.progress,
-        )
+def run(calibrated: Calibrated, screening: Sequence[Screening]) -> Selection:
+    """Selects effects and estimates the noise again."""
+    logs, copies = calibrated.logs, {p: replace(p) for p in calibrated.estimates.values()}
+    own = {c: copies[p] for c, p in calibrated.estimates.items()}
+    search = select(Search(logs.fit, own, screening, logs.seconds))
+    fit = logs.fit.with_noise_seen_by(search.present)
+    groups = search.calibrated, search.present, search.placebo
+    tried = [t.estimate for t in search.forms.values() if t is not None]
+    fit.rescore(list(dict.fromkeys([*tried, *(p for group in groups for p in group.values())])))
+    logs = replace(logs, fit=fit)
+    return Selection(
+        logs,
+        search.calibrated,
+        search.present,
+        search.accepted,
+        search.candidates,
+        search.placebo,
+        search.forms,
     )
-    following = rattling.beside(state, {c: selection.in_best_form(c) for c in selection.estimates})
-    if following is not state:
-        return run(screening.run(following))
-    fit = state.fit.with_noise_seen_by(selection.estimates)
-    fit.rescore([*selection.estimates.values(), *selection.placebo.values()])
-    changed = [
-        p for c, p in selection.estimates.items() if any(k.channel in (None, c) for k in selection.accepted)
-    ]
-    refit_found(fit, changed)
-    return replace(state, fit=fit, selection=selection, final=selection.estimates, placebo=selection.placebo)
 
 
-def select(search: Search) -> Selection:
+def select(search: Search) -> Search:
     """Selects effects for every channel and for the rig, starting from the calibrated estimates and their screening.
 
     What acts on both channels is searched for in two ways: first on each channel, or first on the rig, whichever promises more.
     Several local effects imitate one of the rig, and the other way round, so the other way is gone as well where another set
     may do better, and the sets are compared.
     """
-    fit = search.fit
-    whole = len(fit.rig.channels) == 2 and any(k.channel is None for k in search.screening)
+    whole = len(search.fit.rig.channels) == 2 and any(k.channel is None for k in search.screening)
     leads = whole and rig_effect_leads(search)
     _search(search, leads)
-    compared = fit.settings.uses(COMPARE_SETS) or not search.accepted
-    if whole and compared and _may_be_outdone(search, leads):
-        other = search.afresh()
-        _search(other, not leads)
-        search = better_set(search, other)
-    if search.accepted:
-        search.progress("what else would do as well?")
-        compare_competing(search)
-    return Selection(search.present, search.accepted, search.candidates, search.placebo, search.attempted)
-
-
-def _has_rig_effect(search: Search) -> bool:
-    return any(k.channel is None for k in search.accepted)
+    compared = search.fit.settings.uses("compare_sets") or not search.accepted
+    if not (whole and compared and _may_be_outdone(search, leads)):
+        return search
+    other = search.restarted()
+    _search(other, not leads)
+    return better_set(search, other)
 
 
 def _search(search: Search, rig_first: bool) -> None:
     """Searches for a set of effects: first for one of the rig and then beside it on the channels, or the other way round."""
-    fit = search.fit
-    first = [c for c in fit.rig.channels if _worth_another(search, c)]
+    channels = search.fit.rig.channels
+    first = [c for c in channels if _worth_another(search, c)]
     of_channels = [k for k in search.screening if k.channel is not None]
     if not rig_first:
         _forward(search, first, of_channels)
-    if len(fit.rig.channels) == 2:
-        search.progress("effects of the whole rig")
+    if len(channels) == 2:
         select_rig_effects(search)
-    if _has_rig_effect(search):
+    if any(k.channel is None for k in search.accepted):
         if rig_first:
             _set_placebos(search, first, of_channels)
-        _forward_beside_rig_effect(search)
-    if fit.rig.has_hidden_states:
+        # Before, it had hidden what else there is on each channel.
+        _forward(search, [c for c in channels if _worth_another(search, c)])
+    if search.fit.rig.has_hidden_states:
         drop_unneeded(search)
-    if any(len(p.placed_effects()) > 1 for p in search.present.values()):
-        search.progress("can any of them be left out?")
-        drop_not_missed(search)
         prefer_form(search)
 
 
@@ -182,7 +151,7 @@ def better_set(search: Search, other: Search) -> Search:
     fit = search.fit
     if not other.accepted:
         return search
-    _settle(fit, [*{id(p): p for s in (search, other) for p in s.present.values()}.values()])
+    search.settle(list(dict.fromkeys(p for s in (search, other) for p in s.present.values())))
     pairs = sorted(((joined(s.present), s) for s in (search, other)), key=lambda pair: pair[0].cost)
     (more, best), (less, rest) = pairs
     # In the samples that are independent beside the one that explains more.
@@ -190,13 +159,10 @@ def better_set(search: Search, other: Search) -> Search:
     if ahead < 0.0:
         best, rest = rest, best
     names = {(k.effect, k.channel) for k in rest.accepted}
-    for k in best.accepted:
-        if (k.effect, k.channel) not in names:
-            k.rival = abs(ahead)
-    for candidate in rest.candidates:
-        if candidate.accepted:
-            candidate.outcome = OUTDONE
-    best.candidates += rest.candidates
+    best.accepted = [
+        k if (k.effect, k.channel) in names else replace(k, rival=abs(ahead)) for k in best.accepted
+    ]
+    best.candidates += [replace(k, outcome=OUTDONE) if k.accepted else k for k in rest.candidates]
     best.placebo = best.placebo or rest.placebo
     return best
 
@@ -208,38 +174,22 @@ def _worth_another(search: Search, c: int) -> bool:
         return False
     if not fit.rig.has_hidden_states or not (present.effects() or given_on(fit, present)):
         return True
-    return could_pay(fit, _in_other_form(search, present), c)
+    return could_pay(fit, search.in_other_form(present), c)
 
 
 # --- forward steps --------------------------------------------------------------------------------------------------------
-def _forward(search: Search, channels: list[int], screening: Sequence[Screening]) -> None:
-    """Rounds, as long as an effect is accepted on a channel and leaves something."""
-    for number in range(1, search.fit.settings.max_effects + 1):
+def _forward(search: Search, channels: list[int], screening: Sequence[Screening] = ()) -> None:
+    """Rounds, as long as an effect is accepted on a channel and leaves something; the first one with a `screening`, if any."""
+    for number in range(1 if screening else 2, search.fit.settings.max_effects + 1):
         if not channels:
             break
         if number > 1:
-            search.progress(f"round {number}: screening what is left")
             here = {c: search.present[c] for c in channels}
             screening = screen(search.fit, here, search.names, search.seconds, search.screening)
-        search.progress(f"round {number}: refitting candidates")
         # Channels that are estimated together take turns: what one of them gets changes the model of both.
         turns = [[c] for c in channels] if search.of_rig else [channels]
         accepted = [c for turn in turns for c in _round(search, turn, screening, number)]
         channels = [c for c in accepted if _worth_another(search, c)]
-
-
-def _forward_beside_rig_effect(search: Search) -> None:
-    """Further rounds where an effect of the rig was accepted: before, it had hidden what else there is on each channel."""
-    fit = search.fit
-    for number in range(2, fit.settings.max_effects + 1):
-        channels = [c for c in fit.rig.channels if _worth_another(search, c)]
-        if not channels:
-            return
-        search.progress(f"round {number}: screening what is left beside the effect of the rig")
-        screening = screen(fit, search.present, search.names, search.seconds, search.screening)
-        # One channel at a time: what one of them gets changes the model of both.
-        if not [c for c in channels if _round(search, [c], screening, number)]:
-            return
 
 
 def _set_placebos(search: Search, channels: Sequence[int], screening: Sequence[Screening]) -> None:
@@ -250,166 +200,101 @@ def _set_placebos(search: Search, channels: Sequence[int], screening: Sequence[S
     search.placebo = {c: search.calibrated[c].extended(best[c].effect, best[c].start, c) for c in channels}
     placebos = list(search.placebo.values())
     short_refit(search.fit, placebos)
-    solve(search.fit.on(search.fit.rig.for_long_refits()), placebos, SETTLE_ITERATIONS)
+    solve(search.fit, placebos, SETTLE_ITERATIONS)
 
 
 def _round(search: Search, channels: Sequence[int], screening: Sequence[Screening], number: int) -> list[int]:
     """One forward step on every channel; returns the channels on which an effect was accepted."""
     fit, cheap = search.fit, search.fit.rig.simulation_is_cheap
     short, full = FIRST_REFITS if number == 1 or cheap else LATER_REFITS
-    refits = _short_refits(search, channels, screening, number, short)
-    if not refits:
+    every = [Contest(c, _promising(search, c, screening, number, short)) for c in channels]
+    contests = [k for k in every if k.refits]
+    if not contests:
         return []
-    contests = [_contest(search, c, [r for r in refits if r.channel == c], full) for c in channels]
-    contests = [k for k in contests if k.refits]
-    solve(
-        fit, [r.estimate for k in contests for r in k.refits], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS
-    )
+    short_refit(fit, [p for k in contests for p in k.refits])
+    for k in contests:
+        k.narrow(search, full)
+    solve(fit, [p for k in contests for p in k.refits], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS)
     for k in contests:
         k.rank(search)
     # Before it is judged: in a local minimum the right one gains little, too.
-    _settle(fit, [k.refits[0].estimate for k in contests])
-    _compete_on_beginning(search, contests)
+    search.settle([k.refits[0] for k in contests])
+    if fit.rig.has_hidden_states and fit.settings.uses("compete_on_beginning"):
+        _compete_on_beginning(search, contests)
     accepted = [k.channel for k in contests if _accept_best(search, k, number)]
     if number == 1:
-        # As far as what was accepted has been, unless they cannot reach it any more.
-        long, races = (
-            fit.on(fit.rig.for_long_refits()),
-            [[search.present[c], search.placebo[c]] for c in accepted],
-        )
-        solve(long, [search.placebo[c] for c in accepted], SETTLE_ITERATIONS, races=races)
+        # As far as what was accepted has been.
+        solve(search.fit, [search.placebo[c] for c in accepted], SETTLE_ITERATIONS)
     return accepted
 
 
-def _short_refits(
-    search: Search, channels: Sequence[int], screening: Sequence[Screening], number: int, most: int
-) -> list[Refit]:
-    """Short refits of the most promising candidates of every channel, or of all where simulating costs next to nothing."""
-    refits = []
-    for c in channels:
-        here = {k.effect for k in search.on(c)}
-        own = [k for k in screening if k.channel == c and k.effect not in here]
-        for place, one in enumerate(own):
-            if search.fit.rig.simulation_is_cheap or (place < most and one.gain > 0.0):
-                refits.append(Refit(c, one, search.present[c].extended(one.effect, one.start, c)))
-            else:
-                search.record(one.effect, c, number, one.gain, "explains too little at first look")
-    for r in refits:
-        r.screened.begin(search.fit, r.estimate)
-    if refits:
-        short_refit(search.fit, [r.estimate for r in refits])
-    return refits
-
-
-def _contest(search: Search, c: int, refits: Sequence[Refit], most: int) -> Contest:
-    """The candidates of a channel, best first; those within reach of the best, and one more, are to be refitted in full."""
-    own = sorted(refits, key=lambda r: r.estimate.cost)
-    fall = [search.present[c].cost - r.estimate.cost for r in own]
-    near = sum(each > WITHIN_REACH * fall[0] for each in fall[:most])
-    worthwhile = max(min(near, most), min(2, len(own)))
-    return Contest(c, own[:worthwhile], own[worthwhile:])
+def _promising(
+    search: Search, c: int, screening: Sequence[Screening], number: int, most: int
+) -> list[Estimate]:
+    """The most promising candidates of a channel, or all where simulating costs next to nothing, as they begin."""
+    here = {k.effect for k in search.on(c)}
+    own = [k for k in screening if k.channel == c and k.effect not in here]
+    good = own if search.fit.rig.simulation_is_cheap else [k for k in own[:most] if k.gain > 0.0]
+    for k in (k for k in own if k not in good):
+        search.record(k.effect, c, number, k.gain, "explains too little at first look")
+    return [search.present[c].extended(k.effect, k.start, c) for k in good]
 
 
 def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
     """Where the best candidate leaves more than another form of it would explain, every effect that the logs would show competes
-    anew on their beginning, and the best are refitted beside those that the screening proposed, the two best as far as they go.
+    again on their beginning, and the best are refitted beside those that the screening proposed, the two best as far as they go.
     """
-    fit = search.fit
-    if not (fit.rig.has_hidden_states and fit.settings.uses(COMPETE_ON_BEGINNING)):
-        return
-    left = [
-        k
-        for k in contests
-        if unexplained(fit, k.refits[0].estimate, k.channel)
-        and unexplained(fit, _in_other_form(search, k.refits[0].estimate), k.channel)
-    ]
-    screened = {(k.effect, k.channel): k for k in search.screening}
-    names = []
+    fit, names = search.fit, []
+    left = [k for k in contests if unexplained(fit, k.refits[0], k.channel)]
+    left = [k for k in left if unexplained(fit, search.in_other_form(k.refits[0]), k.channel)]
     for k in left:
         here = {n for n, c in search.present[k.channel].placed_effects() if c in (None, k.channel)}
-        new = [n for n in search.names if n not in here]
-        seen = [screened.get((n, k.channel)) for n in new]
-        names.append([one.effect for one in seen if one is not None and one.shows])
+        shows = {s.effect for s in search.screening if s.channel == k.channel and s.shows}
+        names.append([n for n in search.names if n in shows - here])
     presents = [(k.channel, search.present[k.channel]) for k in left]
-    found = best_on_beginnings(fit, presents, names) if left else []
-    # The others race among themselves, since the best so far has been refitted for longer; then the best of them is, too.
-    leaders = [k.refits[0] for k in left]
+    found = best_on_early_window(fit, presents, names) if left else []
+    # The best so far has been refitted for longer; then the best of the others is, too.
+    leaders = [k.refits.pop(0) for k in left]
     for k, own in zip(left, found, strict=True):
-        k.refits = k.refits[1:] + [Refit(k.channel, screened[p.label, k.channel], p) for p in own]
-    races = [[r.estimate for r in k.refits] for k in left]
-    solve(fit, [p for race in races for p in race], SETTLE_ITERATIONS, races=races)
+        k.refits += own
+    solve(fit, [p for k in left for p in k.refits], SETTLE_ITERATIONS)
     for k in left:
         k.rank(search)
-    _settle(fit, [r.estimate for k in left for r in k.refits[:1]])
+    search.settle([p for k in left for p in k.refits[:1]])
     for k, leader in zip(left, leaders, strict=True):
         k.refits.append(leader)
         k.rank(search)
 
 
-def _in_other_form(search: Search, estimate: Estimate) -> Estimate:
-    """The estimate with the correction of form that explains most of what it leaves, if one does; remembered in the search."""
-    known = next((better for own, better in search.corrected if own is estimate), None)
-    if known is None:
-        fit = search.fit
-        found = attempts(fit, estimate, estimate.placed_effects())
-        refit_attempts(fit.on(fit.rig.for_long_refits()), found)
-        best = min(found, key=lambda t: t.score, default=None)
-        better = best is not None and best.score < estimate.cost
-        known = best.estimate if best is not None and better else estimate
-        search.corrected.append((estimate, known))
-        search.attempted += [t.estimate for t in found]
-    return known
-
-
-def _ends_in_other_form(search: Search, before: Estimate, after: Estimate) -> bool:
-    """Whether a correction of form explains next to all that is left: a size at the edge of its range is due to the form then."""
-    fit = search.fit
-    if not fit.rig.has_hidden_states:  # a model that has no corrections
-        return False
-    better = _in_other_form(search, after)
-    return all(nearly_explained(fit, before, better, c) for c in fit.channels_of(after))
-
-
-def _settle(fit: Fit, estimates: Sequence[Estimate]) -> None:
-    """Improves estimates as far as they go, in place."""
-    long = fit.on(fit.rig.for_long_refits())
-    solve(long, estimates, SETTLE_ITERATIONS)
-    if fit.rig.has_hidden_states:
-        solve(long, grow_horizon(long, estimates), SETTLE_ITERATIONS)
-
-
-def _adopt_base(search: Search, c: int, vanished: Refit) -> bool:
+def _adopt_base(search: Search, c: int, vanished: Estimate) -> bool:
     """Takes over the known parameters of a candidate that vanished, if they explain the logs better; whether it does."""
     fit, present = search.fit, search.present[c]
-    less = vanished.estimate.without(vanished.screened.effect, c)
+    less = vanished.without(vanished.label, c)
     solve(fit, [less], CHEAP_ITERATIONS)
-    return fit.gain(present, less) > 0.0 and present.adopt(less)
+    better = less.cost < present.cost and fit.gain(present, less) > 0.0
+    if better:
+        search.put(c, less)
+        if not present.effects():  # the calibration itself had ended in a local minimum
+            search.calibrated = {**search.calibrated, **dict.fromkeys(fit.channels_of(less), less)}
+    return better
 
 
 def _accept_best(search: Search, contest: Contest, number: int) -> bool:
     """Judges the refitted candidates of a channel and accepts the best one, if it passes; whether it does."""
-    fit, c, gains = search.fit, contest.channel, contest.gains
-    before = search.present[c]
-    judged, accepted = "", False
-    for place, r in enumerate(contest.refits):
-        effect, gain = r.screened.effect, fit.gain(before, r.estimate)
-        outcome = judge(fit, before, r.estimate, effect, gain, c)
-        if outcome == AT_EDGE and place == 0 and _ends_in_other_form(search, before, r.estimate):
-            outcome = ACCEPTED
-        if place == 0:
-            judged, accepted = outcome, outcome == ACCEPTED
-            if accepted:
-                competing = search.competing(effect, gains)
-                search.accepted.append(Accepted(effect, c, gain, penalty(fit, effect), competing, before))
-        elif outcome == ACCEPTED:
-            outcome = OUTDONE
-        search.record(effect, c, number, gain, outcome, r.estimate)
-    for r in contest.outdone:
-        search.record(r.screened.effect, c, number, fit.gain(before, r.estimate), OUTDONE, r.estimate)
-    refits = contest.refits
+    fit, c, refits = search.fit, contest.channel, contest.refits
+    before, best = search.present[c], refits[0]
+    gains = [fit.gain(before, p) for p in refits]
+    first, *others = (judge(fit, p, p.label, gain, c) for p, gain in zip(refits, gains, strict=True))
+    outcomes = [first, *(OUTDONE if other == ACCEPTED else other for other in others)]
+    for p, gain, outcome in zip(refits, gains, outcomes, strict=True):
+        search.record(p.label, c, number, gain, outcome, p)
+    for p in contest.outdone:
+        search.record(p.label, c, number, fit.gain(before, p), OUTDONE, p)
+    accepted = first == ACCEPTED
     if number == 1:
-        search.placebo[c] = refits[1 if accepted and len(refits) > 1 else 0].estimate
+        search.placebo[c] = refits[1 if accepted and len(refits) > 1 else 0]
     if accepted:
-        search.put(c, refits[0].estimate)
-        return True
-    return judged == VANISHED and _adopt_base(search, c, refits[0])
+        competing, needed = search.competing(best.label, contest.gains), penalty(fit, best.label)
+        search.accepted.append(Accepted(best.label, c, gains[0], needed, competing, before))
+        search.put(c, best)
+    return accepted or (first == VANISHED and _adopt_base(search, c, best))

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..estimation import noise_floor
+from ..logs import Estimates, Logs
 from ..models.base import UNITS, RigModel
-from ..state import Estimates, State
-from .form_correction import changes
+from .form_correction import Models
 
-__all__ = ["NAMED", "Proof", "prove", "proved", "run", "shown_unit", "signal_key"]
+__all__ = ["AT_NOISE", "NAMED", "Proof", "Proofs", "prove", "run", "shown_unit", "signal_key"]
 
 #: Where the form of an effect was corrected this model is compared besides: the named effects without that correction.
 NAMED = "named"
+#: A signal is at its noise up to this many times that: a fifth more power, which is more than the noise itself is uncertain by.
+AT_NOISE = 1.1
 
 
 @dataclass(frozen=True)
@@ -32,28 +34,30 @@ class Proof:
         return {signal_key(self.rig, signal, c): entry for (c, signal), entry in self.errors.items()}
 
 
-def run(state: State) -> State:
+@dataclass(frozen=True)
+class Proofs:
+    """The models beside the logs to fit and those held out: by free simulations, which are reported, and by those that names are
+    `judged` by, which follow the measured speed where a coupling rattles."""
+
+    fit: Proof
+    held_out: Proof
+    judged_fit: Proof
+    judged: Proof
+
+
+def run(logs: Logs, models: Models) -> Proofs:
     """Compares all models with the logs to fit and with those held out."""
-    sized = []
-    for k in state.corrections:
-        channels = state.rig.channels if k.channel is None else (k.channel,)
-        each = [changes(state.held_out, state.final[c], k.correction, c) for c in channels]
-        sized.append(replace(k, changes={key: value for found in each for key, value in found.items()}))
-    return proved(replace(state, corrections=sized))
-
-
-def proved(state: State) -> State:
-    """The state with the proofs of its models."""
-    models: dict[str, Estimates] = {
-        "before": state.given, "calibrated": state.calibrated, "after": state.final,
-        "placebo": {**state.calibrated, **state.placebo},
+    every: dict[str, Estimates] = {
+        "before": models.given, "calibrated": models.calibrated, "after": models.final,
+        "placebo": {**models.calibrated, **models.placebo},
     }  # fmt: skip
-    if state.corrections:
-        models[NAMED] = state.selection.estimates
-    judged_fit, judged = free = prove(state.fine, models), prove(state.held_out, models)
-    if state.rig.followed:
-        free = prove(state.fine.following(()), models), prove(state.held_out.following(()), models)
-    return replace(state, on_fit=free[0], on_held_out=free[1], judged_fit=judged_fit, judged=judged)
+    if models.corrections:
+        every[NAMED] = models.named
+    judged_fit, judged = free = prove(logs.fine, every), prove(logs.held_out, every)
+    if logs.rig.followed:
+        freely = logs.following(())
+        free = prove(freely.fine, every), prove(freely.held_out, every)
+    return Proofs(*free, judged_fit, judged)
 
 
 def shown_unit(rig: RigModel, signal: str, channel: int) -> tuple[str, float]:
@@ -70,9 +74,9 @@ def signal_key(rig: RigModel, signal: str, channel: int) -> str:
 
 def prove(rig: RigModel, models: Mapping[str, Estimates]) -> Proof:
     """Simulates every model from the logged commands and compares with all logs of `rig`."""
-    every = list({id(p): p for estimates in models.values() for p in estimates.values()}.values())
-    results = {id(p): r for p, r in zip(every, rig.predict([p.request() for p in every]), strict=True)}
-    traces = {name: {c: results[id(p)][c] for c, p in own.items()} for name, own in models.items()}
+    every = list(dict.fromkeys(p for estimates in models.values() for p in estimates.values()))
+    results = dict(zip(every, rig.predict([p.request() for p in every]), strict=True))
+    traces = {name: {c: results[p][c] for c, p in own.items()} for name, own in models.items()}
     errors: dict[tuple[int, str], dict[str, float]] = {}
     for channel in rig.channels:
         for signal in dict.fromkeys(s.signal for s in rig.segments[channel]):

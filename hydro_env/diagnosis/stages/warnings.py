@@ -3,36 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 from ...measured.finding import SPELLING
 from ...plant import CATALOGUE
 from ..estimation import unpredictable
 from ..state import State
-from .naming import absent_effects, at_bounds
 from .screening import hidden_by_calibration
 from .validation import shown_unit, signal_key
+from .values import absent_effects, at_bounds
 
 __all__ = ["run"]
 
-#: Fit logs that are shorter in all than this, s, say little.
-SHORT_LOGS = 4.0
+#: The held-out logs are explained worse by the final model than by another one if its error is this many times that one's, and so
+#: many times the noise: differences that a reader would see.
+WORSE, WORSE_NOISE = 1.1, 1.3
 
 
-def run(state: State) -> State:
+def run(state: State) -> list[str]:
     """Collects the warnings, the weightiest first."""
-    found = []
-    if state.undetermined:
-        found.append(f"these logs do not determine the known parameters: {'; '.join(state.undetermined)}")
-    if state.elsewhere:
-        found.append(f"the held-out logs seem to be of another rig or state: {'; '.join(state.elsewhere)}")
-    found += [f"none of the named effects is confirmed: {'; '.join(state.doubts)}"] if state.doubts else []
+    about = (
+        ("these logs do not determine the known parameters", state.undetermined),
+        ("the held-out logs seem to be of another rig or state", state.elsewhere),
+        ("none of the named effects is confirmed", state.doubts),
+    )
+    found = [f"{text}: {'; '.join(why)}" for text, why in about if why]
     found += [f.text for f in state.findings]
     found += [
         f"the model as given has a {CATALOGUE[effect].title} on channel {c + 1} that these logs do not show"
-        for effect, c in absent_effects(state.rig, state.shown)
+        for effect, c in absent_effects(state.rig, state.models.shown)
     ]
-    found += _about_logs_and_fit(state)
+    found += [*_about_errors(state), *_about_logs(state)]
+    found += [f"{text} ends at the edge of its plausible range" for text in at_bounds(state.models.final)]
     if state.verdict == "unknown":
         found.append(
             "something is missing from the model, so true values may lie outside the intervals of parameters"
@@ -40,48 +41,41 @@ def run(state: State) -> State:
     hidden = [name.replace("_", " ") for name in hidden_by_calibration(state.screening)]
     if hidden and state.verdict in ("none", "calibration"):
         found.append(f"calibration hides these effects, so they cannot be excluded: {', '.join(hidden)}")
+    return [*found, *_about_predictions(state)]
+
+
+def _about_errors(state: State) -> Iterator[str]:
+    for (c, signal), e in state.proofs.judged.errors.items():
+        for model, said in (("before", "the model as given"), ("calibrated", "the calibrated model alone")):
+            if e["after"] > max(WORSE * e[model], WORSE_NOISE * e["noise"]):
+                yield (
+                    f"{signal_key(state.rig, signal, c)}: the held-out logs are explained worse than by {said} "
+                    f"({e['after']:.3g}, {e[model]:.3g} by that); the fit logs say too little about what the held-out ones show"
+                )
+
+
+def _about_logs(state: State) -> Iterator[str]:
+    parts = (*state.rig.parts, *state.logs.held_out.parts)
+    yield from state.rig.notes
+    yield from (p.note for p in parts if p.note)
+    for part in {p.log.sha256: p for p in parts}.values():
+        # How a file is written matters least, so it is said last.
+        for finding in sorted(part.log.findings, key=lambda f: f.code in SPELLING):
+            yield f"{part.log.name}: {finding.text}"
+
+
+def _about_predictions(state: State) -> Iterator[str]:
     for c in sorted(state.rig.followed):
-        entry, unit = state.judged.errors[c, "speed"], shown_unit(state.rig, "speed", c)[0].replace("_", " ")
-        found.append(
+        e, unit = state.proofs.judged.errors[c, "speed"], shown_unit(state.rig, "speed", c)[0]
+        yield (
             f"the coupling of channel {c + 1} rattles, so that free simulations run apart from the rig (the errors shown are of "
             "these); names are judged by simulations that follow the measured speed, and these leave "
-            f"{entry['after']:.3g} {unit} of it, {entry['calibrated']:.3g} with calibration alone; noise {entry['noise']:.3g}"
+            f"{e['after']:.3g} {unit} of it, {e['calibrated']:.3g} with calibration alone; noise {e['noise']:.3g}"
         )
+    held_out = state.logs.fit.on(state.logs.held_out)
     for c in state.rig.channels if state.effects and state.rig.has_hidden_states else ():
-        for signal, times in unpredictable(state.fit.on(state.held_out), state.final[c], c).items():
-            found.append(
+        for signal, times in unpredictable(held_out, state.models.final[c], c).items():
+            yield (
                 f"the {signal} of channel {c + 1} on the held-out logs cannot be predicted: estimates that the fit logs cannot "
                 f"distinguish give results {times:.2g} times the noise apart"
             )
-    return replace(state, warnings=found)
-
-
-def _about_logs_and_fit(state: State) -> list[str]:
-    rig, parts = state.rig, (*state.rig.parts, *state.held_out_parts)
-    first, found = [], [*rig.notes, *(p.note for p in parts if p.note)]
-    for part in {p.log.sha256: p for p in parts}.values():
-        # How a file is written matters least, so it is said last.
-        ordered = sorted(part.log.findings, key=lambda f: f.code in SPELLING)
-        found += [f"{part.log.name}: {f.text}" for f in ordered]
-    lasts = sum(len(p.log) * p.log.period for p in rig.parts)
-    if lasts < SHORT_LOGS:
-        first.append(f"the fit logs last {lasts:.2g} s in all: too short to distinguish effects")
-    for key, entry in _errors(state):
-        if entry["after"] > 1.1 * entry["before"] and entry["after"] > 1.3 * entry["noise"]:
-            worse = f"{entry['after']:.3g}, {entry['before']:.3g} before"
-            first.append(
-                f"{key}: the held-out logs are explained worse than by the model as given ({worse}); the fit logs "
-                "say too little about what the held-out ones show"
-            )
-    found += [f"{text} ends at the edge of its plausible range" for text in at_bounds(state.final)]
-    for key, entry in _errors(state):
-        if entry["after"] > 1.02 * entry["calibrated"] and entry["after"] > 1.2 * entry["noise"]:
-            found.append(
-                f"{key}: on the held-out logs the calibrated model alone was better than with the named effects"
-            )
-    return [*first[::-1], *found]
-
-
-def _errors(state: State) -> Iterator[tuple[str, dict[str, float]]]:
-    for (c, signal), entry in state.judged.errors.items():
-        yield signal_key(state.held_out, signal, c), entry

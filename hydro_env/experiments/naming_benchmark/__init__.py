@@ -8,10 +8,3 @@ correction  a black box added to the right-hand side of the line
 certainty   intervals and probabilities of whole diagnoses against the truth
 scoring     answers against the truth, with intervals
 """
-
-from .answers import read_answers
-from .methods import METHODS, run_method
-from .scoring import score, table
-from .sets import make_set, read_set
-
-__all__ = ["METHODS", "make_set", "read_answers", "read_set", "run_method", "score", "table"]

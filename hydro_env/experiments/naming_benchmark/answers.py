@@ -5,26 +5,41 @@
      "prediction": "rig_001.csv", "seconds": 12.3}
 
 `verdict` is none, calibration, effects or unknown. `channel` is 1, 2, both or rig. `prediction` (columns time_s, speed_1_rpm,
-speed_2_rpm, a row for each of commands.csv) or `model` (a model file) is optional; either gives the sealed error.
+speed_2_rpm, a row for each of commands.csv) or `model` (a model file) is optional; either gives the held-out error.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import BaseModel, Field
 
 from ...errors import InputError, shown, suggestion
 from ...plant import CATALOGUE
 from ...reading import read_json
+from ...validation import FileTable, Number, checked, known
 
-__all__ = ["CHANNELS", "SCHEMA", "VERDICTS", "answer", "read_answer", "read_answers"]
+__all__ = ["answer", "read_answer", "read_answers"]
 
 SCHEMA = "hydro_env/naming_answer/1"
-VERDICTS = ("none", "calibration", "effects", "unknown")
-CHANNELS = ("1", "2", "both", "rig")
-_KEYS = ("schema", "rig", "verdict", "effects", "prediction", "model", "seconds")
+
+
+class _Named(BaseModel):
+    name: Annotated[str, known("effect", CATALOGUE)]
+    channel: Literal["1", "2", "both", "rig"]
+    probability: Annotated[Number, Field(ge=0.0, le=1.0)] = 0.0
+
+
+class _Answer(FileTable):
+    FORMAT: ClassVar[str] = SCHEMA
+
+    rig: str
+    verdict: Literal["none", "calibration", "effects", "unknown"]
+    effects: list[_Named]
+    prediction: str | None = None
+    model: str | None = None
+    seconds: Annotated[Number, Field(ge=0.0)] | None = None
 
 
 def answer(
@@ -57,57 +72,13 @@ def read_answers(folder: Path, rigs: list[str], first: int | None = None) -> dic
 
 def read_answer(path: Path, rig: str) -> dict[str, Any]:
     """One answer. InputError that names file and key."""
-    data = read_json(path, "an answer of the naming benchmark")
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-        raise InputError(f"{path}: schema: expected {SCHEMA!r}")
-    for key in data:
-        if key not in _KEYS:
-            raise InputError(f"{path}: unknown key {shown(key)}: {suggestion(key, _KEYS)}")
-    if data.get("rig") != rig:
-        raise InputError(f"{path}: rig is {shown(data.get('rig'))}, expected {rig!r}")
-    if data.get("verdict") not in VERDICTS:
-        raise InputError(f"{path}: verdict is {shown(data.get('verdict'))}, expected {', '.join(VERDICTS)}")
-    seconds = data.get("seconds")
-    if seconds is not None and not _number(seconds, math.inf):
-        raise InputError(f"{path}: seconds is {shown(seconds)}, expected a number from 0")
-    _check_effects(path, data)
-    for key in ("prediction", "model"):
-        _check_file(path, key, data.get(key))
-    return data
-
-
-def _number(value: object, most: float) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value <= most
-
-
-def _check_effects(path: Path, data: Mapping[str, Any]) -> None:
-    effects = data.get("effects")
-    if not isinstance(effects, list):
-        raise InputError(f"{path}: effects is {shown(effects)}, expected a list")
-    if (data["verdict"] == "effects") != bool(effects):
+    data: dict[str, Any] = read_json(path, "an answer of the naming benchmark")
+    found = checked(_Answer, data, path)
+    if found.rig != rig:
+        raise InputError(f"{path}: rig is {shown(found.rig)}, expected {rig!r}")
+    if (found.verdict == "effects") != bool(found.effects):
         raise InputError(f"{path}: effects: the verdict `effects`, and no other, names at least one")
-    for n, effect in enumerate(effects):
-        where = f"{path}: effects[{n}]"
-        if not isinstance(effect, dict):
-            raise InputError(f"{where} is {shown(effect)}, expected a table with name and channel")
-        if effect.get("name") not in CATALOGUE:
-            raise InputError(
-                f"{where}: unknown effect {shown(effect.get('name'))}: {suggestion(effect.get('name'), CATALOGUE)}"
-            )
-        if effect.get("channel") not in CHANNELS:
-            raise InputError(
-                f"{where}: channel is {shown(effect.get('channel'))}, expected {', '.join(CHANNELS)}"
-            )
-        if "probability" in effect and not _number(effect["probability"], 1.0):
-            raise InputError(
-                f"{where}: probability is {shown(effect['probability'])}, expected a number from 0 to 1"
-            )
-
-
-def _check_file(path: Path, key: str, name: object) -> None:
-    if name is None:
-        return
-    if not isinstance(name, str) or not name or Path(name).name != name:
-        raise InputError(f"{path}: {key} is {shown(name)}, expected the name of a file beside it")
-    if not (path.parent / name).is_file():
-        raise InputError(f"{path}: {key}: there is no file {name} beside it")
+    for key, name in (("prediction", found.prediction), ("model", found.model)):
+        if name is not None and (Path(name).name != name or not (path.parent / name).is_file()):
+            raise InputError(f"{path}: {key} is {shown(name)}, expected the name of a file beside it")
+    return data

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ...reading import read_json
-from ..blind_trials.judging import covered, hidden_in
-from ..blind_trials.reliability import given_names, reliability_lines, wilson
+from ..coverage import by_channel, covered, given_names, percent, reliability_lines
 
 __all__ = ["WHOLE", "certainty", "lines"]
 
@@ -36,7 +35,7 @@ def certainty(answers: Path, truths: Mapping[str, Mapping[str, Any]]) -> dict[st
             return None
         data = read_json(path, "a whole diagnosis")
         unknown = data["verdict"] == "unknown"
-        points = given_names(data["effects"], hidden_in(truth))
+        points = given_names(data["effects"], by_channel(truth["effects"]))
         found["names"]["answers" if data["verdict"] == "effects" else "guesses"] += points
         counts = covered(data, truth)
         for kind, total in found["inside"]["unknown" if unknown else "confirmed"].items():
@@ -54,9 +53,6 @@ def lines(found: Mapping[str, Any]) -> list[str]:
     for verdict, kinds in found["inside"].items():
         for kind, (inside, of) in kinds.items():
             if of:
-                low, high = (round(100 * v) for v in wilson(inside, of))
-                share = f"{inside} of {of} ({round(100 * inside / of)} %; {low} to {high} %)"
-                text.append(
-                    f"| {'verdict `unknown`' if verdict == 'unknown' else 'all other verdicts'} | {kind} | {share} |"
-                )
+                which = "verdict `unknown`" if verdict == "unknown" else "all other verdicts"
+                text.append(f"| {which} | {kind} | {inside} of {of} ({percent(inside, of)}) |")
     return [*text, "", *reliability_lines(found["names"])]

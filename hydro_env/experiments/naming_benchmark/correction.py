@@ -29,7 +29,7 @@ Model = Callable[[Array], Array]
 
 #: Scales of the features: command and spool by their largest value, pressure (Pa) and speed (rad/s) by those of a usual rig.
 PRESSURE, SPEED = 50e5, 600.0 * RPM
-#: Every so many rows of the logs to fit are used.
+#: Step between the rows of the logs to fit that are used.
 STRIDE = 8
 #: Hidden units of the network, weight decay, iterations of L-BFGS.
 UNITS, DECAY, ITERATIONS = 24, 1e-3, 200
@@ -76,21 +76,24 @@ def fit_polynomial(x: Array, y: Array) -> Model:
     return lambda z: size * (np.prod(z[..., None, :] ** powers, axis=-1) @ weights)
 
 
-def predicted(folder: Path, model: PlantModel, fit: Callable[[Array, Array], Model]) -> Array:
-    """Speeds (T, 2), rpm, under commands.csv of a rig's folder, with a black box that `fit` makes on its logs to fit."""
+def predicted(folder: Path, model: PlantModel, fit: Callable[[Array, Array], Model]) -> dict[str, Array]:
+    """Time and speeds (rpm), by columns, under commands.csv of a rig's folder, with a black box that `fit` makes on its logs to
+    fit."""
     logs = [read_log(folder / name) for name in ("fit_1.csv", "fit_2.csv")]
     long = np.genfromtxt(folder / "commands.csv", delimiter=",", names=True)
     command = np.column_stack([long[f"command_{c}_V"] for c in (1, 2)])
     load = np.column_stack([long[f"load_{c}_Nm"] for c in (1, 2)])
     period = float(long["time_s"][1] - long["time_s"][0])
-    courses = [_simulated(model, log.command_V, log.load, log.period) for log in logs]
-    course = _simulated(model, command, load, period)
-    found = []
+    of_logs = [_simulated(model, log.command_V, log.load, log.period) for log in logs]
+    simulated = _simulated(model, command, load, period)
+    found = {"time_s": long["time_s"]}
     for c in (0, 1):
-        pairs = [_samples(model, c, log, sim) for log, sim in zip(logs, courses, strict=True)]
+        pairs = [_samples(model, c, log, sim) for log, sim in zip(logs, of_logs, strict=True)]
         x, y = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
-        found.append(_integrated(model, c, fit(x, y), (x, y), command[:, c], course, period))
-    return np.column_stack(found)
+        found[f"speed_{c + 1}_rpm"] = _integrated(
+            model, c, fit(x, y), (x, y), command[:, c], simulated, period
+        )
+    return found
 
 
 def _simulated(model: PlantModel, command: Array, load: Array | None, period: float) -> dict[str, Array]:

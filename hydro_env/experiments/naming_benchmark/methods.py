@@ -183,7 +183,7 @@ def _diagnose(folder: Path, out: Path) -> dict[str, Any]:
 
 
 def _naming(name_them: Callable[[Start], Named] | None) -> Callable[[Path, Path], dict[str, Any]]:
-    """A method that names effects beside the calibrated model, whose sealed error it takes."""
+    """A method that names effects beside the calibrated model, whose held-out error it takes."""
 
     def work(folder: Path, out: Path) -> dict[str, Any]:
         start = begin(folder)
@@ -206,10 +206,7 @@ def _correcting(
     def work(folder: Path, out: Path) -> dict[str, Any]:
         start = begin(folder)
         clock = time.process_time()
-        speeds = predicted(folder, start.model, fit)
-        times = np.genfromtxt(folder / "commands.csv", delimiter=",", names=True)["time_s"]
-        columns = {"time_s": times, "speed_1_rpm": speeds[:, 0], "speed_2_rpm": speeds[:, 1]}
-        write_text(out / f"{folder.name}.csv", log_text(columns))
+        write_text(out / f"{folder.name}.csv", log_text(predicted(folder, start.model, fit)))
         seconds = start.seconds + time.process_time() - clock
         return answer(folder.name, start.verdict, [], seconds, prediction=f"{folder.name}.csv")
 

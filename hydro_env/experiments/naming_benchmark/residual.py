@@ -25,13 +25,13 @@ from scipy.signal import savgol_filter
 from ...diagnosis.estimation import Estimate, Fit, noise_floor
 from ...diagnosis.input.checks import read_logs
 from ...diagnosis.input.parts import filled
+from ...diagnosis.logs import Logs
 from ...diagnosis.models.base import Request
 from ...diagnosis.models.dynamic_rig import DynamicRig
 from ...diagnosis.settings import Settings
 from ...diagnosis.stages import calibration, consistency
-from ...diagnosis.stages.naming import estimated_model
 from ...diagnosis.stages.validation import prove
-from ...diagnosis.state import State
+from ...diagnosis.stages.values import estimated_model
 from ...plant import BUILT_IN, CATALOGUE, PlantModel, load_model
 from ...reading import read_json
 
@@ -39,7 +39,7 @@ __all__ = ["Equation", "Start", "begin", "equations"]
 
 Array = NDArray[np.float64]
 
-#: A speed of the validation log within so many times its noise counts as explained.
+#: A speed of the validation log within this multiple of its noise counts as explained.
 EXPLAINED = 1.3
 #: Width of the filter that smooths and differentiates, s.
 WIDTH = 0.03
@@ -69,12 +69,9 @@ def begin(folder: Path) -> Start:
     model = load_model(folder / "model.yaml")
     rig = DynamicRig(model, parts, without=frozenset(BUILT_IN) - frozenset(about["candidates"]))
     fine, others = rig.with_parts(parts, False), rig.with_parts(held_out, True)
-    state = State(model, Fit(rig, {}, Settings()), fine, others, held_out)
-    for stage in (consistency.run, calibration.run):
-        state = stage(state)
-    errors = prove(
-        others, {"before": state.given, "calibrated": state.calibrated, "after": state.calibrated}
-    ).errors
+    found = calibration.run(consistency.run(Logs(Fit(rig, {}, Settings()), fine, others)))
+    estimates = found.estimates
+    errors = prove(others, {"before": found.given, "calibrated": estimates, "after": estimates}).errors
 
     def above(which: str) -> tuple[int, ...]:
         return tuple(
@@ -83,8 +80,8 @@ def begin(folder: Path) -> Start:
 
     missing = above("calibrated")
     verdict = "unknown" if missing else "calibration" if above("before") else "none"
-    found = model if verdict == "none" else estimated_model(rig, state.calibrated, "calibrated")
-    return Start(rig, state.calibrated, found, verdict, missing, time.process_time() - start)
+    best = model if verdict == "none" else estimated_model(rig, estimates, "calibrated")
+    return Start(rig, estimates, best, verdict, missing, time.process_time() - start)
 
 
 @dataclass(frozen=True)
@@ -113,11 +110,13 @@ def equations(start: Start, channel: int) -> list[Equation]:
         segments = {s.signal: s for s in rig.segments[channel] if s.log == log}
         speed = segments["speed"]
         measured = {n: filled(s.measured) for n, s in segments.items()}
-        courses = [{n: r[channel][s.place] for n, s in segments.items()} for r in simulated]
+        simulations = [{n: r[channel][s.place] for n, s in segments.items()} for r in simulated]
         command = part.log.command_V[speed.rows, channel] / rig.model.value("u_rated", channel)
-        base = courses[0]
+        base = simulations[0]
         errors = _sides(start, channel, {n: measured[n] - base[n] for n in base}, speed.period)
-        terms = [_sides(start, channel, {n: c[n] - base[n] for n in base}, speed.period) for c in courses[1:]]
+        terms = [
+            _sides(start, channel, {n: c[n] - base[n] for n in base}, speed.period) for c in simulations[1:]
+        ]
         for name, error in errors.items():
             noise = max(noise_floor(error, np.ones(error.size, bool), speed.period), 1e-30)
             own = {key: t[name] / noise for key, t in zip(keys[1:], terms, strict=True)}

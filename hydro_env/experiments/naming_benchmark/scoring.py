@@ -1,4 +1,4 @@
-"""Answers against the truth: names, channels, false alarms, `unknown`, sealed error and time, with intervals.
+"""Answers against the truth: names, channels, false alarms, `unknown`, held-out error and time, with intervals.
 
 A name counts as right if it is the hidden one or one that the catalogue declares indistinguishable from it. Intervals of
 shares are Wilson's, those of medians come from a bootstrap over rigs; both at 95 %.
@@ -17,44 +17,40 @@ from ...errors import InputError
 from ...plant import CATALOGUE, load_model, simulate
 from ...reading import read_json
 from ...units import RPM
-from ..blind_trials.judging import sides
-from ..blind_trials.reliability import wilson
+from ..coverage import by_channel, wilson
 from .answers import read_answers
 from .certainty import certainty, lines
 from .sets import TRUTH_SCHEMA, read_set
 
-__all__ = ["SCHEMA", "columns_of", "judge", "score", "summary", "table"]
+__all__ = ["judge", "score", "table"]
 
 SCHEMA = "hydro_env/naming_scores/1"
-#: A sealed error within so many times the noise counts as explained.
+#: A held-out error within this multiple of the noise counts as explained.
 WITHIN = 1.3
 RESAMPLES = 2000
 
 
 def columns_of(path: Path, names: Sequence[str]) -> NDArray[np.float64]:
-    """The named columns (T, names) of a CSV file. InputError for a missing column or a cell that is no number."""
+    """The named columns (T, names) of a CSV file. InputError for a missing column or a cell that is no finite number."""
+    from pyarrow import ArrowException, float64
+    from pyarrow.csv import ConvertOptions, read_csv
+
+    wanted = ConvertOptions(include_columns=names, column_types=dict.fromkeys(names, float64()))
     try:
-        with path.open(encoding="utf-8") as file:
-            header = [word.strip() for word in file.readline().split(",")]
-            missing = [n for n in names if n not in header]
-            if missing:
-                raise InputError(f"{path}: no column {missing[0]}; expected {', '.join(names)}")
-            found = np.loadtxt(file, delimiter=",", usecols=[header.index(n) for n in names], ndmin=2)
-    except (OSError, ValueError) as problem:
-        if isinstance(problem, InputError):
-            raise
-        raise InputError(f"{path}: cannot be read as numbers under the columns {', '.join(names)}") from None
-    if not np.isfinite(found).all():
+        found = read_csv(path, convert_options=wanted)
+    except (OSError, ArrowException) as problem:
         raise InputError(
-            f"{path}: row {int(np.flatnonzero(~np.isfinite(found).all(1))[0]) + 2}: not a finite number"
-        )
-    return found
+            f"{path}: {problem}; expected numbers under the columns {', '.join(names)}"
+        ) from None
+    values = np.column_stack([found[name].to_numpy() for name in names])
+    if len(bad := np.flatnonzero(~np.isfinite(values).all(axis=1))):
+        raise InputError(f"{path}: row {bad[0] + 2}: not a finite number")
+    return values
 
 
 def judge(answer: Mapping[str, Any], truth: Mapping[str, Any], error: float | None) -> dict[str, Any]:
-    """One answer against the truth of its rig; `error` is the sealed error over the noise."""
-    hidden = {(h["name"], c) for h in truth["effects"] for c in sides(h["channel"])}
-    named = {(e["name"], c) for e in answer["effects"] for c in sides(e["channel"])}
+    """One answer against the truth of its rig; `error` is the held-out error over the noise."""
+    hidden, named = by_channel(truth["effects"]), by_channel(answer["effects"])
     names = {n for n, _ in named}
     accepted = {n: {n, *CATALOGUE[n].indistinguishable_from} for n, _ in hidden}
     matched = [n for n, alike in accepted.items() if names & alike]
@@ -83,7 +79,7 @@ def _most_probable(answer: Mapping[str, Any]) -> str | None:
     return None if named is None else str(named["name"])
 
 
-def _sealed_error(folder: Path, answers: Path, answer: Mapping[str, Any], noise: float) -> float | None:
+def _held_out_error(folder: Path, answers: Path, answer: Mapping[str, Any], noise: float) -> float | None:
     """RMS of the speed's error on the scored part, over both channels and over the noise; None where nothing was predicted."""
     name = answer["rig"]
     speeds = ("speed_1_rpm", "speed_2_rpm")
@@ -123,16 +119,11 @@ def score(folder: Path, methods: Mapping[str, Path], first: int | None = None) -
     rigs = whole[:first]
     every = {method: read_answers(path, whole, first) for method, path in methods.items()}
     truths = {name: _truth(folder / "truth" / f"{name}.json") for name in rigs}
-    rows = [
-        {
-            "method": method,
-            **judge(
-                found[name], truth, _sealed_error(folder, methods[method], found[name], truth["noise_rpm"])
-            ),
-        }
-        for method, found in every.items()
-        for name, truth in truths.items()
-    ]
+    rows = []
+    for method, found in every.items():
+        for name, truth in truths.items():
+            error = _held_out_error(folder, methods[method], found[name], truth["noise_rpm"])
+            rows.append({"method": method, **judge(found[name], truth, error)})
     return {
         "schema": SCHEMA,
         "seed": read_set(folder)["seed"],
@@ -151,13 +142,14 @@ def _truth(path: Path) -> dict[str, Any]:
 
 
 # --- all rigs together --------------------------------------------------------------------------------------------------
-_SHARES: dict[str, tuple[str, tuple[str, ...]]] = {
-    "name": ("name", ("one", "two")),
-    "first": ("first", ("one", "two")),
-    "channel": ("channel", ("one", "two")),
-    "alarm": ("alarm", ("nothing", "parameters")),
-    "unknown": ("unknown", ("unlisted",)),
-    "false_name": ("false_name", ("one", "two", "unlisted", "nothing", "parameters")),
+#: What is counted of the rows, and over which kinds of rigs.
+_SHARES = {
+    "name": ("one", "two"),
+    "first": ("one", "two"),
+    "channel": ("one", "two"),
+    "alarm": ("nothing", "parameters"),
+    "unknown": ("unlisted",),
+    "false_name": ("one", "two", "unlisted", "nothing", "parameters"),
 }
 
 
@@ -167,16 +159,13 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     for method in dict.fromkeys(r["method"] for r in rows):
         own = [r for r in rows if r["method"] == method]
         entry: dict[str, Any] = {"method": method}
-        for what, (key, kinds) in _SHARES.items():
-            asked = [bool(r[key]) for r in own if r["kind"] in kinds]
+        for what, kinds in _SHARES.items():
+            asked = [bool(r[what]) for r in own if r["kind"] in kinds]
             entry[what] = {"count": sum(asked), "of": len(asked), "ci95": wilson(sum(asked), len(asked))}
         errors = np.array([r["error"] for r in own if r["error"] is not None])
         entry["within"] = {"count": int((errors <= WITHIN).sum()), "of": len(errors)}
-        for what, values in (
-            ("error", errors),
-            ("seconds", np.array([r["seconds"] for r in own if r["seconds"] is not None])),
-        ):
-            entry[what] = _median(values)
+        entry["error"] = _median(errors)
+        entry["seconds"] = _median(np.array([r["seconds"] for r in own if r["seconds"] is not None]))
         found.append(entry)
     return found
 
@@ -186,10 +175,7 @@ def _median(values: NDArray[np.float64]) -> dict[str, Any] | None:
         return None
     rng = np.random.default_rng(0)
     drawn = np.median(values[rng.integers(0, len(values), (RESAMPLES, len(values)))], axis=1)
-    return {
-        "median": float(np.median(values)),
-        "ci95": [float(v) for v in np.quantile(drawn, (0.025, 0.975))],
-    }
+    return {"median": float(np.median(values)), "ci95": np.quantile(drawn, (0.025, 0.975)).tolist()}
 
 
 def table(scores: Mapping[str, Any]) -> str:
@@ -197,19 +183,13 @@ def table(scores: Mapping[str, Any]) -> str:
     head = [
         "method", "names right", "most probable name right",
         "channel right", "false alarms", "`unknown` right", "rigs with a false name",
-        "sealed error, times the noise", f"within {WITHIN:g}", "time, s",
+        "held-out error, times the noise", f"within {WITHIN:g}", "time, s",
     ]  # fmt: skip
     text = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for entry in scores["summary"]:
-        cells = [
-            f"`{entry['method']}`",
-            *(_share(entry[what]) for what in ("name", "first", "channel", "alarm", "unknown", "false_name")),
-        ]
-        cells += [
-            _middle(entry["error"]),
-            f"{entry['within']['count']} of {entry['within']['of']}",
-            _middle(entry["seconds"]),
-        ]
+        within = f"{entry['within']['count']} of {entry['within']['of']}"
+        cells = [f"`{entry['method']}`", *(_share(entry[what]) for what in _SHARES)]
+        cells += [_middle(entry["error"]), within, _middle(entry["seconds"])]
         text.append("| " + " | ".join(cells) + " |")
     text += ["", *_ahead(scores["summary"])]
     for method, found in scores["certainty"].items():
@@ -240,7 +220,6 @@ def _ahead(entries: Sequence[Mapping[str, Any]]) -> list[str]:
         if first["name"]["count"] <= o["name"]["count"] or first["alarm"]["count"] > o["alarm"]["count"]
     ]
     ahead = [f"`{o['method']}`" for o in others if o["method"] not in behind]
-    text = [
-        f"`{first['method']}` names more, at no more false alarms, than {', '.join(ahead) or 'none of the others'}."
-    ]
+    than = ", ".join(ahead) or "none of the others"
+    text = [f"`{first['method']}` names more, at no more false alarms, than {than}."]
     return text + ([f"It does not against {', '.join(f'`{m}`' for m in behind)}."] if behind else [])

@@ -122,11 +122,11 @@ def _make_rig(out: Path, name: str, kind: str, drawn: Mapping[str, Any]) -> None
     )
     folder = out / "rigs" / name
     folder.mkdir(parents=True, exist_ok=True)
-    sealed = long.logs["sealed"]
-    early = sealed["time_s"] < DURATION
-    given = {n: c for n, c in sealed.items() if n.split("_")[0] in ("time", "command", "load")}
-    scored = {n: c[~early] for n, c in sealed.items() if n.split("_")[0] in ("time", "speed")}
-    logs = {**short.logs, "validation": {n: c[early] for n, c in sealed.items()}, "commands": given}
+    held_out = long.logs["sealed"]
+    early = held_out["time_s"] < DURATION
+    given = {n: c for n, c in held_out.items() if n.split("_")[0] in ("time", "command", "load")}
+    scored = {n: c[~early] for n, c in held_out.items() if n.split("_")[0] in ("time", "speed")}
+    logs = {**short.logs, "validation": {n: c[early] for n, c in held_out.items()}, "commands": given}
     for log, columns in logs.items():
         write_text(folder / f"{log}.csv", log_text(columns))
     short.given.to_yaml(folder / "model.yaml")

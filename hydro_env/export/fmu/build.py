@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hydro_env import __version__
+from hydro_env.export.c_printer import identifier
 from hydro_env.export.compiler import build_library, find_compiler
 from hydro_env.export.plant_source import PlantSource, plant_source
-from hydro_env.export.translate import identifier
 from hydro_env.files import write_json
 from hydro_env.plant import PlantModel
 from hydro_env.units import RPM

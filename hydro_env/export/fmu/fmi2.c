@@ -108,7 +108,7 @@ EXPORT Status FMI(fmi2SetupExperiment)(void *c, int tolerance_given, double tole
 }
 EXPORT Status FMI(fmi2EnterInitializationMode)(void *c) { return c ? OK : ERROR; }
 EXPORT Status FMI(fmi2ExitInitializationMode)(void *c) {
-    plant_look(&((Instance *)c)->state.rig);
+    plant_observe(&((Instance *)c)->state.rig);
     return OK;
 }
 EXPORT Status FMI(fmi2Terminate)(void *c) { return c ? OK : ERROR; }
@@ -122,7 +122,7 @@ EXPORT Status FMI(fmi2Reset)(void *c) {
 EXPORT Status FMI(fmi2GetReal)(void *instance, const unsigned references[], size_t n, double values[]) {
     Instance *c = instance;
     size_t i;
-    if (c->state.stale) plant_look(&c->state.rig);
+    if (c->state.stale) plant_observe(&c->state.rig);
     c->state.stale = 0;
     for (i = 0; i < n; i++) {
         const double *found = cell(c, references[i]);

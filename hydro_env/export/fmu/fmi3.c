@@ -94,7 +94,7 @@ EXPORT Status FMI(fmi3EnterInitializationMode)(void *c, bool tolerance_given, do
     return OK;
 }
 EXPORT Status FMI(fmi3ExitInitializationMode)(void *c) {
-    plant_look(&((Instance *)c)->state.rig);
+    plant_observe(&((Instance *)c)->state.rig);
     return OK;
 }
 EXPORT Status FMI(fmi3EnterEventMode)(void *c) { return fail(c, "there are no events"); }
@@ -113,7 +113,7 @@ EXPORT Status FMI(fmi3GetFloat64)(void *instance, const Ref references[], size_t
     Instance *c = instance;
     size_t i;
     if (sizes != n) return fail(c, "fmi3GetFloat64: every variable is one number");
-    if (c->state.stale) plant_look(&c->state.rig);
+    if (c->state.stale) plant_observe(&c->state.rig);
     c->state.stale = 0;
     for (i = 0; i < n; i++) {
         const double *found = cell(c, references[i]);

@@ -26,31 +26,14 @@ COIL_HEATING = Effect(
     signature="slow loss of force at constant voltage, seen in the current",
     source="copper, 0.39 %/K; 60-100 K of coil temperature rise are usual for wet-pin solenoids",
     parameters=(
-        Parameter(
-            "rise",
-            "1",
-            0.0,
-            low=0.0,
-            high=0.5,
-            typical=0.25,
-            note="relative rise of R at rated power",
-            source="0.39 %/K over up to 130 K",
-        ),
-        Parameter(
-            "time_constant",
-            "s",
-            300.0,
-            low=2.0,
-            high=1200.0,
-            log=True,
-            role="time_constant",
-            note="thermal time constant",
-            source="assumed",
-        ),
+        Parameter("rise", "1", 0.0, low=0.0, high=0.5, typical=0.25,
+            note="relative rise of R at rated power", source="0.39 %/K over up to 130 K"),
+        Parameter("time_constant", "s", 300.0, low=2.0, high=1200.0, log=True, role="time_constant",
+            note="thermal time constant", source="assumed"),
     ),
     laws={"resistance": _heating_resistance},
     states=(State("heat", _heating_rate, scale=0.1),),
-)
+)  # fmt: skip
 
 
 #: In the order in which they act.

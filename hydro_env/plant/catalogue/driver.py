@@ -19,27 +19,16 @@ COMMAND_DELAY = Effect(
     signature="pure shift of the onset of every reaction",
     source="fieldbus and driver electronics; dead time, e.g. Merritt 1967",
     parameters=(
-        Parameter(
-            "delay",
-            "s",
-            0.0,
-            low=0.0,
-            high=0.03,
-            typical=0.005,
-            note="dead time",
-            source="one to three control periods of 10 ms",
-            possible=(0.0, 10.0),
-        ),
+        Parameter("delay", "s", 0.0, low=0.0, high=0.03, typical=0.005, possible=(0.0, 10.0),
+            note="dead time", source="one to three control periods of 10 ms"),
     ),
     delays_command="delay",
     indistinguishable_from=("sensor_lag",),
     separated_by={
-        "sensor_lag": (
-            "sine sweep of 1 to 20 Hz about a bias with the pressure recorded: the pressure shows a delay of "
-            "the command, not the lag of the speed sensor"
-        )
+        "sensor_lag": "sine sweep of 1 to 20 Hz about a bias with the pressure recorded: the pressure shows a delay of the "
+        "command, not the lag of the speed sensor",
     },
-)
+)  # fmt: skip
 
 
 # The element with play follows within 0.1 ms, so much faster than a command changes that nobody sees it.
@@ -60,16 +49,9 @@ INPUT_HYSTERESIS = Effect(
     signature="loop in flow over command whose width depends neither on rate nor on amplitude",
     source="play operator (Prandtl); ISO 10770-1, hysteresis, whatever its mechanism",
     parameters=(
-        Parameter(
-            "width",
-            "V",
-            0.0,
-            low=0.0,
-            high=15.0,
-            typical=3.0,
+        Parameter("width", "V", 0.0, low=0.0, high=15.0, typical=3.0,
             note="width of the loop; the whole one, as ISO 10770-1 gives it",
-            source="3 to 6 % of the rated command are usual for valves without spool feedback",
-        ),
+            source="3 to 6 % of the rated command are usual for valves without spool feedback"),
     ),
     laws={"voltage": _played},
     states=(State("follower", _follower_rate),),
@@ -78,7 +60,7 @@ INPUT_HYSTERESIS = Effect(
         "magnetic_hysteresis": "record the current: with play before the coil it does not move either",
         "spool_stiction": "record the current: with play before the coil it does not move either",
     },
-)
+)  # fmt: skip
 
 
 def _driver_saturation(voltage, voltage_limit):
@@ -93,29 +75,14 @@ DRIVER_SATURATION = Effect(
     signature="clipped current at large commands",
     source="supply voltage of valve amplifiers (24 V less their own drop)",
     parameters=(
-        Parameter(
-            "voltage_limit",
-            "V",
-            inf,
-            low=2.0,
-            high=73.0,
-            typical=45.0,
-            note="limit of the driver's voltage",
-            source="assumed",
-            possible=(0.1, 1000.0),
-        ),
+        Parameter("voltage_limit", "V", inf, low=2.0, high=73.0, typical=45.0, possible=(0.1, 1000.0),
+            note="limit of the driver's voltage", source="assumed"),
     ),
     laws={"voltage": _driver_saturation},
     indistinguishable_from=("spool_stop", "flow_saturation"),
-    separated_by={
-        "flow_saturation": "record the current: a driver at its limit clips it, a saturated edge does not"
-    },
-)
+    separated_by={"flow_saturation": "record the current: a driver at its limit clips it, a saturated edge does not"},
+)  # fmt: skip
 
 
 #: In the order in which they act.
-EFFECTS = (
-    COMMAND_DELAY,
-    INPUT_HYSTERESIS,
-    DRIVER_SATURATION,
-)
+EFFECTS = (COMMAND_DELAY, INPUT_HYSTERESIS, DRIVER_SATURATION)

@@ -7,8 +7,8 @@ plant, randomises the mismatch, hides effects in practice logs and supplies the 
 A *law* is a scalar function. Its name is the quantity of `rates` that it changes and its first argument is that
 quantity; every further argument is looked up by name among the effect's own parameters and states, the signals and
 parameters of `rates`, and `other_flow`, the valve flow of the rig's other channel. It returns the changed quantity,
-*exactly* unchanged when the parameters are neutral. It may use +, -, *, /, comparisons, conditional expressions, `abs`
-and the functions of `vector_math`.
+*exactly* unchanged when the parameters are neutral. It may use +, -, *, /, comparisons, conditional expressions, `abs`,
+the functions of `vector_math`, and functions of its own file that do the same.
 
 A *state* is memory of an effect: a rate (law of the same kind) and a `scale`, by which the error of its steps is judged. Several
 states may share their laws, each with arguments of its own (`given`).
@@ -26,12 +26,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import isinf
+from types import FunctionType
 from typing import Any
 
 from ..parameters import PARAMETERS, Parameter
 
 __all__ = [
-    "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "arguments", "register", "separating_experiment", "unregister",
+    "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "arguments", "called_by", "helpers_of", "register",
+    "separating_experiment", "unregister",
 ]  # fmt: skip
 
 #: Ports in the order in which the signal passes them.
@@ -52,6 +54,24 @@ TRANSCENDENTAL = frozenset({"exp", "tanh", "cos", "sin"})
 def arguments(law: Callable[..., Any]) -> tuple[str, ...]:
     """Names of what a law asks for, in order."""
     return tuple(inspect.signature(law).parameters)
+
+
+def helpers_of(law: Callable[..., Any]) -> dict[str, FunctionType]:
+    """The functions that a law calls, by what it calls them: those of `vector_math`, and plain ones of its file."""
+    known = law.__globals__
+    return {name: known[name] for name in law.__code__.co_names if isinstance(known.get(name), FunctionType)}
+
+
+def called_by(law: Callable[..., Any]) -> dict[FunctionType, None]:
+    """All functions that a law calls, directly or through others."""
+    found: dict[FunctionType, None] = {}
+    waiting = list(helpers_of(law).values())
+    while waiting:
+        helper = waiting.pop()
+        if helper not in found:
+            found[helper] = None
+            waiting += helpers_of(helper).values()
+    return found
 
 
 @dataclass(frozen=True)
@@ -169,7 +189,7 @@ class Effect:
     @property
     def is_cheap(self) -> bool:
         """Whether the effect costs next to nothing where it is compiled in but neutral."""
-        called = {name for law in self.laws.values() for name in law.__code__.co_names}
+        called = {helper.__name__ for law in self.laws.values() for helper in called_by(law)}
         costly = self.delays_command or len(self.states) > 1 or called & TRANSCENDENTAL
         return self.scope == "channel" and not costly
 

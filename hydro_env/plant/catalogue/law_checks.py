@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import ast
 import inspect
-import re
-import textwrap
 from collections.abc import Callable, Iterator
 from functools import cache
 from math import isfinite, isinf
@@ -18,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError, suggestion
-from ..kernel import vector_ir
-from ..kernel.statements import HELPERS
+from ..kernel import laws
 from ..parameters import PARAMETERS, Parameter
 from ..rhs import rates
 from .effect import Effect, arguments
@@ -34,22 +31,20 @@ def check_laws(effect: Effect) -> None:
     """InputError, in one line with the effect and the line of its file, for a law that asks for what there is not, does what
     the kernel cannot, or changes its quantity at the neutral value."""
     for part, law, known in _laws(effect):
-        source = inspect.getsource(law)
-        node = ast.parse(textwrap.dedent(source)).body[0]
         where = f"effect {effect.name!r}: {part}"
         for name in arguments(law):
             if name not in known:
                 raise InputError(f"{_line(law)}: {where} asks for {name!r}: {suggestion(name, known)}")
         try:
-            vector_ir.check(node, HELPERS)  # type: ignore[arg-type]
-        except vector_ir.LawError as problem:
-            raise InputError(f"{_line(law, problem.line)}: {where}: {problem}") from None
+            laws.check_law(law)
+        except laws.LawError as problem:
+            raise InputError(f"line {problem.line}: {where}: {problem}") from None
     for quantity, law in effect.laws.items():
         _check_neutral(effect, quantity, law)
 
 
-def _line(law: Callable[..., Any], number: int = 1) -> str:
-    return f"line {law.__code__.co_firstlineno + number - 1}"
+def _line(law: Callable[..., Any]) -> str:
+    return f"line {law.__code__.co_firstlineno}"
 
 
 def _laws(effect: Effect) -> Iterator[tuple[str, Callable[..., Any], set[str]]]:
@@ -67,9 +62,14 @@ def _laws(effect: Effect) -> Iterator[tuple[str, Callable[..., Any], set[str]]]:
 @cache
 def _known_at(quantity: str) -> frozenset[str]:
     """Names of `rates` that have a value where the laws of a quantity stand; "": at the end."""
-    before = re.split(rf"# effects on {quantity}\b", inspect.getsource(rates))[0] if quantity else ""
-    assigned = re.findall(r"^ {4}(\w+) = ", before or inspect.getsource(rates), re.MULTILINE)
-    return frozenset({*arguments(rates), *assigned})
+    known = set(arguments(rates))
+    for node in ast.parse(inspect.getsource(rates)).body[0].body:  # type: ignore[attr-defined]
+        if isinstance(node, ast.Assign):
+            name = ast.unparse(node.targets[0])
+            known.add(name)
+            if name == quantity:
+                break
+    return frozenset(known)
 
 
 def _check_neutral(effect: Effect, quantity: str, law: Callable[..., Any]) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from math import inf
 
 from ..parameters import MOTOR_SIZE, SUPPLY_PRESSURE, Parameter
-from ..vector_math import clip, sign, sqrt
+from ..vector_math import clip, positive, sign, sqrt
 from .effect import Effect, State
 
 __all__ = ["BOTH_LINES", "EFFECTS"]
@@ -25,19 +25,11 @@ ENTRAINED_AIR = Effect(
     signature="slow first pressure rise",
     source="isothermal air in parallel with the liquid, Manring 2005",
     parameters=(
-        Parameter(
-            "fraction",
-            "1",
-            0.0,
-            low=0.0,
-            high=0.1,
-            typical=0.02,
-            note="share of free air; by volume at 1 atm",
-            source="0.5-5 % at atmospheric pressure are usual",
-        ),
+        Parameter("fraction", "1", 0.0, low=0.0, high=0.1, typical=0.02,
+            note="share of free air; by volume at 1 atm", source="0.5-5 % at atmospheric pressure are usual"),
     ),
     laws={"bulk_modulus": _entrained_air},
-)
+)  # fmt: skip
 
 
 def _line_loss(motor_pressure, displacement, speed, coefficient):
@@ -53,39 +45,32 @@ LINE_LOSS = Effect(
     signature="loss only at high flow",
     source="Darcy-Weisbach, fittings; dp = c Q |Q|",
     parameters=(
-        Parameter(
-            "coefficient",
-            "Pa s2/m6",
-            0.0,
-            low=0.0,
-            high=3e14,
-            typical=4e13,
-            scaling={"D": -2.0},
-            note="pressure loss per flow squared",
-            source="assumed",
-        ),
+        Parameter("coefficient", "Pa s2/m6", 0.0, low=0.0, high=3e14, typical=4e13, scaling={"D": -2.0},
+            note="pressure loss per flow squared", source="assumed"),
     ),
     laws={"motor_pressure": _line_loss},
     indistinguishable_from=("quadratic_drag",),
     separated_by={
-        "quadratic_drag": (
-            "drive the motor from outside with the valve closed and both ports connected: drag acts, line "
-            "loss does not; or measure the pressure at the motor's ports"
-        )
+        "quadratic_drag": "drive the motor from outside with the valve closed and both ports connected: drag acts, line loss "
+        "does not; or measure the pressure at the motor's ports",
     },
-)
+)  # fmt: skip
 
 
 # The lift of an open relief valve is given as the pressure above the setting that would hold it there. Dry friction lets it rest
 # between the line on which it opens and the one on which it closes; without friction both are the dead zone of the setting.
 # Each direction has its own valve, which lags on its own.
+def _lift_at_rest(lift, size, relief_pressure, hysteresis):
+    low = size - relief_pressure * (1.0 + 0.5 * hysteresis)
+    high = size - relief_pressure * (1.0 - 0.5 * hysteresis)
+    return clip(lift, positive(low), positive(high))
+
+
 def _crossport_relief(
     leakage, pressure, lift, lift_back, relief_pressure, conductance, hysteresis, time_constant
 ):
     size = abs(pressure)
-    low = size - relief_pressure * (1.0 + 0.5 * hysteresis)
-    high = size - relief_pressure * (1.0 - 0.5 * hysteresis)
-    held = clip(lift if pressure > 0.0 else lift_back, low if low > 0.0 else 0.0, high if high > 0.0 else 0.0)
+    held = _lift_at_rest(lift if pressure > 0.0 else lift_back, size, relief_pressure, hysteresis)
     lifted = lift + lift_back if time_constant > 0.0 else held
     # Below its setting it is open only as it lags or sticks; its flow then falls with the root of the pressure.
     share = size / relief_pressure
@@ -94,9 +79,7 @@ def _crossport_relief(
 
 
 def _lift_rate(lift, pressure, way, relief_pressure, hysteresis, time_constant):
-    low = way * pressure - relief_pressure * (1.0 + 0.5 * hysteresis)
-    high = way * pressure - relief_pressure * (1.0 - 0.5 * hysteresis)
-    held = clip(lift, low if low > 0.0 else 0.0, high if high > 0.0 else 0.0)
+    held = _lift_at_rest(lift, way * pressure, relief_pressure, hysteresis)
     # Without friction and lag the pressure says it all; a lift that fades for ever would only cost time.
     moves = 1.0 if hysteresis > 0.0 or time_constant > 0.0 else 0.0
     return moves * (held - lift) / (time_constant if time_constant > 1e-4 else 1e-4)
@@ -111,53 +94,23 @@ CROSSPORT_RELIEF = Effect(
     source="override straight as in data sheets; ISO 6403, opening and reseating pressure; poppet with friction and damping, "
     "Merritt 1967, ch. 8",
     parameters=(
-        Parameter(
-            "relief_pressure",
-            "Pa",
-            inf,
-            low=5e5,
-            high=350e5,
-            typical=15e5,
-            log=True,
-            note="setting of the relief valves; midway between opening and reseating",
-            source="assumed",
-        ),
-        Parameter(
-            "conductance",
-            "m3/(s Pa)",
-            1e-9,
-            low=1e-10,
-            high=3e-9,
-            log=True,
-            scaling=MOTOR_SIZE,
-            note="slope of the open relief valves",
-            source="assumed",
-        ),
-        Parameter(
-            "hysteresis",
-            "1",
-            0.0,
-            low=0.0,
-            high=0.4,
+        Parameter("relief_pressure", "Pa", inf, low=5e5, high=350e5, typical=15e5, log=True,
+            note="setting of the relief valves; midway between opening and reseating", source="assumed"),
+        Parameter("conductance", "m3/(s Pa)", 1e-9, low=1e-10, high=3e-9, log=True, scaling=MOTOR_SIZE,
+            note="slope of the open relief valves", source="assumed"),
+        Parameter("hysteresis", "1", 0.0, low=0.0, high=0.4,
             note="opening less reseating pressure, as a share of the setting",
-            source="direct-operated valves reseat at 80 to 95 % of their opening pressure, worn or dirty ones lower",
-        ),
-        Parameter(
-            "time_constant",
-            "s",
-            0.0,
-            low=0.0,
-            high=0.03,
+            source="direct-operated valves reseat at 80 to 95 % of their opening pressure, worn or dirty ones lower"),
+        Parameter("time_constant", "s", 0.0, low=0.0, high=0.03,
             note="lag of the relief valves",
-            source="response of direct-operated valves 2 to 10 ms, of pilot-operated ones 20 to 100 ms",
-        ),
+            source="response of direct-operated valves 2 to 10 ms, of pilot-operated ones 20 to 100 ms"),
     ),
     laws={"leakage": _crossport_relief},
     states=(
         State("lift", _lift_rate, scale=3e4, given={"way": 1.0}),
         State("lift_back", _lift_rate, scale=3e4, given={"lift": "lift_back", "way": -1.0}),
     ),
-)
+)  # fmt: skip
 
 
 # Pressures of both lines from their difference and from their mean, whose deviation from half the supply, as a share of that, is
@@ -177,7 +130,7 @@ def _gained_at_the_edges(mean_pressure, opening, drive, bulk_modulus, V, Kq, sup
     # it is the one drive of both edges; as the load pressure moves no oil there, the mean alone does.
     off = abs(mean_pressure)
     beyond = sqrt(off - drive if drive < 0.0 else 0.0) + sign(off + drive) * sqrt(abs(off + drive))
-    back = 2.0 * sqrt(off - drive if off > drive else 0.0)
+    back = 2.0 * sqrt(positive(off - drive))
     forth = off / sqrt(drive if drive > 1e-12 else 1e-12)
     apart = beyond if drive <= 0.0 else back if drive < 0.5 * off else forth
     return -bulk_modulus / (2.0 * V * supply_pressure) * Kq * abs(opening) * sign(mean_pressure) * apart
@@ -207,20 +160,24 @@ BOTH_LINES = Effect(
 )
 
 
-def _external_leakage(leakage, pressure, mean_pressure, conductance, supply_pressure):
+# Pressure of a line above the tank's; half: 0.5 for the line that drives in the positive direction, -0.5 for the other one.
+def _line_pressure(half, pressure, mean_pressure, supply_pressure):
     middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle + 0.5 * pressure
-    b = middle - 0.5 * pressure
-    line = a if conductance > 0.0 else b
-    return leakage + 0.5 * conductance * (line if line > 0.0 else 0.0)
+    return positive(middle + half * pressure)
+
+
+def _leaking_line(pressure, mean_pressure, conductance, supply_pressure):
+    return _line_pressure(0.5 if conductance > 0.0 else -0.5, pressure, mean_pressure, supply_pressure)
+
+
+def _external_leakage(leakage, pressure, mean_pressure, conductance, supply_pressure):
+    line = _leaking_line(pressure, mean_pressure, conductance, supply_pressure)
+    return leakage + 0.5 * conductance * line
 
 
 def _drained(mean_pressure, pressure, bulk_modulus, V, conductance, supply_pressure):
-    middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle + 0.5 * pressure
-    b = middle - 0.5 * pressure
-    line = a if conductance > 0.0 else b
-    return -bulk_modulus / (2.0 * V * supply_pressure) * abs(conductance) * (line if line > 0.0 else 0.0)
+    line = _leaking_line(pressure, mean_pressure, conductance, supply_pressure)
+    return -bulk_modulus / (2.0 * V * supply_pressure) * abs(conductance) * line
 
 
 EXTERNAL_LEAKAGE = Effect(
@@ -231,40 +188,34 @@ EXTERNAL_LEAKAGE = Effect(
     signature="speed lost in both directions alike, most where the leaking line drives; the lines drain at rest",
     source="laminar leak; mean pressure of the lines from the flows of both edges, Merritt 1967, ch. 5 and 6",
     parameters=(
-        Parameter(
-            "conductance",
-            "m3/(s Pa)",
-            0.0,
-            low=-1e-10,
-            high=1e-10,
-            typical=4e-12,
-            scaling=MOTOR_SIZE,
+        Parameter("conductance", "m3/(s Pa)", 0.0, low=-1e-10, high=1e-10, typical=4e-12, scaling=MOTOR_SIZE,
             note="conductance of the leak; positive: of the line that drives in the positive direction, negative: of the other",
-            source="assumed: 4 % of the rated flow at half of 100 bar",
-        ),
+            source="assumed: 4 % of the rated flow at half of 100 bar"),
         SUPPLY_PRESSURE,
     ),
     laws={"leakage": _external_leakage},
     states=(State("mean_pressure", _drained, scale=0.01),),
     shares=BOTH_LINES,
     separated_by={"null_offset": "record the pressure of each line: a leak lowers that of its own"},
-)
+)  # fmt: skip
 
 
-# Pressures by which the lines are below the one at which their check valves open.
-def _made_up(leakage, pressure, mean_pressure, conductance, opening_pressure, supply_pressure):
+# Pressure by which a line is below the one at which its check valve opens; `half` as in `_line_pressure`.
+def _suction(half, pressure, mean_pressure, opening_pressure, supply_pressure):
     middle = opening_pressure - 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle - 0.5 * pressure
-    b = middle + 0.5 * pressure
-    return leakage - 0.5 * conductance * ((a if a > 0.0 else 0.0) - (b if b > 0.0 else 0.0))
+    return positive(middle - half * pressure)
+
+
+def _made_up(leakage, pressure, mean_pressure, conductance, opening_pressure, supply_pressure):
+    a = _suction(0.5, pressure, mean_pressure, opening_pressure, supply_pressure)
+    b = _suction(-0.5, pressure, mean_pressure, opening_pressure, supply_pressure)
+    return leakage - 0.5 * conductance * (a - b)
 
 
 def _filled(mean_pressure, pressure, bulk_modulus, V, conductance, opening_pressure, supply_pressure):
-    middle = opening_pressure - 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle - 0.5 * pressure
-    b = middle + 0.5 * pressure
-    drawn = conductance * ((a if a > 0.0 else 0.0) + (b if b > 0.0 else 0.0))
-    return bulk_modulus / (2.0 * V * supply_pressure) * drawn
+    a = _suction(0.5, pressure, mean_pressure, opening_pressure, supply_pressure)
+    b = _suction(-0.5, pressure, mean_pressure, opening_pressure, supply_pressure)
+    return bulk_modulus / (2.0 * V * supply_pressure) * (conductance * (a + b))
 
 
 ANTI_CAVITATION = Effect(
@@ -277,34 +228,20 @@ ANTI_CAVITATION = Effect(
     source="flow in proportion to the pressure below the opening one, as in data sheets; mean pressure of the lines from the "
     "flows of both edges, Merritt 1967, ch. 5 and 6",
     parameters=(
-        Parameter(
-            "conductance",
-            "m3/(s Pa)",
-            0.0,
-            low=0.0,
-            high=3e-9,
-            typical=1e-9,
-            scaling=MOTOR_SIZE,
+        Parameter("conductance", "m3/(s Pa)", 0.0, low=0.0, high=3e-9, typical=1e-9, scaling=MOTOR_SIZE,
             note="slope of the open check valves",
-            source="assumed: 6 l/min at 1 bar; valves of sizes 6 to 10 pass 2 to 18 l/min",
-        ),
-        Parameter(
-            "opening_pressure",
-            "Pa",
-            -0.3e5,
-            low=-1e5,
-            high=5e5,
-            note="pressure of a line at which its valve opens; above the tank's: below 0 by the spring, above 0 where the return "
-            "line is boosted",
-            source="cracking pressures of 0.05 to 1 bar are usual; boosted return lines have 2 to 5 bar",
-        ),
+            source="assumed: 6 l/min at 1 bar; valves of sizes 6 to 10 pass 2 to 18 l/min"),
+        Parameter("opening_pressure", "Pa", -0.3e5, low=-1e5, high=5e5,
+            note="pressure of a line at which its valve opens; above the tank's: below 0 by the spring, above 0 where the "
+            "return line is boosted",
+            source="cracking pressures of 0.05 to 1 bar are usual; boosted return lines have 2 to 5 bar"),
         # The valves open where the load pressure exceeds the supply's less twice their own.
         replace(SUPPLY_PRESSURE, low=10e5, possible=(10e5, 350e5), starts=(20e5, 30e5, 45e5, 70e5, 100e5)),
     ),
     laws={"leakage": _made_up},
     states=(State("mean_pressure", _filled, scale=0.0025),),
     shares=BOTH_LINES,
-)
+)  # fmt: skip
 
 
 def _volume_behind_a_throttle(leakage, pressure, side_pressure, conductance):
@@ -323,47 +260,27 @@ LINE_VOLUME = Effect(
     signature="flow that is missing while the pressure rises and comes back as it falls, with memory",
     source="lumped line: capacity V / beta behind a laminar resistance, Merritt 1967, ch. 3",
     parameters=(
-        Parameter(
-            "conductance",
-            "m3/(s Pa)",
-            0.0,
-            low=0.0,
-            high=1e-9,
-            typical=1e-10,
-            scaling=MOTOR_SIZE,
-            note="conductance of the throttle",
-            source="assumed",
-        ),
-        Parameter(
-            "volume",
-            "m3",
-            1e-3,
-            low=5e-4,
-            high=3e-2,
-            log=True,
-            scaling=MOTOR_SIZE,
+        Parameter("conductance", "m3/(s Pa)", 0.0, low=0.0, high=1e-9, typical=1e-10, scaling=MOTOR_SIZE,
+            note="conductance of the throttle", source="assumed"),
+        Parameter("volume", "m3", 1e-3, low=5e-4, high=3e-2, log=True, scaling=MOTOR_SIZE,
             note="volume behind it, of oil as stiff as the line's",
-            source="assumed: 1 l; a hose or a gas-loaded vessel counts as many times its size",
-        ),
+            source="assumed: 1 l; a hose or a gas-loaded vessel counts as many times its size"),
     ),
     laws={"leakage": _volume_behind_a_throttle},
     states=(State("side_pressure", _side_pressure_rate, scale=5e3),),
-)
+)  # fmt: skip
 
 
 def _case_drain(leakage, pressure, mean_pressure, conductance, supply_pressure):
-    middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle + 0.5 * pressure
-    b = middle - 0.5 * pressure
-    return leakage + 0.5 * conductance * ((a if a > 0.0 else 0.0) - (b if b > 0.0 else 0.0))
+    a = _line_pressure(0.5, pressure, mean_pressure, supply_pressure)
+    b = _line_pressure(-0.5, pressure, mean_pressure, supply_pressure)
+    return leakage + 0.5 * conductance * (a - b)
 
 
 def _drained_alike(mean_pressure, pressure, bulk_modulus, V, conductance, supply_pressure):
-    middle = 0.5 * supply_pressure * (1.0 + mean_pressure)
-    a = middle + 0.5 * pressure
-    b = middle - 0.5 * pressure
-    both = (a if a > 0.0 else 0.0) + (b if b > 0.0 else 0.0)
-    return -bulk_modulus / (2.0 * V * supply_pressure) * conductance * both
+    a = _line_pressure(0.5, pressure, mean_pressure, supply_pressure)
+    b = _line_pressure(-0.5, pressure, mean_pressure, supply_pressure)
+    return -bulk_modulus / (2.0 * V * supply_pressure) * conductance * (a + b)
 
 
 CASE_DRAIN = Effect(
@@ -385,19 +302,11 @@ CASE_DRAIN = Effect(
     laws={"leakage": _case_drain},
     states=(State("mean_pressure", _drained_alike, scale=0.01),),
     shares=BOTH_LINES,
-    separated_by={
-        "external_leakage": "record the pressure of each line, in both directions: a case drain lowers both alike"
-    },
-)
+    separated_by={"external_leakage": "record the pressure of each line, in both directions: a case drain lowers both alike"},
+)  # fmt: skip
 
 
 #: In the order in which they act.
 EFFECTS = (
-    ENTRAINED_AIR,
-    LINE_LOSS,
-    CROSSPORT_RELIEF,
-    EXTERNAL_LEAKAGE,
-    ANTI_CAVITATION,
-    LINE_VOLUME,
-    CASE_DRAIN,
-)
+    ENTRAINED_AIR, LINE_LOSS, CROSSPORT_RELIEF, EXTERNAL_LEAKAGE, ANTI_CAVITATION, LINE_VOLUME, CASE_DRAIN,
+)  # fmt: skip

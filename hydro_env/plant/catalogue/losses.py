@@ -15,6 +15,8 @@ ours stands for it; it is zero unless given.
 
 from __future__ import annotations
 
+from functools import partial
+
 from ..parameters import MOTOR_SIZE, Parameter
 from ..vector_math import exp, sqrt, tanh
 from .effect import Effect
@@ -63,19 +65,7 @@ _HYDRODYNAMIC = Parameter(
 )  # fmt: skip
 
 
-def _loss_model(  # type: ignore[no-untyped-def]
-    name: str,
-    title: str,
-    summary: str,
-    signature: str,
-    source: str,
-    parameters,
-    laws,
-) -> Effect:
-    return Effect(
-        name=name, port="motor", parameters=parameters, title=title, summary=summary, signature=signature, source=source,
-        laws=laws, indistinguishable_from=_ALIKE, family=FAMILY,
-    )  # fmt: skip
+_loss_model = partial(Effect, port="motor", indistinguishable_from=_ALIKE, family=FAMILY)
 
 
 # --- Wilson -----------------------------------------------------------------------------------------------------------
@@ -121,10 +111,8 @@ SCHLOESSER_LOSSES = _loss_model(
     source="Schloesser, Mathematical model for displacement pumps and motors, Hydraulic Power Transmission, 1961",
     parameters=(
         _SLIP,
-        Parameter(
-            "turbulent_area", "m2", 0.0, 0.0, 5e-7, "assumed; Cst D^(2/3), of the order 1e-9 m2 for a piston machine",
-            "area of the orifice that the gaps make", 1e-7, scaling=MOTOR_SIZE,
-        ),
+        Parameter("turbulent_area", "m2", 0.0, 0.0, 5e-7, "assumed; Cst D^(2/3), of the order 1e-9 m2 for a piston machine",
+            "area of the orifice that the gaps make", 1e-7, scaling=MOTOR_SIZE),
         _DRAG, _FRICTION, _HYDRODYNAMIC, _CONSTANT, _VISCOSITY, _DENSITY,
     ),
     laws={"leakage": _schloesser_leakage, "torque": _schloesser_torque},
@@ -154,10 +142,8 @@ DOREY_LOSSES = _loss_model(
     parameters=(
         _SLIP,
         Parameter("slip_growth", "1/Pa", 0.0, 0.0, 1e-6, "assumed", "relative growth of Cs with pressure", 1e-7),
-        Parameter(
-            "compression", "1", 0.0, 0.0, 10.0, "1 + Vr; a public library after McCandlish and Dorey has Vr = 0.54",
-            "volume that is compressed in every turn over the displacement", 1.54,
-        ),
+        Parameter("compression", "1", 0.0, 0.0, 10.0, "1 + Vr; a public library after McCandlish and Dorey has Vr = 0.54",
+            "volume that is compressed in every turn over the displacement", 1.54),
         _DRAG, _FRICTION,
         Parameter("boundary", "1", 0.0, 0.0, 10.0, "assumed", "Cf at standstill over Cf at speed, less one", 2.0),
         Parameter("boundary_speed", "rad/s", 10.0, 1.0, 100.0, "assumed", "speed over which Cf falls", log=True),

@@ -21,20 +21,11 @@ SPEED_DEPENDENT_LEAKAGE = Effect(
     signature="speed loss at no load, seen in the flow balance",
     source="neglected by the paper in its own words; Wilson 1948, Schloesser 1961",
     parameters=(
-        Parameter(
-            "coefficient",
-            "m3/rad",
-            0.0,
-            low=0.0,
-            high=6e-7,
-            typical=1.5e-7,
-            scaling=MOTOR_SIZE,
-            note="leakage per speed",
-            source="up to 45 % of the displacement",
-        ),
+        Parameter("coefficient", "m3/rad", 0.0, low=0.0, high=6e-7, typical=1.5e-7, scaling=MOTOR_SIZE,
+            note="leakage per speed", source="up to 45 % of the displacement"),
     ),
     laws={"leakage": _speed_dependent_leakage},
-)
+)  # fmt: skip
 
 
 def _motor_coulomb_friction(torque, speed, coulomb, static, stribeck_speed):
@@ -50,42 +41,14 @@ MOTOR_COULOMB_FRICTION = Effect(
     signature="step of torque with the sign of the speed, sticking at reversal",
     source="Armstrong-Helouvry 1991; Olsson 1973 for hydraulic motors",
     parameters=(
-        Parameter(
-            "coulomb",
-            "N m",
-            0.0,
-            low=0.0,
-            high=2.0,
-            typical=0.3,
-            scaling=MOTOR_SIZE,
-            note="Coulomb friction",
-            source="3-10 % of the nominal torque are usual",
-        ),
-        Parameter(
-            "static",
-            "N m",
-            0.0,
-            low=0.0,
-            high=3.0,
-            typical=0.4,
-            scaling=MOTOR_SIZE,
-            not_below="coulomb",
-            note="static friction",
-            source="assumed",
-        ),
-        Parameter(
-            "stribeck_speed",
-            "rad/s",
-            3.0,
-            low=0.2,
-            high=20.0,
-            log=True,
-            note="Stribeck speed",
-            source="assumed",
-        ),
+        Parameter("coulomb", "N m", 0.0, low=0.0, high=2.0, typical=0.3, scaling=MOTOR_SIZE,
+            note="Coulomb friction", source="3-10 % of the nominal torque are usual"),
+        Parameter("static", "N m", 0.0, low=0.0, high=3.0, typical=0.4, scaling=MOTOR_SIZE, not_below="coulomb",
+            note="static friction", source="assumed"),
+        Parameter("stribeck_speed", "rad/s", 3.0, low=0.2, high=20.0, log=True, note="Stribeck speed", source="assumed"),
     ),
     laws={"torque": _motor_coulomb_friction},
-)
+)  # fmt: skip
 
 
 def _quadratic_drag(torque, speed, coefficient):
@@ -100,21 +63,12 @@ QUADRATIC_DRAG = Effect(
     signature="curvature of torque over speed",
     source="Schloesser 1961, hydrodynamic loss",
     parameters=(
-        Parameter(
-            "coefficient",
-            "N m s2/rad2",
-            0.0,
-            low=0.0,
-            high=8e-4,
-            typical=1e-4,
-            scaling=MOTOR_SIZE,
-            note="torque per speed squared",
-            source="assumed",
-        ),
+        Parameter("coefficient", "N m s2/rad2", 0.0, low=0.0, high=8e-4, typical=1e-4, scaling=MOTOR_SIZE,
+            note="torque per speed squared", source="assumed"),
     ),
     laws={"torque": _quadratic_drag},
     indistinguishable_from=("line_loss",),
-)
+)  # fmt: skip
 
 
 def _displacement_ripple(displacement, angle, amplitude, order):
@@ -129,35 +83,13 @@ DISPLACEMENT_RIPPLE = Effect(
     signature="line at `order` times the shaft speed",
     source="kinematics of gear and orbit motors, Ivantysyn and Ivantysynova 2001",
     parameters=(
-        Parameter(
-            "amplitude",
-            "1",
-            0.0,
-            low=0.0,
-            high=0.3,
-            typical=0.05,
-            note="relative ripple of the displacement",
-            source="1-10 % are usual",
-        ),
-        Parameter(
-            "order",
-            "1",
-            7.0,
-            low=3.0,
-            high=13.0,
-            role="order",
-            note="periods in a turn",
-            source="number of chambers",
-        ),
+        Parameter("amplitude", "1", 0.0, low=0.0, high=0.3, typical=0.05,
+            note="relative ripple of the displacement", source="1-10 % are usual"),
+        Parameter("order", "1", 7.0, low=3.0, high=13.0, role="order", note="periods in a turn", source="number of chambers"),
     ),
     laws={"displacement": _displacement_ripple},
-)
+)  # fmt: skip
 
 
 #: In the order in which they act.
-EFFECTS = (
-    SPEED_DEPENDENT_LEAKAGE,
-    MOTOR_COULOMB_FRICTION,
-    QUADRATIC_DRAG,
-    DISPLACEMENT_RIPPLE,
-)
+EFFECTS = (SPEED_DEPENDENT_LEAKAGE, MOTOR_COULOMB_FRICTION, QUADRATIC_DRAG, DISPLACEMENT_RIPPLE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import inf
 
 from ..parameters import SPOOL_TRAVEL, SUPPLY_PRESSURE, Parameter
-from ..vector_math import clip, sqrt
+from ..vector_math import clip, positive, sqrt
 from .effect import Effect
 
 __all__ = ["EFFECTS"]
@@ -23,20 +23,11 @@ NULL_OFFSET = Effect(
     signature="asymmetric onset, offset at zero command",
     source="ISO 10770-1, null bias",
     parameters=(
-        Parameter(
-            "offset",
-            "m",
-            0.0,
-            low=-1.5e-4,
-            high=1.5e-4,
-            typical=3e-5,
-            scaling=SPOOL_TRAVEL,
-            note="opening at centred spool",
-            source="assumed",
-        ),
+        Parameter("offset", "m", 0.0, low=-1.5e-4, high=1.5e-4, typical=3e-5, scaling=SPOOL_TRAVEL,
+            note="opening at centred spool", source="assumed"),
     ),
     laws={"opening": _null_offset},
-)
+)  # fmt: skip
 
 
 def _dead_zone(opening, overlap_positive, overlap_negative):
@@ -51,40 +42,19 @@ DEAD_ZONE = Effect(
     signature="flat flow around zero, each direction its own width",
     source="ISO 10770-1, dead band; the paper's Fig. 2 shows none below 300 mA",
     parameters=(
-        Parameter(
-            "overlap_positive",
-            "m",
-            0.0,
-            low=0.0,
-            high=4.5e-4,
-            typical=1e-4,
-            scaling=SPOOL_TRAVEL,
-            note="overlap, positive direction",
-            source="Fig. 2: 300 mA are 353 um",
-        ),
-        Parameter(
-            "overlap_negative",
-            "m",
-            0.0,
-            low=0.0,
-            high=4.5e-4,
-            typical=1e-4,
-            scaling=SPOOL_TRAVEL,
-            note="overlap, negative direction",
-            source="Fig. 2: 300 mA are 353 um",
-        ),
+        Parameter("overlap_positive", "m", 0.0, low=0.0, high=4.5e-4, typical=1e-4, scaling=SPOOL_TRAVEL,
+            note="overlap, positive direction", source="Fig. 2: 300 mA are 353 um"),
+        Parameter("overlap_negative", "m", 0.0, low=0.0, high=4.5e-4, typical=1e-4, scaling=SPOOL_TRAVEL,
+            note="overlap, negative direction", source="Fig. 2: 300 mA are 353 um"),
     ),
     laws={"opening": _dead_zone},
     indistinguishable_from=("spring_preload",),
     separated_by={
-        "spring_preload": (
-            "record the spool position: overlap lets the spool move without flow, a preload does not "
-            "let it move"
-        ),
+        "spring_preload": "record the spool position: overlap lets the spool move without flow, a preload does not let it move",
         "flow_gain_nonlinearity": "slow triangles of 20, 40 and 80 % of the rated command: overlap is the same width in all",
         "null_offset": "slow triangle through zero with at least 10 s per cycle",
     },
-)
+)  # fmt: skip
 
 
 def _underlap(opening, underlap_positive, underlap_negative):
@@ -102,8 +72,8 @@ def _underlap_flow(flow, opening, drive, pressure, Kq, underlap_positive, underl
     share = way * pressure / supply_pressure
     here = drive if opening != 0.0 else drive - share
     there = here + 2.0 * share
-    back = sqrt(there if there > 0.0 else 0.0) - sqrt(here if here > 0.0 else 0.0)
-    return flow - way * Kq * (other if other > 0.0 else 0.0) * back
+    back = sqrt(positive(there)) - sqrt(positive(here))
+    return flow - way * Kq * positive(other) * back
 
 
 UNDERLAP = Effect(
@@ -114,32 +84,15 @@ UNDERLAP = Effect(
     signature="twice the flow gain around zero; there the pressure yields to a load",
     source="Merritt 1967, ch. 5: open-centre valve; ISO 10770-1, pressure gain",
     parameters=(
-        Parameter(
-            "underlap_positive",
-            "m",
-            0.0,
-            low=0.0,
-            high=1.5e-4,
-            typical=3e-5,
-            scaling=SPOOL_TRAVEL,
+        Parameter("underlap_positive", "m", 0.0, low=0.0, high=1.5e-4, typical=3e-5, scaling=SPOOL_TRAVEL,
             note="underlap of the edges of the positive direction",
-            source="1 to 5 % of the travel for valves with a soft centre",
-        ),
-        Parameter(
-            "underlap_negative",
-            "m",
-            0.0,
-            low=0.0,
-            high=1.5e-4,
-            typical=3e-5,
-            scaling=SPOOL_TRAVEL,
-            note="underlap of the edges of the negative direction",
-            source="the same",
-        ),
+            source="1 to 5 % of the travel for valves with a soft centre"),
+        Parameter("underlap_negative", "m", 0.0, low=0.0, high=1.5e-4, typical=3e-5, scaling=SPOOL_TRAVEL,
+            note="underlap of the edges of the negative direction", source="the same"),
         SUPPLY_PRESSURE,
     ),
     laws={"opening": _underlap, "flow": _underlap_flow},
-)
+)  # fmt: skip
 
 
 def _flow_saturation(opening, opening_limit):
@@ -154,22 +107,12 @@ FLOW_SATURATION = Effect(
     signature="flat top at large commands",
     source="ISO 10770-1, flow saturation",
     parameters=(
-        Parameter(
-            "opening_limit",
-            "m",
-            inf,
-            low=1e-4,
-            high=8.6e-4,
-            typical=3e-4,
-            log=True,
-            scaling=SPOOL_TRAVEL,
-            note="opening at which flow saturates",
-            source="assumed",
-        ),
+        Parameter("opening_limit", "m", inf, low=1e-4, high=8.6e-4, typical=3e-4, log=True, scaling=SPOOL_TRAVEL,
+            note="opening at which flow saturates", source="assumed"),
     ),
     laws={"opening": _flow_saturation},
     indistinguishable_from=("spool_stop", "driver_saturation"),
-)
+)  # fmt: skip
 
 
 def _directional_gain(opening, ratio):
@@ -184,20 +127,11 @@ DIRECTIONAL_GAIN = Effect(
     signature="gain split by the sign of the command",
     source="ISO 10770-1, symmetry",
     parameters=(
-        Parameter(
-            "ratio",
-            "1",
-            1.0,
-            low=0.4,
-            high=2.5,
-            typical=0.75,
-            log=True,
-            note="gain of the negative direction over the positive",
-            source="assumed",
-        ),
+        Parameter("ratio", "1", 1.0, low=0.4, high=2.5, typical=0.75, log=True,
+            note="gain of the negative direction over the positive", source="assumed"),
     ),
     laws={"opening": _directional_gain},
-)
+)  # fmt: skip
 
 
 def _flow_gain_nonlinearity(opening, curvature, alpha, u_rated, R, k):
@@ -214,27 +148,12 @@ FLOW_GAIN_NONLINEARITY = Effect(
     signature="residual over opening only",
     source="V-notches of proportional spools; ISO 10770-1, linearity",
     parameters=(
-        Parameter(
-            "curvature",
-            "1",
-            0.0,
-            low=-0.8,
-            high=0.9,
-            typical=0.5,
-            note="share of the gain that grows with the opening",
-            source="assumed",
-        ),
+        Parameter("curvature", "1", 0.0, low=-0.8, high=0.9, typical=0.5,
+            note="share of the gain that grows with the opening", source="assumed"),
     ),
     laws={"opening": _flow_gain_nonlinearity},
-)
+)  # fmt: skip
 
 
 #: In the order in which they act.
-EFFECTS = (
-    NULL_OFFSET,
-    DEAD_ZONE,
-    UNDERLAP,
-    FLOW_SATURATION,
-    DIRECTIONAL_GAIN,
-    FLOW_GAIN_NONLINEARITY,
-)
+EFFECTS = (NULL_OFFSET, DEAD_ZONE, UNDERLAP, FLOW_SATURATION, DIRECTIONAL_GAIN, FLOW_GAIN_NONLINEARITY)

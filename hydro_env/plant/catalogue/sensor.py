@@ -24,21 +24,13 @@ SENSOR_LAG = Effect(
     signature="measured speed late against physics, torque balance broken",
     source="counter gates and filters of speed sensors",
     parameters=(
-        Parameter(
-            "time_constant",
-            "s",
-            0.0,
-            low=0.0,
-            high=0.1,
-            typical=0.02,
-            note="time constant of the sensor",
-            source="assumed",
-        ),
+        Parameter("time_constant", "s", 0.0, low=0.0, high=0.1, typical=0.02,
+            note="time constant of the sensor", source="assumed"),
     ),
     laws={"measured_speed": _sensor_lag},
     states=(State("lagged_speed", _lag_rate, scale=10.0),),
     indistinguishable_from=("command_delay",),
-)
+)  # fmt: skip
 
 
 def _sensor_gain(measured_speed, gain):
@@ -53,21 +45,11 @@ SENSOR_GAIN = Effect(
     signature="redundancy check fails, physics does not",
     source="pulses per turn, calibration",
     parameters=(
-        Parameter(
-            "gain",
-            "1",
-            1.0,
-            low=0.7,
-            high=1.4,
-            typical=1.05,
-            log=True,
-            note="measured over true speed",
-            source="assumed",
-        ),
+        Parameter("gain", "1", 1.0, low=0.7, high=1.4, typical=1.05, log=True, note="measured over true speed", source="assumed"),
     ),
     laws={"measured_speed": _sensor_gain},
     separated_by={"directional_gain": "count revolutions over a minute at constant speed, both directions"},
-)
+)  # fmt: skip
 
 
 def _sensor_offset(measured_speed, offset):
@@ -82,24 +64,12 @@ SENSOR_OFFSET = Effect(
     signature="redundancy check fails, physics does not",
     source="drift of analogue speed signals",
     parameters=(
-        Parameter(
-            "offset",
-            "rad/s",
-            0.0,
-            low=-10.0,
-            high=10.0,
-            typical=1.0,
-            note="measured speed at standstill",
-            source="assumed",
-        ),
+        Parameter("offset", "rad/s", 0.0, low=-10.0, high=10.0, typical=1.0,
+            note="measured speed at standstill", source="assumed"),
     ),
     laws={"measured_speed": _sensor_offset},
-)
+)  # fmt: skip
 
 
 #: In the order in which they act.
-EFFECTS = (
-    SENSOR_LAG,
-    SENSOR_GAIN,
-    SENSOR_OFFSET,
-)
+EFFECTS = (SENSOR_LAG, SENSOR_GAIN, SENSOR_OFFSET)

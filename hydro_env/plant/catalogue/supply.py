@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..parameters import Parameter
 from .effect import Effect, State
 
-__all__ = ["EFFECTS"]
+__all__ = ["EFFECTS", "steady_droop"]
 
 
 def _supply_droop(drive, droop):
@@ -16,9 +16,14 @@ def _lower_lines(mean_line_pressure, droop):
     return mean_line_pressure * (1.0 - droop)
 
 
-def _droop_rate(droop, own_flow, other_flow, relative_drop, time_constant):
+def steady_droop(own_flow, other_flow, relative_drop):
+    """The droop that flows which last lead to."""
     # 8.1778e-4 m3/s (49 l/min) is the flow of two nominal valves at the rated command; a fixed one, whatever the valves.
-    return (relative_drop * (abs(own_flow) + abs(other_flow)) / 8.1778e-4 - droop) / time_constant
+    return relative_drop * (abs(own_flow) + abs(other_flow)) / 8.1778e-4
+
+
+def _droop_rate(droop, own_flow, other_flow, relative_drop, time_constant):
+    return (steady_droop(own_flow, other_flow, relative_drop) - droop) / time_constant
 
 
 SUPPLY_DROOP = Effect(
@@ -30,34 +35,17 @@ SUPPLY_DROOP = Effect(
     signature="both motors slow down together; needs the other channel's flow",
     source="pump and accumulator characteristics, Backe 1992",
     parameters=(
-        Parameter(
-            "relative_drop",
-            "1",
-            0.0,
-            low=0.0,
-            high=0.9,
-            typical=0.5,
-            note="relative drop at 49 l/min of both valves together; in proportion at other flows",
-            source="assumed",
-        ),
-        Parameter(
-            "time_constant",
-            "s",
-            0.1,
-            low=0.002,
-            high=5.0,
-            log=True,
-            role="time_constant",
-            note="memory of the supply",
-            source="assumed",
-        ),
+        Parameter("relative_drop", "1", 0.0, low=0.0, high=0.9, typical=0.5,
+            note="relative drop at 49 l/min of both valves together; in proportion at other flows", source="assumed"),
+        Parameter("time_constant", "s", 0.1, low=0.002, high=5.0, log=True, role="time_constant",
+            note="memory of the supply", source="assumed"),
     ),
     laws={"drive": _supply_droop, "mean_line_pressure": _lower_lines},
     states=(State("droop", _droop_rate, scale=0.1),),
     separated_by={
-        "pressure_dependent_flow": "record the supply pressure; drive the other channel alone while this one holds its command"
+        "pressure_dependent_flow": "record the supply pressure; drive the other channel alone while this one holds its command",
     },
-)
+)  # fmt: skip
 
 
 #: In the order in which they act.

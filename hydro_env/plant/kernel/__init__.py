@@ -2,11 +2,13 @@
 
 integrator  the tableau, the estimate of the error and the control of the step, with their references
 layout      where states, parameters and stages lie in the memory of a block
+laws        sources of laws and of the functions that they call: checks, and text
 statements  from the right-hand side and the laws of the effects to statements
+fused       products and sums of statements as fused operations
 template    the text of a generated module
 codegen     writes the module: sweeps over lanes
 module_cache  keeps it for the next process
-vector_ir   writes its statements as vector instructions
+vector_ir   writes it, read by `hydro_env.ir`, as vector instructions
 machine_code  compiles them and keeps what was compiled
 driver      the loops over rows and steps around the sweeps, one for all kernels
 

@@ -1,9 +1,9 @@
 """Writes the module of a kernel: the sweeps over the lanes of a block, which `driver` calls.
 
-A sweep is one loop over all lanes, or several where lanes look at each other in between. `attempt` is a step of the integrator
-(`integrator`): it factors the matrix, makes the stages, evaluates the rates where the step ends, and judges the error; each lane
-then moves or stays, and goes on with a step of its own length. `prepare` computes once what the parameters settle, `observe`
-gives the outputs, and `guard` puts lanes that were not followed to rest.
+A sweep is one loop over all lanes, or several where lanes look at each other in between. `attempt_step` is a step of the
+integrator (`integrator`): it factors the matrix, makes the stages, evaluates the rates where the step ends, and judges the error;
+each lane then moves or stays, and goes on with a step of its own length. `precompute` computes once what the parameters settle,
+`observe` gives the outputs, and `reset_diverged` puts lanes that were not followed to rest.
 
 What makes it fast: two of the three stages share their rates; the rates at the end of a step begin the next one; the arrow
 structure of the matrix W solves in some thirty operations.
@@ -12,20 +12,21 @@ structure of the matrix W solves in some thirty operations.
 from __future__ import annotations
 
 import ast
-import re
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 from ..catalogue import Effect
 from .driver import NUMBERS
+from .fused import fused_lines
 from .integrator import (
     CONTROL,
     ERRORS,
     LATE,
-    LEAST,
     METHOD,
+    MIN_SHARE,
     OWN_ERROR,
     OWN_LATE,
     SHARE,
@@ -42,10 +43,9 @@ from .layout import (
     parameters_of,
     scale_of,
     states_of,
-    uses,
     with_shared,
 )  # fmt: skip
-from .statements import Step, chain, functions, fused_lines, needed, step_of
+from .statements import Step, chain, functions, in_order, needed, reads, step_of, target
 from .template import COUPLED, EXCHANGE, GROUPED, MODULE
 
 __all__ = ["Module", "module_text"]
@@ -92,11 +92,11 @@ class _Sweeps:
     @property
     def exchanges(self) -> bool:
         """Whether a law or a state asks for valve flows."""
-        return any(uses(name, self._text) for name in ("other_flow", "own_flow"))
+        return not self._read.isdisjoint(("other_flow", "own_flow"))
 
-    @property
-    def _text(self) -> str:
-        return "\n".join([*self.step.rates, *self.step.own_rates, *self.step.slopes])
+    @cached_property
+    def _read(self) -> set[str]:
+        return reads([*self.step.rates, *self.step.own_rates, *self.step.slopes])
 
     def _exchange(self, own: str, other: str) -> str:
         return EXCHANGE.format(own=self.at.row(own), other=self.at.row(other))
@@ -115,14 +115,14 @@ class _Sweeps:
     @property
     def _inputs(self) -> list[str]:
         # `rates` takes the command as the delay line hands it over. Laws see the flows as they were where the step begins.
-        inputs = [f"command = {self.at.cell('applied')}", *self.at.load(["load", "time"], "load time")]
+        inputs = [f"command = {self.at.cell('applied')}", *self.at.load(["load", "time"])]
         return [*inputs, *self._constants]
 
     @property
     def _constants(self) -> list[str]:
         flows = {"own_flow": "flow", "other_flow": "other_flow"}
-        seen = [f"{n} = {self.at.cell(row)}" for n, row in flows.items() if uses(n, self._text)]
-        return seen + self.at.load([*self.at.parameters, *RECIPROCALS, *self.step.settled], self._text)
+        seen = [f"{n} = {self.at.cell(row)}" for n, row in flows.items() if n in self._read]
+        return seen + self.at.load([*self.at.parameters, *RECIPROCALS, *self.step.settled], self._read)
 
     def _rates(self) -> list[list[str] | str]:
         """The rates of all states; those of the effects' states see both flows of the same instant."""
@@ -157,12 +157,12 @@ class _Sweeps:
         return [*base, *(f"u__{name} = {value} * e_{name}" for name, value in driven.items())]
 
     # --- sweeps ---------------------------------------------------------------------------------------------------------
-    def prepare(self) -> list[list[str] | str]:
+    def precompute(self) -> list[list[str] | str]:
         at = self.at
         lines = [
-            *at.load(at.parameters, " ".join(at.parameters)),
+            *at.load(at.parameters),
             f"least = {SHARE!r} * Kq * x_max / D",
-            f"least = least if least > {LEAST!r} * h else {LEAST!r} * h",
+            f"least = least if least > {MIN_SHARE!r} * h else {MIN_SHARE!r} * h",
             "tolerance = h if h < least else least",
         ]
         lines += ["dry = (Fc > 0.0) | (Fs > 0.0)"]
@@ -195,7 +195,7 @@ class _Sweeps:
         """Commands within what the valves take, held for h seconds; no lane is lost yet. Rates stand where command and load are
         those of the row before."""
         at, names = self.at, ["command", "u_rated", "step", "load"]
-        lines = at.load(names, " ".join(names))
+        lines = at.load(names)
         lines += ["command = command if command < u_rated else u_rated"]
         lines += ["command = command if command > -u_rated else -u_rated"]
         same = (
@@ -209,7 +209,7 @@ class _Sweeps:
         return [lines, *self._alike("step", "<")]
 
     def evaluate(self) -> list[list[str] | str]:
-        at, first = self.at, [*self.at.load(self.at.states, " ".join(self.at.states)), *self._inputs]
+        at, first = self.at, [*self.at.load(self.at.states), *self._inputs]
         names = [*(f"{name}_rate" for name in at.staged), *self.step.carried, *self._couplings]
         names += [f"{name}_decay" for name in at.own_states] + (["flow"] if self.exchanges else [])
         kept = [f"{at.cell(n)} = {n} if {at.cell('fresh')} > 0.0 else {at.cell(n)}" for n in names]
@@ -217,7 +217,7 @@ class _Sweeps:
         parts += [self.step.slopes, [*kept, f"{at.cell('fresh')} = 0.0"]]
         return parts + ([self._exchange("flow", "other_flow")] if self.exchanges else [])
 
-    def attempt(self) -> list[list[str] | str]:
+    def attempt_step(self) -> list[list[str] | str]:
         middle = [*self._inputs, f"time = time + {float(METHOD.alpha[1].sum())!r} * taken"]
         parts: list[list[str] | str] = [*self._first_stage(), CUT, middle, *self._rates(), CUT]
         parts += [*self._other_stages(), *self._rates(), self.step.slopes, CUT, self._error()]
@@ -234,11 +234,7 @@ class _Sweeps:
         lines += [f"loose = {at.cell('spool_error')} + {at.cell('late')} * abs({at.cell('spool_speed')})"]
         lines += ["both = 1.0 / (taken * loose)", "ih = both * loose", "weight_of_spool = both * taken"]
         lines += [f"gh = {METHOD.gamma!r} * taken", f"ig = {1.0 / METHOD.gamma!r} * ih"]
-        lines += [
-            *at.load(at.parameters, "\n".join(step.factors)),
-            *at.load(RECIPROCALS, "\n".join(step.factors)),
-        ]
-        lines += at.load(step.settled, "\n".join(step.factors))
+        lines += at.load([*at.parameters, *RECIPROCALS, *step.settled], reads(step.factors))
         names = [*step.carried, *self._couplings, *(f"{name}_decay" for name in at.own_states)]
         lines += [f"{name} = {at.cell(name)}" for name in names] + step.factors
         factors, lines = lines, [f"r__{name} = {at.cell(name + '_rate')}" for name in at.staged] + self._solve
@@ -324,11 +320,10 @@ class _Sweeps:
         measured = ["measured_speed = speed", *chain("measured_speed", at.effects)]
         measured += ["mean_line_pressure = 0.0", *chain("mean_line_pressure", at.effects)]
         lines = needed(set(outputs), [*self.step.rates, *measured])
-        loaded = at.load([*at.parameters, *RECIPROCALS, *self.step.settled], "\n".join(lines))
-        first = at.load(at.states, " ".join(at.states))
-        return [first + self._inputs + loaded + lines + at.store(outputs)]
+        loaded = at.load([*at.parameters, *RECIPROCALS, *self.step.settled], reads(lines))
+        return [at.load(at.states) + self._inputs + loaded + lines + at.store(outputs)]
 
-    def guard(self) -> list[list[str] | str]:
+    def reset_diverged(self) -> list[list[str] | str]:
         """Lanes that were lost, or did not come to the end of the row, or whose states are beyond the caps."""
         at = self.at
         lines = [f"ok = ({at.cell('lost')} <= 0.0) & ({at.cell('todo')} <= 0.0)"]
@@ -395,18 +390,18 @@ def _joined(parts: Iterable[list[str] | str]) -> list[list[str] | str]:
 def _sweep(layout: Layout, parts: Sequence[list[str] | str], going: bool = False, counted: str = "") -> str:
     """Loops over all lanes of a block that run these statements; a later loop finds what an earlier one left. `going`: only lanes
     with time to go; `counted`: a row whose lanes above 0 are counted at the end."""
-    parts = _joined(parts)
-    loops = [n for n, part in enumerate(parts) if isinstance(part, list)]
-    texts = list(parts)
-    for place, n in enumerate(loops[1:], 1):
-        known = {_target(line) for earlier in loops[:place] for line in parts[earlier]} - {""}
-        asked = [name for name in _first_used(parts[n]) if name in known]
-        texts[n] = [*(f"{name} = {layout.cell('kept__' + name)}" for name in asked), *texts[n]]
+    texts = _joined(parts)
+    made: dict[str, int] = {}  # the last loop that makes a name
+    for n, part in enumerate(texts):
+        if isinstance(part, str):
+            continue
+        asked = [name for name in _first_used(part) if name in made]
+        texts[n] = [*(f"{name} = {layout.cell('kept__' + name)}" for name in asked), *part]
         for name in asked:
-            maker = next(m for m in reversed(loops[:place]) if name in map(_target, parts[m]))
             line = f"{layout.cell('kept__' + name)} = {name}"
-            if line not in texts[maker]:
-                texts[maker] = [*texts[maker], line]
+            if line not in texts[made[name]]:
+                texts[made[name]] = [*texts[made[name]], line]
+        made |= dict.fromkeys(_made(part), n)
     lines: list[str] = []
     for text in texts:
         if isinstance(text, str):
@@ -422,20 +417,19 @@ def _sweep(layout: Layout, parts: Sequence[list[str] | str], going: bool = False
     return textwrap.indent("\n".join(lines), "    ")
 
 
-def _target(line: str) -> str:
-    """The name that a statement assigns, "" for a cell."""
-    match = re.match(r"(\w+) = ", line)
-    return match[1] if match else ""
+def _made(lines: list[str]) -> set[str]:
+    """Names that the statements of a loop assign, those under an `if` aside."""
+    return {target(line) for line in lines if not line.startswith(("if ", " "))} - {""}
 
 
-def _first_used(lines: Iterable[str]) -> list[str]:
-    """Names that statements use before they assign them, in order."""
+def _first_used(lines: list[str]) -> list[str]:
+    """Names that the statements of a loop use before they assign them, in order."""
     made: set[str] = set()
     asked: dict[str, None] = {}
     for line in lines:
-        value = line.split(" = ", 1)[-1] if " = " in line else line
-        asked |= dict.fromkeys(name for name in re.findall(r"[A-Za-z_]\w*", value) if name not in made)
-        made.add(_target(line))
+        line = f"test = {line[3:-1]}" if line.startswith("if ") else line.strip()
+        asked |= dict.fromkeys(name for name in in_order(line) if name not in made)
+        made.add(target(line))
     return list(asked)
 
 
@@ -464,10 +458,10 @@ def module_text(effects: tuple[Effect, ...], half: int, grouped: bool = False) -
     given, effects = effects, with_shared(effects)
     layout = layout_of(effects, half)
     sweeps = _Sweeps(layout, step_of(effects), grouped)
-    names = ("prepare", "observe", "start_row", "evaluate", "attempt", "guard")
-    counts = {"start_row": "fresh", "attempt": "todo"}
+    names = ("precompute", "observe", "start_row", "evaluate", "attempt_step", "reset_diverged")
+    counts = {"start_row": "fresh", "attempt_step": "todo"}
     texts = {
-        name: _sweep(layout, getattr(sweeps, name)(), name == "attempt", counts.get(name, ""))
+        name: _sweep(layout, getattr(sweeps, name)(), name == "attempt_step", counts.get(name, ""))
         for name in names
     }
     additions = _sweep(layout, _additions(layout))

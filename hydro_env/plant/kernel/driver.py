@@ -19,7 +19,7 @@ from .vector_ir import FOUND
 __all__ = ["NUMBERS", "SWEEPS", "advance"]
 
 #: Sweeps of `template`, called by their addresses.
-SWEEPS = ("prepare", "observe", "start_row", "evaluate", "attempt", "guard")
+SWEEPS = ("precompute", "observe", "start_row", "evaluate", "attempt_step", "reset_diverged")
 #: Names of the numbers of a kernel, in order: rigs to a block, how many rows change and how many stay between calls, rows by name
 #: (`delay`, `coupled`: -1 without), addresses.
 NUMBERS = (
@@ -38,9 +38,9 @@ NUMBERS = (
 )
 
 HALF, MOVING, KEPT, COMMAND, LOAD, APPLIED, TODO, ROW_LEFT, FRESH, DELAY, COUPLED = range(11)
-PREPARE, OBSERVE, START_ROW, EVALUATE, ATTEMPT, GUARD = range(11, 17)
+PRECOMPUTE, OBSERVE, START_ROW, EVALUATE, ATTEMPT_STEP, RESET_DIVERGED = range(11, 17)
 #: Attempts at steps for a row of commands, at most, and for each second that it lasts.
-MOST_ATTEMPTS, ATTEMPTS_PER_S = 20_000, 2_000_000.0
+MAX_ATTEMPTS, MAX_ATTEMPTS_PER_S = 20_000, 2_000_000.0
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -75,16 +75,14 @@ def copy(typing: Any, to: Any, place: Any, source: Any, first: Any, count: Any) 
 
 
 def _nogil(function: Any) -> Any:
-    return compiled(
-        function, nogil=True, allocates=False
-    )  # threads may step plants of their own side by side
+    return compiled(function, nogil=True)  # threads may step plants of their own side by side
 
 
 @_nogil
 def delay(at, cells, ring, lasted, head, period):  # type: ignore[no-untyped-def]
     """Where the time of a lane has come, the command of that time goes to the valve, until the next other one's time comes.
 
-    ring (slots, lanes): the commands of the rows up to this one, in slot `head`, which lasted so many s (slots,). Times count
+    ring (slots, lanes): the commands of the rows up to this one, in slot `head`, and their durations, s (slots,). Times count
     from the beginning of this row, and equal commands are one: so what went before a reset changes no bit.
     """
     lanes, slots = 2 * at[HALF], ring.shape[0]
@@ -133,13 +131,13 @@ def advance(  # type: ignore[no-untyped-def]
     half, rigs = at[HALF], out.shape[2]
     lanes, kept = 2 * half, 2 * half * at[KEPT]
     delayed = ring is not None and at[DELAY] >= 0
-    most = MOST_ATTEMPTS + int(ATTEMPTS_PER_S * period)
+    most = MAX_ATTEMPTS + int(MAX_ATTEMPTS_PER_S * period)
     for b in range(memory.size // kept):
         start, low = b * kept, b * half
         high = low + half if low + half < rigs else rigs
         slot = head
         copy(cells, 0, memory, start, kept)
-        sweep(at[PREPARE], cells, tolerance)
+        sweep(at[PRECOMPUTE], cells, tolerance)
         for t in range(commands.shape[0]):
             if record.size > 0 and t % every == 0:
                 sweep(at[OBSERVE], cells, period)
@@ -170,12 +168,12 @@ def advance(  # type: ignore[no-untyped-def]
                 sweep(at[EVALUATE], cells, period)
             # Each lane goes at its own pace and waits for the others at the next row.
             for _ in range(most):
-                going = sweep(at[ATTEMPT], cells, period)
+                going = sweep(at[ATTEMPT_STEP], cells, period)
                 if ring is not None and delayed and delay(at, cells, ring[b], lasted[b], slot, period):
                     going = lanes
                     sweep(at[EVALUATE], cells, period)
                 if going == 0:
                     break
-            sweep(at[GUARD], cells, period)
+            sweep(at[RESET_DIVERGED], cells, period)
         sweep(at[OBSERVE], cells, period)
         copy(memory, start, cells, 0, at[MOVING] * lanes)

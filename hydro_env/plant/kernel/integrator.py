@@ -33,7 +33,7 @@ __all__ = [
     "CONTROL",
     "ERRORS",
     "LATE",
-    "LEAST",
+    "MIN_SHARE",
     "METHOD",
     "OWN_ERROR",
     "OWN_LATE",
@@ -101,10 +101,10 @@ ERRORS = {
     "speed": "0.006 * tolerance",
 }
 #: The tolerance is at most this share of the speed that the fully open valve gives the motor, down to this share of itself.
-SHARE, LEAST = 3e-4, 0.01
-#: A spool in motion may be late by so many s for each rad/s of the tolerance: its weight grows with its speed.
+SHARE, MIN_SHARE = 3e-4, 0.01
+#: A spool in motion may be late by this, s, for each rad/s of the tolerance: its weight grows with its speed.
 LATE = 1.8e-4
-#: The same of a state of an effect: this part of its size for each rad/s of the tolerance, and so many s late.
+#: The same of a state of an effect: this part of its size for each rad/s of the tolerance, and this late, s.
 OWN_ERROR, OWN_LATE = 0.025, 1.8e-4
 
 

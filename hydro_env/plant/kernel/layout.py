@@ -6,8 +6,7 @@ holds one name of all lanes; all rows of a block lie one after the other in a fl
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from ..catalogue import Effect, State
@@ -15,7 +14,7 @@ from ..parameters import PARAMETERS
 
 __all__ = [
     "DIVISORS", "INTEGRAL", "RECIPROCALS", "STATES", "Layout", "in_text", "layout_of", "parameters_of", "scale_of", "states_of",
-    "uses", "with_shared",
+    "with_shared",
 ]  # fmt: skip
 
 #: States of a channel, in the order of `rates`.
@@ -61,11 +60,6 @@ def scale_of(adding: Iterable[tuple[Effect, State]]) -> float:
     return float(max(state.scale for _, state in adding))
 
 
-def uses(name: str, text: str) -> bool:
-    """Whether a text has this name in it."""
-    return re.search(rf"\b{name}\b", text) is not None
-
-
 @dataclass(frozen=True)
 class Layout:
     """Names and rows of a block. `states` are those of `rates` and of the effects. The first `moving` rows change with time, the
@@ -98,10 +92,9 @@ class Layout:
         """The cell of a name on lane `l`."""
         return f"cells[{self.row(name) * 2 * self.half} + l]"
 
-    def load(self, names: Iterable[str], text: str) -> list[str]:
-        """Statements that load those of the names that a text uses."""
-        used = {*re.findall(r"\w+", text)}
-        return [f"{name} = {self.cell(name)}" for name in names if name in used]
+    def load(self, names: Iterable[str], used: Collection[str] | None = None) -> list[str]:
+        """Statements that load names, or those of them that are `used`."""
+        return [f"{name} = {self.cell(name)}" for name in names if used is None or name in used]
 
     def store(self, names: Iterable[str]) -> list[str]:
         """Statements that store names."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import inspect
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
@@ -12,6 +14,7 @@ import llvmlite
 from llvmlite import binding as llvm
 from numba.core.registry import cpu_target
 
+from hydro_env.ir import nodes, reader
 from hydro_env.jit import keep, kept
 
 from . import vector_ir
@@ -38,9 +41,22 @@ def machine_code(text: str, single: bool, sweeps: Iterable[str] = SWEEPS) -> Mac
     name = f"{hashlib.sha256(repr(depends).encode()).hexdigest()[:32]}.o"
     found = kept(name)
     if found is None:
-        found = _compiled(vector_ir.llvm_text(text, single))
+        with _collector_waits():
+            found = _compiled(vector_ir.llvm_text(text, single))
         keep(name, found)
     return MachineCode(found, sweeps)
+
+
+@contextmanager
+def _collector_waits() -> Iterator[None]:
+    """Python's collector of cyclic garbage waits: it would go through all expressions again and again while they are made."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
 
 
 def _compiled(text: str) -> bytes:
@@ -69,6 +85,5 @@ def _machine() -> llvm.TargetMachine:
 
 @cache
 def _translator() -> str:
-    return hashlib.sha256(
-        (inspect.getsource(vector_ir) + inspect.getsource(_compiled) + inspect.getsource(_machine)).encode()
-    ).hexdigest()
+    sources = [inspect.getsource(part) for part in (nodes, reader, vector_ir, _compiled, _machine)]
+    return hashlib.sha256("\0".join(sources).encode()).hexdigest()

@@ -15,6 +15,7 @@ from typing import Any
 from hydro_env.jit import keep, kept
 
 from ..catalogue import Effect
+from ..catalogue.effect import called_by
 from .codegen import Module, module_text
 
 __all__ = ["module_of"]
@@ -46,8 +47,8 @@ def _identity(effect: Effect) -> str:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, FunctionType):
-        code = value.__code__
-        return code.co_code, code.co_consts, code.co_names, code.co_varnames
+        codes = [each.__code__ for each in (value, *called_by(value))]
+        return [(code.co_code, code.co_consts, code.co_names, code.co_varnames) for code in codes]
     if isinstance(value, Mapping):
         return [(key, _plain(each)) for key, each in value.items()]
     if isinstance(value, tuple | list):

@@ -1,14 +1,13 @@
 """From `rates` and the laws of the effects to statements of the generated text, one assignment to a line.
 
-What depends on the parameters alone is taken out of them (`Step.settling`), divisions by parameters become products, and every
-product with a sum becomes one fused operation (`fused`).
+What depends on the parameters alone is taken out of them (`Step.settling`), divisions by parameters become products. A line is
+looked at as a syntax tree (`target`, `reads`, `renamed`).
 """
 
 from __future__ import annotations
 
 import ast
 import inspect
-import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -16,17 +15,62 @@ from functools import lru_cache
 from typing import Any
 
 from .. import vector_math
-from ..catalogue import Effect, State
+from ..catalogue import QUANTITIES, Effect, State
 from ..catalogue.effect import arguments
 from ..friction import bristles_left, friction_left
 from ..rhs import rates
-from . import vector_ir
-from .layout import DIVISORS, RECIPROCALS, in_text, parameters_of, scale_of, states_of, uses
+from . import laws
+from .layout import DIVISORS, RECIPROCALS, in_text, parameters_of, scale_of, states_of
 
-__all__ = ["HELPERS", "Step", "call", "chain", "functions", "fused_lines", "needed", "step_of"]
+__all__ = ["Step", "call", "chain", "functions", "in_order", "needed", "reads", "step_of", "target"]
 
-#: Functions of vector_math that laws may call.
-HELPERS = ("clip", "sign", "exp", "bell", "tanh", "cos", "sin")
+#: Functions of vector_math that statements and laws may call.
+HELPERS = ("clip", "positive", "sign", "exp", "bell", "tanh", "cos", "sin")
+
+
+# --- lines ------------------------------------------------------------------------------------------------------------
+def _names(node: ast.AST) -> Iterator[str]:
+    """The names in an expression, those of the functions it calls aside."""
+    if isinstance(node, ast.Name):
+        yield node.id
+    for child in node.args if isinstance(node, ast.Call) else ast.iter_child_nodes(node):
+        yield from _names(child)
+
+
+@lru_cache(maxsize=1 << 14)  # kernels of different effects share most of their statements
+def _parts(line: str) -> tuple[str, tuple[str, ...]]:
+    (node,) = ast.parse(line).body
+    assert isinstance(node, ast.Assign)
+    (to,) = node.targets
+    return to.id if isinstance(to, ast.Name) else "", tuple(dict.fromkeys(_names(node.value)))
+
+
+def target(line: str) -> str:
+    """The name that a statement assigns, "" for a cell."""
+    return _parts(line)[0]
+
+
+def in_order(line: str) -> tuple[str, ...]:
+    """The names that a statement uses."""
+    return _parts(line)[1]
+
+
+def reads(lines: Iterable[str]) -> set[str]:
+    """The names that statements use."""
+    return {name for line in lines for name in _parts(line)[1]}
+
+
+class _Rename(ast.NodeTransformer):
+    def __init__(self, changed: Mapping[str, str]) -> None:
+        self.changed = changed
+
+    def visit_Name(self, node: ast.Name) -> ast.Name:
+        return ast.Name(self.changed.get(node.id, node.id), node.ctx)
+
+
+def renamed(expression: str, changed: Mapping[str, str]) -> str:
+    """An expression with other names."""
+    return ast.unparse(_Rename(changed).visit(ast.parse(expression, mode="eval")))
 
 
 # --- laws -------------------------------------------------------------------------------------------------------------
@@ -34,7 +78,7 @@ def _law_name(effect: Effect, part: str) -> str:
     return f"{effect.name}__{part}__law"
 
 
-def _names(effect: Effect, law: Callable[..., Any], given: Mapping[str, str | float]) -> list[str]:
+def _asked(effect: Effect, law: Callable[..., Any], given: Mapping[str, str | float]) -> list[str]:
     """What the arguments of a law are called in the generated text; `given` says what else an argument stands for."""
     own = {own: in_text(effect, own) for own in effect.names}
     if effect.shares is not None:
@@ -47,72 +91,43 @@ def call(
     effect: Effect, part: str, law: Callable[..., Any], given: Mapping[str, str | float] | None = None
 ) -> str:
     """A call of a law of an effect: of a rate or decay of one of its states."""
-    return f"{_law_name(effect, part)}({', '.join(_names(effect, law, given or {}))})"
+    return f"{_law_name(effect, part)}({', '.join(_asked(effect, law, given or {}))})"
 
 
 def chain(quantity: str, effects: Iterable[Effect], changed: Mapping[str, str] | None = None) -> list[str]:
     """Statements that pass `quantity` through the laws of the effects; `changed` renames arguments."""
     changed = changed or {}
-    target = changed.get(quantity, quantity)
+    to = changed.get(quantity, quantity)
     lines = []
     for effect in effects:
         law = effect.laws.get(quantity)
         if law is not None:
-            asked = [target, *(changed.get(name, name) for name in _names(effect, law, {})[1:])]
-            lines.append(f"{target} = {_law_name(effect, quantity)}({', '.join(asked)})")
+            asked = [to, *(changed.get(name, name) for name in _asked(effect, law, {})[1:])]
+            lines.append(f"{to} = {_law_name(effect, quantity)}({', '.join(asked)})")
     return lines
 
 
 def functions(effects: Iterable[Effect]) -> list[str]:
     """The text of the functions that statements call: those of `vector_math` and the laws."""
-    pasted = [_paste(f, f.__name__) for f in (getattr(vector_math, name) for name in HELPERS)]
-    pasted += [_paste(f, f.__name__) for f in (friction_left, bristles_left)]
+    named = {name: getattr(vector_math, name) for name in HELPERS}
+    named |= {f.__name__: f for f in (friction_left, bristles_left)}
     for effect in effects:
-        pasted += [_paste(law, _law_name(effect, quantity)) for quantity, law in effect.laws.items()]
+        named |= {_law_name(effect, quantity): law for quantity, law in effect.laws.items()}
         for state in effect.states:
-            pasted.append(_paste(state.rate, _law_name(effect, state.name + "_rate")))
+            named[_law_name(effect, state.name + "_rate")] = state.rate
             if state.decay is not None:
-                pasted.append(_paste(state.decay, _law_name(effect, state.name + "_decay")))
-    return pasted
-
-
-@lru_cache(maxsize=256)
-def _paste(function: Callable[..., Any], name: str) -> str:
-    """Source of a plain function under another name. ValueError if it cannot run on many lanes at once."""
-    try:
-        source = textwrap.dedent(inspect.getsource(function))
-    except OSError:
-        raise ValueError(
-            f"the source of law {function.__name__!r} cannot be read; define it in a file"
-        ) from None
-    if not source.startswith("def "):
-        raise ValueError(
-            f"law {function.__name__!r} must be a plain function (def), not a lambda or decorated"
-        )
-    written = compile(source, "<law>", "exec", dont_inherit=True).co_consts[0]
-    if (written.co_code, written.co_names) != (function.__code__.co_code, function.__code__.co_names):
-        # The text would be kept on disk under the identity of the law that is loaded.
-        raise ValueError(
-            f"the file of law {function.__name__!r} was changed since it was loaded; start Python again"
-        )
-    text = re.sub(r"^def \w+\(", f"def {name}(", source)
-    vector_ir.check(ast.parse(source).body[0], HELPERS)  # type: ignore[arg-type]
-    return fused(text)
+                named[_law_name(effect, state.name + "_decay")] = state.decay
+    return laws.texts(named)
 
 
 # --- rates and their slopes -------------------------------------------------------------------------------------------
 def _rates_body(effects: tuple[Effect, ...]) -> list[str]:
-    """The lines of `rates` with the laws of the effects in their places."""
-    source = textwrap.dedent(inspect.getsource(rates))
-    docstring = ast.parse(source).body[0].body[0]  # type: ignore[attr-defined]
-    lines = source.splitlines()[docstring.end_lineno :]
+    """The statements of `rates`; a quantity passes through the laws of the effects as soon as it is there."""
     body = []
-    for line in textwrap.dedent("\n".join(lines)).splitlines():
-        marker = re.fullmatch(r"# effects on (\w+)", line.strip())
-        if marker:
-            body += chain(marker[1], effects)
-        elif line.strip() and not line.startswith(("#", "return")):
-            body.append(line)
+    for node in ast.parse(textwrap.dedent(inspect.getsource(rates))).body[0].body:  # type: ignore[attr-defined]
+        if isinstance(node, ast.Assign):
+            line = ast.unparse(node)
+            body += [line, *(chain(target(line), effects) if target(line) in QUANTITIES else ())]
     return body
 
 
@@ -290,7 +305,7 @@ def _decay(adding: tuple[Effect, State], name: str, further: float) -> str:
     if state.decay is not None:
         return call(effect, state.name + "_decay", state.decay, state.given)
     rate = _sum_of_rates([adding])
-    changed = re.sub(rf"\b{name}\b", f"{name}__d", rate)
+    changed = renamed(rate, {name: f"{name}__d"})
     return f"positive(({rate} - {changed}) * {1.0 / further!r})"
 
 
@@ -306,14 +321,15 @@ def _own_slopes(effects: tuple[Effect, ...]) -> tuple[list[str], dict[str, tuple
         lines += [f"{name}__d = {name} + {further!r}"]
         falling = [_decay(each, name, further) for each in adding]
         lines += [f"{name}_decay = {' + '.join(falling)}"]
+        asked = reads([f"{name}_rate = {rate}"])
         for driver, (small, solved) in drives.items():
-            if uses(driver, rate):
-                changed = re.sub(rf"\b{driver}\b", f"{driver}__d", rate)
+            if driver in asked:
+                changed = renamed(rate, {driver: f"{driver}__d"})
                 lines += [f"{driver}__d = {driver} + {small!r}"]
                 lines += [f"{name}__by_{driver} = ({changed} - {name}_rate) * {1.0 / small!r}"]
                 couplings[f"{name}__by_{driver}"] = name, solved
         for driver, (quantity, first, _) in _MEETS.items():
-            if uses(driver, rate) and uses(name, "\n".join(chain(quantity, effects))):
+            if driver in asked and name in reads(chain(quantity, effects)):
                 lines += [f"{quantity}__d = {first}"]
                 lines += chain(quantity, effects, {quantity: f"{quantity}__d", name: f"{name}__d"})
                 lines += [f"{name}__acts = ({quantity}__d - {quantity}) * {1.0 / further!r}"]
@@ -338,36 +354,37 @@ def step_of(effects: tuple[Effect, ...]) -> Step:
         back = f"{name}__by_{driver}" + " * ig" * (driver == "current_rate")
         eliminated += [f"{slope} = {slope} + {name}__acts * (e_{name} * {back})"]
     factors += hoist.take([*eliminated, *FACTORISATION])
-    made = [line.split(" = ", 1)[0] for line in rates + slopes]
-    used = "\n".join([*rates, *slopes, *factors])
+    carried = dict.fromkeys(target(line) for line in rates + slopes if target(line) in reads(factors))
+    used = reads([*rates, *slopes, *factors])
     return Step(
-        rates=rates, own_rates=own, slopes=slopes, factors=factors,
-        carried=[name for name in dict.fromkeys(made) if uses(name, "\n".join(factors))],
-        couplings=couplings, acting=acting, settling=hoist.lines, settled=[name for name in hoist.names if uses(name, used)],
+        rates=rates, own_rates=own, slopes=slopes, factors=factors, carried=list(carried), couplings=couplings, acting=acting,
+        settling=hoist.lines, settled=[name for name in hoist.names if name in used],
     )  # fmt: skip
 
 
+class _Reciprocals(ast.NodeTransformer):
+    """Writes divisions by `DIVISORS` as products."""
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.BinOp:
+        self.generic_visit(node)
+        match node:
+            case ast.BinOp(left, ast.Div(), ast.Name(name)) if name in DIVISORS:
+                return ast.BinOp(left, ast.Mult(), ast.Name(f"per_{name}", ast.Load()))
+        return node
+
+
 def _by_reciprocals(lines: Iterable[str]) -> list[str]:
-    return [re.sub(rf"/ ({'|'.join(DIVISORS)})\b", r"* per_\1", line) for line in lines]
+    return [ast.unparse(_Reciprocals().visit(ast.parse(line))) for line in lines]
 
 
 def needed(wanted: set[str], lines: Iterable[str]) -> list[str]:
     """The assignments among `lines` that the wanted names depend on."""
     kept: list[str] = []
     for line in reversed(list(lines)):
-        target, expression = line.split(" = ", 1)
-        if target in wanted:
+        if target(line) in wanted:
             kept.append(line)
-            wanted = wanted | set(re.findall(r"[A-Za-z_]\w*", expression))
+            wanted = wanted | reads([line])
     return kept[::-1]
-
-
-def _variables(node: ast.AST) -> Iterator[str]:
-    """The names in an expression, those of the functions it calls aside."""
-    if isinstance(node, ast.Name):
-        yield node.id
-    for child in node.args if isinstance(node, ast.Call) else ast.iter_child_nodes(node):
-        yield from _variables(child)
 
 
 class _Hoist(ast.NodeTransformer):
@@ -383,7 +400,7 @@ class _Hoist(ast.NodeTransformer):
         self.names: dict[str, str] = {}
 
     def _is_constant(self, node: ast.AST) -> bool:
-        names = list(_variables(node))
+        names = list(_names(node))
         return bool(names) and self.constant.issuperset(names)
 
     def _name(self, node: ast.AST) -> str:
@@ -402,60 +419,14 @@ class _Hoist(ast.NodeTransformer):
     def take(self, lines: Iterable[str]) -> list[str]:
         taken = []
         for line in lines:
-            target, expression = line.split(" = ", 1)
-            node = ast.parse(expression, mode="eval").body
+            name, node = target(line), ast.parse(line).body[0].value  # type: ignore[attr-defined]
             if self._is_constant(node) or isinstance(node, ast.Constant):
-                self.constant.add(target)
+                self.constant.add(name)
                 self.lines.append(line)
                 if not isinstance(node, ast.Name | ast.Constant):
-                    line = f"{target} = {self._name(ast.Name(target, ast.Load()))}"
+                    line = f"{name} = {self._name(ast.Name(name, ast.Load()))}"
             else:
-                self.constant.discard(target)
-                line = f"{target} = {ast.unparse(self.visit(node))}"
+                self.constant.discard(name)
+                line = f"{name} = {ast.unparse(self.visit(node))}"
             taken.append(line)
         return taken
-
-
-# --- fused multiply-add ---------------------------------------------------------------------------------------------
-class _Fuse(ast.NodeTransformer):
-    """Writes a * b + c, c + a * b, a * b - c and c - a * b as one fused operation.
-
-    The compiler may not fuse on its own: what it fuses would depend on the effects compiled in and on the width of the
-    block. Fused here, statement by statement, a statement gives the same bits wherever it stands.
-    """
-
-    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
-        node = self.generic_visit(node)  # type: ignore[assignment]
-        if not isinstance(node.op, ast.Add | ast.Sub):
-            return node
-        minus = isinstance(node.op, ast.Sub)
-        left, right = node.left, node.right
-        if isinstance(right, ast.BinOp) and isinstance(right.op, ast.Mult):
-            factor = ast.UnaryOp(ast.USub(), right.left) if minus else right.left
-            return _fma(factor, right.right, left)
-        if isinstance(left, ast.BinOp) and isinstance(left.op, ast.Mult):
-            term = ast.UnaryOp(ast.USub(), right) if minus else right
-            return _fma(left.left, left.right, term)
-        return node
-
-    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
-        return node  # an index is whole numbers
-
-
-def _fma(*operands: ast.expr) -> ast.Call:
-    return ast.Call(ast.Name("fma", ast.Load()), list(operands), [])
-
-
-@lru_cache(maxsize=1 << 14)  # kernels of different effects share most of their statements
-def fused(text: str) -> str:
-    """The text with its products and sums fused: statements, or the first line of an `if`."""
-    if text.endswith(":"):
-        return fused(f"{text} pass").splitlines()[0]
-    return ast.unparse(_Fuse().visit(ast.parse(textwrap.dedent(text))))
-
-
-def fused_lines(lines: Iterable[str]) -> Iterator[str]:
-    """Each line with its products and sums fused; what has no product stays as it is."""
-    for line in lines:
-        text = line.lstrip()
-        yield line[: len(line) - len(text)] + fused(text) if "*" in text else line

@@ -35,18 +35,14 @@ HALF = {half}
 LANES = 2 * HALF
 
 
-def positive(value):
-    return value if value > 0.0 else 0.0
-
-
 {functions}
 
 
-def prepare(cells, h):
+def precompute(cells, h):
     """Once for all steps, for a tolerance of h rad/s: what effects add to base parameters, reciprocals, the dry friction that is
     left, what the parameters settle, and what an error of each state counts."""
 {additions}
-{prepare}
+{precompute}
 
 
 def observe(cells, h):
@@ -66,17 +62,17 @@ def evaluate(cells, h):
 {evaluate}
 
 
-def attempt(cells, h) -> int:
+def attempt_step(cells, h) -> int:
     """A step of every lane, each of its own length; where its error is small enough, the states move.
 
     How many lanes have time to go.
     """
     lanes = 0
-{attempt}
+{attempt_step}
     return lanes
 
 
-def guard(cells, h):
+def reset_diverged(cells, h):
     """Lanes that could not be followed, or whose states have diverged, are put to rest and marked."""
-{guard}
+{reset_diverged}
 '''

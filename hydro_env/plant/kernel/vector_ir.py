@@ -1,4 +1,4 @@
-"""Vector instructions for plain Python statements that work lane by lane.
+"""Typed statements (`hydro_env.ir`) that work lane by lane as LLVM's vector instructions.
 
 A sweep of a generated kernel is a function `name(cells, h)` of statements on scalars and of loops
 
@@ -6,70 +6,84 @@ A sweep of a generated kernel is a function `name(cells, h)` of statements on sc
         a = cells[3 * LANES + l]
         cells[5 * LANES + l] = a if a > 0.0 else other(a)
 
-It is translated here straight to LLVM's vector instructions, as many lanes to a vector as the widest registers hold. Left to
-Numba the compiler would have to find out types, variables and that the loop can be vectorised at all, and spend most of its
-time on that. What a statement computes is fixed by its text: nothing is fused or reordered.
+As many lanes go to a vector as the widest registers hold. Left to Numba the compiler would have to find out types, variables and
+that the loop can be vectorised at all, and spend most of its time on that. What a statement computes is fixed by its text:
+nothing is fused or reordered.
 
-Statements: assignments to variables and cells; `found += test` in a loop to count the lanes that pass a test (before the
-loop `found = 0`, and `return found` at the end); in a loop also `if` before statements that end by storing to a cell: they
-run on all lanes of a vector if any lane passes, so what they store has to be right for each; and in the functions called also
-`if` and `return`. Expressions: + - * /, whole powers, comparisons, and/or/&/|/not, conditional expressions, abs, sqrt, floor,
-fma, and other functions of the same module. TypeError, naming the function, for anything else.
+`found += test` in a loop counts the lanes that pass a test (before the loop `found = 0`, and `return found` at the end). An `if`
+in a loop ends by storing to a cell: its statements run on all lanes of a vector if any lane passes, so what they store has to be
+right for each. Functions that are called are written in their place; of their `if` both ways are computed. TypeError, naming
+the function, for anything else.
 """
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Collection, Mapping
-from typing import Any
+from collections.abc import Iterable
 
 from llvmlite import ir
 
-__all__ = ["FOUND", "check", "llvm_text"]
+from hydro_env.ir.nodes import (
+    Assign,
+    Expr,
+    For,
+    Function,
+    If,
+    Return,
+    Statement,
+    Store,
+    var,
+)  # fmt: skip
+from hydro_env.ir.reader import Arr, Reader, module_sources
 
-#: Type of what a sweep returns: 1 if any lane passes its test, else 0.
+__all__ = ["FOUND", "llvm_text"]
+
+#: Type of what a sweep returns: on how many lanes its test was passed.
 FOUND = ir.IntType(32)
 
 #: Bytes of the widest vector register that is made use of; narrower machines take several.
 _WIDEST = 64
-_COMPARISONS = {ast.Lt: "<", ast.Gt: ">", ast.LtE: "<=", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
-_ARITHMETIC = {ast.Add: "fadd", ast.Sub: "fsub", ast.Mult: "fmul", ast.Div: "fdiv"}
-_LOGIC = {ast.BitAnd: "and_", ast.BitOr: "or_", ast.And: "and_", ast.Or: "or_"}
+_COMPARISONS = {"lt": "<", "gt": ">", "le": "<=", "ge": ">=", "eq": "==", "ne": "!="}
+_OPERATIONS = {
+    "add": "fadd",
+    "sub": "fsub",
+    "mul": "fmul",
+    "div": "fdiv",
+    "and": "and_",
+    "or": "or_",
+    "not": "not_",
+    "neg": "fneg",
+}
 _INSTRUCTIONS = {"abs": "llvm.fabs", "sqrt": "llvm.sqrt", "floor": "llvm.floor", "fma": "llvm.fma"}
 
-Functions = Mapping[str, ast.FunctionDef]
+Names = dict[str, ir.Value]
 
 
 class _Emitter:
-    """Emits the statements of one function; values are vectors of `width` lanes."""
+    """Emits the statements of one sweep; values are vectors of `width` lanes."""
 
     def __init__(
-        self,
-        builder: ir.IRBuilder,
-        constants: Mapping[str, Any],
-        functions: Functions,
-        cells: ir.Value,
-        kind: ir.Type,
-        name: str,
+        self, builder: ir.IRBuilder, functions: dict[str, Function], cells: ir.Value, kind: ir.Type, name: str
     ) -> None:
-        self.builder, self.constants, self.functions, self.name = builder, dict(constants), functions, name
+        self.builder, self.functions, self.name = builder, functions, name
         self.cells, self.kind = cells, kind
         self.lane: ir.Value | None = None  # index of the first lane of the vector at hand
         self.width = 1
 
     # --- values -----------------------------------------------------------------------------------------------------
-    def _fail(self, node: ast.AST) -> TypeError:
-        return TypeError(
-            f"{self.name}: {ast.unparse(node)!r} cannot run on many lanes at once; use +, -, *, /, comparisons, "
-            "conditional expressions, if, return, and the functions of hydro_env.plant.vector_math"
-        )
+    def _fail(self, what: str) -> TypeError:
+        return TypeError(f"{self.name}: {what} cannot run on many lanes at once")
 
     @property
     def _vector(self) -> ir.VectorType:
         return ir.VectorType(self.kind, self.width)
 
-    def _constant(self, value: float) -> ir.Value:
-        return ir.Constant(self._vector, [float(value)] * self.width)
+    @property
+    def _suffix(self) -> str:
+        return f"v{self.width}f{32 if isinstance(self.kind, ir.FloatType) else 64}"
+
+    @property
+    def _align(self) -> int:
+        return 4 if isinstance(self.kind, ir.FloatType) else 8
 
     def _splat(self, scalar: ir.Value) -> ir.Value:
         """A scalar on all lanes."""
@@ -79,95 +93,50 @@ class _Emitter:
             first, vector, ir.Constant(ir.VectorType(ir.IntType(32), self.width), [0] * self.width)
         )
 
-    def _address(self, node: ast.Subscript) -> ir.Value:
-        """Address of cells[... + l]: all but the lane is known now."""
-        if not (isinstance(node.value, ast.Name) and node.value.id == "cells" and self.lane is not None):
-            raise self._fail(node)
-        offset = eval(compile(ast.Expression(node.slice), "<index>", "eval"), self.constants, {"l": 0})
-        index = self.builder.add(self.lane, ir.Constant(ir.IntType(64), int(offset)))
-        pointer = self.builder.gep(self.cells, [index])
-        return self.builder.bitcast(pointer, ir.PointerType(self._vector))
+    def _address(self, index: Expr) -> ir.Value:
+        """Address of the cells of all lanes at hand: all but the lane is known."""
+        if index.op != "add" or index.args[0].known is None or self.lane is None:
+            raise self._fail("a cell whose lane is not `l`")
+        place = self.builder.add(self.lane, ir.Constant(ir.IntType(64), index.args[0].known))
+        return self.builder.bitcast(self.builder.gep(self.cells, [place]), ir.PointerType(self._vector))
 
-    @property
-    def _align(self) -> int:
-        return 4 if isinstance(self.kind, ir.FloatType) else 8
-
-    def value(self, node: ast.expr, names: dict[str, ir.Value]) -> ir.Value:
+    def value(self, x: Expr, names: Names) -> ir.Value:
         """The value of an expression."""
         emit = self.builder
-        match node:
-            case ast.Constant(bool() as truth):
-                return ir.Constant(ir.VectorType(ir.IntType(1), self.width), [int(truth)] * self.width)
-            case ast.Constant(int() | float() as number):
-                return self._constant(number)
-            case ast.Name(name) if name in names:
-                found = names[name]
+        match x.op:
+            case "const" if x.kind == "bool":
+                return ir.Constant(ir.VectorType(ir.IntType(1), self.width), [int(x.value)] * self.width)
+            case "const":
+                return ir.Constant(self._vector, [float(x.value)] * self.width)
+            case "var":
+                found = names[x.value]
                 return found if isinstance(found.type, ir.VectorType) else self._splat(found)
-            case ast.Subscript(_, index) if not any(
-                n.id == "l" for n in ast.walk(index) if isinstance(n, ast.Name)
-            ):
-                offset = eval(compile(ast.Expression(index), "<index>", "eval"), self.constants)
-                pointer = emit.gep(self.cells, [ir.Constant(ir.IntType(64), int(offset))])
+            case "load" if x.args[0].known is not None:
+                pointer = emit.gep(self.cells, [ir.Constant(ir.IntType(64), x.args[0].known)])
                 return self._splat(emit.load(pointer, align=self._align))
-            case ast.Subscript():
-                return emit.load(self._address(node), align=self._align)
-            case ast.BinOp(left, ast.Pow(), ast.Constant(int() as power)) if 1 <= power <= 8:
-                factor = result = self.value(left, names)
-                for _ in range(power - 1):
-                    result = emit.fmul(result, factor)
-                return result
-            case ast.BinOp(left, operator, right) if type(operator) in _ARITHMETIC | _LOGIC:
-                operation = getattr(emit, (_ARITHMETIC | _LOGIC)[type(operator)])
-                return operation(self.value(left, names), self.value(right, names))
-            case ast.BoolOp(operator, parts):
-                result = self.value(parts[0], names)
-                for part in parts[1:]:
-                    result = getattr(emit, _LOGIC[type(operator)])(result, self.value(part, names))
-                return result
-            case ast.UnaryOp(ast.USub(), ast.Constant(int() | float() as number)):
-                return self._constant(-number)
-            case ast.UnaryOp(ast.USub(), operand):
-                return emit.fneg(self.value(operand, names))
-            case ast.UnaryOp(ast.Not(), operand):
-                return emit.not_(self.value(operand, names))
-            case ast.Compare(left, operators, others) if all(type(o) in _COMPARISONS for o in operators):
-                result, first = None, self.value(left, names)
-                for comparison, other in zip(operators, others, strict=True):
-                    second = self.value(other, names)
-                    test = emit.fcmp_ordered(_COMPARISONS[type(comparison)], first, second)
-                    result = test if result is None else emit.and_(result, test)
-                    first = second
-                return result
-            case ast.IfExp(test, body, orelse):
-                return emit.select(
-                    self.value(test, names), self.value(body, names), self.value(orelse, names)
-                )
-            case ast.Call(ast.Name(called), arguments, []) if called in _INSTRUCTIONS:
-                return self._instruction(_INSTRUCTIONS[called], [self.value(a, names) for a in arguments])
-            case ast.Call(ast.Name(called), arguments, []) if called in self.functions:
-                return self._call(self.functions[called], [self.value(a, names) for a in arguments])
-        raise self._fail(node)
+            case "load":
+                return emit.load(self._address(x.args[0]), align=self._align)
+            case "call":
+                return self._call(self.functions[x.value], [self.value(each, names) for each in x.args])
+        operands = [self.value(each, names) for each in x.args]
+        if x.op in _OPERATIONS:
+            return getattr(emit, _OPERATIONS[x.op])(*operands)
+        if x.op in _COMPARISONS:
+            return emit.fcmp_ordered(_COMPARISONS[x.op], *operands)
+        if x.op == "where":
+            return emit.select(*operands)
+        if x.op in _INSTRUCTIONS:
+            signature = ir.FunctionType(self._vector, [self._vector] * len(operands))
+            return emit.call(self._declared(f"{_INSTRUCTIONS[x.op]}.{self._suffix}", signature), operands)
+        raise self._fail(f"{x.op!r}")
 
-    def _instruction(self, name: str, operands: list[ir.Value]) -> ir.Value:
-        kind = f"v{self.width}f{32 if isinstance(self.kind, ir.FloatType) else 64}"
-        signature = ir.FunctionType(self._vector, [self._vector] * len(operands))
+    def _declared(self, name: str, signature: ir.FunctionType) -> ir.Function:
         module = self.builder.module
-        function = module.globals.get(f"{name}.{kind}") or ir.Function(module, signature, f"{name}.{kind}")
-        return self.builder.call(function, operands)
-
-    def _store_where(self, test: ir.Value, value: ir.Value, pointer: ir.Value) -> None:
-        """Stores the lanes that pass a test."""
-        whole, kind = ir.IntType(32), f"v{self.width}f{32 if isinstance(self.kind, ir.FloatType) else 64}"
-        name, signature = f"llvm.masked.store.{kind}.p0{kind}", [value.type, pointer.type, whole, test.type]
-        module = self.builder.module
-        function = module.globals.get(name) or ir.Function(
-            module, ir.FunctionType(ir.VoidType(), signature), name
-        )
-        self.builder.call(function, [value, pointer, ir.Constant(whole, self._align), test])
+        return module.globals.get(name) or ir.Function(module, signature, name)
 
     # --- statements -------------------------------------------------------------------------------------------------
-    def _call(self, function: ast.FunctionDef, operands: list[ir.Value]) -> ir.Value:
-        names = dict(zip((a.arg for a in function.args.args), operands, strict=True))
+    def _call(self, function: Function, operands: list[ir.Value]) -> ir.Value:
+        names = dict(zip((name for name, _, _ in function.parameters), operands, strict=True))
         outer, self.name = self.name, function.name
         result = self._block(function.body, names)
         if result is None:
@@ -175,46 +144,51 @@ class _Emitter:
         self.name = outer
         return result
 
-    def _block(self, statements: list[ast.stmt], names: dict[str, ir.Value]) -> ir.Value | None:
+    def _block(self, statements: list[Statement], names: Names) -> ir.Value | None:
         """Runs statements; the value of the `return` they end in, None if they do not."""
-        for number, node in enumerate(statements):
-            match node:
-                case ast.Expr(ast.Constant()) | ast.Pass():
-                    pass
-                case ast.Assign([ast.Name(name)], value):
-                    names[name] = self.value(value, names)
-                case ast.Assign([ast.Subscript() as target], ast.IfExp(test, value, kept)) if ast.unparse(
-                    kept
-                ) == ast.unparse(target):
-                    self._store_where(
-                        self.value(test, names), self.value(value, names), self._address(target)
+        for number, each in enumerate(statements):
+            match each:
+                case Assign(name, value) if value.kind == "int":
+                    names[name] = self.builder.add(
+                        names[name], self._count(self.value(value.args[1].args[0], names))
                     )
-                case ast.Assign([ast.Subscript() as target], value):
-                    self.builder.store(self.value(value, names), self._address(target), align=self._align)
-                case ast.AugAssign(ast.Name(name), ast.Add(), value) if self.lane is not None:
-                    names[name] = self.builder.add(names[name], self._count(self.value(value, names)))
-                case ast.Return(ast.expr() as value):
+                case Assign(name, value):
+                    names[name] = self.value(value, names)
+                case Store(_, index, value):
+                    self._store(index, value, names)
+                case Return(Expr() as value):
                     return self.value(value, names)
-                case ast.If(test, [*_, ast.Assign([ast.Subscript()])] as body, []) if self.lane is not None:
+                case If(test, body, []) if isinstance(body[-1], Store):
                     self._where_any(self.value(test, names), body, dict(names))
-                case ast.If(test, body, orelse):
+                case If(test, body, orelse):
                     # Both ways are computed on every lane; what follows belongs to each of them.
                     rest = statements[number + 1 :]
                     chosen = self.value(test, names)
-                    left, right = (
-                        self._block([*body, *rest], dict(names)),
-                        self._block([*orelse, *rest], dict(names)),
-                    )
+                    left = self._block([*body, *rest], dict(names))
+                    right = self._block([*orelse, *rest], dict(names))
                     if left is None or right is None:
-                        raise self._fail(node)
+                        raise self._fail("an `if` without a `return`")
                     return self.builder.select(chosen, left, right)
-                case ast.For(ast.Name("l"), ast.Call(ast.Name("range"), [bound]), body, []):
-                    self._lanes(bound, body, names)
                 case _:
-                    raise self._fail(node)
+                    raise self._fail(type(each).__name__)
         return None
 
-    def _where_any(self, test: ir.Value, body: list[ast.stmt], names: dict[str, ir.Value]) -> None:
+    def _store(self, index: Expr, value: Expr, names: Names) -> None:
+        """Stores a value to the cells of all lanes; `value if test else what is there` to those that pass the test."""
+        if not (value.op == "where" and value.args[2].op == "load" and _same(value.args[2].args[0], index)):
+            self.builder.store(self.value(value, names), self._address(index), align=self._align)
+            return
+        test, new, pointer = (
+            self.value(value.args[0], names),
+            self.value(value.args[1], names),
+            self._address(index),
+        )
+        whole = ir.IntType(32)
+        signature = ir.FunctionType(ir.VoidType(), [new.type, pointer.type, whole, test.type])
+        function = self._declared(f"llvm.masked.store.{self._suffix}.p0{self._suffix}", signature)
+        self.builder.call(function, [new, pointer, ir.Constant(whole, self._align), test])
+
+    def _where_any(self, test: ir.Value, body: list[Statement], names: Names) -> None:
         """Statements that are left out where no lane of the vector passes a test; else they are run on all of them."""
         emit = self.builder
         bits = emit.bitcast(test, ir.IntType(self.width))
@@ -226,9 +200,8 @@ class _Emitter:
         bits = self.builder.zext(self.builder.bitcast(test, ir.IntType(self.width)), FOUND)
         return self.builder.ctpop(bits)
 
-    def _lanes(self, bound: ast.expr, body: list[ast.stmt], names: dict[str, ir.Value]) -> None:
+    def _lanes(self, lanes: int, body: list[Statement], names: Names) -> None:
         """A loop over lanes, a vector at a time."""
-        lanes = eval(compile(ast.Expression(bound), "<lanes>", "eval"), self.constants)
         widest = _WIDEST // (4 if isinstance(self.kind, ir.FloatType) else 8)
         width = next(w for w in (32, 16, 8, 4, 2, 1) if w <= widest and lanes % w == 0)
         index = ir.IntType(64)
@@ -239,7 +212,7 @@ class _Emitter:
         self.lane = self.builder.phi(index)
         self.width = width
         inner = dict(names)
-        found = {node.target.id for node in body if isinstance(node, ast.AugAssign)}  # type: ignore[union-attr]
+        found = {each.name for each in body if isinstance(each, Assign) and each.value.kind == "int"}
         marks = {name: self.builder.phi(FOUND) for name in found}
         inner.update(marks)
         self._block(body, inner)
@@ -254,51 +227,29 @@ class _Emitter:
         names.update({name: inner[name] for name in found})
         self.lane, self.width = None, 1
 
-    def scalars(self, statements: list[ast.stmt], names: dict[str, ir.Value]) -> ir.Value | None:
-        """The statements of the function itself: scalars, one lane wide, and loops over lanes. What it returns."""
-        for node in statements:
-            if isinstance(node, ast.Return) and isinstance(node.value, ast.Name):
-                return names[node.value.id]
-            self._block([node], names)
-            for name, value in names.items():
-                if isinstance(value.type, ir.VectorType):
-                    names[name] = self.builder.extract_element(value, ir.Constant(ir.IntType(32), 0))
-        return None
+    def sweep(self, statements: Iterable[Statement], names: Names) -> None:
+        """The statements of the sweep itself: scalars, one lane wide, and loops over lanes."""
+        found = FOUND(0)
+        for each in statements:
+            match each:
+                case Return(Expr() as value):
+                    found = names[value.value]
+                case For(_, _, stop, _, body) if stop.known is not None:
+                    self._lanes(stop.known, body, names)
+                case Assign(name, value) if value.kind == "int":
+                    names[name] = FOUND(value.known)
+                case Assign(name, value):
+                    names[name] = self.builder.extract_element(
+                        self.value(value, names), ir.Constant(ir.IntType(32), 0)
+                    )
+                case _:
+                    raise self._fail(type(each).__name__)
+        self.builder.ret(found)
 
 
-#: What a function called from a loop over lanes may consist of.
-_ALLOWED = (
-    ast.FunctionDef, ast.arguments, ast.arg, ast.Expr, ast.Pass, ast.Assign, ast.Return, ast.If, ast.Name, ast.Constant,
-    ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp, ast.Call, ast.expr_context, ast.USub, ast.Not, ast.Pow,
-    *_ARITHMETIC, *_LOGIC, *_COMPARISONS,
-)  # fmt: skip
-
-
-class LawError(ValueError):
-    """What a law may not do, and in which line of its source."""
-
-    def __init__(self, message: str, node: ast.AST) -> None:
-        super().__init__(message)
-        self.line: int = getattr(node, "lineno", 1)
-
-
-def check(function: ast.FunctionDef, known: Collection[str]) -> None:
-    """LawError, in one line, if a function cannot run on many lanes at once; `known` are the functions it may call."""
-    hint = "a law may use + - * / and whole powers, comparisons, conditional expressions, if and return, and "
-    hint += ", ".join(sorted({*known, *_INSTRUCTIONS} - {"fma"}))
-    body = [node for statement in function.body for node in ast.walk(statement)]
-    for node in body:
-        parts = [node.op] if isinstance(node, ast.BinOp) else [node]
-        if not all(isinstance(part, _ALLOWED) for part in parts):
-            raise LawError(f"{function.name}: {ast.unparse(node).splitlines()[0]!r}: {hint}", node)
-        if isinstance(node, ast.Call) and ast.unparse(node.func) not in {*known, *_INSTRUCTIONS}:
-            raise LawError(f"{function.name}: {ast.unparse(node.func)!r} cannot be called: {hint}", node)
-    assigned = {a.arg for a in function.args.args}
-    assigned |= {n.id for n in body if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
-    called = {ast.unparse(n.func) for n in body if isinstance(n, ast.Call)}
-    for node in body:
-        if isinstance(node, ast.Name) and node.id not in called | assigned:
-            raise LawError(f"{function.name}: {node.id!r} is not an argument of the law", node)
+def _same(a: Expr, b: Expr) -> bool:
+    """Whether two expressions are the same."""
+    return (a.op, a.value) == (b.op, b.value) and all(map(_same, a.args, b.args))
 
 
 def llvm_text(text: str, single: bool) -> str:
@@ -307,21 +258,14 @@ def llvm_text(text: str, single: bool) -> str:
     A sweep is a function `name(cells, h)`; other functions are those it calls, assignments name whole numbers. `single`: cells
     of float32, else of float64.
     """
-    tree = ast.parse(text)
-    functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
-    constants: dict[str, Any] = {}
-    for node in tree.body:
-        if isinstance(node, ast.Assign):
-            exec(compile(ast.Module([node], []), "<constants>", "exec"), constants)
     kind = ir.FloatType() if single else ir.DoubleType()
-    module = ir.Module("sweeps")
-    for node in functions.values():
-        if [a.arg for a in node.args.args] == ["cells", "h"]:
-            sweep = ir.Function(module, ir.FunctionType(FOUND, [kind.as_pointer(), kind]), node.name)
+    module, reader = ir.Module("sweeps"), Reader()
+    for name, source in module_sources(text).items():
+        if [a.arg for a in source.node.args.args] == ["cells", "h"]:
+            reader.call(source, [Arr.of("double", "cells", (0,)), var("h", "double")])
+            functions = {each.name: each for each in reader.functions.values()}
+            sweep = ir.Function(module, ir.FunctionType(FOUND, [kind.as_pointer(), kind]), name)
             cells, h = sweep.args
-            emitter = _Emitter(
-                ir.IRBuilder(sweep.append_basic_block("entry")), constants, functions, cells, kind, node.name
-            )
-            found = emitter.scalars(node.body, {"h": h})
-            emitter.builder.ret(FOUND(0) if found is None else found)
+            emitter = _Emitter(ir.IRBuilder(sweep.append_basic_block("entry")), functions, cells, kind, name)
+            emitter.sweep(functions[name].body, {"h": h})
     return str(module)

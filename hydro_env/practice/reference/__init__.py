@@ -41,6 +41,6 @@ Signals are SI, arrays (T, 2): column 0 is channel 1. Row n is the state at the 
 (row 0: rest), the convention of `plant.simulate` and of rig logs.
 """
 
-from .rig import FORMS, REFERENCE_SIGNALS, ReferenceRig, run_closed_loop, simulate_reference
+from .rig import FORMS, REFERENCE_SIGNALS, ReferenceRig, simulate_reference
 
-__all__ = ["FORMS", "REFERENCE_SIGNALS", "ReferenceRig", "run_closed_loop", "simulate_reference"]
+__all__ = ["FORMS", "REFERENCE_SIGNALS", "ReferenceRig", "simulate_reference"]

@@ -30,12 +30,41 @@ def _limited(value, limit, knee):
 
 
 @compiled
+def _rounded(excess, width):
+    """What is above zero, with the corner rounded over `width`."""
+    return 0.5 * (excess + math.hypot(excess, width))
+
+
+@compiled
+def _against(way, pressure):
+    """The load pressure that acts against a way."""
+    return pressure if way > 0.0 else (-pressure if way < 0.0 else 0.0)
+
+
+@compiled
+def _lagged(p, y, at, unlagged):
+    """What comes out of one lag, or in the different form of two; `unlagged` where there is none (`at` -1)."""
+    if at < 0:
+        return unlagged
+    return y[at + 1] if p.different else y[at]
+
+
+@compiled
+def _lag_rates(p, y, dy, at, target, memory, share):
+    """Sets the rates of such a lag of `memory` s; `share` is that of the first of two."""
+    if p.different:
+        dy[at] = (target - y[at]) / (share * memory)
+        dy[at + 1] = (y[at] - y[at + 1]) / ((1.0 - share) * memory)
+    else:
+        dy[at] = (target - y[at]) / memory
+
+
+@compiled
 def _edges(p, x):
     """Openings of the edges of both directions of a valve with underlap, m."""
     first, second = x + p.underlap__underlap_positive, p.underlap__underlap_negative - x
     if p.different:
-        clearance = p.form_clearance
-        return 0.5 * (first + math.hypot(first, clearance)), 0.5 * (second + math.hypot(second, clearance))
+        return _rounded(first, p.form_clearance), _rounded(second, p.form_clearance)
     return max(first, 0.0), max(second, 0.0)
 
 
@@ -92,14 +121,19 @@ def _opening(p, spool):
 
 
 @compiled
+def _drive(p, x, pressure, droop):
+    """Pressure drop over both edges that are open, as a share of the supply's pressure."""
+    return 1.0 - _against(x, pressure) / p.pressure_dependent_flow__supply_pressure - droop
+
+
+@compiled
 def _valve_flow(p, spool, pressure, droop, mean):
     """Flow through the valve, m3/s, (8) with the orifice law of (7) where an effect asks for it.
 
     `mean` is by how much the mean pressure of the lines exceeds half the supply's, as a share of that.
     """
     x = _opening(p, spool)
-    against = pressure if x > 0.0 else (-pressure if x < 0.0 else 0.0)
-    drive = 1.0 - against / p.pressure_dependent_flow__supply_pressure - droop
+    drive = _drive(p, x, pressure, droop)
     plain = p.pressure_dependent_flow__supply_pressure == np.inf and p.supply_droop__relative_drop == 0.0
     if p.at_mean >= 0:
         passed = 0.5 * (_edge_root(p, drive - mean) + _edge_root(p, drive + mean))
@@ -161,8 +195,7 @@ def _outflows(p, pressure, mean):
 def _mean_rate(p, spool, pressure, droop, mean, softness):
     """How the mean pressure of the lines changes, as a share of half the supply's a second."""
     x = _opening(p, spool)
-    against = pressure if x > 0.0 else (-pressure if x < 0.0 else 0.0)
-    drive = 1.0 - against / p.pressure_dependent_flow__supply_pressure - droop
+    drive = _drive(p, x, pressure, droop)
     gained = p.Kq * abs(x) * (_edge_root(p, drive - mean) - _edge_root(p, drive + mean))
     a, b = _outflows(p, pressure, mean)
     # Each line holds twice the volume that both have in series.
@@ -276,8 +309,8 @@ def _spool_rates(p, y, dy, pressure):
         if p.different:
             open_ = _opening(p, x)
             travel = open_ * math.sqrt(1.0 + (p.form_clearance / max(abs(open_), p.form_clearance)) ** 2)
-        against = pressure if travel > 0.0 else (-pressure if travel < 0.0 else 0.0)
-        force -= p.flow_force__coefficient * travel * max(p.flow_force__supply_pressure - against, 0.0)
+        drop = max(p.flow_force__supply_pressure - _against(travel, pressure), 0.0)
+        force -= p.flow_force__coefficient * travel * drop
 
     stop = 0.0
     beyond = abs(x) - min(p.x_max, p.spool_stop__travel)
@@ -399,11 +432,8 @@ def _above(p, pressure, setting):
     """Pressure above a setting, Pa; rounded where a poppet cracks in the different form."""
     excess = pressure - setting
     if p.different:
-        return (
-            0.5
-            * (excess + math.hypot(excess, p.form_relief_rounding))
-            * math.tanh(max(pressure, 0.0) / p.form_relief_rounding)
-        )
+        rounding = p.form_relief_rounding
+        return _rounded(excess, rounding) * math.tanh(max(pressure, 0.0) / rounding)
     return max(excess, 0.0)
 
 
@@ -492,10 +522,7 @@ def _motor_rates(p, y, dy, flow, load, time, droop):
 @compiled
 def _measured(p, y):
     """What the speed sensor shows, rad/s, without noise."""
-    shown = y[p.at_states + 5]
-    if p.at_lag >= 0:
-        shown = y[p.at_lag + 1] if p.different else y[p.at_lag]
-    return shown * p.sensor_gain__gain + p.sensor_offset__offset
+    return _lagged(p, y, p.at_lag, y[p.at_states + 5]) * p.sensor_gain__gain + p.sensor_offset__offset
 
 
 @compiled
@@ -505,31 +532,19 @@ def rates(time, y, channels):
     total = 0.0
     for p in channels:
         at = p.at_states
-        droop = 0.0
-        if p.at_droop >= 0:
-            droop = y[p.at_droop + 1] if p.different else y[p.at_droop]
+        droop = _lagged(p, y, p.at_droop, 0.0)
         pressure = y[at + 4]
         flow = _valve_flow(p, y[at + 1], pressure, droop, y[p.at_mean] if p.at_mean >= 0 else 0.0)
         total += abs(flow)
         _spool_rates(p, y, dy, pressure)
         _motor_rates(p, y, dy, flow, p.load, time, droop)
         if p.at_lag >= 0:
-            whole = p.sensor_lag__time_constant
-            if p.different:
-                dy[p.at_lag] = (y[at + 5] - y[p.at_lag]) / (p.form_lag_share * whole)
-                dy[p.at_lag + 1] = (y[p.at_lag] - y[p.at_lag + 1]) / ((1.0 - p.form_lag_share) * whole)
-            else:
-                dy[p.at_lag] = (y[at + 5] - y[p.at_lag]) / whole
+            _lag_rates(p, y, dy, p.at_lag, y[at + 5], p.sensor_lag__time_constant, p.form_lag_share)
     p = channels[0]
     if p.at_droop >= 0:
         # One supply for both valves; `relative_drop` is the drop at the rated flow of two nominal valves.
         target = p.supply_droop__relative_drop * total / _SUPPLY_FLOW
-        memory = p.supply_droop__time_constant
-        if p.different:
-            dy[p.at_droop] = (target - y[p.at_droop]) / (p.form_supply_share * memory)
-            dy[p.at_droop + 1] = (y[p.at_droop] - y[p.at_droop + 1]) / ((1.0 - p.form_supply_share) * memory)
-        else:
-            dy[p.at_droop] = (target - y[p.at_droop]) / memory
+        _lag_rates(p, y, dy, p.at_droop, target, p.supply_droop__time_constant, p.form_supply_share)
     return dy
 
 
@@ -547,9 +562,7 @@ def outputs(y, channels, flow, shown, lines):
     for t in range(y.shape[0]):
         for c in range(channels.shape[0]):
             p = channels[c]
-            droop = 0.0
-            if p.at_droop >= 0:
-                droop = y[t, p.at_droop + 1] if p.different else y[t, p.at_droop]
+            droop = _lagged(p, y[t], p.at_droop, 0.0)
             mean = y[t, p.at_mean] if p.at_mean >= 0 else 0.0
             flow[t, c] = _valve_flow(p, y[t, p.at_states + 1], y[t, p.at_states + 4], droop, mean)
             shown[t, c] = _measured(p, y[t])

@@ -16,18 +16,7 @@ import numpy as np
 
 from ...errors import InputError
 
-__all__ = [
-    "CONSTANTS",
-    "MIDDLE",
-    "OF_BOTH_LINES",
-    "PLAYS",
-    "STOPS",
-    "Constants",
-    "FormConstant",
-    "checked",
-    "draw",
-    "units",
-]
+__all__ = ["CONSTANTS", "MIDDLE", "OF_BOTH_LINES", "PLAYS", "STOPS", "UNITS", "Constants", "checked", "draw"]
 
 #: Constants of a rig: numbers by name, and of the loop's stops `stop_travels` and `stop_shares`, (STOPS,) each.
 Constants = Mapping[str, float | tuple[float, ...]]
@@ -38,7 +27,7 @@ OF_BOTH_LINES = ("external_leakage", "anti_cavitation", "case_drain")
 STOPS, PLAYS = 6, 3
 #: Greatest slope of the loop at a turn, over amplitude / width: from 2 on, a loop as narrow as `width` allows would have
 #: more current mean less force, which no magnet does.
-_STEEPEST = 1.8
+_MAX_SLOPE = 1.8
 
 
 @dataclass(frozen=True)
@@ -59,7 +48,7 @@ class FormConstant:
         return float(self.low + (self.high - self.low) * share)
 
 
-#: name, unit, least, greatest, by factors, reason
+#: name, unit, low, high, by factors, reason
 _ROWS = (
     # --- driver ---
     ("driver_knee", "1", 6.0, 60.0, True, "exponent of the p-norm: an output stage lacks 11 to 1 % at its limit"),
@@ -110,69 +99,25 @@ _ROWS = (
 )  # fmt: skip
 #: Of effects that came later: drawn after the stops, so that a seed goes on meaning the same rig.
 _LATER = (
-    (
-        "play_spread",
-        "1",
-        0.1,
-        0.8,
-        False,
-        "widest and narrowest of three plays beside their mean: joints, brushes, feedback",
-    ),
+    ("play_spread", "1", 0.1, 0.8, False, "widest and narrowest of three plays beside their mean: joints, brushes, feedback"),
     ("leak_power", "1", 0.5, 1.0, False, "power of the pressure in a leak: 0.5 for an orifice, 1 for a gap"),
     ("throttle_power", "1", 0.6, 1.0, False, "the same of the throttle before a volume"),
+    ("relief_closing", "1", 1.0, 3.0, True, "lag of a closing relief valve over an opening one's: orifice before its spring"),
+    ("stop_power", "1", 1.0, 1.5, False, "power of a spool stop's force: 1 for a spring, 1.5 for a round end (Hertz)"),
+    ("stop_depth", "m", 1e-5, 4e-5, True, "depth at which that force is a spring's: what full force presses into a stop"),
+    ("check_lift", "Pa", 5e3, 1e5, True, "pressure over which the poppet of a check valve lifts: soft to stiff springs"),
+    ("check_power", "1", 0.5, 1.0, False, "power of the pressure in its flow: 0.5 at full lift, 1 while it lifts further"),
     (
-        "relief_closing",
-        "1",
-        1.0,
-        3.0,
-        True,
-        "lag of a closing relief valve over that of an opening one: orifice before its spring",
-    ),
-    (
-        "stop_power",
-        "1",
-        1.0,
-        1.5,
-        False,
-        "power of a spool stop's force: 1 for a spring, 1.5 for a round end (Hertz)",
-    ),
-    (
-        "stop_depth",
-        "m",
-        1e-5,
-        4e-5,
-        True,
-        "depth at which that force is a spring's: what full force presses into a stop",
-    ),
-    (
-        "check_lift",
-        "Pa",
-        5e3,
-        1e5,
-        True,
-        "pressure over which the poppet of a check valve lifts: soft to stiff springs",
-    ),
-    (
-        "check_power",
-        "1",
-        0.5,
-        1.0,
-        False,
-        "power of the pressure in its flow: 0.5 at full lift, 1 while it lifts further",
-    ),
-    (
-        "bristle_yield",
-        "1",
-        0.5,
-        2.0,
-        True,
+        "bristle_yield", "1", 0.5, 2.0, True,
         "power of the course from elastic to plastic of the second bristle: gives way early or late",
     ),
-)
+)  # fmt: skip
 #: Every constant but the stops.
 CONSTANTS = tuple(FormConstant(*row) for row in (*_ROWS, *_LATER))
+#: Unit of every constant.
+UNITS = {**{c.name: c.unit for c in CONSTANTS}, "stop_travels": "1", "stop_shares": "1"}
 
-_REACH = 8.0  # widest over narrowest stop, at most
+_MAX_REACH = 8.0  # widest over narrowest stop, at most
 
 
 def _stops(reach: float, places: np.ndarray, weights: np.ndarray) -> dict[str, tuple[float, ...]]:
@@ -181,9 +126,9 @@ def _stops(reach: float, places: np.ndarray, weights: np.ndarray) -> dict[str, t
     `places` (STOPS,) in 0 to 1 lie on a logarithmic scale. The mean travel is `reach`, or what keeps the slope at a turn.
     """
     shares = weights / weights.sum()
-    travels = _REACH**places
+    travels = _MAX_REACH**places
     travels *= reach / (shares @ travels)
-    travels *= max(1.0, (shares / travels).sum() / _STEEPEST)
+    travels *= max(1.0, (shares / travels).sum() / _MAX_SLOPE)
     order = np.argsort(travels)
     return {"stop_travels": tuple(travels[order].tolist()), "stop_shares": tuple(shares[order].tolist())}
 
@@ -203,11 +148,6 @@ _MEDIANS = {c.name: c.at(0.5) for c in CONSTANTS}
 MIDDLE: Constants = {
     **_MEDIANS, **_stops(_MEDIANS["stop_reach"], (np.arange(STOPS) + 0.5) / STOPS, np.ones(STOPS))
 }  # fmt: skip
-
-
-def units() -> dict[str, str]:
-    """Unit of every constant."""
-    return {**{c.name: c.unit for c in CONSTANTS}, "stop_travels": "1", "stop_shares": "1"}
 
 
 def checked(constants: Constants | None) -> Constants:

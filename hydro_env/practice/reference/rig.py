@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from .equations import outputs
 from .forms import Constants, checked
 from .solver import STATES, Group
 
-__all__ = ["FORMS", "REFERENCE_SIGNALS", "ReferenceRig", "run_closed_loop", "simulate_reference"]
+__all__ = ["FORMS", "REFERENCE_SIGNALS", "ReferenceRig", "simulate_reference"]
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class ReferenceRig:
 
     `forms` as in `FORMS`, with these `constants` (`forms.draw`; default: `forms.MIDDLE`) where they are "different"; `method`
     one of SciPy's "LSODA" (fast), "BDF", "Radau" (the strictest); `tolerance` is the relative one, absolute ones follow from
-    the scale of each state. The integration starts afresh at every change of a command or load, so no solver steps over a
+    the scale of each state. The integration restarts at every change of a command or load, so no solver steps over a
     jump. InputError for an unknown model or one with a user's effect, for which there are no independent equations;
     ValueError for an unknown form.
     """
@@ -61,10 +61,8 @@ class ReferenceRig:
         sets: tuple[tuple[int, ...], ...] = ((0, 1),) if coupled else ((0,), (1,))
         self._groups = [Group(self.model, members, self.forms, self.constants) for members in sets]
         self.time = 0.0
-        self._coming: tuple[list[tuple[float, float]], ...] = (
-            [],
-            [],
-        )  # (when, voltage) on its way, by channel
+        # (when, voltage) on its way, by channel
+        self._coming: tuple[list[tuple[float, float]], ...] = ([], [])
 
     def signals(self) -> dict[str, Array]:
         """All `REFERENCE_SIGNALS` now, each (2,)."""
@@ -159,32 +157,4 @@ def simulate_reference(
             part = rig.advance(command[first], load[first], (last - first) * period, int(last - first))
             for name, values in part.items():
                 out[name][first + 1 : last + 1] = values
-    return out
-
-
-def run_closed_loop(
-    model: str | Path | Mapping[str, Any] | PlantModel, controller: Callable[[float, dict[str, Array]], ArrayLike],
-    period: float, steps: int, *, load: Callable[[float], ArrayLike] | None = None, samples: int = 1, forms: str = "same",
-    constants: Constants | None = None, method: str = "LSODA", tolerance: float = 1e-7,
-) -> dict[str, Array]:  # fmt: skip
-    """Simulates a closed loop from rest.
-
-    Every `period` s, `controller(time, signals)` gives the voltages (2,) that are held until the next; `signals` are
-    `REFERENCE_SIGNALS` now, each (2,). `load(time)` gives the torques (2,). Returns those signals and "command" and
-    "load", each (steps * samples, 2), with `samples` rows to a period in the row convention of `simulate_reference`.
-    """
-    rig = ReferenceRig(model, forms=forms, constants=constants, method=method, tolerance=tolerance)
-    out = {name: np.empty((steps * samples, 2)) for name in (*REFERENCE_SIGNALS, "command", "load")}
-    signals = rig.signals()
-    for n in range(steps):
-        time = n * period
-        command = np.broadcast_to(np.asarray(controller(time, signals), dtype=float), (2,))
-        torque = np.zeros(2) if load is None else np.broadcast_to(np.asarray(load(time), dtype=float), (2,))
-        rows = slice(n * samples, (n + 1) * samples)
-        out["command"][rows], out["load"][rows] = command, torque
-        part = rig.advance(command, torque, period, samples)
-        for name, values in part.items():
-            out[name][n * samples] = signals[name]
-            out[name][n * samples + 1 : (n + 1) * samples] = values[:-1]
-            signals[name] = values[-1]
     return out

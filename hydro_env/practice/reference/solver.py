@@ -22,41 +22,34 @@ Array = NDArray[np.float64]
 #: What every channel has, in this order from `at_states` on.
 STATES = ("current", "spool", "spool_speed", "bristle", "pressure", "speed", "angle")
 _SCALES = (0.1, 1e-4, 1e-2, 1e-6, 1e5, 1.0, 1.0)  # of these states, for absolute tolerances
-_SHIFTS = (
-    "heat",
-    "loop",
-    "second_bristle",
-    "shaft_bristle",
-    "twist",
-    "lag",
-    "droop",
-    "play",
-    "mean",
-    "side",
-    "lift",
-)
+#: Memories that a channel may have besides, in the order of their states: the parameters of which one must not be neutral, and
+#: the scales of the states in the same and in the different form.
+_MEMORIES: dict[str, tuple[tuple[str, ...], tuple[float, ...], tuple[float, ...]]] = {
+    "heat": (("coil_heating__rise",), (0.1,), (0.1,)),
+    "loop": (("magnetic_hysteresis__amplitude",), (1.0,), (1.0,) * STOPS),
+    "play": (("input_hysteresis__width",), (1.0,), (1.0,) * PLAYS),
+    "mean": (tuple(f"{name}__conductance" for name in OF_BOTH_LINES), (0.1,), (0.1,)),
+    "side": (("line_volume__conductance",), (1e5,), (1e5,)),
+    "lift": (("crossport_relief__relief_pressure",), (1e5, 1e5), (1e5, 1e5)),
+    "second_bristle": (("spool_stiction__coulomb", "spool_stiction__static"), (), (1e-6,)),
+    "shaft_bristle": (("motor_coulomb_friction__coulomb", "motor_coulomb_friction__static"), (), (1e-3,)),
+    "twist": (("shaft_backlash__inertia",), (1e-2, 1.0), (1e-2, 1.0)),
+    "lag": (("sensor_lag__time_constant",), (1.0,), (1.0, 1.0)),
+}
+#: Scales of the droop, which both channels share.
+_DROOP = ((0.1,), (0.1, 0.1))
+_EFFECTS = [CATALOGUE[name] for name in BUILT_IN]
 
 
 def _fields() -> list[tuple[Any, ...]]:
-    own = [(name, np.float64) for name in PARAMETERS]
-    effects = [
-        (f"{e.name}__{p.name}", np.float64)
-        for e in map(CATALOGUE.__getitem__, BUILT_IN)
-        for p in e.parameters
-    ]
-    forms = [(f"form_{c.name}", np.float64) for c in CONSTANTS]
+    """Fields of the record of a channel, see `equations`."""
+    numbers = [*PARAMETERS, *(f"{e.name}__{p.name}" for e in _EFFECTS for p in e.parameters)]
+    numbers += [*(f"form_{c.name}" for c in CONSTANTS), "lines_supply", "command", "load"]
     stops = [(f"form_{name}", np.float64, (STOPS,)) for name in ("stop_travels", "stop_shares")]
-    places = [(f"at_{name}", np.int64) for name in ("states", *_SHIFTS)]
+    places = [f"at_{name}" for name in ("states", *_MEMORIES, "droop")]
     return [
-        *own,
-        *effects,
-        *forms,
-        *stops,
-        *places,
-        ("lines_supply", np.float64),
-        ("different", np.int64),
-        ("lossy", np.int64),
-    ]
+        *((name, np.float64) for name in numbers), *stops, *((name, np.int64) for name in (*places, "different", "lossy"))
+    ]  # fmt: skip
 
 
 class Group:
@@ -64,20 +57,19 @@ class Group:
 
     def __init__(self, model: PlantModel, members: tuple[int, ...], forms: str, constants: Constants) -> None:
         self.members = members
-        self.channels = np.zeros(
-            len(members), dtype=[*_fields(), ("command", np.float64), ("load", np.float64)]
-        )
+        self.channels = np.zeros(len(members), dtype=_fields())
         different = forms == "different"
         scales: list[float] = []
 
-        def place(*of_states: float) -> int:
+        def place(of_states: tuple[float, ...]) -> int:
+            """Number of the first of further states; -1 where there are none."""
             scales.extend(of_states)
-            return len(scales) - len(of_states)
+            return len(scales) - len(of_states) if of_states else -1
 
         for p, c in zip(self.channels, members, strict=True):
             for name in PARAMETERS:
                 p[name] = model.value(name, c)
-            for effect in map(CATALOGUE.__getitem__, BUILT_IN):
+            for effect in _EFFECTS:
                 for parameter in effect.parameters:
                     p[f"{effect.name}__{parameter.name}"] = model.value(f"{effect.name}.{parameter.name}", c)
             for name, constant in constants.items():
@@ -87,36 +79,14 @@ class Group:
                 CATALOGUE[name].family == FAMILY and not CATALOGUE[name].is_neutral(pair[c])
                 for name, pair in model.effects.items()
             )
-            p["at_states"] = place(*_SCALES)
-            for name in _SHIFTS:
-                p[f"at_{name}"] = -1
-            if p["coil_heating__rise"] != 0.0:
-                p["at_heat"] = place(0.1)
-            if p["magnetic_hysteresis__amplitude"] != 0.0:
-                p["at_loop"] = place(*([1.0] * (STOPS if different else 1)))
-            if p["input_hysteresis__width"] != 0.0:
-                p["at_play"] = place(*([1.0] * (PLAYS if different else 1)))
-            first = next((name for name in OF_BOTH_LINES if p[f"{name}__conductance"] != 0.0), "")
-            if first:
-                p["lines_supply"] = p[f"{first}__supply_pressure"]
-                p["at_mean"] = place(0.1)
-            if p["line_volume__conductance"] > 0.0:
-                p["at_side"] = place(1e5)
-            if p["crossport_relief__relief_pressure"] < np.inf:
-                p["at_lift"] = place(1e5, 1e5)
-            if different and max(p["spool_stiction__coulomb"], p["spool_stiction__static"]) > 0.0:
-                p["at_second_bristle"] = place(1e-6)
-            if (
-                different
-                and max(p["motor_coulomb_friction__coulomb"], p["motor_coulomb_friction__static"]) > 0.0
-            ):
-                p["at_shaft_bristle"] = place(1e-3)
-            if p["shaft_backlash__inertia"] > 0.0:
-                p["at_twist"] = place(1e-2, 1.0)
-            if p["sensor_lag__time_constant"] > 0.0:
-                p["at_lag"] = place(*([1.0] * (2 if different else 1)))
-        if self.channels["supply_droop__relative_drop"].any():
-            self.channels["at_droop"] = place(*([0.1] * (2 if different else 1)))
+            for name in [name for name in OF_BOTH_LINES if p[f"{name}__conductance"] != 0.0][:1]:
+                p["lines_supply"] = p[f"{name}__supply_pressure"]
+            p["at_states"] = place(_SCALES)
+            for name, (sizes, *by_form) in _MEMORIES.items():
+                acts = any(p[size] not in (0.0, np.inf) for size in sizes)
+                p[f"at_{name}"] = place(by_form[different]) if acts else -1
+        droops = self.channels["supply_droop__relative_drop"].any()
+        self.channels["at_droop"] = place(_DROOP[different]) if droops else -1
         self.scales = np.array(scales)
         self.state = np.zeros(len(scales))
 
@@ -133,14 +103,8 @@ class Group:
                 rows, method = None, "Radau"
         if rows is None:
             found = solve_ivp(
-                rates,
-                (times[0], times[-1]),
-                self.state,
-                method=method,
-                t_eval=times,
-                args=(self.channels,),
-                **limits,
-            )
+                rates, (times[0], times[-1]), self.state, method=method, t_eval=times, args=(self.channels,), **limits
+            )  # fmt: skip
             if not found.success:
                 raise RuntimeError(
                     f"reference simulator: {found.message} at t = {found.t[-1] if found.t.size else times[0]}"

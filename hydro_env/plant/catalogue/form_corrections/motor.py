@@ -5,12 +5,13 @@ from __future__ import annotations
 from math import inf
 
 from ...parameters import MOTOR_SIZE, Parameter
-from ...vector_math import clip, cos, exp, sign, sin, tanh
+from ...vector_math import clip, cos, exp, positive, sign, sin, tanh
 from ..effect import State
+from ..fluid import drifted
 from ..line import BOTH_LINES
 from ..load import SHAFT_BACKLASH
 from ..sensor import SENSOR_LAG
-from ..supply import SUPPLY_DROOP
+from ..supply import SUPPLY_DROOP, steady_droop
 from .correction import NO_PHYSICS, amount, correction, repeated
 
 __all__ = ["EFFECTS"]
@@ -23,8 +24,7 @@ def _late_drive(drive, droop, second, share):
 
 
 def _first_droop(first, own_flow, other_flow, relative_drop, time_constant, share):
-    target = relative_drop * (abs(own_flow) + abs(other_flow)) / 8.1778e-4
-    return (target - first) / (time_constant * (1.0 - share))
+    return (steady_droop(own_flow, other_flow, relative_drop) - first) / (time_constant * (1.0 - share))
 
 
 def _second_rate(second, first, time_constant, share):
@@ -66,9 +66,8 @@ SOFTNESS_SHAPE = correction(
 def _override(leakage, pressure, rounding, steepening, relief_pressure, conductance):
     # A parabola within `rounding` of the setting in the place of the bend, and a slope that changes with the excess.
     excess = abs(pressure) - relief_pressure
-    near = rounding - abs(excess)
-    near = near if near > 0.0 else 0.0
-    excess = excess if excess > 0.0 else 0.0
+    near = positive(rounding - abs(excess))
+    excess = positive(excess)
     # A slope that falls with the excess falls to zero; the flow does not turn back.
     turn = 0.5e6 / -steepening if steepening < 0.0 else excess
     excess = excess if excess < turn else turn
@@ -89,31 +88,28 @@ OVERRIDE_SHAPE = correction(
 )  # fmt: skip
 
 
-def _leak_curve(leakage, pressure, mean_pressure, leak_0, leak_1, leak_2, conductance, supply_pressure):
-    # The leaking line's pressure over half the supply's, where the conductance is that of the leak.
-    share = 1.0 + mean_pressure + sign(conductance) * pressure / supply_pressure
-    share = share if share > 0.0 else 0.0
+# The leaking line's pressure over half the supply's, where the conductance is that of the leak.
+def _share_of_half(pressure, mean_pressure, conductance, supply_pressure):
+    return positive(1.0 + mean_pressure + sign(conductance) * pressure / supply_pressure)
+
+
+def _relative_leak(share, leak_0, leak_1, leak_2):
     curve = leak_0 + (leak_1 - leak_0) * clip(share * 8.0 - 1.0, 0.0, 1.0)
-    curve = (
-        curve
-        + (leak_2 - leak_1) * clip(share * 4.0 - 1.0, 0.0, 1.0)
-        - leak_2 * clip(share * 2.0 - 1.0, 0.0, 1.0)
-    )
+    curve = curve + (leak_2 - leak_1) * clip(share * 4.0 - 1.0, 0.0, 1.0)
+    return curve - leak_2 * clip(share * 2.0 - 1.0, 0.0, 1.0)
+
+
+def _leak_curve(leakage, pressure, mean_pressure, leak_0, leak_1, leak_2, conductance, supply_pressure):
+    share = _share_of_half(pressure, mean_pressure, conductance, supply_pressure)
+    curve = _relative_leak(share, leak_0, leak_1, leak_2)
     return leakage + 0.25 * conductance * supply_pressure * share * curve
 
 
 def _drained_by_curve(
     mean_pressure, pressure, bulk_modulus, V, leak_0, leak_1, leak_2, conductance, supply_pressure
 ):
-    # The same oil, so the same curve: laws are pasted into the kernel and have no functions in common.
-    share = 1.0 + mean_pressure + sign(conductance) * pressure / supply_pressure
-    share = share if share > 0.0 else 0.0
-    curve = leak_0 + (leak_1 - leak_0) * clip(share * 8.0 - 1.0, 0.0, 1.0)
-    curve = (
-        curve
-        + (leak_2 - leak_1) * clip(share * 4.0 - 1.0, 0.0, 1.0)
-        - leak_2 * clip(share * 2.0 - 1.0, 0.0, 1.0)
-    )
+    share = _share_of_half(pressure, mean_pressure, conductance, supply_pressure)
+    curve = _relative_leak(share, leak_0, leak_1, leak_2)
     return -bulk_modulus / (4.0 * V) * abs(conductance) * share * curve
 
 
@@ -233,11 +229,11 @@ TURNING_SHAPE = correction(
 
 # --- fluid ------------------------------------------------------------------------------------------------------------
 def _second_drift_leakage(leakage_coefficient, more, time, time_constant):
-    return leakage_coefficient * exp(-more * (1.0 - exp(-time / time_constant)))
+    return leakage_coefficient * drifted(-more, time, time_constant)
 
 
 def _second_drift_friction(viscous_friction, more, time, time_constant):
-    return viscous_friction * exp(more * (1.0 - exp(-time / time_constant)))
+    return viscous_friction * drifted(more, time, time_constant)
 
 
 DRIFT_SHAPE = correction(
@@ -273,9 +269,7 @@ SENSOR_SHAPE = correction(
 
 
 # --- coupling ---------------------------------------------------------------------------------------------------------
-def _torque_of_damper(
-    torque, twist, speed, load_speed, damper_1, damper_2, damper_3, gap, stiffness, damping
-):
+def _more_contact(twist, speed, load_speed, damper_1, damper_2, damper_3, gap, stiffness, damping):
     half = 0.5 * gap
     wound = twist - clip(twist, -half, half)
     w = abs(wound)
@@ -283,30 +277,25 @@ def _torque_of_damper(
     curve = curve - damper_2 * clip((w - 7e-3) * (1.0 / 13e-3), 0.0, 1.0)
     curve = curve + damper_3 * clip((w - 20e-3) * (1.0 / 30e-3), 0.0, 1.0)
     grown = clip(w * 50.0, 0.0, 1.0)
-    corrected = grown + curve if grown + curve > 0.0 else 0.0
+    corrected = positive(grown + curve)
     drag = damping * (speed - load_speed)
     before = stiffness * wound + grown * drag
     after = stiffness * wound + corrected * drag
-    more = (after if after * wound > 0.0 else 0.0) - (before if before * wound > 0.0 else 0.0)
-    return torque - more
+    return (after if after * wound > 0.0 else 0.0) - (before if before * wound > 0.0 else 0.0)
+
+
+def _torque_of_damper(
+    torque, twist, speed, load_speed, damper_1, damper_2, damper_3, gap, stiffness, damping
+):
+    return torque - _more_contact(
+        twist, speed, load_speed, damper_1, damper_2, damper_3, gap, stiffness, damping
+    )
 
 
 def _load_behind_damper(
     load_speed, twist, speed, damper_1, damper_2, damper_3, gap, stiffness, damping, inertia
 ):
-    # The same torque: laws are pasted into the kernel and have no functions in common.
-    half = 0.5 * gap
-    wound = twist - clip(twist, -half, half)
-    w = abs(wound)
-    curve = damper_1 * clip(w * 500.0, 0.0, 1.0) + (damper_2 - damper_1) * clip(w * 200.0 - 0.4, 0.0, 1.0)
-    curve = curve - damper_2 * clip((w - 7e-3) * (1.0 / 13e-3), 0.0, 1.0)
-    curve = curve + damper_3 * clip((w - 20e-3) * (1.0 / 30e-3), 0.0, 1.0)
-    grown = clip(w * 50.0, 0.0, 1.0)
-    corrected = grown + curve if grown + curve > 0.0 else 0.0
-    drag = damping * (speed - load_speed)
-    before = stiffness * wound + grown * drag
-    after = stiffness * wound + corrected * drag
-    more = (after if after * wound > 0.0 else 0.0) - (before if before * wound > 0.0 else 0.0)
+    more = _more_contact(twist, speed, load_speed, damper_1, damper_2, damper_3, gap, stiffness, damping)
     return more / inertia if inertia > 0.0 else 0.0
 
 
@@ -325,15 +314,6 @@ COUPLING_SHAPE = correction(
 
 #: In the order in which they act.
 EFFECTS = (
-    SUPPLY_SHAPE,
-    SOFTNESS_SHAPE,
-    OVERRIDE_SHAPE,
-    LEAK_SHAPE,
-    TORQUE_SHAPE,
-    REST_SHAPE,
-    RIPPLE_SHAPE,
-    TURNING_SHAPE,
-    DRIFT_SHAPE,
-    COUPLING_SHAPE,
-    SENSOR_SHAPE,
-)
+    SUPPLY_SHAPE, SOFTNESS_SHAPE, OVERRIDE_SHAPE, LEAK_SHAPE, TORQUE_SHAPE, REST_SHAPE, RIPPLE_SHAPE, TURNING_SHAPE,
+    DRIFT_SHAPE, COUPLING_SHAPE, SENSOR_SHAPE,
+)  # fmt: skip

@@ -5,10 +5,10 @@ from __future__ import annotations
 from math import inf
 
 from ...parameters import SPOOL_FORCE, SPOOL_TRAVEL, Parameter
-from ...vector_math import bell, clip, sign, sqrt, tanh
+from ...vector_math import bell, clip, positive, sign, sqrt, tanh
 from ..driver import INPUT_HYSTERESIS
 from ..effect import State
-from ..force import MAGNETIC_HYSTERESIS
+from ..force import MAGNETIC_HYSTERESIS, turning_width
 from .correction import NO_PHYSICS, amount, correction, repeated, taken
 
 __all__ = ["EFFECTS"]
@@ -17,8 +17,7 @@ __all__ = ["EFFECTS"]
 # --- driver -----------------------------------------------------------------------------------------------------------
 def _knee(voltage, command, drop, reach, voltage_limit):
     # What the output lacks falls with the third power of the distance from the limit.
-    away = 1.0 - abs(abs(command) / voltage_limit - 1.0) / reach
-    away = away if away > 0.0 else 0.0
+    away = positive(1.0 - abs(abs(command) / voltage_limit - 1.0) / reach)
     lack = drop * voltage_limit * away * away * away
     return voltage - sign(command) * (lack if drop > 0.0 else 0.0)
 
@@ -74,10 +73,8 @@ PLAY_SHAPE = correction(
 # --- opening ----------------------------------------------------------------------------------------------------------
 def _rounded(opening, spool, rounding, turn, corner_positive, corner_negative):
     # A parabola within `rounding` of either corner in the place of the bend.
-    near = rounding - abs(spool - corner_positive)
-    far = rounding - abs(spool + corner_negative)
-    near = near if near > 0.0 else 0.0
-    far = far if far > 0.0 else 0.0
+    near = positive(rounding - abs(spool - corner_positive))
+    far = positive(rounding - abs(spool + corner_negative))
     return opening + 0.25 * turn * (near * near - far * far) / (rounding if rounding > 1e-9 else 1e-9)
 
 
@@ -85,10 +82,8 @@ CORNER_SHAPE = correction(
     "corner_shape", "opening", "corners of the opening are rounded",
     (
         # A radial clearance rounds an overlap by micrometres, round ports a saturation by a large part of the travel.
-        Parameter(
-            "rounding", "m", 0.0, 0.0, 3e-4, NO_PHYSICS, "half the travel over which a corner is rounded", 1e-5,
-            scaling=SPOOL_TRAVEL,
-        ),
+        Parameter("rounding", "m", 0.0, 0.0, 3e-4, NO_PHYSICS, "half the travel over which a corner is rounded", 1e-5,
+            scaling=SPOOL_TRAVEL),
         repeated("turn", "1", 1.0, -1.0, 1.0),
         repeated("corner_positive", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
         repeated("corner_negative", "m", 0.0, 0.0, inf, scaling=SPOOL_TRAVEL),
@@ -143,7 +138,7 @@ def _orifice(flow, opening, drive, transition, laminar, Kq):
     rest = 1.0 - laminar
     root = 0.5 * (sqrt(laminar * laminar + 4.0 * rest * turbulent * turbulent) - laminar) / rest
     # A line above the supply passes back.
-    more = Kq * opening * (sign(drive) * root - sqrt(drive if drive > 0.0 else 0.0))
+    more = Kq * opening * (sign(drive) * root - sqrt(positive(drive)))
     return flow + (more if transition + laminar > 0.0 else 0.0)
 
 
@@ -208,8 +203,7 @@ def _stops_force(
 
 
 def _stop_rate(stop, current_rate, times, amplitude, width, alpha):
-    least = 2.0 * amplitude / alpha
-    travel = times * (width if width > least else least)
+    travel = times * turning_width(amplitude, width, alpha)
     # Free on the way back; on the way on it gives way with the eighth power. A long step that goes beyond 1 is taken back.
     ahead = stop if current_rate > 0.0 else -stop
     inside = ahead if ahead < 1.0 else 1.0
@@ -247,27 +241,23 @@ STOP_SHAPE = correction(
 
 
 # No stiffer than the weaker friction allows over 0.2 um of travel: no substep follows less, nor does anyone see it.
+def _stiffness_left(coulomb, static, stiffness, s0):
+    most = (coulomb if coulomb < static else static) / (2e-7 * s0)
+    return most if most < stiffness else stiffness
+
+
 def _second_bristle(
     force, spool_speed, bristle_2, coulomb, static, firm, damping, stiffness, stribeck, vs, s0, s1
 ):
-    most = (coulomb if coulomb < static else static) / (2e-7 * s0)
-    stiff = most if most < stiffness else stiffness
-    slip = abs(spool_speed) / (vs * stribeck)
-    level = coulomb + (static - coulomb) * bell(slip)
-    level = level if level > 1e-6 else 1e-6
-    share = abs(bristle_2) * s0 * stiff / level
-    share = share if share < 1.0 else 1.0
-    over = clip((share - firm) / (1.0 - firm), 0.0, 1.0)
-    give = over * over * (3.0 - 2.0 * over) if bristle_2 * spool_speed > 0.0 else 0.0
-    rate = spool_speed - give * abs(spool_speed) * s0 * stiff / level * bristle_2
+    stiff = _stiffness_left(coulomb, static, stiffness, s0)
+    rate = _bristle_rate(bristle_2, spool_speed, coulomb, static, firm, stiffness, stribeck, vs, s0)
     damped = damping if stiff == stiffness else damping * stiff / stiffness
     held = s0 * stiff * bristle_2 + damped * s1 * rate
     return force - (held if coulomb + static > 0.0 else 0.0)
 
 
 def _bristle_rate(bristle_2, spool_speed, coulomb, static, firm, stiffness, stribeck, vs, s0):
-    most = (coulomb if coulomb < static else static) / (2e-7 * s0)
-    stiff = most if most < stiffness else stiffness
+    stiff = _stiffness_left(coulomb, static, stiffness, s0)
     slip = abs(spool_speed) / (vs * stribeck)
     level = coulomb + (static - coulomb) * bell(slip)
     level = level if level > 1e-6 else 1e-6
@@ -307,13 +297,6 @@ BRISTLE_SHAPE = correction(
 
 #: In the order in which they act.
 EFFECTS = (
-    PLAY_SHAPE,
-    KNEE_SHAPE,
-    CORNER_SHAPE,
-    OPENING_SHAPE,
-    ORIFICE_SHAPE,
-    PRELOAD_SHAPE,
-    CENTRING_SHAPE,
-    STOP_SHAPE,
+    PLAY_SHAPE, KNEE_SHAPE, CORNER_SHAPE, OPENING_SHAPE, ORIFICE_SHAPE, PRELOAD_SHAPE, CENTRING_SHAPE, STOP_SHAPE,
     BRISTLE_SHAPE,
-)
+)  # fmt: skip

@@ -1,0 +1,191 @@
+"""Fits to the beginning of the logs, where there is one minimum and a simulation costs little.
+
+On whole logs a missing effect has pulled known parameters along, and a shaft that nearly comes to rest turns on this way or that,
+from where it is revolutions off and dominates the remaining residual: no small step repairs it. What lies before determines the
+parameters, and these carry the simulation past it. So an estimate that is far from the noise is fitted to more and more of the
+logs (`grow_horizon`), and competing candidates from every size to their first half second (`best_on_early_window`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...plant import CATALOGUE
+from ..models.base import RigModel, Segment, Segments, effect_in, view
+from .estimate import Estimate
+from .fit import Fit
+from .gauss_newton import solve
+from .unknowns import effect_starts
+
+__all__ = ["best_on_early_window", "early_window_of", "grow_horizon"]
+
+#: Times the noise from which on an estimate is fitted to the beginning of the logs first: three quarters of the power are left.
+FAR = 2.0
+#: The shares of the logs in turn, first longer by a half each, then by a tenth of the logs, and the share (that of the first) by
+#: which they are lengthened at least.
+HORIZONS = (0.02, 0.04, 0.07, 0.11, 0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+MIN_GROWTH = 0.02
+#: Share up to which a beginning is short: it costs little, so there are more iterations, and it is too short to show the noise.
+SHORT_HORIZON = 0.1
+#: Iterations with each horizon, with a short one (as far as it goes, `SETTLE_ITERATIONS`), and with the whole logs.
+ITERATIONS, SHORT_ITERATIONS, LAST_ITERATIONS = 2, 12, 4
+#: Residual (`Fit.level`) from which on a beginning is not followed: errors of 1.3 times the noise.
+LOST_LEVEL = 0.3
+#: Starts that are improved on the first horizon, and that go on from there: the estimate's and the given parameters'.
+HORIZON_STARTS, KEPT_STARTS = 6, 2
+
+#: For competing candidates: shares of the logs in turn, each twice as long as the one before (half a second of a log of 12 s,
+#: which holds one movement, to 2.6 s), iterations with each, and the starts of each candidate that go on.
+STAGES = ((0.04, 2, 2), (0.04, 6, 1), (0.11, 4, 1), (0.22, 3, 1))
+#: Starts of each candidate that are improved, of all those that are simulated once: both signs of a size and one more.
+FIRST_STARTS = 3
+#: A candidate is dropped that is behind the best one by more than this, which pays for five parameters (`candidates.penalty`),
+#: and by more than this share of what the best one gains over no effect.
+FAR_BEHIND, OUT_OF_REACH = 100.0, 0.5
+#: Candidates that go on in any case: as many as a channel may have effects.
+KEPT = 3
+
+
+def early_window_of(rig: RigModel, share: float) -> RigModel:
+    """The model with only this share of each log, from its beginning, of which it also simulates no more."""
+    rows = [max(2, math.ceil(share * len(part.log))) for part in rig.parts]
+    parts = [part.first(n) for part, n in zip(rig.parts, rows, strict=True)]
+    return view(rig, parts=parts, segments={c: _first(own, rows) for c, own in rig.segments.items()})
+
+
+def _first(segments: Sequence[Segment], rows: Sequence[int]) -> Segments:
+    """The samples of the first `rows` of each log, which again lie one behind the other in a vector."""
+    place, found = 0, Segments()
+    for s in segments:
+        n = int(np.searchsorted(s.rows, rows[s.log]))
+        late = None if s.late is None else s.late[:n]
+        cut = replace(s, measured=s.measured[:n], rows=s.rows[:n], inside=s.inside[:n], late=late)
+        cut.place = slice(place, place + n)
+        place += n
+        found.append(cut)
+    return found
+
+
+# --- one estimate, on a growing horizon -------------------------------------------------------------------------------------
+def grow_horizon(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
+    """Improves in place those of `estimates` that are far from the noise; returns the ones that became better."""
+    if not fit.settings.uses("grow_horizon"):
+        return []
+    found = []
+    for estimate in estimates:
+        seen = fit.with_noise_seen_by(dict.fromkeys(fit.channels_of(estimate), estimate))
+        if not seen.at_noise(estimate, FAR) and estimate.adopt(_grown(fit, seen, estimate)):
+            found.append(estimate)
+    return found
+
+
+def _grown(fit: Fit, seen: Fit, estimate: Estimate) -> Estimate:
+    """The best of several starts, where the estimate is and where the known parameters were given, there with other values of the
+    effects too, fitted to more and more of the logs; on the way by the noise that is `seen`."""
+    given = estimate.from_given()
+    starts = [p.in_all_directions() for p in (estimate, given, *_elsewhere(fit.rig, given))]
+    seen.on(early_window_of(fit.rig, HORIZONS[0])).evaluate(starts[KEPT_STARTS:])
+    starts[KEPT_STARTS:] = sorted(starts[KEPT_STARTS:], key=lambda p: p.cost)[: HORIZON_STARTS - KEPT_STARTS]
+    ahead, reached, good = [*HORIZONS], 0.0, starts
+    while ahead:
+        share = ahead[0]
+        beginning = seen.on(early_window_of(fit.rig, share))
+        starts = [p.at(p.q.copy()) for p in good]
+        solve(beginning, starts, SHORT_ITERATIONS if share < SHORT_HORIZON else ITERATIONS)
+        starts.sort(key=lambda p: p.cost)
+        del starts[KEPT_STARTS:]
+        if share > SHORT_HORIZON:
+            beginning = beginning.with_noise_seen_by(dict.fromkeys(fit.channels_of(estimate), starts[0]))
+            seen = beginning.on(fit.rig)
+            beginning.rescore(starts)
+        if not _followed(beginning, starts[0]):
+            if reached and share - reached > MIN_GROWTH:
+                ahead.insert(0, 0.5 * (reached + share))  # not so far at once
+                continue
+            break  # something is missing that this effect does not make up for
+        reached, good = ahead.pop(0), starts
+    for start in starts:
+        start.columns = {}
+    fit.evaluate(starts)
+    solve(fit, starts, LAST_ITERATIONS)
+    return min(starts, key=lambda p: p.cost)
+
+
+def _followed(fit: Fit, estimate: Estimate) -> bool:
+    """Whether nothing but a few events is missed in any signal: a shaft that went the other way stays off, a spool that stuck
+    a moment longer does not."""
+    return fit.level(estimate) < LOST_LEVEL
+
+
+def _elsewhere(rig: RigModel, estimate: Estimate) -> list[Estimate]:
+    """The estimate with each of its effects at every size and shape that is worth a first simulation: from the wrong side of a
+    turn no small step leads to the right one."""
+    found = []
+    for effect in estimate.effects():
+        if estimate.channel is None or CATALOGUE[effect].family:
+            continue
+        own = {u.parameter: j for j, u in enumerate(estimate.unknowns) if u.effect == effect}
+        for values in effect_starts(effect_in(rig, effect, estimate.channel), math.inf, whole=True):
+            q = estimate.q.copy()
+            for name, value in values.items():
+                if name in own:
+                    q[own[name]] = estimate.unknowns[own[name]].q(value)
+            found.append(estimate.at(np.clip(q, *estimate.bounds)))
+    return found
+
+
+# --- competing candidates -----------------------------------------------------------------------------------------------
+def best_on_early_window(
+    fit: Fit, presents: Sequence[tuple[int, Estimate]], names: Sequence[Sequence[str]]
+) -> list[list[Estimate]]:
+    """For each of `presents`, with its channel, the few extensions by one of the effects `names` on that channel that explain the
+    beginning of the logs best.
+
+    They come best first. They start from the estimate and from the known parameters as given, with every size and shape of the
+    effect.
+    """
+    fields = [_starts(fit.rig, p, c, own) for (c, p), own in zip(presents, names, strict=True)]
+    beginning = fit.on(early_window_of(fit.rig, STAGES[0][0]))
+    beginning.evaluate([p for field in fields for p in field])
+    fields = [_best_of_each(field, FIRST_STARTS) for field in fields]
+    for share, iterations, kept in STAGES:
+        beginning = fit.on(early_window_of(fit.rig, share))
+        fields = [[p.at(p.q.copy()) for p in field] for field in fields]
+        solve(beginning, [p for field in fields for p in field], iterations)
+        fields = [_within_reach(_best_of_each(field, kept)) for field in fields]
+    return [[p.at(p.q.copy()) for p in _best_of_each(field, 1) if p.label][:KEPT] for field in fields]
+
+
+def _starts(rig: RigModel, present: Estimate, channel: int, names: Sequence[str]) -> list[Estimate]:
+    """Every start of every candidate; without a label those that have no further effect."""
+    found = [present.at(present.q.copy(), ""), present.from_given().at(present.from_given().q, "")]
+    for name in names:
+        for values in effect_starts(effect_in(rig, name, channel), math.inf, whole=True):
+            one = present.with_effect(name, values, channel)
+            found += [one, one.from_given()]
+    return found
+
+
+def _best_of_each(field: Sequence[Estimate], count: int) -> list[Estimate]:
+    """The best `count` starts of each candidate, best first."""
+    found: list[Estimate] = []
+    for p in sorted(field, key=lambda p: p.cost):
+        if sum(other.label == p.label for other in found) < count:
+            found.append(p)
+    return found
+
+
+def _within_reach(field: Sequence[Estimate]) -> list[Estimate]:
+    """Those of a field, best first, that may still become the best."""
+    best = field[0].cost
+    fall = min(p.cost for p in field if not p.label) - best
+    found: list[Estimate] = []
+    for p in field:
+        near = p.cost - best < max(FAR_BEHIND, OUT_OF_REACH * fall)
+        if near or not p.label or len({f.label for f in found} | {p.label}) <= KEPT:
+            found.append(p)
+    return found

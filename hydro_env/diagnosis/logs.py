@@ -1,0 +1,67 @@
+"""What all stages work on: a model of the rig with its logs, and estimates of its parameters by channel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, replace
+
+from ..measured import Finding
+from .estimation import Estimate, Fit
+from .models.base import RigModel
+
+__all__ = ["Estimates", "Given", "Logs", "changed", "distinct", "place_of"]
+
+#: Estimates by channel; the same one for both where the whole rig was estimated together.
+Estimates = dict[int, Estimate]
+
+
+@dataclass(frozen=True)
+class Logs:
+    """The model of the rig with all logs: `fit` with those to fit and their noise, `fine` the same with the accuracy of the
+    proof, `held_out` with those that take no part in the fit."""
+
+    fit: Fit
+    fine: RigModel
+    held_out: RigModel
+
+    @property
+    def rig(self) -> RigModel:
+        return self.fit.rig
+
+    @property
+    def seconds(self) -> float:
+        """Length of the longest log to fit, s."""
+        return max(len(p.log) * p.log.period for p in self.rig.parts)
+
+    def following(self, channels: Collection[int]) -> Logs:
+        """The same with the simulated speed of these channels drawn to the measured one."""
+        fine, held_out = (rig.following(channels) for rig in (self.fine, self.held_out))
+        return Logs(self.fit.on(self.rig.following(channels)), fine, held_out)
+
+
+@dataclass(frozen=True)
+class Given:
+    """The model as given beside the logs, and what it shows of these."""
+
+    logs: Logs
+    estimates: Estimates
+    findings: list[Finding]
+
+
+def place_of(channel: int | None) -> str:
+    """ "1" or "2" for a channel, "rig" for None."""
+    return "rig" if channel is None else str(channel + 1)
+
+
+def distinct(estimates: Estimates) -> list[Estimate]:
+    """Each estimate once."""
+    return list(dict.fromkeys(estimates.values()))
+
+
+def changed(
+    change: Callable[[list[Estimate]], None], which: Iterable[Estimate], *groups: Estimates
+) -> list[Estimates]:
+    """The groups with copies of some estimates after a change in place; one that is in several groups stays one."""
+    twins = {p: replace(p) for p in which}
+    change(list(twins.values()))
+    return [{c: twins.get(p, p) for c, p in group.items()} for group in groups]

@@ -1,0 +1,177 @@
+"""Values: what is estimated of effects and known parameters, in SI and with intervals, and the model that has them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...plant import CATALOGUE, PlantModel, parameter_of
+from ..estimation import Estimate
+from ..logs import Estimates
+from ..models.base import RigModel
+from .form_correction import is_correction
+
+__all__ = [
+    "Interval", "KnownParameter", "absent_effects", "at_bounds", "effect_values", "estimated_model", "known_parameters",
+    "row_of", "widened_by_form",
+]  # fmt: skip
+
+#: No machine keeps to a law exactly, so the parameters of an effect mean something a little different in the rig's law. Standard
+#: deviations of that: as far as a correction of form has moved the value, and at least these shares of a size (of its distance
+#: from neutral) or of what shapes the law (blocks 310000 and 320000 of blind trials).
+SIZE_BY_FORM, SHAPE_BY_FORM = 0.03, 0.1
+#: Half the width of a 95 % interval in standard deviations.
+TWO_SIDED_95 = 1.96
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with its 95 % interval, SI; `without_one_manoeuvre` is its largest move when one manoeuvre is left out."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    without_one_manoeuvre: float = 0.0
+
+
+@dataclass(frozen=True)
+class KnownParameter:
+    """A base parameter of a channel: its nominal value (as given), its estimate, and the range in which such a value usually
+    lies about the given one: one standard deviation of the prior of calibration either way."""
+
+    symbol: str
+    channel: int
+    nominal: float
+    estimate: Interval
+    usual: tuple[float, float]
+
+    @property
+    def name(self) -> str:
+        return f"{self.symbol}_{self.channel + 1}"
+
+    @property
+    def change(self) -> float:
+        """The relative change; infinite from 0."""
+        away = self.estimate.value - self.nominal
+        return away / self.nominal if self.nominal else math.copysign(math.inf, away) if away else 0.0
+
+    def moved_by(self, digits: int = 0) -> str:
+        """The change in words: "+12 %", or "from 0"."""
+        return f"{100.0 * self.change:+.{digits}f} %" if math.isfinite(self.change) else "from 0"
+
+    @property
+    def moved(self) -> bool:
+        """Whether the interval excludes the nominal value."""
+        return not self.estimate.low <= self.nominal <= self.estimate.high
+
+    @property
+    def unusual(self) -> bool:
+        """Whether it moved, and further than such values usually do."""
+        return self.moved and not self.usual[0] <= self.estimate.value <= self.usual[1]
+
+
+def effect_values(estimate: Estimate, effect: str, channel: int) -> dict[str, Interval]:
+    """The parameters of an effect on a channel."""
+    return {
+        u.parameter: _interval(estimate, j)
+        for j, u in enumerate(estimate.unknowns)
+        if u.effect == effect and u.channel in (None, channel)
+    }
+
+
+def widened_by_form(effect: str, name: str, found: Interval, bare: Interval, row: float = 0.0) -> Interval:
+    """The value of an effect's parameter with the interval widened by what the law's form leaves open, see `SIZE_BY_FORM`.
+
+    `bare` is its value without corrections of form; `row` the time from row to row of the logs, s. A time is known to half of
+    that at best: a filter that is calculated once a row, y += (1 - exp(-row / T)) (x - y), is late by T - row / 2.
+    """
+    parameter = CATALOGUE[effect].parameter(name)
+    share = {"size": SIZE_BY_FORM, "limit": SIZE_BY_FORM}.get(parameter.role, SHAPE_BY_FORM)
+    away = abs(found.value - (parameter.neutral if parameter.role == "size" else 0.0))
+    # An angle or a number of strokes has no law whose form could differ.
+    law = 0.0 if parameter.role in ("phase", "order") else share * away
+    form = TWO_SIDED_95 * max(law, abs(found.value - bare.value))
+    sampled = 0.5 * row if parameter.unit == "s" else 0.0
+    low = found.value - math.hypot(found.value - found.low, form, sampled)
+    high = found.value + math.hypot(found.high - found.value, form, sampled)
+    low, high = max(low, min(found.low, parameter.low)), min(high, max(found.high, parameter.high))
+    return replace(found, low=low, high=high)
+
+
+def _interval(estimate: Estimate, j: int) -> Interval:
+    u, q, sure = estimate.unknowns[j], float(estimate.q[j]), estimate.intervals
+    value = float(u.value(q))
+    if sure is None:
+        return Interval(value, value, value, u.unit)
+    low, high = (float(np.clip(u.value(float(end[j])), u.low, u.high)) for end in (sure.low, sure.high))
+    away = float(sure.without[j])
+    moved = max(abs(u.value(q - away) - value), abs(u.value(q + away) - value))
+    return Interval(value, low, high, u.unit, float(moved))
+
+
+def known_parameters(rig: RigModel, estimates: Estimates) -> list[KnownParameter]:
+    """The base parameters of every channel, with those of effects that the model as given has."""
+    found = []
+    for c, estimate in estimates.items():
+        for j, u in enumerate(estimate.unknowns):
+            if u.channel in (None, c) and not u.effect:
+                value, (effect, _, own) = _interval(estimate, j), u.name.rpartition(".")
+                value = widened_by_form(effect, own, value, value, row_of(rig, c)) if effect else value
+                found.append(KnownParameter(u.name, c, rig.given(u.name, c), value, u.usual))
+    return found
+
+
+def absent_effects(rig: RigModel, estimates: Estimates) -> list[tuple[str, int]]:
+    """The effects that the model as given has on a channel and the logs do not show: the intervals of all that carries the size
+    hold the neutral values, and one excludes the given value."""
+    sizes: dict[tuple[str, int], list[tuple[bool, bool]]] = {}
+    for p in known_parameters(rig, estimates):
+        effect, _, own = p.symbol.rpartition(".")
+        if effect and (parameter := CATALOGUE[effect].parameter(own)).carries_size:
+            neutral = min(parameter.neutral, max(parameter.high, p.nominal))
+            holds = p.estimate.low <= neutral <= p.estimate.high
+            sizes.setdefault((effect, p.channel), []).append((holds, p.moved))
+    return [key for key, own in sizes.items() if all(h for h, _ in own) and any(m for _, m in own)]
+
+
+def row_of(rig: RigModel, channel: int) -> float:
+    """The longest time from row to row of the logs of a channel, s."""
+    return max(s.period / s.step for s in rig.segments[channel])
+
+
+def at_bounds(estimates: Estimates) -> list[str]:
+    """Estimates at the end of their plausible range, by "J of channel 1"."""
+    found = []
+    for c, estimate in estimates.items():
+        for u, q in zip(estimate.unknowns, estimate.q, strict=True):
+            # What stayed as given may be given at the end of its range; a correction is no physics.
+            stayed = abs(q) <= 1e-3 * (u.bounds[1] - u.bounds[0])
+            if stayed or not u.at_bound(float(q)) or (u.effect and is_correction(u.effect)):
+                continue
+            if (
+                "." in u.parameter
+            ):  # of a given effect, which may be absent; the upper end of a limit's range stands for none
+                p, low = parameter_of(u.parameter), u.value(float(q)) < 0.5 * (u.low + u.high)
+                if p.neutral == (u.low if low else math.inf if p.role == "limit" else u.high):
+                    continue
+            if u.channel in (None, c) and u.high > u.low:
+                found.append(f"{u.name} of channel {c + 1} ({u.value(float(q)):.3g} {u.unit})")
+    return found
+
+
+def estimated_model(rig: RigModel, estimates: Estimates, name: str) -> PlantModel:
+    """The model with the estimated values put in."""
+    of_rig = {f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.scope == "rig" for p in e.parameters}
+    pairs: dict[str, tuple[float, float]] = {}
+    for c, estimate in estimates.items():
+        for parameter, value in estimate.values(c).items():
+            if parameter in rig.own and parameter != "Kq":
+                continue
+            parameter_of(parameter)
+            pair = [*pairs.get(parameter, rig.model.pair(parameter))]
+            pair[c] = float(value)
+            pairs[parameter] = (pair[c], pair[c]) if parameter in of_rig else (pair[0], pair[1])
+    return rig.model.with_values(rig.written(pairs), name)

@@ -1,0 +1,71 @@
+"""What `env.spec` says of an environment that was made: the length of its episodes, whether the reward threshold holds, and
+arguments that JSON can hold.
+
+Gymnasium's own limit of time (`max_episode_steps` of the registered specification) is one number for every scenario and control
+period, and would cut longer episodes off. So none is registered: the environment ends its episodes itself, and the specification
+of the environment that was made has the length of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.envs.registration import EnvSpec, registry
+
+from ..plant import Plant, PlantModel
+from ..tasks.mismatch import NAMED_PAIRS, SPLITS, default_mismatch
+from ..tasks.scenarios import SCENARIOS
+
+__all__ = ["env_spec"]
+
+#: Arguments under which a return means the same as with those registered, for which the threshold was measured.
+SAME_TASK = {
+    "render_mode",
+    "render_width",
+    "history",
+    "increment",
+    "errors",
+    "dtype",
+    "num_envs",
+    "vectorization_mode",
+    "autoreset_mode",
+}
+
+
+def env_spec(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
+    """The specification that Gymnasium gives to a new environment, with the length of its episodes in steps; without a
+    reward threshold where the arguments make it another task. What is made from it, or from its JSON, is the same environment. An
+    argument that no name or file could stand for is left as it is: a scenario with a function of its own, a mismatch in code."""
+    if spec is None:
+        return None
+    registered = registry[spec.id].kwargs if spec.id in registry else {}
+    changed = {
+        name for name, value in spec.kwargs.items() if name not in registered or registered[name] != value
+    }
+    threshold = None if changed - SAME_TASK else spec.reward_threshold
+    kwargs = {name: _plain(value) for name, value in spec.kwargs.items()}
+    if isinstance(spec.kwargs.get("plant"), PlantModel | Plant) and kwargs.get("mismatch", "auto") == "auto":
+        kwargs["mismatch"] = default_mismatch(spec.kwargs["plant"])  # that of its content may be another one
+    return replace(spec, max_episode_steps=steps, reward_threshold=threshold, kwargs=kwargs)
+
+
+def _plain(value: Any) -> Any:
+    """An argument in terms of JSON, as far as it has any."""
+    if isinstance(value, Plant) and type(value.model) is PlantModel:
+        value = replace(value.model, tolerance=value.tolerance)
+    if type(value) is PlantModel:  # others, such as an FMU, are more than values
+        return value.to_dict("the model that the environment was made of")
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    named = {**SCENARIOS, **SPLITS, **NAMED_PAIRS}
+    return next((name for name, known in named.items() if known is value), value)

@@ -1,0 +1,228 @@
+"""Typed statements (`hydro_env.ir`) as C99.
+
+The result is the same as in Python bit for bit as long as the C compiler fuses and reorders nothing (`-std=c99`, or
+`-ffp-contract=off`). It needs nothing but math.h.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+import unicodedata
+from collections.abc import Iterable
+
+import numpy as np
+
+from hydro_env.ir.nodes import (
+    Assign,
+    Break,
+    Continue,
+    Expr,
+    For,
+    Function,
+    If,
+    Return,
+    Run,
+    Statement,
+    Store,
+    Table,
+)  # fmt: skip
+from hydro_env.ir.reader import Reader
+
+__all__ = [
+    "RESERVED",
+    "TYPES",
+    "bare",
+    "expression",
+    "identifier",
+    "literal",
+    "source",
+    "statements",
+    "variables",
+]
+
+#: C types of kinds of numbers.
+TYPES = {"bool": "int", "int": "int", "float": "float", "double": "double"}
+_BINARY = {
+    "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",
+    "and": "&&", "or": "||",
+}  # fmt: skip
+#: Words of C, and functions of its library, that are no names.
+RESERVED = frozenset((
+    "double", "float", "int", "long", "short", "char", "const", "static", "register", "volatile", "signed", "auto", "default",
+    "switch", "case", "do", "goto", "union", "struct", "void", "inline", "restrict", "extern", "enum", "typedef", "sizeof",
+    "y0", "y1", "yn", "j0", "j1", "jn", "gamma", "exp", "tanh", "sin", "cos",
+))  # fmt: skip
+#: Python's `%` and `//` of whole numbers, its `min` and `max`, and the like.
+_HELPERS = (
+    "static inline int py_mod(int a, int b) { int r = a % b; return r != 0 && (r < 0) != (b < 0) ? r + b : r; }\n",
+    "static inline int py_div(int a, int b) { return (a - py_mod(a, b)) / b; }\n",
+    "static inline int py_min_int(int a, int b) { return b < a ? b : a; }\n",
+    "static inline int py_max_int(int a, int b) { return b > a ? b : a; }\n",
+    "static inline int py_abs_int(int a) { return a < 0 ? -a : a; }\n",
+    "static inline double py_sign(double a) { return (double)((a > 0.0) - (a < 0.0)); }\n",
+    """static inline int py_argmin(const double *a, int n) {
+    int i, found = 0;
+    for (i = 1; i < n; i++)
+        if (a[i] < a[found]) found = i;
+    return found;
+}
+""",
+    "static inline double py_min(double a, double b) { return b < a ? b : a; }\n",
+    "static inline double py_max(double a, double b) { return b > a ? b : a; }\n",
+)
+
+
+def literal(value: float | int | bool, kind: str) -> str:
+    """A number as C reads it back without a loss."""
+    if kind in ("int", "bool"):
+        return str(int(value)) if value >= 0 else f"({int(value)})"
+    number = float(value)
+    if math.isnan(number):
+        return "NAN"
+    if math.isinf(number):
+        return "INFINITY" if number > 0.0 else "(-INFINITY)"
+    text = repr(number) if kind == "double" else str(np.float32(number))
+    text = text if any(c in text for c in ".en") else text + ".0"
+    text += "f" if kind == "float" else ""
+    return f"({text})" if text.startswith("-") else text
+
+
+def bare(code: str) -> str:
+    """An expression without the parentheses around the whole of it."""
+    if not (code.startswith("(") and code.endswith(")")):
+        return code
+    depth = 0
+    for n, c in enumerate(code):
+        depth += (c == "(") - (c == ")")
+        if depth == 0 and n < len(code) - 1:
+            return code
+    return code[1:-1]
+
+
+def identifier(text: str) -> str:
+    """A name of a user's as C, IEC 61131-3 and FMI know names: ASCII, and no underscores at its ends or side by side."""
+    plain = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+    name = re.sub(r"[^0-9A-Za-z]+", "_", plain).strip("_")
+    return name if name[:1].isalpha() else f"x_{name}".rstrip("_")
+
+
+# --- expressions ------------------------------------------------------------------------------------------------------
+def expression(x: Expr) -> str:
+    """An expression, in parentheses where it needs them."""
+    if x.op == "const":
+        return literal(x.value, x.kind)
+    if x.op == "var":
+        return str(x.value)
+    texts = [expression(each) for each in x.args]
+    if x.op == "load":
+        return f"{x.value}[{bare(texts[0])}]"
+    if x.op in _BINARY:
+        return f"({texts[0]} {_BINARY[x.op]} {texts[1]})"
+    inside = ", ".join(map(bare, texts))
+    match x.op:
+        case "address":
+            return f"&{x.value}{f'[{inside}]' if texts else ''}" if inside != "0" else str(x.value)
+        case "neg":
+            return f"(-{texts[0]})"
+        case "not":
+            return f"(!{texts[0]})"
+        case "cast" if x.kind == "bool":
+            return f"({texts[0]} != 0)"
+        case "cast":
+            return f"({TYPES[x.kind]}){texts[0]}"
+        case "where":
+            return f"({texts[0]} ? {texts[1]} : {texts[2]})"
+        case "call":
+            return f"{x.value}({inside})"
+        case "floordiv":
+            return f"py_div({inside})"
+        case "mod" | "min" | "max" | "sign" | "argmin":
+            return f"py_{x.op}{'_int' * (x.kind == 'int' and x.op in ('min', 'max'))}({inside})"
+        case "abs":
+            return (
+                f"py_abs_int({inside})" if x.kind == "int" else f"fabs{'f' * (x.kind == 'float')}({inside})"
+            )
+    return f"{x.op}{'f' * (x.kind == 'float')}({inside})"
+
+
+# --- statements -------------------------------------------------------------------------------------------------------
+def statements(body: Iterable[Statement]) -> list[str]:
+    """The lines of statements."""
+    return [line for each in body for line in _statement(each)]
+
+
+def _block(head: str, body: Iterable[Statement], end: str = "}") -> list[str]:
+    return [f"{head} {{", *("    " + line for line in statements(body)), end]
+
+
+def _statement(each: Statement) -> list[str]:
+    match each:
+        case Assign(name, value):
+            return [f"{name} = {bare(expression(value))};"]
+        case Store(array, index, value):
+            return [f"{array}[{bare(expression(index))}] = {bare(expression(value))};"]
+        case If(test, body, []):
+            return _block(f"if ({bare(expression(test))})", body)
+        case If(test, body, orelse):
+            return [*_block(f"if ({bare(expression(test))})", body)[:-1], *_block("} else", orelse)]
+        case For(name, start, stop, step, body):
+            sign, change = ("<", "++") if step == 1 else (">", "--")
+            limit = bare(expression(stop))
+            return _block(
+                f"for ({name} = {bare(expression(start))}; {name} {sign} {limit}; {name}{change})", body
+            )
+        case Run(call):
+            return [f"{expression(call)};"]
+        case Return(value):
+            return ["return;" if value is None else f"return {bare(expression(value))};"]
+        case Break():
+            return ["break;"]
+        case Continue():
+            return ["continue;"]
+
+
+def variables(declared: dict[str, tuple[str, int]]) -> list[str]:
+    """The declarations of variables, by name with their kind and, for arrays, their size."""
+    lines = []
+    for type_ in dict.fromkeys(TYPES.values()):
+        own = [
+            f"{name}{f'[{size}]' if size else ''}"
+            for name, (kind, size) in declared.items()
+            if TYPES[kind] == type_
+        ]
+        lines += textwrap.wrap(f"{type_} {', '.join(own)};", 120) if own else []
+    return lines
+
+
+def _function(made: Function) -> str:
+    parameters = ", ".join(
+        f"{'const ' * (array and name not in made.written)}{TYPES[kind]} {'*' * array}{name}"
+        for name, kind, array in made.parameters
+    )
+    head = f"static {TYPES.get(made.result, 'void')} {made.name}({parameters or 'void'}) {{"
+    lines = ["    " + line for line in (*variables(made.variables), *statements(made.body))]
+    return "\n".join([head, *lines, "}", ""])
+
+
+def _table(table: Table) -> str:
+    numbers = ", ".join(bare(literal(x, table.kind)) for x in table.numbers)
+    lines = "\n    ".join(textwrap.wrap(numbers, 120, break_long_words=False))
+    return f"static const {TYPES[table.kind]} {table.name}[{len(table.numbers)}] = {{\n    {lines}}};\n"
+
+
+def _words(texts: Iterable[str]) -> list[str]:
+    return re.findall(r"\w+", "\n".join(texts))
+
+
+def source(reader: Reader, *users: str) -> str:
+    """`users`, text in C, below the tables and functions that they need, callees first."""
+    tables, functions = map(_table, reader.tables.values()), map(_function, reader.functions.values())
+    parts, words = list(users), set(_words(users))
+    for text in reversed([*_HELPERS, *tables, *functions]):
+        name = re.search(r"\w+(?=[\[(])", text)
+        if name is not None and name[0] in words:
+            parts.insert(0, text)
+            words.update(_words([text]))
+    return "\n".join(["#include <math.h>\n", *parts])

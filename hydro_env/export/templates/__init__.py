@@ -1,0 +1,13 @@
+"""What is the same in all exported sources, with places for the rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from string import Template
+
+__all__ = ["template"]
+
+
+def template(file: str) -> Template:
+    """The file of this name in this folder; its places are like `${name}`."""
+    return Template((Path(__file__).parent / file).read_text(encoding="utf-8"))

@@ -1,0 +1,55 @@
+"""One task, wherever it runs: its result, or the `Failure` that says why there is none."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+__all__ = ["ATTEMPTS", "Failure", "answer", "attempt", "died", "unsendable"]
+
+ATTEMPTS = 3
+"""How often a task is started whose process dies."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """The result of a task that could not be done."""
+
+    reason: str
+
+    def __str__(self) -> str:
+        return self.reason
+
+
+def died(how: str) -> Failure:
+    """The failure of a task whose process died in each of its attempts, at last `how`."""
+    return Failure(f"its process died {ATTEMPTS} times, at last {how}")
+
+
+def unsendable(where: str, problem: Exception) -> Failure:
+    """The failure of a task that cannot be pickled."""
+    return Failure(f"cannot be sent to {where}: {in_one_line(problem)}")
+
+
+def attempt(function: Callable[[Any], Any], task: Any) -> Any:
+    """The result, or the failure that says what was raised. `sys.exit` ends the task, not the run."""
+    try:
+        return function(task)
+    except (Exception, SystemExit) as problem:
+        return Failure(in_one_line(problem))
+
+
+def answer(function: Callable[[Any], Any], content: bytes) -> bytes:
+    """The same with task and result pickled, as they go to another process and back."""
+    result = attempt(lambda task: function(pickle.loads(task)), content)
+    try:
+        return pickle.dumps(result)
+    except Exception as problem:
+        return pickle.dumps(Failure(f"its result cannot be sent: {in_one_line(problem)}"))
+
+
+def in_one_line(problem: BaseException) -> str:
+    """Class and text of an exception, cut to 300 letters."""
+    return f"{type(problem).__name__}: {' '.join(str(problem).split())}"[:300]

@@ -1,0 +1,136 @@
+"""Laws of effects as text of a generated module: their source is read, checked, and pasted with the functions that they call."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from collections.abc import Callable, Collection, Iterator, Mapping
+from copy import deepcopy
+from functools import lru_cache
+from typing import Any
+
+from .. import vector_math
+from ..catalogue.effect import called_by, helpers_of
+from .fused import fuse
+
+__all__ = ["LawError", "check", "check_law", "parse", "texts"]
+
+Function = Callable[..., Any]
+
+#: Functions of laws that are instructions of the processor.
+INSTRUCTIONS = ("abs", "floor", "sqrt")
+#: What a law may consist of.
+_ALLOWED = (
+    ast.FunctionDef, ast.arguments, ast.arg, ast.Expr, ast.Pass, ast.Assign, ast.Return, ast.If, ast.Name, ast.Constant,
+    ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp, ast.Call, ast.expr_context, ast.USub, ast.Not, ast.Pow,
+    ast.Add, ast.Sub, ast.Mult, ast.Div, ast.BitAnd, ast.BitOr, ast.And, ast.Or, ast.Lt, ast.Gt, ast.LtE, ast.GtE, ast.Eq,
+    ast.NotEq,
+)  # fmt: skip
+
+
+class LawError(ValueError):
+    """What a law may not do, and in which line of its file."""
+
+    def __init__(self, message: str, line: int) -> None:
+        super().__init__(message)
+        self.line = line
+
+
+@lru_cache(maxsize=1024)
+def parse(function: Function) -> ast.FunctionDef:
+    """The syntax tree of a plain function, with the lines of its file. ValueError if its source cannot be read."""
+    try:
+        source = textwrap.dedent(inspect.getsource(function))
+    except OSError:
+        raise ValueError(
+            f"the source of law {function.__name__!r} cannot be read; define it in a file"
+        ) from None
+    if not source.startswith("def "):
+        raise ValueError(
+            f"law {function.__name__!r} must be a plain function (def), not a lambda or decorated"
+        )
+    written = compile(source, "<law>", "exec", dont_inherit=True).co_consts[0]
+    if (written.co_code, written.co_names) != (function.__code__.co_code, function.__code__.co_names):
+        # The text would be kept on disk under the identity of the law that is loaded.
+        raise ValueError(
+            f"the file of law {function.__name__!r} was changed since it was loaded; start Python again"
+        )
+    node = ast.parse(source).body[0]
+    assert isinstance(node, ast.FunctionDef)
+    return ast.increment_lineno(node, function.__code__.co_firstlineno - 1)
+
+
+# --- checks -----------------------------------------------------------------------------------------------------------
+def check_law(law: Function) -> None:
+    """LawError, in one line, if a law, or a function that it calls, cannot run on many lanes at once."""
+    functions: list[Function] = [law, *called_by(law)]
+    for function in functions:
+        if function in called_by(function):
+            raise LawError(f"{function.__name__}: calls itself", function.__code__.co_firstlineno)
+        check(parse(function), {*vector_math.__all__, *helpers_of(function)})
+
+
+def check(function: ast.FunctionDef, known: Collection[str]) -> None:
+    """LawError, in one line, if a function cannot run on many lanes at once; `known` are the functions it may call."""
+    known = {*known, *INSTRUCTIONS}
+    hint = (
+        "a law may use + - * / and whole powers, comparisons, conditional expressions, if and return, functions of its own file,"
+        f" and {', '.join(sorted(known))}"
+    )
+    body = [node for statement in function.body for node in ast.walk(statement)]
+    for node in body:
+        parts = [node.op] if isinstance(node, ast.BinOp) else [node]
+        if not all(isinstance(part, _ALLOWED) for part in parts):
+            text = ast.unparse(node).splitlines()[0]
+            raise LawError(f"{function.name}: {text!r}: {hint}", getattr(node, "lineno", function.lineno))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) not in known:
+            text = ast.unparse(node.func)
+            raise LawError(f"{function.name}: {text!r} cannot be called: {hint}", node.lineno)
+    assigned = {a.arg for a in function.args.args}
+    assigned |= {n.id for n in body if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    called = {ast.unparse(n.func) for n in body if isinstance(n, ast.Call)}
+    for node in body:
+        if isinstance(node, ast.Name) and node.id not in called | assigned:
+            raise LawError(f"{function.name}: {node.id!r} is not an argument of the law", node.lineno)
+
+
+# --- text -------------------------------------------------------------------------------------------------------------
+def texts(functions: Mapping[str, Function]) -> list[str]:
+    """The text of functions under these names, and of all that they call. ValueError if one cannot run on many lanes at once."""
+    found: dict[str, str] = {}
+    for name, function in functions.items():
+        check_law(function)
+        for own, text in (
+            *((_name(each), _text(each, _name(each))) for each in called_by(function)),
+            (name, _text(function, name)),
+        ):
+            if found.setdefault(own, text) != text:
+                raise ValueError(
+                    f"two functions that laws call are named {own!r}; give one of them another name"
+                )
+    return list(found.values())
+
+
+def _name(helper: Function) -> str:
+    """What a function that laws call is called in the text."""
+    if helper.__module__ == vector_math.__name__:
+        return helper.__name__
+    return f"{helper.__module__.rpartition('.')[2]}__{helper.__name__.strip('_')}"
+
+
+@lru_cache(maxsize=1024)
+def _text(function: Function, name: str) -> str:
+    node = deepcopy(parse(function))
+    node.name = name
+    for call in _calls(node):
+        helper = helpers_of(function).get(call.id)
+        call.id = call.id if helper is None else _name(helper)
+    return ast.unparse(fuse(node))
+
+
+def _calls(node: ast.AST) -> Iterator[ast.Name]:
+    """The names of the functions that are called."""
+    for each in ast.walk(node):
+        if isinstance(each, ast.Call) and isinstance(each.func, ast.Name):
+            yield each.func

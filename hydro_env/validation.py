@@ -1,0 +1,121 @@
+"""What the files of users may hold: a pydantic model describes each format, and whatever is wrong is one line.
+
+    class Suite(FileTable):
+        splits: dict[str, Count]
+
+    suite = checked(Suite, read_yaml(path, "a suite in YAML"), path)
+
+The line names the file and the key, what was found there and what would be right; of an unknown key or name the nearest one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+from hydro_env.errors import InputError, shown, suggestion
+
+__all__ = ["Count", "Number", "NumberOrInfinity", "FileTable", "checked", "known"]
+
+#: What pydantic says, and what engineers do.
+_WORDS = {
+    "a valid string": "text",
+    "a valid dictionary": "a table of `name: value` lines",
+    "a valid number": "a number",
+    "a valid integer": "a whole number",
+    "a valid boolean": "true or false",
+    "a valid list": "a list",
+    "a valid tuple": "a list",
+}
+
+M = TypeVar("M", bound="FileTable")
+
+
+def _no_truth_value(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise PydanticCustomError("number", "Input should be a number")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_no_truth_value)]
+"""A number, also one that YAML takes for text, such as 1e-3; a truth value is none."""
+NumberOrInfinity = Annotated[float, Field(allow_inf_nan=True), BeforeValidator(_no_truth_value)]
+"""The same, and infinity."""
+Count = Annotated[int, BeforeValidator(_no_truth_value), Field(ge=1, le=10**15)]
+"""A whole number of at least 1."""
+
+
+class FileTable(BaseModel):
+    """A table of a file, with no keys but its fields. The key `schema` of a whole file has to be its `FORMAT`, if it has one."""
+
+    FORMAT: ClassVar[str] = ""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False, defer_build=True)
+
+    @classmethod
+    def known_keys(cls) -> Collection[str]:
+        """The keys that the table may have."""
+        return cls.model_fields
+
+    @model_validator(mode="before")
+    @classmethod
+    def _checked_keys(cls, data: Any) -> Any:
+        if isinstance(data, cls):
+            return data
+        if not isinstance(data, Mapping):
+            raise ValueError(f"expected a table of `name: value` lines, found {shown(data)}")
+        for key in data:
+            if key not in cls.known_keys():
+                raise ValueError(f"unknown key {shown(key)}: {suggestion(key, cls.known_keys())}")
+        return dict(data)
+
+
+def known(what: str, names: Collection[str]) -> AfterValidator:
+    """For a field with one of these names: `Annotated[str, known("scenario", SCENARIOS)]`."""
+
+    def check(name: str) -> str:
+        if name not in names:
+            raise ValueError(f"unknown {what} {shown(name)}: {suggestion(name, names)}")
+        return name
+
+    return AfterValidator(check)
+
+
+def checked(kind: type[M], data: Any, where: str | Path) -> M:
+    """The content of a file as `kind`. InputError, which begins with `where`, for whatever does not fit."""
+    if kind.FORMAT and isinstance(data, Mapping):
+        if data.get("schema") != kind.FORMAT:
+            raise InputError(f"{where}: schema is {shown(data.get('schema'))}, should be {kind.FORMAT!r}")
+        data = {key: value for key, value in data.items() if key != "schema"}
+    try:
+        return kind.model_validate(data)
+    except ValidationError as error:
+        raise InputError(f"{where}: {_explain(error)}") from None
+
+
+def _explain(error: ValidationError) -> str:
+    """The first thing that is wrong, in one line: key, what was found, what would be right."""
+    first = error.errors(include_url=False)[0]
+    place = ".".join(str(part) for part in first["loc"] if part != "[key]")
+    if first["type"] == "value_error":
+        message = first["msg"].removeprefix("Value error, ")
+        return f"{place}: {message}" if place else message
+    if first["type"] == "missing":
+        return f"{place} is missing"
+    message = first["msg"].partition(", unable to parse")[0]
+    for theirs, ours in _WORDS.items():
+        message = message.replace(theirs, ours)
+    _, should, right = message.partition(" should ")
+    return f"{place} is {shown(first['input'])}, {f'should {right}' if should else message}"

@@ -1,0 +1,193 @@
+"""Valves on the bench: presets and model files, of which every different channel is a valve, and files of measured curves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from os.path import commonprefix
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from hydro_env.errors import InputError
+from hydro_env.plant import PlantModel, load_model, preset_names
+from hydro_env.units import LPM
+from hydro_env.valve_bench.alike import most_alike
+from hydro_env.valve_bench.curve import FLOW, Curve, loop_of
+from hydro_env.valve_bench.figures import Figures, identify
+from hydro_env.valve_bench.rates import RateCheck, check_rates
+from hydro_env.valve_bench.read import Columns, read_curve
+from hydro_env.valve_bench.record import own_channels, record_rates
+
+__all__ = ["Sweeps", "Tested", "Valve", "bench", "branches_csv", "pairs_of"]
+
+
+@dataclass(frozen=True)
+class Sweeps:
+    """How valves are swept.
+
+    Args:
+        signal: "current" or "command", the input over which modelled valves are read.
+        seconds: lengths of the sweeps of modelled valves, s.
+        columns: what the columns of measured curves are.
+        periods: lengths of the measured sweeps, s: one for every file, or one for all.
+        one_valve: all measured files are sweeps of the same valve.
+    """
+
+    signal: str = "current"
+    seconds: tuple[float, ...] = (5.0, 20.0, 80.0)
+    columns: Columns = field(default_factory=Columns)
+    periods: tuple[float, ...] = ()
+    one_valve: bool = False
+
+
+@dataclass(frozen=True)
+class Valve:
+    """A modelled valve: channel 0 or 1 of a model."""
+
+    name: str
+    model: PlantModel
+    channel: int
+
+    def value(self, name: str) -> float:
+        """A parameter of its model on its channel, SI."""
+        return self.model.value(name, self.channel)
+
+
+@dataclass(frozen=True)
+class Tested:
+    """One valve on the bench: all sweeps, the slowest of them (`curve`) and its figures, the check of all rates; its
+    model if it has one.
+    """
+
+    source: str
+    sweeps: tuple[Curve, ...]
+    curve: Curve
+    figures: Figures
+    rates: RateCheck
+    model: Valve | None = None
+
+
+def bench(valves: Sequence[str], how: Sweeps | None = None, *, progress: bool = True) -> list[Tested]:
+    """Puts every valve (preset, model file or file with a measured curve; `paper:2` is channel 2) on the bench.
+
+    InputError for anything that cannot be used.
+    """
+    how = how or Sweeps()
+    if not valves:
+        raise InputError(
+            f"name a valve: a preset ({', '.join(preset_names())}), a model file or a measured curve"
+        )
+    files = [text for text in valves if not _is_model(text)]
+    models = [(text, valve) for text in valves if text not in files for valve in _valves_of(text)]
+    if len(how.periods) not in (0, 1, len(files)):
+        raise InputError(
+            f"--sweep-period gives {len(how.periods)} values for {len(files)} measured files: one for all, or one each"
+        )
+    tested, curves = [], []
+    with tqdm(total=len(models) + len(files), desc="valves", disable=not progress, leave=False) as bar:
+        for text, valve in models:
+            named = {"signal": how.signal, "name": valve.name}
+            sweeps = record_rates(valve.model, valve.channel, how.seconds, **named)
+            tested.append(_tested(text, sweeps, valve))
+            bar.update()
+        for n, text in enumerate(files):
+            period = (how.periods * len(files))[n] if how.periods else how.columns.sweep_period
+            curves.append(read_curve(text, replace(how.columns, sweep_period=period)))
+            bar.update()
+    if how.one_valve and curves:
+        tested.append(_tested(", ".join(files), _of_one_valve(curves)))
+    else:
+        tested += [_tested(text, [curve]) for text, curve in zip(files, curves, strict=True)]
+    return _named_apart(tested)
+
+
+def _of_one_valve(curves: Sequence[Curve]) -> list[Curve]:
+    """Curves as sweeps of one valve: of the same rated signal, with what all names begin with as name."""
+    if len({curve.signal_unit for curve in curves}) > 1:
+        raise InputError("--one-valve: the files have signals of different quantities")
+    rated = max(curve.rated for curve in curves)
+    name = commonprefix([curve.name for curve in curves]).rstrip("_- ") or curves[0].name  # noqa: RUF071 (of letters)
+    return [replace(curve, rated=rated, name=name) for curve in curves]
+
+
+def _is_model(text: str) -> bool:
+    """Whether a preset or a model file is meant; a word that is neither, nor looks like a file, is an unknown preset."""
+    name, _ = _split(text)
+    suffix = Path(name).suffix
+    return name in preset_names() or suffix in (".yaml", ".yml") or not (suffix or Path(name).exists())
+
+
+def _split(text: str) -> tuple[str, int | None]:
+    """`paper:2` as ("paper", 1); a name without a channel has None."""
+    name, colon, last = text.rpartition(":")
+    if colon and name and last.isdigit() and not Path(text).exists():
+        if last not in ("1", "2"):
+            raise InputError(f"{text}: a rig has the channels 1 and 2, not {last}")
+        return name, int(last) - 1
+    return text, None
+
+
+def _valves_of(text: str) -> list[Valve]:
+    name, channel = _split(text)
+    model = load_model(name)
+    channels = own_channels(model) if channel is None else (channel,)
+    if channel is None and len(channels) == 1:
+        return [Valve(model.name, model, channels[0])]
+    return [Valve(f"{model.name}:{c + 1}", model, c) for c in channels]
+
+
+def _tested(source: str, sweeps: list[Curve], model: Valve | None = None) -> Tested:
+    """The figures come from the slowest sweep, which is the steadiest."""
+    slowest = max(sweeps, key=lambda curve: 0.0 if curve.time is None else float(np.ptp(curve.time)))
+    try:
+        figures = identify(slowest)
+        if figures.hysteresis_percent is None:
+            why = "the curve has branches of one direction only: no loop"
+            check = RateCheck("undecided", why, rated=slowest.rated)
+        else:
+            check = check_rates(sweeps)
+    except InputError as problem:
+        raise InputError(f"{source}: {str(problem).removeprefix(f'{slowest.name}: ')}") from None
+    return Tested(source, tuple(sweeps), slowest, figures, check, model)
+
+
+def _named_apart(tested: Sequence[Tested]) -> list[Tested]:
+    """Valves of the same name get numbers, so that a pair can be named."""
+    names = [each.curve.name for each in tested]
+    apart = []
+    for n, each in enumerate(tested):
+        name = names[n]
+        if names.count(name) > 1:
+            name = f"{name} ({names[: n + 1].count(name)})"
+        curve, figures = replace(each.curve, name=name), replace(each.figures, name=name)
+        model = each.model and replace(each.model, name=name)
+        apart.append(replace(each, curve=curve, figures=figures, model=model))
+    return apart
+
+
+def pairs_of(tested: Sequence[Tested]) -> list[dict[str, Any]]:
+    """All pairs of valves with flow curves by name and distance, the most alike first."""
+    curves = [each.curve for each in tested if each.figures.kind == FLOW]
+    if len(curves) < 2:
+        return []
+    return [
+        {"valves": [curves[i].name, curves[j].name], "distance_percent": apart}
+        for apart, i, j in most_alike(curves)
+    ]
+
+
+def branches_csv(tested: Sequence[Tested]) -> str:
+    """The averaged branches as text: valve, direction, signal in percent of the rated one, flow in l/min."""
+    lines = ["valve,direction,signal_percent,flow_lpm"]
+    for each in tested:
+        loop = loop_of(each.curve)
+        name = '"' + each.curve.name.replace('"', "'") + '"' if "," in each.curve.name else each.curve.name
+        for word, branch in (("rising", loop.rising), ("falling", loop.falling)):
+            if branch is not None:
+                share = 100.0 * branch.signal / each.curve.rated
+                cells = zip(share, branch.flow / LPM, strict=True)
+                lines += [f"{name},{word},{x:.5g},{q:.6g}" for x, q in cells]
+    return "\n".join(lines) + "\n"
