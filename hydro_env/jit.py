@@ -14,8 +14,10 @@ import gc
 import hashlib
 import logging
 import os
+import shutil
 import tempfile
 import threading
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
@@ -35,7 +37,7 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["compiled", "keep", "kept"]
+__all__ = ["compiled", "keep", "kept", "removed_if_damaged"]
 
 MAX_BYTES = 1 << 30
 """Machine code to keep. All tests together compile a fifth of it; beyond that the oldest is removed."""
@@ -156,6 +158,19 @@ def keep(name: str, content: bytes) -> None:
         _make_room(folder, MAX_BYTES)
     except OSError as problem:
         _say(f"{folder}: machine code cannot be kept there ({problem.strerror}); every process compiles")
+
+
+def removed_if_damaged(problem: BaseException) -> Path | None:
+    """The folder, removed, if Numba raised this where it reads kept machine code: a file that is not whole, as after a power
+    failure; None otherwise. The same work then compiles again."""
+    folder = _folder()
+    place = os.path.join("numba", "core", "caching.py")
+    if folder is None or not any(
+        f.filename.endswith(place) for f in traceback.extract_tb(problem.__traceback__)
+    ):
+        return None
+    shutil.rmtree(folder, ignore_errors=True)
+    return folder
 
 
 # --- the folder ----------------------------------------------------------------------------------------------------

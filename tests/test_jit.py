@@ -72,6 +72,21 @@ def test_what_was_compiled_is_loaded(calling) -> None:
     assert (sum(first.stats.cache_hits.values()), sum(again.stats.cache_hits.values())) == (0, 1)
 
 
+def test_damaged_files_of_numba_are_removed(calling, tmp_path: Path) -> None:
+    """A file that is not whole raises something of Numba's; other errors say nothing of the files."""
+    assert calling(2.0, 1.0).outer(1.0) == 4.0
+    kept = [*(tmp_path / "cache").rglob("*.nb[ci]")]
+    assert kept
+    for path in kept:
+        path.write_bytes(path.read_bytes()[:10])
+    with pytest.raises(Exception) as raised:
+        calling(2.0, 1.0).outer(1.0)
+    assert jit.removed_if_damaged(ValueError("another")) is None
+    assert jit.removed_if_damaged(raised.value) == tmp_path / "cache" / "machine_code"
+    jit._usable.cache_clear()
+    assert calling(2.0, 1.0).outer(1.0) == 4.0
+
+
 @pytest.mark.skipif(jit.fcntl is None, reason="no locks of this kind")
 def test_a_process_waits_while_another_one_compiles(calling, tmp_path: Path) -> None:
     """Two that save at once would mix up their files."""

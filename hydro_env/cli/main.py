@@ -151,6 +151,12 @@ def _run(arguments: Sequence[str] | None) -> int:
     except Exception as problem:
         usage = getattr(problem, "format_message", None)  # typer's own errors: an unknown option, ...
         if usage is None:
+            from hydro_env.jit import removed_if_damaged  # which loads Numba
+
+            if folder := removed_if_damaged(problem):
+                return _fail(
+                    f"{folder}: damaged machine code was removed; the same command compiles it again"
+                )
             raise
         return _fail(f"{usage()} Try `{_path(problem)} --help`.")
     if status == 130:  # typer turns an interruption into this
