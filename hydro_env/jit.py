@@ -1,7 +1,7 @@
 """How functions are compiled: by Numba, once, and kept for the next process.
 
 Numba's own cache keeps the machine code. It notices a change of the file of a function, but not of values and functions that
-come from other files; so the folder of each function is named by a hash of these. What kernels are made of (`kept`, `keep`) lies
+come from other files; so the folder of each function is named by a hash of these and of the sources of its room. What kernels are made of (`kept`, `keep`) lies
 beside it, under names that are hashes of all that it depends on.
 
 Machine code is kept in $HYDRO_ENV_CACHE, else in the user's cache folder, else in the folder for temporary files. Where
@@ -27,7 +27,6 @@ from typing import IO, Any
 import numba
 import numpy as np
 from numba.core import event
-from numba.core.caching import IndexDataCacheFile
 
 from hydro_env.files import write_bytes
 from hydro_env.pickles import Damaged, distrust, sign, verified
@@ -49,24 +48,25 @@ def compiled(function: Callable[..., Any], *, nogil: bool = False) -> Callable[.
     folder = _folder()
     if folder is None:
         return numba.njit(**options)(function)
-    others = hashlib.sha256(repr(_held(function)).encode()).hexdigest()[:16]
+    others = repr([_room(function.__code__.co_filename), *_held(function)])
+    others = hashlib.sha256(others.encode()).hexdigest()[:16]
     before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder / others)
     try:
-        made = numba.njit(cache=True, **options)(function)
+        return numba.njit(cache=True, **options)(function)
     finally:
         numba.config.CACHE_DIR = before
-    made._cache._cache_file.__class__ = _Index
-    return made
 
 
-class _Index(IndexDataCacheFile):
-    """What is kept of a function, by the types of its arguments: nothing where a type of another version is gone."""
-
-    def _load_index(self) -> Any:
-        try:
-            return super()._load_index()
-        except Exception:  # whatever a class that has changed makes of its pickle
-            return {}
+@cache
+def _room(file: str) -> str:
+    """Hash of the sources of the room of this package that a file belongs to: named tuples and settings that functions take from
+    its other files, which Numba knows by the names of their classes alone."""
+    here, path = Path(__file__).parent, Path(file)
+    if here not in path.parents:
+        return ""
+    first = here / path.relative_to(here).parts[0]
+    sources = sorted(first.rglob("*.py") if first.is_dir() else here.glob("*.py"))
+    return hashlib.sha256(b"\0".join(source.read_bytes() for source in sources)).hexdigest()
 
 
 def _held(function: Any) -> list[object]:
