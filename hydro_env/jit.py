@@ -1,8 +1,8 @@
 """How functions are compiled: by Numba, once, and kept for the next process.
 
 Numba's own cache keeps the machine code. It notices a change of the file of a function, but not of values and functions that
-come from other files; so the folder of each function is named by a hash of these and of the sources of its room. What kernels are made of (`kept`, `keep`) lies
-beside it, under names that are hashes of all that it depends on.
+come from other files; so the folder of each function is named by a hash of these and of the sources of its room. What kernels
+are made of (`kept`, `keep`) lies beside it, under names that are hashes of all that it depends on.
 
 Machine code is kept in $HYDRO_ENV_CACHE, else in the user's cache folder, else in the folder for temporary files. Where
 other users could have written it is not read: it would run. Without any such folder every process compiles.
