@@ -16,12 +16,7 @@ from .early_window import best_on_early_window, grow_horizon
 from .estimate import Estimate, Vector, joined
 from .final_refinement import refine, settle
 from .fit import Fit, Noise, noise_of
-from .fit_criteria import (
-    could_pay,
-    far_from_noise,
-    mostly_explained,
-    unexplained,
-)
+from .fit_criteria import could_pay, far_from_noise, mostly_explained, unexplained
 from .gauss_newton import SETTLE_ITERATIONS, differentiate, solve, step_all
 from .multistart import restart_friction
 from .noise import effective_samples, noise_floor

@@ -8,12 +8,7 @@ from .estimate import Estimate
 from .fit import Fit
 from .noise import effective_samples
 
-__all__ = [
-    "could_pay",
-    "far_from_noise",
-    "mostly_explained",
-    "unexplained",
-]
+__all__ = ["could_pay", "far_from_noise", "mostly_explained", "unexplained"]
 
 #: Signals above this many times the noise count where power is compared: three quarters of their power are missing.
 CLEARLY_ABOVE = 2.0

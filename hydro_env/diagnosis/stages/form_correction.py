@@ -16,15 +16,7 @@ import numpy as np
 
 from ...plant import CATALOGUE
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
-from ..estimation import (
-    SETTLE_ITERATIONS,
-    Estimate,
-    Fit,
-    Unknown,
-    far_from_noise,
-    grow_horizon,
-    solve,
-)
+from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Unknown, far_from_noise, grow_horizon, solve
 from ..logs import Estimates, changed, distinct
 from ..models.base import RigModel, given_effects
 from .candidates import Attempt, Selection, penalty_per_parameter

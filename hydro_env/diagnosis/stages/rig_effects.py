@@ -3,16 +3,7 @@
 from __future__ import annotations
 
 from ..estimation import SETTLE_ITERATIONS, Estimate, joined, solve
-from .candidates import (
-    ACCEPTED,
-    AFTER_ROUNDS,
-    OUTDONE,
-    Accepted,
-    Candidate,
-    is_neutral,
-    judge,
-    penalty,
-)
+from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, Accepted, Candidate, is_neutral, judge, penalty
 from .search import Search, short_refit
 
 __all__ = ["drop_vanished", "rig_effect_leads", "select_rig_effects"]

@@ -21,15 +21,7 @@ from ..estimation import (
     unexplained,
 )
 from .calibration import Calibrated
-from .candidates import (
-    ACCEPTED,
-    OUTDONE,
-    VANISHED,
-    Accepted,
-    Selection,
-    judge,
-    penalty,
-)
+from .candidates import ACCEPTED, OUTDONE, VANISHED, Accepted, Selection, judge, penalty
 from .elimination import drop_unneeded, prefer_form
 from .form_correction import given_on
 from .rig_effects import rig_effect_leads, select_rig_effects

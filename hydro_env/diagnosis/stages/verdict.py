@@ -6,14 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from ...plant import CATALOGUE
-from ..estimation import (
-    CANNOT_BE_PREDICTED,
-    Estimate,
-    Fit,
-    mostly_explained,
-    predictions_apart,
-    unexplained,
-)
+from ..estimation import CANNOT_BE_PREDICTED, Estimate, Fit, mostly_explained, predictions_apart, unexplained
 from ..logs import Estimates, Logs
 from . import uncertainty, validation
 from .calibration import Calibrated
