@@ -12,7 +12,6 @@ from .logs import place_of
 from .stages.form_correction import Correction
 from .stages.next_experiment import NextExperiment
 from .stages.screening import detectable, hidden_by_calibration
-from .stages.validation import shown_unit, signal_key
 from .stages.values import effect_values, known_parameters
 from .state import State
 
@@ -68,17 +67,11 @@ class Diagnosis(State):
         }
 
     def _correction(self, kept: Correction) -> dict[str, Any]:
-        """What a shape correction corrects, its numbers, and its size as RMS change of the signals on the held-out logs."""
-        rig, final = self.rig, self.models.final
-        first = rig.channels[0] if kept.channel is None else kept.channel
-        values = effect_values(final[first], kept.correction, first)
-        sizes = {
-            signal_key(rig, signal, c): size / shown_unit(rig, signal, c)[1]
-            for (c, signal), size in kept.changes.items()
-        }
+        """What a shape correction corrects, and its numbers."""
+        first = self.rig.channels[0] if kept.channel is None else kept.channel
+        values = effect_values(self.models.final[first], kept.correction, first)
         return {
             "effect": kept.effect, "correction": kept.correction, "what": CATALOGUE[kept.correction].summary,
             "channel": place_of(kept.channel), "note": "shape correction, not physics",
-            "parameters": {name: vars(p) for name, p in values.items()},
-            "changes": sizes, "fall": round(float(kept.fall), 1),
+            "parameters": {name: vars(p) for name, p in values.items()}, "fall": round(float(kept.fall), 1),
         }  # fmt: skip

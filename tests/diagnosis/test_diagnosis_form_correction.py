@@ -18,7 +18,6 @@ from hydro_env.diagnosis.stages.elimination import prefer_form
 from hydro_env.diagnosis.stages.form_correction import (
     correct,
     correct_all,
-    correct_placebo,
     with_correction,
 )
 from hydro_env.diagnosis.stages.rig_effects import drop_vanished
@@ -174,19 +173,15 @@ def test_without_a_name_nothing_is_corrected() -> None:
     problems = {0: _bare()}
     fit = Fit(_Silent(), {})  # type: ignore[arg-type]
     assert correct_all(fit, problems, []) == (problems, [])
-    assert correct_placebo(fit, problems, problems, []) == problems
 
 
-def test_a_correction_repeats_what_it_corrects_and_a_placebo_does_not_have_it() -> None:
+def test_a_correction_repeats_what_it_corrects() -> None:
     problem = with_correction(_bare(), "dead_zone", "corner_shape")
     values = problem.request().values
     assert values["corner_shape.corner_negative"] == values["dead_zone.overlap_negative"] == 8e-5
     assert values["corner_shape.turn"] == 1.0 and "corner_shape.turn" not in [
         u.name for u in problem.unknowns
     ]
-    unknowns = effect_unknowns(CATALOGUE["load_bias"], {"bias": 0.1})
-    wrong = with_correction(Estimate(0, unknowns, np.zeros(1)), "dead_zone", "corner_shape")
-    assert "corner_shape.corner_negative" not in wrong.request().values
 
 
 def test_channels_that_are_joined_keep_their_own_effects() -> None:

@@ -43,7 +43,7 @@ def _doubts(
     found = Estimate(0, [], np.zeros(0)).with_effect(effect, {parameter: value})
     moved = found.q + apart / found.unknowns[-1].scale
     ends = [np.array([found.unknowns[-1].q(value)]) for value in (low, high)]
-    found.intervals = Intervals(*ends, moved, moved[None])
+    found.intervals = Intervals(*ends, moved[None])
     entries = [{"noise": 1.0, "placebo": 30.0, "before": 50.0, **e} for e in (fit, sealed)]
     pressure = {"noise": 1.0, "calibrated": 20.0, "after": 1.0, "placebo": 9.0, "before": 50.0}
     traces = {"after": {0: np.zeros(2 * ROWS)}}
@@ -111,10 +111,10 @@ def test_what_the_sealed_logs_deny_is_doubted() -> None:
 def test_courses_that_part_by_less_than_a_fit_knows_are_said_to_be_unpredictable() -> None:
     fit, base = logged({}, {}, ROWS)
     same = np.zeros((8, 1))
-    base.intervals = Intervals(same[0], same[0], same[0], same)
+    base.intervals = Intervals(same[0], same[0], same)
     assert unpredictable(fit, base, 0) == {}
     moved = same.copy()
     moved[3] = 1.0  # one of them has another inertia
-    base.intervals = Intervals(same[0], same[0], same[0], moved)
+    base.intervals = Intervals(same[0], same[0], moved)
     found = unpredictable(fit, base, 0)
     assert set(found) == {"speed"} and found["speed"] > 10.0

@@ -50,7 +50,7 @@ def _estimate(
     unknowns = effect_unknowns(effect, values)
     found = Estimate(channel, unknowns, np.zeros(len(unknowns)), name)
     draws = np.linspace(-1.0, 1.0, 8)[:, None] * np.full(len(unknowns), spread)
-    found.intervals = Intervals(*(np.zeros(len(unknowns)) for _ in range(3)), draws)
+    found.intervals = Intervals(*(np.zeros(len(unknowns)) for _ in range(2)), draws)
     # As if it explained the logs.
     found.simulated = {
         c: np.concatenate([s.filled for s in fit.rig.segments[c]]) for c in fit.channels_of(found)
@@ -109,7 +109,7 @@ def test_the_form_of_an_effect_hides_what_a_log_says(
 def _base(fit: Fit) -> Estimate:
     """A model without any effect, of which the logs leave the gain open."""
     found = Estimate(0, [base_unknown(PARAMETERS["Kq"], fit.rig.model.value("Kq", 0))], np.zeros(1), "")
-    found.intervals = Intervals(*(np.zeros(1) for _ in range(3)), np.linspace(-0.05, 0.05, 8)[:, None])
+    found.intervals = Intervals(*(np.zeros(1) for _ in range(2)), np.linspace(-0.05, 0.05, 8)[:, None])
     found.simulated = {0: np.concatenate([s.filled for s in fit.rig.segments[0]])}
     return found
 
@@ -169,7 +169,7 @@ def test_where_torques_have_no_scale_loads_are_proposed(rig: DynamicRig, tmp_pat
     estimate = Estimate(0, unknowns, np.zeros(len(names)), "")
     ways = np.array([sign * 0.05 / u.scale for sign, u in zip(names.values(), unknowns, strict=True)])
     draws = np.linspace(-1.0, 1.0, 8)[:, None] * ways
-    estimate.intervals = Intervals(*(np.zeros(len(names)) for _ in range(3)), draws)
+    estimate.intervals = Intervals(*(np.zeros(len(names)) for _ in range(2)), draws)
     estimate.simulated = {0: np.concatenate([s.filled for s in fit.rig.segments[0]])}
     make_practice([], rate=500.0, runs=("sealed",)).write(tmp_path)
     operation = operation_of(

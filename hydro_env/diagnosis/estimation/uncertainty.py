@@ -1,4 +1,4 @@
-"""Uncertainty: block bootstrap and leave-one-manoeuvre-out, on the derivatives at the estimate, without a new simulation.
+"""Uncertainty: block bootstrap on the derivatives at the estimate, without a new simulation.
 
 The logs are cut into stretches of `STRETCH_S`; each holds all signals of that time. A replica draws as many stretches with
 replacement, draws from the priors, solves the linearised normal equations and counts the deviance that an effect saves.
@@ -21,8 +21,6 @@ __all__ = [
     "replica_differences", "unpredictable",
 ]  # fmt: skip
 
-#: Length of a manoeuvre that is left out as a whole, s: about that of a piece of a proposed experiment.
-MANOEUVRE_S = 2.0
 #: Replicas of the bootstrap: five lie beyond each end of a 95 % interval. More than 200 are seldom needed for a standard error
 #: (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, section 6.4).
 REPLICAS = 200
@@ -44,21 +42,14 @@ def intervals_of(fit: Fit, estimate: Estimate) -> Intervals:
     matrices, sides = fit.normal_equations_by_stretch(estimate, STRETCH_S)
     moves = bootstrap(matrices, sides, prior, estimate.q, np.random.default_rng(fit.settings.seed))
     low, high = np.quantile(moves, [0.025, 0.975], axis=0)
-    whole, right = matrices.sum(axis=0) + prior, sides.sum(axis=0) - prior @ estimate.q
+    whole = matrices.sum(axis=0) + prior
     deviation = np.sqrt(np.maximum(np.diag(np.linalg.pinv(whole, hermitian=True)), 0.0))
     spread = TWO_SIDED_95 * deviation
     low = np.clip(estimate.q + np.minimum(low, -spread), *bounds)
     high = np.clip(estimate.q + np.maximum(high, spread), *bounds)
-    start = np.linalg.lstsq(whole, right, rcond=None)[0]
-    width = round(MANOEUVRE_S / STRETCH_S)
-    without = np.zeros(size)
-    for first in range(0, len(matrices), width):
-        gone = slice(first, first + width)
-        matrix, side = whole - matrices[gone].sum(axis=0), right - sides[gone].sum(axis=0)
-        without = np.maximum(without, np.abs(np.linalg.lstsq(matrix, side, rcond=None)[0] - start))
     draws = np.array([nearest_inside(whole, move, estimate.q, bounds) for move in moves[:DRAWS]])
     learned = 1.0 - np.minimum(deviation, 1.0) ** 2
-    return Intervals(low, high, without, draws.reshape(DRAWS, size), learned)
+    return Intervals(low, high, draws.reshape(DRAWS, size), learned)
 
 
 def nearest_inside(

@@ -216,7 +216,7 @@ def remaining(state: State, n: NamedEffect) -> str:
 def weak_proof(state: State) -> str:
     """A remark where the best wrong effect does nearly as well on the held-out logs as what was named, or nothing."""
     entry = headline(state).errors
-    near = entry["placebo"] <= PLACEBO_NEAR * entry["after"]
+    near = entry["placebo"] <= PLACEBO_NEAR * entry.get(NAMED, entry["after"])
     if not state.effects or not near or entry["calibrated"] < WORTH_PROVING * entry["noise"]:
         return ""
     names = {words.title(name) for p in state.selection.placebo.values() for name in p.effects()}
@@ -286,19 +286,16 @@ def error_columns(state: State) -> list[tuple[str, str, int]]:
 
 
 def correction_texts(state: State) -> list[str]:
-    """What each shape correction is and how large, in a line."""
+    """What each shape correction is, in a line."""
     texts = []
     for k in state.models.corrections:
         first = state.rig.channels[0] if k.channel is None else k.channel
         values = list(values_of_effect(state.models.final[first], k.correction, first).items())
         shown = "; ".join(f"{words.plain(own)} {words.interval(p)}" for own, p in values[:2])
         more = f" and {len(values) - 2} more numbers" if len(values) > 2 else ""
-        change, c = max((v, c) for (c, signal), v in k.changes.items() if signal == "speed")
-        unit, scale = unit_of(state.logs.held_out, "speed", c)
-        size = f"it moves the speed by {change / scale:.2g} {unit} RMS on the held-out logs"
         where = words.where(place_of(k.channel))
         what = f"{CATALOGUE[k.correction].summary}, {where} (for {words.title(k.effect)})"
-        texts.append(f"{what}: {shown}{more}; {size}")
+        texts.append(f"{what}: {shown}{more}")
     return texts
 
 

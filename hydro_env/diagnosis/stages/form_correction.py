@@ -18,11 +18,11 @@ from ...plant import CATALOGUE
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY, follows
 from ..estimation import SETTLE_ITERATIONS, Estimate, Fit, Unknown, far_from_noise, grow_horizon, solve
 from ..logs import Estimates, changed, distinct
-from ..models.base import RigModel, given_effects
+from ..models.base import given_effects
 from .candidates import Attempt, Selection, penalty_per_parameter
 
 __all__ = [
-    "Correction", "Models", "best_attempt", "correct", "correct_all", "correct_placebo", "is_correction", "run",
+    "Correction", "Models", "best_attempt", "correct", "correct_all", "is_correction", "run",
     "with_correction",
 ]  # fmt: skip
 
@@ -38,20 +38,18 @@ NONE: Mapping[Estimate, Attempt | None] = {}
 
 @dataclass(frozen=True)
 class Correction:
-    """A correction that stayed: of which effect, on which channel (None: the rig), and by how much the cost of the fit logs fell.
-    `changes` are the RMS changes of the signals on the held-out logs that it makes, by (channel, signal), SI."""
+    """A correction that stayed: of which effect, on which channel (None: the rig), and by how much the cost of the fit logs fell."""
 
     effect: str
     correction: str
     channel: int | None
     fall: float
-    changes: Mapping[tuple[int, str], float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Models:
     """The models that are compared, by channel: as given, calibrated, with the `named` effects, with the corrections of their
-    form as well (`final`), and with the best wrong effects and as many corrections instead (`placebo`)."""
+    form as well (`final`), and with the best wrong effects instead (`placebo`)."""
 
     given: Estimates
     calibrated: Estimates
@@ -73,17 +71,15 @@ class Models:
 
 
 def run(given: Estimates, selection: Selection, verdict: str) -> Models:
-    """Corrects the form of what is named or given, and of the placebos as much."""
-    found, placebo = selection.estimates, selection.placebo
-    models = Models(given, selection.calibrated, found, given if verdict == "none" else found, placebo)
+    """Corrects the form of what is named or given."""
+    found, final = selection.estimates, given if verdict == "none" else selection.estimates
+    models = Models(given, selection.calibrated, found, final, selection.placebo)
     fit = selection.logs.fit
     if verdict not in ("effects", "calibration") or not fit.settings.uses("correct_form"):
         return models
     named = [(k.effect, k.channel) for k in selection.accepted]
     final, corrections = correct_all(fit, found, named, selection.forms)
-    placebo = correct_placebo(fit, placebo, final, corrections)
-    corrections = [_with_changes(selection.logs.held_out, final, k) for k in corrections]
-    return replace(models, final=final, placebo=placebo, corrections=corrections)
+    return replace(models, final=final, corrections=corrections)
 
 
 def is_correction(effect: str) -> bool:
@@ -97,14 +93,9 @@ def with_correction(estimate: Estimate, effect: str, correction: str, channel: i
     Numbers of either sign begin at zero, others at their usual size: a corner that is rounded ever less has no derivative.
     """
     alone = channel if estimate.channel is None else None
-    # What a placebo does not have it does not repeat: that number of the correction stays neutral.
-    own = {u.name for u in estimate.unknowns}
-    every = follows(correction, effect)
-    there = {n: not isinstance(source, str) or source.removeprefix("-") in own for n, source in every.items()}
-    repeated = {name: source for name, source in every.items() if there[name]}
-    added = []
+    repeated, added = follows(correction, effect), []
     for p in CATALOGUE[correction].parameters:
-        if f"{correction}.{p.name}" in every:
+        if f"{correction}.{p.name}" in repeated:
             continue
         # The prior is as wide as a correction usually is: ridge regression, in other words.
         shape = not p.carries_size
@@ -192,35 +183,3 @@ def correct_all(
         found.update(dict.fromkeys(fit.channels_of(one), better))
         every += kept
     return found, every
-
-
-def correct_placebo(fit: Fit, placebo: Estimates, final: Estimates, kept: Sequence[Correction]) -> Estimates:
-    """The placebos with as many corrections as the named effects of their channels have, untested: their own ones where there
-    are some, else the same. Each is refitted as long as what was found."""
-    found = dict(placebo)
-    for c, estimate in placebo.items():
-        for number, k in enumerate(k for k in kept if k.channel in (None, c)):
-            effects = [n for n in estimate.effects() if not is_correction(n)]
-            own = [(n, name) for n in effects for name in CORRECTIONS.get(n, {})]
-            effect, name = own[number] if number < len(own) else (k.effect, k.correction)
-            if name in estimate.effects() or CATALOGUE[name].scope == "rig":
-                continue
-            found[c] = estimate = with_correction(estimate, effect, name, k.channel)
-    if new := {c: p for c, p in found.items() if p is not placebo[c]}:
-        solve(fit, list(new.values()), TRY_ITERATIONS + SETTLE_ITERATIONS)
-    return found
-
-
-def _with_changes(rig: RigModel, final: Estimates, kept: Correction) -> Correction:
-    """The correction with how large it is on the logs of `rig`."""
-    found: dict[tuple[int, str], float] = {}
-    own = {f"{kept.correction}.{p.name}" for p in CATALOGUE[kept.correction].parameters}
-    for c in rig.channels if kept.channel is None else (kept.channel,):
-        whole = final[c].request()
-        bare = replace(whole, values={n: v for n, v in whole.values.items() if n not in own})
-        one, other = (result[c] for result in rig.predict([whole, bare]))
-        for signal in dict.fromkeys(s.signal for s in rig.segments[c]):
-            places = [s.place for s in rig.segments[c] if s.signal == signal]
-            change = np.concatenate([one[place] - other[place] for place in places])
-            found[c, signal] = float(np.sqrt(np.mean(change**2)))
-    return replace(kept, changes=found)

@@ -133,5 +133,4 @@ def _alike(a: Interval, b: Interval) -> bool:
 
 
 def _both(a: Interval, b: Interval) -> Interval:
-    moved = max(a.without_one_manoeuvre, b.without_one_manoeuvre)
-    return Interval(0.5 * (a.value + b.value), min(a.low, b.low), max(a.high, b.high), a.unit, moved)
+    return Interval(0.5 * (a.value + b.value), min(a.low, b.low), max(a.high, b.high), a.unit)

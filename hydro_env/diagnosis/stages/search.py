@@ -43,7 +43,6 @@ class Search:
     present: Estimates = field(default_factory=dict)
     accepted: list[Accepted] = field(default_factory=list)
     candidates: list[Candidate] = field(default_factory=list)
-    placebo: Estimates = field(default_factory=dict)
     forms: dict[Estimate, Attempt | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -20,6 +20,7 @@ from ..estimation import (
     solve,
     unexplained,
 )
+from ..logs import Estimates, distinct
 from .calibration import Calibrated
 from .candidates import ACCEPTED, OUTDONE, VANISHED, Accepted, Selection, judge, penalty
 from .elimination import drop_unneeded, prefer_form
@@ -73,8 +74,9 @@ def run(calibrated: Calibrated, screening: Sequence[Screening]) -> Selection:
     logs, copies = calibrated.logs, {p: replace(p) for p in calibrated.estimates.values()}
     own = {c: copies[p] for c, p in calibrated.estimates.items()}
     search = select(Search(logs.fit, own, screening, logs.seconds))
+    placebo = _placebos(search)
     fit = logs.fit.with_noise_seen_by(search.present)
-    groups = search.calibrated, search.present, search.placebo
+    groups = search.calibrated, search.present, placebo
     tried = [t.estimate for t in search.forms.values() if t is not None]
     fit.rescore(list(dict.fromkeys([*tried, *(p for group in groups for p in group.values())])))
     logs = replace(logs, fit=fit)
@@ -84,9 +86,20 @@ def run(calibrated: Calibrated, screening: Sequence[Screening]) -> Selection:
         search.present,
         search.accepted,
         search.candidates,
-        search.placebo,
+        placebo,
         search.forms,
     )
+
+
+def _placebos(search: Search) -> Estimates:
+    """The best wrong candidate of the first round on each channel, refitted as far as what was accepted."""
+    wrong = [k for k in search.candidates if k.round == 1 and k.refitted and not k.accepted]
+    found: Estimates = {}
+    for k in sorted(wrong, key=lambda k: k.gain):
+        if k.estimate is not None:
+            found |= dict.fromkeys(search.fit.channels_of(k.estimate), k.estimate)
+    solve(search.fit, distinct(found), SETTLE_ITERATIONS)
+    return found
 
 
 def select(search: Search) -> Search:
@@ -117,8 +130,6 @@ def _search(search: Search, rig_first: bool) -> None:
     if len(channels) == 2:
         select_rig_effects(search)
     if any(k.channel is None for k in search.accepted):
-        if rig_first:
-            _set_placebos(search, first, of_channels)
         # Before, it had hidden what else there is on each channel.
         _forward(search, [c for c in channels if _worth_another(search, c)])
     if search.fit.rig.has_hidden_states:
@@ -155,7 +166,6 @@ def better_set(search: Search, other: Search) -> Search:
         k if (k.effect, k.channel) in names else replace(k, rival=abs(ahead)) for k in best.accepted
     ]
     best.candidates += [replace(k, outcome=OUTDONE) if k.accepted else k for k in rest.candidates]
-    best.placebo = best.placebo or rest.placebo
     return best
 
 
@@ -184,17 +194,6 @@ def _forward(search: Search, channels: list[int], screening: Sequence[Screening]
         channels = [c for c in accepted if _worth_another(search, c)]
 
 
-def _set_placebos(search: Search, channels: Sequence[int], screening: Sequence[Screening]) -> None:
-    """The best candidate of each channel at first look, refitted, as the placebo beside an effect of the rig."""
-    if not search.of_rig:
-        return
-    best = {k.channel: k for k in reversed(screening)}
-    search.placebo = {c: search.calibrated[c].extended(best[c].effect, best[c].start, c) for c in channels}
-    placebos = list(search.placebo.values())
-    short_refit(search.fit, placebos)
-    solve(search.fit, placebos, SETTLE_ITERATIONS)
-
-
 def _round(search: Search, channels: Sequence[int], screening: Sequence[Screening], number: int) -> list[int]:
     """One forward step on every channel; returns the channels on which an effect was accepted."""
     fit, cheap = search.fit, search.fit.rig.simulation_is_cheap
@@ -213,11 +212,7 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     search.settle([k.refits[0] for k in contests])
     if fit.rig.has_hidden_states and fit.settings.uses("compete_on_beginning"):
         _compete_on_beginning(search, contests)
-    accepted = [k.channel for k in contests if _accept_best(search, k, number)]
-    if number == 1:
-        # As far as what was accepted has been.
-        solve(search.fit, [search.placebo[c] for c in accepted], SETTLE_ITERATIONS)
-    return accepted
+    return [k.channel for k in contests if _accept_best(search, k, number)]
 
 
 def _promising(
@@ -283,8 +278,6 @@ def _accept_best(search: Search, contest: Contest, number: int) -> bool:
     for p in contest.outdone:
         search.record(p.label, c, number, fit.gain(before, p), OUTDONE, p)
     accepted = first == ACCEPTED
-    if number == 1:
-        search.placebo[c] = refits[1 if accepted and len(refits) > 1 else 0]
     if accepted:
         competing, needed = search.competing(best.label, contest.gains), penalty(fit, best.label)
         search.accepted.append(Accepted(best.label, c, gains[0], needed, competing, before))

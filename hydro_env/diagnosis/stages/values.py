@@ -28,13 +28,12 @@ TWO_SIDED_95 = 1.96
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate with its 95 % interval, SI; `without_one_manoeuvre` is its largest move when one manoeuvre is left out."""
+    """An estimate with its 95 % interval, SI."""
 
     value: float
     low: float
     high: float
     unit: str
-    without_one_manoeuvre: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -107,9 +106,7 @@ def _interval(estimate: Estimate, j: int) -> Interval:
     if sure is None:
         return Interval(value, value, value, u.unit)
     low, high = (float(np.clip(u.value(float(end[j])), u.low, u.high)) for end in (sure.low, sure.high))
-    away = float(sure.without[j])
-    moved = max(abs(u.value(q - away) - value), abs(u.value(q + away) - value))
-    return Interval(value, low, high, u.unit, float(moved))
+    return Interval(value, low, high, u.unit)
 
 
 def known_parameters(rig: RigModel, estimates: Estimates) -> list[KnownParameter]:

@@ -81,7 +81,7 @@ def confirm(
         found = doubts(logs, selection.accepted, models.final, proofs)
     if not found:
         return Confirmed(verdict, models, proofs, [], elsewhere)
-    bare = replace(models, final=models.named, placebo=selection.placebo, corrections=[])
+    bare = replace(models, final=models.named, corrections=[])
     bare = uncertainty.run(logs, bare)
     return Confirmed("unknown", bare, validation.run(logs, bare), found, [])
 
