@@ -12,27 +12,22 @@ make up for them, which `Calibration.warnings` says.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from ..measured import Finding, RigLog
 from ..measured import Mapping as LogMapping
-from ..plant import PlantModel, load_model
-from .estimation import Fit, Vector, intervals_of, refine
-from .input.checks import read_logs
-from .input.parts import Part
+from ..plant import PlantModel
+from .estimation import Fit, Vector
 from .logs import Estimates
-from .models.base import RigModel
-from .models.choice import rig_model
+from .opening import opened
 from .settings import Settings
-from .stages.calibration import Chosen, calibrated_fit, check_chosen, fit_as_given
-from .stages.consistency import implausible, stop_if_sure
-from .stages.row_times import settled, without_outliers
+from .stages import calibration, consistency, settling, uncertainty
+from .stages.calibration import Chosen, check_chosen
+from .stages.form_correction import Models
 from .stages.validation import Proof, prove, shown_unit, signal_key
 from .stages.values import KnownParameter, at_bounds, estimated_model, known_parameters
 
@@ -107,46 +102,27 @@ def estimate(
         InputError: for logs or a model that cannot be used, logs that are surely not of this machine, a parameter that is not
             known or cannot be estimated here, and bounds that do not hold its value in the model.
     """
-    given = load_model(model)
-    # Threads of the linear algebra would wait for each other and for those that simulate: its matrices are narrow.
-    with threadpool_limits(1, "blas"), ExitStack() as at_end:
-        progress("reading logs", 0)
-        parts, _ = read_logs(logs, None, mapping, accept)
-
-        def rig_of(parts: list[Part]) -> RigModel:
-            return rig_model(given, parts, steady, jobs, lambda done: progress("calibrating", done))
-
-        with closing(rig_of(parts)) as first:
-            parts = settled(first, parts)
-        rig = at_end.enter_context(closing(rig_of(parts)))
-        fine = at_end.enter_context(closing(rig.with_parts(parts, False))) if rig.has_hidden_states else rig
-        return _estimated(rig, fine, parameters, accept, Settings(seed=seed))
-
-
-def _estimated(
-    rig: RigModel, fine: RigModel, parameters: Collection[str] | Mapping[str, tuple[float, float] | None] | None,
-    accept: Collection[str], settings: Settings,
-) -> Calibration:  # fmt: skip
-    """Calibrates `rig`; `fine` is the same model with the accuracy of a proof."""
-    chosen: Chosen | None = None
-    if parameters is not None:
-        chosen = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
-        check_chosen(rig, chosen)
-    fit, given = fit_as_given(rig, settings)
-    findings = implausible(rig, given)
-    stop_if_sure(findings, rig, accept)
-    fit, calibrated, outliers = calibrated_fit(fit, chosen)
-    fine, _ = without_outliers(fine, calibrated)
-    refine(fit, fit.on(fine), calibrated.values())
-    for one in dict.fromkeys(calibrated.values()):
-        if one.unknowns and one.columns:
-            one.intervals = intervals_of(fit, one)
-    proof = prove(fine, {"before": given, "calibrated": calibrated, "after": calibrated})
-    model = estimated_model(rig, calibrated, f"{rig.model.name} calibrated")
-    known = {p.name: p for p in known_parameters(rig, calibrated)}
-    return Calibration(
-        known, _residuals(proof), model, [*_warnings(fit, calibrated, [*findings, *outliers], proof)]
-    )
+    settings = Settings(seed=seed)
+    progress("reading logs", 0)
+    with opened(
+        logs, None, model, mapping, accept, steady=steady, jobs=jobs, settings=settings,
+        count=lambda done: progress("calibrating", done),
+    ) as all_logs:  # fmt: skip
+        rig = all_logs.rig
+        chosen: Chosen | None = None
+        if parameters is not None:
+            chosen = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
+            check_chosen(rig, chosen)
+        found = calibration.run(consistency.run(all_logs, accept), chosen)
+        models = Models(found.given, found.estimates, found.estimates, found.estimates, {})
+        models = uncertainty.run(found.logs, settling.run(found.logs, models))
+        after = models.final
+        proof = prove(found.logs.fine, {"before": models.given, "calibrated": after, "after": after})
+        known = {p.name: p for p in known_parameters(rig, after)}
+        warnings = [*_warnings(found.logs.fit, after, found.findings, proof)]
+        return Calibration(
+            known, _residuals(proof), estimated_model(rig, after, f"{rig.model.name} calibrated"), warnings
+        )
 
 
 def _residuals(proof: Proof) -> dict[str, Residual]:

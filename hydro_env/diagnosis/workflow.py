@@ -13,21 +13,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Sequence
-from contextlib import ExitStack, closing
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from threadpoolctl import threadpool_limits
-
 from ..measured import Mapping, RigLog
-from ..plant import PlantModel, load_model
-from .estimation import Fit
-from .input.checks import read_logs
-from .input.parts import Part
+from ..plant import PlantModel
 from .logs import Logs
-from .models.base import RigModel
-from .models.choice import rig_model
+from .opening import opened
 from .result import Diagnosis
 from .settings import Settings
 from .stages import (
@@ -38,7 +31,6 @@ from .stages import (
     naming,
     next_experiment,
     rattling,
-    row_times,
     screening,
     selection,
     settling,
@@ -100,29 +92,18 @@ def diagnose(
     Raises:
         InputError: for anything that cannot be used.
     """
-    begin = time.perf_counter()
-    given = load_model(model)
-    doing = "reading logs"
+    begin, doing = time.perf_counter(), "reading logs"
 
     def say(text: str) -> None:
         nonlocal doing
         doing = text
         progress(doing, 0)
 
-    def rig_of(parts: list[Part]) -> RigModel:
-        return rig_model(given, parts, steady, jobs, lambda done: progress(doing, done), frozenset(without))
-
-    # Threads of the linear algebra would wait for each other and for those that simulate: its matrices are narrow.
-    with threadpool_limits(1, "blas"), ExitStack() as at_end:
-        say(doing)
-        parts, held_out = read_logs(fit, sealed, mapping, accept)
-        with closing(rig_of(parts)) as first:
-            parts, held_out = row_times.settled(first, parts), row_times.settled(first, held_out)
-        rig = at_end.enter_context(closing(rig_of(parts)))
-        # Where the dynamics are simulated, the proof has a tighter tolerance than the fit.
-        fine = at_end.enter_context(closing(rig.with_parts(parts, False))) if rig.has_hidden_states else rig
-        others = at_end.enter_context(closing(rig.with_parts(held_out, True)))
-        logs = Logs(Fit(rig, {}, settings), fine, others)
+    say(doing)
+    with opened(
+        fit, sealed, model, mapping, accept, steady=steady, jobs=jobs, settings=settings, without=without,
+        count=lambda done: progress(doing, done),
+    ) as logs:  # fmt: skip
         state = find(logs, accept, say)
         say(_TEXTS[next_experiment.run])
         proposed = next_experiment.run(state)

@@ -30,7 +30,7 @@ from .row_times import without_outliers
 from .screening import Screening
 
 __all__ = [
-    "Calibrated", "Chosen", "as_given", "base_unknowns", "calibrate", "calibrated_fit", "check_chosen", "fit_as_given", "run",
+    "Calibrated", "Chosen", "as_given", "base_unknowns", "calibrate", "check_chosen", "fit_as_given", "run",
 ]  # fmt: skip
 
 #: Parameters to calibrate by name, each with its bounds (SI) or None for the plausible ones.
@@ -54,24 +54,21 @@ class Calibrated:
     backlashes: list[Screening] = field(default_factory=list)
 
 
-def run(given: Given) -> Calibrated:
-    """Calibrates every channel and estimates the noise again; without the rows that stand out, where there are some."""
-    fit, estimates, found = calibrated_fit(given.logs.fit)
-    rigs = given.logs.fine, given.logs.held_out
-    (fine, _), (held_out, more) = (without_outliers(rig, estimates) for rig in rigs)
-    return Calibrated(Logs(fit, fine, held_out), given.estimates, estimates, [*given.findings, *found, *more])
-
-
-def calibrated_fit(fit: Fit, chosen: Chosen | None = None) -> tuple[Fit, Estimates, list[Finding]]:
-    """The noise as the calibrated estimates show it, without rows that stand out; the estimates; what was left out."""
-    calibrated = calibrate(fit, chosen=chosen)
-    rig, found = without_outliers(fit.rig, calibrated)
+def run(given: Given, chosen: Chosen | None = None) -> Calibrated:
+    """Calibrates every channel, all that may be adjusted or the `chosen` parameters, and estimates the noise again; without the
+    rows that stand out, where there are some."""
+    logs = given.logs
+    fit, estimates = logs.fit, calibrate(logs.fit, chosen=chosen)
+    rig, found = without_outliers(fit.rig, estimates)
     if found:
         fit = fit.on(rig)
-        calibrated = calibrate(fit, chosen=chosen)
-    fit = fit.with_noise_seen_by(calibrated)
-    fit.rescore(list(calibrated.values()))
-    return fit, calibrated, found
+        estimates = calibrate(fit, chosen=chosen)
+    fit = fit.with_noise_seen_by(estimates)
+    fit.rescore(list(estimates.values()))
+    fine, _ = without_outliers(logs.fine, estimates)
+    held_out, more = (fine, []) if logs.held_out is logs.fine else without_outliers(logs.held_out, estimates)
+    findings = [*given.findings, *found, *more]
+    return Calibrated(Logs(fit, fine, held_out), given.estimates, estimates, findings)
 
 
 def base_unknowns(rig: RigModel, channel: int, chosen: Chosen | None = None) -> list[Unknown]:

@@ -23,7 +23,7 @@ from .calibration import fit_as_given
 from .instruments import eccentric, runs_apart
 from .shaft import given_shaft, shaft_of
 
-__all__ = ["implausible", "run", "stop_if_sure"]
+__all__ = ["implausible", "run"]
 
 #: Units in which a signal is really recorded.
 _UNITS = {
@@ -55,13 +55,13 @@ def run(logs: Logs, accept: Collection[str] = ()) -> Given:
     rig = logs.rig
     fit, given = fit_as_given(rig, logs.fit.settings)
     findings = implausible(rig, given)
-    stop_if_sure(findings, rig, accept)
+    _stop_if_sure(findings, rig, accept)
     if rig.has_hidden_states:
-        stop_if_sure(list(_beyond_rated(logs.held_out)), logs.held_out, accept)
+        _stop_if_sure(list(_beyond_rated(logs.held_out)), logs.held_out, accept)
     return Given(replace(logs, fit=fit), given, findings)
 
 
-def stop_if_sure(findings: list[Finding], rig: RigModel, accept: Collection[str]) -> None:
+def _stop_if_sure(findings: list[Finding], rig: RigModel, accept: Collection[str]) -> None:
     """InputError for the first finding about the logs of `rig` that is sure and not accepted."""
     for finding in findings:
         if finding.sure and finding.code not in accept:
@@ -77,15 +77,9 @@ def implausible(rig: RigModel, given: Estimates) -> list[Finding]:
     likes: dict[tuple[str, int], tuple[float, float]] = {}
     for channel in rig.channels:
         for signal in _compared(rig, channel):
-            like = _alike(*_pair(rig, given, channel, channel, signal))
-            if like is None:
-                continue
-            likes[signal, channel] = like
+            like = likes[signal, channel] = _alike(_pair(rig, given, channel, channel, signal))
             if like[0] < -0.5:
-                message = (
-                    f"the {signal} of channel {channel + 1} is the mirror image of the model's "
-                    f"(correlation {like[0]:.2f})"
-                )
+                message = f"the {signal} of channel {channel + 1} is the mirror image of the model's (correlation {like[0]:.2f})"
                 hint = f"give `sign: -1` for the {signal} in a mapping"
                 found.append(Finding("sign", message, hint, signal, channel + 1, sure=like[0] < -0.8))
     found += [*_units(rig, likes), *_load(rig), *_supply(rig)]
@@ -100,54 +94,50 @@ def _compared(rig: RigModel, channel: int) -> list[str]:
     return [s for s in dict.fromkeys(s.signal for s in rig.segments[channel]) if s not in LEVEL_FREE]
 
 
-def _pair(
-    rig: RigModel, given: Estimates, own: int, other: int, signal: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Measured samples of channel `own` and the model's of channel `other`, over all logs."""
+def _pair(rig: RigModel, given: Estimates, own: int, other: int, signal: str) -> np.ndarray:
+    """Measured samples of channel `own` and the model's of channel `other` (2, n), over all logs."""
     both = [np.zeros((2, 0))]
     by_log = {s.log: s for s in rig.segments[other] if s.signal == signal}
     for mine in rig.segments[own]:
         if mine.signal == signal and mine.log in by_log:
             values = given[other].simulated[other][by_log[mine.log].place]
             both.append(np.array([mine.measured, values])[:, mine.used & np.isfinite(values)])
-    measured, simulated = np.concatenate(both, axis=1)
-    return measured, simulated
+    return np.concatenate(both, axis=1)
 
 
-def _alike(one: np.ndarray, two: np.ndarray) -> tuple[float, float] | None:
-    """Correlation and ratio of sizes of two signals; None where there is nothing to compare."""
+def _alike(both: np.ndarray) -> tuple[float, float]:
+    """Correlation and ratio of sizes of two signals (2, n); NaN, which no comparison holds for, where nothing is to compare."""
+    one, two = both
     if one.size < _ROWS or not (np.std(one) > 0.0 and np.std(two) > 0.0):
-        return None
+        return math.nan, math.nan
     return float(np.corrcoef(one, two)[0, 1]), float(np.std(one) / np.std(two))
 
 
 def _turned(
     rig: RigModel, turning: int, pressing: int | None = None, loaded: int | None = None, load_scale: float = 1.0,
     pressure_scale: float = 1.0,
-) -> tuple[np.ndarray, np.ndarray] | None:  # fmt: skip
-    """The measured speed (n,) of a channel over all logs, and what pressure and load, scaled, give to its shaft (n,), see
-    `shaft_of`; None where they are not logged."""
+) -> np.ndarray:  # fmt: skip
+    """The measured speed of a channel over all logs, and what pressure and load, scaled, give to its shaft (2, n), see
+    `shaft_of`; no samples where they are not logged."""
     both, values = [], given_shaft(rig, turning if pressing is None else pressing)
     for part in rig.parts:
         shaft = shaft_of(part, turning, pressing, loaded)
         if shaft is None:
-            return None
+            return np.zeros((2, 0))
         shaft = replace(shaft, pressure=pressure_scale * shaft.pressure, load=load_scale * shaft.load)
         both.append(np.array([shaft.speed, shaft.driven(values)])[:, shaft.used])
-    measured, driven = np.concatenate(both, axis=1)
-    return measured, driven
+    return np.concatenate(both, axis=1)
 
 
-def _unlike(both: tuple[np.ndarray, np.ndarray] | None) -> float:
-    """One less the correlation; 2 where there is none."""
-    like = None if both is None else _alike(*both)
-    return 2.0 if like is None else 1.0 - like[0]
+def _unlike(both: np.ndarray) -> float:
+    """One less the correlation."""
+    return 1.0 - _alike(both)[0]
 
 
-def _misfit(both: tuple[np.ndarray, np.ndarray] | None) -> float:
+def _misfit(both: np.ndarray) -> float:
     """How far correlation and ratio of sizes are from one."""
-    like = None if both is None else _alike(*both)
-    return math.inf if like is None else abs(math.log(like[1])) + 2.0 * (1.0 - like[0])
+    correlation, ratio = _alike(both)
+    return abs(math.log(ratio)) + 2.0 * (1.0 - correlation)
 
 
 # --- sizes and signs ------------------------------------------------------------------------------------------------------
@@ -173,7 +163,7 @@ def _load(rig: RigModel) -> Iterator[Finding]:
     with the one as logged."""
     for channel in rig.channels:
         logged, without, mirrored = (_turned(rig, channel, load_scale=scale) for scale in (1.0, 0.0, -1.0))
-        if logged is None or without is None or logged[0].size < _ROWS or not np.std(logged[0]) > 0.0:
+        if logged[0].size < _ROWS or not np.std(logged[0]) > 0.0:
             continue
         off, free = (np.sqrt(np.mean((one - two) ** 2)) / np.std(one) for one, two in (logged, without))
         if off > max(_LESS * free, 1.0):
@@ -200,8 +190,10 @@ def _units(rig: RigModel, likes: dict[tuple[str, int], tuple[float, float]]) -> 
     """Signals whose size is off by the factor between two units."""
     for channel in rig.channels:
         # Pressures with many holes give no shaft; then the model of each signal is all there is.
-        both = {"speed", "pressure"} <= {signal for signal, c in likes if c == channel}
-        tied = both and _turned(rig, channel) is not None
+        tied = (
+            _turned(rig, channel).size
+            and np.isfinite([likes[s, channel] for s in ("speed", "pressure")]).all()
+        )
         if tied:
             yield from _tied_units(rig, channel, likes)
         for signal in _UNITS:
@@ -229,16 +221,14 @@ def _tied_units(
             sizes = likes[signal, channel][1] / factor, likes[other, channel][1]
             if all(1.0 / _EFFECTS < size < _EFFECTS for size in sizes):
                 both = _turned(rig, channel, pressure_scale=1.0 / factor if signal == "pressure" else 1.0)
-                if both is not None and signal == "speed":
-                    both = both[0] / factor, both[1]
-                tries.append((_misfit(both), signal, unit))
+                tries.append((_misfit(both / [[factor if signal == "speed" else 1.0], [1.0]]), signal, unit))
     plain = _turned(rig, channel)
     misfit, signal, unit = min(tries, default=(math.inf, "", ""))
     if misfit < _FITS and _misfit(plain) > misfit + 1.0:
         yield _unit(rig, signal, channel, likes[signal, channel][1], unit, True)
         return
-    like = None if plain is None else _alike(*plain)
-    if like is not None and like[0] > 0.9 and not 1.0 / _EFFECTS < like[1] < _EFFECTS:
+    like = _alike(plain)
+    if like[0] > 0.9 and not 1.0 / _EFFECTS < like[1] < _EFFECTS:
         message = (
             f"the speed of channel {channel + 1} is {like[1]:.3g} times what its pressure and load give to the shaft: "
             "a large loss that the model lacks, or is one of them in another unit?"
@@ -265,15 +255,12 @@ def _command(rig: RigModel, given: Estimates) -> Iterator[Finding]:
     """Commands in percent or as a fraction of full command, called volts: then every current is off by the same factor."""
     ratios = []
     for channel in rig.channels:
-        measured, simulated = _pair(rig, given, channel, channel, "current")
-        like = _alike(measured, simulated)
-        if like is None or like[0] < 0.95:
+        measured, simulated = both = _pair(rig, given, channel, channel, "current")
+        if not _alike(both)[0] >= 0.95:
             return
         # The model's current is limited where the command is.
         low = np.abs(simulated) < 0.9 * np.max(np.abs(simulated))
-        ratios.append(
-            float(measured[low] @ simulated[low]) / max(float(simulated[low] @ simulated[low]), 1e-30)
-        )
+        ratios.append(np.linalg.lstsq(simulated[low, None], measured[low])[0].item())
     rated, peak = rig.model.value("u_rated", rig.channels[-1]), max(_peak(rig, c) for c in rig.channels)
     for meant, full, near in (("percent", 100.0, 1.05), ("a fraction of full command", 1.0, 1.5)):
         factor = rated / full
@@ -311,9 +298,8 @@ def _exchanged(rig: RigModel, given: Estimates) -> Iterator[Finding]:
         yield Finding("swapped", message, f"exchange the columns of {wrong} in a mapping", sure=True)
         return
     for signal in signals:
-        likes = {(c, o): _alike(*_pair(rig, given, c, o, signal)) for c in (0, 1) for o in (0, 1)}
-        like = {key: each[0] for key, each in likes.items() if each is not None}
-        if len(like) < 4:
+        like = {(c, o): _alike(_pair(rig, given, c, o, signal))[0] for c in (0, 1) for o in (0, 1)}
+        if not np.isfinite([*like.values()]).all():
             return
         apart = min(like[0, 1], like[1, 0]) - max(like[0, 0], like[1, 1])
         # The coil hardly depends on what is missing elsewhere, so that much smaller differences count there.
