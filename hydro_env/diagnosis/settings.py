@@ -16,12 +16,10 @@ __all__ = ["RULES", "Settings"]
 #: What each rule does, by its name.
 RULES = {
     "compare_sets": "compare a set of local effects with one that has an effect of the whole rig",
-    "compete_on_beginning": "compare all candidates on the beginning of the logs where the best one leaves something",
     "correct_form": "correct the form of named effects",
     "doubt_left": "reject names that leave much of a signal of the fit logs, whatever their form",
     "doubt_neutral": "reject names whose interval holds the neutral value",
     "doubt_worse": "reject names that make a signal worse of the held-out logs",
-    "drop_unneeded": "drop an effect that the known parameters replace, from where it led them",
     "follow_speed": "follow the measured speed where a coupling rattles, which multiplies every difference",
     "grow_horizon": "fit what is far from the noise to the beginning of the logs first",
     "restart_friction": "restart the calibration with other spool friction where a little more than noise is left",

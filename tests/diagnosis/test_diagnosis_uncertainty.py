@@ -14,9 +14,8 @@ from hydro_env.diagnosis.estimation import (
     noise_floor,
     noise_of,
     refine,
-    settle,
 )
-from hydro_env.diagnosis.estimation.final_refinement import moves_along_axes
+from hydro_env.diagnosis.estimation.final_refinement import moves_along_axes, settle
 from hydro_env.diagnosis.estimation.uncertainty import bootstrap, nearest_inside
 from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.input.duration import STRETCH_S

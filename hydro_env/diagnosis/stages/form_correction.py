@@ -38,7 +38,7 @@ NONE: Mapping[Estimate, Attempt | None] = {}
 
 @dataclass(frozen=True)
 class Correction:
-    """A correction that stayed: of which effect, on which channel (None: the rig), and by how much the cost of the fit logs fell."""
+    """A correction that stayed: of which effect, on which channel (None: the rig), and how far the cost of the fit logs fell."""
 
     effect: str
     correction: str

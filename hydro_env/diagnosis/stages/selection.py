@@ -9,21 +9,19 @@ compared with one that has an effect of the whole rig.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from ..estimation import (
     SETTLE_ITERATIONS,
     Estimate,
-    best_on_early_window,
     could_pay,
     joined,
     solve,
-    unexplained,
 )
 from ..logs import Estimates, distinct
 from .calibration import Calibrated
 from .candidates import ACCEPTED, OUTDONE, VANISHED, Accepted, Selection, judge, penalty
-from .elimination import drop_unneeded, prefer_form
+from .elimination import prefer_form
 from .form_correction import given_on
 from .rig_effects import rig_effect_leads, select_rig_effects
 from .screening import Screening, screen
@@ -39,34 +37,6 @@ FIRST_REFITS, LATER_REFITS = (12, 3), (6, 2)
 WITHIN_REACH = 0.5
 #: Iterations of a full refit, one with each step of differences, and of one where simulating costs next to nothing.
 FULL_ITERATIONS, CHEAP_ITERATIONS = 3, 10
-
-
-@dataclass
-class Contest:
-    """The candidates of a channel in a round: those that are refitted in full, best first, and the rest. Each has the name of its
-    effect as label; `gains` are those by effect when all had been refitted alike."""
-
-    channel: int
-    refits: list[Estimate]
-    outdone: list[Estimate] = field(default_factory=list)
-    gains: dict[str, float] = field(default_factory=dict)
-
-    def narrow(self, search: Search, most: int) -> None:
-        """Leaves those within reach of the best one, but two at least, to be refitted in full."""
-        own = sorted(self.refits, key=lambda p: p.cost)
-        falls = [search.present[self.channel].cost - p.cost for p in own[:most]]
-        worthwhile = max(sum(fall > WITHIN_REACH * falls[0] for fall in falls), min(2, len(own)))
-        self.refits, self.outdone = own[:worthwhile], own[worthwhile:]
-
-    def rank(self, search: Search) -> None:
-        """Sorts the refitted ones, the best of each effect only, and counts their gains."""
-        fit, before = search.fit, search.present[self.channel]
-        best: dict[str, Estimate] = {}
-        for p in sorted(self.refits, key=lambda p: p.cost + penalty(fit, p.label)):
-            best.setdefault(p.label, p)
-        self.refits = [*best.values()]
-        self.outdone = [p for p in self.outdone if p.label not in best]
-        self.gains = {effect: fit.gain(before, p) for effect, p in best.items()}
 
 
 def run(calibrated: Calibrated, screening: Sequence[Screening]) -> Selection:
@@ -133,7 +103,6 @@ def _search(search: Search, rig_first: bool) -> None:
         # Before, it had hidden what else there is on each channel.
         _forward(search, [c for c in channels if _worth_another(search, c)])
     if search.fit.rig.has_hidden_states:
-        drop_unneeded(search)
         prefer_form(search)
 
 
@@ -198,21 +167,31 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     """One forward step on every channel; returns the channels on which an effect was accepted."""
     fit, cheap = search.fit, search.fit.rig.simulation_is_cheap
     short, full = FIRST_REFITS if number == 1 or cheap else LATER_REFITS
-    every = [Contest(c, _promising(search, c, screening, number, short)) for c in channels]
-    contests = [k for k in every if k.refits]
-    if not contests:
+    every = {c: _promising(search, c, screening, number, short) for c in channels}
+    every = {c: own for c, own in every.items() if own}
+    if not every:
         return []
-    short_refit(fit, [p for k in contests for p in k.refits])
-    for k in contests:
-        k.narrow(search, full)
-    solve(fit, [p for k in contests for p in k.refits], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS)
-    for k in contests:
-        k.rank(search)
+    short_refit(fit, [p for own in every.values() for p in own])
+    refits = {c: _within_reach(search.present[c], own, full) for c, own in every.items()}
+    solve(fit, [p for own in refits.values() for p in own], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS)
+    for own in refits.values():
+        own.sort(key=lambda p: p.cost + penalty(fit, p.label))
+    # All have been refitted alike here.
+    gains = {c: {p.label: fit.gain(search.present[c], p) for p in own} for c, own in refits.items()}
     # Before it is judged: in a local minimum the right one gains little, too.
-    search.settle([k.refits[0] for k in contests])
-    if fit.rig.has_hidden_states and fit.settings.uses("compete_on_beginning"):
-        _compete_on_beginning(search, contests)
-    return [k.channel for k in contests if _accept_best(search, k, number)]
+    search.settle([own[0] for own in refits.values()])
+    for c, own in every.items():
+        for p in own:
+            if p not in refits[c]:
+                search.record(p.label, c, number, fit.gain(search.present[c], p), OUTDONE, p)
+    return [c for c, own in refits.items() if _accept_best(search, c, own, gains[c], number)]
+
+
+def _within_reach(present: Estimate, tries: Sequence[Estimate], most: int) -> list[Estimate]:
+    """The candidates within reach of the best one, but two at least, which are refitted in full."""
+    own = sorted(tries, key=lambda p: p.cost)
+    falls = [present.cost - p.cost for p in own[:most]]
+    return own[: max(sum(fall > WITHIN_REACH * falls[0] for fall in falls), min(2, len(own)))]
 
 
 def _promising(
@@ -225,32 +204,6 @@ def _promising(
     for k in (k for k in own if k not in good):
         search.record(k.effect, c, number, k.gain, "explains too little at first look")
     return [search.present[c].extended(k.effect, k.start, c) for k in good]
-
-
-def _compete_on_beginning(search: Search, contests: Sequence[Contest]) -> None:
-    """Where the best candidate leaves more than another form of it would explain, every effect that the logs would show competes
-    again on their beginning, and the best are refitted beside those that the screening proposed, the two best as far as they go.
-    """
-    fit, names = search.fit, []
-    left = [k for k in contests if unexplained(fit, k.refits[0], k.channel)]
-    left = [k for k in left if unexplained(fit, search.in_other_form(k.refits[0]), k.channel)]
-    for k in left:
-        here = {n for n, c in search.present[k.channel].placed_effects() if c in (None, k.channel)}
-        shows = {s.effect for s in search.screening if s.channel == k.channel and s.shows}
-        names.append([n for n in search.names if n in shows - here])
-    presents = [(k.channel, search.present[k.channel]) for k in left]
-    found = best_on_early_window(fit, presents, names) if left else []
-    # The best so far has been refitted for longer; then the best of the others is, too.
-    leaders = [k.refits.pop(0) for k in left]
-    for k, own in zip(left, found, strict=True):
-        k.refits += own
-    solve(fit, [p for k in left for p in k.refits], SETTLE_ITERATIONS)
-    for k in left:
-        k.rank(search)
-    search.settle([p for k in left for p in k.refits[:1]])
-    for k, leader in zip(left, leaders, strict=True):
-        k.refits.append(leader)
-        k.rank(search)
 
 
 def _adopt_base(search: Search, c: int, vanished: Estimate) -> bool:
@@ -266,20 +219,20 @@ def _adopt_base(search: Search, c: int, vanished: Estimate) -> bool:
     return better
 
 
-def _accept_best(search: Search, contest: Contest, number: int) -> bool:
-    """Judges the refitted candidates of a channel and accepts the best one, if it passes; whether it does."""
-    fit, c, refits = search.fit, contest.channel, contest.refits
-    before, best = search.present[c], refits[0]
+def _accept_best(
+    search: Search, c: int, refits: Sequence[Estimate], alike: dict[str, float], number: int
+) -> bool:
+    """Judges the refitted candidates of a channel, the best one first, and accepts that, if it passes; whether it does. `alike`
+    are the gains by effect when all had been refitted alike."""
+    fit, before, best = search.fit, search.present[c], refits[0]
     gains = [fit.gain(before, p) for p in refits]
     first, *others = (judge(fit, p, p.label, gain, c) for p, gain in zip(refits, gains, strict=True))
     outcomes = [first, *(OUTDONE if other == ACCEPTED else other for other in others)]
     for p, gain, outcome in zip(refits, gains, outcomes, strict=True):
         search.record(p.label, c, number, gain, outcome, p)
-    for p in contest.outdone:
-        search.record(p.label, c, number, fit.gain(before, p), OUTDONE, p)
     accepted = first == ACCEPTED
     if accepted:
-        competing, needed = search.competing(best.label, contest.gains), penalty(fit, best.label)
+        competing, needed = search.competing(best.label, alike), penalty(fit, best.label)
         search.accepted.append(Accepted(best.label, c, gains[0], needed, competing, before))
         search.put(c, best)
     return accepted or (first == VANISHED and _adopt_base(search, c, best))
