@@ -18,17 +18,9 @@ from ...plant import CATALOGUE, PARAMETERS, Effect, Parameter, parameter_of
 from ...plant.parameters import SCALINGS
 
 __all__ = [
-    "Unknown",
-    "base_unknown",
-    "bases_of",
-    "effect_unknowns",
-    "SCALED_TOGETHER",
-    "less_taken",
-    "limited_by_effects",
-    "scaled",
-    "effect_starts",
-    "given_unknown",
-]
+    "SCALED_TOGETHER", "Unknown", "base_unknown", "bases_of", "effect_starts", "effect_unknowns", "given_unknown", "less_taken",
+    "limited_by_effects", "scaled",
+]  # fmt: skip
 
 #: Largest standard deviation of the prior of a base parameter, relative (or share of its range): data sheets leave as much
 #: open; and of friction, which dirt and wear change by factors.

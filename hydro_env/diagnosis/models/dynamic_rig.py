@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
+from itertools import zip_longest
 from math import exp, gcd, sqrt
 from typing import Any
 
@@ -15,7 +16,7 @@ from ...plant import CATALOGUE, PARAMETERS, Plant, PlantModel
 from ...plant.catalogue.form_corrections import CORRECTIONS, FAMILY
 from ...units import RPM
 from ..input.parts import Part
-from .base import Request, RigModel, given_parameters, view
+from .base import UNITS, Request, RigModel, given_parameters, view
 
 __all__ = ["DynamicRig"]
 
@@ -32,16 +33,8 @@ FOLLOW_S = 3e-3
 MAX_INPUTS = 100_000_000
 #: Base parameters that calibration may adjust. V is left out (never separated from beta), u_rated and x_max are settings.
 BASE = ("D", "J", "B", "Km", "beta", "m", "R", "L", "alpha", "k", "Kq", "Fc", "Fs", "vs")
-_RECORDED = {
-    "speed": "measured_speed",
-    "current": "current",
-    "pressure": "pressure",
-    "spool": "spool",
-    "flow": "flow",
-    "mean_line_pressure": "mean_line_pressure",
-}
-
-
+#: What the plant calls each signal.
+_RECORDED = {name: name for name in UNITS} | {"speed": "measured_speed"}
 #: The number of a request, and a channel.
 Side = tuple[int, int]
 
@@ -77,9 +70,9 @@ class DynamicRig(RigModel):
         rows = max(len(part.log) * part.finer for part in parts)
         # The same lanes are asked for again and again, by several threads.
         self._inputs = lru_cache(MAX_INPUTS // (32 * rows * BLOCK))(partial(_inputs, tuple(parts)))
-        #: A plant of the model for each effects, number of rigs and way of stepping, of which every batch takes a copy: to
+        #: A plant of the model for each number of rigs, effects and way of stepping, of which every batch takes a copy: to
         #: make one takes longer than to copy it.
-        self._plants: dict[tuple[tuple[str, ...], int, bool], Plant] = {}
+        self._plant = cache(partial(Plant, model, tolerance=tolerance, dtype=dtype, block=BLOCK))
         # The plant's kernel lets other threads of this process run beside it.
         self._pool = ThreadPoolExecutor(jobs) if jobs > 1 else None
         self.coupled = any(CATALOGUE[e].scope == "rig" for e in model.declared)
@@ -96,15 +89,9 @@ class DynamicRig(RigModel):
 
     def with_parts(self, parts: list[Part], every_row: bool) -> DynamicRig:
         return DynamicRig(
-            self.model,
-            parts,
-            every_row=every_row,
-            tolerance=PROOF_TOLERANCE,
-            dtype=PROOF_DTYPE,
-            jobs=self.jobs,
-            progress=self.progress,
-            without=self.without,
-        )
+            self.model, parts, every_row=every_row, tolerance=PROOF_TOLERANCE, dtype=PROOF_DTYPE, jobs=self.jobs,
+            progress=self.progress, without=self.without,
+        )  # fmt: skip
 
     def following(self, channels: Collection[int]) -> DynamicRig:
         # An uneven log is simulated on a finer grid than it is measured on.
@@ -239,14 +226,10 @@ class DynamicRig(RigModel):
         Both sides of a rig are alike, so a side may play either channel. As many rigs as there can be play one of each: they have
         the same inputs.
         """
-        whole = [sides for sides in wanted if len(sides) == 2]
-        first, second = (
-            [sides[0] for sides in wanted if sides[0][1] == c and len(sides) == 1] for c in (0, 1)
-        )
-        both = min(len(first), len(second))
-        left = first[both:] + second[both:]
-        pairs = [list(pair) for pair in zip(first, second, strict=False)]
-        return whole + pairs + [left[k : k + 2] for k in range(0, len(left), 2)]
+        single = sorted((sides[0] for sides in wanted if len(sides) == 1), key=lambda side: side[1])
+        half = -(-len(single) // 2)
+        pairs = zip_longest(single[:half], single[half:])
+        return [sides for sides in wanted if len(sides) == 2] + [[s for s in pair if s] for pair in pairs]
 
     def _whole(self, request: Request) -> bool:
         """Whether a request takes both sides of a rig."""
@@ -298,7 +281,7 @@ class DynamicRig(RigModel):
         own = [s for segments in self.segments.values() for s in segments if s.log in logs]
         every = gcd(*(s.step if s.late is None else 1 for s in own)) or 1
         with np.errstate(all="ignore"):
-            plant = self._plant(batch)
+            plant = self._plant(len(batch.lanes), effects=batch.effects, grouped=batch.grouped).copy()
             plant.set_values(values)
             plant.reset()
             signals = [_RECORDED[s] for s in self.signals]
@@ -333,20 +316,6 @@ class DynamicRig(RigModel):
             plant.shift("speed", share * error, slice(None))
             out[speed, row] += (1.0 - sqrt(1.0 - 0.5 * share)) * error
         return dict(zip(signals, out, strict=True))
-
-    def _plant(self, batch: _Batch) -> Plant:
-        key = batch.effects, len(batch.lanes), batch.grouped
-        if key not in self._plants:
-            self._plants[key] = Plant(
-                self.model,
-                len(batch.lanes),
-                effects=batch.effects,
-                tolerance=self.tolerance,
-                dtype=self.dtype,
-                block=BLOCK,
-                grouped=batch.grouped,
-            )
-        return self._plants[key].copy()
 
 
 def _inputs(parts: Sequence[Part], lanes: Sequence[tuple[int, int, int]]) -> np.ndarray:

@@ -34,15 +34,9 @@ SUPPORTED = (
 WIDEST = (0.2, 5.0)
 #: From a servo valve on a light axis, in milliseconds, to a proportional valve on a crane.
 LAG = Parameter(
-    "lag",
-    "s",
-    0.02,
-    0.001,
-    0.6,
-    "valve, line and inertia of a large axis together",
-    "lag of the speed behind the command",
+    "lag", "s", 0.02, 0.001, 0.6, "valve, line and inertia of a large axis together", "lag of the speed behind the command",
     log=True,
-)
+)  # fmt: skip
 
 
 class SteadyValve(RigModel):

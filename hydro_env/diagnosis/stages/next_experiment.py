@@ -86,10 +86,8 @@ def max_load(state: State) -> float:
     """The largest load of an experiment, N m: as the settings say, else the largest of the logs, which the rig can do."""
     if state.logs.fit.settings.load_limit is not None:
         return state.logs.fit.settings.load_limit
-    logs = (part.log.load for part in (*state.rig.parts, *state.logs.held_out.parts))
-    return max(
-        (float(np.nanmax(np.abs(load), initial=0.0)) for load in logs if load is not None), default=0.0
-    )
+    logs = [part.log.load for part in (*state.rig.parts, *state.logs.held_out.parts)]
+    return max(0.0, *(float(np.nanmax(np.abs(load), initial=0.0)) for load in logs if load is not None))
 
 
 # --- what is open -----------------------------------------------------------------------------------------------------
@@ -120,10 +118,7 @@ def _tied(state: State, channel: int | None) -> dict[str, Estimate]:
         if channel in (effect.channels or (None,)) and effect.indistinguishable_from:
             present = state.selection.estimates[state.rig.channels[0] if channel is None else channel]
             tried = _tried(state, channel)
-            return {
-                effect.name: present,
-                **{n: tried[n] for n in effect.indistinguishable_from if n in tried},
-            }
+            return {effect.name: present} | {n: tried[n] for n in effect.indistinguishable_from if n in tried}
     return {}
 
 

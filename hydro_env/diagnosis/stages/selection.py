@@ -50,15 +50,8 @@ def run(calibrated: Calibrated, screening: Sequence[Screening]) -> Selection:
     tried = [t.estimate for t in search.forms.values() if t is not None]
     fit.rescore(list(dict.fromkeys([*tried, *(p for group in groups for p in group.values())])))
     logs = replace(logs, fit=fit)
-    return Selection(
-        logs,
-        search.calibrated,
-        search.present,
-        search.accepted,
-        search.candidates,
-        placebo,
-        search.forms,
-    )
+    found = search.calibrated, search.present, search.accepted, search.candidates
+    return Selection(logs, *found, placebo, search.forms)
 
 
 def _placebos(search: Search) -> Estimates:
