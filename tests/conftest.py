@@ -26,7 +26,7 @@ LONG = (
     "test_diagnosis_dynamic_rig.py::test_the_fits_numbers_are_near_those_of_the_proof",
     "test_diagnosis_form_correction.py",
     "test_diagnosis_lines.py",
-    "test_diagnosis_fit_criteria.py",
+    "test_diagnosis_early_window.py",
     "test_diagnosis_local_minima.py",
     "test_diagnosis_rattling.py",
     "test_diagnosis_report.py",

@@ -16,6 +16,7 @@ __all__ = ["RULES", "Settings"]
 #: What each rule does, by its name.
 RULES = {
     "compare_sets": "compare a set of local effects with one that has an effect of the whole rig",
+    "compete_on_beginning": "compare all candidates on the beginning of the logs where the best one leaves something",
     "correct_form": "correct the form of named effects",
     "doubt_left": "reject names that leave much of a signal of the fit logs, whatever their form",
     "doubt_neutral": "reject names whose interval holds the neutral value",

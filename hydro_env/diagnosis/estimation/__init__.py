@@ -6,13 +6,13 @@ fit               likelihood, residuals and deviance of an estimate on the logs 
 noise             noise and independent samples of a residual
 gauss_newton      the solver
 final_refinement  the last steps to the minimum, with derivatives as wide as the uncertainty
-early_window      a fit to the beginning of the logs first
+early_window      fits to the beginning of the logs, of one estimate or of competing candidates
 multistart        restarts, where friction makes local minima
 fit_criteria      how much of a residual is explained
 uncertainty       block bootstrap
 """
 
-from .early_window import grow_horizon
+from .early_window import best_on_early_window, grow_horizon
 from .estimate import Estimate, Vector, joined
 from .final_refinement import refine
 from .fit import Fit, Noise, noise_of
@@ -43,7 +43,7 @@ from .unknowns import (
 
 __all__ = [
     "CANNOT_BE_PREDICTED", "SCALED_TOGETHER", "SETTLE_ITERATIONS", "Estimate", "Fit", "Noise", "Unknown", "Vector",
-    "base_unknown", "bases_of", "could_pay", "differentiate", "effect_starts", "effect_unknowns",
+    "base_unknown", "bases_of", "best_on_early_window", "could_pay", "differentiate", "effect_starts", "effect_unknowns",
     "effective_samples", "far_from_noise", "given_unknown", "grow_horizon", "intervals_of", "joined", "less_taken",
     "limited_by_effects", "mostly_explained", "noise_floor", "noise_of", "predictions_apart", "probability_of_gain", "refine",
     "replica_differences", "restart_friction", "scaled", "solve", "step_all",

@@ -1,8 +1,9 @@
-"""A fit to the beginning of the logs, where there is one minimum and simulations cost little, then to more and more of them.
+"""Fits to the beginning of the logs, where there is one minimum and a simulation costs little.
 
 On whole logs a missing effect has pulled known parameters along, and a shaft that nearly comes to rest turns on this way or that,
 from where it is revolutions off and dominates the remaining residual: no small step repairs it. What lies before determines the
-parameters, and these carry the simulation past it.
+parameters, and these carry the simulation past it. So an estimate that is far from the noise is fitted to more and more of the
+logs (`grow_horizon`), and competing candidates from every size to their first half second (`best_on_early_window`).
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from .fit import Fit
 from .gauss_newton import solve
 from .unknowns import effect_starts
 
-__all__ = ["early_window_of", "grow_horizon"]
+__all__ = ["best_on_early_window", "early_window_of", "grow_horizon"]
 
 #: Times the noise from which on an estimate is fitted to the beginning of the logs first: three quarters of the power are left.
 FAR = 2.0
@@ -36,6 +37,17 @@ ITERATIONS, SHORT_ITERATIONS, LAST_ITERATIONS = 2, 12, 4
 LOST_LEVEL = 0.3
 #: Starts that are improved on the first horizon, and that go on from there: the estimate's and the given parameters'.
 HORIZON_STARTS, KEPT_STARTS = 6, 2
+
+#: For competing candidates: shares of the logs in turn, each twice as long as the one before (half a second of a log of 12 s,
+#: which holds one movement, to 2.6 s), iterations with each, and the starts of each candidate that go on.
+STAGES = ((0.04, 2, 2), (0.04, 6, 1), (0.11, 4, 1), (0.22, 3, 1))
+#: Starts of each candidate that are improved, of all those that are simulated once: both signs of a size and one more.
+FIRST_STARTS = 3
+#: A candidate is dropped that is behind the best one by more than this, which pays for five parameters (`candidates.penalty`),
+#: and by more than this share of what the best one gains over no effect.
+FAR_BEHIND, OUT_OF_REACH = 100.0, 0.5
+#: Candidates that go on in any case: as many as a channel may have effects.
+KEPT = 3
 
 
 def early_window_of(rig: RigModel, share: float) -> RigModel:
@@ -58,6 +70,7 @@ def _first(segments: Sequence[Segment], rows: Sequence[int]) -> Segments:
     return found
 
 
+# --- one estimate, on a growing horizon -------------------------------------------------------------------------------------
 def grow_horizon(fit: Fit, estimates: Sequence[Estimate]) -> list[Estimate]:
     """Improves in place those of `estimates` that are far from the noise; returns the ones that became better."""
     if not fit.settings.uses("grow_horizon"):
@@ -122,4 +135,57 @@ def _elsewhere(rig: RigModel, estimate: Estimate) -> list[Estimate]:
                 if name in own:
                     q[own[name]] = estimate.unknowns[own[name]].q(value)
             found.append(estimate.at(np.clip(q, *estimate.bounds)))
+    return found
+
+
+# --- competing candidates -----------------------------------------------------------------------------------------------
+def best_on_early_window(
+    fit: Fit, presents: Sequence[tuple[int, Estimate]], names: Sequence[Sequence[str]]
+) -> list[list[Estimate]]:
+    """For each of `presents`, with its channel, the few extensions by one of the effects `names` on that channel that explain the
+    beginning of the logs best.
+
+    They come best first. They start from the estimate and from the known parameters as given, with every size and shape of the
+    effect.
+    """
+    fields = [_starts(fit.rig, p, c, own) for (c, p), own in zip(presents, names, strict=True)]
+    beginning = fit.on(early_window_of(fit.rig, STAGES[0][0]))
+    beginning.evaluate([p for field in fields for p in field])
+    fields = [_best_of_each(field, FIRST_STARTS) for field in fields]
+    for share, iterations, kept in STAGES:
+        beginning = fit.on(early_window_of(fit.rig, share))
+        fields = [[p.at(p.q.copy()) for p in field] for field in fields]
+        solve(beginning, [p for field in fields for p in field], iterations)
+        fields = [_within_reach(_best_of_each(field, kept)) for field in fields]
+    return [[p.at(p.q.copy()) for p in _best_of_each(field, 1) if p.label][:KEPT] for field in fields]
+
+
+def _starts(rig: RigModel, present: Estimate, channel: int, names: Sequence[str]) -> list[Estimate]:
+    """Every start of every candidate; without a label those that have no further effect."""
+    found = [present.at(present.q.copy(), ""), present.from_given().at(present.from_given().q, "")]
+    for name in names:
+        for values in effect_starts(effect_in(rig, name, channel), math.inf, whole=True):
+            one = present.with_effect(name, values, channel)
+            found += [one, one.from_given()]
+    return found
+
+
+def _best_of_each(field: Sequence[Estimate], count: int) -> list[Estimate]:
+    """The best `count` starts of each candidate, best first."""
+    found: list[Estimate] = []
+    for p in sorted(field, key=lambda p: p.cost):
+        if sum(other.label == p.label for other in found) < count:
+            found.append(p)
+    return found
+
+
+def _within_reach(field: Sequence[Estimate]) -> list[Estimate]:
+    """Those of a field, best first, that may still become the best."""
+    best = field[0].cost
+    fall = min(p.cost for p in field if not p.label) - best
+    found: list[Estimate] = []
+    for p in field:
+        near = p.cost - best < max(FAR_BEHIND, OUT_OF_REACH * fall)
+        if near or not p.label or len({f.label for f in found} | {p.label}) <= KEPT:
+            found.append(p)
     return found

@@ -14,9 +14,12 @@ from dataclasses import replace
 from ..estimation import (
     SETTLE_ITERATIONS,
     Estimate,
+    Fit,
+    best_on_early_window,
     could_pay,
     joined,
     solve,
+    unexplained,
 )
 from ..logs import Estimates, distinct
 from .calibration import Calibrated
@@ -167,17 +170,32 @@ def _round(search: Search, channels: Sequence[int], screening: Sequence[Screenin
     short_refit(fit, [p for own in every.values() for p in own])
     refits = {c: _within_reach(search.present[c], own, full) for c, own in every.items()}
     solve(fit, [p for own in refits.values() for p in own], CHEAP_ITERATIONS if cheap else FULL_ITERATIONS)
-    for own in refits.values():
-        own.sort(key=lambda p: p.cost + penalty(fit, p.label))
+    refits = {c: _ranked(fit, own) for c, own in refits.items()}
     # All have been refitted alike here.
-    gains = {c: {p.label: fit.gain(search.present[c], p) for p in own} for c, own in refits.items()}
+    gains = {c: _gains(search, c, own) for c, own in refits.items()}
     # Before it is judged: in a local minimum the right one gains little, too.
     search.settle([own[0] for own in refits.values()])
+    if fit.rig.has_hidden_states and fit.settings.uses("compete_on_beginning"):
+        again = _compete_on_beginning(search, refits)
+        refits, gains = refits | again, gains | {c: _gains(search, c, own) for c, own in again.items()}
     for c, own in every.items():
         for p in own:
-            if p not in refits[c]:
+            if p.label not in gains[c]:
                 search.record(p.label, c, number, fit.gain(search.present[c], p), OUTDONE, p)
     return [c for c, own in refits.items() if _accept_best(search, c, own, gains[c], number)]
+
+
+def _ranked(fit: Fit, refits: Sequence[Estimate]) -> list[Estimate]:
+    """The best estimate of each effect, best first."""
+    best: dict[str, Estimate] = {}
+    for p in sorted(refits, key=lambda p: p.cost + penalty(fit, p.label)):
+        best.setdefault(p.label, p)
+    return [*best.values()]
+
+
+def _gains(search: Search, c: int, refits: Sequence[Estimate]) -> dict[str, float]:
+    """By effect the gain over what a channel has."""
+    return {p.label: search.fit.gain(search.present[c], p) for p in refits}
 
 
 def _within_reach(present: Estimate, tries: Sequence[Estimate], most: int) -> list[Estimate]:
@@ -197,6 +215,29 @@ def _promising(
     for k in (k for k in own if k not in good):
         search.record(k.effect, c, number, k.gain, "explains too little at first look")
     return [search.present[c].extended(k.effect, k.start, c) for k in good]
+
+
+def _compete_on_beginning(search: Search, refits: dict[int, list[Estimate]]) -> dict[int, list[Estimate]]:
+    """Where the best candidate leaves more than another form of it would explain, every effect that the logs would show competes
+    again on their beginning, and the best are refitted beside those that the screening proposed, the two best as far as they go.
+    Returns all refitted ones of these channels, best first.
+    """
+    fit, presents, names = search.fit, {}, []
+    for c, (best, *_) in refits.items():
+        if unexplained(fit, best, c) and unexplained(fit, search.in_other_form(best), c):
+            here = {n for n, on in search.present[c].placed_effects() if on in (None, c)}
+            shows = {s.effect for s in search.screening if s.channel == c and s.shows}
+            names.append([n for n in search.names if n in shows - here])
+            presents[c] = search.present[c]
+    if not presents:
+        return {}
+    found = zip(presents, best_on_early_window(fit, [*presents.items()], names), strict=True)
+    # The best so far has been refitted for longer; then the best of the others is, too.
+    others = {c: [*refits[c][1:], *own] for c, own in found}
+    solve(fit, [p for own in others.values() for p in own], SETTLE_ITERATIONS)
+    others = {c: _ranked(fit, own) for c, own in others.items()}
+    search.settle([p for own in others.values() for p in own[:1]])
+    return {c: _ranked(fit, [*own, refits[c][0]]) for c, own in others.items()}
 
 
 def _adopt_base(search: Search, c: int, vanished: Estimate) -> bool:
