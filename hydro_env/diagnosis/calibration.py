@@ -29,7 +29,8 @@ from .stages import calibration, consistency, settling, uncertainty
 from .stages.calibration import Chosen, check_chosen
 from .stages.form_correction import Models
 from .stages.validation import Proof, prove, shown_unit, signal_key
-from .stages.values import KnownParameter, at_bounds, estimated_model, known_parameters
+from .stages.values import KnownParameter, estimated_model, known_parameters
+from .stages.warnings import about_bounds, about_logs
 
 __all__ = ["Calibration", "Residual", "estimate"]
 
@@ -145,7 +146,4 @@ def _warnings(fit: Fit, calibrated: Estimates, findings: Sequence[Finding], proo
         for (c, signal), e in proof.errors.items()
         if rig.has_hidden_states and e["after"] > fit.settings.unexplained * e["noise"]
     ]
-    edges = [f"{text} ends at the edge of its plausible range" for text in at_bounds(calibrated)]
-    of_logs = [f"{p.log.name}: {f.text}" for p in rig.parts for f in p.log.findings]
-    notes = [*rig.notes, *(p.note for p in rig.parts if p.note)]
-    return [*missing, *(f.text for f in findings), *edges, *notes, *dict.fromkeys(of_logs)]
+    return [*missing, *(f.text for f in findings), *about_bounds(calibrated), *about_logs(rig, rig.parts)]

@@ -192,13 +192,9 @@ def _scale(fit: Fit, models: Iterable[Estimate], channel: int, signal: str) -> f
     if (channel, signal) not in fit.noise:
         unit, size = UNITS[signal]
         return NOISE["pressure_bar" if unit == "bar" else f"{signal}_{unit}"] * size
-    left = [
-        np.sqrt(
-            np.mean([v * v for (_, s), v in fit.rms(p.simulated[channel], channel).items() if s == signal])
-        )
-        for p in models
-    ]
-    return max(fit.noise[channel, signal], float(min(left)))
+    left = [fit.rms(p.simulated[channel], channel) for p in models]
+    powers = [np.mean([v * v for (_, s), v in own.items() if s == signal]) for own in left]
+    return max(fit.noise[channel, signal], float(np.sqrt(min(powers))))
 
 
 def operation_of(held_out: Fit, estimate: Estimate, channel: int) -> Operation | None:
@@ -241,11 +237,8 @@ class Trial:
             scales = {c: self._scales(question.models.values(), c) for c in shared}
             of = {name: {c: table[c] / scales[c] for c in shared} for name, table in own.items()}
             answers.append(_Answers(question, of))
-        return (
-            answers,
-            {c: self._left(c, table[c]) for c, table in zip(self.operations, ensembles, strict=True)},
-            allowed,
-        )
+        left = {c: self._left(c, table[c]) for c, table in zip(self.operations, ensembles, strict=True)}
+        return answers, left, allowed
 
     def _simulate(self, experiments: Array) -> tuple[list[dict[int, Array]], Array]:
         """What the requests of each model show, by channel (requests, n, signals, T), and whether a channel is allowed (n, 2)."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
+from ..errors import InputError
 from ..measured import Mapping, RigLog
 from ..plant import PlantModel, load_model
 from .estimation import Fit
@@ -15,7 +16,8 @@ from .input.checks import read_logs
 from .input.parts import Part
 from .logs import Logs
 from .models.base import RigModel
-from .models.choice import rig_model
+from .models.dynamic_rig import DynamicRig
+from .models.steady_valve import SteadyValve
 from .settings import Settings
 from .stages import row_times
 
@@ -29,11 +31,20 @@ def opened(
     count: Callable[[int], None], without: Collection[str] = (),
 ) -> Iterator[Logs]:  # fmt: skip
     """The logs with a model of the rig, closed at the end; arguments as in `diagnose`. Without logs that are `held_out` (None)
-    those to fit stand for them. `count` is called with the number of simulations done. InputError for what cannot be used."""
+    those to fit stand for them. `count` is called with the number of simulations done.
+
+    It is the reduced steady-valve model for cylinders, or where `steady` is wanted, else the dynamic plant. InputError for logs
+    of motors and cylinders, and for all that cannot be used.
+    """
     given = load_model(model)
 
     def rig_of(parts: list[Part]) -> RigModel:
-        return rig_model(given, parts, steady, jobs, count, frozenset(without))
+        kinds = {part.log.kinds[c] for part in parts for c in part.log.channels}
+        if len(kinds) > 1:
+            raise InputError("the mapping mixes motors and cylinders; diagnose one kind at a time")
+        if steady or kinds == {"cylinder"}:
+            return SteadyValve(given, parts, progress=count, without=frozenset(without))
+        return DynamicRig(given, parts, jobs=jobs, progress=count, without=frozenset(without))
 
     # Threads of the linear algebra would wait for each other and for those that simulate: its matrices are narrow.
     with threadpool_limits(1, "blas"), ExitStack() as at_end:

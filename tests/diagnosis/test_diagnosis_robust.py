@@ -18,14 +18,15 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from hydro_env.cli.main import run
-from hydro_env.diagnosis import command, diagnose
+from hydro_env.diagnosis import Diagnosis, command, diagnose
 from hydro_env.diagnosis.estimation import Estimate, Fit, noise_of, solve
 from hydro_env.diagnosis.estimation.unknowns import base_unknown
 from hydro_env.diagnosis.input.parts import read_parts
 from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import BASE, DynamicRig
 from hydro_env.diagnosis.report import wording as words
-from hydro_env.diagnosis.report.statements import comment, next_step
+from hydro_env.diagnosis.report.page import report_page
+from hydro_env.diagnosis.report.statements import comment
 from hydro_env.diagnosis.stages.calibration import as_given, calibrate
 from hydro_env.diagnosis.stages.localisation import locate
 from hydro_env.diagnosis.stages.values import at_bounds, effect_values, known_parameters, widened_by_form
@@ -160,6 +161,11 @@ def _steps(seed: int, rows: int = 2000) -> np.ndarray:
     return np.repeat(steps, 125, axis=0)
 
 
+def _page(found: Diagnosis) -> str:
+    """The report with single spaces."""
+    return " ".join(report_page(found, found.next_experiment, found.warnings, 0.0).split())
+
+
 def test_logs_of_a_constant_command_determine_no_parameters(tmp_path: Path) -> None:
     still = np.full((1500, 2), 25.0)
     fit, held_out = (_logged(tmp_path / f"{n}.csv", still, n, J=0.003, R=104.0) for n in (1, 2))
@@ -168,7 +174,7 @@ def test_logs_of_a_constant_command_determine_no_parameters(tmp_path: Path) -> N
     assert found.verdict == "calibration" and "These logs do not determine the known parameters" in text
     assert "command of channel 1 is constant" in text
     assert "still missing" not in text and "is enough" not in text
-    assert "Do not use the calibrated values" in next_step(found)
+    assert "Do not use the calibrated values" in _page(found)
 
 
 def test_held_out_logs_of_a_hotter_coil_are_of_another_state(tmp_path: Path) -> None:
@@ -181,7 +187,7 @@ def test_held_out_logs_of_a_hotter_coil_are_of_another_state(tmp_path: Path) -> 
         assert found.verdict == "calibration" and "still missing" not in text
         assert ("seem to be of another rig or state: the coil current of channel 1" in text) == said
         assert ("Calibration is enough" in text) != said
-        assert ("same rig, valves and temperature" in next_step(found)) == said
+        assert ("same rig, valves and temperature" in _page(found)) == said
 
 
 @pytest.mark.parametrize(

@@ -69,13 +69,10 @@ def choose(log: RigLog, first: float, last: float, count: int = WINDOWS) -> list
     starts = np.arange(sums.size) * step
     usable = (time[starts] >= first - 1e-9) & (time[starts] + WINDOW_S <= last + 1e-9)
     score = np.where(usable, sums, -np.inf)
-    resting = rest_starts(log)
-    begin = starts.copy()
-    at_rest = np.zeros(starts.size, bool)
-    if resting.size:
-        near = np.minimum(np.searchsorted(resting, starts), resting.size - 1)
-        at_rest = (resting[near] >= starts) & (resting[near] < starts + step)
-        begin = np.where(at_rest, resting[near], starts)
+    begin, at_rest = starts.copy(), np.zeros(starts.size, bool)
+    rows = rest_starts(log)[::-1]  # of several in a piece the first one counts
+    rows = rows[rows < starts.size * step]
+    begin[rows // step], at_rest[rows // step] = rows, True
     score = np.where(at_rest, 2.0 * score, score)
     found: list[tuple[float, float, bool]] = []
     for _ in range(count):

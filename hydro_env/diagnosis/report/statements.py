@@ -20,7 +20,7 @@ from . import wording as words
 
 __all__ = [
     "AT_NOISE", "SignalErrors", "comment", "correction_texts", "detectable", "effect_values", "error_columns", "errors_of",
-    "headline", "hidden_by_calibration", "log_names", "next_step", "places", "ranking", "remaining",
+    "headline", "hidden_by_calibration", "log_names", "places", "ranking", "remaining",
     "sentence", "short_names", "shown_locations", "unit_of", "weak_proof", "windows_text",
 ]  # fmt: skip
 
@@ -101,14 +101,8 @@ def sentence(state: State) -> str:
         enough = f"Calibration is enough: with {ranges}, the model explains the logs."
         return f"{doubtful or enough} {error}, {e['before']:.3g} before; {noise}.{other}"
     before = f"{e['before']:.3g} as given, {e['calibrated']:.3g} after calibration alone; {noise}"
-    lacks = (
-        _guess(state)
-        if state.best_guess
-        else _lacks(state)
-        if state.verdict == "effects"
-        else _unknown(state)
-    )
-    return f"{doubtful} {lacks} {error}: {before}.{other}".strip()
+    lacks = _guess if state.best_guess else _lacks if state.verdict == "effects" else _unknown
+    return f"{doubtful} {lacks(state)} {error}: {before}.{other}".strip()
 
 
 def _doubtful(state: State) -> str:
@@ -167,28 +161,6 @@ def _said(n: NamedEffect) -> str:
     tied = words.listed([words.title(name) for name in n.indistinguishable_from[:3]])
     text = f"{words.title(n.name)} on {words.where(n.channel)}"
     return text + (f" (or {tied}: these logs cannot distinguish them)" if tied else "")
-
-
-#: What to do after each verdict.
-_NEXT = {
-    "none": "The model explains these logs. Keep it, and check below which effects the logs could have shown.",
-    "calibration": "Use the calibrated values. First check the known parameters that have a comment.",
-    "effects": "Check the named effects on the rig, for example with a valve test. Then use the improved model.",
-    "best guess": "Take the named effects as the first thing to look at, not as an answer: check them on the rig or record the "
-    "next experiment. The improved model is closer than the one given, but not right.",
-    "undetermined": "Record logs whose commands go through the range in steps and ramps, and diagnose again. Do not use the "
-    "calibrated values.",
-    "elsewhere": "Make sure that all logs are of the same rig, valves and temperature, or fit the held-out logs by themselves "
-    "and compare the known parameters. Until then nothing is proven.",
-    "unknown": "Record the next experiment, and look at the equation and the regime that hold most of the residual. Do not "
-    "rely on the improved model there: it has only what was explained.",
-}
-
-
-def next_step(state: State) -> str:
-    """What the verdict asks for."""
-    doubt = "undetermined" if state.undetermined else "elsewhere" if state.elsewhere else ""
-    return _NEXT[doubt or ("best guess" if state.best_guess else state.verdict)]
 
 
 def log_names(state: State) -> str:

@@ -100,11 +100,8 @@ def check_chosen(rig: RigModel, chosen: Chosen) -> None:
             hint = f"did you mean {near!r}? " if near else ""
             raise InputError(f"unknown parameter {name!r}: {hint}these can be estimated: {', '.join(known)}")
     for u in (u for c in rig.channels for u in base_unknowns(rig, c, chosen)):
-        if (
-            not u.low <= u.center <= u.high
-            or (u.log and not u.low > 0.0)
-            or not math.isfinite(u.high - u.low)
-        ):
+        around = u.low <= u.center <= u.high and math.isfinite(u.high - u.low)
+        if not around or (u.log and not u.low > 0.0):
             need = "positive bounds" if u.log else "bounds"
             raise InputError(
                 f"{u.name}: {u.low:g} to {u.high:g} {u.unit} are no {need} around {u.center:g} of the model"

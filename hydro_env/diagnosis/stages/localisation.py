@@ -134,9 +134,9 @@ def _replays(rig: RigModel, estimate: Estimate, channel: int) -> Iterator[_Repla
     """What can be replayed of the signals of each log."""
     by_log = [{s.signal: s for s in rig.segments[channel] if s.log == n} for n in range(len(rig.parts))]
     shafts = [
-        shaft_of(p, channel, step=mine["speed"].step) for p, mine in zip(rig.parts, by_log, strict=True)
+        shaft_of(p, channel, step=mine["speed"].step) if rig.has_hidden_states else None
+        for p, mine in zip(rig.parts, by_log, strict=True)
     ]
-    shafts = shafts if rig.has_hidden_states else [None] * len(by_log)
     best = _best_shaft(estimate, rig, channel, [s for s in shafts if s is not None])
     for number, (part, mine, shaft) in enumerate(zip(rig.parts, by_log, shafts, strict=True)):
         simulated = {n: estimate.simulated[channel][s.place] for n, s in mine.items()}

@@ -178,13 +178,9 @@ def _in_words(named: Sequence[NamedEffect], state: State) -> NextExperiment | No
                 return NextExperiment(text, sorted({effect.name, other}))
     for effect in named:
         if effect.indistinguishable_from:
-            missing = [
-                s for s in ("current", "pressure", "load") if not any(p.log.has(s) for p in state.rig.parts)
-            ]
-            text = (
-                f"record {', '.join(missing)} as well"
-                if missing
-                else "slow triangles of three amplitudes, then steps under load"
-            )
+            signals = ("current", "pressure", "load")
+            missing = [s for s in signals if not any(p.log.has(s) for p in state.rig.parts)]
+            slow = "slow triangles of three amplitudes, then steps under load"
+            text = f"record {', '.join(missing)} as well" if missing else slow
             return NextExperiment(text, [effect.name, *effect.indistinguishable_from])
     return None

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 
@@ -202,13 +203,8 @@ def hidden_by_calibration(screening: Sequence[Screening]) -> dict[str, list[str]
 def alike(screening: Sequence[Screening]) -> dict[tuple[str, int | None], list[str]]:
     """For every effect on a channel the visible ones whose signature has the same direction, whatever the sign."""
     seen = [k for k in screening if k.visible > VISIBLE]
-    return {
-        (a.effect, a.channel): [
-            b.effect
-            for b in seen
-            if b is not a
-            and b.channel == a.channel
-            and abs(float(a.signature @ b.signature)) > SAME_DIRECTION
-        ]
-        for a in seen
-    }
+    found: dict[tuple[str, int | None], list[str]] = {(k.effect, k.channel): [] for k in seen}
+    for a, b in permutations(seen, 2):
+        if a.channel == b.channel and abs(float(a.signature @ b.signature)) > SAME_DIRECTION:
+            found[a.effect, a.channel].append(b.effect)
+    return found

@@ -62,11 +62,6 @@ class Search:
         """Whether the present estimate is one of the whole rig."""
         return any(p.channel is None for p in self.present.values())
 
-    @property
-    def needed(self) -> float:
-        """What all accepted effects must pay for."""
-        return sum(k.needed for k in self.accepted)
-
     def restarted(self) -> Search:
         """The search for another set of effects, from the calibrated estimates."""
         return Search(self.fit, self.calibrated, self.screening, self.seconds)

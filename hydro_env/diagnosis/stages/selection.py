@@ -123,7 +123,8 @@ def better_set(search: Search, other: Search) -> Search:
     pairs = sorted(((joined(s.present), s) for s in (search, other)), key=lambda pair: pair[0].cost)
     (more, best), (less, rest) = pairs
     # In the samples that are independent beside the one that explains more.
-    ahead = fit.gain(less, more, fit.rig.channels) - best.needed + rest.needed
+    ahead = fit.gain(less, more, fit.rig.channels) + sum(k.needed for k in rest.accepted)
+    ahead -= sum(k.needed for k in best.accepted)
     if ahead < 0.0:
         best, rest = rest, best
     names = {(k.effect, k.channel) for k in rest.accepted}

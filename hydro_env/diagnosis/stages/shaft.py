@@ -1,4 +1,4 @@
-"""The shaft alone in the logs: how measured pressure and load would turn it, and how it turned."""
+"""The shaft alone in the logs: how measured pressure and load would turn it, a filter, and how it turned."""
 
 from __future__ import annotations
 
@@ -6,15 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from ..input.parts import Part, filled
 from ..models.base import RigModel
-from ..models.shaft import shaft_speed
 
 __all__ = ["SHAFT", "Shaft", "given_shaft", "shaft_of"]
 
 #: Base parameters of the shaft.
 SHAFT = ("D", "J", "B")
+#: Least viscous friction, N m s/rad, so that the filter has a time constant.
+MIN_FRICTION = 1e-6
 
 
 @dataclass(frozen=True)
@@ -29,9 +31,13 @@ class Shaft:
     period: float
 
     def driven(self, values: Mapping[str, float]) -> np.ndarray:
-        """The speed (n,) that pressure and load give to a shaft with these values of `SHAFT`."""
-        own = {"displacement": values["D"], "inertia": values["J"], "friction": values["B"]}
-        return shaft_speed(self.pressure, self.load, self.period, **own)
+        """The speed (n,) of J dw/dt = D p - B w - load from rest, with these values of `SHAFT`. The load is held for a period;
+        between two samples of the pressure stands their mean, as held it would come half a period late."""
+        friction = max(values["B"], MIN_FRICTION)
+        keep = float(np.exp(-self.period * friction / values["J"]))
+        between = 0.5 * (self.pressure[1:] + self.pressure[:-1])
+        torque = np.concatenate([[0.0], values["D"] * between - self.load[:-1]])
+        return np.asarray(lfilter([(1.0 - keep) / friction], [1.0, -keep], torque))
 
 
 def shaft_of(

@@ -148,9 +148,8 @@ def at_bounds(estimates: Estimates) -> list[str]:
             stayed = abs(q) <= 1e-3 * (u.bounds[1] - u.bounds[0])
             if stayed or not u.at_bound(float(q)) or (u.effect and is_correction(u.effect)):
                 continue
-            if (
-                "." in u.parameter
-            ):  # of a given effect, which may be absent; the upper end of a limit's range stands for none
+            # A given effect may be absent; the upper end of a limit's range stands for none.
+            if "." in u.parameter:
                 p, low = parameter_of(u.parameter), u.value(float(q)) < 0.5 * (u.low + u.high)
                 if p.neutral == (u.low if low else math.inf if p.role == "limit" else u.high):
                     continue

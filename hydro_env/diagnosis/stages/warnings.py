@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from ...measured.finding import SPELLING
 from ...plant import CATALOGUE
 from ..estimation import unpredictable
+from ..input.parts import Part
+from ..logs import Estimates
+from ..models.base import RigModel
 from ..state import State
 from .screening import hidden_by_calibration
 from .validation import shown_unit, signal_key
 from .values import absent_effects, at_bounds
 
-__all__ = ["run"]
+__all__ = ["about_bounds", "about_logs", "run"]
 
 #: The held-out logs are explained worse by the final model than by another one if its error is this many times that one's, and so
 #: many times the noise: differences that a reader would see.
@@ -32,8 +35,8 @@ def run(state: State) -> list[str]:
         f"the model as given has a {CATALOGUE[effect].title} on channel {c + 1} that these logs do not show"
         for effect, c in absent_effects(state.rig, state.models.shown)
     ]
-    found += [*_about_errors(state), *_about_logs(state)]
-    found += [f"{text} ends at the edge of its plausible range" for text in at_bounds(state.models.final)]
+    found += [*_about_errors(state), *about_logs(state.rig, (*state.rig.parts, *state.logs.held_out.parts))]
+    found += about_bounds(state.models.final)
     if state.verdict == "unknown":
         found.append(
             "something is missing from the model, so true values may lie outside the intervals of parameters"
@@ -54,9 +57,14 @@ def _about_errors(state: State) -> Iterator[str]:
                 )
 
 
-def _about_logs(state: State) -> Iterator[str]:
-    parts = (*state.rig.parts, *state.logs.held_out.parts)
-    yield from state.rig.notes
+def about_bounds(estimates: Estimates) -> list[str]:
+    """Estimates that end at the edge of what is plausible."""
+    return [f"{text} ends at the edge of its plausible range" for text in at_bounds(estimates)]
+
+
+def about_logs(rig: RigModel, parts: Sequence[Part]) -> Iterator[str]:
+    """What the model and the reading of these logs say."""
+    yield from rig.notes
     yield from (p.note for p in parts if p.note)
     for part in {p.log.sha256: p for p in parts}.values():
         # How a file is written matters least, so it is said last.
