@@ -82,13 +82,12 @@ class Operation:
 @dataclass(frozen=True)
 class Design:
     """Commands (T, 2) in V and loads (T, 2) in N m, one row every `PERIOD`, and for each pair of names how far their models are
-    apart: RMS in units of what is not known. `signals` is the same by signal, of all that could be logged. `prediction`: how far
-    estimates are apart on the held-out logs now and, as expected, with the experiment, RMS in times the noise."""
+    apart: RMS in units of what is not known. `prediction`: how far estimates are apart on the held-out logs now and, as expected,
+    with the experiment, RMS in times the noise."""
 
     command_V: Array
     load: Array
     apart: Mapping[tuple[str, str], float]
-    signals: Mapping[tuple[str, str], Mapping[str, float]]
     prediction: tuple[float, float] | None = None
 
 
@@ -157,19 +156,19 @@ class _Answers:
     question: Question
     of: Mapping[str, Mapping[int, Array]]
 
-    def apart(self, signals: Sequence[int]) -> dict[tuple[str, str], Array]:
-        """Mean square distances of all pairs of models (experiments,), by some of the signals."""
+    def apart(self) -> dict[tuple[str, str], Array]:
+        """Mean square distances of all pairs of models (experiments,)."""
         return {
-            (one, other): np.mean([_distances(self.of[one][c], self.of[other][c], signals) for c in self.of[one]], axis=0)
+            (one, other): np.mean([_distances(self.of[one][c], self.of[other][c]) for c in self.of[one]], axis=0)
             for one, other in itertools.combinations(self.question.models, 2)
         }  # fmt: skip
 
 
-def _distances(one: Array, other: Array, signals: Sequence[int]) -> Array:
+def _distances(one: Array, other: Array) -> Array:
     """Mean squares (experiments,) of the difference, less what the ensembles say could be made up for (Woodbury's identity)."""
     found = np.empty(one.shape[1])
     for n in range(found.size):
-        a, b = (x[:, n, signals] for x in (one, other))
+        a, b = one[:, n], other[:, n]
         known = 1.0 / np.sqrt(1.0 + FORM**2 * np.maximum(_power(a[0] - a[1]), _power(b[0] - b[1])))
         a, b = ((x * known).reshape(len(x), -1) for x in (a, b))
         difference = a[0] - b[0]
@@ -241,7 +240,8 @@ class Trial:
         return answers, left, allowed
 
     def _simulate(self, experiments: Array) -> tuple[list[dict[int, Array]], Array]:
-        """What the requests of each model show, by channel (requests, n, signals, T), and whether a channel is allowed (n, 2)."""
+        """What the requests of each model show in the logged signals, by channel (requests, n, signals, T), and whether a channel
+        is allowed (n, 2)."""
         rig = self.fit.rig
         assert isinstance(rig, DynamicRig)
         parts = [_part(each, rig.model, n) for n, each in enumerate(experiments)]
@@ -258,20 +258,21 @@ class Trial:
                 peak = np.abs(values[:, pressure]).max(axis=-1)
                 # A comparison with NaN is false: what diverges is not allowed either.
                 allowed[:, c] &= peak <= _max_pressure(rig.model, c, self.fit.settings)
-        each = iter(every)
+        places = [[*UNITS].index(signal) for signal in self._logged]
+        each = ({c: v[:, places] for c, v in table.items()} for table in every)
         grouped = [[*itertools.islice(each, len(requests))] for requests in self._requests]
         return [{c: np.nan_to_num([t[c] for t in own]) for c in own[0]} for own in grouped], allowed
 
     def _scales(self, models: Iterable[Estimate], channel: int) -> Array:
         """What cannot be known of each signal (signals, 1)."""
         models = list(models)
-        return np.array([[_scale(self.fit, models, channel, signal)] for signal in UNITS])
+        return np.array([[_scale(self.fit, models, channel, signal)] for signal in self._logged])
 
     def _left(self, channel: int, table: Array) -> Array:
         """Mean squares (n,) by which the simulations of the held-out logs would still be apart, in units of the noise, of the
         `table` (2 + draws, n, signals, T) of an operation."""
         operation = self.operations[channel]
-        seen = (table / self._scales([operation.estimate], channel))[:, :, self.logged()]
+        seen = table / self._scales([operation.estimate], channel)
         left = np.empty(table.shape[1])
         for n in range(left.size):
             whole, bare, *draws = seen[:, n]
@@ -280,10 +281,10 @@ class Trial:
             left[n] = np.trace(np.linalg.solve(np.eye(len(off)) + off @ off.T, operation.apart))
         return left
 
-    def logged(self) -> list[int]:
-        """Places of the logged signals in the list of all."""
+    @property
+    def _logged(self) -> Sequence[str]:
         assert isinstance(self.fit.rig, DynamicRig)
-        return [n for n, s in enumerate(UNITS) if s in self.fit.rig.signals]
+        return self.fit.rig.signals
 
     def scores(self, experiments: Array) -> Array:
         """How good experiments are for each channel (n, 2); -inf beyond the pressure limit.
@@ -292,7 +293,7 @@ class Trial:
         answers, left, allowed = self.run(experiments)
         found = np.zeros((len(experiments), 2))
         for each in answers:
-            squares = each.apart(self.logged()).values()
+            squares = each.apart().values()
             score = sum(np.log1p(d * experiments.shape[1]) - np.log1p(d) for d in squares)
             for c in (0, 1):
                 found[:, c] += score if each.question.concerns(c) else 0.0
@@ -359,17 +360,10 @@ def best_design(trial: Trial, rng: np.random.Generator, max_load: float = 0.0) -
 
 def _described(trial: Trial, experiment: Array) -> Design:
     answers, left, _ = trial.run(experiment[None])
-    logged, names = trial.logged(), list(UNITS)
-
-    def of(signals: Sequence[int]) -> dict[tuple[str, str], float]:
-        return {pair: float(np.sqrt(d[0])) for each in answers for pair, d in each.apart(signals).items()}
-
-    by_signal = {name: of([n]) for n, name in enumerate(names)}
-    apart = of(logged)
-    signals = {pair: {name: by_signal[name][pair] for name in names} for pair in apart}
+    apart = {pair: float(np.sqrt(d[0])) for each in answers for pair, d in each.apart().items()}
     prediction = None
     if left:
         now = max(float(np.trace(each.apart)) for each in trial.operations.values())
         prediction = np.sqrt(now), np.sqrt(max(float(each[0]) for each in left.values()))
     rated = np.array(trial.fit.rig.model.pair("u_rated"))
-    return Design(experiment[..., 0] * rated, experiment[..., 1], apart, signals, prediction)
+    return Design(experiment[..., 0] * rated, experiment[..., 1], apart, prediction)

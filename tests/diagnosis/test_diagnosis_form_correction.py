@@ -14,7 +14,6 @@ from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns
 from hydro_env.diagnosis.stages.candidates import ACCEPTED, Accepted, Candidate
-from hydro_env.diagnosis.stages.elimination import prefer_form
 from hydro_env.diagnosis.stages.form_correction import (
     correct,
     correct_all,
@@ -22,6 +21,7 @@ from hydro_env.diagnosis.stages.form_correction import (
 )
 from hydro_env.diagnosis.stages.rig_effects import drop_vanished
 from hydro_env.diagnosis.stages.search import Search
+from hydro_env.diagnosis.stages.selection import prefer_form
 from hydro_env.plant import CATALOGUE, load_model
 from hydro_env.practice.generate import make_practice
 from tests.linear_rig import logged, time_of

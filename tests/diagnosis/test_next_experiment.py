@@ -81,7 +81,7 @@ def test_what_is_apart_already_counts_no_more(rig: DynamicRig, monkeypatch: pyte
     """Ten times the distance is worth next to nothing where two models are far apart, and much where they are not."""
 
     def score(square: float) -> float:
-        answers = SimpleNamespace(question=Question(0, {}), apart=lambda _: {("a", "b"): np.array([square])})
+        answers = SimpleNamespace(question=Question(0, {}), apart=lambda: {("a", "b"): np.array([square])})
         monkeypatch.setattr(Trial, "run", lambda *_: ([answers], {}, np.ones((1, 2), bool)))
         return float(Trial(Fit(rig, NOISE), []).scores(np.zeros((1, 1200, 2, 2)))[0, 0])
 
@@ -143,7 +143,7 @@ def test_what_a_parameter_would_make_up_for_counts_for_nothing(rig: DynamicRig) 
             fit, [Question(0, {"one": _estimate(fit, "quadratic_drag", 1.0, spread), "other": other})]
         )
         (answers,), _, _ = trial.run(tried)
-        return float(answers.apart(trial.logged())["one", "other"][0])
+        return float(answers.apart()["one", "other"][0])
 
     assert apart(spread=0.3) < 0.02 * apart(spread=0.0)
 
@@ -158,7 +158,7 @@ def test_a_model_of_the_rig_is_parted_from_one_of_a_channel(rig: DynamicRig) -> 
     trial = Trial(fit, [Question(0, models)])
     tried = _experiment(*random_design(rig.model, fit.settings, np.random.default_rng(7)))[None]
     (answers,), _, _ = trial.run(tried)
-    assert answers.apart(trial.logged())["supply_droop", "dead_zone"][0] > 0.1
+    assert answers.apart()["supply_droop", "dead_zone"][0] > 0.1
 
 
 def test_where_torques_have_no_scale_loads_are_proposed(rig: DynamicRig, tmp_path: Path) -> None:

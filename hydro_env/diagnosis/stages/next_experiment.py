@@ -39,9 +39,8 @@ FILE = "next_experiment.csv"
 OPEN = 3
 #: The model without any effect: the other one where a single candidate explains something.
 CALIBRATION = "calibration"
-#: Models that differ by less (RMS, in units of what is not known) are not parted by commands alone; a signal that would be
-#: logged besides is named where it parts them better by this factor, ten times in power.
-PARTED, BETTER_BY = 1.0, 3.0
+#: Models that differ by less (RMS, in units of what is not known) are not parted by commands alone.
+PARTED = 1.0
 
 
 @dataclass(frozen=True)
@@ -145,7 +144,7 @@ def _tried(state: State, channel: int | None, worthwhile: bool = False) -> dict[
 
 # --- in words ---------------------------------------------------------------------------------------------------------
 def _described(design: Design) -> str:
-    """What the experiment will show, and what is to be logged besides for the pair that it parts least."""
+    """What the experiment will show, and what the catalogue says of the pair that it parts least."""
     what = "commands and loads" if design.load.any() else "commands"
     text, known = f"play the {SECONDS:g} s of {what} in {FILE} and log as before", ""
     if design.apart:
@@ -156,10 +155,6 @@ def _described(design: Design) -> str:
             text += f": there {pair} differ by {times}"
         else:
             text = f"{what} alone hardly separate {pair} ({FILE}: {times})"
-        by_signal = design.signals[one, other]
-        signal = max(by_signal, key=lambda name: by_signal[name])
-        if by_signal[signal] > max(BETTER_BY * least, PARTED):
-            text += f"; with the {signal.replace('_', ' ')} logged, by {by_signal[signal]:.2g}"
         known = "" if CALIBRATION in (one, other) else separating_experiment(one, other)
     if design.prediction is not None:
         now, then = design.prediction

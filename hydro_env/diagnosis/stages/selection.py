@@ -23,14 +23,13 @@ from ..estimation import (
 )
 from ..logs import Estimates, distinct
 from .calibration import Calibrated
-from .candidates import ACCEPTED, OUTDONE, VANISHED, Accepted, Selection, judge, penalty
-from .elimination import prefer_form
+from .candidates import ACCEPTED, AFTER_ROUNDS, OUTDONE, VANISHED, Accepted, Selection, judge, penalty
 from .form_correction import given_on
 from .rig_effects import rig_effect_leads, select_rig_effects
 from .screening import Screening, screen
 from .search import Search, short_refit
 
-__all__ = ["better_set", "run", "select"]
+__all__ = ["better_set", "prefer_form", "run", "select"]
 
 
 #: Short refits and full refits in the first round, and half as many in later ones, where the screening is beside a better model.
@@ -271,3 +270,26 @@ def _accept_best(
         search.accepted.append(Accepted(best.label, c, gains[0], needed, competing, before))
         search.put(c, best)
     return accepted or (first == VANISHED and _adopt_base(search, c, best))
+
+
+# --- backward step ----------------------------------------------------------------------------------------------------------
+def prefer_form(search: Search) -> None:
+    """Drops the last effect of a channel if another form of those accepted before explains more: no rig has exactly the laws of
+    the catalogue, and what a law leaves is no further effect."""
+    fit = search.fit
+    if not (fit.rig.has_hidden_states and fit.settings.uses("prefer_form")):
+        return
+    for c in fit.rig.channels:
+        for one in reversed(search.on(c)):
+            present, less = search.present[c], one.without
+            left = [placed for placed in present.placed_effects() if placed != (one.effect, c)]
+            if not left or less is None or less.placed_effects() != left:
+                break  # it is alone, or others joined it since
+            form = search.form_of(less)
+            if form is None or form.score >= present.cost + one.needed:
+                break
+            outcome, gain = "another form of the others does better", fit.gain(less, present)
+            search.record(one.effect, c, AFTER_ROUNDS, gain, outcome, present)
+            search.accepted.remove(one)
+            search.put(c, less)
+            solve(fit, [less], SETTLE_ITERATIONS)
