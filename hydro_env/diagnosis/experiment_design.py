@@ -66,9 +66,6 @@ class Question:
     channel: int | None
     models: Mapping[str, Estimate]
 
-    def concerns(self, channel: int) -> bool:
-        return self.channel in (None, channel)
-
 
 @dataclass(frozen=True)
 class Operation:
@@ -148,20 +145,8 @@ def commands_csv(command_V: Array, load: Array) -> str:
 
 
 # --- the criterion ----------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class _Answers:
-    """What the models of a question answer to every experiment: by name and channel (2 + draws, experiments, signals, T) in
-    units of the noise; the first is the estimate, the second the same without the effect of that name."""
-
-    question: Question
-    of: Mapping[str, Mapping[int, Array]]
-
-    def apart(self) -> dict[tuple[str, str], Array]:
-        """Mean square distances of all pairs of models (experiments,)."""
-        return {
-            (one, other): np.mean([_distances(self.of[one][c], self.of[other][c]) for c in self.of[one]], axis=0)
-            for one, other in itertools.combinations(self.question.models, 2)
-        }  # fmt: skip
+#: Mean square distances (experiments,) of the answers of all pairs of models of a question.
+Distances = dict[tuple[str, str], Array]
 
 
 def _distances(one: Array, other: Array) -> Array:
@@ -223,21 +208,24 @@ class Trial:
         draws = {p: (p.intervals or intervals_of(self.fit, p)).draws for p, _ in models}
         return [[p.request(), bare.request(), *(p.request(q) for q in draws[p])] for p, bare in models]
 
-    def run(self, experiments: Array) -> tuple[list[_Answers], dict[int, Array], Array]:
-        """Simulates experiments (n, T, 2, 2): answers to the questions; by channel the mean squares (n,) by which estimates
-        would still be apart on the held-out logs; whether a channel is allowed (n, 2)."""
+    def run(self, experiments: Array) -> tuple[list[Distances], dict[int, Array], Array]:
+        """Simulates experiments (n, T, 2, 2): how far apart the models of each question are; by channel the mean squares (n,) by
+        which estimates would still be apart on the held-out logs; whether a channel is allowed (n, 2)."""
         tables, allowed = self._simulate(experiments)
         ensembles = iter(tables)
-        answers = []
+        apart = []
         for question in self.questions:
             own = dict(zip(question.models, ensembles, strict=False))
             # One of the models may be of the whole rig, another one of a channel alone.
             shared = sorted(set.intersection(*(set(table) for table in own.values())))
             scales = {c: self._scales(question.models.values(), c) for c in shared}
             of = {name: {c: table[c] / scales[c] for c in shared} for name, table in own.items()}
-            answers.append(_Answers(question, of))
+            pairs = itertools.combinations(of, 2)
+            apart.append(
+                {(a, b): np.mean([_distances(of[a][c], of[b][c]) for c in shared], axis=0) for a, b in pairs}
+            )
         left = {c: self._left(c, table[c]) for c, table in zip(self.operations, ensembles, strict=True)}
-        return answers, left, allowed
+        return apart, left, allowed
 
     def _simulate(self, experiments: Array) -> tuple[list[dict[int, Array]], Array]:
         """What the requests of each model show in the logged signals, by channel (requests, n, signals, T), and whether a channel
@@ -290,13 +278,12 @@ class Trial:
         """How good experiments are for each channel (n, 2); -inf beyond the pressure limit.
 
         A pair that is as far apart as what is not known counts as separated, and more for nothing."""
-        answers, left, allowed = self.run(experiments)
+        apart, left, allowed = self.run(experiments)
         found = np.zeros((len(experiments), 2))
-        for each in answers:
-            squares = each.apart().values()
-            score = sum(np.log1p(d * experiments.shape[1]) - np.log1p(d) for d in squares)
-            for c in (0, 1):
-                found[:, c] += score if each.question.concerns(c) else 0.0
+        for question, squares in zip(self.questions, apart, strict=True):
+            own = [c for c in (0, 1) if question.channel in (None, c)]
+            for d in squares.values():
+                found[:, own] += (np.log1p(d * experiments.shape[1]) - np.log1p(d))[:, None]
         for c, mean_square in left.items():
             found[:, c] -= np.log1p(mean_square)
         return np.where(allowed, found, -np.inf)
@@ -360,7 +347,7 @@ def best_design(trial: Trial, rng: np.random.Generator, max_load: float = 0.0) -
 
 def _described(trial: Trial, experiment: Array) -> Design:
     answers, left, _ = trial.run(experiment[None])
-    apart = {pair: float(np.sqrt(d[0])) for each in answers for pair, d in each.apart().items()}
+    apart = {pair: float(np.sqrt(d[0])) for each in answers for pair, d in each.items()}
     prediction = None
     if left:
         now = max(float(np.trace(each.apart)) for each in trial.operations.values())

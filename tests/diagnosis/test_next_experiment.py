@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -81,9 +80,9 @@ def test_what_is_apart_already_counts_no_more(rig: DynamicRig, monkeypatch: pyte
     """Ten times the distance is worth next to nothing where two models are far apart, and much where they are not."""
 
     def score(square: float) -> float:
-        answers = SimpleNamespace(question=Question(0, {}), apart=lambda: {("a", "b"): np.array([square])})
-        monkeypatch.setattr(Trial, "run", lambda *_: ([answers], {}, np.ones((1, 2), bool)))
-        return float(Trial(Fit(rig, NOISE), []).scores(np.zeros((1, 1200, 2, 2)))[0, 0])
+        apart = {("a", "b"): np.array([square])}
+        monkeypatch.setattr(Trial, "run", lambda *_: ([apart], {}, np.ones((1, 2), bool)))
+        return float(Trial(Fit(rig, NOISE), [Question(0, {})]).scores(np.zeros((1, 1200, 2, 2)))[0, 0])
 
     assert 0.0 < score(1e4) - score(1e2) < 0.02
     assert score(1e-1) - score(1e-3) > 1.0 and score(0.0) == 0.0
@@ -142,8 +141,8 @@ def test_what_a_parameter_would_make_up_for_counts_for_nothing(rig: DynamicRig) 
         trial = Trial(
             fit, [Question(0, {"one": _estimate(fit, "quadratic_drag", 1.0, spread), "other": other})]
         )
-        (answers,), _, _ = trial.run(tried)
-        return float(answers.apart()["one", "other"][0])
+        (apart,), _, _ = trial.run(tried)
+        return float(apart["one", "other"][0])
 
     assert apart(spread=0.3) < 0.02 * apart(spread=0.0)
 
@@ -157,8 +156,8 @@ def test_a_model_of_the_rig_is_parted_from_one_of_a_channel(rig: DynamicRig) -> 
     }
     trial = Trial(fit, [Question(0, models)])
     tried = _experiment(*random_design(rig.model, fit.settings, np.random.default_rng(7)))[None]
-    (answers,), _, _ = trial.run(tried)
-    assert answers.apart()["supply_droop", "dead_zone"][0] > 0.1
+    (apart,), _, _ = trial.run(tried)
+    assert apart["supply_droop", "dead_zone"][0] > 0.1
 
 
 def test_where_torques_have_no_scale_loads_are_proposed(rig: DynamicRig, tmp_path: Path) -> None:
