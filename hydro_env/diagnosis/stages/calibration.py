@@ -55,8 +55,10 @@ class Calibrated:
 
 
 def run(given: Given, chosen: Chosen | None = None) -> Calibrated:
-    """Calibrates every channel, all that may be adjusted or the `chosen` parameters, and estimates the noise again; without the
-    rows that stand out, where there are some."""
+    """Calibrates every channel and estimates the noise again; without the rows that stand out, where there are some.
+
+    `chosen` are the parameters to adjust, by default all that may be.
+    """
     logs = given.logs
     fit, estimates = logs.fit, calibrate(logs.fit, chosen=chosen)
     rig, found = without_outliers(fit.rig, estimates)
