@@ -111,9 +111,8 @@ def _doubtful(state: State) -> str:
     if state.undetermined:
         texts.append(f"These logs do not determine the known parameters: {words.listed(state.undetermined)}.")
     if state.elsewhere:
-        texts.append(
-            f"The held-out logs seem to be of another rig or state: {words.listed(state.elsewhere[:2])}."
-        )
+        where = words.listed(state.elsewhere[:2])
+        texts.append(f"The held-out logs seem to be of another rig or state: {where}.")
     left = _worst(state).above_noise > AT_NOISE
     if state.verdict in ("none", "calibration") and (texts or left):
         by = "The model as given" if state.verdict == "none" else "Calibration"

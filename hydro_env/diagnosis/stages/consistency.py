@@ -190,10 +190,8 @@ def _units(rig: RigModel, likes: dict[tuple[str, int], tuple[float, float]]) -> 
     """Signals whose size is off by the factor between two units."""
     for channel in rig.channels:
         # Pressures with many holes give no shaft; then the model of each signal is all there is.
-        tied = (
-            _turned(rig, channel).size
-            and np.isfinite([likes[s, channel] for s in ("speed", "pressure")]).all()
-        )
+        logged = _turned(rig, channel).size > 0
+        tied = logged and np.isfinite([likes[s, channel] for s in ("speed", "pressure")]).all()
         if tied:
             yield from _tied_units(rig, channel, likes)
         for signal in _UNITS:

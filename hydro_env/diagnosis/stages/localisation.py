@@ -97,10 +97,8 @@ class _Component:
 
         self.equation, self.units = first.equation, first.units
         self.error, self.over = joined(r.error for r in replays), joined(r.over for r in replays)
-        self.time, self.log = (
-            joined(r.time for r in replays),
-            joined(np.full(r.time.size, r.log) for r in replays),
-        )
+        self.time = joined(r.time for r in replays)
+        self.log = joined(np.full(r.time.size, r.log) for r in replays)
         self.regimes = {n: joined(r.regimes[n] for r in replays) for n in first.regimes}
         noise = float(np.nanmin([noise_floor(r.error, r.used, r.period) for r in replays]))
         #: The mean square error in units of the noise's.

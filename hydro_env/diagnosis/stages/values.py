@@ -166,7 +166,6 @@ def estimated_model(rig: RigModel, estimates: Estimates, name: str) -> PlantMode
         for parameter, value in estimate.values(c).items():
             if parameter in rig.own and parameter != "Kq":
                 continue
-            parameter_of(parameter)
             pair = [*pairs.get(parameter, rig.model.pair(parameter))]
             pair[c] = float(value)
             pairs[parameter] = (pair[c], pair[c]) if parameter in of_rig else (pair[0], pair[1])

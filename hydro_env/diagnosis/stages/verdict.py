@@ -101,9 +101,8 @@ def _elsewhere(logs: Logs, verdict: str, final: Estimates, proofs: Proofs) -> It
         if not (every or signal == "current") or times < logs.fit.settings.unexplained or before > AT_NOISE:
             continue
         if predictions_apart(held_out, final[c], c).get(signal, 0.0) < times:
-            worse = (
-                ", worse than by the model as given" if there["after"] > AT_NOISE * there["before"] else ""
-            )
+            further = there["after"] > AT_NOISE * there["before"]
+            worse = ", worse than by the model as given" if further else ""
             name = "coil current" if signal == "current" else signal.replace("_", " ")
             yield f"the {name} of channel {c + 1} is left {times:.2g} times its noise there{worse}"
 
@@ -139,9 +138,8 @@ def _doubts_of_channel(logs: Logs, final: Estimates, c: int, proofs: Proofs) -> 
     fit, on_fit = logs.fit, proofs.judged_fit
     uses, dynamic = fit.settings.uses, logs.rig.has_hidden_states
     level = fit.levels(on_fit.traces["after"][c], c)
-    fit_apart, held_out_apart = (
-        predictions_apart(each, final[c], c) for each in (fit, fit.on(logs.held_out))
-    )
+    both = fit, fit.on(logs.held_out)
+    fit_apart, held_out_apart = (predictions_apart(each, final[c], c) for each in both)
     for (channel, signal), entry in proofs.judged.errors.items():
         if channel != c:
             continue
