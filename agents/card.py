@@ -39,7 +39,7 @@ Floats = NDArray[np.float64]
 
 
 def interval(values: Floats, resamples: int = 2000, seed: int = 0) -> tuple[float, float]:
-    """95 % percentile bootstrap interval of the interquartile mean of values (policies, pairs): both are drawn anew."""
+    """95 % percentile bootstrap interval of the interquartile mean of values (policies, pairs): both are resampled."""
     stream = np.random.default_rng(seed)
     policies, pairs = values.shape
     means = []
