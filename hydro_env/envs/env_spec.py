@@ -24,16 +24,9 @@ __all__ = ["env_spec"]
 
 #: Arguments under which a return means the same as with those registered, for which the threshold was measured.
 SAME_TASK = {
-    "render_mode",
-    "render_width",
-    "history",
-    "increment",
-    "errors",
-    "dtype",
-    "num_envs",
-    "vectorization_mode",
+    "render_mode", "render_width", "history", "increment", "errors", "dtype", "num_envs", "vectorization_mode",
     "autoreset_mode",
-}
+}  # fmt: skip
 
 
 def env_spec(spec: EnvSpec | None, steps: int) -> EnvSpec | None:

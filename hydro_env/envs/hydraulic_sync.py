@@ -145,21 +145,10 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             raise InputError(f"render_mode is {shown(render_mode)}, expected None, 'human' or 'rgb_array'")
         self._window = Window("hydro_env") if render_mode == "human" else None
         self.batch = HydraulicSyncVectorEnv(
-            1,
-            plant,
-            scenario,
-            mismatch,
-            control_period,
-            "rgb_array" if render_mode == "human" else render_mode,
-            history=history,
-            noise=noise,
-            reward=reward,
-            autoreset_mode=AutoresetMode.DISABLED,
-            render_width=render_width,
-            increment=increment,
-            errors=errors,
-            tolerance_rpm=tolerance_rpm,
-        )
+            1, plant, scenario, mismatch, control_period, "rgb_array" if render_mode == "human" else render_mode,
+            history=history, noise=noise, reward=reward, autoreset_mode=AutoresetMode.DISABLED,
+            render_width=render_width, increment=increment, errors=errors, tolerance_rpm=tolerance_rpm,
+        )  # fmt: skip
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.batch.metadata["render_fps"]}
         self.observation_space = self.batch.single_observation_space

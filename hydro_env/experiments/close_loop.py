@@ -256,14 +256,10 @@ def run(
     tuned = dict(done(list(dict.fromkeys(task for _, task in wanted)), "tuning"))
     scores = [{**task.row(), **result} for task, result in done(_drives(wanted, tuned), "drive")]
     data = {
-        "schema": SCHEMA,
-        "settings": _settings_row(settings, rigs),
-        "rigs": [rig.row() for rig in rigs],
-        "gains": [{**task.row(), **found} for task, found in tuned.items()],
-        "scores": scores,
-        "summary": collect(scores),
-        "failed": failed,
-    }
+        "schema": SCHEMA, "settings": _settings_row(settings, rigs), "rigs": [rig.row() for rig in rigs],
+        "gains": [{**task.row(), **found} for task, found in tuned.items()], "scores": scores,
+        "summary": collect(scores), "failed": failed,
+    }  # fmt: skip
     write_rigs(out / "rigs", rigs)
     write(out, data, pictures)
     return data

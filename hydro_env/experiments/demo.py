@@ -156,16 +156,11 @@ def _board(scores: dict[str, Any]) -> dict[str, Any]:
     recorded = record(titles, seeds, split=SPLIT, scenario=BOARD[0][0])
     alt = "peak synchronisation error over tracking error of every controller"
     return {
-        "about": scores["about"],
-        "cases": max(row["n"] for row in scores["rows"]),
-        "controllers": len(scores["controllers"]),
-        "columns": [heading for _, _, heading in BOARD],
-        "rows": rows,
-        "agent": agent,
-        "seed": recorded["seed"],
-        "animation": animation(recorded),
+        "about": scores["about"], "cases": max(row["n"] for row in scores["rows"]),
+        "controllers": len(scores["controllers"]), "columns": [heading for _, _, heading in BOARD], "rows": rows,
+        "agent": agent, "seed": recorded["seed"], "animation": animation(recorded),
         "picture": svg(_front(scores, cells, shown), alt),
-    }
+    }  # fmt: skip
 
 
 def _learned(name: str) -> bool:

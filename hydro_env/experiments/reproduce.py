@@ -24,14 +24,8 @@ from hydro_env.plant import Plant, PlantModel, load_model
 from hydro_env.units import LPM
 
 __all__ = [
-    "EQUAL_WITHIN_RPM",
-    "PUBLISHED_STEPS_RPM",
-    "Reproduction",
-    "draw_steps",
-    "reproduce",
-    "run",
-    "summary",
-]
+    "EQUAL_WITHIN_RPM", "PUBLISHED_STEPS_RPM", "Reproduction", "draw_steps", "reproduce", "run", "summary",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 

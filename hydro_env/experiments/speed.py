@@ -127,15 +127,9 @@ def measure_batch(
 
     rate, kernel, taken = _rate(steps, seconds), _rate(plant_steps, seconds), _attempts(plant, volts)
     return {
-        "num_envs": num_envs,
-        "dtype": dtype,
-        "threads": 1,
-        "env_steps_per_s": rate,
-        "plant_steps_per_s": kernel,
-        "channel_substeps_per_s": kernel * 2.0 * taken,
-        "steps_a_period": taken,
-        "times_real_time": rate * PERIOD,
-    }
+        "num_envs": num_envs, "dtype": dtype, "threads": 1, "env_steps_per_s": rate, "plant_steps_per_s": kernel,
+        "channel_substeps_per_s": kernel * 2.0 * taken, "steps_a_period": taken, "times_real_time": rate * PERIOD,
+    }  # fmt: skip
 
 
 def _attempts(plant: Plant, volts: Floats) -> float:

@@ -31,16 +31,8 @@ from hydro_env.ir.nodes import (
 from hydro_env.ir.reader import Reader
 
 __all__ = [
-    "RESERVED",
-    "TYPES",
-    "bare",
-    "expression",
-    "identifier",
-    "literal",
-    "source",
-    "statements",
-    "variables",
-]
+    "RESERVED", "TYPES", "bare", "expression", "identifier", "literal", "source", "statements", "variables",
+]  # fmt: skip
 
 #: C types of kinds of numbers.
 TYPES = {"bool": "int", "int": "int", "float": "float", "double": "double"}

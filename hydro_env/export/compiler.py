@@ -35,16 +35,8 @@ def build_library(
     library.parent.mkdir(parents=True, exist_ok=True)
     names = [str(path) for path in sources]
     command = [
-        *compiler,
-        *flags,
-        "-fPIC",
-        "-shared",
-        "-fvisibility=hidden",
-        *names,
-        "-o",
-        str(library),
-        "-lm",
-    ]
+        *compiler, *flags, "-fPIC", "-shared", "-fvisibility=hidden", *names, "-o", str(library), "-lm",
+    ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         lines = (

@@ -115,15 +115,10 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
     header += template("plant.h").template
     body = '#include "plant.h"\n' + source(reader, numbers + template("plant.c").template)
     return PlantSource(
-        model=model,
-        header=header,
-        body=body,
-        places={name: 2 * row for name, row in kernel.rows.items()},
+        model=model, header=header, body=body, places={name: 2 * row for name, row in kernel.rows.items()},
         outputs=(*(name for name, row in kernel.rows.items() if row < kernel.rows["time"]), *_OUTPUTS),
-        parameters=ranges,
-        shared=frozenset(shared),
-        most_sent=sent,
-    )
+        parameters=ranges, shared=frozenset(shared), most_sent=sent,
+    )  # fmt: skip
 
 
 def _sweeps(reader: Reader, kernel: Kernel, tolerance: float) -> dict[str, str]:

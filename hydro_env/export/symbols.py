@@ -215,13 +215,8 @@ def cast(x: Expr, kind: str) -> Expr:
 
 # --- operations on numbers ---------------------------------------------------------------------------------------------
 _COMPARED = {
-    "lt": np.less,
-    "le": np.less_equal,
-    "gt": np.greater,
-    "ge": np.greater_equal,
-    "eq": np.equal,
-    "ne": np.not_equal,
-}
+    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal,
+}  # fmt: skip
 _LOGIC = {"and": np.logical_and, "or": np.logical_or, "not": np.logical_not}
 _WHOLE: dict[str, Callable[..., Any]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative, "abs": np.absolute, "max": np.maximum,

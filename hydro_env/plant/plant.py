@@ -335,19 +335,11 @@ class Plant:
         half, cells = self._kernel.half, self._kernel.num_rows * 2 * self._kernel.half
         first, last = rigs.start // half, -(-rigs.stop // half)
         self._kernel.advance(
-            self._flat[first * cells : last * cells],
-            self._kernel.room(),
-            self._ring[first:last] if self._kernel.has_delay else None,
-            self._lasted[first:last],
-            self._head,
-            command_V[None, rigs],
-            load_Nm[None, rigs],
-            period,
-            self.tolerance,
-            _NO_RECORD,
-            1,
+            self._flat[first * cells : last * cells], self._kernel.room(),
+            self._ring[first:last] if self._kernel.has_delay else None, self._lasted[first:last], self._head,
+            command_V[None, rigs], load_Nm[None, rigs], period, self.tolerance, _NO_RECORD, 1,
             self._empty[:, :, rigs],
-        )
+        )  # fmt: skip
 
     def turn(self, rows: int) -> None:
         """Moves the delay line on by so many rows, after `hold_rigs`."""
@@ -399,19 +391,9 @@ class Plant:
         out = self._empty if out is None else out
         self.make_room(period)
         self._kernel.advance(
-            self._flat,
-            self._cells,
-            self._ring if self._kernel.has_delay else None,
-            self._lasted,
-            self._head,
-            command_V,
-            load_Nm,
-            period,
-            self.tolerance,
-            rows,
-            every,
-            out,
-        )
+            self._flat, self._cells, self._ring if self._kernel.has_delay else None, self._lasted, self._head,
+            command_V, load_Nm, period, self.tolerance, rows, every, out,
+        )  # fmt: skip
         self.turn(command_V.shape[0])
 
     @property

@@ -39,18 +39,9 @@ from ..units import with_unit
 from ..validation import FileTable, Number, checked
 
 __all__ = [
-    "NAMED_PAIRS",
-    "OWN",
-    "SENSOR_PARAMETERS",
-    "SPLITS",
-    "Mismatch",
-    "Pairs",
-    "Range",
-    "default_mismatch",
-    "draw_pairs",
-    "load_mismatch",
-    "own_values",
-]
+    "NAMED_PAIRS", "OWN", "SENSOR_PARAMETERS", "SPLITS", "Mismatch", "Pairs", "Range", "default_mismatch",
+    "draw_pairs", "load_mismatch", "own_values",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 
@@ -257,11 +248,7 @@ class Mismatch:
         return inside
 
     def _with_faults(
-        self,
-        values: dict[str, Floats],
-        streams: Streams,
-        cases: Sequence[int],
-        model: PlantModel,
+        self, values: dict[str, Floats], streams: Streams, cases: Sequence[int], model: PlantModel
     ) -> Pairs:
         names = list(self.faults)
         for name in self.parameters:

@@ -45,11 +45,8 @@ FALSE_DISCOVERIES = 0.05
 THRESHOLDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 #: Regimes of `certify`: command as a fraction of the rated one, from and to.
 REGIMES = {
-    "negative": (-9.0, -0.25),
-    "near zero": (-0.25, 0.25),
-    "positive": (0.25, 9.0),
-    "everywhere": (-9.0, 9.0),
-}
+    "negative": (-9.0, -0.25), "near zero": (-0.25, 0.25), "positive": (0.25, 9.0), "everywhere": (-9.0, 9.0),
+}  # fmt: skip
 
 
 # --- naming by terms ----------------------------------------------------------------------------------------------------

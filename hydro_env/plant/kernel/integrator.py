@@ -30,18 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "CONTROL",
-    "ERRORS",
-    "LATE",
-    "MIN_SHARE",
-    "METHOD",
-    "OWN_ERROR",
-    "OWN_LATE",
-    "SHARE",
-    "Control",
-    "Rosenbrock",
+    "CONTROL", "ERRORS", "LATE", "MIN_SHARE", "METHOD", "OWN_ERROR", "OWN_LATE", "SHARE", "Control", "Rosenbrock",
     "integral_coefficients",
-]
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 

@@ -44,15 +44,9 @@ FOUND = ir.IntType(32)
 _WIDEST = 64
 _COMPARISONS = {"lt": "<", "gt": ">", "le": "<=", "ge": ">=", "eq": "==", "ne": "!="}
 _OPERATIONS = {
-    "add": "fadd",
-    "sub": "fsub",
-    "mul": "fmul",
-    "div": "fdiv",
-    "and": "and_",
-    "or": "or_",
-    "not": "not_",
+    "add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "and": "and_", "or": "or_", "not": "not_",
     "neg": "fneg",
-}
+}  # fmt: skip
 _INSTRUCTIONS = {"abs": "llvm.fabs", "sqrt": "llvm.sqrt", "floor": "llvm.floor", "fma": "llvm.fma"}
 
 Names = dict[str, ir.Value]
