@@ -50,12 +50,8 @@ class Randomisation:
         self._sensor = {name: np.full((num_rows, 2), p.nominal) for name, p in SENSOR_PARAMETERS.items()}
 
     def next(
-        self,
-        rows: Rows,
-        mismatch: Mismatch | None,
-        seed: int | Sequence[int | None] | None = None,
-        case: Any = None,
-    ) -> Episodes:
+        self, rows: Rows, mismatch: Mismatch | None, seed: int | Sequence[int | None] | None = None, case: Any = None,
+    ) -> Episodes:  # fmt: skip
         """What these rows play next: the first episode of their seeds where these are given, else the one after the last.
 
         InputError for a wrong seed, and for a case that is asked for and not there; nothing is changed then.

@@ -218,15 +218,9 @@ class Settings:
 
 
 def run(
-    out: str | Path,
-    settings: Settings | None = None,
-    *,
-    cells: str | Path | None = None,
-    jobs: int = 1,
-    engine: str = "local",
-    pictures: bool = True,
-    progress: bool = True,
-) -> dict[str, Any]:
+    out: str | Path, settings: Settings | None = None, *, cells: str | Path | None = None, jobs: int = 1,
+    engine: str = "local", pictures: bool = True, progress: bool = True,
+) -> dict[str, Any]:  # fmt: skip
     """Closes the loop on every case and seed; writes close_loop.json, close_loop.md, rigs/ and, if asked, a picture.
 
     Args:

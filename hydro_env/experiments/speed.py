@@ -98,12 +98,8 @@ def measure_single(seconds: float = 1.0) -> dict[str, float]:
 
 
 def measure_batch(
-    num_envs: int,
-    seconds: float = 1.0,
-    dtype: str = "float64",
-    kind: str = "smooth",
-    model: str = "paper_dead_zone",
-) -> dict[str, Any]:
+    num_envs: int, seconds: float = 1.0, dtype: str = "float64", kind: str = "smooth", model: str = "paper_dead_zone",
+) -> dict[str, Any]:  # fmt: skip
     """Steps a second of a native batch under a kind of command, summed over its environments, with the kernel's share, and how
     many steps of the integrator a channel takes in a period, those that fail included."""
     from hydro_env.envs.batch import HydraulicSyncVectorEnv

@@ -14,21 +14,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hydro_env.ir.nodes import (
-    Assign,
-    Break,
-    Continue,
-    Expr,
-    For,
-    Function,
-    If,
-    Return,
-    Run,
-    Statement,
-    Store,
-    Table,
-)  # fmt: skip
-from hydro_env.ir.reader import Reader
+from ..ir.nodes import Assign, Break, Continue, Expr, For, Function, If, Return, Run, Statement, Store, Table
+from ..ir.reader import Reader
 
 __all__ = [
     "RESERVED", "TYPES", "bare", "expression", "identifier", "literal", "source", "statements", "variables",

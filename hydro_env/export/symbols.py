@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -341,6 +342,11 @@ class Guard:
         return self.truth.op != "const" or bool(self.truth.value)
 
 
+def _method(name: str) -> Any:
+    """A method of an array that is the function of its name among `_FUNCTIONS`."""
+    return lambda array, *args, **more: _FUNCTIONS[name](array, *args, **more)
+
+
 class Symbols(np.ndarray):
     """An array of expressions, all of one kind."""
 
@@ -397,23 +403,7 @@ class Symbols(np.ndarray):
         kind = kind_of(dtype)
         return _mapped(lambda x: cast(x, kind), self)
 
-    def any(self, *args: Any, **more: Any) -> Any:  # type: ignore[override]
-        return _any(self, *args, **more)
-
-    def all(self, *args: Any, **more: Any) -> Any:  # type: ignore[override]
-        return _reduced("and", self, *args, **more)
-
-    def max(self, *args: Any, **more: Any) -> Any:  # type: ignore[override]
-        return _reduced("max", self, *args, **more)
-
-    def min(self, *args: Any, **more: Any) -> Any:  # type: ignore[override]
-        return _reduced("min", self, *args, **more)
-
-    def sum(self, *args: Any, **more: Any) -> Any:  # type: ignore[override]
-        return _reduced("add", self, *args, **more)
-
-    def mean(self, *args: Any, **more: Any) -> Any:  # type: ignore[override]
-        return _mean(self, *args, **more)
+    any, all, max, min, sum, mean = map(_method, ("any", "all", "max", "min", "sum", "mean"))  # type: ignore[assignment]
 
     def __bool__(self) -> bool:
         return bool(self.view(np.ndarray).item())
@@ -712,16 +702,10 @@ def _sort(array: Any, axis: int = -1) -> Symbols:
     return result.view(Symbols)
 
 
-def _along(op: str) -> Callable[..., Any]:
-    def reduced(array: Any, axis: Any = None, **more: Any) -> Any:
-        return _reduced(op, array, axis, **more)
-
-    return reduced
-
-
+_REDUCTIONS = {"all": "and", "sum": "add", "max": "max", "amax": "max", "min": "min", "amin": "min"}
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "where": _where, "clip": _clip, "mean": _mean, "any": _any, "copyto": _copyto, "sort": _sort, "all": _along("and"),
-    "sum": _along("add"), "max": _along("max"), "amax": _along("max"), "min": _along("min"), "amin": _along("min"),
+    "where": _where, "clip": _clip, "mean": _mean, "any": _any, "copyto": _copyto, "sort": _sort,
+    **{name: partial(_reduced, op) for name, op in _REDUCTIONS.items()},
     "zeros_like": _like(0.0), "ones_like": _like(1.0), "empty_like": _like(0.0), "take_along_axis": _take_along_axis,
     "flatnonzero": _flatnonzero, "copy": lambda array, **more: array.copy(),
 }  # fmt: skip

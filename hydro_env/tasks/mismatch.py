@@ -280,12 +280,9 @@ def own_values(name: str, model: PlantModel) -> tuple[float, float]:
 
 
 def draw_pairs(
-    mismatch: str | Mapping[str, Any] | Mismatch,
-    cases: int | Iterable[int],
-    *,
-    seed: int = 0,
+    mismatch: str | Mapping[str, Any] | Mismatch, cases: int | Iterable[int], *, seed: int = 0,
     model: PlantModel | None = None,
-) -> Pairs:
+) -> Pairs:  # fmt: skip
     """The first `cases` pairs, or those with these numbers.
 
     Of a split with a fixed list these are its cases, whatever the seed; of an endless one those which an environment

@@ -21,17 +21,7 @@ from typing import NamedTuple
 from ..catalogue import Effect
 from .driver import NUMBERS
 from .fused import fused_lines
-from .integrator import (
-    CONTROL,
-    ERRORS,
-    LATE,
-    METHOD,
-    MIN_SHARE,
-    OWN_ERROR,
-    OWN_LATE,
-    SHARE,
-    integral_coefficients,
-)
+from .integrator import CONTROL, ERRORS, METHOD, TOLERATED, integral_coefficients
 from .layout import (
     DIVISORS,
     INTEGRAL,
@@ -161,8 +151,8 @@ class _Sweeps:
         at = self.at
         lines = [
             *at.load(at.parameters),
-            f"least = {SHARE!r} * Kq * x_max / D",
-            f"least = least if least > {MIN_SHARE!r} * h else {MIN_SHARE!r} * h",
+            f"least = {TOLERATED.share!r} * Kq * x_max / D",
+            f"least = least if least > {TOLERATED.min_share!r} * h else {TOLERATED.min_share!r} * h",
             "tolerance = h if h < least else least",
         ]
         lines += ["dry = (Fc > 0.0) | (Fs > 0.0)"]
@@ -181,9 +171,9 @@ class _Sweeps:
             ]
         lines += [f"{at.cell('longest')} = {CONTROL.sticking!r} * sqrt(m / (k + s0)) if dry else 1e30"]
         lines += [
-            f"{at.cell('late')} = {LATE!r} * tolerance",
-            f"{at.cell('own_error')} = {OWN_ERROR!r} * h",
-            f"{at.cell('own_late')} = {OWN_LATE!r} * h",
+            f"{at.cell('late')} = {TOLERATED.late!r} * tolerance",
+            f"{at.cell('own_error')} = {TOLERATED.own_error!r} * h",
+            f"{at.cell('own_late')} = {TOLERATED.own_late!r} * h",
             f"{at.cell('begun')} = 0.0",
         ]
         for name, adding in states_of(at.effects).items():

@@ -22,17 +22,7 @@ from collections.abc import Iterable
 
 from llvmlite import ir
 
-from hydro_env.ir.nodes import (
-    Assign,
-    Expr,
-    For,
-    Function,
-    If,
-    Return,
-    Statement,
-    Store,
-    var,
-)  # fmt: skip
+from hydro_env.ir.nodes import Assign, Expr, For, Function, If, Return, Statement, Store, var
 from hydro_env.ir.reader import Arr, Reader, module_sources
 
 __all__ = ["FOUND", "llvm_text"]
