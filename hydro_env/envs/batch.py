@@ -111,9 +111,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
         self._tolerance = _tolerance(plant, self.model, tolerance_rpm)
         self.scenario = load_scenario(scenario)
-        self.mismatch = load_mismatch(
-            default_mismatch(plant) if isinstance(mismatch, str) and mismatch == "auto" else mismatch
-        )
+        auto = isinstance(mismatch, str) and mismatch == "auto"
+        self.mismatch = load_mismatch(default_mismatch(plant) if auto else mismatch)
         self.render_mode = render_mode
         self.reward = load_reward(reward)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -302,7 +301,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """Why these rows were terminated, None for the others."""
         lost = {each.rig: f"diverged: {each}" for each in reversed(self.plant.lost)}
         return np.array(
-            [lost.get(n, DIVERGED) if each else None for n, each in enumerate(terminated)], object
+            [lost.get(n, DIVERGED) if ends else None for n, ends in enumerate(terminated)], object
         )
 
     # --- episodes -------------------------------------------------------------------------------------------------

@@ -46,9 +46,7 @@ def env_spec(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
     if spec is None:
         return None
     registered = registry[spec.id].kwargs if spec.id in registry else {}
-    changed = {
-        name for name, value in spec.kwargs.items() if name not in registered or registered[name] != value
-    }
+    changed = {key for key, own in spec.kwargs.items() if key not in registered or registered[key] != own}
     threshold = None if changed - SAME_TASK else spec.reward_threshold
     kwargs = {name: _plain(value) for name, value in spec.kwargs.items()}
     if isinstance(spec.kwargs.get("plant"), PlantModel | Plant) and kwargs.get("mismatch", "auto") == "auto":

@@ -107,9 +107,7 @@ class Randomisation:
     def pairs(self, plant: Any) -> dict[str, Floats]:
         """Values (N, 2) of the parameters in which the valves may differ, as they now are."""
         names = self._own or self.model.values
-        return {
-            name: self._sensor[name].copy() if name in self._sensor else plant.get(name) for name in names
-        }
+        return {n: self._sensor[n].copy() if n in self._sensor else plant.get(n) for n in names}
 
 
 def _cases(

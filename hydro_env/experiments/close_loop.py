@@ -302,10 +302,8 @@ def write(out: Path, data: Mapping[str, Any], pictures: bool = True) -> None:
 def read(folder: Path) -> dict[str, Any]:
     """What `write` wrote. InputError if there is no such result."""
     what = f"a result of `hydro-env close-loop --out {folder}`"
-    data, traces = (
-        read_json(folder / name, what, max_bytes=MAX_BYTES_OF_RESULTS)
-        for name in ("close_loop.json", "traces.json")
-    )
+    files = folder / "close_loop.json", folder / "traces.json"
+    data, traces = (read_json(file, what, max_bytes=MAX_BYTES_OF_RESULTS) for file in files)
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         raise InputError(f"{folder / 'close_loop.json'}: its schema should be {SCHEMA!r}")
     kept = {_of(s): s for s in traces}

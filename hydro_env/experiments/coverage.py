@@ -74,11 +74,8 @@ def percent(count: int, of: int) -> str:
 # --- probabilities of names -------------------------------------------------------------------------------------------
 def given_names(effects: Iterable[Mapping[str, Any]], hidden: set[tuple[str, str]]) -> list[Point]:
     """The names of a diagnosis that have a probability, against the set of hidden (effect, channel)."""
-    return [
-        (float(e["probability"]), by_channel([e]) <= hidden)
-        for e in effects
-        if e.get("probability") is not None
-    ]
+    given = [e for e in effects if e.get("probability") is not None]
+    return [(float(e["probability"]), by_channel([e]) <= hidden) for e in given]
 
 
 def reliability(points: Sequence[Point]) -> list[dict[str, Any]]:

@@ -95,18 +95,13 @@ def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
     write_json(out / "demo.json", result)
     with beside_results(out / "index.html"):
         png(reproduce.draw_steps(paper), out / "demo.png")
-        speeds = svg(
-            reproduce.draw_steps(paper),
-            "speeds of both motors in the paper's experiment and their difference",
-        )
+        alt = "speeds of both motors in the paper's experiment and their difference"
+        speeds = svg(reproduce.draw_steps(paper), alt)
         gaps = svg(_gaps(finding["gap"]["sealed"]), "error on the held-out log before and after")
         links = sorted(f"reproduce/{path.name}" for path in (out / "reproduce").iterdir())
-        parts = (
-            {**paper.numbers, "picture": speeds, "links": links},
-            _board(scores),
-            {**finding, "picture": gaps},
-        )
-        write_text(out / "index.html", page(*parts, seconds))
+        published = {**paper.numbers, "picture": speeds, "links": links}
+        text = page(published, _board(scores), {**finding, "picture": gaps}, seconds)
+        write_text(out / "index.html", text)
     return result
 
 

@@ -207,9 +207,8 @@ def measure_start() -> dict[str, float]:
         for _ in ("cold", "warm"):
             begin = time.time()  # a clock that both processes read
             own = {**os.environ, "HYDRO_ENV_CACHE": cache}
-            took.append(
-                float(subprocess.check_output([sys.executable, "-c", code], env=own, text=True)) - begin
-            )
+            end = subprocess.check_output([sys.executable, "-c", code], env=own, text=True)
+            took.append(float(end) - begin)
     return {"cold_s": took[0], "warm_s": took[1]}
 
 

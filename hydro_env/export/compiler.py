@@ -39,9 +39,6 @@ def build_library(
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        lines = (
-            [line for line in done.stderr.splitlines() if "error" in line]
-            or done.stderr.splitlines()
-            or ["no message"]
-        )
+        said = done.stderr.splitlines()
+        lines = [line for line in said if "error" in line] or said or ["no message"]
         raise InputError(f"{compiler[0]} does not compile the exported C source: {lines[0]}")

@@ -393,9 +393,8 @@ class Symbols(np.ndarray):
         for n in range(self.shape[axis]):
             here = operate("eq", [place, constant(n, "int")])
             both = here if mask is None else operate("and", [here, mask])
-            index = tuple(
-                np.full(parts[axis].shape, n) if k == axis else each for k, each in enumerate(parts)
-            )
+            at = np.full(parts[axis].shape, n)
+            index = (*parts[:axis], at, *parts[axis + 1 :])
             old = _wrapped(self.view(np.ndarray)[index])
             self[index] = _where(symbols([both], ()), value, old)
 
@@ -412,9 +411,8 @@ class Symbols(np.ndarray):
         out, where = more.pop("out", None), more.pop("where", True)
         more.pop("dtype", None)
         if method == "reduce":
-            return _reduced(
-                _BY_UFUNC[ufunc], inputs[0], more.get("axis", 0), keepdims=more.get("keepdims", False)
-            )
+            axis, keepdims = more.get("axis", 0), more.get("keepdims", False)
+            return _reduced(_BY_UFUNC[ufunc], inputs[0], axis, keepdims)
         if method != "__call__" or where is not True:
             raise TraceError(f"numpy.{ufunc.__name__}.{method} cannot be followed")
         result = _product(*inputs) if ufunc is np.matmul else _elementwise(ufunc, inputs)
@@ -560,8 +558,7 @@ def _blockwise(op: str, inputs: Sequence[Any]) -> Symbols:
     shape = together[0].shape
     rows = [list(each.reshape(-1)) for each in together]
     size = len(rows[0])
-    plain = symbols([], (0,)) if not size else None
-    if plain is not None:
+    if not size:
         return symbols([], shape)
     act = (lambda *row: choose(*row)) if op == "where" else (lambda *row: operate(op, row))
     # The first and the last say whether there is anything to do at all.
@@ -606,9 +603,8 @@ def _product(a: Any, b: Any) -> Symbols:
     kind = kind_of_result("mul", [rows[0][0].kind, kind_of(matrix.dtype)])
     made: list[Expr] = []
     for row in rows:
-        block = Block(
-            "product", kind, [_cast_row(list(row), kind)], matrix.shape[1], np.ascontiguousarray(matrix.T)
-        )
+        operands, weights = [_cast_row(list(row), kind)], np.ascontiguousarray(matrix.T)
+        block = Block("product", kind, operands, matrix.shape[1], weights)
         made += [item(block, n) for n in range(matrix.shape[1])]
     return symbols(made, (*plain.shape[:-1], matrix.shape[1]))
 
@@ -656,11 +652,9 @@ def _clip(array: Any, low: Any, high: Any, out: Any = None) -> Any:
 
 
 def _copyto(to: Symbols, value: Any, where: Any = True) -> None:
-    to[...] = (
-        value
-        if where is True
-        else _where(np.broadcast_to(_objects(where), to.shape).view(Symbols), value, to)
-    )
+    if where is not True:
+        value = _where(np.broadcast_to(_objects(where), to.shape).view(Symbols), value, to)
+    to[...] = value
 
 
 def _like(value: float) -> Callable[..., Symbols]:

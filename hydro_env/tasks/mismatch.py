@@ -180,9 +180,8 @@ class Mismatch:
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of all parameters that a pair of this mismatch may set."""
-        return tuple(
-            dict.fromkeys((*self.ranges, *(name for fault in self.faults.values() for name in fault)))
-        )
+        of_faults = (name for fault in self.faults.values() for name in fault)
+        return tuple(dict.fromkeys((*self.ranges, *of_faults)))
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -422,9 +421,8 @@ def _unusual(name: str, given: Range) -> str:
 
 @cache
 def _rig_parameters() -> frozenset[str]:
-    return frozenset(
-        f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.scope == "rig" for p in e.parameters
-    )
+    shared = [effect for effect in CATALOGUE.values() if effect.scope == "rig"]
+    return frozenset(f"{effect.name}.{p.name}" for effect in shared for p in effect.parameters)
 
 
 def _read_package() -> tuple[dict[str, Any], dict[str, Mismatch], dict[str, Mismatch]]:

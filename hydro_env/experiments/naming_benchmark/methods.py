@@ -188,9 +188,8 @@ def _naming(name_them: Callable[[Start], Named] | None) -> Callable[[Path, Path]
         named = name_them(start) if name_them is not None and start.verdict == "unknown" else []
         start.model.to_yaml(out / f"{folder.name}.yaml", source="calibration")
         seconds = start.seconds + time.process_time() - clock
-        return answer(
-            folder.name, "effects" if named else start.verdict, named, seconds, model=f"{folder.name}.yaml"
-        )
+        verdict = "effects" if named else start.verdict
+        return answer(folder.name, verdict, named, seconds, model=f"{folder.name}.yaml")
 
     return work
 

@@ -93,13 +93,10 @@ class _Sweeps:
 
     def _alike(self, row: str, worse: str) -> list[str]:
         """Text by which lanes that belong together have the same in a row, the worse."""
-        coupled = any(e.couples_channels for e in self.at.effects)
-        text = (
-            [COUPLED.format(row=self.at.row(row), coupled=self.at.row("coupled"), worse=worse)]
-            if coupled
-            else []
-        )
-        return text + ([GROUPED.format(row=self.at.row(row))] if self.grouped else [])
+        text, at = [], self.at
+        if any(e.couples_channels for e in at.effects):
+            text += [COUPLED.format(row=at.row(row), coupled=at.row("coupled"), worse=worse)]
+        return text + ([GROUPED.format(row=at.row(row))] if self.grouped else [])
 
     # --- parts of sweeps ------------------------------------------------------------------------------------------------
     @property
@@ -128,6 +125,13 @@ class _Sweeps:
     def _couplings(self) -> list[str]:
         """Names of the slopes between states of effects and base states."""
         return [*self.step.couplings, *(f"{name}__acts" for name in self.step.acting)]
+
+    @property
+    def _evaluated(self) -> list[str]:
+        """Names of what is evaluated where a step begins: rates and their slopes, and flows where they are exchanged."""
+        names = [*(f"{name}_rate" for name in self.at.staged), *self.step.carried, *self._couplings]
+        names += [f"{name}_decay" for name in self.at.own_states]
+        return names + (["flow"] if self.exchanges else [])
 
     @property
     def _solve(self) -> list[str]:
@@ -188,9 +192,8 @@ class _Sweeps:
         lines = at.load(names)
         lines += ["command = command if command < u_rated else u_rated"]
         lines += ["command = command if command > -u_rated else -u_rated"]
-        same = (
-            f"({at.cell('begun')} > 0.0) & (command == {at.cell('applied')}) & (load == {at.cell('loaded')})"
-        )
+        begun, applied, loaded = map(at.cell, ("begun", "applied", "loaded"))
+        same = f"({begun} > 0.0) & (command == {applied}) & (load == {loaded})"
         lines += [f"{at.cell('fresh')} = 0.0 if {same} else 1.0", f"{at.cell('begun')} = 1.0"]
         lines += [f"{at.cell('command')} = command", f"{at.cell('applied')} = command"]
         lines += [f"{at.cell('loaded')} = load"]
@@ -200,8 +203,7 @@ class _Sweeps:
 
     def evaluate(self) -> list[list[str] | str]:
         at, first = self.at, [*self.at.load(self.at.states), *self._inputs]
-        names = [*(f"{name}_rate" for name in at.staged), *self.step.carried, *self._couplings]
-        names += [f"{name}_decay" for name in at.own_states] + (["flow"] if self.exchanges else [])
+        names = self._evaluated
         kept = [f"{at.cell(n)} = {n} if {at.cell('fresh')} > 0.0 else {at.cell(n)}" for n in names]
         parts: list[list[str] | str] = [first, *self._rates()]
         parts += [self.step.slopes, [*kept, f"{at.cell('fresh')} = 0.0"]]
@@ -275,11 +277,8 @@ class _Sweeps:
 
     def _judged(self) -> list[str]:
         at = self.at
-        lines = [
-            f"error = {at.cell('error')}",
-            "error = error if error < 1e12 else 1e12",
-            "fine = error <= 1.0",
-        ]
+        lines = [f"error = {at.cell('error')}"]
+        lines += ["error = error if error < 1e12 else 1e12", "fine = error <= 1.0"]
         lines += [f"change = {CONTROL.ladder[0][1]!r}"]
         lines += [
             f"change = {change!r} if error >= {limit!r} else change" for limit, change in CONTROL.ladder[1:]
@@ -299,9 +298,7 @@ class _Sweeps:
             f"{at.cell('todo')} = todo",
             f"{at.cell('attempts')} = {at.cell('attempts')} + (1.0 if going else 0.0)",
         ]
-        names = [*at.states, *(f"{name}_rate" for name in at.staged), *self.step.carried, "time"]
-        names += self._couplings
-        names += [f"{name}_decay" for name in at.own_states] + (["flow"] if self.exchanges else [])
+        names = [*at.states, "time", *self._evaluated]
         return lines + [f"{at.cell(name)} = {name} if moves else {at.cell(name)}" for name in names]
 
     def observe(self) -> list[list[str] | str]:
@@ -450,10 +447,7 @@ def module_text(effects: tuple[Effect, ...], half: int, grouped: bool = False) -
     sweeps = _Sweeps(layout, step_of(effects), grouped)
     names = ("precompute", "observe", "start_row", "evaluate", "attempt_step", "reset_diverged")
     counts = {"start_row": "fresh", "attempt_step": "todo"}
-    texts = {
-        name: _sweep(layout, getattr(sweeps, name)(), name == "attempt_step", counts.get(name, ""))
-        for name in names
-    }
+    texts = {n: _sweep(layout, getattr(sweeps, n)(), n == "attempt_step", counts.get(n, "")) for n in names}
     additions = _sweep(layout, _additions(layout))
     text = MODULE.format(functions="\n\n".join(functions(effects)), half=half, additions=additions, **texts)
     at, own, settable = layout.rows, set(layout.parameters), set(parameters_of(given))
