@@ -56,7 +56,7 @@ class Recorder:
     """The recent past of every rig: set-point and speeds in rpm, commands in V, shaft angles in rad."""
 
     def __init__(self, num_rigs: int, width: int) -> None:
-        _imported("PIL.Image", "pictures need Pillow")
+        _imported("PIL", "pictures need Pillow")
         self._width = width
         self._past = np.full((num_rigs, SHOWN, _KEPT), np.nan)
         self._instants = np.zeros(num_rigs, np.int64)
