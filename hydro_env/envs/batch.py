@@ -12,7 +12,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
@@ -25,7 +24,7 @@ from ..streams import Component
 from ..tasks.mismatch import Mismatch, default_mismatch, load_mismatch
 from ..tasks.scenarios import Reference, Scenario, load_scenario
 from ..units import RPM
-from .env_spec import env_spec
+from .env_spec import OwnSpec
 from .history import History
 from .observation import ERRORS, FRAME, LIMIT, noise_levels, with_errors
 from .plants import PlantLike, PlantSource, make_plant
@@ -85,29 +84,18 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 100}  # noqa: RUF012 (Gymnasium's way)
-    _spec: EnvSpec | None = None
+    spec: Any = OwnSpec()
 
     def __init__(
-        self,
-        num_envs: int = 1,
-        plant: str | Path | Mapping[str, Any] | PlantModel | Plant = "paper_dead_zone",
+        self, num_envs: int = 1, plant: str | Path | Mapping[str, Any] | PlantModel | Plant = "paper_dead_zone",
         scenario: str | Mapping[str, Any] | Scenario = "random_steps",
-        mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "auto",
-        control_period: float = 0.01,
-        render_mode: str | None = None,
-        *,
-        history: int = 1,
-        noise: float | Mapping[str, float] = 1.0,
+        mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "auto", control_period: float = 0.01,
+        render_mode: str | None = None, *, history: int = 1, noise: float | Mapping[str, float] = 1.0,
         reward: Mapping[str, float] | Reward | None = None,
-        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        max_episode_steps: int | None = None,
-        dtype: str = "float64",
-        render_width: int = 640,
-        increment: float | None = None,
-        errors: bool = False,
-        threads: int = 1,
-        tolerance_rpm: float | None = None,
-    ) -> None:
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP, max_episode_steps: int | None = None,
+        dtype: str = "float64", render_width: int = 640, increment: float | None = None, errors: bool = False,
+        threads: int = 1, tolerance_rpm: float | None = None,
+    ) -> None:  # fmt: skip
         super().__init__()
         self.num_envs = NUM_ENVS.check(num_envs, "num_envs")
         self.control_period = CONTROL_PERIOD.check(control_period, "control_period")
@@ -123,9 +111,8 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self.model = plant.model if isinstance(plant, Plant) else load_model(plant)
         self._tolerance = _tolerance(plant, self.model, tolerance_rpm)
         self.scenario = load_scenario(scenario)
-        self.mismatch = load_mismatch(
-            default_mismatch(plant) if isinstance(mismatch, str) and mismatch == "auto" else mismatch
-        )
+        auto = isinstance(mismatch, str) and mismatch == "auto"
+        self.mismatch = load_mismatch(default_mismatch(plant) if auto else mismatch)
         self.render_mode = render_mode
         self.reward = load_reward(reward)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -172,10 +159,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
 
     # --- the interface of Gymnasium -------------------------------------------------------------------------------
     def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begins a new episode in every row (or those of `options["reset_mask"]`).
 
@@ -268,15 +252,6 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         return answer if name == "render" and answer is not None else (answer,) * self.num_envs
 
     @property
-    def spec(self) -> EnvSpec | None:  # type: ignore[override]
-        """What Gymnasium made this from; `max_episode_steps` is the length of its episodes."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = env_spec(spec, self.episode_steps)
-
-    @property
     def episode_steps(self) -> int:
         """Control periods in an episode of the scenario that it was made with."""
         return self._steps(self.scenario)
@@ -326,18 +301,14 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         """Why these rows were terminated, None for the others."""
         lost = {each.rig: f"diverged: {each}" for each in reversed(self.plant.lost)}
         return np.array(
-            [lost.get(n, DIVERGED) if each else None for n, each in enumerate(terminated)], object
+            [lost.get(n, DIVERGED) if ends else None for n, ends in enumerate(terminated)], object
         )
 
     # --- episodes -------------------------------------------------------------------------------------------------
     def _begin(
-        self,
-        rows: Rows,
-        seed: int | Sequence[int | None] | None = None,
-        *,
-        scenario: Scenario | None = None,
+        self, rows: Rows, seed: int | Sequence[int | None] | None = None, *, scenario: Scenario | None = None,
         **options: Any,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Draws and starts an episode of each of these rows; `options` as for `reset`, read."""
         scenario = scenario or self.scenario
         mismatch: Mismatch | None = options.get("mismatch", self.mismatch)

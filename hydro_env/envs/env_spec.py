@@ -20,20 +20,23 @@ from ..plant import Plant, PlantModel
 from ..tasks.mismatch import NAMED_PAIRS, SPLITS, default_mismatch
 from ..tasks.scenarios import SCENARIOS
 
-__all__ = ["env_spec"]
+__all__ = ["OwnSpec", "env_spec"]
 
 #: Arguments under which a return means the same as with those registered, for which the threshold was measured.
 SAME_TASK = {
-    "render_mode",
-    "render_width",
-    "history",
-    "increment",
-    "errors",
-    "dtype",
-    "num_envs",
-    "vectorization_mode",
+    "render_mode", "render_width", "history", "increment", "errors", "dtype", "num_envs", "vectorization_mode",
     "autoreset_mode",
-}
+}  # fmt: skip
+
+
+class OwnSpec:
+    """The attribute `spec` of an environment: what Gymnasium made it from, with the length of its episodes."""
+
+    def __get__(self, env: Any, owner: Any = None) -> Any:
+        return None if env is None else vars(env).get("_spec")
+
+    def __set__(self, env: Any, spec: EnvSpec | None) -> None:
+        vars(env)["_spec"] = env_spec(spec, getattr(env, "batch", env).episode_steps)
 
 
 def env_spec(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
@@ -43,9 +46,7 @@ def env_spec(spec: EnvSpec | None, steps: int) -> EnvSpec | None:
     if spec is None:
         return None
     registered = registry[spec.id].kwargs if spec.id in registry else {}
-    changed = {
-        name for name, value in spec.kwargs.items() if name not in registered or registered[name] != value
-    }
+    changed = {key for key, own in spec.kwargs.items() if key not in registered or registered[key] != own}
     threshold = None if changed - SAME_TASK else spec.reward_threshold
     kwargs = {name: _plain(value) for name, value in spec.kwargs.items()}
     if isinstance(spec.kwargs.get("plant"), PlantModel | Plant) and kwargs.get("mismatch", "auto") == "auto":

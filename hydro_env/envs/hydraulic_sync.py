@@ -8,7 +8,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
@@ -17,7 +16,7 @@ from ..plant import Plant, PlantModel
 from ..tasks.mismatch import Mismatch
 from ..tasks.scenarios import Scenario
 from .batch import HydraulicSyncVectorEnv
-from .env_spec import env_spec
+from .env_spec import OwnSpec
 from .plants import PlantLike
 from .randomisation import SEED
 from .render import PICTURES, Window
@@ -123,58 +122,30 @@ class HydraulicSyncEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 100}  # noqa: RUF012 (Gymnasium's way)
-    _spec: EnvSpec | None = None
+    spec: Any = OwnSpec()
 
     def __init__(
-        self,
-        plant: str | Path | Mapping[str, Any] | PlantModel | Plant = "paper_dead_zone",
+        self, plant: str | Path | Mapping[str, Any] | PlantModel | Plant = "paper_dead_zone",
         scenario: str | Mapping[str, Any] | Scenario = "random_steps",
-        mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "auto",
-        control_period: float = 0.01,
-        render_mode: str | None = None,
-        *,
-        history: int = 1,
-        noise: float | Mapping[str, float] = 1.0,
-        reward: Mapping[str, float] | Reward | None = None,
-        render_width: int = 640,
-        increment: float | None = None,
-        errors: bool = False,
-        tolerance_rpm: float | None = None,
-    ) -> None:
+        mismatch: str | Path | Mapping[str, Any] | Mismatch | None = "auto", control_period: float = 0.01,
+        render_mode: str | None = None, *, history: int = 1, noise: float | Mapping[str, float] = 1.0,
+        reward: Mapping[str, float] | Reward | None = None, render_width: int = 640, increment: float | None = None,
+        errors: bool = False, tolerance_rpm: float | None = None,
+    ) -> None:  # fmt: skip
         if render_mode not in (None, *type(self).metadata["render_modes"]):
             raise InputError(f"render_mode is {shown(render_mode)}, expected None, 'human' or 'rgb_array'")
         self._window = Window("hydro_env") if render_mode == "human" else None
         self.batch = HydraulicSyncVectorEnv(
-            1,
-            plant,
-            scenario,
-            mismatch,
-            control_period,
-            "rgb_array" if render_mode == "human" else render_mode,
-            history=history,
-            noise=noise,
-            reward=reward,
-            autoreset_mode=AutoresetMode.DISABLED,
-            render_width=render_width,
-            increment=increment,
-            errors=errors,
-            tolerance_rpm=tolerance_rpm,
-        )
+            1, plant, scenario, mismatch, control_period, "rgb_array" if render_mode == "human" else render_mode,
+            history=history, noise=noise, reward=reward, autoreset_mode=AutoresetMode.DISABLED,
+            render_width=render_width, increment=increment, errors=errors, tolerance_rpm=tolerance_rpm,
+        )  # fmt: skip
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": self.batch.metadata["render_fps"]}
         self.observation_space = self.batch.single_observation_space
         self.action_space = self.batch.single_action_space
         self._seeded = False
         self._steps = 0
-
-    @property
-    def spec(self) -> EnvSpec | None:  # type: ignore[override]
-        """What Gymnasium made this from; `max_episode_steps` is the length of its episodes."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = env_spec(spec, self.batch.episode_steps)
 
     @property
     def plant(self) -> PlantLike:

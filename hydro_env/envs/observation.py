@@ -66,11 +66,8 @@ def decode(observation: NDArray[np.floating]) -> Measurements:
     """The newest frame of observations (N, n) in SI, with errors in front or without. ValueError if n is no multiple of the
     length of a frame."""
     array = np.asarray(observation)
-    if (
-        array.ndim != 2
-        or array.shape[1] == 0
-        or (array.shape[1] % FRAME and array.shape[1] % (FRAME + ERRORS))
-    ):
+    width = array.shape[1] if array.ndim == 2 else 0
+    if not width or (width % FRAME and width % (FRAME + ERRORS)):
         raise ValueError(
             f"observations have the shape {array.shape}, expected (N, {FRAME}) or (N, k * {FRAME})"
         )

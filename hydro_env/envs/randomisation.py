@@ -50,12 +50,8 @@ class Randomisation:
         self._sensor = {name: np.full((num_rows, 2), p.nominal) for name, p in SENSOR_PARAMETERS.items()}
 
     def next(
-        self,
-        rows: Rows,
-        mismatch: Mismatch | None,
-        seed: int | Sequence[int | None] | None = None,
-        case: Any = None,
-    ) -> Episodes:
+        self, rows: Rows, mismatch: Mismatch | None, seed: int | Sequence[int | None] | None = None, case: Any = None,
+    ) -> Episodes:  # fmt: skip
         """What these rows play next: the first episode of their seeds where these are given, else the one after the last.
 
         InputError for a wrong seed, and for a case that is asked for and not there; nothing is changed then.
@@ -111,9 +107,7 @@ class Randomisation:
     def pairs(self, plant: Any) -> dict[str, Floats]:
         """Values (N, 2) of the parameters in which the valves may differ, as they now are."""
         names = self._own or self.model.values
-        return {
-            name: self._sensor[name].copy() if name in self._sensor else plant.get(name) for name in names
-        }
+        return {n: self._sensor[n].copy() if n in self._sensor else plant.get(n) for n in names}
 
 
 def _cases(

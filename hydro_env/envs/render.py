@@ -6,6 +6,7 @@ Needs the extra `render`.
 from __future__ import annotations
 
 import math
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -43,16 +44,19 @@ PICTURES = 25
 Curve = tuple[Floats, str]
 
 
+def _imported(module: str, why: str) -> Any:
+    """A module of the extra `render`. DependencyNotInstalled where it is not there."""
+    try:
+        return import_module(module)
+    except ImportError as problem:
+        raise gymnasium.error.DependencyNotInstalled(f"{why}: {to_install('render')}") from problem
+
+
 class Recorder:
     """The recent past of every rig: set-point and speeds in rpm, commands in V, shaft angles in rad."""
 
     def __init__(self, num_rigs: int, width: int) -> None:
-        try:
-            import PIL.Image  # noqa: F401
-        except ImportError as problem:
-            raise gymnasium.error.DependencyNotInstalled(
-                f"pictures need Pillow: {to_install('render')}"
-            ) from problem
+        _imported("PIL", "pictures need Pillow")
         self._width = width
         self._past = np.full((num_rigs, SHOWN, _KEPT), np.nan)
         self._instants = np.zeros(num_rigs, np.int64)
@@ -105,15 +109,9 @@ class Window:
     """A window that shows pictures of a rig as they are, in step with the clock. Closing it stops nothing but the pictures."""
 
     def __init__(self, title: str) -> None:
-        try:
-            import pygame
-        except ImportError as problem:
-            raise gymnasium.error.DependencyNotInstalled(
-                f"a window needs pygame: {to_install('render')}"
-            ) from problem
-        self._pygame, self._title = pygame, title
+        self._pygame, self._title = _imported("pygame", "a window needs pygame"), title
         self._screen: Any = None
-        self._clock = pygame.time.Clock()
+        self._clock = self._pygame.time.Clock()
         self._closed = False
 
     def show(self, picture: Picture, per_second: float) -> None:
@@ -171,14 +169,8 @@ class _Page:
         self.draw.ellipse(box(0.25), _WHITE, colour, self.thick)
 
     def axes(
-        self,
-        span: tuple[float, float],
-        title: str,
-        time: Floats,
-        most: float,
-        tick: float,
-        curves: list[Curve],
-    ) -> None:
+        self, span: tuple[float, float], title: str, time: Floats, most: float, tick: float, curves: list[Curve],
+    ) -> None:  # fmt: skip
         """Curves over time between two heights, for values from -most to most, with a line every `tick`."""
         top, bottom = span
         middle, half = 0.5 * (top + bottom), 0.5 * (bottom - top)

@@ -48,18 +48,10 @@ SIGNALS = ("speed", "angle", "measured_speed", "current", "pressure", "diverged"
 
 #: Columns of the table of true signals that `observe` fills.
 COLUMNS: dict[str, slice | int] = {
-    "speed_rpm": slice(0, 2),
-    "setpoint_rpm": 2,
-    "speed_difference_rpm": 3,
-    "command_V": slice(4, 6),
-    "angle_difference_deg": 6,
-    "reward_tracking": 7,
-    "reward_difference": 8,
-    "reward_variation": 9,
-    "cost_difference": 10,
-    "cost_travel": 11,
-    "lowest_line_pressure_bar": 12,
-}
+    "speed_rpm": slice(0, 2), "setpoint_rpm": 2, "speed_difference_rpm": 3, "command_V": slice(4, 6),
+    "angle_difference_deg": 6, "reward_tracking": 7, "reward_difference": 8, "reward_variation": 9,
+    "cost_difference": 10, "cost_travel": 11, "lowest_line_pressure_bar": 12,
+}  # fmt: skip
 TRUE = 13
 #: Speed difference, rpm, beyond which `cost_difference` counts; what good controllers stay below once the motors run.
 COST_BOUND_RPM = 20.0

@@ -218,15 +218,9 @@ class Settings:
 
 
 def run(
-    out: str | Path,
-    settings: Settings | None = None,
-    *,
-    cells: str | Path | None = None,
-    jobs: int = 1,
-    engine: str = "local",
-    pictures: bool = True,
-    progress: bool = True,
-) -> dict[str, Any]:
+    out: str | Path, settings: Settings | None = None, *, cells: str | Path | None = None, jobs: int = 1,
+    engine: str = "local", pictures: bool = True, progress: bool = True,
+) -> dict[str, Any]:  # fmt: skip
     """Closes the loop on every case and seed; writes close_loop.json, close_loop.md, rigs/ and, if asked, a picture.
 
     Args:
@@ -256,14 +250,10 @@ def run(
     tuned = dict(done(list(dict.fromkeys(task for _, task in wanted)), "tuning"))
     scores = [{**task.row(), **result} for task, result in done(_drives(wanted, tuned), "drive")]
     data = {
-        "schema": SCHEMA,
-        "settings": _settings_row(settings, rigs),
-        "rigs": [rig.row() for rig in rigs],
-        "gains": [{**task.row(), **found} for task, found in tuned.items()],
-        "scores": scores,
-        "summary": collect(scores),
-        "failed": failed,
-    }
+        "schema": SCHEMA, "settings": _settings_row(settings, rigs), "rigs": [rig.row() for rig in rigs],
+        "gains": [{**task.row(), **found} for task, found in tuned.items()], "scores": scores,
+        "summary": collect(scores), "failed": failed,
+    }  # fmt: skip
     write_rigs(out / "rigs", rigs)
     write(out, data, pictures)
     return data
@@ -312,10 +302,8 @@ def write(out: Path, data: Mapping[str, Any], pictures: bool = True) -> None:
 def read(folder: Path) -> dict[str, Any]:
     """What `write` wrote. InputError if there is no such result."""
     what = f"a result of `hydro-env close-loop --out {folder}`"
-    data, traces = (
-        read_json(folder / name, what, max_bytes=MAX_BYTES_OF_RESULTS)
-        for name in ("close_loop.json", "traces.json")
-    )
+    files = folder / "close_loop.json", folder / "traces.json"
+    data, traces = (read_json(file, what, max_bytes=MAX_BYTES_OF_RESULTS) for file in files)
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         raise InputError(f"{folder / 'close_loop.json'}: its schema should be {SCHEMA!r}")
     kept = {_of(s): s for s in traces}

@@ -27,11 +27,8 @@ def draw(data: Mapping[str, Any], path: Path, shown: str = "model_inverse") -> N
     import matplotlib
     from matplotlib.figure import Figure
 
-    rows = {
-        r["controller"]: r
-        for r in data["summary"]
-        if r["metric"] == METRIC and r["scenario"] == SCENARIO and "wrong" in r
-    }
+    drawn = [r for r in data["summary"] if (r["metric"], r["scenario"]) == (METRIC, SCENARIO)]
+    rows = {r["controller"]: r for r in drawn if "wrong" in r}
     with matplotlib.rc_context(RC):
         made = Figure(figsize=(11.0, 4.4), layout="constrained")
         left, right = made.subplots(1, 2, width_ratios=[1.25, 1.0])
@@ -87,11 +84,8 @@ def _dots(
 
 def _traces(axis: Any, data: Mapping[str, Any], name: str) -> None:
     """Speed differences before and after the repair on the rig with the median ratio of the peaks."""
-    ratios = {
-        r: v["repaired"] / v["wrong"]
-        for r, v in _values(data, name).items()
-        if {"wrong", "repaired"} <= v.keys()
-    }
+    both = {rig: peaks for rig, peaks in _values(data, name).items() if {"wrong", "repaired"} <= peaks.keys()}
+    ratios = {rig: peaks["repaired"] / peaks["wrong"] for rig, peaks in both.items()}
     rig = sorted(ratios, key=lambda each: ratios[each])[len(ratios) // 2]
     labels = {
         "wrong": ("tuned on the model as given", COLOURS[1]),

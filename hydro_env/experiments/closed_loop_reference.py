@@ -27,16 +27,9 @@ SENSORS = ("measured_speed", "current", "pressure")
 
 
 def drive(
-    controller: Any,
-    truth: PlantModel,
-    scenario: str | Scenario,
-    seed: int,
-    *,
-    forms: str = "different",
-    constants: Constants | None = None,
-    control_period: float = 0.01,
-    noise: float = 1.0,
-) -> Trace:
+    controller: Any, truth: PlantModel, scenario: str | Scenario, seed: int, *, forms: str = "different",
+    constants: Constants | None = None, control_period: float = 0.01, noise: float = 1.0,
+) -> Trace:  # fmt: skip
     """Lets a controller drive one episode from rest on the reference simulator; a trace of one rig (N = 1).
 
     Args:

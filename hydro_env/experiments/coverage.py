@@ -14,15 +14,8 @@ from typing import Any
 from scipy.stats import binomtest
 
 __all__ = [
-    "Point",
-    "by_channel",
-    "covered",
-    "given_names",
-    "percent",
-    "reliability",
-    "reliability_lines",
-    "wilson",
-]
+    "Point", "by_channel", "covered", "given_names", "percent", "reliability", "reliability_lines", "wilson",
+]  # fmt: skip
 
 #: Edges of the bins of probability.
 BINS = (0.0, 0.3, 0.5, 0.7, 0.9, 1.0)
@@ -81,11 +74,8 @@ def percent(count: int, of: int) -> str:
 # --- probabilities of names -------------------------------------------------------------------------------------------
 def given_names(effects: Iterable[Mapping[str, Any]], hidden: set[tuple[str, str]]) -> list[Point]:
     """The names of a diagnosis that have a probability, against the set of hidden (effect, channel)."""
-    return [
-        (float(e["probability"]), by_channel([e]) <= hidden)
-        for e in effects
-        if e.get("probability") is not None
-    ]
+    given = [e for e in effects if e.get("probability") is not None]
+    return [(float(e["probability"]), by_channel([e]) <= hidden) for e in given]
 
 
 def reliability(points: Sequence[Point]) -> list[dict[str, Any]]:

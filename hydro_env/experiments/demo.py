@@ -95,18 +95,13 @@ def run(out: str | Path, *, seed: int = 0, jobs: int = 1) -> dict[str, Any]:
     write_json(out / "demo.json", result)
     with beside_results(out / "index.html"):
         png(reproduce.draw_steps(paper), out / "demo.png")
-        speeds = svg(
-            reproduce.draw_steps(paper),
-            "speeds of both motors in the paper's experiment and their difference",
-        )
+        alt = "speeds of both motors in the paper's experiment and their difference"
+        speeds = svg(reproduce.draw_steps(paper), alt)
         gaps = svg(_gaps(finding["gap"]["sealed"]), "error on the held-out log before and after")
         links = sorted(f"reproduce/{path.name}" for path in (out / "reproduce").iterdir())
-        parts = (
-            {**paper.numbers, "picture": speeds, "links": links},
-            _board(scores),
-            {**finding, "picture": gaps},
-        )
-        write_text(out / "index.html", page(*parts, seconds))
+        published = {**paper.numbers, "picture": speeds, "links": links}
+        text = page(published, _board(scores), {**finding, "picture": gaps}, seconds)
+        write_text(out / "index.html", text)
     return result
 
 
@@ -156,16 +151,11 @@ def _board(scores: dict[str, Any]) -> dict[str, Any]:
     recorded = record(titles, seeds, split=SPLIT, scenario=BOARD[0][0])
     alt = "peak synchronisation error over tracking error of every controller"
     return {
-        "about": scores["about"],
-        "cases": max(row["n"] for row in scores["rows"]),
-        "controllers": len(scores["controllers"]),
-        "columns": [heading for _, _, heading in BOARD],
-        "rows": rows,
-        "agent": agent,
-        "seed": recorded["seed"],
-        "animation": animation(recorded),
+        "about": scores["about"], "cases": max(row["n"] for row in scores["rows"]),
+        "controllers": len(scores["controllers"]), "columns": [heading for _, _, heading in BOARD], "rows": rows,
+        "agent": agent, "seed": recorded["seed"], "animation": animation(recorded),
         "picture": svg(_front(scores, cells, shown), alt),
-    }
+    }  # fmt: skip
 
 
 def _learned(name: str) -> bool:

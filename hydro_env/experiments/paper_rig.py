@@ -67,14 +67,9 @@ class Traces:
 
 
 def run_paper(
-    model: PlantModel,
-    profile: Profile,
-    *,
-    values: Mapping[str, ArrayLike] | None = None,
-    num_rigs: int = 1,
-    nominal_torque: ArrayLike = 0.0,
-    peak_from: float = 0.0,
-) -> Traces:
+    model: PlantModel, profile: Profile, *, values: Mapping[str, ArrayLike] | None = None, num_rigs: int = 1,
+    nominal_torque: ArrayLike = 0.0, peak_from: float = 0.0,
+) -> Traces:  # fmt: skip
     """Runs the paper's closed loop for `num_rigs` variants of a model side by side.
 
     `values` maps parameters to arrays that broadcast to (num_rigs, 2); `nominal_torque` (N m) to (num_rigs,). The paper mentions

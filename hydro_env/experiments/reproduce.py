@@ -24,14 +24,8 @@ from hydro_env.plant import Plant, PlantModel, load_model
 from hydro_env.units import LPM
 
 __all__ = [
-    "EQUAL_WITHIN_RPM",
-    "PUBLISHED_STEPS_RPM",
-    "Reproduction",
-    "draw_steps",
-    "reproduce",
-    "run",
-    "summary",
-]
+    "EQUAL_WITHIN_RPM", "PUBLISHED_STEPS_RPM", "Reproduction", "draw_steps", "reproduce", "run", "summary",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 
@@ -193,9 +187,8 @@ def summary(numbers: dict[str, Any]) -> str:
 
 def _table(result: Reproduction) -> str:
     head = "time_s,setpoint_rpm,tables_speed_1_rpm,tables_speed_2_rpm,dead_zone_speed_1_rpm,dead_zone_speed_2_rpm"
-    rows = np.column_stack(
-        [result.steps.time, result.steps.setpoint, result.steps.speed.reshape(len(result.steps.time), 4)]
-    )
+    steps = result.steps
+    rows = np.column_stack([steps.time, steps.setpoint, steps.speed.reshape(len(steps.time), 4)])
     return head + "\n" + "\n".join(",".join(f"{value:.6g}" for value in row) for row in rows) + "\n"
 
 

@@ -98,12 +98,8 @@ def measure_single(seconds: float = 1.0) -> dict[str, float]:
 
 
 def measure_batch(
-    num_envs: int,
-    seconds: float = 1.0,
-    dtype: str = "float64",
-    kind: str = "smooth",
-    model: str = "paper_dead_zone",
-) -> dict[str, Any]:
+    num_envs: int, seconds: float = 1.0, dtype: str = "float64", kind: str = "smooth", model: str = "paper_dead_zone",
+) -> dict[str, Any]:  # fmt: skip
     """Steps a second of a native batch under a kind of command, summed over its environments, with the kernel's share, and how
     many steps of the integrator a channel takes in a period, those that fail included."""
     from hydro_env.envs.batch import HydraulicSyncVectorEnv
@@ -127,15 +123,9 @@ def measure_batch(
 
     rate, kernel, taken = _rate(steps, seconds), _rate(plant_steps, seconds), _attempts(plant, volts)
     return {
-        "num_envs": num_envs,
-        "dtype": dtype,
-        "threads": 1,
-        "env_steps_per_s": rate,
-        "plant_steps_per_s": kernel,
-        "channel_substeps_per_s": kernel * 2.0 * taken,
-        "steps_a_period": taken,
-        "times_real_time": rate * PERIOD,
-    }
+        "num_envs": num_envs, "dtype": dtype, "threads": 1, "env_steps_per_s": rate, "plant_steps_per_s": kernel,
+        "channel_substeps_per_s": kernel * 2.0 * taken, "steps_a_period": taken, "times_real_time": rate * PERIOD,
+    }  # fmt: skip
 
 
 def _attempts(plant: Plant, volts: Floats) -> float:
@@ -217,9 +207,8 @@ def measure_start() -> dict[str, float]:
         for _ in ("cold", "warm"):
             begin = time.time()  # a clock that both processes read
             own = {**os.environ, "HYDRO_ENV_CACHE": cache}
-            took.append(
-                float(subprocess.check_output([sys.executable, "-c", code], env=own, text=True)) - begin
-            )
+            end = subprocess.check_output([sys.executable, "-c", code], env=own, text=True)
+            took.append(float(end) - begin)
     return {"cold_s": took[0], "warm_s": took[1]}
 
 

@@ -27,15 +27,9 @@ CONTROLLERS = ("pid_paper", "pid_tuned", "adaptive_flow")
 
 
 def run(
-    out: str | Path,
-    valves: Sequence[str],
-    sweeps: Sweeps | None = None,
-    *,
-    controllers: Sequence[str] = CONTROLLERS,
-    seeds: int = 4,
-    pictures: bool = True,
-    progress: bool = True,
-) -> dict[str, Any]:
+    out: str | Path, valves: Sequence[str], sweeps: Sweeps | None = None, *, controllers: Sequence[str] = CONTROLLERS,
+    seeds: int = 4, pictures: bool = True, progress: bool = True,
+) -> dict[str, Any]:  # fmt: skip
     """Tests the valves and writes valve_test.json, curves.csv and, if asked, the page and pictures to an existing folder.
 
     Args:

@@ -14,33 +14,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hydro_env.ir.nodes import (
-    Assign,
-    Break,
-    Continue,
-    Expr,
-    For,
-    Function,
-    If,
-    Return,
-    Run,
-    Statement,
-    Store,
-    Table,
-)  # fmt: skip
-from hydro_env.ir.reader import Reader
+from ..ir.nodes import Assign, Break, Continue, Expr, For, Function, If, Return, Run, Statement, Store, Table
+from ..ir.reader import Reader
 
 __all__ = [
-    "RESERVED",
-    "TYPES",
-    "bare",
-    "expression",
-    "identifier",
-    "literal",
-    "source",
-    "statements",
-    "variables",
-]
+    "RESERVED", "TYPES", "bare", "expression", "identifier", "literal", "source", "statements", "variables",
+]  # fmt: skip
 
 #: C types of kinds of numbers.
 TYPES = {"bool": "int", "int": "int", "float": "float", "double": "double"}
@@ -141,9 +120,8 @@ def expression(x: Expr) -> str:
         case "mod" | "min" | "max" | "sign" | "argmin":
             return f"py_{x.op}{'_int' * (x.kind == 'int' and x.op in ('min', 'max'))}({inside})"
         case "abs":
-            return (
-                f"py_abs_int({inside})" if x.kind == "int" else f"fabs{'f' * (x.kind == 'float')}({inside})"
-            )
+            name = "py_abs_int" if x.kind == "int" else "fabsf" if x.kind == "float" else "fabs"
+            return f"{name}({inside})"
     return f"{x.op}{'f' * (x.kind == 'float')}({inside})"
 
 
@@ -170,9 +148,8 @@ def _statement(each: Statement) -> list[str]:
         case For(name, start, stop, step, body):
             sign, change = ("<", "++") if step == 1 else (">", "--")
             limit = bare(expression(stop))
-            return _block(
-                f"for ({name} = {bare(expression(start))}; {name} {sign} {limit}; {name}{change})", body
-            )
+            head = f"for ({name} = {bare(expression(start))}; {name} {sign} {limit}; {name}{change})"
+            return _block(head, body)
         case Run(call):
             return [f"{expression(call)};"]
         case Return(value):
@@ -187,11 +164,8 @@ def variables(declared: dict[str, tuple[str, int]]) -> list[str]:
     """The declarations of variables, by name with their kind and, for arrays, their size."""
     lines = []
     for type_ in dict.fromkeys(TYPES.values()):
-        own = [
-            f"{name}{f'[{size}]' if size else ''}"
-            for name, (kind, size) in declared.items()
-            if TYPES[kind] == type_
-        ]
+        mine = {name: size for name, (kind, size) in declared.items() if TYPES[kind] == type_}
+        own = [f"{name}[{size}]" if size else name for name, size in mine.items()]
         lines += textwrap.wrap(f"{type_} {', '.join(own)};", 120) if own else []
     return lines
 

@@ -35,21 +35,10 @@ def build_library(
     library.parent.mkdir(parents=True, exist_ok=True)
     names = [str(path) for path in sources]
     command = [
-        *compiler,
-        *flags,
-        "-fPIC",
-        "-shared",
-        "-fvisibility=hidden",
-        *names,
-        "-o",
-        str(library),
-        "-lm",
-    ]
+        *compiler, *flags, "-fPIC", "-shared", "-fvisibility=hidden", *names, "-o", str(library), "-lm",
+    ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        lines = (
-            [line for line in done.stderr.splitlines() if "error" in line]
-            or done.stderr.splitlines()
-            or ["no message"]
-        )
+        said = done.stderr.splitlines()
+        lines = [line for line in said if "error" in line] or said or ["no message"]
         raise InputError(f"{compiler[0]} does not compile the exported C source: {lines[0]}")

@@ -37,12 +37,14 @@ def program_of(
     try:
         return trace(controller, period, controller.name.partition(":")[0])
     except (TraceError, TranslationError) as problem:
-        raise InputError(f"controller {spec!r} cannot be exported: {problem}") from None
+        raise _refusal(spec, problem) from None
     except Exception as problem:  # of a user's own law, which may do with symbols what only numbers can do
         place = f" ({place_of(problem)})" if place_of(problem) else ""
-        raise InputError(
-            f"controller {spec!r} cannot be exported: {type(problem).__name__}: {problem}{place}"
-        ) from problem
+        raise _refusal(spec, f"{type(problem).__name__}: {problem}{place}") from problem
+
+
+def _refusal(spec: str, why: object) -> InputError:
+    return InputError(f"controller {spec!r} cannot be exported: {why}")
 
 
 def _controller(spec: str, plant: str, single: bool, trust: bool) -> Any:
@@ -50,15 +52,11 @@ def _controller(spec: str, plant: str, single: bool, trust: bool) -> Any:
     if isinstance(controller, NumpyPolicy):
         return NumpyPolicy(_policy_file(spec), controller.name, np.float32 if single else np.float64)
     if not isinstance(controller, Controller):
-        raise InputError(
-            f"controller {spec!r} cannot be exported: shipped controllers, gains files (.json), policies (.npz) and subclasses of"
-            " Controller can be"
-        )
+        can = "shipped controllers, gains files (.json), policies (.npz) and subclasses of Controller can be"
+        raise _refusal(spec, can)
     if controller.needs in ("parameters", "everything"):
-        raise InputError(
-            f"controller {spec!r} cannot be exported: it needs the true plant, which no rig can tell it; one that goes by"
-            " measurements is right"
-        )
+        why = "it needs the true plant, which no rig can tell it; one that goes by measurements is right"
+        raise _refusal(spec, why)
     if controller.needs == "bench":
         controller.prepare(Plant(load_model(plant)))
     return controller
@@ -75,9 +73,8 @@ def c_files(
     """Writes NAME.h, NAME.c and export.json; what the latter holds."""
     program = program_of(spec, period, plant, single, trust)
     code = c_code(program, __version__, _about(spec))
-    write_text(folder / f"{code.name}.h", code.header)
-    write_text(folder / f"{code.name}.c", code.source)
-    return _noted(folder, "c", spec, [f"{code.name}.h", f"{code.name}.c"], _figures(program))
+    texts = {f"{code.name}.h": code.header, f"{code.name}.c": code.source}
+    return _written(folder, "c", spec, texts, program)
 
 
 def st_file(
@@ -88,10 +85,8 @@ def st_file(
     try:
         text = structured_text(program, __version__, _about(spec))
     except TraceError as problem:
-        raise InputError(f"controller {spec!r} cannot be exported: {problem}") from None
-    name = f"{identifier(program.name)}.st"
-    write_text(folder / name, text)
-    return _noted(folder, "st", spec, [name], _figures(program))
+        raise _refusal(spec, problem) from None
+    return _written(folder, "st", spec, {f"{identifier(program.name)}.st": text}, program)
 
 
 def onnx_file(spec: str, folder: Path) -> dict[str, Any]:
@@ -113,8 +108,12 @@ def _policy_file(spec: str) -> Path:
     return entry.file if entry is not None and entry.file is not None else Path(spec)
 
 
-def _figures(program: Program) -> dict[str, Any]:
-    return {"control_period_s": program.period, "state_numbers": sum(each.size for each in program.state)}
+def _written(folder: Path, kind: str, spec: str, texts: dict[str, str], program: Program) -> dict[str, Any]:
+    """Writes the files of a program, by name, and export.json."""
+    for name, text in texts.items():
+        write_text(folder / name, text)
+    size = sum(each.size for each in program.state)
+    return _noted(folder, kind, spec, [*texts], {"control_period_s": program.period, "state_numbers": size})
 
 
 def _noted(folder: Path, kind: str, spec: str, files: list[str], about: dict[str, Any]) -> dict[str, Any]:

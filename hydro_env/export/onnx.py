@@ -61,12 +61,9 @@ def export_onnx(policy: str | Path, path: str | Path) -> None:
         return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["rows", width])
 
     graph = helper.make_graph(
-        nodes,
-        "policy",
-        [rows("inputs", network.num_inputs), *(rows(state, width) for state, width in states)],
-        [rows("outputs", network.num_outputs), *(rows(f"next_{state}", width) for state, width in states)],
-        constants,
-    )
+        nodes, "policy", [rows("inputs", network.num_inputs), *(rows(state, width) for state, width in states)],
+        [rows("outputs", network.num_outputs), *(rows(f"next_{state}", width) for state, width in states)], constants,
+    )  # fmt: skip
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     helper.set_model_props(
         model, {"interface": json.dumps(metadata["interface"]), "schema": metadata["schema"]}

@@ -98,11 +98,13 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
     known = {name.upper(): str(2 * kernel.numbers[name]) for name in _PLACES if kernel.numbers[name] >= 0}
     coupled = "room[COUPLED] + room[COUPLED + 1] > 0.0" if "COUPLED" in known else "0"
     known |= {name.upper(): call for name, call in _sweeps(reader, kernel, plant.tolerance).items()}
-    known |= {"ARE_COUPLED": f"({coupled})", "LONGEST_DELAY": literal(longest, "double")}
-    known |= {
-        "MAX_ATTEMPTS": literal(MAX_ATTEMPTS, "double"),
-        "MAX_ATTEMPTS_PER_S": literal(MAX_ATTEMPTS_PER_S, "double"),
+    known["ARE_COUPLED"] = f"({coupled})"
+    limits = {
+        "LONGEST_DELAY": longest,
+        "MAX_ATTEMPTS": MAX_ATTEMPTS,
+        "MAX_ATTEMPTS_PER_S": MAX_ATTEMPTS_PER_S,
     }
+    known |= {name: literal(limit, "double") for name, limit in limits.items()}
     header = Template(_HEADER).substitute(
         name=model.name.replace("*/", "* /"), version=version, effects=", ".join(model.declared) or "none",
         kept=2 * kernel.num_rows, total=kernel.num_cells, rpm=f"{plant.tolerance / RPM:g}", sent=sent,
@@ -115,15 +117,10 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
     header += template("plant.h").template
     body = '#include "plant.h"\n' + source(reader, numbers + template("plant.c").template)
     return PlantSource(
-        model=model,
-        header=header,
-        body=body,
-        places={name: 2 * row for name, row in kernel.rows.items()},
+        model=model, header=header, body=body, places={name: 2 * row for name, row in kernel.rows.items()},
         outputs=(*(name for name, row in kernel.rows.items() if row < kernel.rows["time"]), *_OUTPUTS),
-        parameters=ranges,
-        shared=frozenset(shared),
-        most_sent=sent,
-    )
+        parameters=ranges, shared=frozenset(shared), most_sent=sent,
+    )  # fmt: skip
 
 
 def _sweeps(reader: Reader, kernel: Kernel, tolerance: float) -> dict[str, str]:

@@ -29,15 +29,8 @@ _BINARY = {
     "and": "AND", "or": "OR",
 }  # fmt: skip
 _CALLED = {
-    "abs": "ABS",
-    "sqrt": "SQRT",
-    "exp": "EXP",
-    "log": "LN",
-    "sin": "SIN",
-    "cos": "COS",
-    "max": "MAX",
-    "min": "MIN",
-}
+    "abs": "ABS", "sqrt": "SQRT", "exp": "EXP", "log": "LN", "sin": "SIN", "cos": "COS", "max": "MAX", "min": "MIN",
+}  # fmt: skip
 _UNITS = ("rad/s", "rad/s", "rad/s", "A", "A", "Pa", "Pa", "1", "1")
 
 

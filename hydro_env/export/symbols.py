@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -215,13 +216,8 @@ def cast(x: Expr, kind: str) -> Expr:
 
 # --- operations on numbers ---------------------------------------------------------------------------------------------
 _COMPARED = {
-    "lt": np.less,
-    "le": np.less_equal,
-    "gt": np.greater,
-    "ge": np.greater_equal,
-    "eq": np.equal,
-    "ne": np.not_equal,
-}
+    "lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal, "eq": np.equal, "ne": np.not_equal,
+}  # fmt: skip
 _LOGIC = {"and": np.logical_and, "or": np.logical_or, "not": np.logical_not}
 _WHOLE: dict[str, Callable[..., Any]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative, "abs": np.absolute, "max": np.maximum,
@@ -346,6 +342,11 @@ class Guard:
         return self.truth.op != "const" or bool(self.truth.value)
 
 
+def _method(name: str) -> Any:
+    """A method of an array that is the function of its name among `_FUNCTIONS`."""
+    return lambda array, *args, **more: _FUNCTIONS[name](array, *args, **more)
+
+
 class Symbols(np.ndarray):
     """An array of expressions, all of one kind."""
 
@@ -392,9 +393,8 @@ class Symbols(np.ndarray):
         for n in range(self.shape[axis]):
             here = operate("eq", [place, constant(n, "int")])
             both = here if mask is None else operate("and", [here, mask])
-            index = tuple(
-                np.full(parts[axis].shape, n) if k == axis else each for k, each in enumerate(parts)
-            )
+            at = np.full(parts[axis].shape, n)
+            index = (*parts[:axis], at, *parts[axis + 1 :])
             old = _wrapped(self.view(np.ndarray)[index])
             self[index] = _where(symbols([both], ()), value, old)
 
@@ -402,23 +402,7 @@ class Symbols(np.ndarray):
         kind = kind_of(dtype)
         return _mapped(lambda x: cast(x, kind), self)
 
-    def any(self, *args: Any, **more: Any) -> Any:  # type: ignore[override]
-        return _any(self, *args, **more)
-
-    def all(self, *args: Any, **more: Any) -> Any:  # type: ignore[override]
-        return _reduced("and", self, *args, **more)
-
-    def max(self, *args: Any, **more: Any) -> Any:  # type: ignore[override]
-        return _reduced("max", self, *args, **more)
-
-    def min(self, *args: Any, **more: Any) -> Any:  # type: ignore[override]
-        return _reduced("min", self, *args, **more)
-
-    def sum(self, *args: Any, **more: Any) -> Any:  # type: ignore[override]
-        return _reduced("add", self, *args, **more)
-
-    def mean(self, *args: Any, **more: Any) -> Any:  # type: ignore[override]
-        return _mean(self, *args, **more)
+    any, all, max, min, sum, mean = map(_method, ("any", "all", "max", "min", "sum", "mean"))  # type: ignore[assignment]
 
     def __bool__(self) -> bool:
         return bool(self.view(np.ndarray).item())
@@ -427,9 +411,8 @@ class Symbols(np.ndarray):
         out, where = more.pop("out", None), more.pop("where", True)
         more.pop("dtype", None)
         if method == "reduce":
-            return _reduced(
-                _BY_UFUNC[ufunc], inputs[0], more.get("axis", 0), keepdims=more.get("keepdims", False)
-            )
+            axis, keepdims = more.get("axis", 0), more.get("keepdims", False)
+            return _reduced(_BY_UFUNC[ufunc], inputs[0], axis, keepdims)
         if method != "__call__" or where is not True:
             raise TraceError(f"numpy.{ufunc.__name__}.{method} cannot be followed")
         result = _product(*inputs) if ufunc is np.matmul else _elementwise(ufunc, inputs)
@@ -575,8 +558,7 @@ def _blockwise(op: str, inputs: Sequence[Any]) -> Symbols:
     shape = together[0].shape
     rows = [list(each.reshape(-1)) for each in together]
     size = len(rows[0])
-    plain = symbols([], (0,)) if not size else None
-    if plain is not None:
+    if not size:
         return symbols([], shape)
     act = (lambda *row: choose(*row)) if op == "where" else (lambda *row: operate(op, row))
     # The first and the last say whether there is anything to do at all.
@@ -621,9 +603,8 @@ def _product(a: Any, b: Any) -> Symbols:
     kind = kind_of_result("mul", [rows[0][0].kind, kind_of(matrix.dtype)])
     made: list[Expr] = []
     for row in rows:
-        block = Block(
-            "product", kind, [_cast_row(list(row), kind)], matrix.shape[1], np.ascontiguousarray(matrix.T)
-        )
+        operands, weights = [_cast_row(list(row), kind)], np.ascontiguousarray(matrix.T)
+        block = Block("product", kind, operands, matrix.shape[1], weights)
         made += [item(block, n) for n in range(matrix.shape[1])]
     return symbols(made, (*plain.shape[:-1], matrix.shape[1]))
 
@@ -671,11 +652,9 @@ def _clip(array: Any, low: Any, high: Any, out: Any = None) -> Any:
 
 
 def _copyto(to: Symbols, value: Any, where: Any = True) -> None:
-    to[...] = (
-        value
-        if where is True
-        else _where(np.broadcast_to(_objects(where), to.shape).view(Symbols), value, to)
-    )
+    if where is not True:
+        value = _where(np.broadcast_to(_objects(where), to.shape).view(Symbols), value, to)
+    to[...] = value
 
 
 def _like(value: float) -> Callable[..., Symbols]:
@@ -717,16 +696,10 @@ def _sort(array: Any, axis: int = -1) -> Symbols:
     return result.view(Symbols)
 
 
-def _along(op: str) -> Callable[..., Any]:
-    def reduced(array: Any, axis: Any = None, **more: Any) -> Any:
-        return _reduced(op, array, axis, **more)
-
-    return reduced
-
-
+_REDUCTIONS = {"all": "and", "sum": "add", "max": "max", "amax": "max", "min": "min", "amin": "min"}
 _FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "where": _where, "clip": _clip, "mean": _mean, "any": _any, "copyto": _copyto, "sort": _sort, "all": _along("and"),
-    "sum": _along("add"), "max": _along("max"), "amax": _along("max"), "min": _along("min"), "amin": _along("min"),
+    "where": _where, "clip": _clip, "mean": _mean, "any": _any, "copyto": _copyto, "sort": _sort,
+    **{name: partial(_reduced, op) for name, op in _REDUCTIONS.items()},
     "zeros_like": _like(0.0), "ones_like": _like(1.0), "empty_like": _like(0.0), "take_along_axis": _take_along_axis,
     "flatnonzero": _flatnonzero, "copy": lambda array, **more: array.copy(),
 }  # fmt: skip

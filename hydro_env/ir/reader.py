@@ -401,10 +401,8 @@ class _Body:
         if isinstance(node, ast.Tuple):
             values = [self.number(each, into) for each in node.elts]
             before = self.outputs or [(each.kind, "") for each in values]
-            self.outputs = [
-                (wider(kind, x.kind), f"out_{n}")
-                for n, ((kind, _), x) in enumerate(zip(before, values, strict=True))
-            ]
+            kinds = [wider(kind, x.kind) for (kind, _), x in zip(before, values, strict=True)]
+            self.outputs = [(kind, f"out_{n}") for n, kind in enumerate(kinds)]
             self.result = Tup(tuple(var(name, kind) for kind, name in self.outputs))
             # What is returned may read what an output is: all of it is computed first.
             held = [self._held(each, into) for each in values]
@@ -499,9 +497,8 @@ class _Body:
             case Expr() if value.known is None or name not in self.once:
                 own = self._variable(name, value.kind)
                 into.append(Assign(own, cast(value, self.kinds[name])))
-            case Arr() | Rec() | Tup() if (
-                name not in self.once
-            ):  # which one it is would depend on the way that led here
+            # Which one it is would depend on the way that led here.
+            case Arr() | Rec() | Tup() if name not in self.once:
                 raise TranslationError(f"{self.node.name}: {name!r} stands for several arrays")
             case Arr(offset=offset) if offset.known is None:  # what it is computed from may change
                 self.names[name] = replace(value, offset=self._held(offset, into))
@@ -656,9 +653,8 @@ class _Body:
         one, other = self.value(node.body, into), self.value(node.orelse, into)
         if isinstance(one, Tup) and isinstance(other, Tup):
             held = self._held(chosen, into)
-            return Tup(
-                tuple(self._either(held, a, b, node) for a, b in zip(one.items, other.items, strict=True))
-            )
+            pairs = zip(one.items, other.items, strict=True)
+            return Tup(tuple(self._either(held, a, b, node) for a, b in pairs))
         return self._either(chosen, one, other, node)
 
     def _either(self, chosen: Expr, first: Value, second: Value, node: ast.AST) -> Expr:
@@ -707,11 +703,8 @@ class _Body:
     def _local(self, node: ast.Call, into: list[Statement], zero: bool) -> Arr:
         """An array of the function's own."""
         shape = self.value(node.args[0], into)
-        sizes = [
-            each.known
-            for each in (shape.items if isinstance(shape, Tup) else (shape,))
-            if isinstance(each, Expr)
-        ]
+        items = shape.items if isinstance(shape, Tup) else (shape,)
+        sizes = [each.known for each in items if isinstance(each, Expr)]
         if not sizes or None in sizes:
             raise self.fail(node, "has a size that is not known beforehand")
         asked = ast.unparse(node.args[1]) if len(node.args) > 1 else ""

@@ -34,16 +34,10 @@ ENGINES = ("serial", "local", "ray")
 
 
 def run(
-    tasks: Sequence[Any],
-    function: Callable[[Any], Any],
-    *,
-    engine: str = "local",
-    jobs: int = 1,
-    progress: bool = True,
-    unit: str = "task",
-    size: Callable[[Any], int] = lambda task: 1,
+    tasks: Sequence[Any], function: Callable[[Any], Any], *, engine: str = "local", jobs: int = 1,
+    progress: bool = True, unit: str = "task", size: Callable[[Any], int] = lambda task: 1,
     store: Store | None = None,
-) -> list[Any]:
+) -> list[Any]:  # fmt: skip
     """`function(task)` of every task, in the order of the tasks, or a `Failure` in its place.
 
     Args:

@@ -20,20 +20,6 @@ from .parameters import PARAMETERS, Parameter
 from .plant import SIGNALS, Plant, simulate
 
 __all__ = [
-    "BUILT_IN",
-    "CATALOGUE",
-    "PARAMETERS",
-    "SIGNALS",
-    "Effect",
-    "Parameter",
-    "Plant",
-    "PlantModel",
-    "State",
-    "load_effects",
-    "load_model",
-    "parameter_of",
-    "preset_names",
-    "register",
-    "simulate",
-    "unregister",
-]
+    "BUILT_IN", "CATALOGUE", "PARAMETERS", "SIGNALS", "Effect", "Parameter", "Plant", "PlantModel", "State",
+    "load_effects", "load_model", "parameter_of", "preset_names", "register", "simulate", "unregister",
+]  # fmt: skip

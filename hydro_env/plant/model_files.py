@@ -125,9 +125,8 @@ class _Draft:
         p, D = PARAMETERS[name], PARAMETERS["D"]
         size = 1.0 if p is D else self.values.get("D", [D.nominal] * 2)[_SIDES[side][0]] / D.nominal
         low, high = p.plausible(size)
-        return (
-            "" if low <= value <= high else f"{name} {value:g} (usual {low:g} to {with_unit(high, p.unit)})"
-        )
+        usual = f"{low:g} to {with_unit(high, p.unit)}"
+        return "" if low <= value <= high else f"{name} {value:g} (usual {usual})"
 
 
 def _of_valve(name: str) -> bool:
@@ -226,9 +225,8 @@ def values_set_by(source: Any) -> frozenset[str]:
 def preset_names() -> list[str]:
     """Names of the presets that ship with the package."""
     folder = resources.files(__package__) / "presets"
-    return sorted(
-        entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")
-    )
+    files = [entry.name for entry in folder.iterdir()]
+    return sorted(name.removesuffix(".yaml") for name in files if name.endswith(".yaml"))
 
 
 @cache

@@ -59,21 +59,12 @@ def motor_map(model: PlantModel, pressure: ArrayLike, speed: ArrayLike, channel:
 def _point(
     model: PlantModel, base: dict[str, float], channel: int, pressure: float, speed: float
 ) -> tuple[float, float]:
-    leakage, lost = base["Km"] * pressure, -base["B"] * speed
+    lost = {"leakage": base["Km"] * pressure, "torque": -base["B"] * speed}
+    point = {**base, "pressure": pressure, "motor_pressure": pressure, "speed": speed}
     for name, pair in model.effects.items():
-        effect = CATALOGUE[name]
+        effect, known = CATALOGUE[name], point | pair[channel]
         if effect.family == FAMILY:
-            known = {
-                **base,
-                **pair[channel],
-                "pressure": pressure,
-                "motor_pressure": pressure,
-                "speed": speed,
-            }
             for quantity, law in effect.laws.items():
                 others = [known[a] for a in list(inspect.signature(law).parameters)[1:]]
-                if quantity == "leakage":
-                    leakage = law(leakage, *others)
-                else:
-                    lost = law(lost, *others)
-    return base["D"] * speed + leakage, base["D"] * pressure + lost
+                lost[quantity] = law(lost[quantity], *others)
+    return base["D"] * speed + lost["leakage"], base["D"] * pressure + lost["torque"]

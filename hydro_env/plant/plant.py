@@ -66,6 +66,11 @@ def machine_memory() -> float:
         return inf
 
 
+def _signal(name: str, what: str) -> Any:
+    """A property of a plant: a signal of every rig, (num_rigs, 2), as a copy."""
+    return property(lambda plant: plant.get(name), doc=what)
+
+
 class Plant:
     """`num_rigs` rigs of two channels each.
 
@@ -81,16 +86,10 @@ class Plant:
     """
 
     def __init__(
-        self,
-        model: str | Path | PlantModel = "paper",
-        num_rigs: int = 1,
-        *,
-        effects: Iterable[str] = (),
-        tolerance: float | None = None,
-        dtype: DTypeLike = np.float64,
-        block: int | None = None,
+        self, model: str | Path | PlantModel = "paper", num_rigs: int = 1, *, effects: Iterable[str] = (),
+        tolerance: float | None = None, dtype: DTypeLike = np.float64, block: int | None = None,
         grouped: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         if num_rigs < 1:
             raise ValueError(f"num_rigs is {num_rigs}, expected at least 1")
         if np.dtype(dtype) not in (np.float32, np.float64):
@@ -174,21 +173,16 @@ class Plant:
             ) from None
 
     def _fill(self, name: str, pair: tuple[float, float]) -> None:
-        row = self._memory[:, self._row(name), :]
-        row[:, : self._kernel.half] = pair[0]
-        row[:, self._kernel.half :] = pair[1]
+        self._by_channel(self._memory)[:, self._row(name)] = np.array(pair)[:, None]
 
-    def _read(self, row: int) -> Array:
-        half = self._kernel.half
-        cells = self._memory[:, row, :]
-        out = np.empty((self.num_rigs, 2))
-        out[:, 0] = cells[:, :half].reshape(-1)[: self.num_rigs]
-        out[:, 1] = cells[:, half:].reshape(-1)[: self.num_rigs]
-        return out
+    def _by_channel(self, cells: Array) -> Array:
+        """The memory or the delay line, (blocks, rows, 2 * half), with an axis for the channel: (blocks, rows, 2, half)."""
+        return cells.reshape(len(cells), -1, 2, self._kernel.half)
 
     def get(self, name: str) -> Array:
         """A parameter or signal of every rig, (num_rigs, 2), as a copy. KeyError for a name the plant lacks."""
-        return self._read(self._row(name))
+        row = self._by_channel(self._memory)[:, self._row(name)]
+        return row.swapaxes(1, 2).reshape(-1, 2)[: self.num_rigs].astype(np.float64)
 
     @property
     def memory(self) -> Array:
@@ -212,10 +206,8 @@ class Plant:
 
     def set_values(self, values: Mapping[str, ArrayLike], rows: ArrayLike | None = None) -> None:
         """Sets several parameters, which takes hardly longer than one; see `set`."""
-        index, half = np.arange(self.num_rigs), self._kernel.half
-        if rows is not None:
-            index = index[np.asarray(rows)].reshape(-1)
-        places, pairs = np.empty((len(values), 1), np.int64), np.empty((len(values), index.size, 2))
+        block, lane = self._lanes(rows)
+        places, pairs = np.empty((len(values), 1), np.int64), np.empty((len(values), block.size, 2))
         for name, value, place, pair in zip(values, values.values(), places, pairs, strict=True):
             if name not in PARAMETERS and "." not in name:
                 parameter_of(name)
@@ -224,20 +216,15 @@ class Plant:
                 raise InputError(
                     f"{name} is {pair.max():g} s, the delay line of this plant holds {self._longest_delay:g} s"
                 )
-        self._memory[index // half, places, index % half] = pairs[:, :, 0]
-        self._memory[index // half, places, index % half + half] = pairs[:, :, 1]
+        self._by_channel(self._memory)[block, places, :, lane] = pairs
 
     def shift(self, state: str, by: ArrayLike, rows: slice) -> None:
         """Adds `by`, a number or (number of rows, 2), to a state of some rigs. KeyError for a name that is no state here."""
         row = self._row(state)
         if row >= self._kernel.rows["time"]:  # states come first
             raise KeyError(f"{state}: is no state of the plant")
-        block, lane = self._lanes(np.arange(self.num_rigs)[rows])
-        added = np.asarray(by, float)
-        for channel in (0, 1):
-            self._memory[block, row, lane + channel * self._kernel.half] += (
-                added[..., channel] if added.ndim else added
-            )
+        block, lane = self._lanes(rows)
+        self._by_channel(self._memory)[block, row, :, lane] += np.asarray(by, float)
 
     # --- time -----------------------------------------------------------------------------------------------------
     def reset(self, rows: ArrayLike | None = None) -> None:
@@ -247,11 +234,9 @@ class Plant:
             self._memory[:, :moving, :] = 0.0
             self._ring[:] = 0.0
         else:
-            index = np.arange(self.num_rigs)[np.asarray(rows)].reshape(-1)
-            half = self._kernel.half
-            for lane in (index % half, index % half + half):
-                self._memory[index // half, :moving, lane] = 0.0
-                self._ring[index // half, :, lane] = 0.0
+            block, lane = self._lanes(rows)
+            for cells in (self._memory[:, :moving], self._ring):
+                self._by_channel(cells)[block, :, :, lane] = 0.0
         self._observe()
 
     def _observe(self) -> None:
@@ -279,14 +264,11 @@ class Plant:
             if kernel.has_delay:
                 self._ring[:] = other._ring
             return
-        mine = self._lanes(np.arange(self.num_rigs))
-        theirs = other._lanes(np.arange(other.num_rigs) if rows is None else rows)
-        for channel in (0, 1):
-            to = mine[0], mine[1] + channel * kernel.half
-            of = theirs[0], theirs[1] + channel * other._kernel.half
-            self._memory[to[0], :moving, to[1]] = other._memory[of[0], :moving, of[1]]
-            if kernel.has_delay:
-                self._ring[to[0], :, to[1]] = other._ring[of[0], :, of[1]]
+        (block, lane), (from_block, from_lane) = self._lanes(), other._lanes(rows)
+        pairs = [(self._memory[:, :moving], other._memory[:, :moving]), (self._ring, other._ring)]
+        for mine, theirs in pairs[: 1 + kernel.has_delay]:
+            part = other._by_channel(theirs)[from_block, :, :, from_lane]
+            self._by_channel(mine)[block, :, :, lane] = part
 
     def select(self, rows: NDArray[np.int64]) -> Plant:
         """Some of the rigs (indices), with parameters and state, as a plant of their own."""
@@ -304,8 +286,11 @@ class Plant:
         some.__setstate__(state)
         return some
 
-    def _lanes(self, rigs: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Block of each rig and the lane of its first channel."""
+    def _lanes(self, rows: ArrayLike | slice | None = None) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Block and lane of each rig, or of `rows` (indices, mask or slice)."""
+        rigs = np.arange(self.num_rigs)
+        if rows is not None:
+            rigs = rigs[rows if isinstance(rows, slice) else np.asarray(rows)].reshape(-1)
         return rigs // self._kernel.half, rigs % self._kernel.half
 
     def step(self, command_V: ArrayLike, load_Nm: ArrayLike, period: float) -> None:
@@ -335,32 +320,20 @@ class Plant:
         half, cells = self._kernel.half, self._kernel.num_rows * 2 * self._kernel.half
         first, last = rigs.start // half, -(-rigs.stop // half)
         self._kernel.advance(
-            self._flat[first * cells : last * cells],
-            self._kernel.room(),
-            self._ring[first:last] if self._kernel.has_delay else None,
-            self._lasted[first:last],
-            self._head,
-            command_V[None, rigs],
-            load_Nm[None, rigs],
-            period,
-            self.tolerance,
-            _NO_RECORD,
-            1,
+            self._flat[first * cells : last * cells], self._kernel.room(),
+            self._ring[first:last] if self._kernel.has_delay else None, self._lasted[first:last], self._head,
+            command_V[None, rigs], load_Nm[None, rigs], period, self.tolerance, _NO_RECORD, 1,
             self._empty[:, :, rigs],
-        )
+        )  # fmt: skip
 
     def turn(self, rows: int) -> None:
         """Moves the delay line on by so many rows, after `hold_rigs`."""
         self._head = (self._head + rows) % self._ring.shape[1]
 
     def run(
-        self,
-        command_V: Array,
-        load_Nm: Array | None,
-        period: float,
-        record: Sequence[str] = ("speed",),
+        self, command_V: Array, load_Nm: Array | None, period: float, record: Sequence[str] = ("speed",),
         every: int = 1,
-    ) -> dict[str, Array]:
+    ) -> dict[str, Array]:  # fmt: skip
         """Runs through all rows of a command sequence in one call.
 
         `command_V`: (T, 2) for all rigs or (T, num_rigs, 2); `load_Nm` likewise, (1, 2), or None for no load. Returns
@@ -377,14 +350,8 @@ class Plant:
         return dict(zip(record, out, strict=True))
 
     def run_into(
-        self,
-        out: Array,
-        command_V: Array,
-        load_Nm: Array,
-        period: float,
-        rows: NDArray[np.int64],
-        every: int = 1,
-    ) -> None:
+        self, out: Array, command_V: Array, load_Nm: Array, period: float, rows: NDArray[np.int64], every: int = 1,
+    ) -> None:  # fmt: skip
         """`run` without its checks: finite float64 arrays (T, num_rigs, 2) or with ones for T of the load or num_rigs,
         the numbers `row_of` the signals, and where they go, `out` (signals, ceil(T / every), num_rigs, 2).
         """
@@ -399,19 +366,9 @@ class Plant:
         out = self._empty if out is None else out
         self.make_room(period)
         self._kernel.advance(
-            self._flat,
-            self._cells,
-            self._ring if self._kernel.has_delay else None,
-            self._lasted,
-            self._head,
-            command_V,
-            load_Nm,
-            period,
-            self.tolerance,
-            rows,
-            every,
-            out,
-        )
+            self._flat, self._cells, self._ring if self._kernel.has_delay else None, self._lasted, self._head,
+            command_V, load_Nm, period, self.tolerance, rows, every, out,
+        )  # fmt: skip
         self.turn(command_V.shape[0])
 
     @property
@@ -426,45 +383,16 @@ class Plant:
         return any("angle" in law.__code__.co_varnames[: law.__code__.co_argcount] for law in laws)
 
     # --- signals --------------------------------------------------------------------------------------------------
-    @property
-    def current(self) -> Array:
-        """Coil currents, A."""
-        return self.get("current")
-
-    @property
-    def spool(self) -> Array:
-        """Spool positions, m."""
-        return self.get("spool")
-
-    @property
-    def spool_speed(self) -> Array:
-        """Spool speeds, m/s."""
-        return self.get("spool_speed")
-
-    @property
-    def pressure(self) -> Array:
-        """Pressure differences over the motors, Pa."""
-        return self.get("pressure")
-
-    @property
-    def speed(self) -> Array:
-        """Shaft speeds, rad/s."""
-        return self.get("speed")
-
-    @property
-    def measured_speed(self) -> Array:
-        """Shaft speeds as the sensors show them (lag, gain, offset; no noise), rad/s."""
-        return self.get("measured_speed")
-
-    @property
-    def angle(self) -> Array:
-        """Shaft angles since the reset, rad."""
-        return self.get("angle")
-
-    @property
-    def flow(self) -> Array:
-        """Flows through the valves, m3/s."""
-        return self.get("flow")
+    current: Array = _signal("current", "Coil currents, A.")
+    spool: Array = _signal("spool", "Spool positions, m.")
+    spool_speed: Array = _signal("spool_speed", "Spool speeds, m/s.")
+    pressure: Array = _signal("pressure", "Pressure differences over the motors, Pa.")
+    speed: Array = _signal("speed", "Shaft speeds, rad/s.")
+    measured_speed: Array = _signal(
+        "measured_speed", "Shaft speeds as the sensors show them (lag, gain, offset; no noise), rad/s."
+    )
+    angle: Array = _signal("angle", "Shaft angles since the reset, rad.")
+    flow: Array = _signal("flow", "Flows through the valves, m3/s.")
 
     @property
     def time(self) -> Array:
@@ -540,17 +468,10 @@ class PlantOptions(TypedDict, total=False):
 
 
 def simulate(
-    model: str | Path | PlantModel,
-    command_V: Array,
-    load_Nm: Array | None,
-    period: float,
-    *,
-    values: Mapping[str, ArrayLike] | None = None,
-    num_rigs: int = 1,
-    record: Sequence[str] = ("speed",),
-    every: int = 1,
-    **options: Unpack[PlantOptions],
-) -> dict[str, Array]:
+    model: str | Path | PlantModel, command_V: Array, load_Nm: Array | None, period: float, *,
+    values: Mapping[str, ArrayLike] | None = None, num_rigs: int = 1, record: Sequence[str] = ("speed",),
+    every: int = 1, **options: Unpack[PlantOptions],
+) -> dict[str, Array]:  # fmt: skip
     """Simulates a command sequence from rest for `num_rigs` variants of a model.
 
     `values` maps parameters to arrays that broadcast to (num_rigs, 2); one of shape (num_rigs,) is taken for both

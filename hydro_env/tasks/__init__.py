@@ -10,22 +10,7 @@ from .mismatch import NAMED_PAIRS, OWN, SPLITS, Mismatch, Pairs, default_mismatc
 from .scenarios import NOMINAL_TORQUE, SCENARIOS, Reference, Scenario, load_scenario
 
 __all__ = [
-    "METRICS",
-    "NAMED_PAIRS",
-    "NOMINAL_TORQUE",
-    "OWN",
-    "SCENARIOS",
-    "SPLITS",
-    "Metric",
-    "Mismatch",
-    "Pairs",
-    "Reference",
-    "Scenario",
-    "Trace",
-    "compute",
-    "default_mismatch",
-    "draw_pairs",
-    "load_mismatch",
-    "load_scenario",
+    "METRICS", "NAMED_PAIRS", "NOMINAL_TORQUE", "OWN", "SCENARIOS", "SPLITS", "Metric", "Mismatch", "Pairs",
+    "Reference", "Scenario", "Trace", "compute", "default_mismatch", "draw_pairs", "load_mismatch", "load_scenario",
     "never_settled",
-]
+]  # fmt: skip

@@ -39,18 +39,9 @@ from ..units import with_unit
 from ..validation import FileTable, Number, checked
 
 __all__ = [
-    "NAMED_PAIRS",
-    "OWN",
-    "SENSOR_PARAMETERS",
-    "SPLITS",
-    "Mismatch",
-    "Pairs",
-    "Range",
-    "default_mismatch",
-    "draw_pairs",
-    "load_mismatch",
-    "own_values",
-]
+    "NAMED_PAIRS", "OWN", "SENSOR_PARAMETERS", "SPLITS", "Mismatch", "Pairs", "Range", "default_mismatch",
+    "draw_pairs", "load_mismatch", "own_values",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 
@@ -189,9 +180,8 @@ class Mismatch:
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of all parameters that a pair of this mismatch may set."""
-        return tuple(
-            dict.fromkeys((*self.ranges, *(name for fault in self.faults.values() for name in fault)))
-        )
+        of_faults = (name for fault in self.faults.values() for name in fault)
+        return tuple(dict.fromkeys((*self.ranges, *of_faults)))
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -257,11 +247,7 @@ class Mismatch:
         return inside
 
     def _with_faults(
-        self,
-        values: dict[str, Floats],
-        streams: Streams,
-        cases: Sequence[int],
-        model: PlantModel,
+        self, values: dict[str, Floats], streams: Streams, cases: Sequence[int], model: PlantModel
     ) -> Pairs:
         names = list(self.faults)
         for name in self.parameters:
@@ -293,12 +279,9 @@ def own_values(name: str, model: PlantModel) -> tuple[float, float]:
 
 
 def draw_pairs(
-    mismatch: str | Mapping[str, Any] | Mismatch,
-    cases: int | Iterable[int],
-    *,
-    seed: int = 0,
+    mismatch: str | Mapping[str, Any] | Mismatch, cases: int | Iterable[int], *, seed: int = 0,
     model: PlantModel | None = None,
-) -> Pairs:
+) -> Pairs:  # fmt: skip
     """The first `cases` pairs, or those with these numbers.
 
     Of a split with a fixed list these are its cases, whatever the seed; of an endless one those which an environment
@@ -438,9 +421,8 @@ def _unusual(name: str, given: Range) -> str:
 
 @cache
 def _rig_parameters() -> frozenset[str]:
-    return frozenset(
-        f"{e.name}.{p.name}" for e in CATALOGUE.values() if e.scope == "rig" for p in e.parameters
-    )
+    shared = [effect for effect in CATALOGUE.values() if effect.scope == "rig"]
+    return frozenset(f"{effect.name}.{p.name}" for effect in shared for p in effect.parameters)
 
 
 def _read_package() -> tuple[dict[str, Any], dict[str, Mismatch], dict[str, Mismatch]]:

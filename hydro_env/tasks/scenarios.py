@@ -164,9 +164,8 @@ def _random_courses(time: Floats, streams: Streams) -> tuple[Floats, Floats]:
     ramps, length = streams.random(2).T
     ramped = np.flatnonzero(ramps < 0.5)
     if time.size > 1:
-        window = np.maximum(1, np.rint((0.1 + 0.9 * length[ramped, None]) / (time[1] - time[0]))).astype(
-            np.int64
-        )
+        periods = (0.1 + 0.9 * length[ramped, None]) / (time[1] - time[0])
+        window = np.maximum(1, np.rint(periods)).astype(np.int64)
         total = np.cumsum(setpoint[ramped], axis=1)
         back = np.arange(time.size) - window
         before = np.where(back < 0, 0.0, np.take_along_axis(total, np.maximum(back, 0), axis=1))

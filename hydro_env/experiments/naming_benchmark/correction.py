@@ -104,13 +104,8 @@ def _simulated(model: PlantModel, command: Array, load: Array | None, period: fl
 def _features(
     model: PlantModel, c: int, command: Array, spool: Array, pressure: Array, speed: Array
 ) -> Array:
-    columns = (
-        command / model.value("u_rated", c),
-        spool / model.value("x_max", c),
-        pressure / PRESSURE,
-        speed / SPEED,
-    )
-    return np.column_stack(columns)
+    scales = model.value("u_rated", c), model.value("x_max", c), PRESSURE, SPEED
+    return np.column_stack([command, spool, pressure, speed]) / np.array(scales)
 
 
 def _samples(model: PlantModel, c: int, log: RigLog, sim: dict[str, Array]) -> tuple[Array, Array]:

@@ -45,11 +45,8 @@ FALSE_DISCOVERIES = 0.05
 THRESHOLDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 #: Regimes of `certify`: command as a fraction of the rated one, from and to.
 REGIMES = {
-    "negative": (-9.0, -0.25),
-    "near zero": (-0.25, 0.25),
-    "positive": (0.25, 9.0),
-    "everywhere": (-9.0, 9.0),
-}
+    "negative": (-9.0, -0.25), "near zero": (-0.25, 0.25), "positive": (0.25, 9.0), "everywhere": (-9.0, 9.0),
+}  # fmt: skip
 
 
 # --- naming by terms ----------------------------------------------------------------------------------------------------
@@ -191,9 +188,8 @@ def _naming(name_them: Callable[[Start], Named] | None) -> Callable[[Path, Path]
         named = name_them(start) if name_them is not None and start.verdict == "unknown" else []
         start.model.to_yaml(out / f"{folder.name}.yaml", source="calibration")
         seconds = start.seconds + time.process_time() - clock
-        return answer(
-            folder.name, "effects" if named else start.verdict, named, seconds, model=f"{folder.name}.yaml"
-        )
+        verdict = "effects" if named else start.verdict
+        return answer(folder.name, verdict, named, seconds, model=f"{folder.name}.yaml")
 
     return work
 

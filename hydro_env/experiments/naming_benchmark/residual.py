@@ -74,9 +74,8 @@ def begin(folder: Path) -> Start:
     errors = prove(others, {"before": found.given, "calibrated": estimates, "after": estimates}).errors
 
     def above(which: str) -> tuple[int, ...]:
-        return tuple(
-            c for (c, signal), e in errors.items() if signal == "speed" and e[which] > EXPLAINED * e["noise"]
-        )
+        speeds = {c: e for (c, signal), e in errors.items() if signal == "speed"}
+        return tuple(c for c, e in speeds.items() if e[which] > EXPLAINED * e["noise"])
 
     missing = above("calibrated")
     verdict = "unknown" if missing else "calibration" if above("before") else "none"
@@ -114,9 +113,8 @@ def equations(start: Start, channel: int) -> list[Equation]:
         command = part.log.command_V[speed.rows, channel] / rig.model.value("u_rated", channel)
         base = simulations[0]
         errors = _sides(start, channel, {n: measured[n] - base[n] for n in base}, speed.period)
-        terms = [
-            _sides(start, channel, {n: c[n] - base[n] for n in base}, speed.period) for c in simulations[1:]
-        ]
+        beside = [{n: s[n] - base[n] for n in base} for s in simulations[1:]]
+        terms = [_sides(start, channel, signals, speed.period) for signals in beside]
         for name, error in errors.items():
             noise = max(noise_floor(error, np.ones(error.size, bool), speed.period), 1e-30)
             own = {key: t[name] / noise for key, t in zip(keys[1:], terms, strict=True)}

@@ -125,13 +125,10 @@ def score(folder: Path, methods: Mapping[str, Path], first: int | None = None) -
             error = _held_out_error(folder, methods[method], found[name], truth["noise_rpm"])
             rows.append({"method": method, **judge(found[name], truth, error)})
     return {
-        "schema": SCHEMA,
-        "seed": read_set(folder)["seed"],
-        "rigs": len(rigs),
-        "summary": summary(rows),
+        "schema": SCHEMA, "seed": read_set(folder)["seed"], "rigs": len(rigs), "summary": summary(rows),
         "certainty": {m: c for m, path in methods.items() if (c := certainty(path, truths)) is not None},
         "rows": rows,
-    }
+    }  # fmt: skip
 
 
 def _truth(path: Path) -> dict[str, Any]:
@@ -144,13 +141,9 @@ def _truth(path: Path) -> dict[str, Any]:
 # --- all rigs together --------------------------------------------------------------------------------------------------
 #: What is counted of the rows, and over which kinds of rigs.
 _SHARES = {
-    "name": ("one", "two"),
-    "first": ("one", "two"),
-    "channel": ("one", "two"),
-    "alarm": ("nothing", "parameters"),
-    "unknown": ("unlisted",),
-    "false_name": ("one", "two", "unlisted", "nothing", "parameters"),
-}
+    "name": ("one", "two"), "first": ("one", "two"), "channel": ("one", "two"), "alarm": ("nothing", "parameters"),
+    "unknown": ("unlisted",), "false_name": ("one", "two", "unlisted", "nothing", "parameters"),
+}  # fmt: skip
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

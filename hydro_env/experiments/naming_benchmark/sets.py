@@ -131,10 +131,8 @@ def _make_rig(out: Path, name: str, kind: str, drawn: Mapping[str, Any]) -> None
         write_text(folder / f"{log}.csv", log_text(columns))
     short.given.to_yaml(folder / "model.yaml")
     candidates = [n for n in _effects() if n not in drawn["left_out"]]
-    write_json(
-        folder / "rig.json",
-        {"schema": RIG_SCHEMA, "rig": name, "candidates": candidates, "scored_from_s": DURATION},
-    )
+    about = {"schema": RIG_SCHEMA, "rig": name, "candidates": candidates, "scored_from_s": DURATION}
+    write_json(folder / "rig.json", about)
     write_text(out / "truth" / f"{name}.csv", log_text(scored))
     write_json(out / "truth" / f"{name}.json", _truth(name, kind, drawn, short))
 

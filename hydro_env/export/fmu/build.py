@@ -93,12 +93,9 @@ def export_fmu(model: PlantModel, folder: Path, versions: tuple[int, ...] = (2, 
     if note:
         note = f"{note}: what has no binary holds the C source only, for tools that compile it"
     data = {
-        "schema": "hydro_env/export/1",
-        "kind": "fmu",
-        "model": model.to_dict(),
-        "tolerance_rpm": source.model.tolerance / RPM,
-        "files": about,
-    }
+        "schema": "hydro_env/export/1", "kind": "fmu", "model": model.to_dict(),
+        "tolerance_rpm": source.model.tolerance / RPM, "files": about,
+    }  # fmt: skip
     write_json(folder / "export.json", data)
     return Made(tuple(files), note)
 

@@ -88,19 +88,12 @@ def _compiled_alone(effects: tuple[Effect, ...], half: int, single: bool, groupe
     code = machine_code(module.text, single)
     numbers = module.numbers | dict(zip(SWEEPS, code.addresses, strict=True))
     return Kernel(
-        effects=tuple(e.name for e in effects),
-        half=half,
-        rows=module.rows,
-        num_rows=module.numbers["kept"],
-        dtype=np.dtype(np.float32 if single else np.float64),
-        num_cells=module.num_rows * 2 * half,
+        effects=tuple(e.name for e in effects), half=half, rows=module.rows, num_rows=module.numbers["kept"],
+        dtype=np.dtype(np.float32 if single else np.float64), num_cells=module.num_rows * 2 * half,
         has_delay=any(e.delays_command for e in effects),
-        advance=partial(advance, np.array(list(numbers.values()), np.int64)),
-        source=module.text,
-        numbers=module.numbers,
-        machine_code=code,
-        grouped=grouped,
-    )
+        advance=partial(advance, np.array(list(numbers.values()), np.int64)), source=module.text,
+        numbers=module.numbers, machine_code=code, grouped=grouped,
+    )  # fmt: skip
 
 
 def compile_kernel(

@@ -21,17 +21,7 @@ from typing import NamedTuple
 from ..catalogue import Effect
 from .driver import NUMBERS
 from .fused import fused_lines
-from .integrator import (
-    CONTROL,
-    ERRORS,
-    LATE,
-    METHOD,
-    MIN_SHARE,
-    OWN_ERROR,
-    OWN_LATE,
-    SHARE,
-    integral_coefficients,
-)
+from .integrator import CONTROL, ERRORS, METHOD, TOLERATED, integral_coefficients
 from .layout import (
     DIVISORS,
     INTEGRAL,
@@ -103,13 +93,10 @@ class _Sweeps:
 
     def _alike(self, row: str, worse: str) -> list[str]:
         """Text by which lanes that belong together have the same in a row, the worse."""
-        coupled = any(e.couples_channels for e in self.at.effects)
-        text = (
-            [COUPLED.format(row=self.at.row(row), coupled=self.at.row("coupled"), worse=worse)]
-            if coupled
-            else []
-        )
-        return text + ([GROUPED.format(row=self.at.row(row))] if self.grouped else [])
+        text, at = [], self.at
+        if any(e.couples_channels for e in at.effects):
+            text += [COUPLED.format(row=at.row(row), coupled=at.row("coupled"), worse=worse)]
+        return text + ([GROUPED.format(row=at.row(row))] if self.grouped else [])
 
     # --- parts of sweeps ------------------------------------------------------------------------------------------------
     @property
@@ -140,6 +127,13 @@ class _Sweeps:
         return [*self.step.couplings, *(f"{name}__acts" for name in self.step.acting)]
 
     @property
+    def _evaluated(self) -> list[str]:
+        """Names of what is evaluated where a step begins: rates and their slopes, and flows where they are exchanged."""
+        names = [*(f"{name}_rate" for name in self.at.staged), *self.step.carried, *self._couplings]
+        names += [f"{name}_decay" for name in self.at.own_states]
+        return names + (["flow"] if self.exchanges else [])
+
+    @property
     def _solve(self) -> list[str]:
         """The solution of (ig - W) u = r."""
         driven = {name: f"r__{name}" for name in self.at.own_states}
@@ -161,8 +155,8 @@ class _Sweeps:
         at = self.at
         lines = [
             *at.load(at.parameters),
-            f"least = {SHARE!r} * Kq * x_max / D",
-            f"least = least if least > {MIN_SHARE!r} * h else {MIN_SHARE!r} * h",
+            f"least = {TOLERATED.share!r} * Kq * x_max / D",
+            f"least = least if least > {TOLERATED.min_share!r} * h else {TOLERATED.min_share!r} * h",
             "tolerance = h if h < least else least",
         ]
         lines += ["dry = (Fc > 0.0) | (Fs > 0.0)"]
@@ -181,9 +175,9 @@ class _Sweeps:
             ]
         lines += [f"{at.cell('longest')} = {CONTROL.sticking!r} * sqrt(m / (k + s0)) if dry else 1e30"]
         lines += [
-            f"{at.cell('late')} = {LATE!r} * tolerance",
-            f"{at.cell('own_error')} = {OWN_ERROR!r} * h",
-            f"{at.cell('own_late')} = {OWN_LATE!r} * h",
+            f"{at.cell('late')} = {TOLERATED.late!r} * tolerance",
+            f"{at.cell('own_error')} = {TOLERATED.own_error!r} * h",
+            f"{at.cell('own_late')} = {TOLERATED.own_late!r} * h",
             f"{at.cell('begun')} = 0.0",
         ]
         for name, adding in states_of(at.effects).items():
@@ -198,9 +192,8 @@ class _Sweeps:
         lines = at.load(names)
         lines += ["command = command if command < u_rated else u_rated"]
         lines += ["command = command if command > -u_rated else -u_rated"]
-        same = (
-            f"({at.cell('begun')} > 0.0) & (command == {at.cell('applied')}) & (load == {at.cell('loaded')})"
-        )
+        begun, applied, loaded = map(at.cell, ("begun", "applied", "loaded"))
+        same = f"({begun} > 0.0) & (command == {applied}) & (load == {loaded})"
         lines += [f"{at.cell('fresh')} = 0.0 if {same} else 1.0", f"{at.cell('begun')} = 1.0"]
         lines += [f"{at.cell('command')} = command", f"{at.cell('applied')} = command"]
         lines += [f"{at.cell('loaded')} = load"]
@@ -210,8 +203,7 @@ class _Sweeps:
 
     def evaluate(self) -> list[list[str] | str]:
         at, first = self.at, [*self.at.load(self.at.states), *self._inputs]
-        names = [*(f"{name}_rate" for name in at.staged), *self.step.carried, *self._couplings]
-        names += [f"{name}_decay" for name in at.own_states] + (["flow"] if self.exchanges else [])
+        names = self._evaluated
         kept = [f"{at.cell(n)} = {n} if {at.cell('fresh')} > 0.0 else {at.cell(n)}" for n in names]
         parts: list[list[str] | str] = [first, *self._rates()]
         parts += [self.step.slopes, [*kept, f"{at.cell('fresh')} = 0.0"]]
@@ -285,11 +277,8 @@ class _Sweeps:
 
     def _judged(self) -> list[str]:
         at = self.at
-        lines = [
-            f"error = {at.cell('error')}",
-            "error = error if error < 1e12 else 1e12",
-            "fine = error <= 1.0",
-        ]
+        lines = [f"error = {at.cell('error')}"]
+        lines += ["error = error if error < 1e12 else 1e12", "fine = error <= 1.0"]
         lines += [f"change = {CONTROL.ladder[0][1]!r}"]
         lines += [
             f"change = {change!r} if error >= {limit!r} else change" for limit, change in CONTROL.ladder[1:]
@@ -309,9 +298,7 @@ class _Sweeps:
             f"{at.cell('todo')} = todo",
             f"{at.cell('attempts')} = {at.cell('attempts')} + (1.0 if going else 0.0)",
         ]
-        names = [*at.states, *(f"{name}_rate" for name in at.staged), *self.step.carried, "time"]
-        names += self._couplings
-        names += [f"{name}_decay" for name in at.own_states] + (["flow"] if self.exchanges else [])
+        names = [*at.states, "time", *self._evaluated]
         return lines + [f"{at.cell(name)} = {name} if moves else {at.cell(name)}" for name in names]
 
     def observe(self) -> list[list[str] | str]:
@@ -460,10 +447,7 @@ def module_text(effects: tuple[Effect, ...], half: int, grouped: bool = False) -
     sweeps = _Sweeps(layout, step_of(effects), grouped)
     names = ("precompute", "observe", "start_row", "evaluate", "attempt_step", "reset_diverged")
     counts = {"start_row": "fresh", "attempt_step": "todo"}
-    texts = {
-        name: _sweep(layout, getattr(sweeps, name)(), name == "attempt_step", counts.get(name, ""))
-        for name in names
-    }
+    texts = {n: _sweep(layout, getattr(sweeps, n)(), n == "attempt_step", counts.get(n, "")) for n in names}
     additions = _sweep(layout, _additions(layout))
     text = MODULE.format(functions="\n\n".join(functions(effects)), half=half, additions=additions, **texts)
     at, own, settable = layout.rows, set(layout.parameters), set(parameters_of(given))

@@ -23,19 +23,8 @@ SWEEPS = ("precompute", "observe", "start_row", "evaluate", "attempt_step", "res
 #: Names of the numbers of a kernel, in order: rigs to a block, how many rows change and how many stay between calls, rows by name
 #: (`delay`, `coupled`: -1 without), addresses.
 NUMBERS = (
-    "half",
-    "moving",
-    "kept",
-    "command",
-    "load",
-    "applied",
-    "todo",
-    "row_left",
-    "fresh",
-    "delay",
-    "coupled",
-    *SWEEPS,
-)
+    "half", "moving", "kept", "command", "load", "applied", "todo", "row_left", "fresh", "delay", "coupled", *SWEEPS,
+)  # fmt: skip
 
 HALF, MOVING, KEPT, COMMAND, LOAD, APPLIED, TODO, ROW_LEFT, FRESH, DELAY, COUPLED = range(11)
 PRECOMPUTE, OBSERVE, START_ROW, EVALUATE, ATTEMPT_STEP, RESET_DIVERGED = range(11, 17)

@@ -25,6 +25,7 @@ times (section IV.2), rounded down to one of a ladder of factors.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,14 +33,11 @@ from numpy.typing import NDArray
 __all__ = [
     "CONTROL",
     "ERRORS",
-    "LATE",
-    "MIN_SHARE",
     "METHOD",
-    "OWN_ERROR",
-    "OWN_LATE",
-    "SHARE",
+    "TOLERATED",
     "Control",
     "Rosenbrock",
+    "Tolerated",
     "integral_coefficients",
 ]
 
@@ -100,12 +98,21 @@ ERRORS = {
     "pressure": "0.1 * tolerance * sqrt(J / V * beta)",
     "speed": "0.006 * tolerance",
 }
-#: The tolerance is at most this share of the speed that the fully open valve gives the motor, down to this share of itself.
-SHARE, MIN_SHARE = 3e-4, 0.01
-#: A spool in motion may be late by this, s, for each rad/s of the tolerance: its weight grows with its speed.
-LATE = 1.8e-4
-#: The same of a state of an effect: this part of its size for each rad/s of the tolerance, and this late, s.
-OWN_ERROR, OWN_LATE = 0.025, 1.8e-4
+
+
+class Tolerated(NamedTuple):
+    """What the tolerance of the speed allows. It is at most `share` of the speed that the fully open valve gives the motor, down
+    to `min_share` of itself. For each rad/s of it a spool in motion may be `late` by so many s: its weight grows with its speed.
+    The same of a state of an effect: `own_error` of its size for each rad/s, and `own_late`, s."""
+
+    share: float = 3e-4
+    min_share: float = 0.01
+    late: float = 1.8e-4
+    own_error: float = 0.025
+    own_late: float = 1.8e-4
+
+
+TOLERATED = Tolerated()
 
 
 @dataclass(frozen=True)

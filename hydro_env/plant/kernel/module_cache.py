@@ -24,12 +24,8 @@ __all__ = ["module_of"]
 def module_of(effects: tuple[Effect, ...], half: int, grouped: bool) -> Module:
     """See `codegen.module_text`."""
     depends = (
-        half,
-        grouped,
-        [_identity(effect) for effect in effects],
-        _writers(),
-        sys.implementation.cache_tag,
-    )
+        half, grouped, [_identity(effect) for effect in effects], _writers(), sys.implementation.cache_tag,
+    )  # fmt: skip
     name = f"{hashlib.sha256(repr(depends).encode()).hexdigest()[:32]}.json"
     found = kept(name)
     if found is not None:

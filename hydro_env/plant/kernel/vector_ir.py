@@ -22,17 +22,7 @@ from collections.abc import Iterable
 
 from llvmlite import ir
 
-from hydro_env.ir.nodes import (
-    Assign,
-    Expr,
-    For,
-    Function,
-    If,
-    Return,
-    Statement,
-    Store,
-    var,
-)  # fmt: skip
+from hydro_env.ir.nodes import Assign, Expr, For, Function, If, Return, Statement, Store, var
 from hydro_env.ir.reader import Arr, Reader, module_sources
 
 __all__ = ["FOUND", "llvm_text"]
@@ -44,15 +34,9 @@ FOUND = ir.IntType(32)
 _WIDEST = 64
 _COMPARISONS = {"lt": "<", "gt": ">", "le": "<=", "ge": ">=", "eq": "==", "ne": "!="}
 _OPERATIONS = {
-    "add": "fadd",
-    "sub": "fsub",
-    "mul": "fmul",
-    "div": "fdiv",
-    "and": "and_",
-    "or": "or_",
-    "not": "not_",
+    "add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "and": "and_", "or": "or_", "not": "not_",
     "neg": "fneg",
-}
+}  # fmt: skip
 _INSTRUCTIONS = {"abs": "llvm.fabs", "sqrt": "llvm.sqrt", "floor": "llvm.floor", "fma": "llvm.fma"}
 
 Names = dict[str, ir.Value]
@@ -89,9 +73,8 @@ class _Emitter:
         """A scalar on all lanes."""
         vector = ir.Constant(self._vector, ir.Undefined)
         first = self.builder.insert_element(vector, scalar, ir.Constant(ir.IntType(32), 0))
-        return self.builder.shuffle_vector(
-            first, vector, ir.Constant(ir.VectorType(ir.IntType(32), self.width), [0] * self.width)
-        )
+        lanes = ir.Constant(ir.VectorType(ir.IntType(32), self.width), [0] * self.width)
+        return self.builder.shuffle_vector(first, vector, lanes)
 
     def _address(self, index: Expr) -> ir.Value:
         """Address of the cells of all lanes at hand: all but the lane is known."""
@@ -149,9 +132,8 @@ class _Emitter:
         for number, each in enumerate(statements):
             match each:
                 case Assign(name, value) if value.kind == "int":
-                    names[name] = self.builder.add(
-                        names[name], self._count(self.value(value.args[1].args[0], names))
-                    )
+                    passed = self._count(self.value(value.args[1].args[0], names))
+                    names[name] = self.builder.add(names[name], passed)
                 case Assign(name, value):
                     names[name] = self.value(value, names)
                 case Store(_, index, value):
@@ -178,11 +160,8 @@ class _Emitter:
         if not (value.op == "where" and value.args[2].op == "load" and _same(value.args[2].args[0], index)):
             self.builder.store(self.value(value, names), self._address(index), align=self._align)
             return
-        test, new, pointer = (
-            self.value(value.args[0], names),
-            self.value(value.args[1], names),
-            self._address(index),
-        )
+        test, new = (self.value(each, names) for each in value.args[:2])
+        pointer = self._address(index)
         whole = ir.IntType(32)
         signature = ir.FunctionType(ir.VoidType(), [new.type, pointer.type, whole, test.type])
         function = self._declared(f"llvm.masked.store.{self._suffix}.p0{self._suffix}", signature)
@@ -239,9 +218,8 @@ class _Emitter:
                 case Assign(name, value) if value.kind == "int":
                     names[name] = FOUND(value.known)
                 case Assign(name, value):
-                    names[name] = self.builder.extract_element(
-                        self.value(value, names), ir.Constant(ir.IntType(32), 0)
-                    )
+                    vector = self.value(value, names)
+                    names[name] = self.builder.extract_element(vector, ir.Constant(ir.IntType(32), 0))
                 case _:
                     raise self._fail(type(each).__name__)
         self.builder.ret(found)
