@@ -128,17 +128,11 @@ def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
     """The HTML page. `traces`: {"period_s", "metric", "splits": {split: {scenario: {controller: {"typical": case,
     "worst": case}}}}}, each case as `hydro_env.benchmark.command` thins it."""
     privileged = {name: privileged_information(scores, name) for name in scores["controllers"]}
-    metrics = {
-        name: {"title": f"{each.title}, {each.unit}", "definition": each.definition}
-        for name, each in METRICS.items()
-    }
+    titles = {name: f"{each.title}, {each.unit}" for name, each in METRICS.items()}
+    metrics = {name: {"title": titles[name], "definition": each.definition} for name, each in METRICS.items()}
     columns = _distinct(dict.fromkeys(row["metric"] for row in scores["rows"]))
     page = files("hydro_env.benchmark").joinpath("scores_page.html")
     more = {
-        "privileged": privileged,
-        "metrics": metrics,
-        "version": __version__,
-        "settling": SETTLING,
-        "columns": columns,
-    }
+        "privileged": privileged, "metrics": metrics, "version": __version__, "settling": SETTLING, "columns": columns,
+    }  # fmt: skip
     return fill(page, SCORES={**scores, **more}, TRACES=traces)
