@@ -38,9 +38,8 @@ def scores_table(scores: dict[str, Any]) -> str:
     width = max([len(name) for name in scores["controllers"]] + [len("controller")])
     lines = []
     for split, scenario in blocks:
-        n = max(
-            [r["n"] for r in scores["rows"] if (r["split"], r["scenario"]) == (split, scenario)], default=0
-        )
+        counts = [r["n"] for r in scores["rows"] if (r["split"], r["scenario"]) == (split, scenario)]
+        n = max(counts, default=0)
         lines.append(f"\n{split} / {scenario}, {n} cases: interquartile mean and its 95 % interval")
         texts = {
             name: [
@@ -57,10 +56,9 @@ def scores_table(scores: dict[str, Any]) -> str:
         wide = [2 + max(len(text) for text in column) for column in columns_of]
         lines.append("  " + "controller".ljust(width) + _row(heads, wide))
         for name in scores["controllers"]:
-            cells_shown = (
-                _row(texts[name], wide) if name in texts else f"  failed: {failed[split, scenario, name]}"
-            )
-            lines.append("  " + name.ljust(width) + cells_shown)
+            ran = name in texts
+            row = _row(texts[name], wide) if ran else f"  failed: {failed[split, scenario, name]}"
+            lines.append("  " + name.ljust(width) + row)
     return "\n".join(lines).lstrip("\n")
 
 

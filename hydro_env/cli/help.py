@@ -32,11 +32,11 @@ GROUPS: dict[str, tuple[str, ...]] = {
 @cache
 def examples() -> dict[str, list[str]]:
     """Examples by command; "" for those of `hydro-env --help`."""
-    from hydro_env.reading import parse_yaml
+    import yaml
 
-    return parse_yaml(
-        files("hydro_env.cli").joinpath("examples.yaml").read_text(encoding="utf-8"), "examples.yaml"
-    )
+    text = files("hydro_env.cli").joinpath("examples.yaml").read_text(encoding="utf-8")
+    found: dict[str, list[str]] = yaml.safe_load(text)
+    return found
 
 
 def _write_examples(formatter: Any, command: str) -> None:
