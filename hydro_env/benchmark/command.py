@@ -121,8 +121,8 @@ class Conditions:
             raise InputError(f"seed is {self.seed}, expected a whole number of at least 0")
         if not self.limit > 0.0:
             raise InputError(f"limit must be more than 0 s, not {self.limit:g}")
-        first = {"mismatch": next(iter(suite.splits)), "scenario": suite.scenarios[0]}
-        HydraulicSyncVectorEnv(1, plant=self.plant, control_period=self.control_period, **first)
+        split, scenario, period = next(iter(suite.splits)), suite.scenarios[0], self.control_period
+        HydraulicSyncVectorEnv(1, plant=self.plant, mismatch=split, scenario=scenario, control_period=period)
 
 
 def run(

@@ -11,6 +11,15 @@ from hydro_env.files import write_text
 from hydro_env.limits import CORES, Limits
 from hydro_env.units import BAR
 
+FitLogs = Annotated[
+    list[str] | None,
+    Argument(metavar="FIT_LOG...", help="Logs to fit. LOG@FROM:TO is a part of a log, s."),
+]
+HeldOut = Annotated[
+    list[str] | None,
+    Option("--sealed", "--held-out", metavar="LOG...", help="Held-out logs: validation only, never fitted."),
+]
+
 
 def hide(
     out: Out,
@@ -57,13 +66,8 @@ def hide(
 
 def diagnose(
     out: Out,
-    fit_logs: Annotated[
-        list[str] | None, Argument(metavar="FIT_LOG...", help="Logs to fit. LOG@FROM:TO is a part of a log, s.")
-    ] = None,
-    sealed: Annotated[
-        list[str] | None,
-        Option("--sealed", "--held-out", metavar="LOG...", help="Held-out logs: validation only, never fitted."),
-    ] = None,
+    fit_logs: FitLogs = None,
+    sealed: HeldOut = None,
     model: Model = "paper",
     mapping: Annotated[
         str | None, Option(metavar="YAML", help="Mapping of the columns of other logs to signals.")
