@@ -35,7 +35,7 @@ import hydro_env.benchmark
 import hydro_env.tasks
 from hydro_env.benchmark.report import NEEDS
 from hydro_env.cli import app
-from hydro_env.cli.help import EXAMPLES
+from hydro_env.cli.help import examples as examples_by_command
 from hydro_env.controllers import CONTROLLERS, make_controller
 from hydro_env.controllers.base import Controller
 from hydro_env.controllers.mpc.flow_controller import FlowSettings
@@ -488,7 +488,7 @@ def commands() -> str:
                 shown = "required"
             rows.append([label, getattr(parameter, "help", None) or "", shown])
         text = inspect.cleandoc(command.help or "")
-        examples = "\n".join(EXAMPLES[name.rpartition(" ")[2]])
+        examples = "\n".join(examples_by_command()[name.rpartition(" ")[2]])
         table = _table(["option", "meaning", "default"], rows)
         parts.append(f"## hydro-env {name}\n\n{text}\n\n```text\n{examples}\n```\n\n{table}")
     return "\n\n".join(parts)

@@ -93,11 +93,9 @@ class Task:
 
     def driver(self, seeds: Sequence[int]) -> Any:
         """The controller for episodes of these seeds."""
-        return (
-            _RandomActions(seeds)
-            if self.controller == RANDOM
-            else make_controller(self.controller, trust=self.trust)
-        )
+        if self.controller == RANDOM:
+            return _RandomActions(seeds)
+        return make_controller(self.controller, trust=self.trust)
 
     def environment(self, split: str) -> dict[str, Any]:
         """Keyword arguments of the environment on a split. A model file becomes its content, so that the data set needs no
@@ -124,13 +122,9 @@ def check(tasks: Sequence[Task], out: Path) -> None:
         load_scenario(task.scenario)
         task.environment(task.split)
         if ids.count(task.id) > 1:
-            raise InputError(
-                f"two data sets would have the id {task.id}: name each controller and split once"
-            )
+            raise InputError(f"two data sets have the id {task.id}: name each controller and split once")
         if (out / task.id).exists():
-            raise InputError(
-                f"{out / task.id}: is there already and is not overwritten; remove it or name another --out"
-            )
+            raise InputError(f"{out / task.id}: is there already; remove it or name another --out")
 
 
 def write(folder: Path, task: Task) -> Iterator[int]:
@@ -141,9 +135,8 @@ def write(folder: Path, task: Task) -> Iterator[int]:
     from minari import __version__ as minari_version
     from minari.dataset.minari_storage import MinariStorage
 
-    path = (
-        folder / task.id / "data"
-    ).absolute()  # Minari counts the size of a relative one in the wrong place
+    # Minari counts the size of a relative path in the wrong place.
+    path = (folder / task.id / "data").absolute()
     path.mkdir(parents=True)
     where = task.environment(task.split)
     evaluated = OWN if where["mismatch"] == OWN else EVALUATION
@@ -168,14 +161,8 @@ def write(folder: Path, task: Task) -> Iterator[int]:
         cases += [each["case"] for each in drawn]
         yield len(cases)
     needs = getattr(task.driver([]), "needs", "measurements")
-    made = {
-        "version": __version__,
-        "command": task.command,
-        "seed": task.seed,
-        "needs": needs,
-        "cases": cases,
-    }
-    storage.update_metadata({"hydro_env": made})
+    made = {"version": __version__, "command": task.command, "seed": task.seed, "needs": needs}
+    storage.update_metadata({"hydro_env": {**made, "cases": cases}})
 
 
 def _make_sure_of_room(folder: Path, buffers: Sequence[EpisodeBuffer]) -> None:

@@ -24,6 +24,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -84,9 +85,7 @@ class FmuModel(PlantModel):
     def make_plant(self, num_rigs: int, dtype: DTypeLike = np.float64) -> FmuRigs:
         """Rigs of this kind. InputError if the FMU cannot be loaded, and for another dtype than float64."""
         if np.dtype(dtype) != self.dtype:
-            raise InputError(
-                f"{self.name}: an FMU computes in float64; dtype {np.dtype(dtype)} is not possible"
-            )
+            raise InputError(f"{self.name}: an FMU computes in float64; {np.dtype(dtype)} is not possible")
         return FmuRigs(self, num_rigs)
 
 
@@ -102,51 +101,37 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
     """
     check_file(file, "an FMU")
     if not trust:
-        raise InputError(
-            f"{file}: is a program, so that using it runs code from the file; with --trust it is used"
-        )
+        raise InputError(f"{file}: is a program: using it runs code from the file; with --trust it is used")
     description = _description(str(file))
     rated, start, links = (None, {}, _own_names(description)) if mapping is None else _read(mapping)
     variables = {v.name: v for v in description.modelVariables}
     for (name, channel), link in links.items():
-        _check(
-            file,
-            variables,
-            link.variable,
-            f"{name} of channel {channel + 1}",
-            "input" if _SIGNALS[name][1] else None,
-        )
+        _check(file, variables, link.variable, f"{name} of channel {channel + 1}", _SIGNALS[name][1])
     for name in start:
-        _check(file, variables, name, "start", None)
-    for name in _NEEDED:
-        for channel in (0, 1):
-            if (name, channel) not in links:
-                raise InputError(
-                    f"{mapping or file}: {name} of channel {channel + 1} is missing; name its variable in --mapping"
-                )
+        _check(file, variables, name, "start")
+    for name, channel in product(_NEEDED, (0, 1)):
+        if (name, channel) not in links:
+            lacking = f"{name} of channel {channel + 1} is missing"
+            raise InputError(f"{mapping or file}: {lacking}; name its variable in --mapping")
     own: list[Any] = [start.get(name, getattr(variables.get(name), "start", None)) for name in _RATED]
     one, two = own if rated is None else (rated, rated)
     if one is None or two is None:
-        raise InputError(
-            f"{mapping or file}: rated is missing: the value of the command variables at full command"
-        )
+        raise InputError(f"{mapping or file}: rated is missing: the value of the commands at full command")
     model = PlantModel(Path(file).stem, {"u_rated": (float(one), float(two))})
     return FmuModel(model.name, model.values, (), file=str(file), links=links, start=start)
 
 
 def _check(
-    file: str | Path, variables: Mapping[str, Any], name: str, what: str, causality: str | None
+    file: str | Path, variables: Mapping[str, Any], name: str, what: str, goes_in: bool = False
 ) -> None:
+    """InputError for a variable that is not there, no number, or no input where it `goes_in`."""
     if name not in variables:
         raise InputError(f"{file}: has no variable {shown(name)} ({what}): {suggestion(name, variables)}")
-    if causality is not None and variables[name].causality != causality:
-        raise InputError(
-            f"{file}: {shown(name)} ({what}) is {variables[name].causality or 'local'}, expected an input"
-        )
-    if variables[name].type not in ("Real", "Float64"):
-        raise InputError(
-            f"{file}: {shown(name)} ({what}) is of type {variables[name].type}, expected Real or Float64"
-        )
+    causality, kind = variables[name].causality, variables[name].type
+    if goes_in and causality != "input":
+        raise InputError(f"{file}: {shown(name)} ({what}) is {causality or 'local'}, expected an input")
+    if kind not in ("Real", "Float64"):
+        raise InputError(f"{file}: {shown(name)} ({what}) is of type {kind}, expected Real or Float64")
 
 
 def _own_names(description: Any) -> dict[tuple[str, int], Link]:
@@ -310,9 +295,8 @@ class FmuRigs:
     def set_values(self, values: Mapping[str, ArrayLike], rows: ArrayLike | None = None) -> None:
         """InputError for any value: its parameters are the FMU's."""
         for name in values:
-            raise InputError(
-                f"{self.model.name}: an FMU has its own valves, {name} cannot be drawn; the split own is right"
-            )
+            told = f"an FMU has its own valves, {name} cannot be drawn; the split own is right"
+            raise InputError(f"{self.model.name}: {told}")
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Puts all rigs, or `rows` (indices or mask), back to their start."""
@@ -335,9 +319,8 @@ class FmuRigs:
             try:
                 self._units[i].step(command_V[i], load_Nm[i], period)
             except Exception as problem:
-                raise InputError(
-                    f"{self.model.name}: the FMU refuses a step at {self._units[i].time:g} s: {problem}"
-                ) from None
+                told = f"the FMU refuses a step at {self._units[i].time:g} s: {problem}"
+                raise InputError(f"{self.model.name}: {told}") from None
             self._show(i, period)
 
     def turn(self, rows: int) -> None:

@@ -18,7 +18,7 @@ import pytest
 import typer
 
 from hydro_env import __version__, cli
-from hydro_env.cli.help import EXAMPLES, GROUPS
+from hydro_env.cli.help import GROUPS, examples
 from hydro_env.cli.main import spread
 from hydro_env.errors import LOST, InputError, stopped_by_signals
 
@@ -397,7 +397,7 @@ def test_an_interruption_that_takes_long_is_not_raised_twice() -> None:
     assert signals == [signal.SIGTERM]
 
 
-@pytest.mark.parametrize("example", [each for examples in EXAMPLES.values() for each in examples])
+@pytest.mark.parametrize("example", [each for some in examples().values() for each in some])
 def test_examples_of_the_help_are_understood(example: str) -> None:
     _, name, *words = shlex.split(example)
     command = typer.main.get_command(cli.app).commands[name]  # type: ignore[attr-defined]
@@ -407,7 +407,7 @@ def test_examples_of_the_help_are_understood(example: str) -> None:
 def test_every_command_has_examples_and_grouped_options(run: Run) -> None:
     for name, command in typer.main.get_command(cli.app).commands.items():  # type: ignore[attr-defined]
         _, out, _ = run(name, "--help")
-        assert EXAMPLES[name] and all(example in out for example in EXAMPLES[name])
+        assert examples()[name] and all(example in out for example in examples()[name])
         grouped = {option for options in GROUPS.values() for option in options}
         left = {p.name for p in command.params if p.param_type_name == "option"} - grouped
         assert not left, f"{name}: {left} stand in no group"

@@ -14,6 +14,7 @@ import importlib.util
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -120,27 +121,15 @@ class Conditions:
             raise InputError(f"seed is {self.seed}, expected a whole number of at least 0")
         if not self.limit > 0.0:
             raise InputError(f"limit must be more than 0 s, not {self.limit:g}")
-        HydraulicSyncVectorEnv(
-            1,
-            plant=self.plant,
-            mismatch=next(iter(suite.splits)),
-            scenario=suite.scenarios[0],
-            control_period=self.control_period,
-        )
+        split, scenario, period = next(iter(suite.splits)), suite.scenarios[0], self.control_period
+        HydraulicSyncVectorEnv(1, plant=self.plant, mismatch=split, scenario=scenario, control_period=period)
 
 
 def run(
-    out: str | Path | None,
-    *,
-    controllers: Sequence[Any] | None = None,
-    selection: Selection | None = None,
-    conditions: Conditions | None = None,
-    engine: str = "local",
-    jobs: int = 1,
-    cells_folder: str | Path | None = None,
-    progress: bool = True,
-    trust: bool = False,
-) -> dict[str, Any]:
+    out: str | Path | None, *, controllers: Sequence[Any] | None = None, selection: Selection | None = None,
+    conditions: Conditions | None = None, engine: str = "local", jobs: int = 1, cells_folder: str | Path | None = None,
+    progress: bool = True, trust: bool = False,
+) -> dict[str, Any]:  # fmt: skip
     """Scores controllers and writes `out/scores.json` and `out/scores.html`.
 
     Args:
@@ -160,19 +149,14 @@ def run(
     chosen = (selection or Selection()).load(conditions.plant)
     check_engine(engine, jobs)
     conditions.check(chosen)
+    store = None if cells_folder is None else Store(cells_folder, partial(_key, conditions=conditions))
     cells = list(_cells(_specs(controllers or ["all"]), chosen, trust))
     if out is not None:
         Path(out).mkdir(parents=True, exist_ok=True)
     done = run_tasks(
-        cells,
-        partial(_run_cell, conditions=conditions),
-        engine=engine,
-        jobs=jobs,
-        progress=progress,
-        unit="episode",
-        size=lambda cell: cell.cases,
-        store=None if cells_folder is None else Store(cells_folder, partial(_key, conditions=conditions)),
-    )
+        cells, partial(_run_cell, conditions=conditions), engine=engine, jobs=jobs, progress=progress, unit="episode",
+        size=lambda cell: cell.cases, store=store,
+    )  # fmt: skip
     done = [
         replace(cell, failure=result.reason) if isinstance(result, Failure) else result
         for cell, result in zip(cells, done, strict=True)
@@ -189,11 +173,8 @@ def _specs(controllers: Sequence[Any]) -> list[Any]:
     """The controllers with "all" and files spelt out, less those for another plant; one that is also named by itself comes
     once."""
     own = [entry for entry in CONTROLLERS.values() if not entry.apart]
-    controllers = [
-        each
-        for spec in controllers
-        for each in (controllers_in(str(spec)) if str(spec).endswith(".py") else [spec])
-    ]
+    files = [controllers_in(str(spec)) if str(spec).endswith(".py") else [spec] for spec in controllers]
+    controllers = list(chain.from_iterable(files))
     if not any(isinstance(spec, str) and spec == "all" for spec in controllers):
         return controllers
     names = [entry.name for entry in own]
@@ -274,15 +255,10 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
     controller = make_controller(copy.deepcopy(cell.controller), trust=cell.trust)
     own = getattr(controller, "plant", None)
     done = roll_out(
-        controller,
-        [conditions.seed + i for i in range(cell.cases)],
-        plant=own or conditions.plant,
-        mismatch=None if own else cell.split,
-        scenario=cell.scenario,
-        control_period=conditions.control_period,
-        limit=conditions.limit,
-        dtype=DTYPE if own else conditions.dtype,
-    )
+        controller, list(range(conditions.seed, conditions.seed + cell.cases)), plant=own or conditions.plant,
+        mismatch=None if own else cell.split, scenario=cell.scenario, control_period=conditions.control_period,
+        limit=conditions.limit, dtype=DTYPE if own else conditions.dtype,
+    )  # fmt: skip
     metrics = done.metrics(METRICS)
     for name, values in metrics.items():
         if not np.all(np.isfinite(values)):
@@ -291,13 +267,9 @@ def _driven(cell: Cell, conditions: Conditions) -> Cell:
     if done.typical_command > 1.0:
         note = f"half of its commands are {done.typical_command:.3g} or more, and 1 was applied instead: a command is a fraction"
         note += " of the rated one, not a voltage"
-    distinct = {
-        METRICS[name].of: values for name, values in metrics.items()
-    }  # the command's travel has two names
-    summarised = {
-        of: summarise(values, strata=done.faults, seed=conditions.seed) for of, values in distinct.items()
-    }
-    summaries = {name: summarised[METRICS[name].of] for name in metrics}
+    of = {METRICS[name].of: values for name, values in metrics.items()}  # the command's travel has two names
+    once = {name: summarise(values, strata=done.faults, seed=conditions.seed) for name, values in of.items()}
+    summaries = {name: once[METRICS[name].of] for name in metrics}
     traces = _kept(done.trace, metrics[TRACE_METRIC])
     unsettled = int(np.sum(never_settled(done.trace)))
     return replace(cell, metrics=metrics, summaries=summaries, unsettled=unsettled, traces=traces, note=note)

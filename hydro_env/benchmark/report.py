@@ -38,9 +38,8 @@ def scores_table(scores: dict[str, Any]) -> str:
     width = max([len(name) for name in scores["controllers"]] + [len("controller")])
     lines = []
     for split, scenario in blocks:
-        n = max(
-            [r["n"] for r in scores["rows"] if (r["split"], r["scenario"]) == (split, scenario)], default=0
-        )
+        counts = [r["n"] for r in scores["rows"] if (r["split"], r["scenario"]) == (split, scenario)]
+        n = max(counts, default=0)
         lines.append(f"\n{split} / {scenario}, {n} cases: interquartile mean and its 95 % interval")
         texts = {
             name: [
@@ -57,10 +56,9 @@ def scores_table(scores: dict[str, Any]) -> str:
         wide = [2 + max(len(text) for text in column) for column in columns_of]
         lines.append("  " + "controller".ljust(width) + _row(heads, wide))
         for name in scores["controllers"]:
-            cells_shown = (
-                _row(texts[name], wide) if name in texts else f"  failed: {failed[split, scenario, name]}"
-            )
-            lines.append("  " + name.ljust(width) + cells_shown)
+            ran = name in texts
+            row = _row(texts[name], wide) if ran else f"  failed: {failed[split, scenario, name]}"
+            lines.append("  " + name.ljust(width) + row)
     return "\n".join(lines).lstrip("\n")
 
 
@@ -128,17 +126,11 @@ def scores_page(scores: dict[str, Any], traces: dict[str, Any] | None) -> str:
     """The HTML page. `traces`: {"period_s", "metric", "splits": {split: {scenario: {controller: {"typical": case,
     "worst": case}}}}}, each case as `hydro_env.benchmark.command` thins it."""
     privileged = {name: privileged_information(scores, name) for name in scores["controllers"]}
-    metrics = {
-        name: {"title": f"{each.title}, {each.unit}", "definition": each.definition}
-        for name, each in METRICS.items()
-    }
+    titles = {name: f"{each.title}, {each.unit}" for name, each in METRICS.items()}
+    metrics = {name: {"title": titles[name], "definition": each.definition} for name, each in METRICS.items()}
     columns = _distinct(dict.fromkeys(row["metric"] for row in scores["rows"]))
     page = files("hydro_env.benchmark").joinpath("scores_page.html")
     more = {
-        "privileged": privileged,
-        "metrics": metrics,
-        "version": __version__,
-        "settling": SETTLING,
-        "columns": columns,
-    }
+        "privileged": privileged, "metrics": metrics, "version": __version__, "settling": SETTLING, "columns": columns,
+    }  # fmt: skip
     return fill(page, SCORES={**scores, **more}, TRACES=traces)

@@ -18,30 +18,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
-    "Summary",
-    "bootstrap_interval",
-    "cvar",
-    "gap_closed",
-    "iqm",
-    "probability_of_improvement",
-    "summarise",
-]
+    "Summary", "bootstrap_interval", "cvar", "gap_closed", "iqm", "probability_of_improvement", "summarise",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 
 
-def iqm(values: ArrayLike, axis: int = -1) -> Floats:
-    """Interquartile mean: the mean of what is left after a quarter is cut off at either end.
+def iqm(values: ArrayLike) -> float:
+    """Interquartile mean of values (n,): the mean of what is left after a quarter is cut off at either end.
 
     `floor(n / 4)` values are cut at each end, as `scipy.stats.trim_mean(values, 0.25)` and rliable do, so
     up to three values are simply averaged.
     """
-    ordered = np.sort(np.asarray(values, dtype=float), axis=axis)
-    n = ordered.shape[axis]
-    if n == 0:
+    ordered = np.sort(np.asarray(values, dtype=float))
+    if not ordered.size:
         raise ValueError("the interquartile mean needs at least one value")
-    cut = n // 4
-    return np.mean(np.take(ordered, np.arange(cut, n - cut), axis=axis), axis=axis)
+    cut = ordered.size // 4
+    return float(np.mean(ordered[cut : ordered.size - cut]))
 
 
 def cvar(values: ArrayLike, level: float = 0.95) -> float:
@@ -61,13 +54,8 @@ def cvar(values: ArrayLike, level: float = 0.95) -> float:
 
 
 def bootstrap_interval(
-    values: ArrayLike,
-    *,
-    strata: ArrayLike | None = None,
-    confidence: float = 0.95,
-    resamples: int = 2000,
-    seed: int = 0,
-) -> tuple[float, float]:
+    values: ArrayLike, *, strata: ArrayLike | None = None, confidence: float = 0.95, resamples: int = 2000, seed: int = 0
+) -> tuple[float, float]:  # fmt: skip
     """Percentile bootstrap interval of the interquartile mean.
 
     With `strata` (one label per value) every stratum is resampled by itself and keeps its size, so that a
@@ -100,18 +88,12 @@ def _drawn(strata: tuple[tuple[int, ...], ...], resamples: int, seed: int) -> ND
     return np.concatenate(drawn, axis=1)
 
 
-def probability_of_improvement(ours: ArrayLike, theirs: ArrayLike, *, paired: bool = True) -> float:
-    """Probability that `ours` is the smaller cost; ties count half.
-
-    Paired: the share of cases (the same valves, the same noise) in which we are better. Otherwise over all
-    pairs of values, which is the Mann-Whitney statistic U / (n m).
-    """
+def probability_of_improvement(ours: ArrayLike, theirs: ArrayLike) -> float:
+    """Share of cases (the same valves, the same noise) in which `ours` is the smaller cost; ties count half."""
     a, b = np.asarray(ours, dtype=float).ravel(), np.asarray(theirs, dtype=float).ravel()
-    if paired:
-        if a.size != b.size:
-            raise ValueError(f"{a.size} values cannot be paired with {b.size}")
-        return float(np.mean((a < b) + 0.5 * (a == b)))
-    return float(np.mean((a[:, None] < b) + 0.5 * (a[:, None] == b)))
+    if a.size != b.size:
+        raise ValueError(f"{a.size} values cannot be paired with {b.size}")
+    return float(np.mean((a < b) + 0.5 * (a == b)))
 
 
 @dataclass(frozen=True)
@@ -124,13 +106,11 @@ class Summary:
     n: int
 
 
-def summarise(
-    values: ArrayLike, *, strata: ArrayLike | None = None, resamples: int = 2000, seed: int = 0
-) -> Summary:
+def summarise(values: ArrayLike, *, strata: ArrayLike | None = None, seed: int = 0) -> Summary:
     """Interquartile mean with its 95 % interval, CVaR at 95 % and the number of cases."""
     sample = np.asarray(values, dtype=float).ravel()
-    interval = bootstrap_interval(sample, strata=strata, resamples=resamples, seed=seed)
-    return Summary(float(iqm(sample)), interval, cvar(sample), sample.size)
+    interval = bootstrap_interval(sample, strata=strata, seed=seed)
+    return Summary(iqm(sample), interval, cvar(sample), sample.size)
 
 
 def gap_closed(ours: Summary, baseline: Summary, bound: Summary) -> float | None:

@@ -44,10 +44,7 @@ class Suite(FileTable):
         return self
 
     def narrowed(
-        self,
-        splits: Iterable[str] | None = None,
-        scenarios: Iterable[str] | None = None,
-        cases: int | None = None,
+        self, splits: Iterable[str] | None, scenarios: Iterable[str] | None, cases: int | None
     ) -> Suite:
         """The suite with other splits or scenarios (a split the suite lacks gets its largest number of
         cases).

@@ -49,19 +49,8 @@ def _options(
 
 
 for _command in (
-    demo,
-    reproduce,
-    valve_test,
-    speed,
-    tune,
-    train,
-    benchmark,
-    dataset,
-    hide,
-    diagnose,
-    lab,
-    close_loop,
-):
+    demo, reproduce, valve_test, speed, tune, train, benchmark, dataset, hide, diagnose, lab, close_loop,
+):  # fmt: skip
     app.command(_command.__name__.replace("_", "-"), cls=HelpfulCommand)(_command)
 app.add_typer(export, name="export")
 app.add_typer(naming_benchmark, name="naming-benchmark")

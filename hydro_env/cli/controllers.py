@@ -5,92 +5,40 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from hydro_env.cli.options import Cells, ControlPeriod, Engine, Jobs, Out, Plant, Seed, number, writing
 from hydro_env.errors import InputError
 from hydro_env.limits import Limits
 
-TunedController = Annotated[
-    str,
-    typer.Option(
-        "--controller",
-        help="Control law whose gains are tuned, or file.py:Class with gains declared in the class; `all`: every shipped "
-        "controller, with the same budget each.",
-    ),
-]
-Split = Annotated[
-    str,
-    typer.Option(
-        "--mismatch",
-        help="train, or own: the plant's own pair of valves. auto: train, but own for a plant file that sets what train "
-        "draws.",
-    ),
-]
-Scenarios = Annotated[str, typer.Option("--scenario", help="Scenarios, separated by commas.")]
 PAIRS = Limits(1, 10_000, whole=True)
-CasesPerCandidate = Annotated[int, number(within=PAIRS, help="Pairs of valves for each candidate.")]
-Episodes = Annotated[
-    int, number(within=Limits(1, 10_000_000, whole=True), help="Budget: number of simulated episodes.")
-]
-Weight = Annotated[
-    float,
-    number(
-        within=Limits(0.0, 1000.0), help="Weight of the synchronisation error against the tracking error."
-    ),
-]
-Name = Annotated[str | None, typer.Option(help="Name of the controller on the leaderboard.")]
-Only = Annotated[str | None, typer.Option(help="With `all`: only these controllers, separated by commas.")]
-Linear = Annotated[
-    bool,
-    typer.Option(help="PID gains from the linearised plant, compared with Table III of the paper."),
-]
-MaxSensitivity = Annotated[
-    float, number(within=Limits(1.05, 4.0), help="With `--linear`: maximum sensitivity Ms.")
-]
-
-
-Scored = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="[CONTROLLER]...",
-        help="Names, gains files (.json), policies (.npz), agents of Stable-Baselines3 (.zip, with --trust), file.py:Class "
-        "(file.py: all in it) or module:Class, each with gains if wanted (NAME:Kp=0.2,Ki=1); all (default): every shipped "
-        "controller.",
-    ),
-]
-OnlySplits = Annotated[
-    list[str] | None,
-    typer.Option(
-        help="Only this split; may be repeated. own: the plant's own pair of valves, the default for a plant file that "
-        "sets what the suite's splits draw."
-    ),
-]
-Trust = Annotated[
-    bool,
-    typer.Option(
-        "--trust",
-        help="Use files that can run code: agents (.zip, a pickle), gains of a law in a Python file, FMUs.",
-    ),
-]
 
 
 def tune(
     out: Out,
-    controller: TunedController = "pid",
+    controller: Annotated[str, Option(
+        help="Control law whose gains are tuned, or file.py:Class with gains declared in the class; `all`: every shipped "
+        "controller, with the same budget each."
+    )] = "pid",
     plant: Plant = "paper_dead_zone",
-    mismatch: Split = "auto",
-    scenario: Scenarios = "setpoint_steps,random_steps",
-    cases: CasesPerCandidate = 12,
-    episodes: Episodes = 11520,
-    weight: Weight = 2.0,
+    mismatch: Annotated[str, Option(
+        help="train, or own: the plant's own pair of valves. auto: train, but own for a plant file that sets what train draws."
+    )] = "auto",
+    scenario: Annotated[str, Option(help="Scenarios, separated by commas.")] = "setpoint_steps,random_steps",
+    cases: Annotated[int, number("Pairs of valves for each candidate.", PAIRS)] = 12,
+    episodes: Annotated[int, number("Budget: number of simulated episodes.", Limits(1, 10_000_000, whole=True))] = 11520,
+    weight: Annotated[
+        float, number("Weight of the synchronisation error against the tracking error.", Limits(0.0, 1000.0))
+    ] = 2.0,
     control_period: ControlPeriod = 0.01,
     seed: Seed = 0,
-    name: Name = None,
-    only: Only = None,
-    linear: Linear = False,
-    max_sensitivity: MaxSensitivity = 1.3,
-) -> None:
+    name: Annotated[str | None, Option(help="Name of the controller on the leaderboard.")] = None,
+    only: Annotated[str | None, Option(help="With `all`: only these controllers, separated by commas.")] = None,
+    linear: Annotated[
+        bool, Option(help="PID gains from the linearised plant, compared with Table III of the paper.")
+    ] = False,
+    max_sensitivity: Annotated[float, number("With `--linear`: maximum sensitivity Ms.", Limits(1.05, 4.0))] = 1.3,
+) -> None:  # fmt: skip
     """Tune the gains of a controller.
 
     Writes gains.json, which `benchmark` takes. `--controller all` writes one file for each shipped controller, with gains for
@@ -120,37 +68,38 @@ def tune(
 
 def benchmark(
     out: Out,
-    controllers: Scored = None,
+    controllers: Annotated[list[str] | None, Argument(
+        metavar="[CONTROLLER]...",
+        help="Names, gains files (.json), policies (.npz), agents of Stable-Baselines3 (.zip, with --trust), file.py:Class "
+        "(file.py: all in it) or module:Class, each with gains if wanted (NAME:Kp=0.2,Ki=1); all (default): every shipped "
+        "controller.",
+    )] = None,
     more: Annotated[
-        list[str] | None,
-        typer.Option("--controllers", metavar="CONTROLLER...", help="The same, as an option."),
+        list[str] | None, Option("--controllers", metavar="CONTROLLER...", help="The same, as an option.")
     ] = None,
-    suite: Annotated[str, typer.Option(help="quick, full or a YAML file.")] = "full",
-    split: OnlySplits = None,
-    scenario: Annotated[list[str] | None, typer.Option(help="Only this scenario; may be repeated.")] = None,
-    cases: Annotated[
-        int | None, number(within=PAIRS, help="Pairs of valves per split. Default: the suite's.")
-    ] = None,
+    suite: Annotated[str, Option(help="quick, full or a YAML file.")] = "full",
+    split: Annotated[list[str] | None, Option(
+        help="Only this split; may be repeated. own: the plant's own pair of valves, the default for a plant file that sets what "
+        "the suite's splits draw."
+    )] = None,
+    scenario: Annotated[list[str] | None, Option(help="Only this scenario; may be repeated.")] = None,
+    cases: Annotated[int | None, number("Pairs of valves per split. Default: the suite's.", PAIRS)] = None,
     plant: Plant = "paper_dead_zone",
     control_period: ControlPeriod = 0.01,
     seed: Seed = 0,
-    mapping: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.yaml", help="Which variables of an FMU (--plant FILE.fmu, with --trust) are meant."
-        ),
-    ] = None,
+    mapping: Annotated[Path | None, Option(
+        metavar="FILE.yaml", help="Which variables of an FMU (--plant FILE.fmu, with --trust) are meant."
+    )] = None,
     limit: Annotated[
-        float,
-        number(
-            within=Limits(1e-3, 1e6, unit="s"), help="Time limit of a controller for one split and scenario."
-        ),
+        float, number("Time limit of a controller for one split and scenario.", Limits(1e-3, 1e6, unit="s"))
     ] = 600.0,
-    trust: Trust = False,
+    trust: Annotated[bool, Option(
+        "--trust", help="Use files that can run code: agents (.zip, a pickle), gains of a law in a Python file, FMUs."
+    )] = False,
     engine: Engine = "local",
     jobs: Jobs = 1,
     cells: Cells = None,
-) -> None:
+) -> None:  # fmt: skip
     """Score controllers on the fixed suite.
 
     Writes scores.json and scores.html.
@@ -159,16 +108,12 @@ def benchmark(
         from hydro_env.benchmark import command
 
         rig, split = _rig(plant, mapping, split, trust)
+        selection = command.Selection(suite, split, scenario, cases)
+        conditions = command.Conditions(rig, control_period, seed, limit)
         scores = command.run(
-            folder,
-            controllers=[*(controllers or []), *(more or [])],
-            selection=command.Selection(suite, split, scenario, cases),
-            conditions=command.Conditions(rig, control_period, seed, limit),
-            engine=engine,
-            jobs=jobs,
-            cells_folder=cells,
-            trust=trust,
-        )
+            folder, controllers=[*(controllers or []), *(more or [])], selection=selection, conditions=conditions,
+            engine=engine, jobs=jobs, cells_folder=cells, trust=trust,
+        )  # fmt: skip
         print(command.report(scores))
 
 

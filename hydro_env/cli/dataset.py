@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from hydro_env.cli.options import ControlPeriod, Out, Plant, Seed, number, writing
 from hydro_env.limits import Limits
@@ -14,28 +14,20 @@ __all__ = ["dataset"]
 
 def dataset(
     out: Out,
-    controller: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Who drives: random, or what `benchmark` takes; may be repeated. Default: random, pid_tuned, "
-            "probing_flow, gru, oracle."
-        ),
-    ] = None,
+    controller: Annotated[list[str] | None, Option(
+        help="Who drives: random, or what `benchmark` takes; may be repeated. Default: random, pid_tuned, probing_flow, gru, "
+        "oracle."
+    )] = None,
     split: Annotated[
-        list[str] | None,
-        typer.Option(help="Split of valve pairs; may be repeated. Default: train and test_interp."),
+        list[str] | None, Option(help="Split of valve pairs; may be repeated. Default: train and test_interp.")
     ] = None,
-    scenario: Annotated[str, typer.Option(help="Scenario.")] = "random_steps",
-    episodes: Annotated[
-        int, number(within=Limits(1, 1_000_000, whole=True), help="Episodes of each data set.")
-    ] = 100,
+    scenario: Annotated[str, Option(help="Scenario.")] = "random_steps",
+    episodes: Annotated[int, number("Episodes of each data set.", Limits(1, 1_000_000, whole=True))] = 100,
     plant: Plant = "paper_dead_zone",
     control_period: ControlPeriod = 0.01,
     seed: Seed = 0,
-    trust: Annotated[
-        bool, typer.Option("--trust", help="Use files that can run code, as for `benchmark`.")
-    ] = False,
-) -> None:
+    trust: Annotated[bool, Option("--trust", help="Use files that can run code, as for `benchmark`.")] = False,
+) -> None:  # fmt: skip
     """Record data sets for offline learning (needs the extra `dataset`).
 
     Writes one Minari data set per controller and split; --out is a folder for MINARI_DATASETS_PATH. Nothing is overwritten.

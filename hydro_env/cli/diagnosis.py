@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from hydro_env.cli.options import EffectFiles, Model, Out, Seed, number, writing
 from hydro_env.files import write_text
@@ -13,47 +13,11 @@ from hydro_env.units import BAR
 
 FitLogs = Annotated[
     list[str] | None,
-    typer.Argument(metavar="FIT_LOG...", help="Logs to fit. LOG@FROM:TO is a part of a log, s."),
+    Argument(metavar="FIT_LOG...", help="Logs to fit. LOG@FROM:TO is a part of a log, s."),
 ]
 HeldOut = Annotated[
     list[str] | None,
-    typer.Option(
-        "--sealed", "--held-out", metavar="LOG...", help="Held-out logs: validation only, never fitted."
-    ),
-]
-MappingFile = Annotated[
-    str | None,
-    typer.Option("--mapping", metavar="YAML", help="Mapping of the columns of other logs to signals."),
-]
-Steady = Annotated[bool, typer.Option("--steady", help="Use the reduced model of a slow cylinder axis.")]
-Inspect = Annotated[
-    str | None,
-    typer.Option("--inspect", metavar="LOG", help="Show how a log would be read; propose a mapping."),
-]
-Accept = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="CODE", help="Continue in spite of an error found in a log: sign, swapped, unit, ..."
-    ),
-]
-Threads = Annotated[
-    int | None, number("--jobs", within=CORES, help="Threads to work with. Default: one for every core.")
-]
-
-PressureLimit = Annotated[
-    float | None,
-    number(
-        within=Limits(1.0, 1000.0, unit="bar"), help="Its largest load pressure. Default: supply pressure."
-    ),
-]
-LoadLimit = Annotated[
-    float | None,
-    number(within=Limits(0.0, 1e6, unit="N m"), help="Its largest load. Default: that of the logs."),
-]
-Severity = Annotated[str, typer.Option(help="Range of the drawn sizes: small, medium or large.")]
-Play = Annotated[
-    str | None,
-    typer.Option(metavar="CSV", help="Play these commands on the same rig; writes only played.csv."),
+    Option("--sealed", "--held-out", metavar="LOG...", help="Held-out logs: validation only, never fitted."),
 ]
 
 
@@ -61,35 +25,29 @@ def hide(
     out: Out,
     effects: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[EFFECT[:CHANNEL]]...", help="Effects to hide; channel 1, 2 or both (default)."
-        ),
+        Argument(metavar="[EFFECT[:CHANNEL]]...", help="Effects to hide; channel 1, 2 or both (default)."),
     ] = None,
-    none: Annotated[bool, typer.Option("--none", help="Hide nothing: logs that the model explains.")] = False,
+    none: Annotated[bool, Option("--none", help="Hide nothing: logs that the model explains.")] = False,
     model: Model = "paper",
-    severity: Severity = "medium",
+    severity: Annotated[str, Option(help="Range of the drawn sizes: small, medium or large.")] = "medium",
     value: Annotated[
-        list[str] | None,
-        typer.Option(metavar="EFFECT.PARAMETER=NUMBER", help="An exact value (SI); may be repeated."),
+        list[str] | None, Option(metavar="EFFECT.PARAMETER=NUMBER", help="An exact value (SI); may be repeated.")
     ] = None,
-    noise: Annotated[
-        float, number(within=Limits(0.0, 100.0), help="Factor on the sensor noise; 0: none.")
-    ] = 1.0,
+    noise: Annotated[float, number("Factor on the sensor noise; 0: none.", Limits(0.0, 100.0))] = 1.0,
     base_error: Annotated[
-        float,
-        number(within=Limits(0.0, 50.0, unit="%"), help="Largest error of the model's base parameters."),
+        float, number("Largest error of the model's base parameters.", Limits(0.0, 50.0, unit="%"))
     ] = 0.0,
     record: Annotated[
-        str, typer.Option(help="Columns besides time, command and speed: also spool, flow, line_pressures.")
+        str, Option(help="Columns besides time, command and speed: also spool, flow, line_pressures.")
     ] = "setpoint,current,pressure,load",
-    rate: Annotated[float, number(within=Limits(10.0, 20_000.0), help="Rows per second.")] = 1000.0,
-    duration: Annotated[
-        float, number(within=Limits(3.0, 3600.0, unit="s"), help="Length of each log.")
-    ] = 12.0,
-    play: Play = None,
+    rate: Annotated[float, number("Rows per second.", Limits(10.0, 20_000.0))] = 1000.0,
+    duration: Annotated[float, number("Length of each log.", Limits(3.0, 3600.0, unit="s"))] = 12.0,
+    play: Annotated[
+        str | None, Option(metavar="CSV", help="Play these commands on the same rig; writes only played.csv.")
+    ] = None,
     effect_files: EffectFiles = None,
     seed: Seed = 0,
-) -> None:
+) -> None:  # fmt: skip
     """Make practice logs with hidden effects.
 
     Writes logs, model.yaml and truth.json.
@@ -99,21 +57,11 @@ def hide(
         from hydro_env.practice import command as work
 
         load_effects(effect_files or [])
+        columns = [name.strip() for name in record.split(",") if name.strip()]
         work.run(
-            effects or [],
-            folder,
-            none=none,
-            model=model,
-            severity=severity,
-            values=value or [],
-            noise=noise,
-            base_error_percent=base_error,
-            record=[name.strip() for name in record.split(",") if name.strip()],
-            rate=rate,
-            duration=duration,
-            play=play,
-            seed=seed,
-        )
+            effects or [], folder, none=none, model=model, severity=severity, values=value or [], noise=noise,
+            base_error_percent=base_error, record=columns, rate=rate, duration=duration, play=play, seed=seed,
+        )  # fmt: skip
 
 
 def diagnose(
@@ -121,22 +69,31 @@ def diagnose(
     fit_logs: FitLogs = None,
     sealed: HeldOut = None,
     model: Model = "paper",
-    mapping: MappingFile = None,
-    steady: Steady = False,
-    inspect: Inspect = None,
-    accept: Accept = None,
+    mapping: Annotated[
+        str | None, Option(metavar="YAML", help="Mapping of the columns of other logs to signals.")
+    ] = None,
+    steady: Annotated[bool, Option("--steady", help="Use the reduced model of a slow cylinder axis.")] = False,
+    inspect: Annotated[
+        str | None, Option(metavar="LOG", help="Show how a log would be read; propose a mapping.")
+    ] = None,
+    accept: Annotated[
+        list[str] | None,
+        Option(metavar="CODE", help="Continue in spite of an error found in a log: sign, swapped, unit, ..."),
+    ] = None,
     effect_files: EffectFiles = None,
-    jobs: Threads = None,
+    jobs: Annotated[int | None, number("Threads to work with. Default: one for every core.", CORES)] = None,
     command_limit: Annotated[
-        float, number(within=Limits(1.0, 100.0, unit="%"), help="Largest command of the next experiment.")
+        float, number("Largest command of the next experiment.", Limits(1.0, 100.0, unit="%"))
     ] = 100.0,
-    rate_limit: Annotated[
-        float, number(within=Limits(0.1, 1000.0), help="Its largest rate, rated commands per second.")
-    ] = 20.0,
-    pressure_limit: PressureLimit = None,
-    load_limit: LoadLimit = None,
+    rate_limit: Annotated[float, number("Its largest rate, rated commands per second.", Limits(0.1, 1000.0))] = 20.0,
+    pressure_limit: Annotated[
+        float | None, number("Its largest load pressure. Default: supply pressure.", Limits(1.0, 1000.0, unit="bar"))
+    ] = None,
+    load_limit: Annotated[
+        float | None, number("Its largest load. Default: that of the logs.", Limits(0.0, 1e6, unit="N m"))
+    ] = None,
     seed: Seed = 0,
-) -> None:
+) -> None:  # fmt: skip
     """Identify from logs what physics a model lacks.
 
     Writes diagnosis.json, report.html, model.yaml and, where names stay open, next_experiment.csv; with --inspect only
@@ -155,20 +112,11 @@ def diagnose(
         from hydro_env.plant import load_effects
 
         load_effects(effect_files or [])
+        settings = Settings(
+            seed=seed, command_limit=command_limit / 100.0, rate_limit=rate_limit, load_limit=load_limit,
+            pressure_limit=None if pressure_limit is None else pressure_limit * BAR,
+        )  # fmt: skip
         command.run(
-            fit_logs or [],
-            sealed or [],
-            folder,
-            model=model,
-            mapping=mapping,
-            jobs=jobs,
-            settings=Settings(
-                seed=seed,
-                command_limit=command_limit / 100.0,
-                rate_limit=rate_limit,
-                pressure_limit=None if pressure_limit is None else pressure_limit * BAR,
-                load_limit=load_limit,
-            ),
-            steady=steady,
+            fit_logs or [], sealed or [], folder, model=model, mapping=mapping, jobs=jobs, settings=settings, steady=steady,
             accept=accept or [],
-        )
+        )  # fmt: skip

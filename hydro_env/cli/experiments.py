@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from hydro_env.cli.options import Cells, Engine, Jobs, Out, Pictures, Seed, number, writing
 from hydro_env.limits import Limits
@@ -22,10 +22,7 @@ def demo(out: Out, seed: Seed = 0, jobs: Jobs = 1) -> None:
     print(f"Open {out / 'index.html'} in a browser.")
 
 
-def reproduce(
-    out: Out,
-    pictures: Pictures = True,
-) -> None:
+def reproduce(out: Out, pictures: Pictures = True) -> None:
     """Run the paper's experiments.
 
     Fig. 2, 7 and 8; writes reproduce.json, traces.csv and figures.
@@ -39,15 +36,10 @@ def reproduce(
 def speed(
     out: Out,
     num_envs: Annotated[
-        list[int] | None,
-        number(
-            within=Limits(1, 2**20, whole=True), help="Size of a batch; may be repeated. Default: 1 to 1024."
-        ),
+        list[int] | None, number("Size of a batch; may be repeated. Default: 1 to 1024.", Limits(1, 2**20, whole=True))
     ] = None,
-    seconds: Annotated[
-        float, number(within=Limits(0.05, 3600.0, unit="s"), help="Measuring time for each figure.")
-    ] = 1.0,
-) -> None:
+    seconds: Annotated[float, number("Measuring time for each figure.", Limits(0.05, 3600.0, unit="s"))] = 1.0,
+) -> None:  # fmt: skip
     """Measure the speed and accuracy of the simulator.
 
     Writes speed.json.
@@ -60,8 +52,8 @@ def speed(
 
 def close_loop(
     out: Out,
-    case: Annotated[list[str] | None, typer.Option(help="Only this case; may be repeated.")] = None,
-    seeds: Annotated[int, number(within=Limits(1, 1000, whole=True), help="Hidden rigs per case.")] = 2,
+    case: Annotated[list[str] | None, Option(help="Only this case; may be repeated.")] = None,
+    seeds: Annotated[int, number("Hidden rigs per case.", Limits(1, 1000, whole=True))] = 2,
     engine: Engine = "local",
     jobs: Jobs = 1,
     cells: Cells = None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
 from hydro_env.cli.options import Out, number, writing
@@ -20,34 +21,25 @@ export = typer.Typer(
     help="Take the rig or a controller to another tool: FMU, C99, Structured Text, ONNX.",
 )
 
-Controller = Annotated[
-    str,
-    typer.Argument(
-        metavar="CONTROLLER",
-        help="A shipped controller, a gains file (.json), a policy (.npz) or file.py:Class, with gains if wanted (NAME:Kp=0.2).",
-    ),
-]
+# fmt: off
+Controller = Annotated[str, Argument(
+    metavar="CONTROLLER",
+    help="A shipped controller, a gains file (.json), a policy (.npz) or file.py:Class, with gains if wanted (NAME:Kp=0.2).",
+)]
 Bench = Annotated[
-    str,
-    typer.Option(
-        "--plant", help="Preset or YAML file of the rig whose valves a controller had on the bench."
-    ),
+    str, Option("--plant", help="Preset or YAML file of the rig whose valves a controller had on the bench.")
 ]
-Period = Annotated[
-    float,
-    number("--control-period", within=Limits(1e-4, 1.0, unit="s"), help="Control period that is built in."),
-]
-Trust = Annotated[
-    bool, typer.Option("--trust", help="Use gains (.json) of a law in a Python file, which is run.")
-]
-Single = Annotated[bool, typer.Option("--single", help="Networks in single precision: smaller and faster.")]
+Period = Annotated[float, number("Control period that is built in.", Limits(1e-4, 1.0, unit="s"), "--control-period")]
+Trust = Annotated[bool, Option("--trust", help="Use gains (.json) of a law in a Python file, which is run.")]
+Single = Annotated[bool, Option("--single", help="Networks in single precision: smaller and faster.")]
+# fmt: on
 
 
 @export.command(cls=HelpfulCommand)
 def fmu(
     out: Out,
-    model: Annotated[str, typer.Option(help="Preset or YAML file of the rig.")],
-    fmi: Annotated[str, typer.Option(help="Version of the standard: 2, 3 or both.")] = "both",
+    model: Annotated[str, Option(help="Preset or YAML file of the rig.")],
+    fmi: Annotated[str, Option(help="Version of the standard: 2, 3 or both.")] = "both",
 ) -> None:
     """Export a rig as a co-simulation FMU.
 
@@ -67,13 +59,9 @@ def fmu(
 
 @export.command(cls=HelpfulCommand)
 def c(
-    controller: Controller,
-    out: Out,
-    control_period: Period = 0.01,
-    plant: Bench = "paper_dead_zone",
-    single: Single = False,
+    controller: Controller, out: Out, control_period: Period = 0.01, plant: Bench = "paper_dead_zone", single: Single = False,
     trust: Trust = False,
-) -> None:
+) -> None:  # fmt: skip
     """Export a controller as C99.
 
     One header and one source; a state of fixed size, nothing allocated, nothing but math.h.
@@ -86,13 +74,9 @@ def c(
 
 @export.command(cls=HelpfulCommand)
 def st(
-    controller: Controller,
-    out: Out,
-    control_period: Period = 0.01,
-    plant: Bench = "paper_dead_zone",
-    single: Single = False,
+    controller: Controller, out: Out, control_period: Period = 0.01, plant: Bench = "paper_dead_zone", single: Single = False,
     trust: Trust = False,
-) -> None:
+) -> None:  # fmt: skip
     """Export a controller as Structured Text.
 
     A function block of IEC 61131-3 for a PLC: PID, couplings, and networks.

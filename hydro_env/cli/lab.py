@@ -5,32 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from hydro_env.cli.options import EffectFiles, Plant, number
 from hydro_env.limits import Limits
 
-Port = Annotated[
-    int,
-    number("--port", within=Limits(0, 65535, whole=True), help="Port on this machine; 0: any that is free."),
-]
-
-
-Controller = Annotated[
-    str, typer.Option(help="Controller that begins: a name, gains.json, policy.npz or file.py:Class.")
-]
-
 
 def lab(
-    out: Annotated[
-        Path, typer.Option("--out", help="Folder for logs and reports; created when needed.")
-    ] = Path("lab"),
+    out: Annotated[Path, Option("--out", help="Folder for logs and reports; created when needed.")] = Path("lab"),
     plant: Plant = "paper_dead_zone",
-    controller: Controller = "pid_tuned",
-    port: Port = 8137,
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Whether to open the page.")] = True,
+    controller: Annotated[
+        str, Option(help="Controller that begins: a name, gains.json, policy.npz or file.py:Class.")
+    ] = "pid_tuned",
+    port: Annotated[int, number("Port on this machine; 0: any that is free.", Limits(0, 65535, whole=True))] = 8137,
+    browser: Annotated[bool, Option("--browser/--no-browser", help="Whether to open the page.")] = True,
     effect_files: EffectFiles = None,
-) -> None:
+) -> None:  # fmt: skip
     """Run a rig on a page of this machine.
 
     Change controller, valves and effects while it runs, record logs and diagnose them. Ctrl-C ends it.

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from hydro_env.errors import InputError, suggestion
 from hydro_env.files import output_folder, to_json, write_json
@@ -17,15 +17,12 @@ SCHEMA = "hydro_env/list/1"
 
 
 def list_names(
-    kind: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[KIND]", help="Only controllers, effects, presets, scenarios, splits, metrics or suites."
-        ),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, with more about each.")] = False,
-    out: Annotated[Path | None, typer.Option("--out", help="Folder to write list.json to as well.")] = None,
-) -> None:
+    kind: Annotated[str | None, Argument(
+        metavar="[KIND]", help="Only controllers, effects, presets, scenarios, splits, metrics or suites."
+    )] = None,
+    as_json: Annotated[bool, Option("--json", help="Print JSON, with more about each.")] = False,
+    out: Annotated[Path | None, Option("--out", help="Folder to write list.json to as well.")] = None,
+) -> None:  # fmt: skip
     """List controllers, effects, presets, scenarios, splits.
 
     Each with a line of what it is. Takes no --out unless list.json is wanted.
@@ -59,14 +56,9 @@ def _effects() -> list[dict[str, Any]]:
         return {key: getattr(p, key) for key in keys} | {"summary": p.title}
 
     return [
-        {
-            "name": name,
-            "summary": CATALOGUE[name].summary,
-            "port": CATALOGUE[name].port,
-            "parameters": [parameter(p) for p in CATALOGUE[name].parameters],
-        }
-        for name in BUILT_IN
-    ]
+        {"name": each.name, "summary": each.summary, "port": each.port, "parameters": list(map(parameter, each.parameters))}
+        for each in (CATALOGUE[name] for name in BUILT_IN)
+    ]  # fmt: skip
 
 
 def _presets() -> list[dict[str, Any]]:
@@ -87,10 +79,8 @@ def _splits() -> list[dict[str, Any]]:
     from hydro_env.tasks import OWN, SPLITS
 
     drawn = [{"name": each.name, "summary": each.summary, "pairs": each.cases} for each in SPLITS.values()]
-    return [
-        *drawn,
-        {"name": OWN, "summary": "the plant's own pair of valves; only noise differs", "pairs": 1},
-    ]
+    own = {"name": OWN, "summary": "the plant's own pair of valves; only noise differs", "pairs": 1}
+    return [*drawn, own]
 
 
 def _metrics() -> list[dict[str, Any]]:
@@ -102,23 +92,15 @@ def _metrics() -> list[dict[str, Any]]:
 def _suites() -> list[dict[str, Any]]:
     from hydro_env.benchmark.suite import shipped_suites
 
-    return [
-        {
-            "name": each.name,
-            "summary": f"{', '.join(f'{count} pairs of {split}' for split, count in each.splits.items())}; "
-            f"{', '.join(each.scenarios)}",
-        }
-        for each in shipped_suites().values()
-    ]
+    def summary(suite: Any) -> str:
+        pairs = ", ".join(f"{count} pairs of {split}" for split, count in suite.splits.items())
+        return f"{pairs}; {', '.join(suite.scenarios)}"
+
+    return [{"name": each.name, "summary": summary(each)} for each in shipped_suites().values()]
 
 
 KINDS: dict[str, Callable[[], list[dict[str, Any]]]] = {
-    "controllers": _controllers,
-    "effects": _effects,
-    "presets": _presets,
-    "scenarios": _scenarios,
-    "splits": _splits,
-    "metrics": _metrics,
-    "suites": _suites,
-}
+    "controllers": _controllers, "effects": _effects, "presets": _presets, "scenarios": _scenarios, "splits": _splits,
+    "metrics": _metrics, "suites": _suites,
+}  # fmt: skip
 """What there are names for, and the entries of each: "name", "summary" and more for JSON."""

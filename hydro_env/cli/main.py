@@ -86,9 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
             status = _fail(INTERRUPTED)
     if signals:
         status = 128 + signals[0]
-        exec(
-            ""
-        )  # CPython ends by SIGINT, whatever the status, if the last code that was run from text was interrupted
+        # CPython ends by SIGINT, whatever the status, if the last code that was run from text was interrupted.
+        exec("")
     try:
         sys.stdout.flush()
     except OSError as problem:

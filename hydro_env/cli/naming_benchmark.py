@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from hydro_env.cli.help import HelpfulCommand, HelpfulGroup
 from hydro_env.cli.options import Out, Seed, number, writing
@@ -22,15 +23,13 @@ naming_benchmark = typer.Typer(
     help="Compare methods that name missing physics from logs.",
 )
 
-Set = Annotated[Path, typer.Option("--set", metavar="DIR", help="Folder of the set.")]
+Set = Annotated[Path, Option("--set", metavar="DIR", help="Folder of the set.")]
 
 
 @naming_benchmark.command(cls=HelpfulCommand)
 def make(
     out: Out,
-    rigs: Annotated[
-        int, number("--rigs", within=Limits(1, 10_000, whole=True), help="Rigs of the set.")
-    ] = 40,
+    rigs: Annotated[int, number("Rigs of the set.", Limits(1, 10_000, whole=True))] = 40,
     seed: Seed = 0,
 ) -> None:
     """Make a set of rigs with hidden effects.
@@ -53,10 +52,8 @@ def make(
 
 @naming_benchmark.command(cls=HelpfulCommand)
 def run(
-    method: Annotated[list[str], typer.Argument(metavar="METHOD...", help="Methods, or all.")],
-    set_folder: Set,
-    out: Out,
-) -> None:
+    method: Annotated[list[str], Argument(metavar="METHOD...", help="Methods, or all.")], set_folder: Set, out: Out
+) -> None:  # fmt: skip
     """Run methods that ship on a set.
 
     Writes a folder of answers for each method; a stopped run continues.
@@ -83,16 +80,11 @@ def run(
 
 @naming_benchmark.command(cls=HelpfulCommand)
 def score(
-    answers: Annotated[
-        list[Path], typer.Argument(metavar="ANSWERS...", help="Folders of answers, one a method.")
-    ],
+    answers: Annotated[list[Path], Argument(metavar="ANSWERS...", help="Folders of answers, one a method.")],
     set_folder: Set,
     out: Out,
-    first: Annotated[
-        int | None,
-        number("--first", within=Limits(1, 10_000, whole=True), help="Only the first N rigs."),
-    ] = None,
-) -> None:
+    first: Annotated[int | None, number("Only the first N rigs.", Limits(1, 10_000, whole=True))] = None,
+) -> None:  # fmt: skip
     """Score answers against the truth.
 
     Writes naming.json and naming.md; the first method is compared with the others.

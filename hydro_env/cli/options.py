@@ -9,29 +9,20 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 
 from hydro_env.errors import InputError, shown
 from hydro_env.files import output_folder
 from hydro_env.limits import CORES, SEEDS, Limits
 
+# fmt: off
 __all__ = [
-    "Cells",
-    "ControlPeriod",
-    "EffectFiles",
-    "Engine",
-    "Jobs",
-    "Model",
-    "Out",
-    "Pictures",
-    "Plant",
-    "Seed",
-    "number",
-    "numbers",
+    "Cells", "ControlPeriod", "EffectFiles", "Engine", "Jobs", "Model", "Out", "Pictures", "Plant", "Seed", "number", "numbers",
     "writing",
 ]
 
 
-def number(*names: str, within: Limits, **more: Any) -> Any:
+def number(help: str, within: Limits, *names: str) -> Any:
     """An option that takes a number within limits, which its help and every refusal name."""
 
     def parsed(text: str) -> Any:
@@ -40,34 +31,24 @@ def number(*names: str, within: Limits, **more: Any) -> Any:
         except InputError as problem:
             raise typer.BadParameter(str(problem)) from None
 
-    more["help"] = f"{more['help']} {str(within)[0].upper()}{str(within)[1:]}."
-    return typer.Option(*names, parser=parsed, metavar="INTEGER" if within.whole else "FLOAT", **more)
+    help = f"{help} {str(within)[0].upper()}{str(within)[1:]}."
+    return Option(*names, parser=parsed, metavar="INTEGER" if within.whole else "FLOAT", help=help)
 
 
-Out = Annotated[Path, typer.Option("--out", help="Folder to write to; created if needed.")]
-Plant = Annotated[str, typer.Option("--plant", help="Preset or YAML file of the rig.")]
-Model = Annotated[str, typer.Option("--model", help="Preset or YAML file of the model.")]
-ControlPeriod = Annotated[
-    float, number("--control-period", within=Limits(1e-4, 1.0, unit="s"), help="Control period.")
-]
-Seed = Annotated[
-    int, number("--seed", within=SEEDS, help="Random seed; the same seed gives the same result.")
-]
+Out = Annotated[Path, Option("--out", help="Folder to write to; created if needed.")]
+Plant = Annotated[str, Option("--plant", help="Preset or YAML file of the rig.")]
+Model = Annotated[str, Option("--model", help="Preset or YAML file of the model.")]
+ControlPeriod = Annotated[float, number("Control period.", Limits(1e-4, 1.0, unit="s"), "--control-period")]
+Seed = Annotated[int, number("Random seed; the same seed gives the same result.", SEEDS, "--seed")]
 EffectFiles = Annotated[
     list[str] | None,
-    typer.Option(
-        "--effects", metavar="FILE.py", help="Python file that registers your own effects; it is run."
-    ),
+    Option("--effects", metavar="FILE.py", help="Python file that registers your own effects; it is run."),
 ]
-Jobs = Annotated[int, number("--jobs", within=CORES, help="Number of processes.")]
-Engine = Annotated[
-    str, typer.Option(help="local: --jobs processes; ray: the Ray cluster at RAY_ADDRESS or on this machine.")
-]
-Cells = Annotated[
-    Path | None,
-    typer.Option(metavar="DIR", help="Folder of finished parts; a stopped run continues from there."),
-]
-Pictures = Annotated[bool, typer.Option("--pictures/--no-pictures", help="Whether to draw pictures.")]
+Jobs = Annotated[int, number("Number of processes.", CORES, "--jobs")]
+Engine = Annotated[str, Option(help="local: --jobs processes; ray: the Ray cluster at RAY_ADDRESS or on this machine.")]
+Cells = Annotated[Path | None, Option(metavar="DIR", help="Folder of finished parts; a stopped run continues from there.")]
+Pictures = Annotated[bool, Option("--pictures/--no-pictures", help="Whether to draw pictures.")]
+# fmt: on
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import threading
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from hydro_env.cli.options import Out, number
 from hydro_env.errors import InputError
@@ -19,29 +19,18 @@ __all__ = ["train"]
 def train(
     out: Out,
     algo: Annotated[
-        str | None,
-        typer.Option(
-            help="Recipe: ppo, ppo_short or sac; ppo_quick and sac_quick take seconds. Default: ppo."
-        ),
+        str | None, Option(help="Recipe: ppo, ppo_short or sac; ppo_quick and sac_quick take seconds. Default: ppo.")
     ] = None,
-    config: Annotated[
-        Path | None, typer.Option(metavar="FILE.yml", help="A training file of your own instead.")
-    ] = None,
-    steps: Annotated[
-        int | None,
-        number(
-            within=Limits(1, 10**12, whole=True),
-            help="Control periods of single rigs. Default: the recipe's.",
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None, number(within=SEEDS, help="Seed of networks, exploration and environment.")
-    ] = None,
+    config: Annotated[Path | None, Option(metavar="FILE.yml", help="A training file of your own instead.")] = None,
+    steps: Annotated[int | None, number(
+        "Control periods of single rigs. Default: the recipe's.", Limits(1, 10**12, whole=True)
+    )] = None,
+    seed: Annotated[int | None, number("Seed of networks, exploration and environment.", SEEDS)] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the last checkpoint in --out, with the same options.")
+        bool, Option("--resume", help="Go on from the last checkpoint in --out, with the same options.")
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress bar.")] = False,
-) -> None:
+    quiet: Annotated[bool, Option("--quiet", help="No progress bar.")] = False,
+) -> None:  # fmt: skip
     """Train a learned agent (needs the extra `agents`).
 
     Writes policy.npz, which `benchmark` takes, curve.json and checkpoints. A stopped run goes on with --resume.

@@ -4,73 +4,48 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from hydro_env.cli.options import Out, Pictures, number, numbers, writing
 from hydro_env.errors import InputError
 from hydro_env.limits import Limits
 
-Valves = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="[VALVE]...",
-        help="Presets or model files (paper:2: channel 2), files of measured curves. Default: the presets valve_1, ...",
-    ),
-]
-Signal = Annotated[str, typer.Option(help="Signal axis of modelled valves: current or command.")]
 SWEEP = Limits(0.5, 3600.0, unit="s")
-Seconds = Annotated[
-    str, typer.Option(help=f"Sweep times of modelled valves, separated by commas. Each {SWEEP}.")
-]
-SignalColumn = Annotated[str | None, typer.Option(help="Name or number. Default: the first.")]
-FlowColumn = Annotated[str | None, typer.Option(help="Name or number. Default: the second.")]
-TimeColumn = Annotated[str | None, typer.Option(help="Name or number, if there is one.")]
-SignalUnit = Annotated[str | None, typer.Option(help="mA, V, percent, ... Default: the header's.")]
-FlowUnit = Annotated[str | None, typer.Option(help="lpm, GPM, ... Default: the header's.")]
-TimeUnit = Annotated[str | None, typer.Option(help="s, ms, ... Default: the header's, or s.")]
-Rated = Annotated[
-    float | None,
-    number(
-        within=Limits(1e-6, 1e6), help="Rated signal of a measured valve, in its unit. Default: the largest."
-    ),
-]
-RowPeriod = Annotated[
-    float | None,
-    number(within=Limits(1e-9, 3600.0, unit="s"), help="Time between rows, where no column holds it."),
-]
 MEASURED_SWEEP = Limits(1e-3, 1e6, unit="s")
-SweepPeriod = Annotated[
-    str,
-    typer.Option(
-        help=f"Length of a whole sweep, where the file does not say; one for each file. Each {MEASURED_SWEEP}."
-    ),
-]
-OneValve = Annotated[bool, typer.Option("--one-valve", help="The measured files are sweeps of one valve.")]
-Controllers = Annotated[
-    str, typer.Option(help="Controllers that drive each pair of modelled valves; `none`: no pairs.")
-]
-Seeds = Annotated[int, number(within=Limits(1, 1000, whole=True), help="Seeds of the sensor noise per pair.")]
 
 
 def valve_test(
     out: Out,
-    valves: Valves = None,
-    signal: Signal = "current",
-    seconds: Seconds = "5,20,80",
-    signal_column: SignalColumn = None,
-    flow_column: FlowColumn = None,
-    time_column: TimeColumn = None,
-    signal_unit: SignalUnit = None,
-    flow_unit: FlowUnit = None,
-    time_unit: TimeUnit = None,
-    rated: Rated = None,
-    row_period: RowPeriod = None,
-    sweep_period: SweepPeriod = "",
-    one_valve: OneValve = False,
-    controllers: Controllers = "pid_paper,pid_tuned,adaptive_flow",
-    seeds: Seeds = 4,
+    valves: Annotated[list[str] | None, Argument(
+        metavar="[VALVE]...",
+        help="Presets or model files (paper:2: channel 2), files of measured curves. Default: the presets valve_1, ...",
+    )] = None,
+    signal: Annotated[str, Option(help="Signal axis of modelled valves: current or command.")] = "current",
+    seconds: Annotated[
+        str, Option(help=f"Sweep times of modelled valves, separated by commas. Each {SWEEP}.")
+    ] = "5,20,80",
+    signal_column: Annotated[str | None, Option(help="Name or number. Default: the first.")] = None,
+    flow_column: Annotated[str | None, Option(help="Name or number. Default: the second.")] = None,
+    time_column: Annotated[str | None, Option(help="Name or number, if there is one.")] = None,
+    signal_unit: Annotated[str | None, Option(help="mA, V, percent, ... Default: the header's.")] = None,
+    flow_unit: Annotated[str | None, Option(help="lpm, GPM, ... Default: the header's.")] = None,
+    time_unit: Annotated[str | None, Option(help="s, ms, ... Default: the header's, or s.")] = None,
+    rated: Annotated[
+        float | None, number("Rated signal of a measured valve, in its unit. Default: the largest.", Limits(1e-6, 1e6))
+    ] = None,
+    row_period: Annotated[
+        float | None, number("Time between rows, where no column holds it.", Limits(1e-9, 3600.0, unit="s"))
+    ] = None,
+    sweep_period: Annotated[str, Option(
+        help=f"Length of a whole sweep, where the file does not say; one for each file. Each {MEASURED_SWEEP}."
+    )] = "",
+    one_valve: Annotated[bool, Option("--one-valve", help="The measured files are sweeps of one valve.")] = False,
+    controllers: Annotated[
+        str, Option(help="Controllers that drive each pair of modelled valves; `none`: no pairs.")
+    ] = "pid_paper,pid_tuned,adaptive_flow",
+    seeds: Annotated[int, number("Seeds of the sensor noise per pair.", Limits(1, 1000, whole=True))] = 4,
     pictures: Pictures = True,
-) -> None:
+) -> None:  # fmt: skip
     """Measure steady flow curves as in ISO 10770-1.
 
     Dead zone, hysteresis, gain, linearity, ... of modelled or measured valves, lag or hysteresis, and the most similar

@@ -25,17 +25,9 @@ if TYPE_CHECKING:
     from hydro_env.measured.log import RigLog
 
 __all__ = [
-    "LARGEST",
-    "SETTLE_S",
-    "InvalidSamples",
-    "after_gaps",
-    "check_clock",
-    "check_log",
-    "check_numbers",
-    "check_units",
-    "jump_size",
-    "long_gap",
-]
+    "LARGEST", "SETTLE_S", "InvalidSamples", "after_gaps", "check_clock", "check_log", "check_numbers", "check_units",
+    "jump_size", "long_gap",
+]  # fmt: skip
 
 LARGEST = 1e18  # in SI; the squares of larger ones leave single precision, in which logs are fitted
 _RESOLUTION_S = 1e-6  # clocks are read to the microsecond, and no rig is recorded faster
@@ -74,10 +66,8 @@ def check_clock(
     same = np.flatnonzero(steps == 0)
     if len(same):
         row = table.row(same[0] + 1)
-        copies = all(
-            np.array_equal(values[same], values[same + 1], equal_nan=True)
-            for values in table.columns.values()
-        )
+        pairs = [(values[same], values[same + 1]) for values in table.columns.values()]
+        copies = all(np.array_equal(one, next_one, equal_nan=True) for one, next_one in pairs)
         if len(same) > 0.01 * len(time) + 1 and not copies:
             told = f"{len(same)} rows repeat the time of the row before with other values"
             hint = "write more digits, or give `time: {sample_rate: ...}` in a mapping"
@@ -164,9 +154,8 @@ def _rate(steps: np.ndarray, time: np.ndarray, rows: np.ndarray, column: str, un
     ordinary = steps[steps <= 1.75 * median]
     spread = float(np.quantile(np.abs(ordinary - median), 0.95)) / median
     if spread > 0.05 or len(gaps) > 0.02 * len(steps) + 1:
-        message = (
-            f"rows are unevenly spaced: steps {steps.min():.6g} to {steps.max():.6g} s, median {median:.6g} s"
-        )
+        range_of = f"steps {steps.min():.6g} to {steps.max():.6g} s, median {median:.6g} s"
+        message = f"rows are unevenly spaced: {range_of}"
         hint = "commands are held from their own times on, and the model is compared at the times of the rows"
         yield Finding("uneven_sampling", message, hint, column=column)
     yield from _clock_unit(column, time, median, unit)

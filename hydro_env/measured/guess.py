@@ -83,9 +83,8 @@ def guesses(columns: list[Column]) -> Iterator[Guess]:
     for column in columns:
         if column.is_constant:
             continue
-        signal, score, doubt = max(
-            ((signal, _score(column, signal), "") for signal in QUANTITIES), key=lambda each: each[1]
-        )
+        score, signal = max(((_score(column, each), each) for each in QUANTITIES), key=lambda pair: pair[0])
+        doubt = ""
         unit, sure = column.unit
         silent = column.meant <= {"unknown", "valve"} or "symbol" in column.meant
         if score <= 0.0 and unit and sure and silent and not column.meant & _DECIDED:
@@ -163,9 +162,8 @@ def by_behaviour(columns: list[Column]) -> list[Guess]:
         follows = [abs(follow(command.values, column.values, 0.01)) for column in free]
         speed = free[int(np.argmax(follows))]
         found.append(Guess(command, "command", 1, 0.5, "it is the one with the least noise"))
-        found.append(
-            Guess(speed, "speed", 1, 0.5, f"it is the one that follows column {command.name!r} most")
-        )
+        doubt = f"it is the one that follows column {command.name!r} most"
+        found.append(Guess(speed, "speed", 1, 0.5, doubt))
     return found
 
 

@@ -81,9 +81,7 @@ def propose(path: str | Path, begun: dict[str, Any] | None = None) -> Proposal:
     if "time_s" in names and sum(name in contract_columns() for name in names) >= 3:
         draft.notes.append("the header is the rig log's own: no mapping is needed")
         try:
-            own = contract_mapping(names, path).model_dump(
-                by_alias=True, exclude_defaults=True, exclude_none=True
-            )
+            own = contract_mapping(names, path).model_dump(exclude_defaults=True, exclude_none=True)
         except InputError as error:
             return Proposal("", tuple(draft.notes), None, str(error))
         draft.content |= own
@@ -130,9 +128,8 @@ def _fill(draft: _Draft, columns: list[Column]) -> None:
     """Puts the most likely column of each signal into the draft."""
     nameless = all(column.label.isdecimal() for column in columns)
     found = by_behaviour(columns) if nameless else list(guesses(columns))
-    found.sort(
-        key=lambda guess: (guess.signal == "position", -guess.score)
-    )  # a speed is better than its position
+    # A speed is better than its position.
+    found.sort(key=lambda guess: (guess.signal == "position", -guess.score))
     for column in columns:
         if all(column is not guess.column for guess in found):
             known = ", ".join(sorted(column.meant - {"unknown", "symbol", "valve"}))
@@ -142,9 +139,8 @@ def _fill(draft: _Draft, columns: list[Column]) -> None:
     channels: dict[int, dict[str, Any]] = {1: {}, 2: {}}
     for guess in found:
         if guess.channel > 2:
-            draft.notes.append(
-                f"{guess.column.name!r}: {guess.signal} of channel {guess.channel}, left out; a log has two"
-            )
+            told = f"{guess.signal} of channel {guess.channel}, left out; a log has two"
+            draft.notes.append(f"{guess.column.name!r}: {told}")
         else:
             _put(draft, channels.get(guess.channel, draft.content), guess)
     if "time" not in draft.content:
@@ -269,9 +265,8 @@ def _tried(path: Path, draft: _Draft) -> Proposal:
     """The proposal with what it reads. What the gate finds surely wrong is corrected once; columns that cannot be read as what
     they are taken for are left out."""
     content, corrected = draft.content, False
-    if any(
-        channel.get(signal, {}).get("column") == "?" for channel in _channels(content) for signal in _NEEDED
-    ):
+    needed = [channel.get(signal, {}) for channel in _channels(content) for signal in _NEEDED]
+    if any(source.get("column") == "?" for source in needed):
         return draft.proposal(None, "no channel with a command and a speed was found; name them by hand")
     while True:
         try:
@@ -294,9 +289,8 @@ def _left_out(draft: _Draft, problem: str) -> bool:
     """Whether a column could be left out that the problem names, and that is not needed."""
     content = draft.content
     optional = [(content, signal) for signal in RIG_SIGNALS]
-    optional += [
-        (channel, each) for channel in _channels(content) for each in CHANNEL_SIGNALS if each not in _NEEDED
-    ]
+    others = [signal for signal in CHANNEL_SIGNALS if signal not in _NEEDED]
+    optional += [(channel, signal) for channel in _channels(content) for signal in others]
 
     def spoils(source: dict[str, Any]) -> bool:
         parts = (source, source.get("minus", {}))

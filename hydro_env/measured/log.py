@@ -51,10 +51,8 @@ class RigLog:
     name: str = ""
     sha256: str = ""
     kinds: tuple[str, str] = ("motor", "motor")
-    displacement: tuple[float | None, float | None] = (
-        None,
-        None,
-    )  # m3/rad, or m2 for a cylinder, where known
+    #: m3/rad, or m2 for a cylinder, where known
+    displacement: tuple[float | None, float | None] = (None, None)
     findings: tuple[Finding, ...] = field(default=(), compare=False)
     #: (column, unit) that a signal was read from and as, by "speed_1", ...
     read_as: dict[str, tuple[str, str]] = field(default_factory=dict, compare=False)
@@ -83,9 +81,7 @@ class RigLog:
     @property
     def channels(self) -> tuple[int, ...]:
         """The channels in the log, counted from 0: those with a command and a speed."""
-        return tuple(
-            channel for channel in (0, 1) if self.has("command", channel) and self.has("speed", channel)
-        )
+        return tuple(c for c in (0, 1) if self.has("command", c) and self.has("speed", c))
 
     @property
     def signals(self) -> tuple[str, ...]:

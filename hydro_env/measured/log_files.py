@@ -10,22 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.errors import InputError, nearest
-from hydro_env.files import replacing
-from hydro_env.measured.finding import Finding
-from hydro_env.measured.formats import read_table
-from hydro_env.measured.gate import (
-    SETTLE_S,
-    InvalidSamples,
-    after_gaps,
-    check_clock,
-    check_log,
-    check_numbers,
-    check_units,
-    long_gap,
-)
-from hydro_env.measured.log import HELD, RigLog, field_of
-from hydro_env.measured.mapping import (
+from ..errors import InputError, nearest
+from ..files import replacing
+from ..units import from_si, unit
+from . import gate
+from .finding import Finding
+from .formats import read_table
+from .log import HELD, RigLog, field_of
+from .mapping import (
     CONTRACT,
     CONTRACT_RIG,
     Mapping,
@@ -35,10 +27,9 @@ from hydro_env.measured.mapping import (
     contract_mapping,
     load_mapping,
 )
-from hydro_env.measured.positions import slope
-from hydro_env.measured.samples import MEASURED
-from hydro_env.measured.table import Table, digest
-from hydro_env.units import from_si, unit
+from .positions import slope
+from .samples import MEASURED
+from .table import Table, digest
 
 __all__ = ["read_log", "write_log"]
 
@@ -69,9 +60,7 @@ def _unknown_columns(table: Table) -> Iterator[Finding]:
         if name and name not in known:
             near = nearest(name, known)
             hint = f"; is {near!r} meant?" if near else ""
-            yield Finding(
-                "unknown_column", f"column {name!r} is not understood and ignored{hint}", column=name
-            )
+            yield Finding("unknown_column", f"column {name!r} is unknown and ignored{hint}", column=name)
 
 
 def _from_table(table: Table, mapping: Mapping) -> RigLog:
@@ -83,7 +72,7 @@ def _from_table(table: Table, mapping: Mapping) -> RigLog:
         assert mapping.time.sample_rate is not None
         time_s, keep = np.arange(count) / mapping.time.sample_rate, None
     else:
-        time_s, keep = check_clock(table, mapping.time.column, mapping.time.unit, findings)
+        time_s, keep = gate.check_clock(table, mapping.time.column, mapping.time.unit, findings)
     signals = _signals(table, mapping, keep, findings)
     for channel, source in enumerate(each.speed if each else None for each in mapping.channels):
         if source and unit(source.unit).quantity in ("angle", "length"):
@@ -112,11 +101,10 @@ def _from_table(table: Table, mapping: Mapping) -> RigLog:
     )
     if len(log) < 2:
         raise InputError(f"{table.path}: no two rows hold a command; a log needs at least two samples")
-    findings += check_units(table, mapping)
-    found, invalid = check_log(log, mapping, rows[start:end])
-    return _with_load_pressure(
-        replace(_without(log, invalid, unknown[start:end]), findings=(*findings, *found))
-    )
+    findings += gate.check_units(table, mapping)
+    found, invalid = gate.check_log(log, mapping, rows[start:end])
+    log = replace(_without(log, invalid, unknown[start:end]), findings=(*findings, *found))
+    return _with_load_pressure(log)
 
 
 def _signals(
@@ -134,9 +122,8 @@ def _signals(
                 both = signals[name] = np.full((len(values), 2), np.nan)
             both[:, channel] = values
         elif signal in ("command", "speed"):
-            raise InputError(
-                f"{table.path}: column {source.column!r} is empty; {signal} is required of every channel"
-            )
+            told = f"column {source.column!r} is empty; {signal} is required of every channel"
+            raise InputError(f"{table.path}: {told}")
     return signals
 
 
@@ -158,7 +145,7 @@ def _values(
 def _si(table: Table, part: Part) -> np.ndarray:
     with np.errstate(all="ignore"):
         values = np.asarray(part.si(table.columns[part.column]))
-    check_numbers(table, part.column, values)
+    gate.check_numbers(table, part.column, values)
     return values
 
 
@@ -198,10 +185,8 @@ def _hold(
                 hint += f", and the log ends with row {rows[final - 1]}: no command follows"
         hole = int(np.argmax(~known))
         message = f"{source.column!r} holds no value in {np.sum(~known)} of {len(one)} cells, the first in row {rows[hole]}"
-        number = None if channel is None else channel + 1
-        findings.append(
-            Finding("missing_values", message, hint, signal, number, source.column, int(rows[hole]))
-        )
+        number, row = None if channel is None else channel + 1, int(rows[hole])
+        findings.append(Finding("missing_values", message, hint, signal, number, source.column, row))
     return begin, end, unknown
 
 
@@ -214,19 +199,19 @@ def _unknown(time_s: np.ndarray, known: np.ndarray) -> tuple[int, np.ndarray]:
     steps = np.diff(time_s[at])
     usual = float(np.median(steps)) if len(steps) else 0.0
     found = np.zeros(len(known), bool)
-    for n in np.flatnonzero(steps > long_gap(usual)):
+    for n in np.flatnonzero(steps > gate.long_gap(usual)):
         # Also what follows: the state is a guess for so long.
-        found[at[n] + 1 : np.searchsorted(time_s, time_s[at[n + 1]] + SETTLE_S)] = True
+        found[at[n] + 1 : np.searchsorted(time_s, time_s[at[n + 1]] + gate.SETTLE_S)] = True
     end = int(at[-1]) + 1
-    if time_s[-1] - time_s[at[-1]] <= long_gap(usual):
+    if time_s[-1] - time_s[at[-1]] <= gate.long_gap(usual):
         end = len(known)
     return end, found
 
 
-def _without(log: RigLog, invalid: InvalidSamples, unknown: np.ndarray) -> RigLog:
+def _without(log: RigLog, invalid: gate.InvalidSamples, unknown: np.ndarray) -> RigLog:
     """The log with NaN in place of invalid samples, of rows (T,) whose commands are `unknown`, and of what follows a long gap
     unless that were most of the log."""
-    late = after_gaps(log.time_s)
+    late = gate.after_gaps(log.time_s)
     late &= late.mean() < 0.5
     late |= unknown
     changed: dict[str, np.ndarray | None] = {}
@@ -261,9 +246,7 @@ def write_log(path: str | Path, log: RigLog) -> None:
     """Writes a rig log as CSV (gzipped for `.csv.gz`), with 12 significant digits; absent signals get no column."""
     path = Path(path)
     if "cylinder" in [log.kinds[channel] for channel in log.channels]:
-        raise ValueError(
-            "the rig log's header knows rpm and N m only; a cylinder log cannot be written with it"
-        )
+        raise ValueError("the rig log's header knows rpm and N m only: it cannot hold a cylinder log")
     columns: dict[str, np.ndarray] = {"time_s": log.time_s}
     for signal, (column, symbol) in CONTRACT_RIG.items():
         values = log.get(signal)

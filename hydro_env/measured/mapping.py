@@ -39,26 +39,13 @@ from hydro_env.units import to_si, unit
 from hydro_env.validation import FileTable, Number, checked
 
 __all__ = [
-    "CHANNEL_SIGNALS",
-    "LINES",
-    "RIG_SIGNALS",
-    "ChannelMapping",
-    "Mapping",
-    "Source",
-    "TableStyle",
-    "contract_columns",
-    "USUAL_UNITS",
-    "contract_mapping",
-    "load_begun",
-    "load_mapping",
-    "quantity_of",
-]
+    "CHANNEL_SIGNALS", "LINES", "RIG_SIGNALS", "USUAL_UNITS", "ChannelMapping", "Mapping", "Source", "TableStyle",
+    "contract_columns", "contract_mapping", "load_begun", "load_mapping", "quantity_of",
+]  # fmt: skip
 
 SCHEMA = "hydro_env/mapping/1"
 #: Pressures of the two lines of a channel: the one that drives in the positive direction, and the other.
 LINES = ("pressure_a", "pressure_b")
-CHANNEL_SIGNALS = ("command", "current", "pressure", "speed", "load", "spool", "flow", *LINES)
-RIG_SIGNALS = ("setpoint", "supply", "temperature")
 
 # The columns of the rig log itself: signal -> (ending of the column name, unit).
 CONTRACT = {
@@ -67,10 +54,9 @@ CONTRACT = {
     "pressure_b": ("bar", "bar"),
 }  # fmt: skip
 CONTRACT_RIG = {
-    "setpoint": ("setpoint_rpm", "rpm"),
-    "supply": ("supply_bar", "bar"),
-    "temperature": ("temperature_C", "degC"),
-}
+    "setpoint": ("setpoint_rpm", "rpm"), "supply": ("supply_bar", "bar"), "temperature": ("temperature_C", "degC"),
+}  # fmt: skip
+CHANNEL_SIGNALS, RIG_SIGNALS = tuple(CONTRACT), tuple(CONTRACT_RIG)
 #: What is measured on a cylinder where a motor has the former.
 _LINEAR = {"angular speed": "linear speed", "angle": "length", "torque": "force", "displacement": "area"}
 #: A speed may be given as the position whose slope it is.
@@ -84,10 +70,7 @@ USUAL_UNITS = {
 
 def quantity_of(signal: str, actuator: str) -> str:
     """What a signal, or the displacement, is measured as on a motor or a cylinder."""
-    if signal == "displacement":
-        found = "displacement"
-    else:
-        found = unit((CONTRACT | CONTRACT_RIG)[signal][1]).quantity
+    found = signal if signal == "displacement" else unit((CONTRACT | CONTRACT_RIG)[signal][1]).quantity
     return found if actuator == "motor" else _LINEAR.get(found, found)
 
 
@@ -149,9 +132,7 @@ class Time(FileTable):
     @model_validator(mode="after")
     def _one_clock(self) -> Time:
         if (self.column is None) == (self.sample_rate is None):
-            raise ValueError(
-                "give either `column` (with its unit) or `sample_rate` (rows per second), not both or none"
-            )
+            raise ValueError("give either `column` (with its unit) or `sample_rate` (rows per second)")
         quantity = unit(self.unit).quantity
         if quantity != "time":
             raise ValueError(f"{self.unit} is a unit of {quantity}; time is in s, ms or us")
@@ -192,10 +173,8 @@ class ChannelMapping(FileTable):
             wanted = quantity_of("displacement", self.actuator)
             quantity = unit(self.displacement.unit).quantity
             if quantity != wanted:
-                raise ValueError(
-                    f"displacement of a {self.actuator}: {self.displacement.unit} is a unit of {quantity}; "
-                    f"use {USUAL_UNITS[wanted]}"
-                )
+                told = f"{self.displacement.unit} is a unit of {quantity}; use {USUAL_UNITS[wanted]}"
+                raise ValueError(f"displacement of a {self.actuator}: {told}")
         return self
 
 
@@ -215,10 +194,10 @@ def _check_unit(signal: str, source: Source, actuator: str) -> None:
             continue
         if quantity not in fitting(actuator):
             hint = f", or say `actuator: {other}`" if quantity in fitting(other) else ""
-            wanted = USUAL_UNITS[quantity_of(signal, actuator)]
-            raise ValueError(
-                f"{signal} of a {actuator}: {part.unit} is a unit of {quantity}; use {wanted}{hint}"
+            told = (
+                f"{part.unit} is a unit of {quantity}; use {USUAL_UNITS[quantity_of(signal, actuator)]}{hint}"
             )
+            raise ValueError(f"{signal} of a {actuator}: {told}")
 
 
 class Mapping(FileTable):

@@ -27,13 +27,12 @@ def slope(position: np.ndarray, time: np.ndarray, source: Source, channel: int) 
     second = np.diff(position, 2)
     second = second[np.isfinite(second)]
     noise = float(np.sqrt(np.mean(second**2) / 6.0)) if len(second) else 0.0
-    rows, most = 1, LONGEST / 2.0 / float(np.median(np.diff(time)))
+    rows, period = 1, float(np.median(np.diff(time)))
+    most = LONGEST / 2.0 / period
     while True:
         speed = _over(position, time, rows)
         low, high = np.nanquantile(speed, (0.01, 0.99)) if np.isfinite(speed).any() else (0.0, 0.0)
-        if 2 * rows > most or noise * 2**0.5 <= NOISE * (high - low) * 2 * rows * float(
-            np.median(np.diff(time))
-        ):
+        if 2 * rows > most or noise * 2**0.5 <= NOISE * (high - low) * 2 * rows * period:
             break
         rows *= 2
     message = f"the speed of channel {channel} is the slope of {source.column!r} over {2 * rows} rows"
@@ -51,11 +50,9 @@ def _unwound(angle: np.ndarray) -> np.ndarray:
     """The angle (T,) without its jumps by a revolution, if it is kept within one."""
     known = np.isfinite(angle)
     values = angle[known]
-    if (
-        len(values) < 2
-        or np.ptp(values) > 1.001 * REVOLUTION
-        or np.abs(np.diff(values)).max() < 0.5 * REVOLUTION
-    ):
+    if len(values) < 2 or np.ptp(values) > 1.001 * REVOLUTION:
+        return angle
+    if np.abs(np.diff(values)).max() < 0.5 * REVOLUTION:
         return angle
     angle = angle.copy()
     angle[known] = np.unwrap(values)
