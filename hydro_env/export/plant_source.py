@@ -19,7 +19,7 @@ from hydro_env.plant.catalogue import CATALOGUE
 from hydro_env.plant.kernel import Kernel
 from hydro_env.plant.kernel.driver import MAX_ATTEMPTS, MAX_ATTEMPTS_PER_S, SWEEPS
 from hydro_env.plant.model import parameter_of
-from hydro_env.plant.plant import LONGEST_DELAY
+from hydro_env.plant.plant import USUAL_DELAY
 from hydro_env.plant.validation import accepted
 from hydro_env.units import RPM
 
@@ -100,7 +100,7 @@ def plant_source(model: PlantModel, version: str) -> PlantSource:
     known |= {name.upper(): call for name, call in _sweeps(reader, kernel, plant.tolerance).items()}
     known["ARE_COUPLED"] = f"({coupled})"
     limits = {
-        "LONGEST_DELAY": longest,
+        "MAX_DELAY": longest,
         "MAX_ATTEMPTS": MAX_ATTEMPTS,
         "MAX_ATTEMPTS_PER_S": MAX_ATTEMPTS_PER_S,
     }
@@ -136,7 +136,7 @@ def _sweeps(reader: Reader, kernel: Kernel, tolerance: float) -> dict[str, str]:
 def _longest_delay(model: PlantModel) -> float:
     """As the delay line of a `Plant` has it, s."""
     delays = [f"{e}.{CATALOGUE[e].delays_command}" for e in model.declared if CATALOGUE[e].delays_command]
-    return max(LONGEST_DELAY, *(sum(model.value(name, c) for name in delays) for c in (0, 1)))
+    return max(USUAL_DELAY, *(sum(model.value(name, c) for name in delays) for c in (0, 1)))
 
 
 def _ranges(model: PlantModel, parameters: Iterable[str], longest: float) -> dict[str, tuple[float, float]]:

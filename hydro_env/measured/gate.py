@@ -31,7 +31,7 @@ __all__ = [
 
 LARGEST = 1e18  # in SI; the squares of larger ones leave single precision, in which logs are fitted
 _RESOLUTION_S = 1e-6  # clocks are read to the microsecond, and no rig is recorded faster
-_SHORTEST_S, _LONGEST_S = 1e-4, 0.5  # between the rows of usual logs of such rigs
+_MIN_PERIOD_S, _MAX_PERIOD_S = 1e-4, 0.5  # between the rows of usual logs of such rigs
 _FASTEST_S = 4e-5  # faster than 25 kHz only oscilloscopes record
 SETTLE_S = 1.0  # after a gap the state of a simulation is a guess for so long
 InvalidSamples = dict[tuple[str, int], np.ndarray]
@@ -93,14 +93,14 @@ def _clock_unit(column: str, time: np.ndarray, median: float, unit: str) -> Iter
     period, hint = float(time[-1] - time[0]) / (len(time) - 1), "give the right unit in a mapping"
     for longer in ("min", "h") if unit == "s" and not _is_chosen(period) else ():
         other = to_si(period, longer)
-        if _SHORTEST_S <= other < _LONGEST_S and _is_chosen(other):
+        if _MIN_PERIOD_S <= other < _MAX_PERIOD_S and _is_chosen(other):
             rate = f"{period:.3g} s ({1.0 / period:,.0f} a second)"
             message = f"rows come every {rate}: is {column!r} in {longer}, every {other:.3g} s?"
             right, sure = {"time": {"unit": longer}}, period < _FASTEST_S
             hint += f" (`time: {{column: ..., unit: {longer}}}`)"
             yield Finding("time_unit", message, hint, column=column, sure=sure, fix=right)
             return
-    if median >= _LONGEST_S:
+    if median >= _MAX_PERIOD_S:
         message, right = f"rows come every {median:.6g} s: is {column!r} in ms?", {"time": {"unit": "ms"}}
         hint = f"time_s is in s; {hint} (`time: {{column: ..., unit: ms}}`)"
         yield Finding("time_unit", message, hint, column=column, sure=True, fix=right)

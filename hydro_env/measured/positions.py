@@ -11,7 +11,7 @@ from hydro_env.units import REVOLUTION, unit
 __all__ = ["slope"]
 
 #: The slope is taken over at most so long, s: what the dynamics of such rigs leave.
-LONGEST = 0.04
+MAX_WINDOW = 0.04
 #: Noise of a speed, as a share of its range, that is worth no longer a slope.
 NOISE = 0.003
 
@@ -28,7 +28,7 @@ def slope(position: np.ndarray, time: np.ndarray, source: Source, channel: int) 
     second = second[np.isfinite(second)]
     noise = float(np.sqrt(np.mean(second**2) / 6.0)) if len(second) else 0.0
     rows, period = 1, float(np.median(np.diff(time)))
-    most = LONGEST / 2.0 / period
+    most = MAX_WINDOW / 2.0 / period
     while True:
         speed = _over(position, time, rows)
         low, high = np.nanquantile(speed, (0.01, 0.99)) if np.isfinite(speed).any() else (0.0, 0.0)

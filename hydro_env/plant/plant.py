@@ -32,9 +32,9 @@ SIGNALS = (*STATES, "flow", "measured_speed", "mean_line_pressure")
 #: Rigs that the kernel can be compiled to take together.
 BLOCKS = (1, 2, 4, 8, 16, 32)
 #: Longest delay of the command that the delay line holds, s, if the model has no longer one.
-LONGEST_DELAY = 0.05
+USUAL_DELAY = 0.05
 #: Delay from which on no command would arrive within any log or episode, s.
-MOST_DELAY = 1e5
+MAX_DELAY = 1e5
 
 Array = NDArray[np.float64]
 _NO_RECORD = np.zeros(0, np.int64)
@@ -112,10 +112,10 @@ class Plant:
         described = [CATALOGUE[name] for name in kernel.effects]
         self._delays = [f"{e.name}.{e.delays_command}" for e in described if e.delays_command]
         longest = [sum(self.model.value(name, channel) for name in self._delays) for channel in (0, 1)]
-        self._longest_delay = max(LONGEST_DELAY, *longest)
-        if not self._longest_delay <= MOST_DELAY:
+        self._longest_delay = max(USUAL_DELAY, *longest)
+        if not self._longest_delay <= MAX_DELAY:
             raise InputError(
-                f"model {self.model.name!r}: the command is delayed by {self._longest_delay:g} s; at most {MOST_DELAY:g} s"
+                f"model {self.model.name!r}: the command is delayed by {self._longest_delay:g} s; at most {MAX_DELAY:g} s"
                 " are right"
             )
         need = blocks * 2.0 * kernel.half * kernel.num_rows * kernel.dtype.itemsize

@@ -215,7 +215,7 @@ def test_a_hostile_name_stays_text_in_the_page(unsettled, tmp_path):
     page = shown(tmp_path / "scores.html", tmp_path / "profile")
     assert "<img" not in page and "&lt;img src=x" in page
     # Of several splits, what each one draws in place of the plant's values is said beside it.
-    assert "draws these values of each valve anew, whatever the plant itself has: dead_zone, Kq" in page
+    assert "draws these values of each valve, whatever the plant itself has: dead_zone, Kq" in page
 
 
 def test_legend_names_the_actual_baseline(scores):

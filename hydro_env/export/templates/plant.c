@@ -47,7 +47,7 @@ static int send(plant *p, double period) {
         p->room[TODO + c] = 0.0;
     }
     if (p->sent > PLANT_SENT) {
-        while (first > 0 && ago < LONGEST_DELAY) ago += p->line[--first].lasted;
+        while (first > 0 && ago < MAX_DELAY) ago += p->line[--first].lasted;
         p->line[0] = p->line[first];
         for (n = 0, i = first + 1; i < p->sent; i++) {
             int same = p->line[i].command[0] == p->line[n].command[0] && p->line[i].command[1] == p->line[n].command[1];
