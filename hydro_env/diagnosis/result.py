@@ -44,7 +44,7 @@ class Diagnosis(State):
         """The content of diagnosis.json, of schema `SCHEMA`.
 
         `best_guess`, `trials`, `warnings`, `hidden_by_calibration` and `shape_corrections` go beyond the contract. Where there
-        are shape corrections, "after" is the model with them, "named" in `gap` the one with the effects alone.
+        are form corrections, "after" is the model with them, "named" in `gap` the one with the effects alone.
         """
         logs = (*self.rig.parts, *self.logs.held_out.parts)
         known = known_parameters(self.rig, self.models.shown)
@@ -67,11 +67,11 @@ class Diagnosis(State):
         }
 
     def _correction(self, kept: Correction) -> dict[str, Any]:
-        """What a shape correction corrects, and its numbers."""
+        """What a form correction corrects, and its numbers."""
         first = self.rig.channels[0] if kept.channel is None else kept.channel
         values = effect_values(self.models.final[first], kept.correction, first)
         return {
             "effect": kept.effect, "correction": kept.correction, "what": CATALOGUE[kept.correction].summary,
-            "channel": place_of(kept.channel), "note": "shape correction, not physics",
+            "channel": place_of(kept.channel), "note": "form correction, not physics",
             "parameters": {name: vars(p) for name, p in values.items()}, "fall": round(float(kept.fall), 1),
         }  # fmt: skip

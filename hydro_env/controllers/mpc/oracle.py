@@ -39,8 +39,7 @@ RETRIES = (6, 30)
 SETTLED = 1e-4
 """A plan of which no command would move by more than this share of the rated one is left as it is."""
 TOLERANCE = 1.0 * RPM
-"""Error of a speed by which the simulation of plans chooses its steps, rad/s. With 0.3 rpm the motors keep step no better, on 200
-pairs of `val`, `test_extrap` and `faulted` each in three scenarios."""
+"""Error of a speed by which the simulation of plans chooses its steps, rad/s."""
 TRAVEL, MARGIN = 0.95, 0.96
 """Shares of the stroke: where the largest command lets a spool rest, and how far it should swing."""
 

@@ -39,8 +39,7 @@ EVERY, BETWEEN = 2, 200.0
 MIN_DAMPING = 1.0
 """Least weight of the squared change of the plan, which keeps it where nothing else says what is better."""
 MAX_CHANGES = 60
-"""Most changes of the set of commands at their limits: six times as many as there are commands. (Clamping the commands at
-their limits instead, as the planner does, leaves the oracle 5.4 rpm of peak difference in `setpoint_steps` instead of 1.1.)"""
+"""Most changes of the set of commands at their limits: six times as many as there are commands."""
 
 _INSTANTS = slice(SAMPLES, None, SAMPLES)
 """The control instants among the samples, ..."""

@@ -257,7 +257,7 @@ def error_columns(state: State) -> list[tuple[str, str, int]]:
 
 
 def correction_texts(state: State) -> list[str]:
-    """What each shape correction is, in a line."""
+    """What each form correction is, in a line."""
     texts = []
     for k in state.models.corrections:
         first = state.rig.channels[0] if k.channel is None else k.channel

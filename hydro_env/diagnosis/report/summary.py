@@ -25,7 +25,7 @@ def summary(state: State, next_experiment: NextExperiment | None, warnings: Sequ
     lines = [f"verdict: {state.verdict}{guess}", say.sentence(state)]
     lines += [text for text in [say.weak_proof(state)] if text]
     lines += [*(_effect(state, n) for n in state.effects), *places]
-    lines += [f"  shape correction, not physics: {text}" for text in say.correction_texts(state)]
+    lines += [f"  form correction, not physics: {text}" for text in say.correction_texts(state)]
     lines += [*_errors(state), *tried, known, _hidden(state)]
     if next_experiment:
         lines.append(f"  next experiment: {next_experiment.description}")

@@ -29,7 +29,7 @@ __all__ = [
 
 #: Iterations of a joint refit with a correction; the one that is kept goes as far as it goes.
 TRY_ITERATIONS = 8
-#: Corrections of one estimate at most: in blind trials of blocks 340000 to 360000 a second one halved what four of five rigs left
+#: Corrections of one estimate at most: in blind trials (docs/evidence/notes.md) a second one halved what four of five rigs left
 #: above the noise.
 MAX_CORRECTIONS = 2
 #: No corrections that were tried.

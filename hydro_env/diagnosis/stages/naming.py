@@ -21,8 +21,8 @@ __all__ = ["NamedEffect", "name_effects", "run"]
 #: Values of the two channels that differ by less (relative) are one effect of both: two valves of a kind differ as much.
 SAME_VALUE = 0.15
 #: Of names that the logs do not confirm the share that is right, as a factor on their probability: 17 of 80 guesses of three
-#: blocks of blind trials were right whose probabilities sum to 63 (blocks 210000, 310000 and 320000 of seeds; the mean of its
-#: posterior under a uniform prior). What such logs hold may be no candidate at all.
+#: blocks of blind trials were right whose probabilities sum to 63 (the mean of its posterior under a
+#: uniform prior; docs/evidence/notes.md). What such logs hold may be no candidate at all.
 UNCONFIRMED = 0.28
 #: Of confirmed names that leave a signal of the held-out logs on their channel above its noise the share that is right, as a
 #: factor: 20 of 22 in blind trials (mean and prior as above). What is left may be the mark of another cause.

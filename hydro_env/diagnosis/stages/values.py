@@ -20,7 +20,7 @@ __all__ = [
 
 #: No machine keeps to a law exactly, so the parameters of an effect mean something a little different in the rig's law. Standard
 #: deviations of that: as far as a correction of form has moved the value, and at least these shares of a size (of its distance
-#: from neutral) or of what shapes the law (blocks 310000 and 320000 of blind trials).
+#: from neutral) or of what shapes the law (found in blind trials, docs/evidence/notes.md).
 SIZE_BY_FORM, SHAPE_BY_FORM = 0.03, 0.1
 #: Half the width of a 95 % interval in standard deviations.
 TWO_SIDED_95 = 1.96

@@ -19,7 +19,7 @@ __all__ = ["Confirmed", "confirm", "decide", "doubts"]
 
 
 #: A signal of the held-out logs is made worse if its error is this many times what calibration alone leaves, and this many times
-#: the noise. With these and the next three values names were doubted in seven blind trials of block 200000, all of them wrong.
+#: the noise. With these and the next three values only wrong names were doubted in blind trials (docs/evidence/notes.md).
 WORSE, WORSE_NOISE = 1.2, 3.0
 #: What names and the corrections of their form may leave of a signal of the fit logs: this many times the noise, or this share of
 #: what calibration alone leaves; or, in `Fit.levels`: one event or two in a log, such as a spool that meets its end stop late,
