@@ -128,10 +128,8 @@ def fill(template: Path | Traversable, **data: Any) -> str:
     return re.sub(r"/\*(?P<name>[A-Z]+)\*/(?:null)?", value, template.read_text(encoding="utf-8"))
 
 
-def figure(
-    rows: int = 1, *, height: float = 2.2, share_x: bool = True, left: float | None = None
-) -> tuple[Figure, list[Any]]:
-    """A Matplotlib figure of page width with `rows` axes of `height` inches below each other.
+def figure(rows: int = 1, *, height: float = 2.2, left: float | None = None) -> tuple[Figure, list[Any]]:
+    """A Matplotlib figure of page width with `rows` axes of `height` inches below each other, which share the axis along.
 
     Room for what stands around the axes is measured. Or there are `left` inches of it on the left, and elsewhere enough for a
     row of a legend above and a label below.
@@ -143,14 +141,14 @@ def figure(
         if left is None:
             made, places = Figure(figsize=(WIDTH, height * rows), layout="constrained"), None
         else:
-            made, places = Figure(figsize=(WIDTH, height * rows)), _places(rows, height * rows, share_x, left)
-        axes = made.subplots(rows, sharex=share_x, squeeze=False, gridspec_kw=places)[:, 0]
+            made, places = Figure(figsize=(WIDTH, height * rows)), _places(rows, height * rows, left)
+        axes = made.subplots(rows, sharex=True, squeeze=False, gridspec_kw=places)[:, 0]
     return made, list(axes)
 
 
-def _places(rows: int, height: float, share_x: bool, left: float) -> dict[str, float]:
+def _places(rows: int, height: float, left: float) -> dict[str, float]:
     """Where `rows` axes stand in a figure of `height` inches, as Matplotlib's `GridSpec` takes it."""
-    between = ABOVE + (TICKS if share_x else BELOW)
+    between = ABOVE + TICKS
     each = (height - ABOVE - BELOW - between * (rows - 1)) / rows
     ends = {"bottom": BELOW / height, "top": 1.0 - ABOVE / height}
     return {"left": left / WIDTH, "right": 1.0 - RIGHT / WIDTH, **ends, "hspace": between / each}
