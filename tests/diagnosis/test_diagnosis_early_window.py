@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from hydro_env.diagnosis.estimation import Estimate, Fit, best_on_early_window, could_pay, noise_of
+from hydro_env.diagnosis.estimation.early_window import early_window_of
 from hydro_env.diagnosis.input.parts import read_parts
+from hydro_env.diagnosis.models.base import Request
 from hydro_env.diagnosis.models.dynamic_rig import DynamicRig
 from hydro_env.diagnosis.stages.calibration import base_unknowns, calibrate
-from hydro_env.plant import load_model
+from hydro_env.plant import Plant, load_model
 from hydro_env.practice.generate import make_practice
 from tests.linear_rig import NOISE, logged, time_of
 
@@ -48,3 +50,19 @@ def test_the_hidden_effect_is_first_on_the_beginning_of_the_logs(tmp_path: Path)
     assert values["eccentric_load.amplitude"] == pytest.approx(0.15, rel=0.2)
     assert values["eccentric_load.phase"] == pytest.approx(-0.3, abs=0.4)
     assert all(not p.simulated for p in found)
+
+
+def test_an_early_window_simulates_no_more_than_its_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_practice([], duration=4.0, rate=500.0, seed=3, runs=("fit_1",)).write(tmp_path)
+    rig = DynamicRig(load_model("paper"), read_parts([tmp_path / "fit_1.csv"], None))
+    whole, rows = rig.predict([Request(0, {})])[0][0], []
+    run = Plant.run
+    monkeypatch.setattr(Plant, "run", lambda *a, **k: rows.append(len(a[1])) or run(*a, **k))
+    window = early_window_of(rig, 0.1)
+    short = window.predict([Request(0, {})])[0][0]
+    assert rows == [-(-len(rig.parts[0].log) // 10)]
+    for s, first in zip(rig.segments[0], window.segments[0], strict=True):
+        if s.signal != "mean_line_pressure":
+            np.testing.assert_array_equal(short[first.place], whole[s.place][: first.measured.size])

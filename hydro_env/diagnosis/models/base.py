@@ -49,16 +49,15 @@ class Request:
     of the parameters, without that of the steps' errors."""
 
     channel: int | None
-    values: Mapping[str, float | tuple[float, float]]
+    values: Mapping[str, Any]
     like: Request | None = None
 
-    def on(self, channel: int) -> dict[str, float]:
+    def on(self, channel: int) -> Mapping[str, float]:
         """The values that are wanted on a channel, by name."""
-        pairs = (
-            (name, value[channel] if isinstance(value, tuple) else value)
-            for name, value in self.values.items()
-        )
-        return {n: v for n, v in pairs if self.channel in (None, channel) and not isnan(v)}
+        if self.channel is not None:
+            return self.values if self.channel == channel else {}
+        pairs = ((name, value[channel]) for name, value in self.values.items())
+        return {n: v for n, v in pairs if not isnan(v)}
 
     @cached_property
     def effects(self) -> frozenset[str]:

@@ -275,7 +275,10 @@ class DynamicRig(RigModel):
     ) -> tuple[int, dict[str, np.ndarray], np.ndarray]:
         """`plays` (lanes, 2): the channel whose command and load each side has. Returns the step from one row that
         is there to the next, the signals (rows, lanes, 2), and what diverged (lanes, 2)."""
-        lanes = tuple((log, *sides) for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True))
+        rows = [len(part.log) * part.finer for part in self.parts]
+        lanes = tuple(
+            (log, rows[log], *sides) for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True)
+        )
         inputs = self._inputs(lanes if len(set(lanes)) > 1 else lanes[:1])
         logs = {log for log, _ in batch.lanes}
         own = [s for segments in self.segments.values() for s in segments if s.log in logs]
@@ -292,7 +295,7 @@ class DynamicRig(RigModel):
             return every, out, plant.get("diverged") > 0.0
 
     def _follow(
-        self, plant: Plant, inputs: np.ndarray, lanes: Sequence[tuple[int, int, int]], period: float
+        self, plant: Plant, inputs: np.ndarray, lanes: Sequence[tuple[int, int, int, int]], period: float
     ) -> dict[str, np.ndarray]:
         """Runs as `Plant.run` does, but after each row the speed of a followed channel goes part of the way to the measured one.
 
@@ -303,7 +306,7 @@ class DynamicRig(RigModel):
         rows, speed = np.array([plant.row_of(s) for s in signals]), signals.index(_RECORDED["speed"])
         out = np.empty((len(signals), inputs.shape[1], len(lanes), 2))
         measured, known = np.zeros(out.shape[1:]), np.zeros(out.shape[1:])
-        for lane, (number, *sides) in enumerate(lanes):
+        for lane, (number, _, *sides) in enumerate(lanes):
             part = self.parts[number]
             counts = part.inside[:, None] & np.isfinite(part.log.speed) & np.isin((0, 1), [*self.followed])
             measured[: len(part.log), lane] = np.where(counts, part.log.speed, 0.0)[:, sides]
@@ -318,15 +321,14 @@ class DynamicRig(RigModel):
         return dict(zip(signals, out, strict=True))
 
 
-def _inputs(parts: Sequence[Part], lanes: Sequence[tuple[int, int, int]]) -> np.ndarray:
-    """Commands and loads (2, rows, lanes, 2) of lanes: each the number of a log and the channel that each side plays. A lane
-    whose log has ended is at rest."""
-    rows = {number: len(parts[number].log) * parts[number].finer for number, *_ in lanes}
-    found = np.zeros((2, max(rows.values()), len(lanes), 2))
+def _inputs(parts: Sequence[Part], lanes: Sequence[tuple[int, int, int, int]]) -> np.ndarray:
+    """Commands and loads (2, rows, lanes, 2) of lanes: each the number of a log, its rows (fewer on an early window than `parts`
+    has) and the channel that each side plays. A lane whose log has ended is at rest."""
+    found = np.zeros((2, max(rows for _, rows, *_ in lanes), len(lanes), 2))
     for kind in dict.fromkeys(lanes):
-        number, *sides = kind
+        number, rows, *sides = kind
         part, alike = parts[number], [n for n, other in enumerate(lanes) if other == kind]
-        now = slice(rows[number])
+        now = slice(rows)
         if part.held is not None:
             found[:, now, alike] = part.held[:, now, None, sides]
             continue
