@@ -49,13 +49,15 @@ def test_a_log_is_simulated_the_same_beside_a_longer_one_and_one_of_another_peri
                 np.testing.assert_array_equal(one[c], np.concatenate([other[c][place] for place in own]))
 
 
-def test_threads_change_no_bit(fit_log: Path) -> None:
+@pytest.mark.parametrize("followed", [(), (0,)])
+def test_threads_change_no_bit(fit_log: Path, followed: tuple[int, ...]) -> None:
     parts = read_parts([fit_log], None)
     wanted = [Request(c, {"Kq": 0.2 + 0.01 * n}) for n in range(20) for c in (0, 1)]
     wanted += [Request(0, {"dead_zone.overlap_positive": 1e-5 * n}) for n in range(3)]
     wanted += [Request(None, {"supply_droop.relative_drop": (0.1 * n, 0.1 * n)}) for n in range(1, 9)]
     shared = DynamicRig(load_model("paper"), parts, jobs=3)
-    alone, beside = DynamicRig(load_model("paper"), parts).predict(wanted), shared.predict(wanted)
+    rigs = DynamicRig(load_model("paper"), parts), shared
+    alone, beside = (rig.following(followed).predict(wanted) for rig in rigs)
     shared.close()
     for one, other in zip(alone, beside, strict=True):
         assert one.keys() == other.keys()
@@ -81,7 +83,10 @@ def test_the_fits_numbers_are_near_those_of_the_proof(fit_log: Path, name: str) 
         assert np.sqrt(np.mean(change**2)) / RPM < ROUGH.get(name, 0.2)
 
 
-def test_what_takes_the_steps_of_another_is_the_same_beside_others_and_on_threads(fit_log: Path) -> None:
+@pytest.mark.parametrize("followed", [(), (0,)])
+def test_what_takes_the_steps_of_another_is_the_same_beside_others_and_on_threads(
+    fit_log: Path, followed: tuple[int, ...]
+) -> None:
     parts = read_parts([fit_log], None)
     pairs = [
         Request(None, {"supply_droop.relative_drop": (0.2, 0.2), "J": (0.003 + n / 1e5, 0.003)})
@@ -92,9 +97,9 @@ def test_what_takes_the_steps_of_another_is_the_same_beside_others_and_on_thread
     moved.append(replace(nominal[1], values={"dead_zone.overlap_positive": 2e-5, "Kq": 0.3}, like=nominal[1]))
     moved += [replace(r, like=nominal[2]) for r in pairs[1:]]
     shared = DynamicRig(load_model("paper"), parts, jobs=3)
-    beside = shared.predict([*moved, *nominal])
+    beside = shared.following(followed).predict([*moved, *nominal])
     shared.close()
-    rig = DynamicRig(load_model("paper"), parts)
+    rig = DynamicRig(load_model("paper"), parts).following(followed)
     for n in (0, 5, 19, 20, 21, 23, 24, 25, 26):
         alone = rig.predict([[*moved, *nominal][n]])[0]
         for c in alone:

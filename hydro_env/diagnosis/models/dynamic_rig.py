@@ -27,6 +27,8 @@ TOLERANCE, PROOF_TOLERANCE = 0.1 * RPM, 0.03 * RPM
 DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: Rigs that go through the kernel together, the lanes of a vector instruction: every width has kernels of its own to compile.
 BLOCK = 8
+#: The same where a speed follows the measured one: what is done between rows takes longer than four blocks in them.
+FOLLOWING = 4 * BLOCK
 #: Time in which a speed that follows the measured one comes near it, s: shorter than a blow of a coupling takes to come back.
 FOLLOW_S = 3e-3
 #: Bytes of inputs of batches that are kept, about. Those of eight lanes of 12 s at 1 kHz take 3 MB.
@@ -69,7 +71,8 @@ class DynamicRig(RigModel):
             self._logs.setdefault(parts[number].log.period / parts[number].finer, []).append(number)
         rows = max(len(part.log) * part.finer for part in parts)
         # The same lanes are asked for again and again, by several threads.
-        self._inputs = lru_cache(MAX_INPUTS // (32 * rows * BLOCK))(partial(_inputs, tuple(parts)))
+        self._new_inputs = partial(_inputs, tuple(parts))
+        self._inputs = lru_cache(MAX_INPUTS // (32 * rows * BLOCK))(self._new_inputs)
         #: A plant of the model for each number of rigs, effects and way of stepping, of which every batch takes a copy: to
         #: make one takes longer than to copy it.
         self._plant = cache(partial(Plant, model, tolerance=tolerance, dtype=dtype, block=BLOCK))
@@ -174,8 +177,9 @@ class DynamicRig(RigModel):
             rigs = self._pack([self._sides(n, requests[n]) for n in numbers])
             for period, logs in self._logs.items():
                 lanes = [(log, rig) for log in logs for rig in rigs]
+                width = FOLLOWING if self.followed else BLOCK
                 batches += [
-                    _Batch(effects, period, lanes[n : n + BLOCK]) for n in range(0, len(lanes), BLOCK)
+                    _Batch(effects, period, lanes[n : n + width]) for n in range(0, len(lanes), width)
                 ]
         return batches
 
@@ -189,16 +193,17 @@ class DynamicRig(RigModel):
                 sides.setdefault((effects, self._whole(requests[leader])), []).append(own)
         batches = []
         for (effects, whole), every in sides.items():
-            step = 1 if whole else 2
+            step, blocks = 1 if whole else 2, []
             for both in (every[n : n + step] for n in range(0, len(every), step)):
                 # The shorter side has the one whose steps it takes again.
                 rows = [[own[n if n < len(own) else 0] for own in both] for n in range(max(map(len, both)))]
-                rigs = [[side for n in row for side in self._sides(n, requests[n])] for row in rows]
-                batches += [
-                    _Batch(effects, period, [(log, rig) for rig in rigs], grouped=True)
-                    for period, logs in self._logs.items()
-                    for log in logs
-                ]
+                blocks.append([[side for n in row for side in self._sides(n, requests[n])] for row in rows])
+            for period, logs in self._logs.items():
+                lanes = [[(log, rig) for rig in rigs] for rigs in blocks for log in logs]
+                if self.followed:  # several blocks together, each filled up with its first lane
+                    filled = [lane for own in lanes for lane in (*own, *own[:1] * (BLOCK - len(own)))]
+                    lanes = [filled[n : n + FOLLOWING] for n in range(0, len(filled), FOLLOWING)]
+                batches += [_Batch(effects, period, own, grouped=True) for own in lanes]
         return batches
 
     def kernel(self, effects: frozenset[str]) -> tuple[str, ...]:
@@ -279,7 +284,8 @@ class DynamicRig(RigModel):
         lanes = tuple(
             (log, rows[log], *sides) for (log, _), sides in zip(batch.lanes, plays.tolist(), strict=True)
         )
-        inputs = self._inputs(lanes if len(set(lanes)) > 1 else lanes[:1])
+        make = self._new_inputs if self.followed else self._inputs  # many lanes are too much to keep
+        inputs = make(lanes if len(set(lanes)) > 1 else lanes[:1])
         logs = {log for log, _ in batch.lanes}
         own = [s for segments in self.segments.values() for s in segments if s.log in logs]
         every = gcd(*(s.step if s.late is None else 1 for s in own)) or 1
