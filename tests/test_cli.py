@@ -348,12 +348,20 @@ def test_a_reader_that_leaves_takes_no_results_with_it(tmp_path: Path, streams: 
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_command_that_is_told_to_end_leaves_nothing(tmp_path: Path, name: str) -> None:
     what = ["hide", "dead_zone:1", "--duration", "1000", "--out", str(tmp_path / "practice")]
-    with subprocess.Popen([sys.executable, "-m", "hydro_env", *what], stderr=subprocess.PIPE) as process:
+    number = getattr(signal, name)
+
+    def as_in_a_terminal() -> None:
+        signal.signal(
+            number, signal.SIG_DFL
+        )  # tests that run under nohup ignore SIGHUP, and so would the command
+
+    command = [sys.executable, "-m", "hydro_env", *what]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, preexec_fn=as_in_a_terminal) as process:
         while not listing(tmp_path) and process.poll() is None:
             time.sleep(0.05)
-        process.send_signal(getattr(signal, name))
+        process.send_signal(number)
         _, said = process.communicate(timeout=120)
-    assert process.returncode == 128 + getattr(signal, name)
+    assert process.returncode == 128 + number
     assert said.decode().splitlines()[-1].startswith("error: interrupted")
     assert listing(tmp_path) == []
 
