@@ -5,7 +5,6 @@ hydro-env diagnose FIT_LOG... --sealed LOG... [--model PRESET_OR_YAML] [--mappin
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
@@ -28,6 +27,7 @@ def run(
 
     `jobs` threads (None: one for every core that this process may use), the rest as in `diagnose`.
     """
+    from loky import cpu_count
     from tqdm import tqdm
 
     with tqdm(unit=" simulations", disable=quiet or None, leave=False) as bar:
@@ -40,7 +40,7 @@ def run(
 
         import_in_background()
         found = diagnose(
-            fit_logs, sealed, model, mapping, jobs=jobs or _cores(), steady=steady, accept=accept,
+            fit_logs, sealed, model, mapping, jobs=jobs or cpu_count(), steady=steady, accept=accept,
             settings=settings, progress=progress,
         )  # fmt: skip
         bar.set_description("writing the report")
@@ -62,8 +62,3 @@ def write(found: Diagnosis, folder: Path) -> None:
     found.model.to_yaml(folder / "model.yaml", source="diagnosis of logs")
     with beside_results(folder / "report.html"):
         found.report(folder / "report.html")
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

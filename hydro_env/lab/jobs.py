@@ -153,6 +153,8 @@ def _do(task: Callable[..., dict[str, str]], given: dict[str, Any], messages: Co
 def _diagnose(
     say: Callable[..., None], fit: list[str], held_out: list[str], model: str, mapping: str | None, out: Path
 ) -> dict[str, str]:
+    from loky import cpu_count
+
     from hydro_env.diagnosis import STAGES, command, workflow
 
     numbers = {text: number for number, (text, _) in enumerate(STAGES)}
@@ -166,8 +168,7 @@ def _diagnose(
 
     if not held_out:
         fit, held_out = _in_two(fit, mapping)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    found = workflow.diagnose(fit, held_out, model, mapping, jobs=cores, progress=progress)
+    found = workflow.diagnose(fit, held_out, model, mapping, jobs=cpu_count(), progress=progress)
     say(stage="writing the report", share=1.0 - 1.0 / len(STAGES))
     command.write(found, out)
     return {"verdict": found.verdict, "summary": found.summary()}
