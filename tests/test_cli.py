@@ -351,9 +351,8 @@ def test_a_command_that_is_told_to_end_leaves_nothing(tmp_path: Path, name: str)
     number = getattr(signal, name)
 
     def as_in_a_terminal() -> None:
-        signal.signal(
-            number, signal.SIG_DFL
-        )  # tests that run under nohup ignore SIGHUP, and so would the command
+        # Tests that run under nohup ignore SIGHUP, and so would the command.
+        signal.signal(number, signal.SIG_DFL)
 
     command = [sys.executable, "-m", "hydro_env", *what]
     with subprocess.Popen(command, stderr=subprocess.PIPE, preexec_fn=as_in_a_terminal) as process:
