@@ -45,8 +45,8 @@ LEVEL_FREE = ("mean_line_pressure",)
 @dataclass(frozen=True)
 class Request:
     """One simulation that is wanted: parameter values of `channel` (0, 1), each a number, or of the whole rig (None), each a
-    pair, in which NaN is the value of the model as given. `like`: another one with the same names, whose steps it takes; so their difference is that
-    of the parameters, without that of the steps' errors."""
+    pair, in which NaN is the value of the model as given. `like`: another one with the same names, whose steps it takes; so their
+    difference is that of the parameters, without that of the steps' errors."""
 
     channel: int | None
     values: Mapping[str, Any]

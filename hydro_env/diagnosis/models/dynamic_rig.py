@@ -28,7 +28,7 @@ DTYPE, PROOF_DTYPE = np.float32, np.float64
 #: Rigs that go through the kernel together, the lanes of a vector instruction: every width has kernels of its own to compile.
 BLOCK = 8
 #: The same where the speed follows the measured one: what Python does after each row takes longer than the row of four blocks.
-BLOCKS_FOLLOWING = 4 * BLOCK
+FOLLOWING_BLOCK = 4 * BLOCK
 #: Time in which a speed that follows the measured one comes near it, s: shorter than a blow of a coupling takes to come back.
 FOLLOW_S = 3e-3
 #: Bytes of inputs of batches that are kept, about. Those of eight lanes of 12 s at 1 kHz take 3 MB.
@@ -177,7 +177,7 @@ class DynamicRig(RigModel):
             rigs = self._pack([self._sides(n, requests[n]) for n in numbers])
             for period, logs in self._logs.items():
                 lanes = [(log, rig) for log in logs for rig in rigs]
-                width = BLOCKS_FOLLOWING if self.followed else BLOCK
+                width = FOLLOWING_BLOCK if self.followed else BLOCK
                 batches += [
                     _Batch(effects, period, lanes[n : n + width]) for n in range(0, len(lanes), width)
                 ]
@@ -202,9 +202,7 @@ class DynamicRig(RigModel):
                 lanes = [[(log, rig) for rig in rigs] for rigs in blocks for log in logs]
                 if self.followed:  # several blocks together, each filled up with its first lane
                     filled = [lane for own in lanes for lane in (*own, *own[:1] * (BLOCK - len(own)))]
-                    lanes = [
-                        filled[n : n + BLOCKS_FOLLOWING] for n in range(0, len(filled), BLOCKS_FOLLOWING)
-                    ]
+                    lanes = [filled[n : n + FOLLOWING_BLOCK] for n in range(0, len(filled), FOLLOWING_BLOCK)]
                 batches += [_Batch(effects, period, own, grouped=True) for own in lanes]
         return batches
 
