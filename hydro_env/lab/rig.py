@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hydro_env.envs.observation import FRAME, noise_levels
 from hydro_env.envs.step_kernels import NEVER, SIGNALS, STATE, TRUE, observe
-from hydro_env.plant import CATALOGUE, Plant, PlantModel, load_model
+from hydro_env.plant import CATALOGUE, Plant, PlantModel, Scales, load_model, scales_of
 from hydro_env.plant.catalogue.form_corrections import FAMILY as FORMS
 from hydro_env.tasks import draw_pairs
 from hydro_env.tasks.mismatch import OWN, SENSOR_PARAMETERS, own_values
@@ -45,6 +45,8 @@ class Reach:
     """Without load, of the weaker channel."""
     torque_Nm: float
     """At standstill, of the weaker channel; of a motor without leakage that at the supply pressure, or at 350 bar."""
+    scales: tuple[Scales, Scales]
+    """Of both channels, beside the paper's rig."""
 
 
 def reach_of(model: PlantModel) -> Reach:
@@ -59,7 +61,7 @@ def reach_of(model: PlantModel) -> Reach:
         speeds.append(flow / (D + Km * B / D) / RPM)
         supply = min(model.value("pressure_dependent_flow.supply_pressure", c), 350.0 * BAR)
         torques.append(D * min(flow / Km if Km > 0.0 else inf, supply))
-    return Reach(model.pair("u_rated"), min(speeds), min(torques))
+    return Reach(model.pair("u_rated"), min(speeds), min(torques), (scales_of(model, 0), scales_of(model, 1)))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from ..files import write_text
 from ..units import RPM
 from .catalogue import CATALOGUE
 from .parameters import PARAMETERS, Parameter
+from .scales import scales_of
 from .validation import check_channel, out_of_range
 
 __all__ = ["SCHEMA", "TOLERANCE", "VALVE_PARAMETERS", "VALVE_PORTS", "PlantModel", "parameter_of"]
@@ -71,9 +72,6 @@ class PlantModel:
             first, second = float(pair[0]), float(pair[1])
             if math.isnan(first) or math.isnan(second):
                 raise InputError(f"model {self.name!r}: {name} is not a number")
-            for value in (first, second):
-                if wrong := out_of_range(value, parameter_of(name)):
-                    raise InputError(f"model {self.name!r}: {name}: {wrong}")
             clean[name] = (first, second)
         for name in self.declared:
             if name not in CATALOGUE:
@@ -82,6 +80,11 @@ class PlantModel:
                 )
         named = {n.split(".", 1)[0] for n in clean if "." in n} | set(self.declared)
         object.__setattr__(self, "values", clean)
+        for channel in (0, 1):
+            scales = scales_of(self, channel)
+            for name, pair in clean.items():
+                if wrong := out_of_range(pair[channel], scales.parameter(parameter_of(name))):
+                    raise InputError(f"model {self.name!r}: {name}: {wrong}")
         object.__setattr__(self, "declared", tuple(n for n in CATALOGUE if n in named))
         for channel in (0, 1):
             check_channel(self, channel, f"model {self.name!r}")

@@ -42,6 +42,7 @@ from ..validation import FileTable, Number, NumberOrInfinity, checked
 from .catalogue import CATALOGUE
 from .model import SCHEMA, VALVE_PARAMETERS, VALVE_PORTS, PlantModel, parameter_of
 from .parameters import PARAMETERS
+from .scales import scales_of
 from .validation import out_of_range
 
 __all__ = ["load_model", "preset_names", "preset_summary", "sources_of", "values_set_by"]
@@ -108,6 +109,11 @@ class _Draft:
     values: dict[str, list[float]]
     declared: list[str] = field(default_factory=list)
 
+    def value(self, name: str, channel: int) -> float:
+        """What it has so far, as `PlantModel.value`."""
+        pair = self.values.get(name)
+        return parameter_of(name).nominal if pair is None else pair[channel]
+
     def put(self, name: str, side: str, value: float) -> None:
         """Sets a value on one side; the other channel keeps its own, or gets the nominal one."""
         for channel in _SIDES[side]:
@@ -144,10 +150,12 @@ def _model(file: _ModelFile, where: str, above: tuple[str, ...] = ()) -> PlantMo
         draft.put_valve(_built_on(valve, f"{where}: {side}.valve", above), side)
     draft.declared += file.effects
     try:
-        for name, side, place, value in file.values():
-            if wrong := out_of_range(value, parameter_of(name)):
-                raise InputError(f"{place}: {wrong}")
+        for name, side, _, value in file.values():
             draft.put(name, side, value)
+        for name, side, place, value in file.values():
+            for channel in _SIDES[side]:
+                if wrong := out_of_range(value, scales_of(draft, channel).parameter(parameter_of(name))):
+                    raise InputError(f"{place}: {wrong}")
         for name in file.sources:
             if name not in CATALOGUE:
                 parameter_of(name)

@@ -23,13 +23,12 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
-from math import isinf
 from types import FunctionType
 from typing import Any
 
-from ..parameters import PARAMETERS, Parameter
+from ..parameters import Parameter
 
 __all__ = [
     "CATALOGUE", "PORTS", "QUANTITIES", "Effect", "State", "arguments", "called_by", "helpers_of", "register",
@@ -147,21 +146,6 @@ class Effect:
             if parameter.name == name:
                 return parameter
         raise KeyError(name)
-
-    def at_rated(self, voltage: float) -> Effect:
-        """The effect in a valve with this rated command, V: what is usual in volts is so as a share of the rated command.
-
-        As it is where the command has no limit (inf)."""
-        share = voltage / PARAMETERS["u_rated"].nominal
-        if isinf(share):
-            return self
-        own = tuple(
-            replace(p, low=share * p.low, high=share * p.high, typical=share * p.typical)
-            if p.unit == "V"
-            else p
-            for p in self.parameters
-        )
-        return replace(self, parameters=own)
 
     def is_neutral(self, values: Mapping[str, float]) -> bool:
         """Whether the effect vanishes at these parameter values (missing ones count as neutral).
