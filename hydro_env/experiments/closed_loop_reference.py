@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env.envs.observation import LIMIT, noise_levels, scales_on
-from hydro_env.plant import PlantModel, scales_of
+from hydro_env.envs.observation import LIMIT, SCALES, noise_levels
+from hydro_env.plant import PlantModel
 from hydro_env.practice.reference import ReferenceRig
 from hydro_env.practice.reference.forms import Constants
 from hydro_env.tasks import Scenario, Trace, load_scenario
-from hydro_env.tasks.metrics import SETTLED_RPM
 from hydro_env.units import RPM
 
 __all__ = ["drive"]
@@ -47,10 +46,8 @@ def drive(
     InputError for an unknown scenario; ValueError for a command that is not finite.
     """
     profile_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
-    size = scales_of(truth)
-    profile = load_scenario(scenario, size).reference(control_period, np.random.default_rng(profile_seed))
-    stream, levels = np.random.default_rng(noise_seed), noise_levels(noise, size)
-    scales = scales_on(size)
+    profile = load_scenario(scenario).reference(control_period, np.random.default_rng(profile_seed))
+    stream, levels = np.random.default_rng(noise_seed), noise_levels(noise)
     rig = ReferenceRig(truth, forms=forms, constants=constants, tolerance=TOLERANCE)
     rated = np.array(truth.pair("u_rated"))
     controller.reset(1, control_period)
@@ -62,14 +59,13 @@ def drive(
         angle[n, 0] = np.degrees(now["angle"][0] - now["angle"][1])
         if n == rows - 1:
             break
-        seen = np.concatenate([now[name] for name in SENSORS]) / scales[1:7]
+        seen = np.concatenate([now[name] for name in SENSORS]) / SCALES[1:7]
         seen = seen + levels * stream.standard_normal(levels.size)
-        frame = np.concatenate([[profile.setpoint[n] / scales[0]], seen, last])
+        frame = np.concatenate([[profile.setpoint[n] / SCALES[0]], seen, last])
         action = np.asarray(controller.act(np.clip(frame, -LIMIT, LIMIT).astype(np.float32)[None]))[0]
         if not np.isfinite(action).all():
             raise ValueError(f"act returned a command that is not finite at {n * control_period:g} s")
         command[n, 0] = last = np.clip(action, -1.0, 1.0)
         part = rig.advance(last * rated, profile.load[n], control_period, 1)
         now = {name: values[-1] for name, values in part.items()}
-    settled = SETTLED_RPM * size.speed
-    return Trace(control_period, profile.setpoint[:, None] / RPM, speed, angle, command[:-1], settled)
+    return Trace(control_period, profile.setpoint[:, None] / RPM, speed, angle, command[:-1])
