@@ -287,7 +287,7 @@ def test_disturbance_observer_finds_a_constant_disturbance():
 
 def test_tuning_improves_on_its_first_guess_and_can_be_read_back(tmp_path):
     task = Task("pid", plant="paper", scenarios=("setpoint_steps",))
-    few = Search(task, cases=1, episodes=48, progress=False)
+    few = Search(task, cases=1, episodes=72, progress=False)
     first = tune.run(tmp_path / "a", few)
     more = tune.run(tmp_path / "b", replace(few, episodes=144))
     assert more["tuning"]["cost_rpm"] <= first["tuning"]["cost_rpm"]
@@ -330,7 +330,7 @@ def test_a_common_search_goes_on_where_it_was_interrupted(tmp_path, monkeypatch)
 def test_nothing_is_tuned_on_a_test_split(tmp_path):
     with pytest.raises(InputError, match="never on other splits"):
         tune.run(tmp_path, Search(Task(mismatch="test_interp")))
-    with pytest.raises(InputError, match="at least 1152"):
+    with pytest.raises(InputError, match="at least 1728"):
         tune.run(tmp_path, Search(Task(), episodes=100))
     with pytest.raises(InputError, match="unknown control law 'pdi'"):
         tune.run(tmp_path, Search(Task("pdi")))
