@@ -52,7 +52,7 @@ def test_the_same_actions_have_the_same_observations_and_rewards(rig: PlantModel
         assert other == pytest.approx(reward, abs=0.01)
 
 
-@pytest.mark.parametrize("name", ["pid_tuned", "cross_coupled", "compensated", "gru"])
+@pytest.mark.parametrize("name", ["pid_tuned", "cross_coupled", "compensated", "gru", "oracle"])
 def test_controllers_that_ship_do_the_same_there(name: str, rig: PlantModel) -> None:
     peaks = []
     for plant, size in (("paper_dead_zone", PAPER), (rig, SIZE)):
