@@ -133,7 +133,7 @@ class HydraulicSyncVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32],
         self._options: dict[int, dict[str, Any]] = {0: {}}
         self._held = np.zeros(self.num_envs, np.int64)
         width = RENDER_WIDTH.check(render_width, "render_width")
-        self._recorder = None if render_mode is None else Recorder(self.num_envs, width)
+        self._recorder = None if render_mode is None else Recorder(self.num_envs, width, self.scales.speed)
 
     def _make_spaces(self) -> None:
         self.metadata = {
