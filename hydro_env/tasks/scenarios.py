@@ -232,7 +232,8 @@ SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in _ALL}
 
 
 def load_scenario(source: str | Mapping[str, Any] | Scenario, scales: Scales = PAPER) -> Scenario:
-    """A scenario from its name, on a rig of these scales, from step tables, or a scenario (one that is not of `SCENARIOS` as it is).
+    """A scenario from its name, on a rig of these scales, from step tables, or a scenario: one of `SCENARIOS` too is
+    scaled, others are returned as they are.
 
     InputError, in one line that names the key, for anything that is not right.
     """
