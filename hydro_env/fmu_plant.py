@@ -116,8 +116,9 @@ def load_fmu(file: str | Path, mapping: str | Path | None = None, *, trust: bool
     if not trust:
         raise InputError(f"{file}: is a program: using it runs code from the file; with --trust it is used")
     description = _description(str(file))
-    own_names = None, {}, None, _own_names(description)
-    rated, start, like, links = own_names if mapping is None else _read(mapping)
+    rated, start, like, links = (
+        _read(mapping) if mapping is not None else (None, {}, None, _own_names(description))
+    )
     variables = {v.name: v for v in description.modelVariables}
     for (name, channel), link in links.items():
         _check(file, variables, link.variable, f"{name} of channel {channel + 1}", _SIGNALS[name][1])

@@ -75,10 +75,11 @@ class Oracle(Controller):
         self._rated = get("u_rated")
         speed, travel = self.rig.speed, self.rig.travel
         sizes = {"difference": 1.0, "smooth": speed**2, "stops": (speed / travel) ** 2}
-        self._weights = [
-            np.broadcast_to(size * np.ravel(self.gains[g]), (n,)).copy() for g, size in sizes.items()
+        values = [
+            *(size * np.ravel(self.gains[gain]) for gain, size in sizes.items()),
+            np.array([speed * CORNER]),
         ]
-        self._corner = np.full(n, speed * CORNER)
+        self._weights = [np.broadcast_to(each, (n,)).copy() for each in values]
         self._plan = np.zeros((n, HORIZON, 2))
         self._sent = np.zeros((n, 2))
         self._row = 0
@@ -113,16 +114,7 @@ class Oracle(Controller):
         """Improves every plan for its `turns` (N,); one that would still let the motors fall apart is restarted, for
         longer: the way of a single descent is at times blocked by a stop or a spool that sticks.
         """
-        task = Task(
-            self._sent,
-            ahead,
-            self._most,
-            self._margin,
-            self._travel,
-            self._motor,
-            *self._weights,
-            self._corner,
-        )
+        task = Task(self._sent, ahead, self._most, self._margin, self._travel, self._motor, *self._weights)
         start = self._plan
         found, lowest = start.copy(), np.empty(len(start))
         speed, near = np.empty((HORIZON, len(start), 2)), self.rig.speed * APART
