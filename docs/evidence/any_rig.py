@@ -203,7 +203,9 @@ def named(case: Case, plant: str | None) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         model = load_model(plant or drawn(case.seed))
-        practice = make_practice(case.hidden, model=model, base_error=case.base_error, seed=case.seed)
+        practice = make_practice(
+            case.hidden, model=model, base_error=case.base_error, seed=case.seed, rate=500.0
+        )
         practice.write(folder)
         files = [folder / f"{log}.csv" for log in ("fit_1", "fit_2", "sealed")]
         begin = time.process_time()
@@ -218,6 +220,7 @@ def main() -> None:
     add = parser.add_argument
     add("--out", type=Path, required=True)
     add("--seed", type=SEEDS, default=0)
+    add("--first", type=Limits(0, 10_000, whole=True), default=0, help="number of the first of these rigs")
     add("--rigs", type=Limits(1, 10_000, whole=True), default=100)
     add("--stages", nargs="+", choices=STAGES, default=list(STAGES))
     add("--name", action="store_true", help="hide and diagnose one effect on each")
@@ -226,7 +229,7 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     path = given.out / ("names.json" if given.name else "any_rig.json")
     rows: dict[str, Any] = read_json(path, "rigs that were examined") if path.exists() else {}
-    for number in range(given.rigs):
+    for number in range(given.first, given.first + given.rigs):
         seed = given.seed + number
         if str(seed) in rows:
             continue

@@ -50,6 +50,15 @@ class Plan:
         """The same with set-points and loads times as large."""
         return Plan(np.where(self.closed, speed, 1.0) * self.value, self.closed, torque * self.load)
 
+    def ramped(self, command: float, setpoint: float) -> Plan:
+        """The same with commands and set-points that change by so much from row to row at most."""
+        value, now = self.value.copy(), 0.0
+        for n, (wanted, closed) in enumerate(zip(self.value, self.closed, strict=True)):
+            now = 0.0 if n and closed != self.closed[n - 1] else now
+            step = setpoint if closed else command
+            value[n] = now = now + min(max(wanted - now, -step), step)
+        return Plan(value, self.closed, self.load)
+
     def first(self, rows: int) -> Plan:
         """The beginning of it."""
         return Plan(self.value[:rows], self.closed[:rows], self.load[:rows])

@@ -121,35 +121,74 @@ def _with_lines(signals: dict[str, Array], level: Array) -> dict[str, Array]:
     return signals | {name: np.where(line < _VACUUM, np.nan, line) for name, line in lines.items()}
 
 
+def _of_the_papers_size(given: PlantModel) -> bool:
+    return replace(scales_of(given), command=1.0) == Scales()
+
+
+@dataclass(frozen=True)
+class _Motor:
+    """A motor behind its valve, linearised: its `full` speed at the rated command without load, rpm, the square of the frequency
+    at which it swings on its lines, (rad/s)2, how fast that decays, 1/s, the time in which the supply brings it up to speed, s,
+    and whether its leakage holds the pressure below the supply's."""
+
+    full: float
+    swing: float
+    decay: float
+    start: float
+    leaks: bool
+
+    @classmethod
+    def of(cls, given: PlantModel, channel: int) -> _Motor:
+        value = {name: given.value(name, channel) for name in ("D", "J", "B", "Km", "V", "beta")}
+        at = rated(given, channel)
+        swing = value["D"] ** 2 * value["beta"] / (value["V"] * value["J"])
+        decay = value["Km"] * value["beta"] / value["V"] + value["B"] / value["J"]
+        start = value["J"] * at["flow"] / (value["D"] ** 2 * at["pressure"])
+        full = at["flow"] / at["displacement"] / RPM
+        return cls(full, swing, decay, start, at["flow"] < value["Km"] * at["pressure"])
+
+    @property
+    def ramp(self) -> float:
+        """The time from standstill to the full command, s, in which the lines stay between tank and supply: three times what the
+        supply takes, and a swing; what an engineer sets at the amplifier. One second at most, as a manoeuvre has to end."""
+        calm = self.leaks or self.decay > 2.0 * math.sqrt(self.swing)
+        return (
+            0.0
+            if self.leaks
+            else min(1.0, max(3.0 * self.start, 0.0 if calm else 2.0 * math.pi / math.sqrt(self.swing)))
+        )
+
+
 class _SpeedLoop:
     """The PI controllers of the rig: the paper's V1 gains, scaled to the flow gain of the given model. A rig of another size has
-    gains of its own: its integral acts so slowly that neither a motor that swings on its lines nor the spool is excited."""
+    gains of its own: its integral acts so slowly that neither a motor that swings on its lines nor the spool is excited, and the
+    command that the model needs for the set-point goes ahead."""
+
+    #: Command ahead of the loop in V by rpm of the set-point and for its sign, (2,) each.
+    ahead: tuple[Array, Array] | None = None
 
     def __init__(self, given: PlantModel, period: float) -> None:
         self.gain = 0.016 * 476106e-6 / np.array(given.pair("Kq"))  # V/rpm
         self.reset_time, self.period = np.full(2, 0.156), period  # s
         self.limit = np.array(given.pair("u_rated"))
-        if replace(scales_of(given), command=1.0) != Scales():
-            self._tune(given)
-        self.sum = np.zeros(2)  # rpm s
-
-    def _tune(self, given: PlantModel) -> None:
-        for c in (0, 1):
-            value = {name: given.value(name, c) for name in ("D", "J", "B", "Km", "V", "beta", "k", "m")}
-            swing = (
-                value["D"] ** 2 * value["beta"] / (value["V"] * value["J"])
-            )  # square of the motor's frequency, (rad/s)2
-            decay = value["Km"] * value["beta"] / value["V"] + value["B"] / value["J"]  # 1/s
-            spool = math.sqrt(value["k"] / value["m"])  # rad/s
-            of = rated(given, c)
-            volts = of["command"] * of["displacement"] / of["flow"] * RPM  # V/rpm
-            integral = min(4.0, max(0.1, 0.25 * decay), 0.1 * spool)  # 1/s
-            self.reset_time[c] = min(max(decay / swing, 0.02), 0.5)
+        if not _of_the_papers_size(given):
+            self.ahead = np.zeros(2), np.zeros(2)
+        for c in (0, 1) if self.ahead is not None else ():
+            motor, at = _Motor.of(given, c), rated(given, c)
+            spool = math.sqrt(given.value("k", c) / given.value("m", c))  # rad/s
+            volts = at["command"] / motor.full  # V/rpm
+            self.ahead[0][c] = volts
+            self.ahead[1][c] = at["command"] * given.value("dead_zone.overlap_positive", c) / at["travel"]
+            integral = min(4.0, max(0.1, 0.25 * motor.decay), 0.1 * spool)  # 1/s
+            self.reset_time[c] = min(max(motor.decay / motor.swing, 0.02), 0.5)
             self.gain[c] = volts * integral * self.reset_time[c]
+        self.sum = np.zeros(2)  # rpm s
 
     def __call__(self, setpoint: Array, speed: Array) -> Array:
         error = setpoint - speed
         wanted = self.gain * (error + self.sum / self.reset_time)
+        if self.ahead is not None:
+            wanted = wanted + self.ahead[0] * setpoint + self.ahead[1] * np.sign(setpoint)
         given = np.clip(wanted, -self.limit, self.limit)
         self.sum = np.where(
             (wanted != given) & (error * wanted > 0.0), self.sum, self.sum + error * self.period
@@ -182,8 +221,12 @@ class Recorder:
         """Drives one of `manoeuvres.RUNS` and returns the log's columns by header name."""
         plan_seed, noise_seed = seeds.spawn(2)
         steps, scales = max(1, round(self.duration / self.period)), scales_of(self.given)
-        found = plans(run, plan_seed, self.period, steps)
-        return self.played([p.scaled(scales.speed, scales.torque) for p in found], noise_seed)
+        found = [p.scaled(scales.speed, scales.torque) for p in plans(run, plan_seed, self.period, steps)]
+        if not _of_the_papers_size(self.given):
+            motors = [_Motor.of(self.given, c) for c in (0, 1)]
+            step, full = self.period / max(1e-9, *(m.ramp for m in motors)), min(m.full for m in motors)
+            found = [p.ramped(step, step * full) for p in found]
+        return self.played(found, noise_seed)
 
     @property
     def period(self) -> float:
