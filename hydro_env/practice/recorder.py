@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..plant import Plant, PlantModel, Scales, scales_of
-from ..plant.scales import rated
+from ..plant.scales import PAPER, rated
 from ..plant.sensors import NOISE
 from ..units import BAR, LPM, MILLIMETRE, RPM
 from .manoeuvres import Plan, plans
@@ -122,7 +122,7 @@ def _with_lines(signals: dict[str, Array], level: Array) -> dict[str, Array]:
 
 
 def _of_the_papers_size(given: PlantModel) -> bool:
-    return replace(scales_of(given), command=1.0) == Scales()
+    return replace(scales_of(given), command=1.0) == PAPER
 
 
 @dataclass(frozen=True)
